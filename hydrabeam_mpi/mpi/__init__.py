@@ -1,0 +1,35 @@
+"""Processes: who treats which channel, how arrays travel between ranks, and how a failure ends them all."""
+
+from mpi4py.MPI import Comm
+
+from hydrabeam_mpi.mpi.abort import install_abort_hook, refuse
+from hydrabeam_mpi.mpi.collectives import (
+    allreduce_max,
+    allreduce_sum,
+    bcast_array,
+    bcast_object,
+    recv_array,
+    send_array,
+)
+from hydrabeam_mpi.mpi.failure import together
+from hydrabeam_mpi.mpi.grid import ProcessGrid
+from hydrabeam_mpi.mpi.library import library_version
+from hydrabeam_mpi.mpi.memory import peak_rss_mb
+from hydrabeam_mpi.mpi.threads import limit_blas_threads
+
+__all__ = [
+    "Comm",
+    "ProcessGrid",
+    "allreduce_max",
+    "allreduce_sum",
+    "bcast_array",
+    "bcast_object",
+    "install_abort_hook",
+    "library_version",
+    "limit_blas_threads",
+    "peak_rss_mb",
+    "recv_array",
+    "refuse",
+    "send_array",
+    "together",
+]

@@ -1,0 +1,65 @@
+"""The end of a run that fails: promptly, on all ranks, with one message."""
+
+from __future__ import annotations
+
+import sys
+import time
+import traceback
+from types import TracebackType
+
+from mpi4py import MPI
+
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.mpi.failure import how_shared
+
+INPUT_ERROR_STATUS = 2
+
+
+def install_abort_hook(comm: MPI.Comm) -> None:
+    """Let an uncaught exception on any rank of ``comm`` end them all.
+
+    Without it, a rank that fails waits at its exit for the others, and they wait for it in their next
+    collective.
+    """
+    if comm.size == 1:
+        return
+
+    def hook(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+        _end_all(comm, error)
+
+    sys.excepthook = hook
+
+
+def refuse(comm: MPI.Comm, error: InputError) -> int:
+    """Say once, in one line, what is wrong with the input, and return the exit status for it.
+
+    Where `hydrabeam_mpi.mpi.together` did not raise ``error`` on all ranks of ``comm``, the others are ended.
+    """
+    if how_shared(error).n_ranks < comm.size:
+        _end_all(comm, error)
+    elif how_shared(error).speaks:
+        _say(error)
+    return INPUT_ERROR_STATUS
+
+
+def _end_all(comm: MPI.Comm, error: BaseException) -> None:
+    """Tell of ``error`` and abort, unless another rank does so for this one."""
+    if isinstance(error, KeyboardInterrupt):
+        comm.Abort(130)
+    if not how_shared(error).speaks:
+        return
+    # A bug often shows on all ranks at once: rank 0 then ends the others before they say the same.
+    time.sleep(min(1.0, 0.5 * comm.rank))
+    if isinstance(error, InputError):
+        _say(error)
+        comm.Abort(INPUT_ERROR_STATUS)
+    else:
+        trace = "".join(traceback.format_exception(error)).rstrip()
+        _say(f"rank {comm.rank} of {comm.size} failed\n{trace}")
+        comm.Abort(1)
+
+
+def _say(words: object) -> None:
+    sys.stdout.flush()
+    # The process's own stream, as ranks other than 0 may have been told to be quiet.
+    print(f"hydrabeam: error: {words}", file=sys.__stderr__, flush=True)

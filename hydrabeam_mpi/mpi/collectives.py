@@ -1,0 +1,138 @@
+"""Arrays and objects between ranks, of any size, in messages of a bounded one.
+
+MPI libraries count in 32 bits in places, and large messages want large hidden buffers: nothing here sends
+more than ``max_bytes`` at once. All ranks must give the same ``max_bytes``.
+"""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+MAX_MESSAGE_BYTES = 2**28  # as fast as any larger size, with less memory for buffers
+
+Array = NDArray[Any]
+
+
+def _flat(array: Array) -> Array:
+    """One-dimensional view of a contiguous array whose bytes mean the same on another rank."""
+    if array.dtype.hasobject:
+        raise TypeError(f"an array of {array.dtype} holds references, which mean nothing on another rank")
+    if not array.flags.c_contiguous:
+        raise TypeError("an array sent or summed in place must be C-contiguous")
+    return array.reshape(-1)
+
+
+def _pieces(flat: Array, max_bytes: int) -> Iterator[Array]:
+    """Successive views of at most ``max_bytes`` (but at least one item) each."""
+    step = max(1, max_bytes // flat.itemsize)
+    for start in range(0, flat.size, step):
+        yield flat[start : start + step]
+
+
+def _messages(array: Array, max_bytes: int) -> Iterator[list[Any]]:
+    """MPI buffers that together make up ``array``."""
+    for piece in _pieces(_flat(array).view(np.uint8), max_bytes):
+        yield [piece, MPI.BYTE]
+
+
+def allreduce_sum(comm: MPI.Comm, array: Array, max_bytes: int = MAX_MESSAGE_BYTES) -> None:
+    """Replace ``array`` by its sum over the ranks, on all of them. Collective: all ranks of `comm`.
+
+    The terms are added in the order of the ranks. MPI's own reduction may take another order with another
+    placement of the ranks or another network; this sum is the same bit for bit on every rank and in every run
+    on as many ranks. Each rank sums its share and passes it on, which moves no more bytes than MPI's own.
+
+    Parameters
+    ----------
+    comm : mpi4py.MPI.Comm
+    array : ndarray, C-contiguous
+        The same shape and dtype on all ranks.
+    max_bytes : int
+        Largest message, less than 2**31; also the size of the buffer needed.
+    """
+    if comm.size > 1:
+        for piece in _pieces(_flat(array), max_bytes):
+            _sum_in_rank_order(comm, piece)
+
+
+def _sum_in_rank_order(comm: MPI.Comm, piece: Array) -> None:
+    bounds = np.arange(comm.size + 1) * piece.size // comm.size
+    counts, starts = np.diff(bounds) * piece.itemsize, bounds[:-1] * piece.itemsize
+    terms = np.empty((comm.size, bounds[comm.rank + 1] - bounds[comm.rank]), piece.dtype)
+    share = terms[0]
+
+    comm.Alltoallv([piece, (counts, starts), MPI.BYTE], [terms, ([share.nbytes] * comm.size, None), MPI.BYTE])
+    for term in terms[1:]:
+        share += term
+    comm.Allgatherv([share, MPI.BYTE], [piece, (counts, starts), MPI.BYTE])
+
+
+def allreduce_max(comm: MPI.Comm, array: Array, max_bytes: int = MAX_MESSAGE_BYTES) -> None:
+    """Replace ``array`` by its element-wise maximum over the ranks. Collective: all ranks of `comm`.
+
+    Parameters
+    ----------
+    comm : mpi4py.MPI.Comm
+    array : ndarray of int or float, C-contiguous, without NaN
+        The same shape and dtype on all ranks.
+    max_bytes : int
+        Largest message, less than 2**31.
+    """
+    for piece in _pieces(_flat(array), max_bytes):
+        comm.Allreduce(MPI.IN_PLACE, piece, MPI.MAX)
+
+
+def bcast_array(
+    comm: MPI.Comm, array: Array | None, root: int = 0, max_bytes: int = MAX_MESSAGE_BYTES
+) -> Array:
+    """Return the ``array`` of rank ``root`` on every rank. Collective: all ranks of `comm`.
+
+    Parameters
+    ----------
+    comm : mpi4py.MPI.Comm
+    array : ndarray or None
+        Read on ``root`` alone; the others need not know its shape or dtype.
+    root : int
+    max_bytes : int
+        Largest message, less than 2**31.
+    """
+    if comm.rank == root:
+        array = np.asarray(array, order="C")
+        comm.bcast((array.shape, array.dtype), root)
+    else:
+        array = np.empty(*comm.bcast(None, root))
+    for message in _messages(array, max_bytes):
+        comm.Bcast(message, root)
+    return array
+
+
+def bcast_object(comm: MPI.Comm, obj: Any, root: int = 0, max_bytes: int = MAX_MESSAGE_BYTES) -> Any:
+    """Return the picklable ``obj`` of rank ``root`` on every rank. Collective: all ranks of `comm`."""
+    if comm.rank == root:
+        bcast_array(comm, np.frombuffer(pickle.dumps(obj), np.uint8), root, max_bytes)
+        return obj
+    return pickle.loads(bcast_array(comm, None, root, max_bytes).data)
+
+
+def send_array(
+    comm: MPI.Comm, array: Array, dest: int, tag: int = 0, max_bytes: int = MAX_MESSAGE_BYTES
+) -> None:
+    """Send ``array`` to rank ``dest``, which calls `recv_array`; it may return only once that has begun."""
+    array = np.asarray(array, order="C")
+    comm.send((array.shape, array.dtype), dest, tag)
+    for message in _messages(array, max_bytes):
+        comm.Send(message, dest, tag)
+
+
+def recv_array(comm: MPI.Comm, source: int, tag: int = 0, max_bytes: int = MAX_MESSAGE_BYTES) -> Array:
+    """Return the array that rank ``source`` sends with `send_array`."""
+    array: Array = np.empty(*comm.recv(source=source, tag=tag))
+    for message in _messages(array, max_bytes):
+        comm.Recv(message, source, tag)
+    return array

@@ -1,0 +1,78 @@
+"""Failing together: what one rank cannot do, no rank goes on without."""
+
+from __future__ import annotations
+
+import pickle
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+
+@dataclass(frozen=True)
+class Shared:
+    """What a rank knows of an exception that `together` raised on several.
+
+    Attributes
+    ----------
+    n_ranks : int
+        On how many.
+    speaks : bool
+        Whether this is the one rank among them that tells of it.
+    """
+
+    n_ranks: int
+    speaks: bool
+
+
+_MARK = "_hydrabeam_shared"
+
+
+def how_shared(error: BaseException) -> Shared:
+    """Return on how many ranks ``error`` was raised together: one, where `together` did not see it."""
+    return getattr(error, _MARK, Shared(n_ranks=1, speaks=True))
+
+
+@contextmanager
+def together(comm: MPI.Comm) -> Iterator[None]:
+    """Run a block of local work; if it fails on any rank, raise on all. Collective: all ranks of `comm`.
+
+    All ranks leave the block by the same way: normally, or with the exception of the first rank that failed.
+    So no rank waits in a later collective for one that is gone, and one rank can speak for all. In the block
+    itself no rank may wait for another of `comm`, which may already have failed.
+
+    Parameters
+    ----------
+    comm : mpi4py.MPI.Comm
+
+    Raises
+    ------
+    Exception
+        What the lowest failing rank raised. The other ranks get a copy, with the traceback as a note; a
+        `RuntimeError` with type and message in its place if it cannot be pickled.
+    """
+    error: Exception | None = None
+    try:
+        yield
+    except Exception as caught:
+        error = caught
+    first = comm.allreduce(comm.size if error is None else comm.rank, MPI.MIN)
+    if first == comm.size:
+        return
+    copy: Exception = comm.bcast(_portable(error, first) if error and comm.rank == first else None, first)
+    if error is None or comm.rank != first:
+        error = copy
+    setattr(error, _MARK, Shared(n_ranks=comm.size, speaks=comm.rank == first))
+    raise error
+
+
+def _portable(error: Exception, rank: int) -> Exception:
+    """Copy of ``error`` that survives the way to another rank and tells where it comes from."""
+    try:
+        copy: Exception = pickle.loads(pickle.dumps(error))
+    except Exception:
+        copy = RuntimeError(f"{type(error).__name__}: {error}")
+    copy.add_note(f"Raised on rank {rank}:\n" + "".join(traceback.format_exception(error)).rstrip())
+    return copy

@@ -1,0 +1,68 @@
+"""Which ranks treat which channels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+
+def _block(index: int, n_blocks: int, n_items: int) -> range:
+    """Block ``index`` of ``n_items`` cut into ``n_blocks`` runs, whose lengths differ by at most one."""
+    return range(index * n_items // n_blocks, (index + 1) * n_items // n_blocks)
+
+
+@dataclass(frozen=True)
+class ProcessGrid:
+    """The ranks of a run laid out as groups: each group treats its own channels, its ranks share their rows.
+
+    There are as many groups as channels where the ranks suffice, else one rank a group with several channels.
+    Groups are runs of neighbouring ranks, so that a group stays on as few nodes as possible; its channels are
+    neighbours too, so that it reads contiguous parts of a file.
+
+    Attributes
+    ----------
+    world : mpi4py.MPI.Comm
+        All ranks.
+    group : mpi4py.MPI.Comm
+        The ranks of this rank's group.
+    group_index, n_groups : int
+        Which group this is, of how many.
+    n_channels : int
+        Number of channels of the job.
+    """
+
+    world: MPI.Comm
+    group: MPI.Comm
+    group_index: int
+    n_groups: int
+    n_channels: int
+
+    @classmethod
+    def split(cls, world: MPI.Comm, n_channels: int) -> ProcessGrid:
+        """Lay out the ranks of ``world`` for one channel or more. Collective: all ranks of `world`."""
+        if n_channels < 1:
+            raise ValueError(f"a process grid needs at least one channel, not {n_channels}")
+        n_groups = min(world.size, n_channels)
+        group_index = next(g for g in range(n_groups) if world.rank in _block(g, n_groups, world.size))
+        return cls(world, world.Split(group_index, world.rank), group_index, n_groups, n_channels)
+
+    @property
+    def channels(self) -> range:
+        """Indices of the channels that this rank's group treats."""
+        return _block(self.group_index, self.n_groups, self.n_channels)
+
+    @property
+    def is_world_root(self) -> bool:
+        """Whether this rank speaks and writes for the run."""
+        return self.world.rank == 0
+
+    @property
+    def is_group_root(self) -> bool:
+        """Whether this rank solves for its group."""
+        return self.group.rank == 0
+
+    def root_of(self, channel: int) -> int:
+        """Rank in `world` of the group root that treats ``channel``."""
+        group = next(g for g in range(self.n_groups) if channel in _block(g, self.n_groups, self.n_channels))
+        return _block(group, self.n_groups, self.world.size).start

@@ -1,0 +1,54 @@
+"""Threads of BLAS and OpenMP: as many as there are cores for this rank."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from fractions import Fraction
+
+import numpy as np
+import scipy.linalg
+import threadpoolctl
+from mpi4py import MPI
+
+# threadpoolctl sees loaded libraries only, and numpy and scipy may each bring a BLAS of their own.
+_LOADED = (np.linalg, scipy.linalg)
+_USER_SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def limit_blas_threads(comm: MPI.Comm) -> int:
+    """Share the cores of each node among its ranks. Collective: all ranks of `comm`.
+
+    Ranks times threads do not exceed the cores that the ranks of a node may use, as long as there is a core
+    for every rank; ranks may be bound to cores of their own or share them. What the user has set in
+    ``OMP_NUM_THREADS``, ``OPENBLAS_NUM_THREADS`` or ``MKL_NUM_THREADS`` stays.
+
+    Parameters
+    ----------
+    comm : mpi4py.MPI.Comm
+
+    Returns
+    -------
+    int
+        Threads that BLAS uses on this rank.
+    """
+    node = comm.Split_type(MPI.COMM_TYPE_SHARED)
+    threads = fair_share(node.allgather(_usable_cores()), node.rank)
+    node.Free()
+    if not any(os.environ.get(name) for name in _USER_SETTINGS):
+        threadpoolctl.threadpool_limits(threads)
+        os.environ["OMP_NUM_THREADS"] = str(threads)  # for libraries not loaded yet, and for child processes
+    pools = threadpoolctl.threadpool_info()
+    return max((pool["num_threads"] for pool in pools if pool["user_api"] == "blas"), default=1)
+
+
+def fair_share(cores_of_ranks: list[set[int]], rank: int) -> int:
+    """Whole cores for ``rank``, one at least, where each core is divided among the ranks that may use it."""
+    users = Counter(core for cores in cores_of_ranks for core in cores)
+    return max(1, int(sum(Fraction(1, users[core]) for core in cores_of_ranks[rank])))
+
+
+def _usable_cores() -> set[int]:
+    if hasattr(os, "sched_getaffinity"):
+        return os.sched_getaffinity(0)
+    return set(range(os.cpu_count() or 1))  # macOS

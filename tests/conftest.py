@@ -1,0 +1,102 @@
+"""Fixtures for all tests, and what a run under mpiexec needs."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from mpi4py import MPI
+
+from tests.agreement import RankAgreement
+
+REPOSITORY = Path(__file__).parents[1]
+
+if MPI.COMM_WORLD.size > 1:
+    # Before the first BLAS is loaded: the ranks of a test share very few cores.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_configure(config: pytest.Config) -> None:
+    if MPI.COMM_WORLD.size > 1:
+        config.pluginmanager.register(RankAgreement(MPI.COMM_WORLD.Dup()))
+        if MPI.COMM_WORLD.rank > 0:
+            config.pluginmanager.unregister(name="terminalreporter")
+
+
+@pytest.fixture(scope="session")
+def comm() -> MPI.Comm:
+    """All ranks of the test run: one, unless it was started with mpiexec."""
+    return MPI.COMM_WORLD
+
+
+@pytest.fixture
+def common_tmp_path(comm: MPI.Comm, tmp_path: Path) -> Path:
+    """One empty folder for all ranks, where `tmp_path` is one for each."""
+    return comm.bcast(tmp_path)
+
+
+@pytest.fixture(scope="session")
+def data_dir() -> Path:
+    """The folder of measured data."""
+    path = Path(os.environ.get("HYDRABEAM_DATA", REPOSITORY.parent / "shared" / "data"))
+    if not path.is_dir():
+        pytest.skip(f"no measured data in {path}; HYDRABEAM_DATA names their folder")
+    return path
+
+
+@pytest.fixture(scope="session")
+def mpiexec() -> Callable[..., subprocess.CompletedProcess[str]]:
+    """``mpiexec(n, *command, timeout=60, **environment)`` runs a command on a number of ranks."""
+    if MPI.COMM_WORLD.size > 1:
+        pytest.skip("starts ranks of its own, so runs serially")
+    launcher = shutil.which("mpiexec")
+    if launcher is None:
+        pytest.skip("no mpiexec on PATH")
+
+    def run(
+        n: int, *command: str | Path, timeout: float = 60, **environment: str
+    ) -> subprocess.CompletedProcess[str]:
+        words = [launcher, "-n", str(n), *map(str, command)]
+        # os.environ, not the C library's environment, to which MPI_Init may add what is this process's.
+        with subprocess.Popen(
+            words,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+            env={**os.environ, "OMP_NUM_THREADS": "1", **environment},
+        ) as process:
+            try:
+                out, err = process.communicate(timeout=timeout)
+            except BaseException:
+                _end(process)
+                raise
+        return subprocess.CompletedProcess(words, process.returncode, out, err)
+
+    return run
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    process.terminate()  # mpiexec ends its ranks
+    try:
+        process.wait(10)
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+
+
+@pytest.fixture(scope="session")
+def mpiexec_python(
+    mpiexec: Callable[..., subprocess.CompletedProcess[str]],
+) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Like `mpiexec`, for Python source: ``mpiexec_python(n, source, ...)``."""
+    return lambda n, source, *arguments, **options: mpiexec(
+        n, sys.executable, "-c", source, *arguments, **options
+    )

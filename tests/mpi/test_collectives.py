@@ -1,0 +1,103 @@
+from __future__ import annotations
+
+import functools
+import itertools
+import operator
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from hydrabeam_mpi.infer.random import generator
+from hydrabeam_mpi.mpi import (
+    allreduce_max,
+    allreduce_sum,
+    bcast_array,
+    bcast_object,
+    recv_array,
+    send_array,
+)
+
+pytestmark = pytest.mark.mpi
+
+SHAPES = [(), (0,), (1,), (2,), (7, 5), (3, 0, 2)]
+DTYPES = [np.float64, np.complex128, np.int64, np.float32]
+
+# All in one message, in several, and one item a message even where an item is larger than the limit.
+any_limit = pytest.mark.parametrize("max_bytes", [2**30, 100, 16, 1])
+any_shape = pytest.mark.parametrize("shape", SHAPES)
+any_dtype = pytest.mark.parametrize("dtype", DTYPES)
+
+
+def term(rank: int, shape: tuple[int, ...], dtype: type) -> np.ndarray:
+    """What a rank contributes: numbers of very different sizes, whose sum depends on the order."""
+    rng = generator(1, "term", rank)
+    real, imag = rng.standard_normal((2, *shape)) * 10.0 ** rng.integers(-8, 8, (2, *shape))
+    return np.asarray(real + 1j * imag if dtype is np.complex128 else real).astype(dtype)
+
+
+@any_limit
+@any_shape
+@any_dtype
+def test_sum_is_in_rank_order(comm: MPI.Comm, shape: tuple[int, ...], dtype: type, max_bytes: int) -> None:
+    array = term(comm.rank, shape, dtype)
+    allreduce_sum(comm, array, max_bytes)
+    expected = functools.reduce(operator.add, [term(rank, shape, dtype) for rank in range(comm.size)])
+    np.testing.assert_array_equal(array, np.asarray(expected), strict=True)
+
+
+def test_sum_in_place_of_a_view(comm: MPI.Comm) -> None:
+    array = np.ones((4, 3))
+    allreduce_sum(comm, array[1:3])
+    np.testing.assert_array_equal(array[:, 0], [1, comm.size, comm.size, 1])
+
+
+@any_limit
+def test_maximum(comm: MPI.Comm, max_bytes: int) -> None:
+    array = np.array([[comm.rank, -comm.rank], [5.0, -np.inf]])
+    allreduce_max(comm, array, max_bytes)
+    np.testing.assert_array_equal(array, [[comm.size - 1, 0], [5, -np.inf]])
+
+
+def test_refused_arrays(comm: MPI.Comm) -> None:
+    with pytest.raises(TypeError, match="C-contiguous"):
+        allreduce_max(comm, np.ones((3, 4)).T)
+    with pytest.raises(TypeError, match="references"):
+        bcast_array(MPI.COMM_SELF, np.array([{}, None]))
+
+
+@any_limit
+@any_shape
+@any_dtype
+@pytest.mark.parametrize("root", [0, -1])
+def test_broadcast(comm: MPI.Comm, shape: tuple[int, ...], dtype: type, max_bytes: int, root: int) -> None:
+    root %= comm.size
+    array = bcast_array(comm, term(0, shape, dtype) if comm.rank == root else None, root, max_bytes)
+    np.testing.assert_array_equal(array, term(0, shape, dtype), strict=True)
+    array[...] = 1  # its own, and writeable
+
+
+def test_broadcast_of_a_transpose(comm: MPI.Comm) -> None:
+    array = np.arange(6).reshape(2, 3).T
+    np.testing.assert_array_equal(bcast_array(comm, array if comm.rank == 0 else None), array, strict=True)
+
+
+@any_limit
+def test_broadcast_of_an_object(comm: MPI.Comm, max_bytes: int) -> None:
+    root = comm.size - 1
+    thing = {"pols": ("ee", "nn"), "freqs": [1.5e8], "nothing": None}
+    assert bcast_object(comm, thing if comm.rank == root else None, root, max_bytes) == thing
+
+
+@any_limit
+def test_ring(comm: MPI.Comm, max_bytes: int) -> None:
+    if comm.size == 1:
+        pytest.skip("one rank has nobody to send to")
+    left, right = (comm.rank - 1) % comm.size, (comm.rank + 1) % comm.size
+    for shape, dtype in itertools.product(SHAPES, DTYPES):
+        if comm.rank == 0:
+            send_array(comm, term(0, shape, dtype), right, 7, max_bytes)
+        received = recv_array(comm, left, 7, max_bytes)
+        if comm.rank > 0:
+            send_array(comm, term(comm.rank, shape, dtype), right, 7, max_bytes)
+        np.testing.assert_array_equal(received, term(left, shape, dtype), strict=True)

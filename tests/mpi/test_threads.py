@@ -1,0 +1,67 @@
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from subprocess import CompletedProcess
+
+import pytest
+
+from hydrabeam_mpi.mpi.threads import fair_share
+
+COUNT_THREADS = """
+import json, os
+from mpi4py.MPI import COMM_WORLD as world
+import threadpoolctl
+from hydrabeam_mpi.mpi import limit_blas_threads
+
+said = limit_blas_threads(world)
+again = limit_blas_threads(world)
+blas = [pool["num_threads"] for pool in threadpoolctl.threadpool_info() if pool["user_api"] == "blas"]
+everyone = world.gather((said, again, blas, os.environ["OMP_NUM_THREADS"]))
+if world.rank == 0:
+    print(json.dumps(everyone))
+"""
+
+
+@pytest.mark.parametrize(
+    ("cores_of_ranks", "shares"),
+    [
+        ([{0, 1, 2, 3}], [4]),
+        ([{0, 1, 2, 3}] * 2, [2, 2]),
+        ([{0, 1, 2, 3}] * 3, [1, 1, 1]),
+        ([{0, 1}] * 5, [1] * 5),  # more ranks than cores
+        ([{0, 1}, {2, 3}], [2, 2]),  # bound to cores of their own
+        ([{0, 1}, {2, 3, 4}], [2, 3]),
+        ([{0, 1, 2}, {2, 3, 4}], [2, 2]),  # partly shared
+        ([set(range(49))] * 49, [1] * 49),  # 49 times 1/49 is not 1 in floating point
+        ([set(range(98))] * 49, [2] * 49),
+    ],
+)
+def test_fair_share(cores_of_ranks: list[set[int]], shares: list[int]) -> None:
+    assert [fair_share(cores_of_ranks, rank) for rank in range(len(cores_of_ranks))] == shares
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_ranks_times_threads_fit_the_cores(
+    mpiexec_python: Callable[..., CompletedProcess[str]], n: int
+) -> None:
+    result = mpiexec_python(n, COUNT_THREADS, OMP_NUM_THREADS="")
+    assert result.returncode == 0, result.stderr
+    everyone = json.loads(result.stdout)
+    expected = max(1, len(os.sched_getaffinity(0)) // n)
+    assert len(everyone) == n
+    for said, again, blas, inherited in everyone:
+        assert said == again == expected
+        assert blas
+        assert set(blas) == {expected}
+        assert inherited == str(expected)
+
+
+@pytest.mark.parametrize("name", ["OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"])
+def test_what_the_user_set_stays(mpiexec_python: Callable[..., CompletedProcess[str]], name: str) -> None:
+    result = mpiexec_python(1, COUNT_THREADS, **{"OMP_NUM_THREADS": "1", name: "1"})
+    assert result.returncode == 0, result.stderr
+    [(said, again, blas, _)] = json.loads(result.stdout)
+    assert said == again == 1
+    assert set(blas) == {1}
