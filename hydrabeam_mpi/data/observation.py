@@ -1,0 +1,102 @@
+"""What was observed: antennas, baselines, frequencies, times, and the visibilities themselves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from astropy.coordinates import EarthLocation
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Observation:
+    """The metadata of the selected data, known to every rank; no visibilities.
+
+    Attributes
+    ----------
+    telescope_name : str
+    location : astropy.coordinates.EarthLocation
+        Origin of the antenna positions.
+    antenna_numbers : ndarray of int, (Nants,)
+    antenna_names : tuple of str
+    antpos : ndarray, (Nants, 3)
+        East, north, up in metres.
+    antpairs : ndarray of int, (Nbls, 2)
+        Antenna numbers (ant1, ant2) of the cross-correlations.
+    freqs, channel_width : ndarray, (Nfreqs,)
+        Channel centres and widths in Hz.
+    times : ndarray, (Ntimes,)
+        Centres of the integrations, Julian dates (UTC).
+    lsts : ndarray, (Ntimes,)
+        Local apparent sidereal times in radians.
+    integration_time : ndarray, (Ntimes,)
+        Seconds.
+    pols : tuple of str
+        Polarisations as the data name them, such as "ee".
+    """
+
+    telescope_name: str
+    location: EarthLocation
+    antenna_numbers: IntArray
+    antenna_names: tuple[str, ...]
+    antpos: FloatArray
+    antpairs: IntArray
+    freqs: FloatArray
+    channel_width: FloatArray
+    times: FloatArray
+    lsts: FloatArray
+    integration_time: FloatArray
+    pols: tuple[str, ...]
+
+    @property
+    def Nants(self) -> int:
+        """Number of antennas with a position."""
+        return len(self.antenna_numbers)
+
+    @property
+    def Nbls(self) -> int:
+        """Number of baselines (cross-correlations)."""
+        return len(self.antpairs)
+
+    @property
+    def Nfreqs(self) -> int:
+        """Number of channels."""
+        return len(self.freqs)
+
+    @property
+    def Ntimes(self) -> int:
+        """Number of integrations."""
+        return len(self.times)
+
+    @property
+    def Npols(self) -> int:
+        """Number of polarisations."""
+        return len(self.pols)
+
+    @property
+    def bl_vectors(self) -> FloatArray:
+        """Baseline vectors pos(ant2) - pos(ant1), (Nbls, 3) in metres ENU."""
+        order = np.argsort(self.antenna_numbers)
+        index = order[np.searchsorted(self.antenna_numbers, self.antpairs, sorter=order)]
+        return self.antpos[index[:, 1]] - self.antpos[index[:, 0]]
+
+
+@dataclass(frozen=True)
+class Visibilities:
+    """Visibilities and their weights for a rectangle of times x baselines.
+
+    Attributes
+    ----------
+    data : ndarray of complex, (Nfreqs, Ntimes, Nbls, Npols)
+        Jy.
+    inv_noise_var : ndarray, same shape
+        1/sigma^2 in Jy^-2 with E|n|^2 = sigma^2; zero where flagged.
+    """
+
+    data: ComplexArray
+    inv_noise_var: FloatArray

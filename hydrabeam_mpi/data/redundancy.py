@@ -1,0 +1,83 @@
+"""Redundant baselines: identical beams make the visibilities a function of the baseline vector only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from hydrabeam_mpi.data.observation import FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class RedundantGroups:
+    """Baselines grouped by vector.
+
+    Attributes
+    ----------
+    vectors : ndarray, (Ngroups, 3)
+        The common vector of each group, metres ENU: the mean of its members.
+    group : ndarray of int, (Nbls,)
+        The group that each baseline belongs to.
+    flipped : ndarray of bool, (Nbls,)
+        True where the baseline points the other way, so that its visibilities enter conjugated.
+    """
+
+    vectors: FloatArray
+    group: IntArray
+    flipped: NDArray[np.bool_]
+
+    @property
+    def Ngroups(self) -> int:
+        """Number of unique baseline vectors."""
+        return len(self.vectors)
+
+
+def find_redundant_groups(bl_vectors: FloatArray, tol: float, either_sign: bool = True) -> RedundantGroups:
+    """Group baselines whose vectors agree within ``tol``.
+
+    Parameters
+    ----------
+    bl_vectors : ndarray, (Nbls, 3)
+        Metres ENU.
+    tol : float
+        Vectors closer than this, in metres, are one; so are all that such steps connect.
+    either_sign : bool
+        Whether a baseline and its reverse share a group. True for co-polarised data, where V_kj = V_jk*;
+        a cross-polarised visibility of the reversed baseline belongs to the other polarisation pair.
+
+    Returns
+    -------
+    RedundantGroups
+        In order of the first member; vectors point to the half space E > 0 (then N > 0, then U > 0) where
+        either sign is allowed.
+    """
+    n_bls = len(bl_vectors)
+    points = np.concatenate([bl_vectors, -bl_vectors]) if either_sign else bl_vectors
+    pairs = cKDTree(points).query_pairs(tol, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs), dtype=np.int8), (pairs[:, 0], pairs[:, 1])), shape=2 * (len(points),))
+    n_sets, member_of = connected_components(links, directed=False)
+
+    counts = np.bincount(member_of, minlength=n_sets)
+    sums = np.stack([np.bincount(member_of, points[:, axis], n_sets) for axis in range(3)], axis=1)
+    means = sums / counts[:, np.newaxis]
+    flipped = ~_points_forward(means[member_of[:n_bls]], tol) if either_sign else np.zeros(n_bls, dtype=bool)
+    chosen = np.where(flipped, member_of[np.arange(n_bls) + n_bls * flipped], member_of[:n_bls])
+
+    sets, first, group = np.unique(chosen, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank_of = np.empty_like(order)
+    rank_of[order] = np.arange(len(order))
+    return RedundantGroups(means[sets[order]], rank_of[group], flipped)
+
+
+def _points_forward(vectors: FloatArray, tol: float) -> NDArray[np.bool_]:
+    """Tell which vectors have their first component beyond ``tol`` positive."""
+    significant = np.abs(vectors) > tol
+    first = np.argmax(significant, axis=1)
+    leading = np.take_along_axis(vectors, first[:, np.newaxis], axis=1)[:, 0]
+    return (leading > 0) | ~significant.any(axis=1)

@@ -1,0 +1,39 @@
+"""The one exception that means: the input is wrong, and here is what to do about it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class InputError(Exception):
+    """Input that cannot be used, told in one line.
+
+    Parameters
+    ----------
+    message : str
+        What is wrong.
+    file : str or Path, optional
+        The file in which it is wrong.
+    field : str, optional
+        The field, key or column in which it is wrong.
+    remedy : str, optional
+        What the user can do about it.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        file: str | Path | None = None,
+        field: str | None = None,
+        remedy: str | None = None,
+    ) -> None:
+        self.message = message
+        self.file = None if file is None else str(file)
+        self.field = field
+        self.remedy = remedy
+        where = ": ".join(part for part in (self.file, field) if part)
+        line = f"{where}: {message}" if where else message
+        super().__init__(f"{line}; {remedy}" if remedy else line)
+        # One line whatever a library put into its message.
+        self.args = (" ".join(str(self.args[0]).split()),)
