@@ -1,0 +1,90 @@
+"""Held-out data against predictions: additive statistics of the residuals (HDBI II, section 4.3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+
+# z-scores are counted in bins that are even near zero and logarithmic far out, up to |z| of about 1e6.
+Z_EDGES: FloatArray = np.sinh(np.linspace(-14.5, 14.5, 581))
+
+
+@dataclass
+class HeldoutStatistics:
+    """Sums over held-out visibilities, additive over rows and ranks.
+
+    The z-scores are those of real and imaginary parts: of the data about the posterior predictive, whose variance
+    is noise plus model, and of the data about the model beam's prediction with the noise alone.
+
+    Attributes
+    ----------
+    sums : ndarray, (9,)
+        Number of parts; sum of z, of z^2 and of the log predictive density (natural, per Jy^2) for the inferred
+        beam; sum of z and z^2 for the model beam; sum of w|d|^2, w|r|^2 (inferred), w|r|^2 (model).
+    counts : ndarray, (2, Nbins)
+        Histograms of z over `Z_EDGES`, inferred and model beam.
+    largest : ndarray, (2,)
+        Largest absolute z of each; combined by maximum.
+    """
+
+    sums: FloatArray = field(default_factory=lambda: np.zeros(9))
+    counts: FloatArray = field(default_factory=lambda: np.zeros((2, len(Z_EDGES) - 1)))
+    largest: FloatArray = field(default_factory=lambda: np.zeros(2))
+
+    def add(
+        self,
+        data: ComplexArray,
+        inv_noise_var: FloatArray,
+        mean: ComplexArray,
+        variance: FloatArray,
+        before: ComplexArray,
+    ) -> None:
+        """Add visibilities, all (N,), but ``variance``, the model variance of the two parts, (2, N)."""
+        used = inv_noise_var > 0
+        if not used.any():
+            return
+        weights, observed = inv_noise_var[used], data[used]
+        after = _parts(observed - mean[used])
+        raw = _parts(observed - before[used])
+        total = 0.5 / weights + variance[:, used]
+        z = after / np.sqrt(total)
+        z_before = raw * np.sqrt(2 * weights)
+        log_density = -0.5 * np.sum(z**2 + np.log(2 * np.pi * total))
+        self.sums += [
+            z.size, z.sum(), np.sum(z**2), log_density, z_before.sum(), np.sum(z_before**2),
+            np.sum(weights * np.abs(observed) ** 2), np.sum(weights * after**2), np.sum(weights * raw**2),
+        ]  # fmt: skip
+        for row, scores in enumerate((z, z_before)):
+            self.counts[row] += np.histogram(np.clip(scores, Z_EDGES[0], Z_EDGES[-1]), Z_EDGES)[0]
+            self.largest[row] = max(self.largest[row], float(np.abs(scores).max()))
+
+    def summary(self) -> dict[str, float]:
+        """Return the numbers that ``summary.json`` shows; empty where nothing was held out."""
+        n, z, z2, log_density, z_before, z2_before, power, after, before = self.sums.tolist()
+        if not n:
+            return {}
+        return {
+            "ppd_z_std": _std(n, z, z2),
+            "ppd_z_max": float(self.largest[0]),
+            "ppd_z_std_unperturbed": _std(n, z_before, z2_before),
+            "ppd_z_max_unperturbed": float(self.largest[1]),
+            "heldout_log_density": log_density,
+            "heldout_chi2": 2 * after / n,
+            "heldout_chi2_unperturbed": 2 * before / n,
+            "heldout_explained": 1 - after / power if power else 0.0,
+            "heldout_explained_unperturbed": 1 - before / power if power else 0.0,
+            "heldout_n": n / 2,
+        }
+
+
+def _parts(values: ComplexArray) -> FloatArray:
+    """Stack real and imaginary parts, (2, N)."""
+    return np.stack([values.real, values.imag])
+
+
+def _std(n: float, total: float, squares: float) -> float:
+    """Return the standard deviation from sums."""
+    return float(np.sqrt(max(squares / n - (total / n) ** 2, 0.0)))

@@ -1,0 +1,140 @@
+"""Gaussian priors on coefficients, real or complex (HDBI II, eq. 10)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.errors import InputError
+
+Array = NDArray
+
+
+class Prior(Protocol):
+    """A Gaussian in the coefficients, possibly flat."""
+
+    mean: Array
+
+    @property
+    def log_det_precision(self) -> float | None:
+        """ln|Sigma^-1|, or None where the prior is flat."""
+
+    def add_precision(self, matrix: Array) -> None:
+        """Add Sigma^-1 to ``matrix`` in place."""
+
+    def precision_times(self, vector: Array) -> Array:
+        """Return Sigma^-1 ``vector``."""
+
+    def std(self) -> FloatArray:
+        """Return the standard deviation of each coefficient; infinite where flat."""
+
+
+@dataclass(frozen=True)
+class FlatPrior:
+    """No prior: the posterior is the likelihood. ``mean`` is only a point of reference."""
+
+    mean: Array
+
+    @property
+    def log_det_precision(self) -> float | None:
+        """None: a flat prior has no evidence."""
+        return None
+
+    def add_precision(self, matrix: Array) -> None:
+        """Add nothing."""
+
+    def precision_times(self, vector: Array) -> Array:
+        """Return zeros."""
+        return np.zeros_like(vector)
+
+    def std(self) -> FloatArray:
+        """Return infinities."""
+        return np.full(len(self.mean), np.inf)
+
+
+@dataclass(frozen=True)
+class DiagonalPrior:
+    """Independent coefficients with standard deviations ``sigma`` (E|x - mean|^2 = sigma^2)."""
+
+    mean: Array
+    sigma: FloatArray
+
+    @property
+    def log_det_precision(self) -> float | None:
+        """ln|Sigma^-1|."""
+        return float(-2 * np.sum(np.log(self.sigma)))
+
+    def add_precision(self, matrix: Array) -> None:
+        """Add the inverse variances to the diagonal."""
+        matrix[np.diag_indices_from(matrix)] += self.sigma**-2.0
+
+    def precision_times(self, vector: Array) -> Array:
+        """Return ``vector`` over the variances."""
+        return vector / self.sigma**2
+
+    def std(self) -> FloatArray:
+        """Return ``sigma``."""
+        return self.sigma
+
+
+class CovariancePrior:
+    """A full covariance, such as that of an ensemble of perturbed beams.
+
+    Raises
+    ------
+    InputError
+        If the covariance is not positive definite.
+    """
+
+    def __init__(self, mean: Array, covariance: Array) -> None:
+        self.mean = mean
+        try:
+            self._factor = cho_factor(covariance, lower=True)
+        except LinAlgError as error:
+            raise InputError(
+                "the prior covariance is not positive definite",
+                field="[prior] file",
+                remedy="add to its diagonal, or draw more beams than there are modes",
+            ) from error
+        self._std = np.sqrt(np.diag(covariance).real)
+
+    @property
+    def log_det_precision(self) -> float | None:
+        """ln|Sigma^-1|."""
+        return float(-2 * np.sum(np.log(np.diag(self._factor[0]).real)))
+
+    def add_precision(self, matrix: Array) -> None:
+        """Add the inverse covariance."""
+        matrix += cho_solve(self._factor, np.eye(len(self.mean), dtype=matrix.dtype))
+
+    def precision_times(self, vector: Array) -> Array:
+        """Return the inverse covariance times ``vector``."""
+        return cho_solve(self._factor, vector)
+
+    def std(self) -> FloatArray:
+        """Return the square root of the diagonal."""
+        return self._std
+
+
+def cholesky_lower(matrix: Array) -> Array:
+    """Return L with L L^H = ``matrix``.
+
+    Raises
+    ------
+    InputError
+        If the matrix is not positive definite: the data and the prior leave some combination of coefficients
+        free.
+    """
+    try:
+        return cholesky(matrix, lower=True, check_finite=False)
+    except LinAlgError as error:
+        raise InputError(
+            "the posterior precision is not positive definite: data and prior leave some beam modes free",
+            field="[prior]",
+            remedy="use fewer modes, more data, or a prior that is not flat",
+        ) from error
