@@ -1,0 +1,227 @@
+"""Sky catalogues, read by pyradiosky and evaluated at the observed frequencies.
+
+Only Stokes I is used. A HEALPix map becomes one point source a pixel, whose flux is that of the whole pixel.
+"""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from astropy import units
+from astropy.units import Quantity
+from pyradiosky import SkyModel
+from scipy.interpolate import interp1d
+
+from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.model.sky import Sky, power_law
+
+logger = logging.getLogger(__name__)
+
+FILE_TYPES = {
+    ".skyh5": "skyh5",
+    ".h5": "skyh5",
+    ".vot": "vot",
+    ".votable": "vot",
+    ".xml": "vot",
+    ".txt": "text",
+    ".tsv": "text",
+    ".sav": "fhd",
+}
+FREQ_TOLERANCE_HZ = 1e3
+
+
+@dataclass(frozen=True)
+class VOTableColumns:
+    """Which columns of a VOTable hold what; any unambiguous part of a name will do.
+
+    The defaults are those of the power-law fits in the GLEAM extragalactic catalogue.
+
+    Attributes
+    ----------
+    table, name, lon, lat : str
+        The table, and its columns of source names and of coordinates in ``frame``.
+    frame : str
+        An astropy frame, such as "icrs", "fk5" or "galactic".
+    flux : tuple of str
+        One flux column, or one for each of ``freqs``.
+    freqs : tuple of float
+        Centres of the subbands in Hz.
+    reference_freq : float, optional
+        Hz, where there is one flux column.
+    spectral_index : str, optional
+        Without it, a single flux column holds at all frequencies.
+    """
+
+    table: str = "GLEAM"
+    name: str = "GLEAM"
+    lon: str = "RAJ2000"
+    lat: str = "DEJ2000"
+    frame: str = "fk5"
+    flux: tuple[str, ...] = ("Fintfit200",)
+    freqs: tuple[float, ...] = ()
+    reference_freq: float | None = 200e6
+    spectral_index: str | None = "alpha"
+
+
+def read_catalogue(
+    path: Path,
+    freqs: FloatArray,
+    *,
+    reference_freq: float | None = None,
+    flux_min: float = 0.0,
+    columns: VOTableColumns | None = None,
+    interpolation: str = "cubic",
+) -> Sky:
+    """Read a catalogue: skyh5, VOTable, tab-separated text, or an FHD save file with its extended sources.
+
+    Parameters
+    ----------
+    path : Path
+        The ending tells the format (`FILE_TYPES`).
+    freqs : ndarray, (Nfreqs,)
+        Hz.
+    reference_freq : float, optional
+        Hz; gives the sky the reference fluxes that brightness cuts compare.
+    flux_min : float
+        Jy; fainter sources are left out (`Sky.brighter_than`).
+    columns : VOTableColumns, optional
+        For a VOTable; without it, the 20 subbands of GLEAM are read.
+    interpolation : str
+        How `pyradiosky.SkyModel.at_frequencies` interpolates between subbands.
+
+    Returns
+    -------
+    Sky
+        ICRS. Sources without a positive flux at all ``freqs`` are left out, and their number is logged.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or unreadable, lacks a flux at these frequencies, or no source is left.
+    """
+    model = _read_model(path, columns)
+    is_map = model.component_type == "healpix"
+    if is_map:
+        model.healpix_to_point(to_jy=False, run_check=False)
+    if np.any(model.stokes[1:] != 0):
+        logger.warning("%s: polarised sources are taken as unpolarised (only Stokes I is used)", path.name)
+    wanted = freqs if reference_freq is None else np.append(freqs, reference_freq)
+    flux = _to_jansky(_stokes_i(model, wanted, interpolation, path), model.stokes.unit, wanted)
+    coordinates = model.skycoord.icrs
+    ra, dec = coordinates.ra.rad, coordinates.dec.rad
+    flux[:, ~np.isfinite(ra + dec)] = np.nan
+    usable = _usable(flux, is_map, path)
+    sky = Sky(
+        ra=ra[usable],
+        dec=dec[usable],
+        flux=np.take(flux[: len(freqs)], usable, axis=1),
+        names=None if is_map else tuple(str(name) for name in model.name[usable]),
+        reference_flux=None if reference_freq is None else flux[-1, usable],
+    ).brighter_than(flux_min)
+    if not sky.Nsrc:
+        message = f"no source of {flux_min:g} Jy or more"
+        raise InputError(message, file=path, field="flux_min", remedy="lower it")
+    return sky
+
+
+def _read_model(path: Path, columns: VOTableColumns | None) -> SkyModel:
+    file_type = FILE_TYPES.get(path.suffix.lower())
+    if not path.is_file():
+        raise InputError("no such file", file=path, remedy="check the path")
+    if file_type is None:
+        known = ", ".join(FILE_TYPES)
+        message = f"unknown kind of catalogue '{path.suffix}'"
+        raise InputError(message, file=path, remedy=f"use one of {known}")
+    options: dict[str, object] = {"filetype": file_type}
+    if file_type == "vot" and columns is None:
+        options["filetype"] = "gleam"
+    elif file_type == "vot" and columns is not None:
+        options |= _votable_options(columns)
+    try:
+        with warnings.catch_warnings():
+            # About negative fluxes, which `_usable` sees to, and repeated names, which do no harm.
+            warnings.simplefilter("ignore")
+            return SkyModel.from_file(str(path), **options)
+    except Exception as error:  # the readers beneath raise whatever their parsers raise
+        remedy = "check the names and units of its columns" if file_type == "vot" else "check the file"
+        reason = f"{type(error).__name__}: {error}"
+        raise InputError(f"cannot be read as {file_type} ({reason})", file=path, remedy=remedy) from error
+
+
+def _votable_options(columns: VOTableColumns) -> dict[str, object]:
+    options: dict[str, object] = {
+        "table_name": columns.table,
+        "id_column": columns.name,
+        "lon_column": columns.lon,
+        "lat_column": columns.lat,
+        "frame": columns.frame,
+        "flux_columns": list(columns.flux),
+    }
+    if len(columns.flux) > 1:
+        return options | {"freq_array": Quantity(columns.freqs, "Hz")}
+    if columns.reference_freq is not None:
+        options["reference_frequency"] = Quantity(columns.reference_freq, "Hz")
+    return options | {"spectral_index_column": columns.spectral_index}
+
+
+def _stokes_i(model: SkyModel, freqs: FloatArray, interpolation: str, path: Path) -> FloatArray:
+    """Evaluate Stokes I at ``freqs`` in the catalogue's own unit, (Nfreqs, Nsrc)."""
+    stokes_i = np.asarray(model.stokes[0].value, dtype=float)
+    if model.spectral_type == "spectral_index":
+        return power_law(stokes_i[0], model.reference_frequency.to_value("Hz"), model.spectral_index, freqs)
+    if model.spectral_type == "flat":
+        logger.info("%s gives one flux a source, used at every frequency", path.name)
+        return np.repeat(stokes_i, len(freqs), axis=0)
+    listed = model.freq_array.to_value("Hz")
+    inside = np.clip(freqs, listed.min(), listed.max())
+    outside = np.abs(inside - freqs) > FREQ_TOLERANCE_HZ
+    if outside.any():
+        span = f"from {listed.min() / 1e6:g} to {listed.max() / 1e6:g} MHz"
+        message = f"no flux at {freqs[outside][0] / 1e6:g} MHz, only {span}"
+        raise InputError(message, file=path, remedy="select other frequencies or another catalogue")
+    if len(listed) == 1:
+        return np.repeat(stokes_i, len(freqs), axis=0)
+    if model.spectral_type == "full":
+        return np.asarray(interp1d(listed, stokes_i, axis=0)(inside))
+    with warnings.catch_warnings():
+        # About sources without a flux in some subbands: interpolated between the others, NaN beyond them.
+        warnings.simplefilter("ignore")
+        at_freqs = model.at_frequencies(
+            Quantity(inside, "Hz"),
+            inplace=False,
+            freq_interp_kind=interpolation,
+            nan_handling="interp",
+            run_check=False,
+        )
+    return np.asarray(at_freqs.stokes[0].value)
+
+
+def _to_jansky(values: FloatArray, unit: units.UnitBase, freqs: FloatArray) -> FloatArray:
+    """Convert from Jy or (by Rayleigh-Jeans) from K sr."""
+    if unit.is_equivalent("Jy"):
+        return values * unit.to("Jy")
+    jy_per_k_sr = [
+        (1 * units.K).to_value("Jy/sr", units.brightness_temperature(freq * units.Hz)) for freq in freqs
+    ]
+    return values * unit.to("K sr") * np.array(jy_per_k_sr)[:, np.newaxis]
+
+
+def _usable(flux: FloatArray, is_map: bool, path: Path) -> IntArray:
+    """Find the sources with a flux; a map without its mean has negative pixels that belong to it."""
+    known = np.isfinite(flux).all(axis=0)
+    usable = np.flatnonzero(known & ((flux != 0).any(axis=0) if is_map else (flux > 0).all(axis=0)))
+    total, unknown = flux.shape[1], np.sum(~known)
+    if not len(usable):
+        remedy = "select other frequencies or another catalogue"
+        raise InputError("no source with a flux at these frequencies", file=path, remedy=remedy)
+    if len(usable) < total:
+        count = f"{total - len(usable)} of {total} sources left out"
+        logger.warning(
+            "%s: %s: %d without a flux or place, the others not positive", path.name, count, unknown
+        )
+    return usable

@@ -1,0 +1,84 @@
+"""Diffuse emission: the global sky model of Zheng et al. (2017, MNRAS 464, 3486) at its 5 degree resolution.
+
+Six component maps (galactic HEALPix, nside 64, nested) are summed with weights that depend on frequency:
+I(nu) = s(nu) sum_i w_i(nu) M_i in MJy/sr, where log s and w_i are linear in log nu between the 29 tabulated
+frequencies.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from astropy import units
+from astropy.coordinates import SkyCoord
+from astropy_healpix import healpix_to_lonlat, nside_to_npix, nside_to_pixel_area
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.model.sky import Sky
+
+NSIDE = 64
+JY_PER_MJY = 1e6
+
+
+def read_gsm2016(folder: Path, freqs: FloatArray, nside: int = NSIDE) -> Sky:
+    """Read the diffuse sky as one point source a pixel.
+
+    Parameters
+    ----------
+    folder : Path
+        With ``lowres_maps.txt`` and ``spectra.txt`` of the public model.
+    freqs : ndarray, (Nfreqs,)
+        Hz, from 10 MHz to 5 THz.
+    nside : int
+        Power of two up to 64; coarser pixels hold the mean of those that they cover.
+
+    Returns
+    -------
+    Sky
+        12 ``nside``^2 unnamed sources in ICRS.
+
+    Raises
+    ------
+    InputError
+        If a file is missing or not of the expected shape, or ``freqs`` or ``nside`` are out of range.
+    """
+    if nside not in (1, 2, 4, 8, 16, 32, NSIDE):
+        raise InputError(f"{nside} is not a power of two up to {NSIDE}", field="nside", remedy=f"use {NSIDE}")
+    maps = _read_table(folder / "lowres_maps.txt", columns=nside_to_npix(NSIDE))
+    spectra = _read_table(folder / "spectra.txt")
+    if len(spectra) != len(maps) + 2:
+        message = f"{len(spectra)} rows do not fit {len(maps)} component maps"
+        raise InputError(message, file=folder / "spectra.txt", remedy="fetch both files anew")
+    weights = _weights(spectra, freqs, folder / "spectra.txt")
+    # In nested order the pixels inside a coarser one are neighbours.
+    coarse = maps.reshape(len(maps), nside_to_npix(nside), -1).mean(axis=2)
+    pixel_area = nside_to_pixel_area(nside).to_value("sr")
+    lon, lat = healpix_to_lonlat(np.arange(coarse.shape[1]), nside, order="nested")
+    centres = SkyCoord(lon, lat, frame="galactic").icrs
+    return Sky(centres.ra.rad, centres.dec.rad, weights @ coarse * (JY_PER_MJY * pixel_area))
+
+
+def _weights(spectra: FloatArray, freqs: FloatArray, path: Path) -> FloatArray:
+    """Interpolate s(nu) w_i(nu), (Nfreqs, Ncomponents)."""
+    listed = spectra[0] * units.GHz.to("Hz")
+    outside = (freqs < listed[0]) | (freqs > listed[-1])
+    if outside.any():
+        message = f"no diffuse emission at {freqs[outside][0] / 1e6:g} MHz"
+        raise InputError(message, file=path, remedy="select frequencies from 10 MHz to 5 THz")
+    x, known = np.log(freqs), np.log(listed)
+    scale = np.exp(np.interp(x, known, np.log(spectra[1])))
+    return np.stack([scale * np.interp(x, known, weight) for weight in spectra[2:]], axis=1)
+
+
+def _read_table(path: Path, columns: int | None = None) -> FloatArray:
+    try:
+        table = np.loadtxt(path, ndmin=2)
+    except (OSError, ValueError) as error:
+        message = f"cannot be read as a table of numbers ({error})"
+        raise InputError(message, file=path, remedy="fetch the file anew") from error
+    if columns is not None and table.shape[1] != columns:
+        message = f"{table.shape[1]} pixels, not {columns}"
+        raise InputError(message, file=path, remedy="fetch the file anew")
+    return table

@@ -1,0 +1,105 @@
+"""Where the sources stand: zenith angle and azimuth of those above the horizon, one time after another.
+
+The horizon is a hard cut at za = 90 deg without refraction, as in pyuvsim, matvis and fftvis. Nothing of size
+sources x times is kept.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import erfa
+import numpy as np
+from astropy.coordinates import AltAz
+from astropy.coordinates.erfa_astrom import erfa_astrom
+from astropy.time import Time
+
+from hydrabeam_mpi.data.observation import FloatArray, IntArray, Observation
+from hydrabeam_mpi.infer.random import generator
+from hydrabeam_mpi.model.sky import Sky
+
+
+class SourcePositions(Protocol):
+    """The apparent places of a sky's sources during an observation."""
+
+    def above_horizon(self, itime: int) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Find the sources above the horizon at one time.
+
+        Parameters
+        ----------
+        itime : int
+            Index into the observation's times.
+
+        Returns
+        -------
+        index : ndarray of int, (Nabove,)
+            Which of the sky's sources they are, ascending.
+        za, az : ndarray, (Nabove,)
+            Zenith angle, at most 90 deg, and azimuth from East through North in [0, 2 pi], radians.
+        """
+
+
+class ApparentPositions:
+    """Catalogue places (ICRS) as seen from the observatory: precession, nutation, aberration, polar motion.
+
+    One ERFA context per time serves all sources. The atmosphere does not refract.
+    """
+
+    def __init__(self, sky: Sky, observation: Observation) -> None:
+        self._ra, self._dec = sky.ra, sky.dec
+        times = Time(observation.times, format="jd", scale="utc")
+        self._contexts = erfa_astrom.get().apco(AltAz(obstime=times, location=observation.location))
+
+    def above_horizon(self, itime: int) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Find the sources above the horizon; see `SourcePositions.above_horizon`."""
+        context = self._contexts[itime]
+        az_from_north, za, *_ = erfa.atioq(*erfa.atciqz(self._ra, self._dec, context), context)
+        index = np.flatnonzero(za <= np.pi / 2)
+        return index, za[index], (np.pi / 2 - az_from_north[index]) % (2 * np.pi)
+
+
+class RotatedPositions:
+    """Places of date turned by the local sidereal time alone, hour angle = LST - RA: for mocks."""
+
+    def __init__(self, sky: Sky, observation: Observation) -> None:
+        self._ra = sky.ra
+        self._sin_dec, self._cos_dec = np.sin(sky.dec), np.cos(sky.dec)
+        self._lat = float(observation.location.lat.rad)
+        self._lsts = observation.lsts
+
+    def above_horizon(self, itime: int) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Find the sources above the horizon; see `SourcePositions.above_horizon`."""
+        hour_angle = self._lsts[itime] - self._ra
+        to_meridian = self._cos_dec * np.cos(hour_angle)
+        up = np.sin(self._lat) * self._sin_dec + np.cos(self._lat) * to_meridian
+        index = np.flatnonzero(up >= 0)
+        east = -self._cos_dec[index] * np.sin(hour_angle[index])
+        north = np.cos(self._lat) * self._sin_dec[index] - np.sin(self._lat) * to_meridian[index]
+        # arctan2 keeps full precision at the zenith, where an arccos of `up` would lose half of the digits.
+        za = np.arctan2(np.hypot(east, north), up[index])
+        return index, za, np.arctan2(north, east) % (2 * np.pi)
+
+
+def enu(za: FloatArray, az: FloatArray) -> FloatArray:
+    """Return the unit vectors towards (za, az), (3, N): east, north, up."""
+    sin_za = np.sin(za)
+    return np.stack([sin_za * np.cos(az), sin_za * np.sin(az), np.cos(za)])
+
+
+def count_above_horizon(sky: Sky, observation: Observation, max_sample: int = 2000) -> FloatArray:
+    """Estimate cheaply how many sources are up at each time, to balance the load of ranks.
+
+    Plain rotation of at most ``max_sample`` sources drawn the same way on every rank, scaled up; exact for a
+    smaller sky turned by sidereal time.
+
+    Returns
+    -------
+    ndarray, (Ntimes,)
+    """
+    sample = np.arange(sky.Nsrc)
+    if sky.Nsrc > max_sample:
+        sample = generator(0, "count_above_horizon").integers(sky.Nsrc, size=max_sample)
+    lat = float(observation.location.lat.rad)
+    cos_hour_angle = np.cos(observation.lsts[:, np.newaxis] - sky.ra[sample])
+    up = np.sin(lat) * np.sin(sky.dec[sample]) + np.cos(lat) * np.cos(sky.dec[sample]) * cos_hour_angle
+    return (up >= 0).sum(axis=1) * (sky.Nsrc / max(len(sample), 1))
