@@ -1,0 +1,260 @@
+"""Beam files through pyuvdata: any UVBeam is read, as one power beam a frequency and polarisation.
+
+Normalisation: a co-polarised power beam is divided by the largest of its own samples with za <= 90 degrees
+(where no sample is at the zenith, the beam between them may exceed one by a little), a cross-polarised one by
+the geometric mean of the two co-polarised peaks. An E-field is turned into power on its own pixels.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from astropy_healpix import HEALPix
+from pyuvdata import UVBeam
+from pyuvdata.utils import polnum2str, polstr2num
+
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.feeds import orientation_from_field, pol_number, x_orientation
+from hydrabeam_mpi.model.basis import Array, FloatArray
+from hydrabeam_mpi.model.beam import BeamInfo, SampledBeam
+from hydrabeam_mpi.model.rings import Pixels
+
+# A channel this close (relative) is the frequency asked for.
+_SAME_FREQ = 5e-4
+# Channels around the frequency asked for that take part in interpolation.
+_FREQS_TO_INTERPOLATE = 8
+
+
+class BeamFile:
+    """A beam file, read once, from which beams are taken.
+
+    Parameters
+    ----------
+    path : Path
+        beamfits, CST (text or the yaml that lists them), FEKO or anything else that pyuvdata recognises.
+    east_feed : {"x", "y"}, optional
+        Feed that points East, instead of what the header says.
+    options : mapping, optional
+        Passed on to ``pyuvdata.UVBeam.read``; CST text files need ``frequency``, ``beam_type``,
+        ``telescope_name``, ...
+
+    Raises
+    ------
+    InputError
+        If there is no such file, or pyuvdata cannot read it as a beam on an az_za or HEALPix grid.
+
+    Warns
+    -----
+    UserWarning
+        If the E-field contradicts the header on where the feeds point, or HEALPix pixels contradict their
+        nside.
+    """
+
+    def __init__(
+        self, path: Path, *, east_feed: str | None = None, options: Mapping[str, Any] | None = None
+    ) -> None:
+        self.path = Path(path)
+        self._uvbeam = _read(self.path, dict(options or {}))
+        self._za, self._az = _pixel_directions(self._uvbeam, self.path)
+        self._orientation = x_orientation(self._uvbeam, east_feed)
+        if self._uvbeam.beam_type == "efield":
+            self._check_orientation()
+
+    @property
+    def freqs(self) -> FloatArray:
+        """Frequencies of the file, Hz."""
+        return np.array(self._uvbeam.freq_array)
+
+    def beam(self, freq: float, pol: str, *, interpolate_frequency: bool = False) -> SampledBeam:
+        """Take one power beam.
+
+        Parameters
+        ----------
+        freq : float
+            Hz; must be a channel of the file to 0.05% unless interpolation is asked for.
+        pol : str
+            "ee", "nn", "en", "ne" by direction, or "xx", "yy", "xy", "yx" as labelled in the file.
+        interpolate_frequency : bool
+            Interpolate power between the file's channels: cubic splines, linear below four channels.
+
+        Raises
+        ------
+        InputError
+            If the file lacks the frequency or the polarisation.
+        """
+        power = self._power_at(float(freq), interpolate_frequency)
+        known = [int(number) for number in power.polarization_array]
+        number = pol_number(pol, self._orientation, file=str(self.path), known=known)
+        peak = self._peak(power, number, known)
+        power.select(polarizations=[number])
+        power.data_array = power.data_array / peak
+        if number in _COPOLS:
+            power.data_array = power.data_array.real
+        info = BeamInfo(self.path.name, float(freq), pol, peak)
+        pixels = Pixels.above_horizon(self._za, self._az, power.data_array[0, 0, 0].ravel())
+        return SampledBeam(power, pixels, info)
+
+    def _power_at(self, freq: float, interpolate: bool) -> UVBeam:
+        """Return the power beam of all polarisations at one frequency."""
+        freqs = self.freqs
+        nearest = int(np.argmin(np.abs(freqs - freq)))
+        exact = abs(freqs[nearest] - freq) <= _SAME_FREQ * freq
+        if not exact and not (freqs.min() <= freq <= freqs.max()):
+            span = f"{freqs.min() / 1e6:.6g}-{freqs.max() / 1e6:.6g} MHz"
+            message = f"the beam covers {span}, not {freq / 1e6:.6g} MHz"
+            raise InputError(
+                message, file=self.path, field="freq", remedy="choose channels within it or another beam"
+            )
+        if not exact and not interpolate:
+            message = f"no channel at {freq / 1e6:.6g} MHz, the nearest is {freqs[nearest] / 1e6:.6g} MHz"
+            raise InputError(message, file=self.path, field="freq", remedy="set interpolate_frequency = true")
+        count = 1 if exact else _FREQS_TO_INTERPOLATE
+        channels = np.sort(np.argsort(np.abs(freqs - freq), kind="stable")[:count])
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            chosen: UVBeam = self._uvbeam.select(freq_chans=channels, inplace=False)
+            if chosen.beam_type == "efield":
+                chosen.efield_to_power()
+            if not exact:
+                kind = "cubic" if len(channels) >= 4 else "linear"
+                chosen = chosen.interp(freq_array=np.array([freq]), freq_interp_kind=kind, new_object=True)
+        return chosen
+
+    def _peak(self, power: UVBeam, number: int, known: list[int]) -> float:
+        if number in _COPOLS:
+            return self._copol_peak(power, known.index(number))
+        p, q = polnum2str(number).lower()
+        copols = [int(polstr2num(feed + feed)) for feed in (p, q)]
+        if not set(copols) <= set(known):
+            message = f"the peak of {p}{q} needs {p}{p} and {q}{q}, which the file lacks"
+            raise InputError(message, file=self.path, field="pol")
+        return float(np.sqrt(np.prod([self._copol_peak(power, known.index(copol)) for copol in copols])))
+
+    def _copol_peak(self, power: UVBeam, index: int) -> float:
+        pixels = Pixels.above_horizon(self._za, self._az, power.data_array[0, index, 0].ravel().real)
+        if not len(pixels.values) or not pixels.values.max() > 0:
+            raise InputError("the beam has no positive value above the horizon", file=self.path)
+        return float(pixels.values.max())
+
+    def _check_orientation(self) -> None:
+        found = orientation_from_field(self._uvbeam, self._za, self._az)
+        if found is not None and self._orientation is not None and found != self._orientation:
+            east = "x" if found == "east" else "y"
+            warnings.warn(
+                f"{self.path}: feed x is taken to point {self._orientation.title()}, but its field near the
+                zenith " f'points {found.title()}; if the field is right, set east_feed = "{east}"',
+                stacklevel=3,
+            )
+
+
+# xx, yy, rr, ll
+_COPOLS = (-5, -6, -1, -2)
+
+
+def _read(path: Path, options: dict[str, Any]) -> UVBeam:
+    if not path.exists():
+        raise InputError("no such file", file=path)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            uvbeam = UVBeam.from_file(str(path), **options)
+    except Exception as error:  # whatever the many readers raise on a file that is not theirs
+        raise InputError(
+            f"not readable as a beam: {error}", file=path, remedy="give a file that pyuvdata reads"
+        ) from error
+    if uvbeam.beam_type not in ("efield", "power") or uvbeam.antenna_type != "simple":
+        kind = f"{uvbeam.antenna_type} {uvbeam.beam_type}"
+        raise InputError(f"a {kind} beam is not supported", file=path, remedy="give an E-field or power beam")
+    azimuths = uvbeam.axis1_array
+    if azimuths is not None and np.isclose(azimuths[-1] - azimuths[0], 2 * np.pi):
+        # The last azimuth repeats the first, which would spoil interpolation across it.
+        uvbeam.select(axis1_inds=np.arange(len(azimuths) - 1))
+    return uvbeam
+
+
+def _pixel_directions(uvbeam: UVBeam, path: Path) -> tuple[FloatArray, FloatArray]:
+    """Return za and az of the pixels, (Npix,) each, in the order of the flattened data."""
+    if uvbeam.pixel_coordinate_system == "az_za":
+        az, za = np.meshgrid(uvbeam.axis1_array, uvbeam.axis2_array)
+        return za.ravel(), az.ravel()
+    if uvbeam.pixel_coordinate_system != "healpix":
+        system = uvbeam.pixel_coordinate_system
+        raise InputError(
+            f"pixels in {system} are not supported", file=path, remedy="convert it to az_za or HEALPix"
+        )
+    whole_sky = round(np.sqrt(uvbeam.Npixels / 12))
+    if uvbeam.nside != whole_sky and np.array_equal(uvbeam.pixel_array, np.arange(12 * whole_sky**2)):
+        warnings.warn(
+            f"{path}: nside is said to be {uvbeam.nside}, but its pixels are the whole sky at nside
+            {whole_sky}, " "which is used", stacklevel=4,
+        )
+        uvbeam.nside = whole_sky
+    lon, lat = HEALPix(uvbeam.nside, uvbeam.ordering).healpix_to_lonlat(uvbeam.pixel_array)
+    return np.pi / 2 - lat.to_value("rad"), lon.to_value("rad")
+
+
+def write_power_beam(
+    path: Path,
+    values: Array,
+    freqs: FloatArray,
+    pols: list[str],
+    *,
+    telescope_name: str,
+    history: str = "",
+    x_points: str = "east",
+) -> float:
+    """Write power beams on an azimuth x zenith angle grid as a beamfits file.
+
+    Values are written as they are ("physical" normalisation, bandpass one): a tool that normalises to the
+    peak would lose the amplitude, which visibilities do constrain. The imaginary part of a co-polarised beam
+    is left out, and its maximum is recorded in the header (extra keyword IMAGMAX).
+
+    Parameters
+    ----------
+    path : Path
+    values : ndarray, (Npols, Nfreqs, Nza, Naz)
+        On za = 0..90 degrees, both ends included, and az = 0..360 degrees, the end excluded.
+    freqs : ndarray, (Nfreqs,)
+        Hz.
+    pols : list of str
+        "ee", "nn", ..., which are labelled with x for the feed that points East, or "xx", "yy", ....
+    telescope_name, history : str
+        For the header.
+    x_points : {"east", "north"}
+        Where feed x points.
+
+    Returns
+    -------
+    float
+        Largest absolute imaginary part of the co-polarised values.
+    """
+    numbers = [int(polstr2num(pol, x_orientation=x_points)) for pol in pols]
+    copol = np.isin(numbers, _COPOLS)
+    imag_max = float(np.abs(np.imag(values[copol])).max(initial=0.0))
+    data = np.array(
+        values, dtype=np.float64 if copol.all() and not np.iscomplexobj(values) else np.complex128
+    )
+    data[copol] = data[copol].real
+    n_za, n_az = values.shape[2:]
+    uvbeam = UVBeam.new(
+        telescope_name=telescope_name,
+        data_normalization="physical",
+        freq_array=np.asarray(freqs, dtype=float),
+        feed_name="inferred",
+        model_name="hydrabeam_mpi",
+        feed_array=np.array(["x", "y"]),
+        feed_angle=np.array([np.pi / 2, 0.0] if x_points == "east" else [0.0, np.pi / 2]),
+        mount_type="fixed",
+        polarization_array=np.array(numbers),
+        axis1_array=np.arange(n_az) * (2 * np.pi / n_az),
+        axis2_array=np.linspace(0, np.pi / 2, n_za),
+        data_array=(data.real if copol.all() else data)[None],
+        history=history,
+        extra_keywords={"IMAGMAX": imag_max},
+    )
+    uvbeam.write_beamfits(str(path), clobber=True)
+    return imag_max

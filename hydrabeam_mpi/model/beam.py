@@ -1,0 +1,203 @@
+"""Power beams: what they are called, and the ones that follow from a formula or from coefficients.
+
+A beam is a callable ``beam(za, az)`` with a ``BeamInfo``. A co-polarised beam ("ee", "nn", "xx", "yy") is
+real, a cross-polarised one complex. Angles are radians, azimuth from East through North.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+from pyuvdata import AiryBeam, GaussianBeam, ShortDipoleBeam, UniformBeam, UVBeam
+from pyuvdata.utils import polstr2num
+
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.model.basis import Array, FloatArray, LinearBasis
+from hydrabeam_mpi.model.rings import Pixels
+
+
+@dataclass(frozen=True)
+class BeamInfo:
+    """What a beam is.
+
+    Attributes
+    ----------
+    name : str
+        File or formula.
+    freq : float
+        Hz.
+    pol : str
+        Polarisation, such as "ee".
+    peak : float
+        By what the source's own values were divided.
+    """
+
+    name: str
+    freq: float
+    pol: str
+    peak: float = 1.0
+
+    @property
+    def is_copol(self) -> bool:
+        """Whether both feeds are the same, so that the power beam is real."""
+        return self.pol[0] == self.pol[1]
+
+
+class Beam(Protocol):
+    """A power beam."""
+
+    @property
+    def info(self) -> BeamInfo:
+        """What it is."""
+        ...
+
+    def __call__(self, za: FloatArray, az: FloatArray) -> Array:
+        """Return the values at (za, az), each (Npoints,)."""
+        ...
+
+
+@dataclass(frozen=True)
+class CoefficientBeam:
+    """A beam given by coefficients in a basis.
+
+    Attributes
+    ----------
+    basis : LinearBasis
+    coeffs : ndarray, (n_modes,)
+    info : BeamInfo
+    """
+
+    basis: LinearBasis
+    coeffs: Array
+    info: BeamInfo
+
+    def __call__(self, za: FloatArray, az: FloatArray) -> Array:
+        """Return the sum of the basis functions: its real part for a co-polarised beam."""
+        values = self.basis.synthesize(self.coeffs, za, az)
+        return np.ascontiguousarray(values.real) if self.info.is_copol else values
+
+
+@dataclass(frozen=True)
+class SampledBeam:
+    """A beam given by samples, interpolated between them by pyuvdata.
+
+    Interpolation is by cubic splines on an azimuth x zenith angle grid, bilinear on HEALPix.
+
+    Attributes
+    ----------
+    uvbeam : pyuvdata.UVBeam
+        Power beam with one frequency and one polarisation, normalised.
+    pixels : Pixels
+        Its samples above the horizon.
+    info : BeamInfo
+    """
+
+    uvbeam: UVBeam
+    pixels: Pixels
+    info: BeamInfo
+
+    @cached_property
+    def _function(self) -> str:
+        if np.isnan(self.uvbeam.data_array).any():
+            remedy = "describe the beam by basis functions, which are fitted to the other samples"
+            raise InputError(
+                "samples that are NaN cannot be interpolated", file=self.info.name, remedy=remedy
+            )
+        return "healpix_simple" if self.uvbeam.pixel_coordinate_system == "healpix" else "az_za_simple"
+
+    def __call__(self, za: FloatArray, az: FloatArray) -> Array:
+        """Interpolate the samples.
+
+        Raises
+        ------
+        InputError
+            If some samples are NaN, or the file does not cover the directions.
+        """
+        function = self._function
+        # The grid's azimuths may start anywhere.
+        start = 0.0 if function == "healpix_simple" else self.uvbeam.axis1_array[0]
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                values = self.uvbeam.interp(
+                    az_array=start + np.mod(az - start, 2 * np.pi),
+                    za_array=np.asarray(za),
+                    interpolation_function=function,
+                    reuse_spline=True,
+                )[0][0, 0, 0]
+        except ValueError as error:
+            raise InputError(f"cannot be interpolated: {error}", file=self.info.name) from error
+        return values.real if self.info.is_copol else values
+
+
+@dataclass(frozen=True)
+class AnalyticBeam:
+    """A beam given by one of pyuvdata's formulae, divided by its value at the zenith.
+
+    Attributes
+    ----------
+    formula : pyuvdata analytic beam
+    info : BeamInfo
+    """
+
+    formula: Any
+    info: BeamInfo
+
+    def __call__(self, za: FloatArray, az: FloatArray) -> Array:
+        """Evaluate the formula."""
+        values = self._power(np.asarray(za, dtype=float), np.asarray(az, dtype=float)) / self.info.peak
+        return values.real if self.info.is_copol else values
+
+    def _power(self, za: FloatArray, az: FloatArray) -> Array:
+        orientation = self.formula.get_x_orientation_from_feeds()
+        number = polstr2num(self.info.pol, x_orientation=orientation)
+        index = list(self.formula.polarization_array).index(number)
+        power: Array = self.formula.power_eval(
+            az_array=az, za_array=za, freq_array=np.array([self.info.freq])
+        )
+        return power[0, index, 0]
+
+
+_FORMULAE = {
+    "airy": AiryBeam,
+    "gaussian": GaussianBeam,
+    "short_dipole": ShortDipoleBeam,
+    "uniform": UniformBeam,
+}
+
+
+def analytic_beam(formula: str, freq: float, pol: str = "ee", **parameters: Any) -> AnalyticBeam:
+    """Return an analytic beam with feeds x = East, y = North.
+
+    Parameters
+    ----------
+    formula : {"airy", "gaussian", "short_dipole", "uniform"}
+    freq : float
+        Hz.
+    pol : str
+        Polarisation.
+    **parameters
+        Of pyuvdata's class, such as ``diameter`` (m) or ``sigma`` (rad).
+
+    Raises
+    ------
+    InputError
+        If the formula or a parameter is unknown.
+    """
+    if formula not in _FORMULAE:
+        raise InputError(
+            f"unknown formula {formula!r}", field="beam", remedy=f"known: {', '.join(_FORMULAE)}"
+        )
+    try:
+        made = _FORMULAE[formula](x_orientation="east", **parameters)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{formula} beam: {error}", field="beam") from error
+    unscaled = AnalyticBeam(made, BeamInfo(formula, float(freq), pol))
+    zenith = abs(unscaled(np.zeros(1), np.zeros(1))[0])
+    if zenith < 1e-12:
+        zenith = 1.0
+    return AnalyticBeam(made, BeamInfo(formula, float(freq), pol, peak=float(zenith)))

@@ -1,0 +1,296 @@
+"""The Fourier-Bessel basis on the hemisphere projected to the unit disc (HDBI II, section 2.2).
+
+    f_km(za, az) = J0(u_k rho) / q_k * exp(i m az) / sqrt(N_az),    rho = sqrt(1 - cos za) / alpha
+
+with alpha = sqrt(1 - cos edge), so that rho = 1 at za = edge. The radial functions obey
+
+    "dirichlet"   J0(u_k) = 0              q_k = J1(u_k) / sqrt 2
+    "neumann"     u_1 = 0, J1(u_k) = 0     q_k = |J0(u_k)| / sqrt 2
+
+either of which makes the integral of rho (J0/q)^2 over 0..1 equal to one; the azimuthal functions have unit
+norm as vectors on N_az equally spaced azimuths. In real form the pair exp(+-i m az) is replaced by sqrt2
+cos(m az) and sqrt2 sin(m az), which keeps that norm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from itertools import groupby
+from typing import Any, Literal
+
+import numpy as np
+from scipy.special import j0, j1, jn_zeros
+
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.model.basis import Array, FloatArray, LinearBasis
+from hydrabeam_mpi.model.bessel import BesselRows
+
+Form = Literal["real", "complex"]
+Boundary = Literal["dirichlet", "neumann"]
+
+EDGE = 23 * np.pi / 45
+"""Zenith angle at which rho = 1 in the paper: 92 degrees."""
+
+# Points evaluated together, so that the work space stays near 6 MB whatever is asked.
+_POINTS_AT_ONCE = 2048
+
+
+class FourierBessel(LinearBasis):
+    """A set of Fourier-Bessel modes.
+
+    An object owns work space that its methods overwrite (never their results): threads need one each.
+
+    Parameters
+    ----------
+    modes : iterable of (k, m)
+        Radial numbers k = 1, 2, ... and azimuthal numbers m, in the order of the coefficients. In real form m
+        > 0 means cos(m az) and m < 0 means sin(|m| az).
+    form : {"real", "complex"}
+    edge : float
+        Zenith angle of the rim of the disc, radians.
+    boundary : {"dirichlet", "neumann"}
+        Condition at the rim.
+    n_az : int
+        Number of azimuths on which the azimuthal functions have unit norm.
+
+    Raises
+    ------
+    InputError
+        If there is no mode, a mode is repeated or has k < 1, or a setting is out of range.
+    """
+
+    def __init__(
+        self,
+        modes: Iterable[tuple[int, int]],
+        form: Form = "real",
+        edge: float = EDGE,
+        boundary: Boundary = "dirichlet",
+        n_az: int = 360,
+    ) -> None:
+        self.modes = [(int(k), int(m)) for k, m in modes]
+        _check(self.modes, form, edge, boundary)
+        self.form, self.edge, self.boundary, self.n_az = form, float(edge), boundary, int(n_az)
+        self.is_complex = form == "complex"
+        self.n_modes = len(self.modes)
+        self._ks = sorted({k for k, _ in self.modes})
+        self._m_max = max(abs(m) for _, m in self.modes)
+        u, q = radial_zeros(max(self._ks), boundary)
+        kept = np.array(self._ks) - 1
+        self._inv_alpha_squared = 1 / (1 - np.cos(self.edge))
+        azimuthal_norm = np.sqrt((1 if self.is_complex else 2) / self.n_az)
+        self._radial = BesselRows(u[kept], azimuthal_norm / q[kept])
+        columns = _complex_columns(self.modes) if self.is_complex else self.modes
+        self.n_columns = len(columns)
+        # Of every column, its row among the radial and among the azimuthal functions.
+        self._k_row = np.searchsorted(self._ks, [k for k, _ in columns])
+        self._m_row = np.array([2 * abs(m) + (m < 0) for _, m in columns])
+        self._products = _plan_products(self._k_row.tolist(), self._m_row.tolist())
+        self._mixing = _plan_mixing(self.modes, columns) if self.is_complex else None
+        self._buffer = np.empty(0)
+
+    @classmethod
+    def full(cls, k_max: int = 80, m_max: int = 45, **settings: Any) -> FourierBessel:
+        """Return the basis of all modes k = 1..k_max, |m| <= m_max; ``settings`` as for the class."""
+        signed = [0] + [sign * m for m in range(1, m_max + 1) for sign in (1, -1)]
+        return cls([(k, m) for m in signed for k in range(1, k_max + 1)], **settings)
+
+    def with_modes(self, modes: Iterable[tuple[int, int]], form: Form | None = None) -> FourierBessel:
+        """Return the basis of other modes on the same disc."""
+        return FourierBessel(modes, form or self.form, self.edge, self.boundary, self.n_az)
+
+    def describe(self) -> dict[str, Any]:
+        """Return kind, form, boundary, edge (rad), n_az and the list of modes [k, m]."""
+        return {
+            "kind": "fourier_bessel",
+            "form": self.form,
+            "boundary": self.boundary,
+            "edge": self.edge,
+            "n_az": self.n_az,
+            "modes": [list(mode) for mode in self.modes],
+        }
+
+    @classmethod
+    def from_description(cls, description: Mapping[str, Any]) -> FourierBessel:
+        """Restore a basis from its description."""
+        settings = {name: description[name] for name in ("form", "edge", "boundary", "n_az")}
+        return cls(description["modes"], **settings)
+
+    def radial_functions(self, rho: FloatArray) -> FloatArray:
+        """Return ``J0(u_k rho) / q_k`` at radii rho for k = 1 .. the largest k of the modes, (k_max, Npoints)."""
+        u, q = radial_zeros(max(self._ks), self.boundary)
+        return np.asarray(j0(u[:, None] * rho) / q[:, None])
+
+    def rho(self, za: FloatArray) -> FloatArray:
+        """Return the radius on the disc, ``sqrt(1 - cos za) / alpha``."""
+        return np.sqrt(self._rho_squared(za))
+
+    def columns(self, za: FloatArray, az: FloatArray, out: FloatArray | None = None) -> FloatArray:
+        """Evaluate the real columns, (n_columns, Npoints); see :meth:`LinearBasis.columns`."""
+        if out is None:
+            out = np.empty((self.n_columns, len(za)))
+        for start in range(0, len(za), _POINTS_AT_ONCE):
+            part = slice(start, start + _POINTS_AT_ONCE)
+            radial, azimuthal = self._factors(za[part], az[part])
+            target = out[:, part]
+            for column, k, m in self._products:
+                np.multiply(radial[k], azimuthal[m], target[column])
+        return out
+
+    def mix(self, rows: Array) -> Array:
+        """Turn columns into functions; see :meth:`LinearBasis.mix`."""
+        if self._mixing is None:
+            return rows
+        cos, sin, sign = self._mixing
+        mixed = rows[..., sin] * sign
+        mixed += rows[..., cos]
+        return mixed
+
+    def column_coeffs(self, coeffs: Array) -> Array:
+        """Return the equivalent coefficients of the columns; see :meth:`LinearBasis.column_coeffs`."""
+        if self._mixing is None:
+            return coeffs
+        cos, sin, sign = self._mixing
+        folded = np.zeros((*coeffs.shape[:-1], self.n_columns), dtype=np.complex128)
+        np.add.at(folded, (..., cos), coeffs)
+        np.add.at(folded, (..., sin), sign * coeffs)
+        return folded
+
+    def amplitudes(self, coeffs: Array) -> FloatArray:
+        """Return |b|, in real form that of the equivalent complex mode, which cosine and sine share.
+
+        A beam that is even in azimuth has no sine terms; a width from each term alone would pin it there.
+        """
+        if self.is_complex:
+            return np.abs(coeffs)
+        power = dict(zip(self.modes, (np.abs(coeffs) ** 2).tolist(), strict=True))
+        return np.sqrt([(power[k, m] + power.get((k, -m), 0.0)) / 2 for k, m in self.modes])
+
+    def synthesize(self, coeffs: Array, za: FloatArray, az: FloatArray) -> Array:
+        """Evaluate the beam ``sum_n b_n f_n``, (Npoints,): a product over k, then one over m."""
+        weights = self.column_coeffs(coeffs)
+        matrix = np.zeros((2 * self._m_max + 2, len(self._ks)), dtype=weights.dtype)
+        matrix[self._m_row, self._k_row] = weights
+        parts = [matrix.real, matrix.imag] if np.iscomplexobj(matrix) and matrix.imag.any() else [matrix.real]
+        values = np.zeros((len(parts), len(za)))
+        for start in range(0, len(za), _POINTS_AT_ONCE):
+            part = slice(start, start + _POINTS_AT_ONCE)
+            radial, azimuthal = self._factors(za[part], az[part])
+            for value, weight_part in zip(values, parts, strict=True):
+                np.einsum("mi,mi->i", weight_part @ radial, azimuthal, out=value[part])
+        if not self.is_complex:
+            return values[0]
+        return values[0] + 1j * values[1] if len(parts) == 2 else values[0].astype(np.complex128)
+
+    def _rho_squared(self, za: FloatArray) -> FloatArray:
+        # 1 - cos za, without its loss of digits near the zenith.
+        return (2 * self._inv_alpha_squared) * np.sin(0.5 * np.asarray(za)) ** 2
+
+    def _factors(self, za: FloatArray, az: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the radial rows (Nk, Npoints) and the azimuthal rows cos 0, sin 0, cos az, sin az, cos 2az, ..."""
+        n_points = len(za)
+        sizes = [len(self._radial), self._radial.n_terms, 2 * self._m_max + 2]
+        if self._buffer.size < sum(sizes) * n_points:
+            self._buffer = np.empty(sum(sizes) * n_points)
+        rows = self._buffer[: sum(sizes) * n_points].reshape(sum(sizes), n_points)
+        radial, work, azimuthal = np.split(rows, np.cumsum(sizes)[:-1])
+        self._radial.evaluate(self._rho_squared(za), radial, work)
+        azimuthal_rows(np.asarray(az), azimuthal, work)
+        if not self.is_complex:
+            azimuthal[0] = np.sqrt(0.5)
+        return radial, azimuthal
+
+
+def radial_zeros(k_max: int, boundary: Boundary) -> tuple[FloatArray, FloatArray]:
+    """Return the radial frequencies u_k and norms q_k for k = 1..k_max."""
+    if boundary == "dirichlet":
+        u = jn_zeros(0, k_max)
+        return u, j1(u) / np.sqrt(2)
+    u = np.concatenate([[0.0], jn_zeros(1, k_max)])[:k_max]
+    return u, np.abs(j0(u)) / np.sqrt(2)
+
+
+def azimuthal_rows(az: FloatArray, out: FloatArray, work: FloatArray) -> None:
+    """Fill ``out`` with cos(m az), sin(m az) for m = 0, 1, ..., by angle addition in growing blocks.
+
+    Parameters
+    ----------
+    az : ndarray, (Npoints,)
+    out : ndarray, (2 m_max + 2, Npoints), C order
+    work : ndarray, (at least 1, Npoints)
+        Overwritten.
+    """
+    pairs = out.reshape(-1, 2, len(az))
+    pairs[0, 0], pairs[0, 1] = 1, 0
+    if len(pairs) > 1:
+        np.cos(az, out=pairs[1, 0])
+        np.sin(az, out=pairs[1, 1])
+    known = 1
+    while known < len(pairs) - 1:
+        added = min(known, len(pairs) - 1 - known, len(work))
+        low, high = pairs[1 : added + 1], pairs[known + 1 : known + added + 1]
+        cos, sin = pairs[known]
+        np.multiply(low, cos, high)
+        np.multiply(low[:, 1], sin, work[:added])
+        np.subtract(high[:, 0], work[:added], high[:, 0])
+        np.multiply(low[:, 0], sin, work[:added])
+        np.add(high[:, 1], work[:added], high[:, 1])
+        known += added
+
+
+def _complex_columns(modes: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """List the cosine (m >= 0) and sine (m < 0) columns that complex modes need, those of one m side by side."""
+    needed = sorted({(abs(m), k) for k, m in modes})
+    columns: list[tuple[int, int]] = []
+    for m, group in groupby(needed, key=lambda entry: entry[0]):
+        ks = [k for _, k in group]
+        columns += [(k, m) for k in ks]
+        columns += [(k, -m) for k in ks if m]
+    return columns
+
+
+def _plan_products(k_row: list[int], m_row: list[int]) -> list[tuple[Any, Any, Any]]:
+    """List which radial and azimuthal rows make which columns, in as few products as the order of columns allows.
+
+    One product makes either the columns of consecutive k at one m, or the cosine and the sine of one (k,
+    |m|).
+    """
+    rows = list(zip(k_row, m_row, strict=True))
+    plan: list[tuple[Any, Any, Any]] = []
+    start = 0
+    while start < len(rows):
+        k, m = rows[start]
+        length = 1
+        while rows[start + length : start + length + 1] == [(k + length, m)]:
+            length += 1
+        if length == 1 and m % 2 == 0 and rows[start + 1 : start + 2] == [(k, m + 1)]:
+            plan.append((slice(start, start + 2), k, slice(m, m + 2)))
+            start += 2
+        else:
+            plan.append((slice(start, start + length), slice(k, k + length), m))
+            start += length
+    return plan
+
+
+def _plan_mixing(modes: list[tuple[int, int]], columns: list[tuple[int, int]]) -> tuple[Any, Any, Any]:
+    """Return, for every mode, its cosine column, its sine column and the factor i sign(m) of the latter."""
+    index = {column: i for i, column in enumerate(columns)}
+    cos = np.array([index[k, abs(m)] for k, m in modes])
+    sin = np.array([index[k, -abs(m)] for k, m in modes])
+    return cos, sin, np.array([1j * np.sign(m) for _, m in modes])
+
+
+def _check(modes: list[tuple[int, int]], form: str, edge: float, boundary: str) -> None:
+    if not modes:
+        raise InputError("a basis needs at least one mode", field="n_modes", remedy="ask for 1 or more")
+    if len(set(modes)) < len(modes) or min(k for k, _ in modes) < 1:
+        raise InputError("every mode (k, m) needs k >= 1 and may occur once", field="modes")
+    if form not in ("real", "complex"):
+        raise InputError(f"unknown form {form!r}", field="form", remedy='use "real" or "complex"')
+    if boundary not in ("dirichlet", "neumann"):
+        raise InputError(
+            f"unknown boundary {boundary!r}", field="boundary", remedy='use "dirichlet" or "neumann"'
+        )
+    if not 0 < edge <= np.pi:
+        raise InputError(
+            f"edge = {edge} rad is not between 0 and pi", field="edge", remedy="give degrees above 0"
+        )

@@ -1,0 +1,103 @@
+"""Beam samples on the sky, and the rings of equal zenith angle on which most beam files have them.
+
+Both grids in use, azimuth x zenith angle and HEALPix, consist of rings with equally spaced azimuths. On such
+a ring the azimuthal functions are orthogonal, so a fit falls apart into one small problem for every m.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydrabeam_mpi.model.basis import Array, FloatArray
+
+IntArray = NDArray[np.int64]
+
+# Angles closer than this (radians, 0.02 arcsec) are the same angle.
+_SAME = 1e-7
+
+
+@dataclass(frozen=True)
+class Pixels:
+    """Samples of a beam above the horizon.
+
+    Attributes
+    ----------
+    za, az : ndarray, (Npix,)
+        Radians.
+    values : ndarray of float or complex, (Npix,)
+    """
+
+    za: FloatArray
+    az: FloatArray
+    values: Array
+
+    @classmethod
+    def above_horizon(cls, za: FloatArray, az: FloatArray, values: Array) -> Pixels:
+        """Keep the samples with za <= 90 degrees that are not NaN."""
+        keep = (za <= np.pi / 2 + _SAME) & ~np.isnan(values)
+        return cls(za[keep], az[keep], values[keep])
+
+
+@dataclass(frozen=True)
+class RingGrid:
+    """Samples on full rings of equally spaced azimuths.
+
+    Attributes
+    ----------
+    za : ndarray, (Nrings,)
+        Zenith angle of each ring, ascending.
+    n_az : ndarray of int, (Nrings,)
+        Number of azimuths on each ring.
+    az0 : ndarray, (Nrings,)
+        First azimuth of each ring.
+    values : ndarray, (Npix,)
+        Ring after ring, azimuth ascending.
+    """
+
+    za: FloatArray
+    n_az: IntArray
+    az0: FloatArray
+    values: Array
+
+    @classmethod
+    def from_pixels(cls, pixels: Pixels) -> RingGrid | None:
+        """Find the rings; None where some samples do not lie on full, equally spaced rings."""
+        order = np.argsort(pixels.za, kind="stable")
+        za = pixels.za[order]
+        ring = np.concatenate([[0], np.cumsum(np.diff(za) > _SAME)])
+        az = np.mod(pixels.az[order] + _SAME, 2 * np.pi) - _SAME
+        within = np.lexsort((az, ring))
+        za, az, values = za[within], az[within], pixels.values[order][within]
+        # Grids that close the circle repeat azimuth 0 as 2 pi.
+        new = np.concatenate([[True], (np.diff(az) > _SAME) | (np.diff(ring) > 0)])
+        za, az, values, ring = za[new], az[new], values[new], ring[new]
+        n_az = np.bincount(ring)
+        start = np.cumsum(n_az) - n_az
+        step = np.arange(len(az)) - start[ring]
+        if np.abs(az - az[start][ring] - 2 * np.pi * step / n_az[ring]).max() > 10 * _SAME:
+            return None
+        return cls(za[start], n_az, az[start], values)
+
+    def azimuthal_orders(self, m_max: int) -> NDArray[np.complex128]:
+        """Return the mean of ``B exp(-i m az)`` over each ring, (Nrings, 2 m_max + 1) for m = -m_max..m_max."""
+        m = np.arange(-m_max, m_max + 1)
+        orders = np.empty((len(self.za), len(m)), dtype=np.complex128)
+        for row, n, az0, ring in zip(orders, self.n_az, self.az0, self.split(), strict=True):
+            row[:] = np.fft.fft(ring)[m % n] * np.exp(-1j * m * az0) / n
+        if not np.iscomplexobj(self.values):
+            # To the last digit, so that the two modes of a pair rank equal.
+            orders = 0.5 * (orders + orders[:, ::-1].conj())
+        return orders
+
+    def split(self) -> list[Array]:
+        """Return the values of every ring."""
+        return np.split(self.values, np.cumsum(self.n_az)[:-1])
+
+
+def degree_grid() -> tuple[FloatArray, FloatArray]:
+    """Return za and az, (91 * 360,), of the grid za = 0..90, az = 0..359 in steps of one degree, az fastest."""
+    za, az = np.meshgrid(np.deg2rad(np.arange(91)), np.deg2rad(np.arange(360)), indexing="ij")
+    return za.ravel(), az.ravel()

@@ -1,0 +1,83 @@
+"""Zernike polynomials on the hemisphere projected to the unit disc.
+
+    Z_nm(za, az) = N R_n^|m|(rho) cos(m az)   (m >= 0),   N R_n^|m|(rho) sin(|m| az)   (m < 0)
+
+with rho = sqrt(1 - cos za) / sqrt(1 - cos edge), N = sqrt(n + 1) for m = 0 and sqrt(2 n + 2) otherwise, so
+that the mean of Z^2 over the disc is one. They are ordered by the OSA/ANSI index j = (n (n + 2) + m) / 2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.model.basis import FloatArray, LinearBasis
+from hydrabeam_mpi.model.fourier_bessel import EDGE, azimuthal_rows
+
+
+class Zernike(LinearBasis):
+    """All Zernike polynomials up to a degree; real.
+
+    Parameters
+    ----------
+    degree : int
+        Largest n.
+    edge : float
+        Zenith angle of the rim of the disc, radians.
+
+    Raises
+    ------
+    InputError
+        If the degree is negative or the edge out of range.
+    """
+
+    def __init__(self, degree: int, edge: float = EDGE) -> None:
+        if degree < 0:
+            raise InputError(f"degree = {degree} gives no mode", field="degree", remedy="ask for 0 or more")
+        if not 0 < edge <= np.pi:
+            raise InputError(f"edge = {edge} rad is not between 0 and pi", field="edge")
+        self.degree, self.edge = int(degree), float(edge)
+        self.modes = [(n, m) for n in range(self.degree + 1) for m in range(-n, n + 1, 2)]
+        self.n_modes = self.n_columns = len(self.modes)
+        self.is_complex = False
+
+    def columns(self, za: FloatArray, az: FloatArray, out: FloatArray | None = None) -> FloatArray:
+        """Evaluate the polynomials, (n_modes, Npoints); see :meth:`LinearBasis.columns`."""
+        if out is None:
+            out = np.empty((self.n_columns, len(za)))
+        rho = np.sin(0.5 * np.asarray(za)) / np.sin(0.5 * self.edge)
+        azimuthal = np.empty((2 * self.degree + 2, len(rho)))
+        azimuthal_rows(np.asarray(az), azimuthal, np.empty((self.degree + 1, len(rho))))
+        for m in range(self.degree + 1):
+            for n, radial in zip(range(m, self.degree + 1, 2), self._radial(m, rho), strict=True):
+                norm = np.sqrt(n + 1 if m == 0 else 2 * n + 2)
+                np.multiply(norm * radial, azimuthal[2 * m], out[(n * (n + 2) + m) // 2])
+                if m:
+                    np.multiply(norm * radial, azimuthal[2 * m + 1], out[(n * (n + 2) - m) // 2])
+        return out
+
+    def describe(self) -> dict[str, Any]:
+        """Return kind, degree and edge (rad)."""
+        return {"kind": "zernike", "degree": self.degree, "edge": self.edge}
+
+    @classmethod
+    def from_description(cls, description: Mapping[str, Any]) -> Zernike:
+        """Restore a basis from its description."""
+        return cls(description["degree"], description["edge"])
+
+    def _radial(self, m: int, rho: FloatArray) -> list[FloatArray]:
+        """Return R_n^m(rho) for n = m, m + 2, ... <= degree: rho^m times Jacobi polynomials P_j^(0,m)(2 rho^2 - 1)."""
+        x = 2 * rho**2 - 1
+        jacobi = [np.ones_like(rho)]
+        for j in range(1, (self.degree - m) // 2 + 1):
+            # The three-term recurrence of P_j^(a,b) at a = 0, b = m.
+            c = 2 * j + m
+            linear = (c - 1) * (c * (c - 2) * x - m * m) * jacobi[-1]
+            previous = 2 * (j - 1) * (j + m - 1) * c * jacobi[-2] if j > 1 else 0.0
+            jacobi.append(
+                (linear - previous) / (2 * j * (j + m) * (c - 2)) if c > 2 else 0.5 * ((2 + m) * x - m)
+            )
+        return [rho**m * polynomial for polynomial in jacobi]
