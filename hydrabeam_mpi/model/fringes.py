@@ -1,0 +1,107 @@
+"""Fringes exp(+2 pi i nu b.s/c) of many sources on many baselines."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from astropy.constants import c as speed_of_light
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+
+C_M_PER_S: float = speed_of_light.value
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Vectors as integer combinations of two generators: ``vectors = index @ generators``."""
+
+    generators: FloatArray  # (2, 3) metres
+    index: IntArray  # (Nvectors, 2)
+
+
+def find_lattice(vectors: FloatArray, tol: float) -> Lattice | None:
+    """Find the plane lattice on which all vectors lie within ``tol`` metres, if there is one.
+
+    The two shortest vectors that are not parallel are tried as generators, which is what a filled array has;
+    the generators are then fitted to all vectors.
+    """
+    lengths = np.linalg.norm(vectors, axis=1)
+    order = np.argsort(lengths)
+    order = order[lengths[order] > tol]
+    if len(order) < 3:
+        return None
+    first = vectors[order[0]]
+    sine = np.linalg.norm(np.cross(first, vectors[order]), axis=1) / (lengths[order[0]] * lengths[order])
+    turned = np.flatnonzero(sine > 0.1)
+    if not len(turned):
+        return None
+    generators = np.stack([first, vectors[order[turned[0]]]])
+    index = np.rint(vectors @ np.linalg.pinv(generators)).astype(np.int64)
+    if np.abs(index).max() > 1000:
+        return None
+    generators = np.linalg.lstsq(index, vectors, rcond=None)[0]
+    if np.linalg.norm(index @ generators - vectors, axis=1).max() > tol:
+        return None
+    return Lattice(generators, index)
+
+
+class Fringes:
+    """The fringes of a fixed set of baseline vectors.
+
+    On a lattice a fringe is the product of two geometric sequences, which costs two complex exponentials a
+    source instead of one a source and vector.
+
+    Parameters
+    ----------
+    vectors : ndarray, (Nvectors, 3)
+        Metres ENU.
+    tol : float
+        Distance in metres within which vectors count as lying on a lattice.
+    """
+
+    def __init__(self, vectors: FloatArray, tol: float = 1e-7) -> None:
+        self.vectors = np.ascontiguousarray(vectors, dtype=float)
+        self.lattice = find_lattice(self.vectors, tol)
+
+    def fill(self, out: FloatArray, directions: FloatArray, weights: FloatArray, freq: float) -> None:
+        """Write ``weights_s exp(+2 pi i freq b.s/c)`` into ``out``.
+
+        Parameters
+        ----------
+        out : ndarray, (2, Nvectors, Nsrc)
+            Receives the real parts, then the imaginary parts.
+        directions : ndarray, (3, Nsrc)
+            Unit vectors towards the sources, ENU.
+        weights : ndarray, (Nsrc,)
+            Real weight of each source.
+        freq : float
+            Hz.
+        """
+        wavenumber = 2 * np.pi * freq / C_M_PER_S
+        if self.lattice is None:
+            phase = (wavenumber * self.vectors) @ directions
+            np.cos(phase, out=out[0])
+            np.sin(phase, out=out[1])
+            out *= weights
+            return
+        steps = np.exp(1j * ((wavenumber * self.lattice.generators) @ directions))
+        along = _powers(steps[0], self.lattice.index[:, 0])
+        across = _powers(steps[1], self.lattice.index[:, 1])
+        for power in along.values():
+            power *= weights
+        product = np.empty_like(steps[0])
+        for row, (i, j) in enumerate(self.lattice.index.tolist()):
+            np.multiply(along[i], across[j], out=product)
+            out[0, row] = product.real
+            out[1, row] = product.imag
+
+
+def _powers(base: ComplexArray, exponents: IntArray) -> dict[int, ComplexArray]:
+    """Return the powers of unit complex numbers that ``exponents`` asks for, by repeated multiplication."""
+    powers = {0: np.ones_like(base)}
+    for n in range(1, int(np.abs(exponents).max(initial=0)) + 1):
+        powers[n] = powers[n - 1] * base
+    for n in range(1, int(-exponents.min(initial=0)) + 1):
+        powers[-n] = powers[n].conj()
+    return {n: powers[n].copy() for n in np.unique(exponents).tolist()}

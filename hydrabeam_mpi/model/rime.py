@@ -1,0 +1,95 @@
+"""The forward model V = 1/2 sum_s I_s B(s) exp(2 pi i nu b.s/c), streamed over times (HDBI II, eqs 2 and 9)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.model.basis import LinearBasis
+from hydrabeam_mpi.model.engine import Engine
+from hydrabeam_mpi.model.positions import SourcePositions
+
+Beam = Callable[[FloatArray, FloatArray], NDArray]
+
+
+@dataclass(frozen=True)
+class ForwardModel:
+    """Sky and array, ready to be seen through any beam.
+
+    Attributes
+    ----------
+    positions : SourcePositions
+        Where the sources are at each time.
+    flux : ndarray, (Nfreqs, Nsrc)
+        Jy.
+    freqs : ndarray, (Nfreqs,)
+        Hz.
+    engine : Engine
+        Holds the baseline vectors.
+    """
+
+    positions: SourcePositions
+    flux: FloatArray
+    freqs: FloatArray
+    engine: Engine
+
+    def design_columns(self, basis: LinearBasis, times: IntArray) -> Iterator[FloatArray]:
+        """Yield, time by time, the design of the real columns, (Nfreqs, 2, Nvectors, n_columns)."""
+        for time in times.tolist():
+            index, za, az = self.positions.above_horizon(time)
+            yield self.engine.design(basis, za, az, np.take(self.flux, index, axis=1), self.freqs)
+
+    def design(self, basis: LinearBasis, times: IntArray) -> Iterator[ComplexArray]:
+        """Yield, time by time, the design matrix in coefficients, (Nfreqs, Nvectors, n_modes)."""
+        for parts in self.design_columns(basis, times):
+            yield basis.mix(parts[:, 0]) + 1j * basis.mix(parts[:, 1])
+
+    def visibilities(self, beams: list[Beam], times: IntArray) -> ComplexArray:
+        """Simulate the visibilities that given beams see.
+
+        Parameters
+        ----------
+        beams : list of callable
+            One a channel, ``beam(za, az) -> (Npoints,)``; real or complex.
+        times : ndarray of int
+            Indices of the times.
+
+        Returns
+        -------
+        ndarray, (Nfreqs, len(times), Nvectors)
+            Jy.
+        """
+        rows = np.empty((len(self.freqs), len(times), self.engine.n_vectors), dtype=complex)
+        for t, time in enumerate(times.tolist()):
+            index, za, az = self.positions.above_horizon(time)
+            flux = np.take(self.flux, index, axis=1)
+            for f, beam in enumerate(beams):
+                one = slice(f, f + 1)
+                design = self.engine.design(_BeamColumns(beam), za, az, flux[one], self.freqs[one])
+                rows[f, t] = _as_visibility(design)
+        return rows
+
+
+@dataclass(frozen=True)
+class _BeamColumns:
+    """A given beam as two real columns, its real and its imaginary part."""
+
+    beam: Beam
+    n_columns: int = 2
+
+    def columns(self, za: FloatArray, az: FloatArray, out: FloatArray | None = None) -> FloatArray:
+        """Evaluate the beam; `out` is accepted for the interface and filled where given."""
+        values = np.asarray(self.beam(za, az))
+        columns = np.empty((2, len(za))) if out is None else out
+        columns[0], columns[1] = values.real, values.imag
+        return columns
+
+
+def _as_visibility(design: FloatArray) -> ComplexArray:
+    """Add up the columns Re B and Im B of a `_BeamColumns` design: (Re + i Im fringe)(Re B + i Im B)."""
+    real, imag = design[0]
+    return (real[:, 0] - imag[:, 1]) + 1j * (imag[:, 0] + real[:, 1])

@@ -1,0 +1,74 @@
+"""Engines against the visibility sum written out term by term."""
+
+import numpy as np
+import pytest
+from astropy.constants import c
+
+from hydrabeam_mpi.infer.random import generator
+from hydrabeam_mpi.model.engine import GemmEngine, NufftEngine
+from hydrabeam_mpi.model.fringes import Fringes, find_lattice
+
+FREQS = np.array([100e6, 163.7e6])
+HEX = np.array([[14.6, 0, 0], [7.3, 14.6 * np.sqrt(3) / 2, 0], [29.2, 0, 0], [-7.3, 14.6 * np.sqrt(3) / 2, 0], [0, 0, 0]])
+
+
+class Ripples:
+    """Three smooth real functions of direction."""
+
+    n_columns = 3
+
+    def columns(self, za, az, out=None):
+        return np.stack([np.cos(za), np.sin(3 * az) * za, np.cos(za * 20)])
+
+
+def sources(n):
+    rng = generator(0, "sources", n)
+    return rng.uniform(0, np.pi / 2, n), rng.uniform(0, 2 * np.pi, n), rng.uniform(0.1, 10, (2, n))
+
+
+def written_out(vectors, za, az, flux):
+    s = np.array([np.sin(za) * np.cos(az), np.sin(za) * np.sin(az), np.cos(za)])
+    columns = Ripples().columns(za, az)
+    out = np.zeros((2, 2, len(vectors), 3))
+    for f, freq in enumerate(FREQS):
+        for u, vector in enumerate(vectors):
+            for k in range(3):
+                fringe = np.exp(2j * np.pi * freq * (vector @ s) / c.value)
+                value = 0.5 * np.sum(flux[f] * columns[k] * fringe)
+                out[f, 0, u, k], out[f, 1, u, k] = value.real, value.imag
+    return out
+
+
+def irregular(n=6, height=0.3):
+    rng = generator(1, "vectors")
+    return rng.uniform(-60, 60, (n, 3)) * [1, 1, height / 60]
+
+
+@pytest.mark.parametrize("vectors", [HEX, irregular(), irregular(height=0.0)], ids=["hexagon", "3d", "coplanar"])
+@pytest.mark.parametrize("make", [GemmEngine, lambda v: GemmEngine(v, chunk=7), NufftEngine], ids=["gemm", "chunks", "nufft"])
+@pytest.mark.parametrize("n", [0, 1, 50])
+def test_engine_is_the_sum_over_sources(vectors, make, n):
+    za, az, flux = sources(n)
+    result = make(vectors).design(Ripples(), za, az, flux, FREQS)
+    np.testing.assert_allclose(result, written_out(vectors, za, az, flux), atol=1e-10 * max(flux.sum(), 1))
+
+
+def test_both_engines_agree_to_a_billionth_on_many_sources():
+    za, az, flux = sources(20000)
+    vectors = np.concatenate([HEX, irregular()])
+    one = GemmEngine(vectors).design(Ripples(), za, az, flux, FREQS)
+    other = NufftEngine(vectors).design(Ripples(), za, az, flux, FREQS)
+    assert np.abs(one - other).max() < 1e-9 * np.abs(one).max()
+
+
+def test_lattice_is_found_and_exact():
+    lattice = find_lattice(HEX, 1e-7)
+    assert lattice is not None
+    np.testing.assert_allclose(lattice.index @ lattice.generators, HEX, atol=1e-12)
+
+
+def test_no_lattice_where_there_is_none():
+    assert find_lattice(irregular(), 1e-7) is None
+    assert find_lattice(HEX + generator(0, "jitter").normal(size=HEX.shape) * 1e-3, 1e-7) is None
+    assert find_lattice(np.array([[14.6, 0, 0], [29.2, 0, 0], [43.8, 0, 0]]), 1e-7) is None
+    assert Fringes(np.zeros((0, 3))).lattice is None
