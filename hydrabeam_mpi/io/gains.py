@@ -1,0 +1,196 @@
+"""Calibration solutions (calfits or calh5), applied to visibilities.
+
+The gains g of a file obey V_obs = g_i g_j* V_true ("divide") or V_true = g_i g_j* V_obs ("multiply"); the
+file says which. Here they are always the former.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pyuvdata import UVCal
+from pyuvdata.utils import jnum2str
+from pyuvdata.uvcal.calfits import CALFITS
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray, Observation
+from hydrabeam_mpi.data.partition import Tile
+from hydrabeam_mpi.data.selection import BoolArray, match
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.uvdata import feeds_of
+from hydrabeam_mpi.io.uvfile import READ_ERRORS, quiet
+from hydrabeam_mpi.io.uvmeta import FREQ_TOLERANCE, TIME_TOLERANCE
+
+
+@dataclass(frozen=True)
+class _Solution:
+    """One file's gains at the observation's antennas and channels.
+
+    ``gains`` and ``flags`` are (Nfreqs, Nsolutions, Nants, Nfeeds), ``times`` (Nsolutions,) in JD; each
+    solution holds for ``reach`` days about its time.
+    """
+
+    gains: ComplexArray
+    flags: BoolArray
+    times: FloatArray
+    reach: float
+    feeds: tuple[frozenset[str], ...]
+
+
+def apply_gains(
+    data: ComplexArray, flags: BoolArray, observation: Observation, tile: Tile, gain_files: Sequence[Path]
+) -> tuple[ComplexArray, BoolArray]:
+    """Calibrate the visibilities of a tile: V_true = V_obs / (g_i g_j*).
+
+    Parameters
+    ----------
+    data, flags : ndarray, (Nfreqs, len(tile.times), len(tile.bls), Npols)
+    observation : Observation
+    tile : Tile
+    gain_files : sequence of Path
+        Each must have every antenna and channel; together they must have every feed, and a solution within
+        an integration of every time. A single solution serves all times. Gains said to be in the convention
+        I = (V_xx + V_yy) / 2 leave half the visibility, so that it is V = 1/2 I B.
+
+    Returns
+    -------
+    data, flags : ndarray, same shape
+        Flagged, and zero, where the data or one of the gains is.
+
+    Raises
+    ------
+    InputError
+        If a gain is missing, or neither flagged nor finite and nonzero.
+    """
+    return calibrate(data, flags, observation, tile.times, observation.antpairs[tile.bls], gain_files)
+
+
+def calibrate(
+    data: ComplexArray,
+    flags: BoolArray,
+    observation: Observation,
+    times: IntArray,
+    antpairs: IntArray,
+    gain_files: Sequence[Path],
+    pols: Sequence[str] | None = None,
+) -> tuple[ComplexArray, BoolArray]:
+    """Calibrate any baselines, (a, a) being an autocorrelation; see `apply_gains`."""
+    gains, gain_flags = read_gains(gain_files, observation, times)
+    feeds = feeds_of(observation.pols)
+    ant_1, ant_2 = match(antpairs, observation.antenna_numbers, 0).T
+    data, flags = np.array(data), np.array(flags)
+    for index, pol in enumerate(pols or observation.pols):
+        end_1 = (..., ant_1, feeds.index(pol[0]))
+        end_2 = (..., ant_2, feeds.index(pol[1]))
+        data[..., index] /= gains[end_1] * gains[end_2].conj()
+        flags[..., index] |= gain_flags[end_1] | gain_flags[end_2]
+    return np.where(flags, 0.0, data), flags
+
+
+def read_gains(
+    files: Sequence[Path], observation: Observation, times: IntArray
+) -> tuple[ComplexArray, BoolArray]:
+    """Read gains in the sense of V_obs = g_i g_j* V_true, each time from the nearest solution.
+
+    Returns
+    -------
+    gains, flags : ndarray, (Nfreqs, len(times), Nants, Nfeeds)
+        Of the observation's antennas and of the feeds in its polarisations; one where flagged.
+    """
+    feeds, wanted = feeds_of(observation.pols), observation.times[times]
+    shape = (observation.Nfreqs, len(times), observation.Nants, len(feeds))
+    gains, flags = np.ones(shape, np.complex128), np.ones(shape, bool)
+    distance = np.full((len(times), len(feeds)), np.inf)
+    solutions = [_read_solution(Path(path), observation) for path in files]
+    lone = np.ptp(np.concatenate([solution.times for solution in solutions])) <= TIME_TOLERANCE
+    for solution in solutions:
+        reach = np.maximum(solution.reach, observation.integration_time[times] / 86400)
+        near = match(wanted, solution.times, np.inf if lone else reach)
+        for index, feed in enumerate(feeds):
+            stored = next((j for j, names in enumerate(solution.feeds) if feed in names), None)
+            away = np.where(near >= 0, np.abs(solution.times[near] - wanted), np.inf)
+            better = away < distance[:, index]
+            if stored is None or not better.any():
+                continue
+            gains[:, better, :, index] = solution.gains[:, near[better], :, stored]
+            flags[:, better, :, index] = solution.flags[:, near[better], :, stored]
+            distance[better, index] = away[better]
+    if np.isinf(distance).any():
+        time, feed = np.argwhere(np.isinf(distance))[0]
+        raise InputError(
+            f'no gains of feed "{feeds[feed]}" within an integration of JD {wanted[time]:.6f}',
+            file=files[0],
+            field="[data] gains",
+            remedy="add the gain file of that time and feed",
+        )
+    return gains, flags
+
+
+def _read_solution(path: Path, observation: Observation) -> _Solution:
+    """Read one gain file and pick the observation's antennas and channels."""
+    cal = _read_uvcal(path, observation)
+    if cal.cal_type != "gain" or cal.wide_band:
+        remedy = "convert it with UVCal.convert_to_gain()"
+        raise InputError("not gains by channel", file=path, field="cal_type", remedy=remedy)
+    ants = match(observation.antenna_numbers, cal.ant_array, 0)
+    if np.any(ants < 0):
+        missing = ", ".join(map(str, observation.antenna_numbers[ants < 0]))
+        remedy = "leave it out with exclude_antennas"
+        raise InputError(f"no gains of antenna {missing}", file=path, field="ant_array", remedy=remedy)
+    channels = match(observation.freqs, cal.freq_array, FREQ_TOLERANCE)
+    if np.any(channels < 0):
+        missing = f"{observation.freqs[channels < 0][0] / 1e6:.6f} MHz"
+        remedy = "give gains with the channels of the data"
+        raise InputError(f"no gains at {missing}", file=path, field="freq_array", remedy=remedy)
+    # pyuvdata has (Nants, Nfreqs, Ntimes, Njones).
+    gains = cal.gain_array[np.ix_(ants, channels)].transpose(1, 2, 0, 3).astype(np.complex128)
+    flags = cal.flag_array[np.ix_(ants, channels)].transpose(1, 2, 0, 3)
+    unusable = ~flags & ~(np.isfinite(gains) & (gains != 0))
+    if unusable.any():
+        ant = observation.antenna_numbers[np.argwhere(unusable)[0, 2]]
+        message = f"an unflagged gain of antenna {ant} is zero or not finite"
+        raise InputError(message, file=path, field="gain_array", remedy="flag it")
+    gains[flags] = 1.0
+    if cal.gain_convention == "multiply":
+        gains = 1 / gains
+    if cal.pol_convention == "avg":
+        gains *= np.sqrt(2)
+    return _Solution(gains, flags, *_stamps(cal), _feed_names(cal))
+
+
+def _stamps(cal: UVCal) -> tuple[FloatArray, float]:
+    """Return the solutions' times and how far from them they hold, in days."""
+    if cal.time_range is not None:
+        return np.mean(cal.time_range, axis=1), float(np.ptp(cal.time_range, axis=1).max() / 2)
+    return np.asarray(cal.time_array), float(np.max(cal.integration_time) / 86400)
+
+
+def _feed_names(cal: UVCal) -> tuple[frozenset[str], ...]:
+    """Return the names of each Jones element's feed: "x", and "e" where the file tells its direction."""
+    orientation = cal.telescope.get_x_orientation_from_feeds()
+    names = ({jnum2str(j)[1:], jnum2str(j, x_orientation=orientation)[1:]} for j in cal.jones_array)
+    return tuple(frozenset(name[0] for name in both if name[0] == name[1]) for both in names)
+
+
+def _read_uvcal(path: Path, observation: Observation) -> UVCal:
+    """Read a gain file through pyuvdata, never asking the network where the telescope is."""
+    if not path.is_file():
+        raise InputError("no such gain file", file=path, field="[data] gains", remedy="check the path")
+    try:
+        with quiet(), path.open("rb") as file:
+            if file.read(4) == b"\x89HDF":
+                cal = UVCal()
+                cal.read_calh5(str(path), run_check=False, background_lsts=False)
+            else:
+                # Older calfits files do not say where the telescope is, and pyuvdata would look its name up
+                # on the network. It does not where the object that reads knows the place already.
+                cal = CALFITS()
+                cal.telescope.location = observation.location
+                cal.read_calfits(str(path), run_check=False, background_lsts=False)
+    except READ_ERRORS as error:
+        raise InputError(
+            f"cannot be read as gains ({error})", file=path, remedy="give calfits or calh5 files"
+        ) from error
+    return cal

@@ -1,0 +1,285 @@
+"""The noise of the visibilities, as inverse variances.
+
+The variance is sigma^2 = E|n|^2 in Jy^2 of complex noise n, with visibilities V = 1/2 I B. The functions
+named weights return 1/sigma^2 in the shape of the visibilities, and zero where the data are flagged, have no
+samples, or their noise cannot be told.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from hydrabeam_mpi.data.observation import FloatArray, IntArray, Observation
+from hydrabeam_mpi.data.partition import Tile
+from hydrabeam_mpi.data.selection import BoolArray, match
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.gains import calibrate
+from hydrabeam_mpi.io.uvdata import feeds_of, read_autos, read_block
+
+# Fewer differences than this do not make a variance: its own error is 1 / sqrt(number).
+MIN_DIFFERENCES = 8
+# Integrations further apart than this many integration times are not differenced: the sky moves between them.
+MAX_GAP = 2.5
+
+
+def radiometer_weights(
+    files: Sequence[Path],
+    observation: Observation,
+    tile: Tile,
+    flags: BoolArray,
+    nsamples: FloatArray,
+    gain_files: Sequence[Path] = (),
+) -> FloatArray:
+    """Noise from the autocorrelations: sigma_jk^2 = V_jj V_kk / (dt dnu nsamples).
+
+    dt and dnu are ``observation.integration_time`` and ``observation.channel_width``.
+
+    Parameters
+    ----------
+    flags, nsamples : ndarray, (Nfreqs, len(tile.times), len(tile.bls), Npols)
+    gain_files : sequence of Path
+        Those that are applied to the visibilities, to calibrate the autocorrelations too.
+
+    Returns
+    -------
+    ndarray, shape of ``flags``
+        1/Jy^2; zero also where an autocorrelation is flagged or not positive.
+
+    Raises
+    ------
+    InputError
+        If an unflagged visibility lacks an autocorrelation, or an integration time or channel width is zero.
+    """
+    for field in ("integration_time", "channel_width"):
+        if not np.all(getattr(observation, field) > 0):
+            raise InputError("not positive", file=files[0], field=field, remedy="choose another [noise] kind")
+    autos = read_autos(files, observation, tile.times)
+    feeds = feeds_of(observation.pols)
+    if gain_files:
+        antpairs = np.repeat(observation.antenna_numbers[:, None], 2, axis=1)
+        pols = tuple(2 * feed for feed in feeds)
+        bad = np.zeros(autos.shape, bool)
+        data, _ = calibrate(autos.astype(complex), bad, observation, tile.times, antpairs, gain_files, pols)
+        autos = data.real
+    ants = match(observation.antpairs[tile.bls], observation.antenna_numbers, 0)
+    first, second = (
+        np.stack([autos[:, :, ants[:, end], feeds.index(pol[end])] for pol in observation.pols], axis=-1)
+        for end in (0, 1)
+    )
+    _check_autos_stored(np.isnan(first + second) & ~flags, files, observation, tile)
+    usable = ~flags & (first > 0) & (second > 0)
+    exposure = observation.channel_width[:, None] * observation.integration_time[tile.times]
+    weights = exposure[:, :, None, None] * nsamples / np.where(usable, first * second, 1.0)
+    return np.where(usable, weights, 0.0)
+
+
+def _check_autos_stored(
+    lacking: BoolArray, files: Sequence[Path], observation: Observation, tile: Tile
+) -> None:
+    if lacking.any():
+        ant_1, ant_2 = observation.antpairs[tile.bls[np.argwhere(lacking)[0, 2]]]
+        raise InputError(
+            f"no autocorrelations of antenna {ant_1} or {ant_2}",
+            file=files[0],
+            field="data_array",
+            remedy="leave the antenna out with exclude_antennas, or choose another [noise] kind",
+        )
+
+
+def check_weights(n_unflagged: int, n_weighted: int, files: Sequence[Path]) -> None:
+    """Refuse data that say nothing, given counts over all tiles.
+
+    Parameters
+    ----------
+    n_unflagged : int
+        Number of unflagged visibilities.
+    n_weighted : int
+        Number of them with a positive weight.
+
+    Raises
+    ------
+    InputError
+        If either is zero.
+    """
+    if n_unflagged == 0:
+        remedy = "select other data, or correct the flags"
+        raise InputError("all selected data are flagged", file=files[0], field="flag_array", remedy=remedy)
+    if n_weighted == 0:
+        remedy = "choose another [noise] kind"
+        raise InputError("non-positive noise for all selected data", file=files[0], remedy=remedy)
+
+
+def constant_weights(sigma: float, flags: BoolArray, nsamples: FloatArray) -> FloatArray:
+    """Noise of one sigma (Jy) for every visibility, whatever its nsamples."""
+    if not sigma > 0:
+        raise InputError(f"must be positive, not {sigma:g}", field="[noise] sigma", remedy="give it in Jy")
+    return np.where(flags | ~(nsamples > 0), 0.0, sigma**-2.0)
+
+
+def variance_weights(variance: FloatArray, flags: BoolArray, nsamples: FloatArray) -> FloatArray:
+    """Noise from the variance of one sample (Jy^2), (Nfreqs, Nbls, Npols) as of `difference_variance`."""
+    return np.where(flags, 0.0, nsamples / variance[:, None])
+
+
+def file_weights(
+    path: Path, observation: Observation, tile: Tile, flags: BoolArray, nsamples: FloatArray
+) -> FloatArray:
+    """Noise from a file: of every visibility, or of one sample by channel and perhaps antenna.
+
+    Parameters
+    ----------
+    path : Path
+        Either visibilities (uvh5, uvfits, ...) whose ``data_array`` holds the sigma (Jy) of each, whatever
+        its nsamples. Or an HDF5 or npz table of the sigma of one sample, so that the variance is
+        sigma^2 / nsamples: ``freqs`` (Nfreqs,) in Hz, within half a channel width of the data's, and
+        ``sigma`` (Nfreqs,); or ``sigma`` (Nants, Nfreqs) and ``antennas`` (Nants,), their numbers, so that
+        sigma_jk^2 = sigma_j sigma_k.
+
+    Raises
+    ------
+    InputError
+        If the file lacks what is asked for, or a sigma is not positive.
+    """
+    if _is_table(path):
+        sigma = np.broadcast_to(_table_sigma(path, observation, tile), flags.shape)
+        usable, samples = ~flags, nsamples
+    else:
+        block = read_block([path], observation, tile.times, observation.antpairs[tile.bls], observation.pols)
+        if np.any(~flags & ~block.stored):
+            raise InputError("lacks a sigma of an unflagged visibility", file=path, remedy="add or flag it")
+        sigma = block.data.real
+        usable, samples = ~flags & ~block.flags, np.ones(flags.shape)
+    if not np.all(sigma[usable] > 0):
+        raise InputError(
+            "a sigma that is not positive", file=path, field="sigma", remedy="correct or flag it"
+        )
+    return np.where(usable, samples / np.where(usable, sigma, 1.0) ** 2, 0.0)
+
+
+def _is_table(path: Path) -> bool:
+    """Tell a table of sigma from a file of visibilities, and check that there is a file at all."""
+    if not path.exists():
+        raise InputError("no such file", file=path, field="[noise] file", remedy="check the path")
+    if zipfile.is_zipfile(path):
+        return True
+    if path.is_file() and h5py.is_hdf5(path):
+        with h5py.File(path, "r") as file:
+            return "sigma" in file
+    return False
+
+
+def _table_sigma(path: Path, observation: Observation, tile: Tile) -> FloatArray:
+    """Return the sigma of one sample from a table, (Nfreqs, 1, 1 or len(tile.bls), 1)."""
+    if zipfile.is_zipfile(path):
+        with np.load(path) as file:
+            table = {name: file[name] for name in file.files}
+    else:
+        with h5py.File(path, "r") as file:
+            table = {name: file[name][()] for name in file}
+    by_antenna = "sigma" in table and table["sigma"].ndim == 2
+    for field in ("freqs", "sigma", "antennas") if by_antenna else ("freqs", "sigma"):
+        if field not in table:
+            raise InputError("is missing", file=path, field=field, remedy="add it to the table")
+    channels = match(observation.freqs, table["freqs"], 0.5 * observation.channel_width)
+    if np.any(channels < 0):
+        missing = f"{observation.freqs[channels < 0][0] / 1e6:.6f} MHz"
+        raise InputError(f"no sigma at {missing}", file=path, field="freqs", remedy="add that channel")
+    sigma = np.asarray(table["sigma"], dtype=float)[..., channels]
+    if not by_antenna:
+        return sigma[:, None, None, None]
+    antpairs = observation.antpairs[tile.bls]
+    ants = match(antpairs, table["antennas"], 0)
+    if np.any(ants < 0):
+        missing = antpairs[ants < 0][0]
+        raise InputError(f"no sigma of antenna {missing}", file=path, field="antennas", remedy="add it")
+    return np.sqrt(sigma[ants[:, 0]] * sigma[ants[:, 1]]).T[:, None, :, None]
+
+
+def difference_variance(
+    files: Sequence[Path],
+    observation: Observation,
+    bls: IntArray,
+    how: Literal["time", "frequency"],
+    gain_files: Sequence[Path] = (),
+) -> FloatArray:
+    """Estimate the noise of one sample from how the data change between neighbours.
+
+    Second differences |d_1 - 2 d_2 + d_3|^2 / (1/n_1 + 4/n_2 + 1/n_3), with n the nsamples, are averaged over
+    all selected times, so the result does not depend on how baselines are dealt out. They remove a linear
+    drift of the sky. Of a fringe that turns by phi between neighbours they leave 16 sin^4(phi/2)/6 of its
+    power, by which the variance is too large: fast fringes of strong sources need another kind of noise.
+    In frequency, each channel takes the differences that it is part of.
+
+    Parameters
+    ----------
+    bls : ndarray of int
+        Indices into ``observation.antpairs``.
+    how : {"time", "frequency"}
+        Neighbours must be equally spaced, by no more than 2.5 integrations or channel widths.
+    gain_files : sequence of Path
+
+    Returns
+    -------
+    ndarray, (Nfreqs, len(bls), Npols)
+        Jy^2 at nsamples = 1; infinite where fewer than 8 differences are unflagged.
+
+    Raises
+    ------
+    InputError
+        If the times or channels are too few or too far apart to be differenced.
+    """
+    times, antpairs = np.arange(observation.Ntimes), observation.antpairs[bls]
+    middle = _middles(observation, how)
+    data, flags, nsamples, _ = read_block(files, observation, times, antpairs, observation.pols)
+    if gain_files:
+        data, flags = calibrate(data, flags, observation, times, antpairs, gain_files)
+    # A flag makes the expected power infinite: such a difference counts as nothing.
+    expected = np.divide(1.0, nsamples, out=np.full(nsamples.shape, np.inf), where=~flags)
+    if how == "time":
+        data, expected = data.swapaxes(0, 1), expected.swapaxes(0, 1)
+    expected = expected[middle - 1] + 4 * expected[middle] + expected[middle + 1]
+    power = np.abs(data[middle - 1] - 2 * data[middle] + data[middle + 1]) ** 2 / expected
+    known = np.isfinite(expected)
+    if how == "time":
+        total, count = power.sum(axis=0), known.sum(axis=0)
+    else:
+        total, count = (
+            _by_channel(values.sum(axis=1), middle, observation.Nfreqs) for values in (power, known)
+        )
+    return np.where(count >= MIN_DIFFERENCES, total / np.maximum(count, 1), np.inf)
+
+
+def _by_channel(values: NDArray[Any], middle: IntArray, n_freqs: int) -> FloatArray:
+    """Give each channel the sum over the differences that it is part of."""
+    total = np.zeros((n_freqs, *values.shape[1:]))
+    for step in (-1, 0, 1):
+        total[middle + step] += values
+    return total
+
+
+def _middles(observation: Observation, how: Literal["time", "frequency"]) -> IntArray:
+    """Return the indices of the times or channels amid three that are close and equally spaced."""
+    if how == "time":
+        centres, widths = observation.times * 86400, observation.integration_time
+    else:
+        centres, widths = observation.freqs, observation.channel_width
+    gaps = np.diff(centres)
+    wider = np.maximum(gaps[1:], gaps[:-1])
+    even = np.abs(gaps[1:] - gaps[:-1]) <= 0.1 * wider
+    middle = 1 + np.flatnonzero(even & (wider <= MAX_GAP * widths[1:-1]))
+    most = len(middle) if how == "time" else min(len(middle), 3) * observation.Ntimes
+    if most < MIN_DIFFERENCES:
+        what = "integrations" if how == "time" else "channels"
+        raise InputError(
+            f"too few adjacent {what} to take the noise from their differences",
+            field="[noise] kind",
+            remedy="select more of them, or choose another kind",
+        )
+    return middle

@@ -1,0 +1,147 @@
+"""The visibilities that a rank owns, out of many files.
+
+Only what is asked for is read from uvh5 and uvfits files, and a sample that no file holds is flagged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray, Observation
+from hydrabeam_mpi.data.partition import Tile
+from hydrabeam_mpi.data.selection import BoolArray, match
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.uvfile import may_hold, read_metadata
+from hydrabeam_mpi.io.uvmeta import FREQ_TOLERANCE, TIME_TOLERANCE, pair_keys, read_observation
+from hydrabeam_mpi.io.uvrows import read_rows
+
+__all__ = ["Block", "feeds_of", "read_autos", "read_block", "read_observation", "read_visibilities"]
+
+
+class Block(NamedTuple):
+    """Visibilities with what is known of each; all arrays are (Nfreqs, Ntimes, Nbls, Npols).
+
+    Attributes
+    ----------
+    data : ndarray of complex
+        Zero where flagged.
+    flags : ndarray of bool
+        Also true where ``nsamples`` is not positive and where no file holds the sample.
+    nsamples : ndarray of float
+    stored : ndarray of bool
+        Whether a file holds the sample.
+    """
+
+    data: ComplexArray
+    flags: BoolArray
+    nsamples: FloatArray
+    stored: BoolArray
+
+
+def read_visibilities(
+    files: Sequence[Path], observation: Observation, tile: Tile
+) -> tuple[ComplexArray, BoolArray, FloatArray]:
+    """Read the visibilities of a tile, and only those.
+
+    Returns
+    -------
+    data, flags, nsamples : ndarray, (Nfreqs, len(tile.times), len(tile.bls), Npols)
+        Jy; zero and flagged where no file holds the sample or its nsamples is not positive.
+
+    Raises
+    ------
+    InputError
+        If an unflagged visibility or nsamples is not finite, or two files hold the same sample.
+    """
+    block = read_block(files, observation, tile.times, observation.antpairs[tile.bls], observation.pols)
+    return block.data, block.flags, block.nsamples
+
+
+def feeds_of(pols: Sequence[str]) -> tuple[str, ...]:
+    """Return the feeds that make up polarisations, in order of appearance: ("e", "n") for ("ee", "en")."""
+    return tuple(dict.fromkeys("".join(pols)))
+
+
+def read_autos(files: Sequence[Path], observation: Observation, times: IntArray) -> FloatArray:
+    """Read autocorrelations.
+
+    Parameters
+    ----------
+    times : ndarray of int
+        Indices into ``observation.times``.
+
+    Returns
+    -------
+    ndarray, (Nfreqs, len(times), Nants, Nfeeds)
+        Jy, for the feeds of ``feeds_of(observation.pols)``; zero where flagged, NaN where no file holds it.
+    """
+    pols = tuple(2 * feed for feed in feeds_of(observation.pols))
+    antpairs = np.repeat(observation.antenna_numbers[:, None], 2, axis=1)
+    block = read_block(files, observation, times, antpairs, pols)
+    return np.where(block.stored, block.data.real, np.nan)
+
+
+def read_block(
+    files: Sequence[Path], observation: Observation, times: IntArray, antpairs: IntArray, pols: Sequence[str]
+) -> Block:
+    """Read the samples at some times and baselines, at all of the observation's channels.
+
+    Parameters
+    ----------
+    times : ndarray of int
+        Indices into ``observation.times``.
+    antpairs : ndarray of int, (Nbls, 2)
+        As stored; (a, a) is an autocorrelation.
+    pols : sequence of str
+    """
+    block = _empty((observation.Nfreqs, len(times) * len(antpairs), len(pols)))
+    for path in map(Path, files if block.data.size else ()):
+        if not may_hold(path, observation.times[times], TIME_TOLERANCE):
+            continue
+        header, stored = read_metadata(path)
+        time = match(stored.times, observation.times[times], TIME_TOLERANCE)
+        baseline = match(pair_keys(stored.antpairs), pair_keys(antpairs), 0)
+        rows = np.flatnonzero((time >= 0) & (baseline >= 0))
+        channels = match(observation.freqs, header.freqs, FREQ_TOLERANCE)
+        stored_pols = np.array([header.pol_index(pol) for pol in pols])
+        here = np.ix_(channels >= 0, time[rows] * len(antpairs) + baseline[rows], stored_pols >= 0)
+        if not all(index.size for index in here):
+            continue
+        if len(np.unique(here[1])) < len(rows) or block.stored[here].any():
+            raise InputError(
+                "holds a sample twice, or one that an earlier file holds", file=path, remedy="remove the copy"
+            )
+        part = read_rows(header, rows, channels[channels >= 0], stored_pols[stored_pols >= 0])
+        for whole, values in zip(block, _checked(*part, path), strict=True):
+            whole[here] = values.swapaxes(0, 1)
+    shape = (observation.Nfreqs, len(times), len(antpairs), len(pols))
+    return Block(
+        block.data.reshape(shape),
+        block.flags.reshape(shape),
+        block.nsamples.reshape(shape),
+        block.stored.reshape(shape),
+    )
+
+
+def _empty(shape: tuple[int, int, int]) -> Block:
+    """Return samples of which nothing is known."""
+    return Block(np.zeros(shape, np.complex128), np.ones(shape, bool), np.zeros(shape), np.zeros(shape, bool))
+
+
+def _checked(data: ComplexArray, flags: BoolArray, nsamples: FloatArray, path: Path) -> Block:
+    """Flag samples without weight, blank what is flagged, and refuse what is neither flagged nor finite."""
+    if not np.isfinite(nsamples[~flags]).all():
+        raise InputError(
+            "unflagged values that are not finite", file=path, field="nsample_array", remedy="flag them"
+        )
+    flags = flags | ~(nsamples > 0)
+    if not np.isfinite(data[~flags]).all():
+        raise InputError(
+            "unflagged NaN or infinite values", file=path, field="data_array", remedy="flag them"
+        )
+    known = np.where(np.isfinite(nsamples), nsamples, 0.0)
+    return Block(np.where(flags, 0.0, data), flags, known, np.ones(data.shape, bool))

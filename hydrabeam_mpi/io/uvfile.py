@@ -1,0 +1,250 @@
+"""One file of visibilities, whatever its format: what kind it is and what it says of its data."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from astropy.coordinates import EarthLocation
+from pyuvdata import UVData
+from pyuvdata.utils import polnum2str
+
+from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.data.selection import match
+from hydrabeam_mpi.errors import InputError
+
+# pyuvdata reads these in part; measurement sets and miriad files it can only read whole.
+READ_IN_PART = ("uvh5", "uvfits")
+# What pyuvdata and the readers below it raise on files that are not as they should be.
+READ_ERRORS = (
+    ArithmeticError,
+    AttributeError,
+    ImportError,
+    LookupError,
+    OSError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+)
+
+
+@dataclass(frozen=True)
+class UVRows:
+    """What a file says of each of its rows, a row being a baseline at a time.
+
+    Attributes
+    ----------
+    antpairs : ndarray of int, (Nblts, 2)
+        As stored; autocorrelations included.
+    times, lsts, integration_time : ndarray, (Nblts,)
+        JD, radians, seconds.
+    """
+
+    antpairs: IntArray
+    times: FloatArray
+    lsts: FloatArray
+    integration_time: FloatArray
+
+
+@dataclass(frozen=True)
+class UVHeader:
+    """What a file says of all its rows.
+
+    Attributes
+    ----------
+    path : Path
+    kind : {"uvh5", "uvfits", "ms", "miriad"}
+    telescope_name : str
+    location : astropy.coordinates.EarthLocation
+    antenna_numbers : ndarray of int, (Nants,)
+    antenna_names : tuple of str
+    antpos : ndarray, (Nants, 3)
+        Metres ENU.
+    freqs, channel_width : ndarray, (Nfreqs,)
+        Hz.
+    pols : tuple of str
+        Named by the direction of the feeds ("ee") where the file tells it, by the feeds ("xx") otherwise.
+    feed_pols : tuple of str
+        Named by the feeds.
+    """
+
+    path: Path
+    kind: str
+    telescope_name: str
+    location: EarthLocation
+    antenna_numbers: IntArray
+    antenna_names: tuple[str, ...]
+    antpos: FloatArray
+    freqs: FloatArray
+    channel_width: FloatArray
+    pols: tuple[str, ...]
+    feed_pols: tuple[str, ...]
+
+    def pol_index(self, pol: str) -> int:
+        """Return where a polarisation is stored, by either of its names, or -1."""
+        for names in (self.pols, self.feed_pols):
+            if pol in names:
+                return names.index(pol)
+        return -1
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Silence the warnings that pyuvdata raises on almost every file."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
+def enu_axes(location: EarthLocation) -> FloatArray:
+    """Return the unit vectors east, north and up at a place, the rows of a matrix, in ECEF.
+
+    Relative ECEF positions turn into ENU by this matrix alone. Adding the Earth's radius first, as general
+    conversions do, would cost a nanometre.
+    """
+    lon, lat = location.lon.rad, location.lat.rad
+    return np.array(
+        [
+            [-np.sin(lon), np.cos(lon), 0.0],
+            [-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)],
+            [np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)],
+        ]
+    )
+
+
+def file_kind(path: Path) -> str:
+    """Tell the format of a file by its content.
+
+    Returns
+    -------
+    {"uvh5", "uvfits", "ms", "miriad"}
+
+    Raises
+    ------
+    InputError
+        If it is missing, unreadable, truncated or none of these.
+    """
+    formats = "give a uvh5 or uvfits file, a measurement set or a miriad file"
+    if not path.exists():
+        raise InputError("no such file", file=path, remedy="check the path")
+    if path.is_dir():
+        for kind, member in (("miriad", "vartable"), ("ms", "OBSERVATION")):
+            if (path / member).exists():
+                return kind
+        raise InputError("a directory that holds no visibilities", file=path, remedy=formats)
+    try:
+        with path.open("rb") as file:
+            magic = file.read(9)
+    except OSError as error:
+        raise InputError(
+            f"cannot be read ({error.strerror})", file=path, remedy="check its permissions"
+        ) from error
+    if magic.startswith(b"\x89HDF\r\n\x1a\n"):
+        _check_uvh5(path)
+        return "uvh5"
+    if magic == b"SIMPLE  =":
+        return "uvfits"
+    raise InputError("not a uvh5 file" if magic else "an empty file", file=path, remedy=formats)
+
+
+def _check_uvh5(path: Path) -> None:
+    """Make sure that an HDF5 file is whole and holds visibilities."""
+    try:
+        with h5py.File(path, "r") as file:
+            missing = [name for name in ("Header", "Data/visdata") if name not in file]
+    except OSError as error:
+        raise InputError(
+            f"truncated or damaged ({error})", file=path, remedy="copy or write it again"
+        ) from error
+    if missing:
+        raise InputError(
+            "not a uvh5 file, although HDF5", file=path, field=missing[0], remedy="give a uvh5 file"
+        )
+
+
+def may_hold(path: Path, times: FloatArray, tolerance: float) -> bool:
+    """Tell quickly that a file has no rows at some times (JD); True where only all metadata can tell."""
+    if file_kind(path) != "uvh5":
+        return True
+    with h5py.File(path, "r") as file:
+        stored = file["Header/time_array"][()] if "time_array" in file["Header"] else times
+    return bool(np.any(match(times, stored, tolerance) >= 0))
+
+
+def read_uvdata(path: Path, kind: str, **select: Any) -> UVData:
+    """Read through pyuvdata, without its checks: they are slow, and this module's own name the remedy."""
+    uv = UVData()
+    try:
+        with quiet():
+            options = {"run_check": False, "background_lsts": False, "remove_flex_pol": False}
+            uv.read(str(path), file_type=kind, **options, **select)
+    except READ_ERRORS as error:
+        remedy = "write it again, or convert it with pyuvdata"
+        if kind == "ms" and isinstance(error, ImportError):
+            remedy = "pip install python-casacore"
+        raise InputError(f"cannot be read as {kind} ({error})", file=path, remedy=remedy) from error
+    return uv
+
+
+def read_metadata(path: Path) -> tuple[UVHeader, UVRows]:
+    """Read what a file says about its visibilities, and not more of them than its format demands.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, damaged, of another format, or its data are of a kind that the model lacks.
+    """
+    kind = file_kind(path)
+    uv = read_uvdata(path, kind, **({"read_data": False} if kind in READ_IN_PART else {}))
+    _check_supported(uv, path)
+    telescope = uv.telescope
+    orientation = telescope.get_x_orientation_from_feeds()
+    header = UVHeader(
+        path=path,
+        kind=kind,
+        telescope_name=str(telescope.name),
+        location=telescope.location,
+        antenna_numbers=np.asarray(telescope.antenna_numbers, dtype=np.int64),
+        antenna_names=tuple(map(str, telescope.antenna_names)),
+        antpos=np.asarray(telescope.antenna_positions, dtype=float) @ enu_axes(telescope.location).T,
+        freqs=np.asarray(uv.freq_array, dtype=float),
+        channel_width=np.abs(np.asarray(uv.channel_width, dtype=float)),
+        pols=tuple(polnum2str(number, x_orientation=orientation) for number in uv.polarization_array),
+        feed_pols=tuple(polnum2str(number) for number in uv.polarization_array),
+    )
+    rows = UVRows(
+        antpairs=np.stack([uv.ant_1_array, uv.ant_2_array], axis=1).astype(np.int64),
+        times=np.asarray(uv.time_array, dtype=float),
+        lsts=np.asarray(uv.lst_array, dtype=float),
+        integration_time=np.asarray(uv.integration_time, dtype=float),
+    )
+    return header, rows
+
+
+def _check_supported(uv: UVData, path: Path) -> None:
+    """Refuse by name what the forward model has no word for."""
+    if uv.flex_spw_polarization_array is not None:
+        remedy = "convert it with UVData.remove_flex_pol()"
+        raise InputError("the polarisation varies between spectral windows", file=path, remedy=remedy)
+    if uv.Nspws > 1:
+        remedy = "keep one with UVData.select(spws=[...])"
+        raise InputError(f"{uv.Nspws} spectral windows", file=path, field="spw_array", remedy=remedy)
+    if uv.vis_units == "K str":
+        remedy = "convert it with UVData.kelvin_to_jansky()"
+        raise InputError("visibilities in K sr, not Jy", file=path, field="vis_units", remedy=remedy)
+    if not isinstance(uv.telescope.location, EarthLocation):
+        raise InputError("the telescope is not on Earth", file=path, field="telescope_frame")
+    freqs = np.asarray(uv.freq_array)
+    if not np.all(freqs > 0):
+        raise InputError(
+            f"a frequency of {freqs[~(freqs > 0)][0]:g} Hz",
+            file=path,
+            field="freq_array",
+            remedy="correct the file",
+        )

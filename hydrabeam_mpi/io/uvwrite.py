@@ -1,0 +1,119 @@
+"""Visibilities written as a uvh5 file."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pyuvdata import Telescope, UVData
+from pyuvdata.utils import polstr2num
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, Observation
+from hydrabeam_mpi.data.selection import BoolArray
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.uvdata import Block, feeds_of
+from hydrabeam_mpi.io.uvfile import enu_axes, quiet
+
+
+def write_uvh5(
+    path: Path,
+    observation: Observation,
+    data: ComplexArray,
+    flags: BoolArray,
+    nsamples: FloatArray,
+    autos: FloatArray | None = None,
+) -> None:
+    """Write drift-scan visibilities in Jy; the file appears whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        Replaced if it exists.
+    observation : Observation
+    data, flags, nsamples : ndarray, (Nfreqs, Ntimes, Nbls, Npols)
+        In the convention V = 1/2 I B, which the file states as ``pol_convention = "sum"``. The format keeps
+        nsamples in single precision.
+    autos : ndarray, (Nfreqs, Ntimes, Nants, Nfeeds), optional
+        Autocorrelations of the feeds ``feeds_of(observation.pols)`` in Jy; flagged where not finite, and for
+        cross-hand polarisations.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    antpairs, block = observation.antpairs, Block(data, flags, nsamples, ~flags)
+    if autos is not None:
+        antpairs = np.concatenate([antpairs, np.repeat(observation.antenna_numbers[:, None], 2, axis=1)])
+        block = Block(*map(_joined, block, _auto_block(observation, autos)))
+    partial = path.with_name(f".{path.name}.partial-{os.getpid()}")
+    try:
+        with quiet():
+            _as_uvdata(observation, antpairs, block).write_uvh5(str(partial), clobber=True, run_check=False)
+        os.replace(partial, path)
+    except OSError as error:
+        raise InputError(f"cannot be written ({error})", file=path, remedy="choose another place") from error
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _joined(cross: NDArray[Any], auto: NDArray[Any]) -> NDArray[Any]:
+    """Put autocorrelations behind the cross-correlations, along the axis of baselines."""
+    return np.concatenate([cross, auto], axis=2)
+
+
+def _auto_block(observation: Observation, autos: FloatArray) -> Block:
+    """Give autocorrelations by feed the polarisation axis of the visibilities."""
+    feeds = feeds_of(observation.pols)
+    nothing = np.full(autos.shape[:3], np.nan)
+    values = np.stack(
+        [autos[..., feeds.index(p[0])] if p[0] == p[1] else nothing for p in observation.pols], axis=-1
+    )
+    known = np.isfinite(values)
+    return Block(np.where(known, values, 0.0).astype(np.complex128), ~known, known.astype(float), known)
+
+
+def _as_uvdata(observation: Observation, antpairs: NDArray[Any], block: Block) -> UVData:
+    """Build the pyuvdata object, time by time and within a time baseline by baseline."""
+    # Feeds named by direction are written as x (east) and y (north); others have no known direction.
+    directed = set("".join(observation.pols)) <= {"e", "n"}
+    orientation = {"x_orientation": "east"} if directed else {}
+    telescope = Telescope.new(
+        name=observation.telescope_name,
+        location=observation.location,
+        antenna_positions=observation.antpos @ enu_axes(observation.location),
+        antenna_names=list(observation.antenna_names),
+        antenna_numbers=observation.antenna_numbers,
+        instrument=observation.telescope_name,
+        mount_type="fixed",
+        update_from_known=False,
+        **orientation,
+    )
+
+    def rows(values: NDArray[Any]) -> NDArray[Any]:
+        return values.transpose(1, 2, 0, 3).reshape(-1, observation.Nfreqs, observation.Npols)
+
+    uv = UVData.new(
+        freq_array=observation.freqs,
+        polarization_array=np.array([polstr2num(pol, **orientation) for pol in observation.pols]),
+        times=observation.times,
+        telescope=telescope,
+        antpairs=antpairs,
+        do_blt_outer=True,
+        time_axis_faster_than_bls=False,
+        integration_time=observation.integration_time,
+        channel_width=observation.channel_width,
+        update_telescope_from_known=False,
+        data_array=rows(block.data),
+        flag_array=rows(block.flags),
+        nsample_array=rows(block.nsamples),
+        vis_units="Jy",
+        pol_convention="sum",
+        history="Written by hydrabeam_mpi.",
+    )
+    uv.lst_array = np.repeat(observation.lsts, len(antpairs))
+    uv.phase_center_app_ra = uv.lst_array.copy()
+    return uv

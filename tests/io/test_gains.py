@@ -1,0 +1,292 @@
+"""Gains from files, against pyuvdata's own calibration and measured data."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from astropy.io import fits
+from pyuvdata import UVCal
+from pyuvdata.utils import uvcalibrate
+
+from hydrabeam_mpi.data.partition import Tile
+from hydrabeam_mpi.data.selection import Selection
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.gains import apply_gains, read_gains
+from hydrabeam_mpi.io.uvdata import read_observation, read_visibilities
+from tests.visibilities import NUMBERS, SECOND, expected, make_uvdata, whole
+
+pytestmark = pytest.mark.filterwarnings("ignore")  # pyuvdata's, on writing and on its own calibration
+
+TIMES = 2459866.2 + 10 * SECOND * np.arange(6)
+
+
+def make_uvcal(uv, *, times=TIMES, jones=(-5, -6), convention="divide", numbers=NUMBERS, **given) -> UVCal:
+    cal = UVCal.new(
+        cal_style="redundant",
+        gain_convention=convention,
+        jones_array=np.array(jones),
+        telescope=uv.telescope.copy(),
+        freq_array=uv.freq_array,
+        channel_width=uv.channel_width,
+        ant_array=np.array(numbers),
+        update_telescope_from_known=False,
+        empty=True,
+        **({"time_array": times, "integration_time": 10.0} | given),
+    )
+    rng = np.random.default_rng(7)
+    shape = cal.gain_array.shape
+    cal.gain_array = rng.uniform(0.5, 2, shape) * np.exp(1j * rng.uniform(0, 2 * np.pi, shape))
+    cal.flag_array = rng.random(shape) < 0.05
+    return cal
+
+
+@pytest.fixture
+def read(tmp_path):
+    """Function that writes visibilities and gains and reads both, ``read(uv, *cals, extension=...)``."""
+
+    def read(uv, *cals, extension="calfits", selection=None):
+        (tmp_path / "a.uvh5").unlink(missing_ok=True)
+        uv.write_uvh5(str(tmp_path / "a.uvh5"), run_check=False)
+        files = [tmp_path / f"{i}.{extension}" for i in range(len(cals))]
+        for cal, path in zip(cals, files, strict=True):
+            getattr(cal, f"write_{extension}")(str(path), run_check=False)
+        obs = read_observation([tmp_path / "a.uvh5"], selection or Selection())
+        return obs, *read_visibilities([tmp_path / "a.uvh5"], obs, whole(obs))[:2], files
+
+    return read
+
+
+@pytest.mark.parametrize("extension", ["calfits", "calh5"])
+@pytest.mark.parametrize("convention", ["divide", "multiply"])
+def test_calibration_is_that_of_pyuvdata(read, extension, convention):
+    uv = make_uvdata()
+    cal = make_uvcal(uv, convention=convention)
+    obs, data, flags, files = read(uv, cal, extension=extension)
+    calibrated = uvcalibrate(uv, cal, inplace=False)
+    found, found_flags = apply_gains(data, flags, obs, whole(obs), files)
+    wanted, wanted_flags, _ = expected(calibrated, obs)
+    np.testing.assert_array_equal(found_flags, wanted_flags)
+    np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=0)
+    assert flags.sum() < found_flags.sum() < flags.size
+
+
+def test_cross_hands_use_both_feeds(read):
+    uv = make_uvdata(pols=(-5, -6, -7, -8))
+    cal = make_uvcal(uv)
+    obs, data, flags, files = read(uv, cal, selection=Selection(pols=("ne", "ee", "en")))
+    found, _ = apply_gains(data, flags, obs, whole(obs), files)
+    wanted, _, _ = expected(uvcalibrate(uv, cal, inplace=False), obs)
+    np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=0)
+
+
+def test_corrupted_data_are_recovered(read):
+    """V_obs = g_i g_j* V_true by its definition, without any other code."""
+    uv = make_uvdata()
+    cal = make_uvcal(uv)
+    cal.flag_array[:] = False
+    true = uv.copy()
+    for row in range(uv.Nblts):
+        i, j = NUMBERS.index(uv.ant_1_array[row]), NUMBERS.index(uv.ant_2_array[row])
+        t = np.argmin(abs(TIMES - uv.time_array[row]))
+        uv.data_array[row] *= cal.gain_array[i, :, t] * cal.gain_array[j, :, t].conj()
+    obs, data, flags, files = read(uv, cal)
+    found, found_flags = apply_gains(data, flags, obs, whole(obs), files)
+    wanted, wanted_flags, _ = expected(true, obs)
+    np.testing.assert_array_equal(found_flags, wanted_flags)
+    np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=0)
+
+
+def test_tiles_are_parts_of_the_whole(read):
+    uv = make_uvdata()
+    obs, data, flags, files = read(uv, make_uvcal(uv))
+    everything = apply_gains(data, flags, obs, whole(obs), files)
+    tile = Tile(np.array([4, 1]), np.array([3, 0]))
+    part = np.ix_(range(4), tile.times, tile.bls, range(2))
+    for found, full in zip(apply_gains(data[part], flags[part], obs, tile, files), everything, strict=True):
+        np.testing.assert_array_equal(found, full[part])
+
+
+def test_a_single_solution_serves_all_times(read):
+    uv = make_uvdata()
+    cal = make_uvcal(uv, times=TIMES[:1] - 0.3)
+    obs, *_, files = read(uv, cal)
+    gains, flags = read_gains(files, obs, np.arange(6))
+    stored = np.where(cal.flag_array, 1.0, cal.gain_array)
+    assert gains.shape == (4, 6, 5, 2)
+    np.testing.assert_array_equal(gains, np.broadcast_to(stored.transpose(1, 2, 0, 3), gains.shape))
+    np.testing.assert_array_equal(flags, np.broadcast_to(cal.flag_array.transpose(1, 2, 0, 3), gains.shape))
+
+
+def test_one_file_a_feed_and_one_a_stretch_of_time(read):
+    uv = make_uvdata()
+    cal = make_uvcal(uv)
+    parts = [
+        cal.select(times=TIMES[times], jones=[jones], inplace=False)
+        for times in ([4, 5], [0, 1, 2, 3])
+        for jones in (-6, -5)
+    ]
+    obs, *_, files = read(uv, *parts)
+    gains, flags = read_gains(files, obs, np.arange(6))
+    np.testing.assert_array_equal(flags, cal.flag_array.transpose(1, 2, 0, 3))
+    np.testing.assert_array_equal(gains, np.where(flags, 1.0, cal.gain_array.transpose(1, 2, 0, 3)))
+
+
+def test_the_nearest_solution_is_taken(read):
+    uv = make_uvdata()
+    cal = make_uvcal(uv, times=TIMES[[1, 4]] + 2 * SECOND, integration_time=30.0)
+    obs, *_, files = read(uv, cal)
+    _, flags = read_gains(files, obs, np.arange(6))
+    nearest = cal.flag_array[:, :, [0, 0, 0, 1, 1, 1]]
+    np.testing.assert_array_equal(flags, nearest.transpose(1, 2, 0, 3))
+
+
+def test_solutions_with_a_range_of_times(read):
+    uv = make_uvdata()
+    edges = TIMES[0] + 30 * SECOND * np.array([[-0.2, 0.8], [0.8, 1.8]])
+    cal = make_uvcal(uv, time_array=None, time_range=edges, integration_time=30.0)
+    obs, *_, files = read(uv, cal, extension="calh5")
+    _, flags = read_gains(files, obs, np.arange(6))
+    np.testing.assert_array_equal(flags, cal.flag_array[:, :, [0, 0, 0, 1, 1, 1]].transpose(1, 2, 0, 3))
+
+
+def test_gains_in_the_average_convention_leave_half(read):
+    uv = make_uvdata()
+    cal = make_uvcal(uv)
+    obs, data, flags, files = read(uv, cal)
+    plain, _ = apply_gains(data, flags, obs, whole(obs), files)
+    cal.pol_convention = "avg"
+    cal.gain_scale = "Jy"
+    obs, data, flags, files = read(uv, cal, extension="calh5")
+    half, _ = apply_gains(data, flags, obs, whole(obs), files)
+    np.testing.assert_allclose(half, plain / 2, rtol=1e-14)
+
+
+def test_feeds_are_matched_by_direction(read):
+    uv = make_uvdata(x_orientation="north")
+    cal = make_uvcal(make_uvdata())
+    obs, *_, files = read(uv, cal, selection=Selection(pols=("ee",)))
+    _, flags = read_gains(files, obs, np.arange(6))
+    np.testing.assert_array_equal(flags[..., 0], cal.flag_array[..., 0].transpose(1, 2, 0))
+
+
+def test_feeds_without_direction_are_matched_by_name(read):
+    uv = make_uvdata(x_orientation=None)
+    cal = make_uvcal(make_uvdata(x_orientation="north"))
+    obs, *_, files = read(uv, cal, selection=Selection(pols=("yy",)))
+    _, flags = read_gains(files, obs, np.arange(6))
+    np.testing.assert_array_equal(flags[..., 0], cal.flag_array[..., 1].transpose(1, 2, 0))
+
+
+def _other_times(cal):
+    cal.time_array = cal.time_array + 70 * SECOND
+    return 'no gains of feed "e" within an integration of JD'
+
+
+def _zero(cal):
+    cal.gain_array[2, 1, 3, 0], cal.flag_array[2, 1, 3, 0] = 0, False
+    return "gain_array: an unflagged gain of antenna 11 is zero or not finite"
+
+
+def _nan(cal):
+    cal.gain_array[2, 1, 3, 0], cal.flag_array[2, 1, 3, 0] = np.nan, False
+    return "gain_array: an unflagged gain of antenna 11 is zero or not finite"
+
+
+def _other_channels(cal):
+    cal.freq_array = cal.freq_array + 1e3
+    return "freq_array: no gains at 120.000000 MHz"
+
+
+def _antenna_missing(cal):
+    cal.select(antenna_nums=[3, 7, 11, 20])
+    return "ant_array: no gains of antenna 41; leave it out with exclude_antennas"
+
+
+def _feed_missing(cal):
+    cal.select(jones=[-5])
+    return 'no gains of feed "n"'
+
+
+@pytest.mark.parametrize(
+    "spoil", [_other_times, _zero, _nan, _other_channels, _antenna_missing, _feed_missing]
+)
+def test_gains_that_do_not_fit_are_refused(read, spoil):
+    uv = make_uvdata()
+    cal = make_uvcal(uv)
+    message = spoil(cal)
+    obs, data, flags, files = read(uv, cal)
+    with pytest.raises(InputError, match=message):
+        apply_gains(data, flags, obs, whole(obs), files)
+
+
+def test_flagged_gains_may_be_anything(read):
+    uv = make_uvdata()
+    cal = make_uvcal(uv)
+    cal.gain_array[0, 0, 0, 0], cal.flag_array[0, 0, 0, 0] = np.nan, True
+    cal.gain_array[1, 0, 0, 0], cal.flag_array[1, 0, 0, 0] = 0, True
+    obs, data, flags, files = read(uv, cal)
+    found, _ = apply_gains(data, flags, obs, whole(obs), files)
+    assert np.isfinite(found).all()
+
+
+def test_delays_are_refused(read, tmp_path):
+    uv = make_uvdata()
+    cal = UVCal.new(
+        cal_style="redundant", gain_convention="divide", cal_type="delay", jones_array=np.array([-5, -6]),
+        telescope=uv.telescope.copy(), freq_range=np.array([[120e6, 124e6]]), ant_array=np.array(NUMBERS),
+        time_array=TIMES, integration_time=10.0, update_telescope_from_known=False, empty=True,
+    )  # fmt: skip
+    obs, data, flags, _ = read(uv)
+    cal.write_calh5(str(tmp_path / "delays.calh5"), run_check=False)
+    with pytest.raises(InputError, match="not gains by channel; convert it with"):
+        apply_gains(data, flags, obs, whole(obs), [tmp_path / "delays.calh5"])
+
+
+def test_a_calfits_file_without_the_place_of_its_telescope(read):
+    """As older ones are; pyuvdata would look the name up on the network."""
+    uv = make_uvdata()
+    cal = make_uvcal(uv)
+    obs, data, flags, files = read(uv, cal)
+    wanted = apply_gains(data, flags, obs, whole(obs), files)
+    with fits.open(files[0], mode="update") as hdus:
+        for key in ("ARRAYX", "ARRAYY", "ARRAYZ", "LAT", "LON", "ALT", "FRAME"):
+            del hdus[0].header[key]
+        hdus[0].header["TELESCOP"] = "HERA"
+    for found, before in zip(apply_gains(data, flags, obs, whole(obs), files), wanted, strict=True):
+        np.testing.assert_array_equal(found, before)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [(None, "no such gain file"), (b"", "cannot be read"), (b"SIMPLE  =", "cannot be read")],
+)
+def test_files_that_are_no_gains_are_refused(read, tmp_path, content, message):
+    obs, data, flags, _ = read(make_uvdata())
+    path = tmp_path / "bad.calfits"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InputError, match=message):
+        apply_gains(data, flags, obs, whole(obs), [path])
+    with pytest.raises(InputError, match="cannot be read as gains"):
+        apply_gains(data, flags, obs, whole(obs), [tmp_path / "a.uvh5"])
+
+
+def test_measured_raw_data_become_the_calibrated_ones(data_dir):
+    """An old calfits file, without the telescope's place in it."""
+    folder = data_dir / "H1C_2458043-45_LST1.1"
+    name = "zen.2458043.40141.xx.HH.XRAA"
+    raw, gains, calibrated = (
+        folder / f"{name}{end}" for end in (".uncalibrated.uvh5", ".abs.calfits", ".uvh5")
+    )
+    obs = read_observation([raw], Selection())
+    data, flags, _ = read_visibilities([raw], obs, whole(obs))
+    found, found_flags = apply_gains(data, flags, obs, whole(obs), [gains])
+    wanted, wanted_flags, _ = read_visibilities([calibrated], obs, whole(obs))
+    good = ~found_flags & ~wanted_flags & (wanted != 0)
+    assert good.mean() > 0.6
+    # Both files are in single precision.
+    assert np.max(np.abs(found[good] / wanted[good] - 1)) < 2e-7
+    with pytest.raises(InputError, match="within an integration"):
+        read_gains([gains], dataclasses.replace(obs, times=obs.times + 1), np.arange(3))
