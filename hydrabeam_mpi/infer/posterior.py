@@ -19,7 +19,7 @@ from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.infer.normal import NormalEquations
 from hydrabeam_mpi.infer.prior import Prior, cholesky_lower
-from hydrabeam_mpi.infer.random import complex_normal
+from hydrabeam_mpi.random import complex_normal
 
 Array = NDArray
 

@@ -145,8 +145,8 @@ class BeamFile:
         if found is not None and self._orientation is not None and found != self._orientation:
             east = "x" if found == "east" else "y"
             warnings.warn(
-                f"{self.path}: feed x is taken to point {self._orientation.title()}, but its field near the
-                zenith " f'points {found.title()}; if the field is right, set east_feed = "{east}"',
+                f"{self.path}: feed x is taken to point {self._orientation.title()}, but its field near the "
+                f'zenith points {found.title()}; if the field is right, set east_feed = "{east}"',
                 stacklevel=3,
             )
 
@@ -189,8 +189,9 @@ def _pixel_directions(uvbeam: UVBeam, path: Path) -> tuple[FloatArray, FloatArra
     whole_sky = round(np.sqrt(uvbeam.Npixels / 12))
     if uvbeam.nside != whole_sky and np.array_equal(uvbeam.pixel_array, np.arange(12 * whole_sky**2)):
         warnings.warn(
-            f"{path}: nside is said to be {uvbeam.nside}, but its pixels are the whole sky at nside
-            {whole_sky}, " "which is used", stacklevel=4,
+            f"{path}: nside is said to be {uvbeam.nside}, but its pixels are the whole sky at nside "
+            f"{whole_sky}, which is used",
+            stacklevel=4,
         )
         uvbeam.nside = whole_sky
     lon, lat = HEALPix(uvbeam.nside, uvbeam.ordering).healpix_to_lonlat(uvbeam.pixel_array)

@@ -20,7 +20,7 @@ _NEAR_ZENITH = np.deg2rad(15)
 
 
 def x_orientation(uvbeam: UVBeam, east_feed: str | None) -> str | None:
-    """Return "east" or "north", where feed x points: as told by ``east_feed`` ("x" or "y"), else by the header."""
+    """Return where feed x points, "east" or "north": by ``east_feed`` ("x" or "y"), else by the header."""
     if east_feed is None:
         said: str | None = uvbeam.get_x_orientation_from_feeds()
         return said

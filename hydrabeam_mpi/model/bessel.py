@@ -72,8 +72,8 @@ def chebyshev(y: FloatArray, out: FloatArray) -> None:
     """Fill the rows of ``out`` with ``T_n(1 - 2 y)``, n = 0, 1, ....
 
     The first rows step by differences, d_n = T_{n+1} - T_n = d_{n-1} - 4 y T_n, which keeps full accuracy at
-    y -> 0 where the usual recurrence loses n^2 roundings; the others follow in blocks, T_{n+h} = 2 T_h T_n -
-    T_{n-h}.
+    y -> 0 where the usual recurrence loses n^2 roundings; the others follow in blocks,
+    T_{n+h} = 2 T_h T_n - T_{n-h}.
 
     Parameters
     ----------

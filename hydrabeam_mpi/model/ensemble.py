@@ -86,7 +86,7 @@ def summarise_ensemble(coeffs: Array, ridge: float) -> CoefficientEnsemble:
 
 
 def _shrinkage(centred: Array) -> float:
-    """Return sum Var(s_ij) / sum |s_ij|^2 over i != j, within 0..1, for coefficients scaled to unit variance."""
+    """Return sum Var(s_ij) / sum |s_ij|^2 over i != j, for coefficients scaled to unit variance."""
     n_beams = len(centred)
     scale = np.sqrt(np.mean(np.abs(centred) ** 2, axis=0))
     scaled = centred / np.where(scale > 0, scale, 1)

@@ -147,7 +147,7 @@ def select_largest(basis: FourierBessel, coeffs: Array, n_modes: int) -> Fourier
     """
     amplitude = dict(zip(basis.modes, basis.amplitudes(coeffs).tolist(), strict=True))
     ranked = sorted(basis.modes, key=lambda mode: -amplitude[mode])
-    if any(amplitude[k, m] != amplitude[k, -m] for k, m in ranked):
+    if any(amplitude[k, m] != amplitude.get((k, -m)) for k, m in ranked):
         return basis.with_modes(ranked[:n_modes])
     kept: list[tuple[int, int]] = []
     for k, m in ranked:
@@ -209,7 +209,7 @@ def _fit_rings(basis: FourierBessel, rings: RingGrid) -> tuple[Array, int]:
 
 
 def _order(orders: Array, m: int, m_max: int, is_complex: bool) -> Array:
-    """Return the radial profile that the modes of m must follow: of exp(i m az), or of sqrt2 cos and sqrt2 sin."""
+    """Return the radial profile that the modes of m must follow."""
     if is_complex:
         return orders[:, m_max + m]
     if m == 0:

@@ -8,8 +8,8 @@ with alpha = sqrt(1 - cos edge), so that rho = 1 at za = edge. The radial functi
     "neumann"     u_1 = 0, J1(u_k) = 0     q_k = |J0(u_k)| / sqrt 2
 
 either of which makes the integral of rho (J0/q)^2 over 0..1 equal to one; the azimuthal functions have unit
-norm as vectors on N_az equally spaced azimuths. In real form the pair exp(+-i m az) is replaced by sqrt2
-cos(m az) and sqrt2 sin(m az), which keeps that norm.
+norm as vectors on N_az equally spaced azimuths. In real form the pair exp(+-i m az) is replaced by
+sqrt2 cos(m az) and sqrt2 sin(m az), which keeps that norm.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ class FourierBessel(LinearBasis):
     Parameters
     ----------
     modes : iterable of (k, m)
-        Radial numbers k = 1, 2, ... and azimuthal numbers m, in the order of the coefficients. In real form m
-        > 0 means cos(m az) and m < 0 means sin(|m| az).
+        Radial numbers k = 1, 2, ... and azimuthal numbers m, in the order of the coefficients. In real form
+        m > 0 means cos(m az) and m < 0 means sin(|m| az).
     form : {"real", "complex"}
     edge : float
         Zenith angle of the rim of the disc, radians.
@@ -116,7 +116,7 @@ class FourierBessel(LinearBasis):
         return cls(description["modes"], **settings)
 
     def radial_functions(self, rho: FloatArray) -> FloatArray:
-        """Return ``J0(u_k rho) / q_k`` at radii rho for k = 1 .. the largest k of the modes, (k_max, Npoints)."""
+        """Return ``J0(u_k rho) / q_k`` for k = 1 .. the largest k of the modes, (k_max, Npoints)."""
         u, q = radial_zeros(max(self._ks), self.boundary)
         return np.asarray(j0(u[:, None] * rho) / q[:, None])
 
@@ -150,10 +150,10 @@ class FourierBessel(LinearBasis):
         if self._mixing is None:
             return coeffs
         cos, sin, sign = self._mixing
-        folded = np.zeros((*coeffs.shape[:-1], self.n_columns), dtype=np.complex128)
-        np.add.at(folded, (..., cos), coeffs)
-        np.add.at(folded, (..., sin), sign * coeffs)
-        return folded
+        folded = np.zeros((self.n_columns, *coeffs.shape[:-1]), dtype=np.complex128)
+        np.add.at(folded, cos, np.moveaxis(coeffs, -1, 0))
+        np.add.at(folded, sin, np.moveaxis(sign * coeffs, -1, 0))
+        return np.moveaxis(folded, 0, -1)
 
     def amplitudes(self, coeffs: Array) -> FloatArray:
         """Return |b|, in real form that of the equivalent complex mode, which cosine and sine share.
@@ -177,16 +177,16 @@ class FourierBessel(LinearBasis):
             radial, azimuthal = self._factors(za[part], az[part])
             for value, weight_part in zip(values, parts, strict=True):
                 np.einsum("mi,mi->i", weight_part @ radial, azimuthal, out=value[part])
-        if not self.is_complex:
-            return values[0]
-        return values[0] + 1j * values[1] if len(parts) == 2 else values[0].astype(np.complex128)
+        if len(parts) == 2:
+            return values[0] + 1j * values[1]
+        return values[0].astype(weights.dtype)
 
     def _rho_squared(self, za: FloatArray) -> FloatArray:
         # 1 - cos za, without its loss of digits near the zenith.
         return (2 * self._inv_alpha_squared) * np.sin(0.5 * np.asarray(za)) ** 2
 
     def _factors(self, za: FloatArray, az: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the radial rows (Nk, Npoints) and the azimuthal rows cos 0, sin 0, cos az, sin az, cos 2az, ..."""
+        """Return the radial rows, (Nk, Npoints), and the azimuthal rows cos 0, sin 0, cos az, sin az, ..."""
         n_points = len(za)
         sizes = [len(self._radial), self._radial.n_terms, 2 * self._m_max + 2]
         if self._buffer.size < sum(sizes) * n_points:
@@ -219,7 +219,7 @@ def azimuthal_rows(az: FloatArray, out: FloatArray, work: FloatArray) -> None:
     work : ndarray, (at least 1, Npoints)
         Overwritten.
     """
-    pairs = out.reshape(-1, 2, len(az))
+    pairs = out.reshape(len(out) // 2, 2, len(az))
     pairs[0, 0], pairs[0, 1] = 1, 0
     if len(pairs) > 1:
         np.cos(az, out=pairs[1, 0])
@@ -238,7 +238,7 @@ def azimuthal_rows(az: FloatArray, out: FloatArray, work: FloatArray) -> None:
 
 
 def _complex_columns(modes: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """List the cosine (m >= 0) and sine (m < 0) columns that complex modes need, those of one m side by side."""
+    """List the cosine (m >= 0) and sine (m < 0) columns that complex modes need, side by side for one m."""
     needed = sorted({(abs(m), k) for k, m in modes})
     columns: list[tuple[int, int]] = []
     for m, group in groupby(needed, key=lambda entry: entry[0]):
@@ -249,10 +249,9 @@ def _complex_columns(modes: list[tuple[int, int]]) -> list[tuple[int, int]]:
 
 
 def _plan_products(k_row: list[int], m_row: list[int]) -> list[tuple[Any, Any, Any]]:
-    """List which radial and azimuthal rows make which columns, in as few products as the order of columns allows.
+    """List which radial and azimuthal rows make which columns, in few products.
 
-    One product makes either the columns of consecutive k at one m, or the cosine and the sine of one (k,
-    |m|).
+    One product makes either the columns of consecutive k at one m, or cosine and sine of one (k, |m|).
     """
     rows = list(zip(k_row, m_row, strict=True))
     plan: list[tuple[Any, Any, Any]] = []

@@ -15,10 +15,10 @@ from functools import cached_property
 import numpy as np
 
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.infer.random import generator
 from hydrabeam_mpi.model.basis import Array, FloatArray
 from hydrabeam_mpi.model.beam import Beam, BeamInfo
 from hydrabeam_mpi.model.fourier_bessel import EDGE
+from hydrabeam_mpi.random import generator
 
 _N_SINES = 8
 _TURN_ON = np.pi / 10

@@ -15,8 +15,8 @@ from astropy.coordinates.erfa_astrom import erfa_astrom
 from astropy.time import Time
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray, Observation
-from hydrabeam_mpi.infer.random import generator
 from hydrabeam_mpi.model.sky import Sky
+from hydrabeam_mpi.random import generator
 
 
 class SourcePositions(Protocol):

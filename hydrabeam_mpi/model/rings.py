@@ -82,7 +82,7 @@ class RingGrid:
         return cls(za[start], n_az, az[start], values)
 
     def azimuthal_orders(self, m_max: int) -> NDArray[np.complex128]:
-        """Return the mean of ``B exp(-i m az)`` over each ring, (Nrings, 2 m_max + 1) for m = -m_max..m_max."""
+        """Return the mean of ``B exp(-i m az)`` on each ring, m = -m_max..m_max, (Nrings, 2 m_max + 1)."""
         m = np.arange(-m_max, m_max + 1)
         orders = np.empty((len(self.za), len(m)), dtype=np.complex128)
         for row, n, az0, ring in zip(orders, self.n_az, self.az0, self.split(), strict=True):
@@ -98,6 +98,6 @@ class RingGrid:
 
 
 def degree_grid() -> tuple[FloatArray, FloatArray]:
-    """Return za and az, (91 * 360,), of the grid za = 0..90, az = 0..359 in steps of one degree, az fastest."""
+    """Return za and az of the 1 degree grid, za = 0..90, az = 0..359, az fastest, (91 * 360,) each."""
     za, az = np.meshgrid(np.deg2rad(np.arange(91)), np.deg2rad(np.arange(360)), indexing="ij")
     return za.ravel(), az.ravel()

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
-from hydrabeam_mpi.infer.random import generator
+from hydrabeam_mpi.random import generator
 
 
 @dataclass(frozen=True, eq=False)

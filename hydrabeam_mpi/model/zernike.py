@@ -69,7 +69,7 @@ class Zernike(LinearBasis):
         return cls(description["degree"], description["edge"])
 
     def _radial(self, m: int, rho: FloatArray) -> list[FloatArray]:
-        """Return R_n^m(rho) for n = m, m + 2, ... <= degree: rho^m times Jacobi polynomials P_j^(0,m)(2 rho^2 - 1)."""
+        """Return R_n^m for n = m, m + 2, ..., degree: rho^m times Jacobi's P_j^(0,m)(2 rho^2 - 1)."""
         x = 2 * rho**2 - 1
         jacobi = [np.ones_like(rho)]
         for j in range(1, (self.degree - m) // 2 + 1):

@@ -1,0 +1,101 @@
+"""A rank's share of the work: its rows into normal equations, and its held-out rows into residual statistics."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.infer.heldout import HeldoutStatistics
+from hydrabeam_mpi.infer.normal import NormalEquations, RowBuffer
+from hydrabeam_mpi.infer.posterior import Posterior
+from hydrabeam_mpi.model.basis import LinearBasis
+from hydrabeam_mpi.model.rime import Beam, ForwardModel
+from hydrabeam_mpi.progress import track
+from hydrabeam_mpi.rows import Rows
+
+
+def accumulate(
+    rows: Rows, model: ForwardModel, basis: LinearBasis, show: bool = False
+) -> list[NormalEquations]:
+    """Build a rank's partial normal equations, one set a channel, streaming over its times.
+
+    Parameters
+    ----------
+    rows : Rows
+        The rank's training rows; channels as in ``model``.
+    model : ForwardModel
+        Its engine holds the vectors of ``rows.groups``.
+    basis : LinearBasis
+        The beam basis.
+    show : bool
+        Whether to report progress.
+    """
+    normals = [NormalEquations.zeros(basis.n_modes, basis.is_complex) for _ in model.freqs]
+    buffers = [RowBuffer(normal) for normal in normals]
+    weighted, weights = rows.compressed()
+    for normal, data, inv_noise_var in zip(normals, rows.data, rows.inv_noise_var, strict=True):
+        normal.add_data(data, inv_noise_var)
+    for t, design in enumerate(_designs(rows, model, basis, "design matrix", show)):
+        for f, buffer in enumerate(buffers):
+            buffer.add(design[f], weighted[f, t], weights[f, t])
+    for buffer in buffers:
+        buffer.flush()
+    return normals
+
+
+def check_heldout(
+    rows: Rows,
+    model: ForwardModel,
+    basis: LinearBasis,
+    posteriors: list[Posterior],
+    beams: list[Beam],
+    show: bool = False,
+) -> list[HeldoutStatistics]:
+    """Compare a rank's held-out rows with the posterior predictive (HDBI II, eq. 15) and with the model beam.
+
+    Parameters
+    ----------
+    rows, model, basis, show
+        As in `accumulate`, of the held-out rows.
+    posteriors : list of Posterior
+        One a channel.
+    beams : list of callable
+        The model beam of each channel, before the inference.
+    """
+    statistics = [HeldoutStatistics() for _ in model.freqs]
+    before = model.visibilities(beams, rows.tile.times)
+    for t, design in enumerate(_designs(rows, model, basis, "held-out rows", show)):
+        for f, posterior in enumerate(posteriors):
+            mean, variance = _predict(posterior, design[f])
+            statistics[f].add(
+                rows.data[f, t],
+                rows.inv_noise_var[f, t],
+                mean[rows.member],
+                variance[:, rows.member],
+                before[f, t][rows.member],
+            )
+    return statistics
+
+
+def _designs(
+    rows: Rows, model: ForwardModel, basis: LinearBasis, label: str, show: bool
+) -> Iterator[NDArray]:
+    """Yield a time's design rows as `NormalEquations.add_rows` takes them, for each channel."""
+    times = rows.tile.times
+    for parts in track(model.design_columns(basis, times), len(times), label, show):
+        mixed = basis.mix(parts)
+        yield mixed[:, 0] + 1j * mixed[:, 1] if basis.is_complex else mixed
+
+
+def _predict(posterior: Posterior, design: NDArray) -> tuple[ComplexArray, FloatArray]:
+    """Return the posterior predictive mean (Nlocal,) and the model variance of its parts (2, Nlocal)."""
+    if posterior.is_complex:
+        half = 0.5 * posterior.predictive_variance(design)
+        return design @ posterior.mean, np.stack([half, half])
+    n_rows = design.shape[1]
+    variance = posterior.predictive_variance(design.reshape(2 * n_rows, -1)).reshape(2, n_rows)
+    real, imag = design @ posterior.mean
+    return real + 1j * imag, variance

@@ -1,0 +1,152 @@
+"""The model beam of a job, its fit in the job's basis, and the prior that follows."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from hydrabeam_mpi.config import Job, Perturbation
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.infer.prior import CovariancePrior, DiagonalPrior, FlatPrior, Prior
+from hydrabeam_mpi.io.beamfits import BeamFile
+from hydrabeam_mpi.model.basis import Array, LinearBasis
+from hydrabeam_mpi.model.beam import Beam, BeamInfo, analytic_beam
+from hydrabeam_mpi.model.fit import FittedBeam, FourierBesselSpec, fit_beam
+from hydrabeam_mpi.model.perturb import PerturbedBeam
+from hydrabeam_mpi.model.zernike import Zernike
+from hydrabeam_mpi.tables import embedded_beam
+
+# A model at this relative distance from the observed frequency is at that frequency.
+SAME_FREQ = 5e-4
+
+
+@dataclass(frozen=True)
+class ScaledBeam:
+    """A beam of one frequency taken for another: its pattern shrinks as the wavelength.
+
+    ``B(za, nu) = B_0(za nu / nu_0)``, which holds for the main lobe and the first sidelobes of a dish.
+    """
+
+    base: Beam
+    freq: float
+
+    @property
+    def info(self) -> BeamInfo:
+        """The base's, at the frequency that it stands for."""
+        name = f"{self.base.info.name} scaled from {self.base.info.freq / 1e6:g} MHz"
+        return replace(self.base.info, name=name, freq=self.freq)
+
+    def __call__(self, za: FloatArray, az: FloatArray) -> Array:
+        """Evaluate the base at the scaled zenith angle, (Npoints,)."""
+        return self.base(np.minimum(za * (self.freq / self.base.info.freq), np.pi), az)
+
+
+def load_beams(job: Job, freqs: FloatArray, pol: str) -> tuple[Beam, ...]:
+    """Return the model beam of each channel.
+
+    Raises
+    ------
+    InputError
+        If the source has no beam at a frequency or in this polarisation.
+    """
+    settings = job.beam
+    if settings.source in ("gaussian", "airy"):
+        if settings.diameter is None:
+            raise InputError("is missing", field="[beam] diameter", remedy="give it in metres")
+        return tuple(analytic_beam(settings.source, float(freq), pol, diameter=settings.diameter) for freq in freqs)
+    if settings.source == "hera-vivaldi-131MHz":
+        return tuple(_embedded(float(freq), pol, settings.frequency == "scale") for freq in freqs)
+    file = BeamFile(Path(settings.source), east_feed=settings.east_feed)
+    if settings.frequency != "scale":
+        interpolate = settings.frequency == "interpolate"
+        return tuple(file.beam(float(freq), pol, interpolate_frequency=interpolate) for freq in freqs)
+    nearest = [float(file.freqs[np.argmin(np.abs(file.freqs - freq))]) for freq in freqs]
+    return tuple(_scaled(file.beam(own, pol), float(freq)) for own, freq in zip(nearest, freqs, strict=True))
+
+
+def _embedded(freq: float, pol: str, scale: bool) -> Beam:
+    """Return the built-in beam for one channel."""
+    beam = embedded_beam()
+    if pol not in ("ee", "xx"):
+        raise InputError(f"has no '{pol}'", file=beam.info.name, field="[beam] source", remedy="give a beam file")
+    if not scale and abs(beam.info.freq - freq) > SAME_FREQ * freq:
+        raise InputError(
+            f"is at {beam.info.freq / 1e6:g} MHz, not {freq / 1e6:g} MHz",
+            file=beam.info.name,
+            field="[beam] source",
+            remedy="give a beam file, choose that channel, or set [beam] frequency = 'scale'",
+        )
+    return _scaled(beam, freq)
+
+
+def _scaled(beam: Beam, freq: float) -> Beam:
+    """Scale a beam to a frequency that is not its own."""
+    return beam if abs(beam.info.freq - freq) <= SAME_FREQ * freq else ScaledBeam(beam, freq)
+
+
+def perturb(job: Job, beam: Beam, settings: Perturbation) -> Beam:
+    """Return the beam to simulate with (HDBI II, eq. 17)."""
+    return PerturbedBeam(beam, job.seed, settings.stretch, settings.sidelobe)
+
+
+def fit_model_beams(job: Job, beams: Sequence[Beam]) -> tuple[LinearBasis, list[FittedBeam]]:
+    """Choose the basis at the middle channel and fit the model beam of every channel in it."""
+    settings = job.basis
+    if settings.kind == "zernike":
+        basis: LinearBasis = Zernike(settings.max_degree, np.deg2rad(settings.edge))
+        return basis, [fit_beam(beam, basis) for beam in beams]
+    spec = FourierBesselSpec(
+        n_modes=settings.n_modes,
+        form=settings.form,
+        k_max=settings.k_max,
+        m_max=settings.m_max,
+        edge=np.deg2rad(settings.edge),
+        boundary=settings.boundary,
+    )
+    middle = len(beams) // 2
+    chosen = fit_beam(beams[middle], spec)
+    fits = [chosen if f == middle else fit_beam(beam, chosen.basis) for f, beam in enumerate(beams)]
+    return chosen.basis, fits
+
+
+def make_prior(job: Job, fit: FittedBeam) -> Prior:
+    """Return the prior on the coefficients of one channel, centred on the fit unless a file says otherwise.
+
+    Raises
+    ------
+    InputError
+        If the prior's file does not fit the basis.
+    """
+    settings = job.prior
+    if settings.kind == "flat":
+        return FlatPrior(fit.coeffs)
+    if settings.kind == "file":
+        assert settings.file is not None
+        return _prior_from_file(settings.file, fit.basis)
+    amplitudes = fit.basis.amplitudes(fit.coeffs)
+    # A mode that the model beam lacks altogether still needs a width, if only one above rounding.
+    floor = max(settings.floor, 1e-12) * amplitudes.max()
+    return DiagonalPrior(fit.coeffs, settings.fraction * np.maximum(amplitudes, floor))
+
+
+def _prior_from_file(path: Path, basis: LinearBasis) -> Prior:
+    """Read mean and covariance, as ``tools/ensemble_prior`` writes them."""
+    try:
+        with h5py.File(path) as file:
+            mean, covariance = np.asarray(file["mean"]), np.asarray(file["covariance"])
+            described = json.loads(file.attrs["basis"])
+    except (OSError, KeyError, ValueError) as error:
+        raise InputError(
+            f"is not a prior file ({error})", file=path, field="[prior] file", remedy="make one with tools/ensemble_prior"
+        ) from error
+    if described != json.loads(json.dumps(basis.describe())):
+        raise InputError(
+            "is of another basis", file=path, field="basis", remedy="make it with this job's [basis] and [beam]"
+        )
+    return CovariancePrior(mean, covariance)

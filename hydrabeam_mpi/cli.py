@@ -1,0 +1,106 @@
+"""The commands. The only place that takes the world communicator."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NoReturn
+
+from mpi4py import MPI
+
+from hydrabeam_mpi import __version__
+from hydrabeam_mpi.console import console
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.mpi import install_abort_hook, limit_blas_threads, refuse, together
+from hydrabeam_mpi.progress import say
+
+INTERRUPTED_STATUS = 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command.
+
+    Collective: all ranks of the world communicator.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Command line without the program's name; the process's own by default.
+
+    Returns
+    -------
+    int
+        Exit status: 0; 2 where the input is wrong, as is a command line that cannot be parsed; 130 if interrupted.
+    """
+    world = MPI.COMM_WORLD
+    with console(speaks=world.rank == 0):
+        options = _parser().parse_args(arguments)
+        install_abort_hook(world)
+        # What a batch system sends to a job that it ends: nothing half-written shall stay behind then either.
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+        try:
+            _run(world, options)
+        except InputError as error:
+            return refuse(world, error)
+        except KeyboardInterrupt:
+            if world.size > 1:
+                raise  # the hook ends the other ranks
+            say("interrupted")
+            return INTERRUPTED_STATUS
+    return 0
+
+
+class _Parser(argparse.ArgumentParser):
+    """Complains in one line, as the rest of the program does."""
+
+    def error(self, message: str) -> NoReturn:
+        print(f"hydrabeam: error: {message}; see '{self.prog} --help'", file=sys.stderr)
+        raise SystemExit(2)
+
+
+def _parser() -> argparse.ArgumentParser:
+    """Describe the command line."""
+    parser = _Parser(
+        prog="hydrabeam",
+        description="Infer the primary beam of an interferometer from its visibilities.",
+        epilog="For several processes: mpiexec -n N hydrabeam COMMAND ...",
+    )
+    parser.add_argument("--version", action="version", version=f"hydrabeam_mpi {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    simulate = "make mock data: data.uvh5 and truth.h5"
+    infer = "infer the beam: posterior.h5, beam.beamfits, summary.json"
+    for name, what in (("simulate", simulate), ("infer", infer)):
+        command = commands.add_parser(name, help=what, description=what)
+        command.add_argument("job", type=Path, metavar="JOB.toml", help="job file")
+        command.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder to write")
+        command.add_argument("--overwrite", action="store_true", help="replace DIR where it is an earlier result")
+    what = "draw the figures and report.html of a result"
+    report = commands.add_parser("report", help=what, description=what)
+    report.add_argument("directory", type=Path, metavar="DIR", help="folder that infer wrote")
+    what = "print a job file filled in from data files"
+    init = commands.add_parser("init", help=what, description=what)
+    init.add_argument("data", type=Path, nargs="+", metavar="DATA", help="uvh5, uvfits, measurement set or miriad")
+    return parser
+
+
+def _run(world: MPI.Comm, options: argparse.Namespace) -> None:
+    """Dispatch. Commands are imported here so that `--help` and mistakes do not wait for astronomy packages."""
+    threads = limit_blas_threads(world)
+    if options.command in ("simulate", "infer"):
+        from hydrabeam_mpi import run
+
+        command = run.infer if options.command == "infer" else run.simulate
+        command(world, options.job, options.output, options.overwrite, threads)
+        return
+    with together(world):
+        if world.rank == 0 and options.command == "report":
+            from hydrabeam_mpi.report.page import write_report
+
+            write_report(options.directory)
+        elif world.rank == 0:
+            from hydrabeam_mpi.init import job_from_data
+
+            print(job_from_data(options.data), end="")

@@ -1,0 +1,144 @@
+"""What a posterior says of the beam: coefficients, correlations, eigenbeams, maps on the sky (HDBI II, section 4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eigh
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.infer.posterior import Posterior
+from hydrabeam_mpi.infer.prior import Prior
+from hydrabeam_mpi.model.basis import LinearBasis
+from hydrabeam_mpi.model.rime import Beam
+from hydrabeam_mpi.mpi import Comm
+
+Array = NDArray
+
+# The one-degree grid of HDBI II: zenith angle 0..90, azimuth 0..359.
+GRID_ZA: FloatArray = np.deg2rad(np.arange(91.0))
+GRID_AZ: FloatArray = np.deg2rad(np.arange(360.0))
+
+
+@dataclass(frozen=True)
+class SkyMaps:
+    """A posterior beam on the one-degree grid; every map is (91, 360), zenith angle first.
+
+    Attributes
+    ----------
+    mean : ndarray
+        The maximum a posteriori beam, real or complex.
+    std : ndarray
+        Its posterior standard deviation.
+    model : ndarray
+        The model beam before the inference.
+    truth : ndarray or None
+        The beam that the data were simulated with.
+    """
+
+    mean: Array
+    std: FloatArray
+    model: Array
+    truth: Array | None
+
+
+def evaluate_on_grid(beam: Beam) -> Array:
+    """Evaluate a beam on the one-degree grid, (91, 360)."""
+    za, az = np.meshgrid(GRID_ZA, GRID_AZ, indexing="ij")
+    return np.asarray(beam(za.ravel(), az.ravel())).reshape(za.shape)
+
+
+def map_posterior(comm: Comm, posterior: Posterior, basis: LinearBasis) -> tuple[Array, FloatArray]:
+    """Project mean and standard deviation onto the one-degree grid (HDBI II, eqs 25 and 26).
+
+    Collective: all ranks of `comm`, which share out the rings of equal zenith angle.
+    """
+    mine = np.arange(comm.rank, len(GRID_ZA), comm.size)
+    rings = {}
+    for ring in mine.tolist():
+        columns = basis.evaluate(np.full(len(GRID_AZ), GRID_ZA[ring]), GRID_AZ).T
+        rings[ring] = columns @ posterior.mean, np.sqrt(posterior.predictive_variance(columns))
+    merged: dict[int, tuple[Array, FloatArray]] = {}
+    for part in comm.allgather(rings):
+        merged |= part
+    mean, std = zip(*(merged[ring] for ring in range(len(GRID_ZA))), strict=True)
+    return np.array(mean), np.array(std)
+
+
+def summarise_coefficients(posterior: Posterior, prior: Prior) -> dict[str, float]:
+    """Return the coefficient-space numbers of ``summary.json`` (HDBI II, section 4.1)."""
+    std = posterior.std
+    correlation = posterior.covariance / np.outer(std, std)
+    pairs = correlation[np.triu_indices_from(correlation, 1)]
+    eigenvalues = eigh(posterior.covariance, eigvals_only=True, check_finite=False)
+    return {
+        "posterior_std_median": float(np.median(std)),
+        "condition_number": float(eigenvalues[-1] / eigenvalues[0]),
+        "correlation_below_0.1": float(np.mean(np.abs(pairs) < 0.1)) if pairs.size else 1.0,
+        "correlation_max_real": float(pairs.real.max()) if pairs.size else 0.0,
+        "z_update_above_10": int(np.sum(np.abs(posterior.mean - prior.mean) > 10 * std)),
+    }
+
+
+def summarise_maps(maps: SkyMaps) -> dict[str, float]:
+    """Return the image-space numbers of ``summary.json`` (HDBI II, section 4.2).
+
+    The error is the real part's, as a power beam is real; the imaginary part is told apart.
+    """
+    numbers = {
+        "imag_max": float(np.abs(maps.mean.imag).max()),
+        "negative_fraction": float(np.mean(maps.mean.real < 0)),
+        "beam_std_median": float(np.median(maps.std)),
+        "beam_update_max": float(np.abs(maps.mean - maps.model).max()),
+    }
+    if maps.truth is not None:
+        error = np.abs(maps.truth.real - maps.mean.real)
+        z = np.abs(maps.truth - maps.mean) / maps.std
+        numbers |= {
+            "beam_error_below_1e-4": float(np.mean(error < 1e-4)),
+            "beam_error_max": float(error.max()),
+            "beam_error_max_za_deg": float(np.rad2deg(GRID_ZA[np.unravel_index(error.argmax(), error.shape)[0]])),
+            "beam_error_rms": float(np.sqrt(np.mean(error**2))),
+            "model_error_max": float(np.abs(maps.truth - maps.model).max()),
+            "beam_z_median": float(np.median(z)),
+            "beam_z_max": float(z.max()),
+        }
+    return numbers
+
+
+def eigenbeams(posterior: Posterior, basis: LinearBasis, n: int = 4) -> tuple[FloatArray, Array]:
+    """Return the ``n`` best-constrained eigenvectors of the posterior covariance on the sky.
+
+    Returns
+    -------
+    variances : ndarray, (n,)
+        Smallest eigenvalues, ascending.
+    beams : ndarray, (n, 91, 360)
+    """
+    n = min(n, len(posterior.mean))
+    variances, vectors = eigh(posterior.covariance, subset_by_index=(0, n - 1), check_finite=False)
+    beams = np.empty((n, len(GRID_ZA), len(GRID_AZ)), dtype=vectors.dtype)
+    for ring, za in enumerate(GRID_ZA):
+        beams[:, ring] = vectors.T @ basis.evaluate(np.full(len(GRID_AZ), za), GRID_AZ)
+    return variances, beams
+
+
+def warnings_of(channels: list[dict[str, Any]]) -> list[str]:
+    """Say in plain words what a user should not overlook in the channels' summaries."""
+    said = []
+    chi2 = max((channel.get("heldout_chi2", 0.0) for channel in channels), default=0.0)
+    if chi2 > 2:
+        said.append(
+            f"Held-out reduced chi^2 is {chi2:.3g}: the beam alone does not explain the data. Where sky, gains or "
+            "another effect are wrong, the inferred beam takes up errors that are not its own."
+        )
+    negative = max(channel["negative_fraction"] for channel in channels)
+    if negative > 0.01:
+        said.append(f"The inferred power beam is negative on up to {negative:.1%} of the sky, which no power beam is.")
+    imaginary = max(channel["imag_max"] for channel in channels)
+    if imaginary > 1e-3:
+        said.append(f"The inferred beam has imaginary parts up to {imaginary:.1e}, which no co-polarised beam has.")
+    return said

@@ -1,0 +1,79 @@
+"""The visibilities of some rows of one file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from pyuvdata import UVData
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.selection import BoolArray
+from hydrabeam_mpi.io.uvfile import READ_IN_PART, UVHeader, quiet, read_uvdata
+
+# To pick one scattered row takes h5py as long as to read this many bytes in line.
+SEEK_BYTES = 25_000
+# Bytes read at once where unwanted rows are read with the wanted ones.
+WINDOW_BYTES = 64_000_000
+# A visibility in double precision, its flag and its nsamples.
+SAMPLE_BYTES = 16 + 1 + 4
+
+Samples = tuple[ComplexArray, BoolArray, FloatArray]
+
+
+def read_rows(header: UVHeader, rows: IntArray, channels: IntArray, pols: IntArray) -> Samples:
+    """Read part of a file: visibilities, flags and nsamples.
+
+    Phased visibilities are turned back to drift scan. Visibilities said to be in the convention
+    I = (V_xx + V_yy) / 2 are halved, so that they are V = 1/2 I B.
+
+    Parameters
+    ----------
+    header : UVHeader
+    rows, channels, pols : ndarray of int
+        Indices of distinct rows, channels and polarisations in the file, in any order.
+
+    Returns
+    -------
+    data, flags, nsamples : ndarray, (len(rows), len(channels), len(pols))
+    """
+    if header.kind not in READ_IN_PART:
+        return _samples(read_uvdata(header.path, header.kind), np.ix_(rows, channels, pols))
+    # pyuvdata returns what it selects in the order of the file.
+    select: dict[str, Any] = {"freq_chans": np.sort(channels)}
+    select["polarizations"] = [header.feed_pols[pol] for pol in np.sort(pols)]
+    if header.kind == "uvh5":
+        select["multidim_index"] = True
+    picked = np.argsort(np.argsort(channels)), np.argsort(np.argsort(pols))
+    parts = [
+        _samples(read_uvdata(header.path, header.kind, blt_inds=read, **select), np.ix_(wanted, *picked))
+        for read, wanted in _windows(np.sort(rows), SAMPLE_BYTES * len(channels) * len(pols))
+    ]
+    order = np.argsort(np.argsort(rows))
+    data, flags, nsamples = (np.concatenate(arrays)[order] for arrays in zip(*parts, strict=True))
+    return data, flags, nsamples
+
+
+def _windows(rows: IntArray, row_bytes: int) -> Iterator[tuple[IntArray, IntArray]]:
+    """Yield the rows to read at once and which of them are wanted, for ascending ``rows``.
+
+    Many scattered rows are read with those between them, far quicker than picking them from the file.
+    """
+    if (rows[-1] - rows[0] + 1) * row_bytes > len(rows) * SEEK_BYTES:
+        yield rows, np.arange(len(rows))
+        return
+    window = rows // max(WINDOW_BYTES // row_bytes, 1)
+    for part in np.split(rows, np.flatnonzero(np.diff(window)) + 1):
+        yield np.arange(part[0], part[-1] + 1), part - part[0]
+
+
+def _samples(uv: UVData, wanted: tuple[IntArray, ...]) -> Samples:
+    """Take samples out of a pyuvdata object, as drift scan and in the convention V = 1/2 I B."""
+    uv.data_array = uv.data_array.astype(np.complex128)
+    if any(centre["cat_type"] != "unprojected" for centre in uv.phase_center_catalog.values()):
+        with quiet():
+            uv.unproject_phase()
+    if uv.pol_convention == "avg":
+        uv.data_array.view(float)[:] *= 0.5
+    return uv.data_array[wanted], uv.flag_array[wanted], uv.nsample_array[wanted].astype(float)

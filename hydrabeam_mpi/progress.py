@@ -1,0 +1,49 @@
+"""Progress on rank 0: a bar on a terminal, a few plain lines in a batch log."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterable, Iterator
+from typing import TypeVar
+
+from tqdm import tqdm
+
+T = TypeVar("T")
+
+
+def track(items: Iterable[T], total: int, label: str, show: bool) -> Iterator[T]:
+    """Pass ``items`` through and tell how far they are.
+
+    Parameters
+    ----------
+    items : iterable
+    total : int
+        Number of items.
+    label : str
+        What is being done.
+    show : bool
+        True on one rank only. Its own share stands for all: ranks are balanced by cost.
+    """
+    if not show:
+        yield from items
+    elif sys.stderr.isatty():
+        yield from tqdm(items, total=total, desc=label, leave=False)
+    else:
+        yield from _lines(items, total, label)
+
+
+def _lines(items: Iterable[T], total: int, label: str, seconds: float = 30.0) -> Iterator[T]:
+    """Print a line every ``seconds``; short work prints nothing."""
+    last = time.monotonic()
+    for done, item in enumerate(items, 1):
+        yield item
+        if time.monotonic() - last > seconds:
+            last = time.monotonic()
+            say(f"{label}: {done} of {total}")
+
+
+def say(line: str, show: bool = True) -> None:
+    """Print one line of progress to standard error, where ``show`` is set."""
+    if show:
+        print(f"hydrabeam: {line}", file=sys.stderr, flush=True)

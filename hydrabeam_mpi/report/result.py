@@ -1,0 +1,137 @@
+"""A result folder as the report needs it: ``posterior.h5`` and ``summary.json`` side by side."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.posterior_file import PosteriorFile, read_covariance, read_posterior
+
+Array = NDArray
+REMEDY = "name a folder written by 'hydrabeam infer'"
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """One channel of a result.
+
+    Attributes
+    ----------
+    number : int
+        Its place in ``posterior.h5``.
+    freq : float
+        Hz.
+    numbers : dict
+        Its key numbers, named as in ``summary.json``; any may be absent.
+    arrays : dict of ndarray
+        Its data sets, named as in ``posterior.h5``, without the covariance; maps and scores may be absent.
+    basis : dict
+        Description of the basis.
+    za, az : ndarray
+        The grid of the maps, radians.
+    path : Path
+        Of ``posterior.h5``.
+    """
+
+    number: int
+    freq: float
+    numbers: dict[str, Any]
+    arrays: dict[str, Array]
+    basis: dict[str, Any]
+    za: Array
+    az: Array
+    path: Path
+
+    @property
+    def is_complex(self) -> bool:
+        """Whether the coefficients are complex."""
+        return self.arrays["mean"].dtype.kind == "c"
+
+    @property
+    def truth(self) -> Array | None:
+        """The beam that the data were simulated with, on the grid, or None."""
+        return self.arrays.get("map_truth")
+
+    def covariance(self) -> Array:
+        """Read the posterior covariance, (n, n)."""
+        return read_covariance(self.path, self.number)
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What ``hydrabeam infer`` left in a folder.
+
+    Attributes
+    ----------
+    name : str
+        Of the job.
+    numbers : dict
+        Key numbers of the whole run.
+    warnings : list of str
+        What the run itself had to say.
+    channels : list of Channel
+        In the order of ``posterior.h5``.
+    provenance : dict
+        Resolved job, versions, checksums, ranks.
+    polarization : str
+    """
+
+    name: str
+    numbers: dict[str, Any]
+    warnings: list[str]
+    channels: list[Channel]
+    provenance: dict[str, Any]
+    polarization: str
+
+
+def load_result(directory: Path) -> Result:
+    """Read a result folder; covariances stay on disk.
+
+    Raises
+    ------
+    InputError
+        If the folder or one of its two files is missing or not what it should be.
+    """
+    if not directory.is_dir():
+        raise InputError("no such folder", file=directory, remedy=REMEDY)
+    summary = _read_summary(directory / "summary.json")
+    path = directory / "posterior.h5"
+    posterior = read_posterior(path)
+    per_channel = summary.pop("channels", None) or [{}] * len(posterior.channels)
+    if not posterior.channels or len(per_channel) != len(posterior.channels):
+        raise InputError(
+            f"has {len(per_channel)} channels, posterior.h5 has {len(posterior.channels)}",
+            file=directory / "summary.json",
+            field="channels",
+            remedy="both files must come from the same run",
+        )
+    channels = [_channel(posterior, number, numbers, path) for number, numbers in enumerate(per_channel)]
+    name, warnings = str(summary.pop("name", directory.resolve().name)), summary.pop("warnings", [])
+    return Result(name, summary, list(warnings), channels, posterior.provenance, posterior.polarization)
+
+
+def _read_summary(path: Path) -> dict[str, Any]:
+    try:
+        summary = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror})", file=path, remedy=REMEDY) from error
+    except ValueError as error:
+        raise InputError(f"is not JSON ({error})", file=path, remedy=REMEDY) from error
+    if not isinstance(summary, dict):
+        raise InputError("is not a table of key numbers", file=path, remedy=REMEDY)
+    return summary
+
+
+def _channel(posterior: PosteriorFile, number: int, numbers: dict[str, Any], path: Path) -> Channel:
+    record = posterior.channels[number]
+    known = {**record.summary, **numbers}
+    if record.log_evidence is not None:
+        known.setdefault("log_evidence", record.log_evidence)
+    return Channel(
+        number, record.freq, known, record.arrays, posterior.basis, posterior.grid_za, posterior.grid_az, path
+    )

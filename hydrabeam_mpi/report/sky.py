@@ -1,0 +1,156 @@
+"""The posterior on the sky: maps, slices and scores of the map (HDBI II, section 4.2)."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.colors import LogNorm, Normalize, SymLogNorm
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from hydrabeam_mpi.report.projection import VIEW, add_colorbar, draw_disc, to_disc
+from hydrabeam_mpi.report.result import Channel
+from hydrabeam_mpi.report.style import AZ_0, AZ_90, MODEL, REFERENCE, Drawing, decades, light_grid, new_figure
+
+Array = NDArray
+
+
+def difference(channel: Channel) -> tuple[Array, str]:
+    """Return truth - MAP and its name, or MAP - model where there is no truth, (Nza, Naz)."""
+    mean = channel.arrays["map_mean"]
+    if channel.truth is not None:
+        return channel.truth - mean, "truth − MAP"
+    return mean - channel.arrays["map_model"], "MAP − model"
+
+
+def draw_maps(channel: Channel) -> Drawing | None:
+    """Draw MAP beam, posterior standard deviation, error (or update) and its score."""
+    if "map_mean" not in channel.arrays:
+        return None
+    mean, std = channel.arrays["map_mean"].real, channel.arrays["map_std"]
+    error, name = difference(channel)
+    figure = new_figure(7.6, 6.5)
+    panels = _Panels(figure, channel)
+    bottom, top = decades(mean, 1)
+    panels.draw("MAP beam" + (", real part" if np.iscomplexobj(channel.arrays["map_mean"]) else ""),
+                np.where(mean > 0, mean, np.nan), "magma", LogNorm(max(bottom, 1e-6), top), "power, peak of model = 1")  # fmt: skip
+    low, high = np.percentile(std, [0.5, 99.5])
+    panels.draw("posterior standard deviation", std, "viridis", Normalize(low, max(high, 1.001 * low)), "power", "both")
+    limit = float(np.abs(error.real).max()) or 1.0
+    panels.draw(f"{name}: largest {limit:.1e}", error.real, "RdBu_r",
+                SymLogNorm(float(max(np.median(std), 1e-3 * limit)), vmin=-limit, vmax=limit), "power", ink="0.4")  # fmt: skip
+    z = np.abs(error) / std
+    panels.draw(f"|{name}| / std: largest {z.max():.3g}", z, "cividis", Normalize(0, 5), "|z|", "max")
+    return Drawing("maps", "The beam on the sky", _map_caption(channel, name, mean), "Four maps of the hemisphere: the "
+                   f"most probable beam, its standard deviation, {name}, and that difference in standard deviations.", figure)  # fmt: skip
+
+
+class _Panels:
+    """Places one disc after the other on a two by two grid."""
+
+    def __init__(self, figure: Figure, channel: Channel) -> None:
+        self.figure, self.channel = figure, channel
+        self.axes = iter(figure.subplots(2, 2).ravel())
+
+    def draw(self, title: str, values: Array, cmap: str, norm: Normalize, label: str, extend: str = "neither",
+             ink: str = "white") -> None:  # fmt: skip
+        axes = next(self.axes)
+        square = to_disc(values, self.channel.za, self.channel.az)
+        image = draw_disc(axes, square, colormaps[cmap], norm, ink)
+        axes.set_title(title)
+        add_colorbar(self.figure, axes, image, label, extend)
+
+
+def _map_caption(channel: Channel, name: str, mean: Array) -> str:
+    text = "Most probable beam, its posterior standard deviation, "
+    text += (
+        "its error against the beam that the data were simulated with, and that error in standard deviations. "
+        if channel.truth is not None
+        else "the change from the model beam, and that change in standard deviations. "
+    )
+    negative = np.mean(mean < 0)
+    if negative > 0:
+        text += f"White: the real part is negative ({100 * negative:.2g}% of the one-degree grid). "
+    text += "The colours of the difference are linear within the median standard deviation and logarithmic beyond. "
+    if channel.truth is not None:
+        text += "Where |z| is far above 3 the error is not noise: the basis or the sky model cannot follow the data. "
+    return text + VIEW
+
+
+def draw_slices(channel: Channel) -> Drawing | None:
+    """Draw cuts of the beam at azimuth 0 and 90 degrees, and the size of the error along them."""
+    if "map_mean" not in channel.arrays:
+        return None
+    amplitude = shows_amplitude(channel)
+    part = np.abs if amplitude else np.real
+    mean, std = part(channel.arrays["map_mean"]), channel.arrays["map_std"]
+    reference, name = (channel.truth, "truth") if channel.truth is not None else (channel.arrays["map_model"], "model")
+    error, what = difference(channel)
+    figure = new_figure(7.6, 5.0)
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
+    za = np.rad2deg(channel.za)
+    for degrees, colour in ((0, AZ_0), (90, AZ_90)):
+        cut = int(np.abs(np.exp(1j * channel.az) - np.exp(1j * np.deg2rad(degrees))).argmin())
+        top.plot(za, mean[:, cut], color=colour, label=f"MAP, az = {degrees}°")
+        top.plot(za, part(reference[:, cut]), "--", color=colour, linewidth=1, label=f"{name}, az = {degrees}°")
+        bottom.plot(za, np.abs(error[:, cut]), color=colour, label=f"|{what}|, az = {degrees}°")
+        bottom.plot(za, std[:, cut], ":", color=colour, label=f"posterior std, az = {degrees}°")
+    top.set(yscale="log", ylabel="|beam|" if amplitude else "beam", ylim=(max(decades(part(reference), 0.5)[0], 1e-6), 2))
+    bottom.set(yscale="log", ylabel="difference", xlabel="zenith angle (deg)", xlim=(0, za[-1]))
+    for axes in (top, bottom):
+        light_grid(axes)
+        axes.legend(ncols=2, loc="best")
+    shown = "amplitude" if amplitude else "real part"
+    caption = (
+        f"Cuts through the beam ({shown}) at azimuth 0° (East) and 90° (North): inferred (solid) and {name} (dashed). "
+        f"Below, the size of {what} along the cuts with the posterior standard deviation (dotted)."
+    )
+    return Drawing("slices", "Slices", caption, f"Beam against zenith angle at two azimuths, inferred and {name}, on a "
+                   "logarithmic scale, with their difference below.", figure)  # fmt: skip
+
+
+def shows_amplitude(channel: Channel) -> bool:
+    """Whether slices show amplitudes: where more than 1% of the map is negative, its real part has no logarithm."""
+    return bool(np.mean(channel.arrays["map_mean"].real < 0) > 0.01)
+
+
+def draw_map_scores(channel: Channel) -> Drawing | None:
+    """Draw the histogram of |z| over the map with the distribution expected of it."""
+    if "map_mean" not in channel.arrays:
+        return None
+    error, name = difference(channel)
+    z = (np.abs(error) / channel.arrays["map_std"]).ravel()
+    end = 6.0
+    counts, edges = np.histogram(np.minimum(z, end * (1 - 1e-9)), np.linspace(0, end, 61))
+    figure = new_figure(7.6, 3.3)
+    axes = figure.subplots()
+    axes.stairs(counts / z.size / np.diff(edges), edges, fill=True, color=MODEL, alpha=0.35)
+    axes.stairs(counts / z.size / np.diff(edges), edges, color=MODEL, linewidth=1)
+    x = np.linspace(0, end, 601)
+    expected, law = expected_scores(x, channel.is_complex)
+    axes.plot(x, expected, "--", color=REFERENCE, label=law)
+    axes.set(xlim=(0, end), xlabel=f"|z| = |{name}| / posterior std", ylabel="density over the one-degree grid")
+    axes.legend()
+    light_grid(axes)
+    expectation = (
+        "expected of an inference whose basis and sky are complete"
+        if channel.truth is not None
+        else "what would be seen if the model beam were the truth"
+    )
+    caption = (
+        f"Distribution of |z| over the map; the last bin holds all beyond ({100 * np.mean(z > end):.2g}% of the grid). "
+        f"Dashed: the {law}, {expectation}. Median {np.median(z):.2f}, expected "
+        f"{np.sqrt(np.log(2)) if channel.is_complex else 0.6745:.2f}."
+    )
+    return Drawing("map_scores", "Scores of the map", caption,
+                   f"Histogram of |z| from 0 to {end:.0f} against the {law}.", figure)  # fmt: skip
+
+
+def expected_scores(z: Array, is_complex: bool) -> tuple[Array, str]:
+    """Return the density of |z| of a perfect inference and its name.
+
+    E|z|^2 = 1: Rayleigh with scale 1/sqrt 2 where the coefficients are complex, half-normal where they are real.
+    """
+    if is_complex:
+        return 2 * z * np.exp(-(z**2)), "Rayleigh distribution"
+    return np.sqrt(2 / np.pi) * np.exp(-(z**2) / 2), "half-normal distribution"
