@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +18,7 @@ from hydrabeam_mpi.progress import track
 from hydrabeam_mpi.rows import Rows
 
 
-def accumulate(
-    rows: Rows, model: ForwardModel, basis: LinearBasis, show: bool = False
-) -> list[NormalEquations]:
+def accumulate(rows: Rows, model: ForwardModel, basis: LinearBasis, show: bool = False) -> list[NormalEquations]:
     """Build a rank's partial normal equations, one set a channel, streaming over its times.
 
     Parameters
@@ -50,8 +49,8 @@ def check_heldout(
     rows: Rows,
     model: ForwardModel,
     basis: LinearBasis,
-    posteriors: list[Posterior],
-    beams: list[Beam],
+    posteriors: Sequence[Posterior],
+    beams: Sequence[Beam],
     show: bool = False,
 ) -> list[HeldoutStatistics]:
     """Compare a rank's held-out rows with the posterior predictive (HDBI II, eq. 15) and with the model beam.
@@ -80,9 +79,7 @@ def check_heldout(
     return statistics
 
 
-def _designs(
-    rows: Rows, model: ForwardModel, basis: LinearBasis, label: str, show: bool
-) -> Iterator[NDArray]:
+def _designs(rows: Rows, model: ForwardModel, basis: LinearBasis, label: str, show: bool) -> Iterator[NDArray[Any]]:
     """Yield a time's design rows as `NormalEquations.add_rows` takes them, for each channel."""
     times = rows.tile.times
     for parts in track(model.design_columns(basis, times), len(times), label, show):
@@ -90,7 +87,7 @@ def _designs(
         yield mixed[:, 0] + 1j * mixed[:, 1] if basis.is_complex else mixed
 
 
-def _predict(posterior: Posterior, design: NDArray) -> tuple[ComplexArray, FloatArray]:
+def _predict(posterior: Posterior, design: NDArray[Any]) -> tuple[ComplexArray, FloatArray]:
     """Return the posterior predictive mean (Nlocal,) and the model variance of its parts (2, Nlocal)."""
     if posterior.is_complex:
         half = 0.5 * posterior.predictive_variance(design)

@@ -143,10 +143,16 @@ def _prior_from_file(path: Path, basis: LinearBasis) -> Prior:
             described = json.loads(file.attrs["basis"])
     except (OSError, KeyError, ValueError) as error:
         raise InputError(
-            f"is not a prior file ({error})", file=path, field="[prior] file", remedy="make one with tools/ensemble_prior"
+            f"is not a prior file ({error})",
+            file=path,
+            field="[prior] file",
+            remedy="make one with tools/ensemble_prior",
         ) from error
     if described != json.loads(json.dumps(basis.describe())):
         raise InputError(
-            "is of another basis", file=path, field="basis", remedy="make it with this job's [basis] and [beam]"
+            "is of another basis",
+            file=path,
+            field="basis",
+            remedy="make it with this job's [basis] and [beam]",
         )
     return CovariancePrior(mean, covariance)

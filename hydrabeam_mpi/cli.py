@@ -33,7 +33,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit status: 0; 2 where the input is wrong, as is a command line that cannot be parsed; 130 if interrupted.
+        Exit status: 0; 2 where the input is wrong, as is a command line that cannot be parsed; 130 if
+        interrupted.
     """
     world = MPI.COMM_WORLD
     with console(speaks=world.rank == 0):
@@ -75,19 +76,25 @@ def _parser() -> argparse.ArgumentParser:
     for name, what in (("simulate", simulate), ("infer", infer)):
         command = commands.add_parser(name, help=what, description=what)
         command.add_argument("job", type=Path, metavar="JOB.toml", help="job file")
-        command.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder to write")
-        command.add_argument("--overwrite", action="store_true", help="replace DIR where it is an earlier result")
+        command.add_argument(
+            "-o", "--output", type=Path, required=True, metavar="DIR", help="folder to write"
+        )
+        command.add_argument(
+            "--overwrite", action="store_true", help="replace DIR where it is an earlier result"
+        )
     what = "draw the figures and report.html of a result"
     report = commands.add_parser("report", help=what, description=what)
     report.add_argument("directory", type=Path, metavar="DIR", help="folder that infer wrote")
     what = "print a job file filled in from data files"
     init = commands.add_parser("init", help=what, description=what)
-    init.add_argument("data", type=Path, nargs="+", metavar="DATA", help="uvh5, uvfits, measurement set or miriad")
+    init.add_argument(
+        "data", type=Path, nargs="+", metavar="DATA", help="uvh5, uvfits, measurement set or miriad"
+    )
     return parser
 
 
 def _run(world: MPI.Comm, options: argparse.Namespace) -> None:
-    """Dispatch. Commands are imported here so that `--help` and mistakes do not wait for astronomy packages."""
+    """Dispatch. Commands are imported here so that `--help` does not wait for astronomy packages."""
     threads = limit_blas_threads(world)
     if options.command in ("simulate", "infer"):
         from hydrabeam_mpi import run

@@ -18,7 +18,8 @@ PACKAGE = "hydrabeam_mpi"
 def console(speaks: bool) -> Iterator[None]:
     """Say the package's notes and warnings as single lines on one rank, and keep the others silent.
 
-    Warnings and log records of other packages are dropped: they speak of code that the user did not write. They come
+    Warnings and log records of other packages are dropped: they speak of code that the user did not write.
+    They come
     back, in Python's own form, with ``python -W`` or ``PYTHONWARNINGS``.
 
     Parameters
@@ -56,7 +57,7 @@ def _say_warning(message: Warning | str, *_: object) -> None:
 
 @contextmanager
 def _records_as_lines() -> Iterator[None]:
-    """Say the package's log records from "info" upwards; without a handler on top, Python prints those of others."""
+    """Say the package's log records from "info" upwards; one on top keeps Python from printing others."""
     logger, ours, others = logging.getLogger(PACKAGE), _Lines(), logging.NullHandler()
     level = logger.level
     logger.setLevel(logging.INFO)

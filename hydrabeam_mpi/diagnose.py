@@ -16,7 +16,7 @@ from hydrabeam_mpi.model.basis import LinearBasis
 from hydrabeam_mpi.model.rime import Beam
 from hydrabeam_mpi.mpi import Comm
 
-Array = NDArray
+Array = NDArray[Any]
 
 # The one-degree grid of HDBI II: zenith angle 0..90, azimuth 0..359.
 GRID_ZA: FloatArray = np.deg2rad(np.arange(91.0))

@@ -32,8 +32,18 @@ class InputError(Exception):
         self.file = None if file is None else str(file)
         self.field = field
         self.remedy = remedy
-        where = ": ".join(part for part in (self.file, field) if part)
-        line = f"{where}: {message}" if where else message
-        super().__init__(f"{line}; {remedy}" if remedy else line)
+        super().__init__()
+        self._compose()
+
+    def locate(self, file: str | Path) -> None:
+        """Name the file in which ``field`` is wrong, where no file has been named yet."""
+        if self.file is None:
+            self.file = str(file)
+            self._compose()
+
+    def _compose(self) -> None:
+        where = ": ".join(part for part in (self.file, self.field) if part)
+        line = f"{where}: {self.message}" if where else self.message
+        line = f"{line}; {self.remedy}" if self.remedy else line
         # One line whatever a library put into its message.
-        self.args = (" ".join(str(self.args[0]).split()),)
+        self.args = (" ".join(line.split()),)

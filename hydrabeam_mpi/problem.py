@@ -6,6 +6,7 @@ import glob
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from hydrabeam_mpi.io.gsm2016 import read_gsm2016
 from hydrabeam_mpi.io.noise import difference_variance
 from hydrabeam_mpi.io.uvmeta import read_observation
 from hydrabeam_mpi.model.basis import LinearBasis
+from hydrabeam_mpi.model.beam import Beam
 from hydrabeam_mpi.model.engine import make_engine
 from hydrabeam_mpi.model.positions import (
     ApparentPositions,
@@ -29,7 +31,7 @@ from hydrabeam_mpi.model.positions import (
     SourcePositions,
     count_above_horizon,
 )
-from hydrabeam_mpi.model.rime import Beam, ForwardModel
+from hydrabeam_mpi.model.rime import ForwardModel
 from hydrabeam_mpi.model.sky import Sky, concatenate, mock_sky
 from hydrabeam_mpi.mpi import Comm, together
 
@@ -91,7 +93,7 @@ class Problem:
         """Keep some channels."""
         index = np.array(channels, dtype=int)
 
-        def chosen(items: tuple) -> tuple:
+        def chosen(items: tuple[Any, ...]) -> tuple[Any, ...]:
             return tuple(items[i] for i in channels) if items else ()
 
         return replace(
@@ -129,7 +131,9 @@ class Problem:
         """Return the forward model of some redundant groups."""
         job = self.job
         engine = make_engine(job.solver.engine, self.redundant.vectors[groups], job.data.redundancy_tol)
-        return ForwardModel(source_positions(job, self.sky, self.observation), self.sky.flux, self.observation.freqs, engine)
+        return ForwardModel(
+            source_positions(job, self.sky, self.observation), self.sky.flux, self.observation.freqs, engine
+        )
 
 
 def source_positions(job: Job, sky: Sky, observation: Observation) -> SourcePositions:
@@ -151,6 +155,7 @@ def load_sky(job: Job, freqs: FloatArray) -> Sky:
             spectral_index=settings.spectral_index,
         )
         return sky.brighter_than(settings.flux_min)
+    assert settings.file is not None
     cut = settings.flux_min > 0 or settings.model_flux_min > 0
     sky = read_catalogue(
         settings.file,
@@ -216,9 +221,7 @@ def _holdout_rule(job: Job) -> HoldoutRule:
 def find_groups(job: Job, observation: Observation) -> RedundantGroups:
     """Group redundant baselines, or keep each alone where the job says not to compress."""
     pol = observation.pols[0]
-    redundant = find_redundant_groups(
-        observation.bl_vectors, job.data.redundancy_tol, either_sign=pol[0] == pol[1]
-    )
+    redundant = find_redundant_groups(observation.bl_vectors, job.data.redundancy_tol, either_sign=pol[0] == pol[1])
     if job.solver.compress:
         return redundant
     signs = np.where(redundant.flipped, -1.0, 1.0)[:, np.newaxis]
@@ -278,13 +281,16 @@ def estimate_noise(world: Comm, problem: Problem) -> Problem:
 
     Collective: all ranks of `world`, which share out the baselines.
     """
-    kind = problem.job.noise.kind
-    if not kind.endswith("differences"):
-        return problem
+    how: Literal["time", "frequency"]
+    match problem.job.noise.kind:
+        case "time-differences":
+            how = "time"
+        case "frequency-differences":
+            how = "frequency"
+        case _:
+            return problem
     observation = problem.observation
     mine = np.array_split(np.arange(observation.Nbls), world.size)[world.rank]
     with together(world):
-        part = difference_variance(
-            problem.files, observation, mine, kind.removesuffix("-differences"), problem.gain_files
-        )
+        part = difference_variance(problem.files, observation, mine, how, problem.gain_files)
     return replace(problem, noise_variance=np.concatenate(world.allgather(part), axis=1))

@@ -72,14 +72,13 @@ def read_rows(problem: Problem, tile: Tile) -> Rows:
     data, flags, nsamples = read_visibilities(files, observation, tile)
     if problem.gain_files:
         data, flags = apply_gains(data, flags, observation, tile, problem.gain_files)
-    match job.noise.kind:
-        case "autocorrelations":
-            weights = noise.radiometer_weights(files, observation, tile, flags, nsamples, problem.gain_files)
-        case "constant":
-            weights = noise.constant_weights(job.noise.sigma, flags, nsamples)
-        case "file":
-            weights = noise.file_weights(job.noise.file, observation, tile, flags, nsamples)
-        case _:
-            weights = noise.variance_weights(problem.noise_variance[:, tile.bls], flags, nsamples)
+    if job.noise.sigma is not None:
+        weights = noise.constant_weights(job.noise.sigma, flags, nsamples)
+    elif job.noise.file is not None:
+        weights = noise.file_weights(job.noise.file, observation, tile, flags, nsamples)
+    elif problem.noise_variance is not None:
+        weights = noise.variance_weights(problem.noise_variance[:, tile.bls], flags, nsamples)
+    else:
+        weights = noise.radiometer_weights(files, observation, tile, flags, nsamples, problem.gain_files)
     scale = problem.flux_scale
     return Rows.of(tile, Visibilities(scale * data, weights / scale**2), problem.redundant, int(np.sum(~flags)))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from hydrabeam_mpi.config import Job, load_job
+from hydrabeam_mpi.config import Job, load_job, named_files
 from hydrabeam_mpi.diagnose import GRID_AZ, GRID_ZA, warnings_of
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.inference import Clock, describe_channels, infer_channels
@@ -41,7 +41,7 @@ def simulate(world: Comm, job_path: Path, out: Path, overwrite: bool, threads: i
     Collective: all ranks of `world`.
     """
     job = _load(world, job_path, needs_simulation=True)
-    with staged(world, out, overwrite) as folder:
+    with staged(world, job_path, job, out, overwrite) as folder:
         simulate_to(world, job, folder)
         with together(world):
             if world.rank == 0:
@@ -74,7 +74,7 @@ def infer(world: Comm, job_path: Path, out: Path, overwrite: bool, threads: int)
     """
     job = _load(world, job_path)
     clock = Clock()
-    with staged(world, out, overwrite) as folder:
+    with staged(world, job_path, job, out, overwrite) as folder:
         with clock.time("prepare"):
             problem = _prepare(world, job, folder)
         grid = ProcessGrid.split(world, problem.observation.Nfreqs)
@@ -93,24 +93,27 @@ def infer(world: Comm, job_path: Path, out: Path, overwrite: bool, threads: int)
 
 
 @contextmanager
-def staged(world: Comm, out: Path, overwrite: bool) -> Iterator[Path]:
+def staged(world: Comm, job_path: Path, job: Job, out: Path, overwrite: bool) -> Iterator[Path]:
     """Give a folder to write into that becomes ``out`` when all went well, and vanishes otherwise.
 
-    Collective: all ranks of `world`.
+    Collective: all ranks of `world`. An `InputError` that names no file is about a key of the job file.
     """
     folder = None
     with together(world):
         if world.rank == 0:
-            folder = StagedDirectory(out, overwrite)
-    partial = world.bcast(folder.partial if folder else None)
+            folder = StagedDirectory(out, overwrite, named_files(job))
+    folder = world.bcast(folder)
     try:
-        yield partial
-        if folder:
-            folder.publish()
-    except BaseException:
-        if folder:
-            folder.discard()
+        yield folder.partial
+    except BaseException as error:
+        # By every rank: one that fails alone ends the others before they could.
+        folder.discard()
+        if isinstance(error, InputError):
+            error.locate(job_path)
         raise
+    with together(world):
+        if world.rank == 0:
+            folder.publish()
 
 
 def _load(world: Comm, job_path: Path, needs_simulation: bool = False) -> Job:
@@ -121,7 +124,10 @@ def _load(world: Comm, job_path: Path, needs_simulation: bool = False) -> Job:
             job = load_job(job_path)
             if needs_simulation and job.data.simulate is None:
                 raise InputError(
-                    "is missing", file=job_path, field="[data.simulate]", remedy="add it, see jobs/paper/job.toml"
+                    "is missing",
+                    file=job_path,
+                    field="[data.simulate]",
+                    remedy="add it, see jobs/paper/job.toml",
                 )
     return world.bcast(job)
 
@@ -170,7 +176,12 @@ def _inputs(job: Job, problem: Problem) -> list[Path]:
 
 
 def _write(
-    folder: Path, job: Job, problem: Problem, records: list[ChannelRecord], about: dict[str, Any], run: dict[str, Any]
+    folder: Path,
+    job: Job,
+    problem: Problem,
+    records: list[ChannelRecord],
+    about: dict[str, Any],
+    run: dict[str, Any],
 ) -> None:
     """Write the posterior, the MAP beam, the summary and the provenance."""
     observation = problem.observation
@@ -193,7 +204,13 @@ def _write(
         **run,
     }
     channels = [record.summary for record in records]
-    summary = {"name": job.name, **channels[0], **common, "channels": channels, "warnings": warnings_of(channels)}
+    summary = {
+        "name": job.name,
+        **channels[0],
+        **common,
+        "channels": channels,
+        "warnings": warnings_of(channels),
+    }
     (folder / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
     _write_job_and_provenance(folder, job, about)
 

@@ -19,9 +19,10 @@ from hydrabeam_mpi.diagnose import GRID_AZ, GRID_ZA, evaluate_on_grid
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.uvwrite import write_uvh5
 from hydrabeam_mpi.model.arrays import hexagon, read_layout
+from hydrabeam_mpi.model.beam import Beam
 from hydrabeam_mpi.model.engine import make_engine
 from hydrabeam_mpi.model.positions import count_above_horizon
-from hydrabeam_mpi.model.rime import Beam, ForwardModel
+from hydrabeam_mpi.model.rime import ForwardModel
 from hydrabeam_mpi.model.sky import Sky
 from hydrabeam_mpi.mpi import Comm, bcast_object, together
 from hydrabeam_mpi.problem import load_sky, source_positions

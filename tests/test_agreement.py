@@ -22,8 +22,8 @@ def run_ranks(
         (tmp_path / "conftest.py").write_text(CONFTEST)
         (tmp_path / "test_it.py").write_text(HEAD + source)
         repository = str(Path(__file__).parents[1])
-        words = (sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--rootdir", tmp_path, tmp_path)
-        return mpiexec(2, *words, timeout=60, PYTHONPATH=repository)
+        options = ("-p", "no:cacheprovider", "--color=no", "--rootdir", tmp_path)
+        return mpiexec(2, sys.executable, "-m", "pytest", *options, tmp_path, PYTHONPATH=repository)
 
     return run
 

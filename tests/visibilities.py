@@ -6,12 +6,13 @@ import warnings
 
 import numpy as np
 from astropy.coordinates import EarthLocation
-from pyuvdata import Telescope, UVData
+from pyuvdata import Telescope, UVCal, UVData
 
 from hydrabeam_mpi.data.observation import Observation
 from hydrabeam_mpi.data.partition import Tile
 
 SECOND = 1 / 86400
+TIMES = 2459866.2 + 10 * SECOND * np.arange(6)
 NUMBERS = (3, 7, 11, 20, 41)
 LOCATION = EarthLocation.from_geodetic(lon=21.4283, lat=-30.7215, height=1051.69)
 # Metres; nothing lies on a round number or a symmetry axis.
@@ -52,7 +53,7 @@ def make_uvdata(
     seed: int = 1,
 ) -> UVData:
     """Make a drift scan: random visibilities, positive autocorrelations, a few flags, varied nsamples."""
-    times = 2459866.2 + 10 * SECOND * np.arange(6) if times is None else times
+    times = TIMES if times is None else times
     freqs = 120e6 + 1e6 * np.arange(4) if freqs is None else freqs
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of feeds without direction
@@ -94,6 +95,27 @@ def _new_uvdata(times, antpairs, pols, freqs, x_orientation, enu) -> UVData:
         empty=True,
         update_telescope_from_known=False,
     )
+
+
+def make_uvcal(uv, *, times=TIMES, jones=(-5, -6), convention="divide", numbers=NUMBERS, **given) -> UVCal:
+    """Make random gains, a few flagged, for the antennas and channels of ``uv``."""
+    cal = UVCal.new(
+        cal_style="redundant",
+        gain_convention=convention,
+        jones_array=np.array(jones),
+        telescope=uv.telescope.copy(),
+        freq_array=uv.freq_array,
+        channel_width=uv.channel_width,
+        ant_array=np.array(numbers),
+        update_telescope_from_known=False,
+        empty=True,
+        **({"time_array": times, "integration_time": 10.0} | given),
+    )
+    rng = np.random.default_rng(7)
+    shape = cal.gain_array.shape
+    cal.gain_array = rng.uniform(0.5, 2, shape) * np.exp(1j * rng.uniform(0, 2 * np.pi, shape))
+    cal.flag_array = rng.random(shape) < 0.05
+    return cal
 
 
 def expected(uv: UVData, observation: Observation) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

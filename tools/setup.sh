@@ -37,18 +37,19 @@ machine_path() {
     echo "$path"
 }
 
-# Where a job may start as root (containers) or on fewer cores than ranks (tests), Open MPI wants to be told.
-# The variables of Open MPI 4 and 5; other MPIs do not read them.
+# Open MPI (4 and 5; others do not read these variables) must be told that a job may start as root, as in containers,
+# and with more ranks than cores, as in the tests; and not to bind two ranks to one core each, where there are more.
 permit_open_mpi() {
     if [[ $(id -u) == 0 ]]; then
         export OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1
     fi
     export OMPI_MCA_rmaps_base_oversubscribe=1 PRTE_MCA_rmaps_default_mapping_policy=:oversubscribe
+    export OMPI_MCA_hwloc_base_binding_policy=none PRTE_MCA_hwloc_default_binding_policy=none
 }
 
 # An mpicc alone is not enough: distributions ship it apart from mpi.h.
 compiles_mpi() {
-    "$1" -x c -o /dev/null - <<<$'#include <mpi.h>\nint main(void) { return MPI_Init(0, 0); }' 2>/dev/null
+    "$1" -x c -o "$venv/hydrabeam.probe" - 2>/dev/null <<<$'#include <mpi.h>\nint main(void) { return MPI_Init(0, 0); }'
 }
 
 # The machine's own MPI knows its network and its batch system, so it comes before the wheel.
@@ -97,7 +98,7 @@ check_mpi() {
 
 set_up() {
     local venv mpi key target
-    venv=${HYDRABEAM_VENV:-$PWD/.venv}
+    venv=$(realpath -m "${HYDRABEAM_VENV:-.venv}")
     [[ -e $venv ]] || make_environment
     is_recent_python "$venv/bin/python" ||
         fail "$venv is no environment of Python 3.11 or later; remove it, or name another place in HYDRABEAM_VENV"

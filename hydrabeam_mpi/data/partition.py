@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -40,7 +41,7 @@ def split_by_cost(costs: FloatArray, n_parts: int) -> list[slice]:
     middles = 0.5 * (running[1:] + running[:-1])
     cuts = np.searchsorted(middles, targets, side="left")
     cuts[0], cuts[-1] = 0, len(costs)
-    return [slice(int(lo), int(hi)) for lo, hi in zip(cuts[:-1], cuts[1:], strict=True)]
+    return [slice(lo, hi) for lo, hi in pairwise(cuts.tolist())]
 
 
 def make_tiles(times: IntArray, time_costs: FloatArray, bls: IntArray, group: IntArray, n_ranks: int) -> list[Tile]:

@@ -112,9 +112,7 @@ def _narrow(mask: BoolArray, keep: BoolArray, field: str, what: str) -> None:
 def _check_known(wanted: set[int], known: set[int], field: str) -> None:
     if unknown := sorted(wanted - known):
         listed = ", ".join(map(str, unknown))
-        raise InputError(
-            f"antenna {listed} is not in the data", field=field, remedy="remove it from the list"
-        )
+        raise InputError(f"antenna {listed} is not in the data", field=field, remedy="remove it from the list")
 
 
 def select_baselines(antpairs: IntArray, bl_vectors: FloatArray, selection: Selection) -> BoolArray:
@@ -286,7 +284,5 @@ def split_holdout(observation: Observation, rule: HoldoutRule) -> Holdout:
     if held.all():
         raise InputError("leaves nothing to fit", field="[holdout] kind", remedy="hold out less")
     if not held.any():
-        raise InputError(
-            "holds out nothing", field="[holdout] kind", remedy='change it, or use kind = "none"'
-        )
+        raise InputError("holds out nothing", field="[holdout] kind", remedy='change it, or use kind = "none"')
     return split

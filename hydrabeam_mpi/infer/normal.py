@@ -10,6 +10,7 @@ which add up over rows, hence over ranks (HDBI II, eqs 12 and 13).
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from scipy.linalg.blas import dsyrk, zherk
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 
-Array = NDArray
+Array = NDArray[Any]
 
 
 @dataclass
@@ -135,6 +136,4 @@ class RowBuffer:
         if self._held:
             rows, weighted_data, weights = zip(*self._held, strict=True)
             self._held = []
-            self.normal.add_rows(
-                np.concatenate(rows, axis=-2), np.concatenate(weighted_data), np.concatenate(weights)
-            )
+            self.normal.add_rows(np.concatenate(rows, axis=-2), np.concatenate(weighted_data), np.concatenate(weights))

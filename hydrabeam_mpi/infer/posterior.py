@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from hydrabeam_mpi.infer.normal import NormalEquations
 from hydrabeam_mpi.infer.prior import Prior, cholesky_lower
 from hydrabeam_mpi.random import complex_normal
 
-Array = NDArray
+Array = NDArray[Any]
 
 
 @dataclass(frozen=True)
@@ -109,11 +110,9 @@ def solve_posterior(normal: NormalEquations, prior: Prior) -> Posterior:
 
     log_evidence = None
     if prior.log_det_precision is not None:
-        # The exponent is (kappa/2)^-1 ... : densities exp(-q) for complex, exp(-q/2) for real coefficients.
+        # Densities are exp(-q) for complex and exp(-q/2) for real coefficients: in both exp(-q/kappa).
         quadratic = kappa * normal.data_norm + np.vdot(prior.mean, prior.precision_times(prior.mean)).real
         quadratic -= np.vdot(half, half).real
         log_det = prior.log_det_precision - 2 * np.sum(np.log(np.diag(factor).real))
-        log_evidence = float(
-            (log_det - quadratic) / kappa + normal.log_det_inv_noise - normal.n_data * np.log(np.pi)
-        )
+        log_evidence = float((log_det - quadratic) / kappa + normal.log_det_inv_noise - normal.n_data * np.log(np.pi))
     return Posterior(mean, factor, log_evidence)

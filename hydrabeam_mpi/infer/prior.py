@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,13 +12,15 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.errors import InputError
 
-Array = NDArray
+Array = NDArray[Any]
 
 
 class Prior(Protocol):
     """A Gaussian in the coefficients, possibly flat."""
 
-    mean: Array
+    @property
+    def mean(self) -> Array:
+        """Its centre, (n,)."""
 
     @property
     def log_det_precision(self) -> float | None:

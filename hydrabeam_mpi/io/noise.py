@@ -125,6 +125,8 @@ def constant_weights(sigma: float, flags: BoolArray, nsamples: FloatArray) -> Fl
 
 def variance_weights(variance: FloatArray, flags: BoolArray, nsamples: FloatArray) -> FloatArray:
     """Noise from the variance of one sample (Jy^2), (Nfreqs, Nbls, Npols) as of `difference_variance`."""
+    if not np.all(variance > 0):
+        raise InputError("non-positive noise", field="[noise] kind", remedy="choose another kind")
     return np.where(flags, 0.0, nsamples / variance[:, None])
 
 

@@ -46,7 +46,7 @@ class ChannelRecord:
 
     freq: float
     summary: dict[str, Any]
-    arrays: dict[str, NDArray] = field(default_factory=dict)
+    arrays: dict[str, NDArray[Any]] = field(default_factory=dict)
     log_evidence: float | None = None
 
 
@@ -57,8 +57,8 @@ class PosteriorFile:
     basis: dict[str, Any]
     provenance: dict[str, Any]
     polarization: str
-    grid_za: NDArray
-    grid_az: NDArray
+    grid_za: NDArray[Any]
+    grid_az: NDArray[Any]
     channels: list[ChannelRecord]
 
 
@@ -89,7 +89,7 @@ def read_posterior(path: Path) -> PosteriorFile:
     """
     try:
         with h5py.File(path) as file:
-            channels = []
+            channels: list[ChannelRecord] = []
             while (name := CHANNEL.format(len(channels))) in file:
                 group = file[name]
                 arrays = {key: np.asarray(group[key]) for key in group if key != "covariance"}
@@ -106,11 +106,13 @@ def read_posterior(path: Path) -> PosteriorFile:
             )
     except (OSError, KeyError) as error:
         raise InputError(
-            f"is not a posterior file ({error})", file=path, remedy="name a folder written by 'hydrabeam infer'"
+            f"is not a posterior file ({error})",
+            file=path,
+            remedy="name a folder written by 'hydrabeam infer'",
         ) from error
 
 
-def read_covariance(path: Path, channel: int) -> NDArray:
+def read_covariance(path: Path, channel: int) -> NDArray[Any]:
     """Read one channel's covariance, (n, n)."""
     with h5py.File(path) as file:
         return np.asarray(file[CHANNEL.format(channel)]["covariance"])

@@ -50,8 +50,6 @@ def _survey(path: Path) -> _Survey:
     """Reduce the metadata of a file to its distinct baselines and times."""
     header, rows = read_metadata(path)
     cross = np.flatnonzero(rows.antpairs[:, 0] != rows.antpairs[:, 1])
-    if not cross.size:
-        raise InputError("no cross-correlations", file=path, field="ant_2_array", remedy="leave the file out")
     keys, baseline = np.unique(pair_keys(rows.antpairs[cross]), return_inverse=True)
     _check_averaging(path, rows.integration_time[cross], baseline)
     first = cross[distinct(rows.times[cross], TIME_TOLERANCE)]
@@ -67,7 +65,7 @@ def _survey(path: Path) -> _Survey:
 def _check_averaging(path: Path, integration_time: FloatArray, baseline: IntArray) -> None:
     """Refuse baseline-dependent averaging: one time axis must serve all baselines."""
     mean = np.bincount(baseline, integration_time) / np.bincount(baseline)
-    if np.ptp(mean) > 0.01 * mean.max():
+    if mean.size and np.ptp(mean) > 0.01 * mean.max():
         raise InputError(
             f"integrations of {mean.min():g} to {mean.max():g} s, depending on the baseline",
             file=path,
@@ -84,7 +82,8 @@ def read_observation(files: Sequence[Path], selection: Selection) -> Observation
     Parameters
     ----------
     files : sequence of Path
-        uvh5, uvfits, measurement sets or miriad, also mixed.
+        uvh5, uvfits, measurement sets or miriad, also mixed. Some may hold autocorrelations only, which have
+        no say in the axes.
     selection : Selection
 
     Returns
@@ -104,19 +103,19 @@ def read_observation(files: Sequence[Path], selection: Selection) -> Observation
         raise InputError("a file is named twice", field="[data] files", remedy="name it once")
     surveys = [_survey(Path(path)) for path in files]
     names, positions = _merge_antennas([survey.header for survey in surveys])
+    surveys = [survey for survey in surveys if survey.antpairs.size]
+    if not surveys:
+        raise InputError("no cross-correlations", file=files[0], field="ant_2_array", remedy="add their files")
     antpairs = _select_antpairs(surveys, positions, selection)
     numbers = np.unique(antpairs)
 
     freqs, channel_width = (
-        np.concatenate([getattr(survey.header, name) for survey in surveys])
-        for name in ("freqs", "channel_width")
+        np.concatenate([getattr(survey.header, name) for survey in surveys]) for name in ("freqs", "channel_width")
     )
     first = distinct(freqs, FREQ_TOLERANCE)
     channels = first[select_channels(freqs[first], channel_width[first], selection)]
 
-    stamps = np.concatenate(
-        [[survey.times, survey.lsts, survey.integration_time] for survey in surveys], axis=1
-    )
+    stamps = np.concatenate([[survey.times, survey.lsts, survey.integration_time] for survey in surveys], axis=1)
     stamps = stamps[:, distinct(stamps[0], TIME_TOLERANCE)]
     times, lsts, integration_time = stamps[:, select_times(stamps[0], stamps[1], selection)]
 
@@ -171,9 +170,7 @@ def _merge_antennas(headers: list[UVHeader]) -> tuple[dict[int, str], dict[int, 
     return names, positions
 
 
-def _select_antpairs(
-    surveys: list[_Survey], positions: dict[int, FloatArray], selection: Selection
-) -> IntArray:
+def _select_antpairs(surveys: list[_Survey], positions: dict[int, FloatArray], selection: Selection) -> IntArray:
     """Merge the baselines of all files, keep the selected ones and make sure that each has a vector."""
     antpairs = np.unique(np.concatenate([survey.antpairs for survey in surveys]), axis=0)
     nowhere = np.full(3, np.nan)
@@ -227,7 +224,7 @@ def _select_pols(headers: list[UVHeader], selection: Selection) -> tuple[str, ..
                 remedy=f"{silent}ask for polarization = {listed}",
             )
         pols += found
-    return tuple(pols)
+    return tuple(dict.fromkeys(pols))
 
 
 def _check_covered(observation: Observation, surveys: list[_Survey]) -> None:

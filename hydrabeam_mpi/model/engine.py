@@ -9,13 +9,14 @@ with g_c the real columns of a beam basis. The factor 1/2 is stated here and now
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Protocol
 
 import finufft
 import numpy as np
 from scipy.linalg.blas import dgemm
 
-from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.model.fringes import C_M_PER_S, Fringes
 from hydrabeam_mpi.model.positions import enu
 
@@ -38,9 +39,7 @@ class Engine(Protocol):
     def n_vectors(self) -> int:
         """Number of baseline vectors."""
 
-    def design(
-        self, basis: Columns, za: FloatArray, az: FloatArray, flux: FloatArray, freqs: FloatArray
-    ) -> FloatArray:
+    def design(self, basis: Columns, za: FloatArray, az: FloatArray, flux: FloatArray, freqs: FloatArray) -> FloatArray:
         """Compute the design of one time.
 
         Parameters
@@ -83,9 +82,7 @@ class GemmEngine:
         """Number of baseline vectors."""
         return len(self.fringes.vectors)
 
-    def design(
-        self, basis: Columns, za: FloatArray, az: FloatArray, flux: FloatArray, freqs: FloatArray
-    ) -> FloatArray:
+    def design(self, basis: Columns, za: FloatArray, az: FloatArray, flux: FloatArray, freqs: FloatArray) -> FloatArray:
         """Compute the design of one time; see `Engine.design`."""
         n_vectors = self.n_vectors
         out = np.zeros((len(freqs), 2 * n_vectors, basis.n_columns))
@@ -93,7 +90,7 @@ class GemmEngine:
         # Chunks of equal size: a short last one would cost nearly as much as a full one.
         n_chunks = max(-(-len(za) // self.chunk), 1)
         edges = np.linspace(0, len(za), n_chunks + 1).astype(int)
-        for lo, hi in zip(edges[:-1], edges[1:], strict=True):
+        for lo, hi in pairwise(edges.tolist()):
             columns = basis.columns(za[lo:hi], az[lo:hi])
             fringes = np.empty((2, n_vectors, hi - lo))
             for f, freq in enumerate(freqs):
@@ -132,9 +129,7 @@ class NufftEngine:
         """Number of baseline vectors."""
         return len(self.vectors)
 
-    def design(
-        self, basis: Columns, za: FloatArray, az: FloatArray, flux: FloatArray, freqs: FloatArray
-    ) -> FloatArray:
+    def design(self, basis: Columns, za: FloatArray, az: FloatArray, flux: FloatArray, freqs: FloatArray) -> FloatArray:
         """Compute the design of one time; see `Engine.design`."""
         n_vectors, n_columns = len(self.vectors), basis.n_columns
         out = np.zeros((len(freqs), 2, n_vectors, n_columns))
@@ -152,7 +147,7 @@ class NufftEngine:
                 out[f, 1, :, lo : lo + self.batch] = values.imag.T
         return out
 
-    def _transform(self, points: list, strengths: np.ndarray, targets: list) -> np.ndarray:
+    def _transform(self, points: list[FloatArray], strengths: ComplexArray, targets: list[FloatArray]) -> ComplexArray:
         transform = finufft.nufft2d3 if self.coplanar else finufft.nufft3d3
         values = transform(*points, strengths, *targets, isign=1, eps=self.eps)
         return np.atleast_2d(values)

@@ -11,7 +11,8 @@ as well but swings by more than the beam itself between the few samples around t
 every m:
 
 - a ring of n azimuths has no component with |m| > n/2, and no say on |m| = n/2;
-- where the samples have no zenith, the beam there does not depend on azimuth: no component with m != 0.
+- where no sample is at the zenith, the beam there has no component with m != 0, with the weight of the
+  innermost ring.
 
 With at least 2 m_max + 1 azimuths on every ring and a ring at the zenith, neither rule is ever used.
 """
@@ -183,7 +184,7 @@ def _fit_rings(basis: FourierBessel, rings: RingGrid) -> tuple[Array, int]:
     has_zenith = za[0] < 1e-6
     if not has_zenith:
         za = np.concatenate([[0.0], za])
-        n_az = np.concatenate([[n_az.max()], n_az])
+        n_az = np.concatenate([n_az[:1], n_az])
         orders = np.concatenate([np.zeros((1, 2 * m_max + 1)), orders])
     radial = basis.radial_functions(basis.rho(za)).T
     modes_of_m: dict[int, list[int]] = {}
@@ -196,8 +197,8 @@ def _fit_rings(basis: FourierBessel, rings: RingGrid) -> tuple[Array, int]:
     for m, modes in modes_of_m.items():
         ks = np.array([basis.modes[n][0] for n in modes])
         weight = np.where(2 * abs(m) == n_az, 0.0, np.sqrt(n_az))
-        if m == 0 and not has_zenith:
-            weight[0] = 0
+        if not has_zenith:
+            weight[0] = np.sqrt(n_az[0]) if m else 0
         target = np.where(2 * abs(m) > n_az, 0, _order(orders, m, m_max, basis.is_complex))
         key = (ks.tobytes(), weight.tobytes())
         if key not in factors:

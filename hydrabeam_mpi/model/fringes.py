@@ -40,7 +40,7 @@ def find_lattice(vectors: FloatArray, tol: float) -> Lattice | None:
     index = np.rint(vectors @ np.linalg.pinv(generators)).astype(np.int64)
     if np.abs(index).max() > 1000:
         return None
-    generators = np.linalg.lstsq(index, vectors, rcond=None)[0]
+    generators = np.linalg.lstsq(index.astype(float), vectors, rcond=None)[0].astype(float)
     if np.linalg.norm(index @ generators - vectors, axis=1).max() > tol:
         return None
     return Lattice(generators, index)

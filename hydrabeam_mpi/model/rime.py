@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from hydrabeam_mpi.model.basis import LinearBasis
 from hydrabeam_mpi.model.engine import Engine
 from hydrabeam_mpi.model.positions import SourcePositions
 
-Beam = Callable[[FloatArray, FloatArray], NDArray]
+Beam = Callable[[FloatArray, FloatArray], NDArray[Any]]
 
 
 @dataclass(frozen=True)
@@ -48,12 +49,12 @@ class ForwardModel:
         for parts in self.design_columns(basis, times):
             yield basis.mix(parts[:, 0]) + 1j * basis.mix(parts[:, 1])
 
-    def visibilities(self, beams: list[Beam], times: IntArray) -> ComplexArray:
+    def visibilities(self, beams: Sequence[Beam], times: IntArray) -> ComplexArray:
         """Simulate the visibilities that given beams see.
 
         Parameters
         ----------
-        beams : list of callable
+        beams : sequence of callable
             One a channel, ``beam(za, az) -> (Npoints,)``; real or complex.
         times : ndarray of int
             Indices of the times.

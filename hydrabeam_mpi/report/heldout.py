@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydrabeam_mpi.report.result import Channel
-from hydrabeam_mpi.report.style import INFERRED, MODEL, REFERENCE, Drawing, light_grid, new_figure
+from hydrabeam_mpi.report.style import INFERRED, MODEL, REFERENCE, Drawing, new_figure
 
 Array = NDArray
 
@@ -18,7 +18,7 @@ def draw_heldout_scores(channel: Channel) -> Drawing | None:
     edges, counts = channel.arrays["z_edges"], channel.arrays["z_counts"]
     edges, counts = _merge_bins(edges, counts)
     density = counts / counts.sum(axis=1, keepdims=True) / np.diff(edges)
-    figure = new_figure(7.6, 3.5)
+    figure = new_figure(3.5)
     left, right = figure.subplots(1, 2)
     reach = float(np.abs(edges[np.flatnonzero(counts.any(axis=0))]).max()) * 1.3
     z = np.sinh(np.linspace(-np.arcsinh(reach), np.arcsinh(reach), 1001))
@@ -27,7 +27,7 @@ def draw_heldout_scores(channel: Channel) -> Drawing | None:
         axes.stairs(density[1], edges, color=MODEL, linewidth=1.3, label="model beam, noise alone")
         axes.stairs(density[0], edges, color=INFERRED, linewidth=1.3, label="inferred beam, posterior predictive")
         axes.plot(z, normal, "--", color=REFERENCE, linewidth=1, label="standard normal")
-        light_grid(axes)
+        axes.grid()
     left.set(xlim=(-6, 6), ylim=(0, 0.48), xlabel="z of held-out visibilities", ylabel="density")
     right.set_xscale("asinh", linear_width=2.0)
     floor = 0.3 / float(counts.sum(axis=1).max()) / float(np.diff(edges).max(initial=1.0, where=counts.any(axis=0)))
@@ -80,7 +80,7 @@ def draw_frequencies(channels: list[Channel]) -> Drawing | None:
             panels.append((label, lines))
     if not panels:
         return None
-    figure = new_figure(7.6, 1.9 * -(-len(panels) // 2) + 0.3)
+    figure = new_figure(1.9 * -(-len(panels) // 2) + 0.3)
     grid = figure.subplots(-(-len(panels) // 2), 2, sharex=True, squeeze=False).ravel()
     for axes, (label, lines) in zip(grid, panels, strict=False):
         for (name, values), colour in zip(lines.items(), (MODEL, INFERRED, REFERENCE), strict=False):
@@ -89,7 +89,7 @@ def draw_frequencies(channels: list[Channel]) -> Drawing | None:
         axes.set(title=label, yscale="log" if positive else "linear")
         if len(lines) > 1:
             axes.legend(fontsize=7.5)
-        light_grid(axes)
+        axes.grid()
     for axes in grid[len(panels) :]:
         axes.set_visible(False)
     for axes in grid[max(len(panels) - 2, 0) : len(panels)]:

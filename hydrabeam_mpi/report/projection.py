@@ -8,22 +8,24 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import Colormap, Normalize
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
+from hydrabeam_mpi.report.style import colour_map
+
 Array = NDArray
 VIEW = (
-    "Equal-area projection of the hemisphere, radius √(1 − cos za): zenith in the middle, horizon at the rim, "
+    "Equal-area projection of the hemisphere with radius √(1 − cos za): zenith in the middle, horizon at the rim, "
     "circles at za = 30° and 60°. Azimuth runs from East (right, az = 0°) through North (up, az = 90°): the view is "
     "from above, looking down on the array as on a map."
 )
-_PIXELS = 420
+COMPASS = {"E": (1.07, 0), "N": (0, 1.07), "W": (-1.07, 0), "S": (0, -1.07)}
 
 
-def to_disc(values: Array, za: Array, az: Array, pixels: int = _PIXELS) -> Array:
+def to_disc(values: Array, za: Array, az: Array, pixels: int = 360) -> Array:
     """Resample a map from the grid of angles to the square around the disc, linearly.
 
     Parameters
@@ -33,18 +35,18 @@ def to_disc(values: Array, za: Array, az: Array, pixels: int = _PIXELS) -> Array
     za, az : ndarray, (Nza,), (Naz,)
         Radians, ascending; azimuths evenly spaced around the circle.
     pixels : int
-        Size of the square.
+        Side of the square.
 
     Returns
     -------
     ndarray, (pixels, pixels)
-        First axis northwards, second eastwards; NaN outside of the horizon.
+        First axis northwards, second eastwards; NaN below the horizon and beyond the grid.
     """
     centres = (np.arange(pixels) + 0.5) * 2 / pixels - 1
     east, north = np.meshgrid(centres, centres)
-    radius_squared = east**2 + north**2
-    inside = radius_squared <= 1 - np.cos(za[-1])
-    ring = np.interp(np.arccos(1 - radius_squared[inside]), za, np.arange(len(za)))
+    cos_za = 1 - east**2 - north**2
+    inside = cos_za >= max(np.cos(za[-1]), 0.0)
+    ring = np.interp(np.arccos(cos_za[inside]), za, np.arange(len(za)))
     step = (np.arctan2(north, east)[inside] - az[0]) % (2 * np.pi) / (2 * np.pi) * len(az)
     wrapped = np.concatenate([values, values[:, :1]], axis=1)
     square = np.full(inside.shape, np.nan)
@@ -52,24 +54,25 @@ def to_disc(values: Array, za: Array, az: Array, pixels: int = _PIXELS) -> Array
     return square
 
 
-def draw_disc(axes: Axes, square: Array, cmap: Colormap, norm: Normalize, ink: str = "white") -> AxesImage:
-    """Draw a resampled map with its circles and directions; ``ink`` is the colour of the circles."""
+def draw_disc(
+    axes: Axes, square: Array, cmap: str, norm: Normalize, ink: str = "white", directions: str = "ENWS"
+) -> AxesImage:
+    """Draw a resampled map; ``ink`` colours the circles, ``directions`` says which letters stand at the rim."""
     image = axes.imshow(
-        square, cmap=cmap, norm=norm, extent=(-1, 1, -1, 1), origin="lower", interpolation="nearest"
+        square, cmap=colour_map(cmap), norm=norm, extent=(-1, 1, -1, 1), origin="lower", interpolation="nearest"
     )
     turn = np.linspace(0, 2 * np.pi, 361)
     for degrees, width, colour in ((30, 0.5, ink), (60, 0.5, ink), (90, 0.8, "black")):
         radius = np.sqrt(1 - np.cos(np.deg2rad(degrees)))
-        axes.plot(radius * np.cos(turn), radius * np.sin(turn), color=colour, linewidth=width, alpha=0.8)
-    for text, x, y in (("E", 1.06, 0), ("W", -1.06, 0), ("N", 0, 1.06), ("S", 0, -1.06)):
-        axes.text(x, y, text, ha="center", va="center", fontsize=8, color="0.25")
-    axes.set(xlim=(-1.12, 1.12), ylim=(-1.12, 1.12), xticks=[], yticks=[], aspect="equal")
+        axes.plot(radius * np.cos(turn), radius * np.sin(turn), color=colour, linewidth=width)
+    for letter in directions:
+        axes.text(*COMPASS[letter], letter, ha="center", va="center", fontsize=8, color="0.25")
+    axes.set(xlim=(-1.13, 1.13), ylim=(-1.13, 1.13), xticks=[], yticks=[], aspect="equal")
     axes.set_frame_on(False)
     return image
 
 
-def add_colorbar(figure: Figure, axes: Axes, image: AxesImage, label: str, extend: str = "neither") -> None:
-    """Put a colour bar beside a disc."""
-    bar = figure.colorbar(image, ax=axes, shrink=0.8, aspect=24, pad=0.03, extend=extend)
+def add_colorbar(figure: Figure, axes: Axes | Array, image: AxesImage, label: str, extend: str = "neither") -> None:
+    """Put a thin colour bar beside a disc, or beside several that share their colours."""
+    bar = figure.colorbar(image, ax=axes, shrink=0.8, aspect=24, pad=0.02, extend=extend)
     bar.set_label(label)
-    bar.outline.set_linewidth(0.5)  # type: ignore[operator]

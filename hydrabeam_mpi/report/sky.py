@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.colors import LogNorm, Normalize, SymLogNorm
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from hydrabeam_mpi.report.projection import VIEW, add_colorbar, draw_disc, to_disc
 from hydrabeam_mpi.report.result import Channel
-from hydrabeam_mpi.report.style import AZ_0, AZ_90, MODEL, REFERENCE, Drawing, decades, light_grid, new_figure
+from hydrabeam_mpi.report.style import AZ_0, AZ_90, MODEL, REFERENCE, Drawing, decades, new_figure
 
 Array = NDArray
 
@@ -29,39 +27,54 @@ def draw_maps(channel: Channel) -> Drawing | None:
         return None
     mean, std = channel.arrays["map_mean"].real, channel.arrays["map_std"]
     error, name = difference(channel)
-    figure = new_figure(7.6, 6.5)
-    panels = _Panels(figure, channel)
-    bottom, top = decades(mean, 1)
-    panels.draw("MAP beam" + (", real part" if np.iscomplexobj(channel.arrays["map_mean"]) else ""),
-                np.where(mean > 0, mean, np.nan), "magma", LogNorm(max(bottom, 1e-6), top), "power, peak of model = 1")  # fmt: skip
-    low, high = np.percentile(std, [0.5, 99.5])
-    panels.draw("posterior standard deviation", std, "viridis", Normalize(low, max(high, 1.001 * low)), "power", "both")
+    panels = _Panels(channel)
+    floor = max(decades(mean, 1)[0], 1e-6)
+    part = ", real part" if np.iscomplexobj(channel.arrays["map_mean"]) else ""
+    norm: Normalize = LogNorm(floor, max(float(mean.max()), 10 * floor))
+    panels.draw(f"MAP beam{part}", np.where(mean > 0, mean, np.nan), "magma", norm, "power beam")
+    low, high = np.percentile(std, [0.5, 100])
+    panels.draw("posterior standard deviation", std, "viridis", LogNorm(low, max(high, 1.01 * low)), "power beam")
     limit = float(np.abs(error.real).max()) or 1.0
-    panels.draw(f"{name}: largest {limit:.1e}", error.real, "RdBu_r",
-                SymLogNorm(float(max(np.median(std), 1e-3 * limit)), vmin=-limit, vmax=limit), "power", ink="0.4")  # fmt: skip
-    z = np.abs(error) / std
-    panels.draw(f"|{name}| / std: largest {z.max():.3g}", z, "cividis", Normalize(0, 5), "|z|", "max")
-    return Drawing("maps", "The beam on the sky", _map_caption(channel, name, mean), "Four maps of the hemisphere: the "
-                   f"most probable beam, its standard deviation, {name}, and that difference in standard deviations.", figure)  # fmt: skip
+    norm = SymLogNorm(max(float(np.median(std)), 1e-3 * limit), vmin=-limit, vmax=limit)
+    panels.draw(f"{name}{part}", error.real, "RdBu_r", norm, "power beam", ink="0.4")
+    panels.draw(f"|{name}| / posterior std", np.abs(error) / std, "cividis", Normalize(0, 5), "|z|", "max")
+    return Drawing(
+        "maps",
+        "The beam on the sky",
+        _map_caption(channel, mean),
+        f"Four maps of the hemisphere: the most probable beam, its standard deviation, {name}, and that difference "
+        "in standard deviations.",
+        panels.figure,
+    )
 
 
 class _Panels:
-    """Places one disc after the other on a two by two grid."""
+    """A figure of two by two discs, filled one after the other."""
 
-    def __init__(self, figure: Figure, channel: Channel) -> None:
-        self.figure, self.channel = figure, channel
-        self.axes = iter(figure.subplots(2, 2).ravel())
+    def __init__(self, channel: Channel) -> None:
+        self.channel = channel
+        self.figure = new_figure(6.4)
+        self._axes = iter(self.figure.subplots(2, 2).ravel())
 
-    def draw(self, title: str, values: Array, cmap: str, norm: Normalize, label: str, extend: str = "neither",
-             ink: str = "white") -> None:  # fmt: skip
-        axes = next(self.axes)
+    def draw(
+        self,
+        title: str,
+        values: Array,
+        cmap: str,
+        norm: Normalize,
+        label: str,
+        extend: str = "neither",
+        ink: str = "white",
+    ) -> None:
+        """Draw a map, (Nza, Naz), on the next disc."""
+        axes = next(self._axes)
         square = to_disc(values, self.channel.za, self.channel.az)
-        image = draw_disc(axes, square, colormaps[cmap], norm, ink)
+        image = draw_disc(axes, square, cmap, norm, ink)
         axes.set_title(title)
         add_colorbar(self.figure, axes, image, label, extend)
 
 
-def _map_caption(channel: Channel, name: str, mean: Array) -> str:
+def _map_caption(channel: Channel, mean: Array) -> str:
     text = "Most probable beam, its posterior standard deviation, "
     text += (
         "its error against the beam that the data were simulated with, and that error in standard deviations. "
@@ -86,7 +99,7 @@ def draw_slices(channel: Channel) -> Drawing | None:
     mean, std = part(channel.arrays["map_mean"]), channel.arrays["map_std"]
     reference, name = (channel.truth, "truth") if channel.truth is not None else (channel.arrays["map_model"], "model")
     error, what = difference(channel)
-    figure = new_figure(7.6, 5.0)
+    figure = new_figure(5.0)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
     za = np.rad2deg(channel.za)
     for degrees, colour in ((0, AZ_0), (90, AZ_90)):
@@ -98,7 +111,7 @@ def draw_slices(channel: Channel) -> Drawing | None:
     top.set(yscale="log", ylabel="|beam|" if amplitude else "beam", ylim=(max(decades(part(reference), 0.5)[0], 1e-6), 2))
     bottom.set(yscale="log", ylabel="difference", xlabel="zenith angle (deg)", xlim=(0, za[-1]))
     for axes in (top, bottom):
-        light_grid(axes)
+        axes.grid()
         axes.legend(ncols=2, loc="best")
     shown = "amplitude" if amplitude else "real part"
     caption = (
@@ -122,7 +135,7 @@ def draw_map_scores(channel: Channel) -> Drawing | None:
     z = (np.abs(error) / channel.arrays["map_std"]).ravel()
     end = 6.0
     counts, edges = np.histogram(np.minimum(z, end * (1 - 1e-9)), np.linspace(0, end, 61))
-    figure = new_figure(7.6, 3.3)
+    figure = new_figure(3.3)
     axes = figure.subplots()
     axes.stairs(counts / z.size / np.diff(edges), edges, fill=True, color=MODEL, alpha=0.35)
     axes.stairs(counts / z.size / np.diff(edges), edges, color=MODEL, linewidth=1)
@@ -131,7 +144,7 @@ def draw_map_scores(channel: Channel) -> Drawing | None:
     axes.plot(x, expected, "--", color=REFERENCE, label=law)
     axes.set(xlim=(0, end), xlabel=f"|z| = |{name}| / posterior std", ylabel="density over the one-degree grid")
     axes.legend()
-    light_grid(axes)
+    axes.grid()
     expectation = (
         "expected of an inference whose basis and sky are complete"
         if channel.truth is not None

@@ -3,7 +3,7 @@ import pytest
 from scipy.stats import norm
 
 from hydrabeam_mpi.infer.heldout import Z_EDGES, HeldoutStatistics
-from hydrabeam_mpi.infer.random import complex_normal, generator
+from hydrabeam_mpi.random import complex_normal, generator
 
 
 def sample(n, seed=0, scale=1.0):

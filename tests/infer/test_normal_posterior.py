@@ -8,7 +8,7 @@ from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.infer.normal import NormalEquations, RowBuffer
 from hydrabeam_mpi.infer.posterior import solve_posterior
 from hydrabeam_mpi.infer.prior import CovariancePrior, DiagonalPrior, FlatPrior
-from hydrabeam_mpi.infer.random import complex_normal, generator
+from hydrabeam_mpi.random import complex_normal, generator
 
 N, ROWS = 7, 40
 
@@ -59,7 +59,11 @@ def dense_evidence(design, weights, data, mean, covariance, is_complex):
         return multivariate_normal(design @ mean, design @ covariance @ design.T + np.diag(1 / weights)).logpdf(data)
     total = design @ covariance @ design.conj().T + np.diag(1 / weights)
     residual = data - design @ mean
-    return -len(data) * np.log(np.pi) - np.linalg.slogdet(total)[1] - (residual.conj() @ np.linalg.solve(total, residual)).real
+    return (
+        -len(data) * np.log(np.pi)
+        - np.linalg.slogdet(total)[1]
+        - (residual.conj() @ np.linalg.solve(total, residual)).real
+    )
 
 
 @pytest.mark.parametrize("is_complex", [False, True])

@@ -79,9 +79,7 @@ def test_subbands_are_interpolated(tmp_path):
 def test_listed_frequencies_are_taken_exactly_and_interpolated_between(tmp_path):
     listed = np.array([120e6, 131e6, 160e6])
     flux = np.random.default_rng(0).uniform(1, 2, (3, 3))
-    sky = read_catalogue(
-        written(subbands(flux, "full", listed), tmp_path / "sky.skyh5"), np.array([131e6, 145.5e6])
-    )
+    sky = read_catalogue(written(subbands(flux, "full", listed), tmp_path / "sky.skyh5"), np.array([131e6, 145.5e6]))
     np.testing.assert_array_equal(sky.flux[0], flux[1])
     np.testing.assert_allclose(sky.flux[1], (flux[1] + flux[2]) / 2, rtol=1e-12)
 
@@ -90,9 +88,7 @@ def test_listed_frequencies_are_taken_exactly_and_interpolated_between(tmp_path)
 @pytest.mark.parametrize("freq", [99e6, 190e6])
 def test_frequencies_outside_the_catalogue_are_refused(tmp_path, spectral_type, freq):
     path = written(subbands(np.ones((len(SUBBANDS), 3)), spectral_type), tmp_path / "sky.skyh5")
-    with pytest.raises(
-        InputError, match=rf"{path}: no flux at {freq / 1e6:g} MHz, only from 100 to 180 MHz; select"
-    ):
+    with pytest.raises(InputError, match=rf"{path}: no flux at {freq / 1e6:g} MHz, only from 100 to 180 MHz; select"):
         read_catalogue(path, np.array([freq]))
 
 
@@ -171,9 +167,7 @@ def test_map_pixels_become_sources(tmp_path, unit):
 
 def votable(path, columns):
     """Write {name: (unit, values)} as the table VIII_100_gleamegc."""
-    table = Table(
-        {name: units.Quantity(values, unit) if unit else values for name, (unit, values) in columns.items()}
-    )
+    table = Table({name: units.Quantity(values, unit) if unit else values for name, (unit, values) in columns.items()})
     votable_file = from_table(table)
     votable_file.get_first_table().name = votable_file.get_first_table()._ID = "VIII_100_gleamegc"
     votable_file.to_xml(str(path))
@@ -203,9 +197,7 @@ def test_votable_subbands(tmp_path):
 
 
 def test_gleam_is_the_default_votable(tmp_path):
-    centres = np.array(
-        [76, 84, 92, 99, 107, 115, 122, 130, 143, 151, 158, 166, 174, 181, 189, 197, 204, 212, 220, 227]
-    )
+    centres = np.array([76, 84, 92, 99, 107, 115, 122, 130, 143, 151, 158, 166, 174, 181, 189, 197, 204, 212, 220, 227])
     fluxes = {f"Fint{mhz:03d}": ("Jy", FLUX * (mhz / 180) ** INDEX) for mhz in centres}
     sky = read_catalogue(votable(tmp_path / "any_name.vot", PLACES | fluxes), FREQS)
     np.testing.assert_allclose(sky.flux, FLUX * (FREQS[:, np.newaxis] / 180e6) ** INDEX, rtol=3e-4)
@@ -213,9 +205,7 @@ def test_gleam_is_the_default_votable(tmp_path):
 
 def test_a_votable_without_the_flux_column_is_refused(tmp_path):
     path = votable(tmp_path / "sky.vot", PLACES)
-    with pytest.raises(
-        InputError, match=r"sky\.vot: cannot be read as vot .*Fintfit200.*; check the names"
-    ) as caught:
+    with pytest.raises(InputError, match=r"sky\.vot: cannot be read as vot .*Fintfit200.*; check the names") as caught:
         read_catalogue(path, FREQS, columns=VOTableColumns())
     assert "\n" not in str(caught.value)
 
@@ -227,9 +217,7 @@ def test_text_without_a_flux_column_is_refused(tmp_path):
         read_catalogue(path, FREQS)
 
 
-@pytest.mark.parametrize(
-    ("name", "keep"), [("sky.skyh5", 0.5), ("sky.txt", 0.9), ("sky.vot", 0.7), ("sky.sav", 0.5)]
-)
+@pytest.mark.parametrize(("name", "keep"), [("sky.skyh5", 0.5), ("sky.txt", 0.9), ("sky.vot", 0.7), ("sky.sav", 0.5)])
 def test_truncated_files_are_refused(tmp_path, name, keep):
     path = tmp_path / name
     if path.suffix == ".vot":
@@ -258,9 +246,7 @@ def test_extended_fhd_sources_become_their_components():
     whole = SkyModel.from_file(path, expand_extended=False)
     assert sky.Nsrc == expected.Ncomponents > whole.Ncomponents
     assert any("_" in name for name in sky.names)
-    np.testing.assert_allclose(
-        sky.flux, expected.at_frequencies([180] * units.MHz, inplace=False).stokes[0].value
-    )
+    np.testing.assert_allclose(sky.flux, expected.at_frequencies([180] * units.MHz, inplace=False).stokes[0].value)
 
 
 @pytest.fixture(scope="module")

@@ -15,31 +15,9 @@ from hydrabeam_mpi.data.selection import Selection
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.gains import apply_gains, read_gains
 from hydrabeam_mpi.io.uvdata import read_observation, read_visibilities
-from tests.visibilities import NUMBERS, SECOND, expected, make_uvdata, whole
+from tests.visibilities import NUMBERS, SECOND, TIMES, expected, make_uvcal, make_uvdata, whole
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # pyuvdata's, on writing and on its own calibration
-
-TIMES = 2459866.2 + 10 * SECOND * np.arange(6)
-
-
-def make_uvcal(uv, *, times=TIMES, jones=(-5, -6), convention="divide", numbers=NUMBERS, **given) -> UVCal:
-    cal = UVCal.new(
-        cal_style="redundant",
-        gain_convention=convention,
-        jones_array=np.array(jones),
-        telescope=uv.telescope.copy(),
-        freq_array=uv.freq_array,
-        channel_width=uv.channel_width,
-        ant_array=np.array(numbers),
-        update_telescope_from_known=False,
-        empty=True,
-        **({"time_array": times, "integration_time": 10.0} | given),
-    )
-    rng = np.random.default_rng(7)
-    shape = cal.gain_array.shape
-    cal.gain_array = rng.uniform(0.5, 2, shape) * np.exp(1j * rng.uniform(0, 2 * np.pi, shape))
-    cal.flag_array = rng.random(shape) < 0.05
-    return cal
 
 
 @pytest.fixture
@@ -106,6 +84,14 @@ def test_tiles_are_parts_of_the_whole(read):
     part = np.ix_(range(4), tile.times, tile.bls, range(2))
     for found, full in zip(apply_gains(data[part], flags[part], obs, tile, files), everything, strict=True):
         np.testing.assert_array_equal(found, full[part])
+
+
+def test_an_idle_rank_has_nothing_to_calibrate(read):
+    uv = make_uvdata()
+    obs, data, flags, files = read(uv, make_uvcal(uv))
+    for tile in (Tile(np.arange(0), np.arange(6)), Tile(np.arange(6), np.arange(0))):
+        part = np.ix_(range(4), tile.times, tile.bls, range(2))
+        assert apply_gains(data[part], flags[part], obs, tile, files)[0].shape == data[part].shape
 
 
 def test_a_single_solution_serves_all_times(read):
@@ -209,9 +195,7 @@ def _feed_missing(cal):
     return 'no gains of feed "n"'
 
 
-@pytest.mark.parametrize(
-    "spoil", [_other_times, _zero, _nan, _other_channels, _antenna_missing, _feed_missing]
-)
+@pytest.mark.parametrize("spoil", [_other_times, _zero, _nan, _other_channels, _antenna_missing, _feed_missing])
 def test_gains_that_do_not_fit_are_refused(read, spoil):
     uv = make_uvdata()
     cal = make_uvcal(uv)
@@ -277,9 +261,7 @@ def test_measured_raw_data_become_the_calibrated_ones(data_dir):
     """An old calfits file, without the telescope's place in it."""
     folder = data_dir / "H1C_2458043-45_LST1.1"
     name = "zen.2458043.40141.xx.HH.XRAA"
-    raw, gains, calibrated = (
-        folder / f"{name}{end}" for end in (".uncalibrated.uvh5", ".abs.calfits", ".uvh5")
-    )
+    raw, gains, calibrated = (folder / f"{name}{end}" for end in (".uncalibrated.uvh5", ".abs.calfits", ".uvh5"))
     obs = read_observation([raw], Selection())
     data, flags, _ = read_visibilities([raw], obs, whole(obs))
     found, found_flags = apply_gains(data, flags, obs, whole(obs), [gains])

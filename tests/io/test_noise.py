@@ -14,14 +14,11 @@ from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.noise import (
     check_weights,
     constant_weights,
-    difference_variance,
     file_weights,
     radiometer_weights,
-    variance_weights,
 )
 from hydrabeam_mpi.io.uvdata import read_observation, read_visibilities
-from tests.io.test_gains import make_uvcal
-from tests.visibilities import AUTOS, CROSS, NUMBERS, SECOND, make_uvdata, whole
+from tests.visibilities import AUTOS, CROSS, NUMBERS, SECOND, make_uvcal, make_uvdata, whole
 
 T0 = 2459866.2
 
@@ -64,6 +61,13 @@ class TestRadiometer:
         part = np.ix_(range(4), tile.times, tile.bls, range(2))
         found = radiometer_weights(files, obs, tile, flags[part], nsamples[part])
         np.testing.assert_array_equal(found, everything[part])
+
+    def test_of_an_idle_rank_is_empty(self, read):
+        obs, _, _, files = read(make_uvdata())
+        for tile in (Tile(np.arange(0), np.arange(6)), Tile(np.arange(6), np.arange(0))):
+            shape = (4, len(tile.times), len(tile.bls), 2)
+            nothing = radiometer_weights(files, obs, tile, np.zeros(shape, bool), np.ones(shape))
+            assert nothing.shape == shape
 
     def test_takes_the_channel_width_of_the_observation(self, read):
         obs, flags, nsamples, files = read(make_uvdata())
@@ -193,9 +197,7 @@ class TestFile:
     def test_that_lacks_something_is_refused(self, read, tmp_path, change, message):
         obs, flags, nsamples, _ = read(make_uvdata())
         table = {"freqs": obs.freqs, "sigma": np.ones(4)} | change
-        path = write_table(
-            tmp_path / "sigma.h5", {key: value for key, value in table.items() if value is not None}
-        )
+        path = write_table(tmp_path / "sigma.h5", {key: value for key, value in table.items() if value is not None})
         with pytest.raises(InputError, match=message):
             file_weights(path, obs, whole(obs), flags, nsamples)
 
@@ -216,126 +218,3 @@ def write_table(path, table):
             for name, values in table.items():
                 file[name] = values
     return path
-
-
-def noisy(n_times, n_freqs=4, seed=3, times=None):
-    """Noise of variance 2 (b + 1) Jy^2 a sample for baseline b of `CROSS`, on a drifting sky of 50 Jy."""
-    times = T0 + 10 * SECOND * np.arange(n_times) if times is None else times
-    uv = make_uvdata(times=times, antpairs=CROSS, freqs=120e6 + 1e6 * np.arange(n_freqs), seed=seed)
-    rng = np.random.default_rng(seed)
-    unit = rng.normal(size=(2, *uv.data_array.shape)) * np.sqrt(0.5)
-    pairs = zip(uv.ant_1_array, uv.ant_2_array, strict=True)
-    variance = 2.0 * np.array([CROSS.index(pair) + 1 for pair in pairs])[:, None, None] / uv.nsample_array
-    step = (uv.time_array - T0)[:, None, None] / (10 * SECOND)
-    uv.data_array = 50 + 15j + 2 * step + np.sqrt(variance) * (unit[0] + 1j * unit[1])
-    return uv
-
-
-class TestDifferences:
-    def variance_of(self, obs):
-        return np.array([2.0 * (CROSS.index(tuple(pair)) + 1) for pair in obs.antpairs.tolist()])
-
-    def test_in_time_find_the_noise_below_a_drifting_sky(self, read):
-        obs, _, _, files = read(noisy(400))
-        found = difference_variance(files, obs, np.arange(6), "time")
-        assert found.shape == (4, 6, 2)
-        # 10% of the samples are flagged, so 0.9^3 of 398 differences remain, correlated with neighbours:
-        # the sum of squared correlations (1, 4/6, 1/6) doubles the variance of the estimate.
-        error = np.sqrt(2 / (0.73 * 398))
-        z = (found / self.variance_of(obs)[:, None] - 1) / error
-        assert np.abs(z).max() < 4.5
-        assert abs(z.mean()) < 4.5 / np.sqrt(z.size)
-        assert 0.6 < z.std() < 1.4
-
-    def test_in_frequency_find_the_noise_of_a_smooth_spectrum(self, read):
-        obs, _, _, files = read(noisy(100, n_freqs=12))
-        found = difference_variance(files, obs, np.arange(6), "frequency")
-        ratio = found / self.variance_of(obs)[:, None]
-        assert found.shape == (12, 6, 2)
-        assert abs(ratio.mean() - 1) < 4.5 * np.sqrt(2 / (0.73 * 10 * 100 * 12))
-        assert np.abs(ratio - 1).max() < 4.5 * np.sqrt(2 / (0.73 * 100))
-
-    def test_do_not_depend_on_how_baselines_are_dealt_out(self, read):
-        obs, _, _, files = read(noisy(20))
-        for how in ("time", "frequency"):
-            everything = difference_variance(files, obs, np.arange(6), how)
-            parts = [difference_variance(files, obs, np.array(bls), how) for bls in ([4], [0, 5], [2, 1, 3])]
-            np.testing.assert_array_equal(np.concatenate(parts, axis=1), everything[:, [4, 0, 5, 2, 1, 3]])
-
-    def test_do_not_reach_over_gaps(self, read):
-        """Two nights, with a sky that jumps between them: each contributes as if alone."""
-        night = T0 + 10 * SECOND * np.arange(12)
-        both = noisy(24, times=np.concatenate([night, night + 1]))
-        both.flag_array[:] = False
-        both.data_array[both.time_array > T0 + 0.5] += 1e4
-        obs, _, _, files = read(both)
-        alone = []
-        for half in (slice(0, 12), slice(12, 24)):
-            axes = {name: getattr(obs, name)[half] for name in ("times", "lsts", "integration_time")}
-            alone.append(difference_variance(files, dataclasses.replace(obs, **axes), np.arange(6), "time"))
-        found = difference_variance(files, obs, np.arange(6), "time")
-        np.testing.assert_allclose(found, np.mean(alone, axis=0), rtol=1e-12)
-        assert found.max() < 100
-
-    def test_with_too_few_unflagged_are_infinite(self, read):
-        uv = noisy(20)
-        uv.flag_array[:] = False
-        uv.flag_array[uv.time_array > T0 + 85 * SECOND, 2, 0] = True
-        obs, flags, nsamples, files = read(uv)
-        found = difference_variance(files, obs, np.arange(6), "time")
-        assert np.isinf(found[2, :, 0]).all()
-        assert np.isfinite(found).sum() == found.size - 6
-        weights = variance_weights(found, flags, nsamples)
-        assert not weights[2, ..., 0].any()
-        np.testing.assert_allclose(weights[1], nsamples[1] / found[1], rtol=1e-14)
-        assert not weights[flags].any()
-
-    def test_are_those_of_the_calibrated_data(self, read, tmp_path):
-        uv = noisy(20)
-        cal = make_uvcal(uv, times=np.array([T0]))
-        cal.gain_array[:], cal.flag_array[:] = 2.0j, False
-        cal.write_calfits(str(tmp_path / "gains.calfits"), run_check=False)
-        obs, _, _, files = read(uv)
-        plain = difference_variance(files, obs, np.arange(6), "time")
-        calibrated = difference_variance(files, obs, np.arange(6), "time", [tmp_path / "gains.calfits"])
-        np.testing.assert_allclose(calibrated, plain / 16, rtol=1e-12)
-
-    @pytest.mark.parametrize(
-        ("selection", "how"),
-        [
-            (Selection(every_time=3), "time"),
-            (Selection(time_range=(T0 - 1, T0 + 85 * SECOND)), "time"),
-            (Selection(channels=(0, 1)), "frequency"),
-            (Selection(channels=(0, 3)), "frequency"),
-        ],
-    )
-    def test_of_samples_too_far_apart_are_refused(self, read, selection, how):
-        obs, _, _, files = read(noisy(40), selection)
-        with pytest.raises(InputError, match=r"\[noise\] kind: too few adjacent"):
-            difference_variance(files, obs, np.arange(6), how)
-
-
-class TestMeasured:
-    """What differences say of the noise is what the radiometer equation says."""
-
-    def ratio(self, files, obs, how):
-        _, flags, nsamples = read_visibilities(files, obs, whole(obs))
-        radiometer = radiometer_weights(files, obs, whole(obs), flags, nsamples)
-        differences = variance_weights(
-            difference_variance(files, obs, np.arange(obs.Nbls), how), flags, nsamples
-        )
-        used = (radiometer > 0) & (differences > 0)
-        assert used.mean() > 0.5
-        return np.sqrt(np.median(differences[used]) / np.median(radiometer[used]))
-
-    def test_three_nights_have_the_noise_of_narrow_channels(self, data_dir):
-        files = sorted((data_dir / "H1C_2458043-45_LST1.1").glob("*.XRAA.uvh5"))
-        obs = read_observation(files, Selection(freq_range=(130e6, 190e6)))
-        narrow = dataclasses.replace(obs, channel_width=np.full(obs.Nfreqs, 97656.25))
-        assert 0.8 < self.ratio(files, narrow, "time") < 1.25
-
-    @pytest.mark.parametrize("how", ["time", "frequency"])
-    def test_binned_nights_scale_with_nsamples(self, data_dir, how):
-        files = sorted((data_dir / "H1C_lstbin_LST4.95").iterdir())[:1]
-        obs = read_observation(files, Selection())
-        assert 0.8 < self.ratio(files, obs, how) < 1.25

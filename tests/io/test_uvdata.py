@@ -12,9 +12,7 @@ from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.data.selection import Selection
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.uvdata import feeds_of, read_autos, read_observation, read_visibilities
-from tests.visibilities import AUTOS, CROSS, SECOND, expected, make_uvdata, whole
-
-TIMES = 2459866.2 + 10 * SECOND * np.arange(6)
+from tests.visibilities import AUTOS, CROSS, SECOND, TIMES, expected, make_uvdata, whole
 
 
 @pytest.fixture
@@ -109,9 +107,7 @@ def _split(uv, how):
     if how == "baselines":
         return [uv.select(bls=list(part), inplace=False) for part in (CROSS[:2] + AUTOS, CROSS[2:])]
     quarters = [
-        half.select(freq_chans=part, inplace=False)
-        for half in _split(uv, "times")
-        for part in ([0, 1, 2], [3])
+        half.select(freq_chans=part, inplace=False) for half in _split(uv, "times") for part in ([0, 1, 2], [3])
     ]
     return [quarter.select(polarizations=[pol], inplace=False) for quarter in quarters for pol in (-5, -6)]
 
@@ -254,6 +250,18 @@ def test_autocorrelations(write):
     assert (autos == 0).any()
 
 
+def test_autocorrelations_in_files_of_their_own(write):
+    """With more polarisations than the cross-correlations have."""
+    uv = make_uvdata()
+    autos = make_uvdata(antpairs=AUTOS, pols=(-5, -6, -7, -8))
+    files = [write(autos, "autos.uvh5"), write(uv.select(bls=list(CROSS), inplace=False))]
+    assert_read(files, uv)
+    obs = read_observation(files, Selection())
+    read = read_autos(files, obs, np.arange(6))
+    stored = np.where(autos.get_flags(20, 20, "ee"), 0, autos.get_data(20, 20, "ee").real).T
+    np.testing.assert_array_equal(read[:, :, 3, 0], stored)
+
+
 def test_cross_hands_take_the_autocorrelations_of_both_feeds(write):
     path = write(make_uvdata(pols=(-5, -6, -7, -8)))
     obs = read_observation([path], Selection(pols=("en",)))
@@ -282,15 +290,11 @@ class TestMeasured:
         obs = read_observation(files, Selection(pols=("ee",), freqs=(143.75e6,)))
         assert (obs.Nants, obs.Nbls, obs.Nfreqs, obs.Ntimes) == (7, 21, 1, 540)
         assert np.unique(np.floor(obs.times)).tolist() == [2458043, 2458044, 2458045]
-        np.testing.assert_allclose(
-            [obs.lsts.min() * 12 / np.pi, obs.lsts.max() * 12 / np.pi], [0.77, 1.44], atol=0.005
-        )
+        np.testing.assert_allclose([obs.lsts.min() * 12 / np.pi, obs.lsts.max() * 12 / np.pi], [0.77, 1.44], atol=0.005)
         data, flags, _ = read_visibilities(files, obs, whole(obs))
         # The same sky at the same sidereal time on every night, to the gains and the noise.
         night = np.floor(obs.times)
-        at_lst = [
-            np.flatnonzero(night == n)[np.argmin(abs(obs.lsts[night == n] - 0.3))] for n in np.unique(night)
-        ]
+        at_lst = [np.flatnonzero(night == n)[np.argmin(abs(obs.lsts[night == n] - 0.3))] for n in np.unique(night)]
         good = ~flags[0, at_lst].any(axis=(0, 2))
         for later in (1, 2):
             one, other = data[0, at_lst[0]][good].ravel(), data[0, at_lst[later]][good].ravel()
@@ -302,8 +306,7 @@ class TestMeasured:
         obs = observations[0]
         assert (obs.Nants, obs.Nbls, obs.Nfreqs, obs.Ntimes, obs.pols) == (10, 45, 150, 10, ("xx",))
         even, odd = (
-            read_visibilities([path], each, whole(each))
-            for path, each in zip(files, observations, strict=True)
+            read_visibilities([path], each, whole(each)) for path, each in zip(files, observations, strict=True)
         )
         good = ~(even[1] | odd[1])
         difference = np.abs(even[0] - odd[0])[good]

@@ -159,7 +159,8 @@ def _varying_polarisation(path):
     "spoil",
     [
         _missing, _empty, _text, _directory, _truncated, _other_hdf5, _no_metadata, _image_fits,
-        _truncated_fits, _kelvin, _negative_frequency, _nan_frequency, _two_spectral_windows, _varying_polarisation,
+        _truncated_fits, _kelvin, _negative_frequency, _nan_frequency, _two_spectral_windows,
+        _varying_polarisation,
     ],
 )  # fmt: skip
 def test_bad_file_is_one_line_that_names_it(tmp_path, spoil):

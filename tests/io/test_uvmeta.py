@@ -62,9 +62,7 @@ def test_antennas_are_those_of_the_selected_baselines(write):
 def test_selection_reaches_every_axis(write):
     uv = make_uvdata()
     times = np.unique(uv.time_array)
-    selection = Selection(
-        pols=("nn",), antpairs=((7, 3), (20, 11)), channels=(2,), time_range=(times[1], times[3])
-    )
+    selection = Selection(pols=("nn",), antpairs=((7, 3), (20, 11)), channels=(2,), time_range=(times[1], times[3]))
     obs = read_observation([write(uv)], selection)
     assert obs.pols == ("nn",)
     assert obs.antpairs.tolist() == [[3, 7], [20, 11]]
@@ -90,9 +88,7 @@ def test_polarisations_by_either_name(write, orientation, asked, got):
 
 def test_unknown_orientation_names_the_remedy(write):
     path = write(make_uvdata(x_orientation=None))
-    with pytest.raises(
-        InputError, match='does not tell where its feeds point; ask for polarization = "xx" or "yy"'
-    ):
+    with pytest.raises(InputError, match='does not tell where its feeds point; ask for polarization = "xx" or "yy"'):
         read_observation([path], Selection(pols=("ee",)))
 
 

@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 from astropy.constants import c
 
-from hydrabeam_mpi.infer.random import generator
 from hydrabeam_mpi.model.engine import GemmEngine, NufftEngine
 from hydrabeam_mpi.model.fringes import Fringes, find_lattice
+from hydrabeam_mpi.random import generator
 
 FREQS = np.array([100e6, 163.7e6])
-HEX = np.array([[14.6, 0, 0], [7.3, 14.6 * np.sqrt(3) / 2, 0], [29.2, 0, 0], [-7.3, 14.6 * np.sqrt(3) / 2, 0], [0, 0, 0]])
+HEX = np.array(
+    [[14.6, 0, 0], [7.3, 14.6 * np.sqrt(3) / 2, 0], [29.2, 0, 0], [-7.3, 14.6 * np.sqrt(3) / 2, 0], [0, 0, 0]]
+)
 
 
 class Ripples:
@@ -45,7 +47,9 @@ def irregular(n=6, height=0.3):
 
 
 @pytest.mark.parametrize("vectors", [HEX, irregular(), irregular(height=0.0)], ids=["hexagon", "3d", "coplanar"])
-@pytest.mark.parametrize("make", [GemmEngine, lambda v: GemmEngine(v, chunk=7), NufftEngine], ids=["gemm", "chunks", "nufft"])
+@pytest.mark.parametrize(
+    "make", [GemmEngine, lambda v: GemmEngine(v, chunk=7), NufftEngine], ids=["gemm", "chunks", "nufft"]
+)
 @pytest.mark.parametrize("n", [0, 1, 50])
 def test_engine_is_the_sum_over_sources(vectors, make, n):
     za, az, flux = sources(n)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from hydrabeam_mpi.infer.random import generator
 from hydrabeam_mpi.mpi import (
     allreduce_max,
     allreduce_sum,
@@ -17,6 +16,7 @@ from hydrabeam_mpi.mpi import (
     recv_array,
     send_array,
 )
+from hydrabeam_mpi.random import generator
 
 pytestmark = pytest.mark.mpi
 

@@ -1,0 +1,73 @@
+"""The kinds of values that a job file holds: quantities with units, ranges, names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated, Any, Literal
+
+from astropy import units
+from pydantic import AfterValidator, BeforeValidator, Field
+
+
+def _quantity(what: str, unit: str, example: str, *, sidereal: bool = False) -> Callable[[Any], float]:
+    """Return a validator that takes a plain number in ``unit``, or text with any unit of the same kind."""
+    expected = f"{what}, a number in {unit} or text such as '{example}'"
+    # An hour of sidereal time is an hour of angle.
+    target, same = (units.hourangle, [(units.h, units.hourangle)]) if sidereal else (units.Unit(unit), [])
+
+    def parse(value: Any) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float | str):
+            raise ValueError(expected)
+        if not isinstance(value, str):
+            return float(value)
+        try:
+            quantity = units.Quantity(value)
+            if quantity.unit == units.dimensionless_unscaled:
+                return float(quantity.value)
+            return float(quantity.to_value(target, same))
+        except (TypeError, ValueError, units.UnitConversionError) as error:
+            raise ValueError(expected) from error
+
+    return parse
+
+
+Hertz = Annotated[float, BeforeValidator(_quantity("a frequency", "Hz", "131 MHz")), Field(gt=0)]
+Metres = Annotated[float, BeforeValidator(_quantity("a length", "m", "14.6 m"))]
+Seconds = Annotated[float, BeforeValidator(_quantity("a time", "s", "10 s"))]
+Jansky = Annotated[float, BeforeValidator(_quantity("a flux density", "Jy", "0.1 Jy"))]
+Degrees = Annotated[float, BeforeValidator(_quantity("an angle", "deg", "90 deg"))]
+SiderealHours = Annotated[
+    float, BeforeValidator(_quantity("a sidereal time", "h", "6 h", sidereal=True)), Field(ge=0, le=24)
+]
+# 1962 to 2100: beyond, the rotation of the Earth is not known or guessed.
+JulianDate = Annotated[float, Field(ge=2437665, le=2488070)]
+Polarization = Literal["ee", "nn", "en", "ne", "xx", "yy", "xy", "yx"]
+AntennaPair = tuple[int, int]
+
+
+def _ascends(pair: tuple[float, float]) -> tuple[float, float]:
+    if pair[0] > pair[1]:
+        raise ValueError("[from, to] with the lower value first")
+    return pair
+
+
+def _is_some_time(pair: tuple[float, float]) -> tuple[float, float]:
+    if pair[0] == pair[1]:
+        raise ValueError("[from, to] with two different times, [0, 24] for a whole day")
+    return pair
+
+
+def _are_distinct(values: tuple[float, ...]) -> tuple[float, ...]:
+    if len(set(values)) < len(values):
+        raise ValueError("a list that names each value once")
+    return values
+
+
+# From greater to smaller wraps through 24 h.
+LstRange = Annotated[tuple[SiderealHours, SiderealHours], AfterValidator(_is_some_time)]
+JdRange = Annotated[tuple[JulianDate, JulianDate], AfterValidator(_ascends)]
+FreqRange = Annotated[tuple[Hertz, Hertz], AfterValidator(_ascends)]
+FluxRange = Annotated[
+    tuple[Annotated[Jansky, Field(gt=0)], Annotated[Jansky, Field(gt=0)]], AfterValidator(_ascends)
+]
+Freqs = Annotated[tuple[Hertz, ...], AfterValidator(_are_distinct), Field(min_length=1)]

@@ -1,0 +1,280 @@
+"""The tables of a job file: frozen, with the default, the unit and the meaning of each key."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from hydrabeam_mpi.config.quantities import (
+    AntennaPair,
+    Degrees,
+    FluxRange,
+    FreqRange,
+    Freqs,
+    Hertz,
+    Jansky,
+    JdRange,
+    JulianDate,
+    LstRange,
+    Metres,
+    Polarization,
+    Seconds,
+)
+
+ANALYTIC_BEAMS = ("gaussian", "airy")
+BUILT_IN_BEAMS = ("hera-vivaldi-131MHz", *ANALYTIC_BEAMS)
+
+
+def key(default: Any, meaning: str, **limits: Any) -> Any:
+    """Return a field with what ``hydrabeam init`` says of it."""
+    return Field(default, description=meaning, **limits)
+
+
+class Section(BaseModel):
+    """A table of the job file: frozen, strict about types, and an unknown key is an error."""
+
+    model_config = ConfigDict(
+        frozen=True, strict=True, extra="forbid", validate_default=True, allow_inf_nan=False
+    )
+
+
+class Array(Section):
+    """The antennas of a simulation: a hexagon, or positions from a file."""
+
+    hex: tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]] = key(
+        (4, 7), "antennas in the first and in the middle row"
+    )
+    spacing: Metres = key(14.6, "m between neighbours", gt=0)
+    file: Path | None = key(None, "text, CSV or uvh5 with positions (m ENU), instead of the hexagon")
+
+    @model_validator(mode="after")
+    def _is_a_hexagon(self) -> Self:
+        side, diagonal = self.hex
+        if diagonal < max(side, 2):
+            raise ValueError(
+                f"hex = [{side}, {diagonal}] is no array; give [first row, middle row], such as [4, 7]"
+            )
+        return self
+
+
+class Perturbation(Section):
+    """The perturbed beam of HDBI II, eqs 16-21; stretch 1 and sidelobe 0 leave the beam as it is."""
+
+    stretch: tuple[Annotated[float, Field(ge=1)], Annotated[float, Field(ge=1)]] = key(
+        (1.01, 1.02), "of the main lobe along East-West and North-South"
+    )
+    sidelobe: float = key(0.2, "largest relative modulation of the sidelobes", ge=0)
+
+
+class Simulate(Section):
+    """Mock data as in HDBI II, section 3: array, times, channels, perturbed beam and noise."""
+
+    array: Array = Array()
+    latitude: Degrees = key(-30.7215, "deg", ge=-90, le=90)
+    longitude: Degrees = key(21.4283, "deg East", ge=-180, le=360)
+    height: Metres = key(1051.69, "m")
+    start: JulianDate = key(2459866.0, "JD after which the first LST comes first")
+    lst_range: LstRange = key((6.0, 12.0), "h, the last excluded")
+    n_times: int = key(60, "evenly spaced in LST", ge=1)
+    freqs: Freqs = key((131e6,), "Hz, ascending")
+    channel_width: Hertz = key(100e3, "Hz")
+    integration_time: Seconds = key(10.0, "s", gt=0)
+    nsamples: float = key(100.0, "integrations averaged, such as nights", gt=0)
+    noise: bool = key(True, "add noise by the radiometer equation")
+    perturb: Perturbation = Perturbation()
+
+    @model_validator(mode="after")
+    def _ascends(self) -> Self:
+        if list(self.freqs) != sorted(self.freqs):
+            raise ValueError("freqs do not ascend; sort them")
+        return self
+
+
+class Data(Section):
+    """Which visibilities: files and a selection of them, or a simulation."""
+
+    files: tuple[str, ...] = key((), "uvh5, uvfits, measurement sets or miriad; wildcards allowed")
+    simulate: Simulate | None = None
+    polarization: Polarization = key("ee", "e, n by direction where the files tell it, else x, y by feed")
+    pol_convention: Literal["sum", "avg"] | None = key(
+        None, "of files that do not state it: 'sum' is V = I B / 2, 'avg' is V = I B"
+    )
+    gains: tuple[str, ...] = key((), "calfits or calh5 to apply; wildcards allowed")
+    antennas: tuple[int, ...] | None = key(None, "keep only these")
+    exclude_antennas: tuple[int, ...] = key((), "leave these out")
+    antpairs: tuple[AntennaPair, ...] | None = key(None, "keep only these baselines, [[ant1, ant2], ...]")
+    lst_range: LstRange | None = key(None, "h, [from, to]; may wrap through 24 h")
+    time_range: JdRange | None = key(None, "JD, [from, to]")
+    freq_range: FreqRange | None = key(None, "Hz, [from, to]")
+    freqs: Freqs | None = key(None, "Hz, the nearest channels")
+    channels: tuple[Annotated[int, Field(ge=0)], ...] | None = key(None, "by number, from 0")
+    channel_width: Hertz | None = key(None, "Hz, where the files are wrong about it")
+    min_bl_length: Metres = key(0.0, "m", ge=0)
+    max_bl_length: Metres | None = key(None, "m", gt=0)
+    redundancy_tol: Metres = key(1e-7, "m, within which baselines are the same", gt=0)
+
+    @model_validator(mode="after")
+    def _one_origin(self) -> Self:
+        if bool(self.files) == (self.simulate is not None):
+            raise ValueError("no data; give either files = [...] or a [data.simulate] table")
+        fixed = ("gains", "pol_convention", "freq_range", "freqs", "channels", "channel_width")
+        given = next((key for key in fixed if getattr(self, key)), None)
+        if self.simulate is not None and given:
+            raise ValueError(f"{given} is for data from files; leave it out, or set it in [data.simulate]")
+        return self
+
+
+class Noise(Section):
+    """Where the noise variance comes from."""
+
+    kind: Literal["autocorrelations", "constant", "file", "time-differences", "frequency-differences"] = key(
+        "autocorrelations", "by the radiometer equation, one sigma, from a file, or from the data's scatter"
+    )
+    sigma: Jansky | None = key(None, "Jy, kind = 'constant'", gt=0)
+    file: Path | None = key(None, "kind = 'file': uvh5 of sigmas, or HDF5 or npz with freqs and sigma")
+
+    @model_validator(mode="after")
+    def _has_what_it_needs(self) -> Self:
+        _go_together(self, "kind", "constant", "sigma", "'... Jy'")
+        _go_together(self, "kind", "file", "file", "'...'")
+        return self
+
+
+class Holdout(Section):
+    """Which data are kept from the inference, to test it."""
+
+    kind: Literal["times", "lst", "jd", "baselines", "none"] = key("times", "what is held out")
+    every: int = key(2, "kind = 'times': the second of every two integrations", ge=2)
+    lst_ranges: tuple[LstRange, ...] = key((), "h, kind = 'lst': [[from, to], ...]")
+    jd_ranges: tuple[JdRange, ...] = key((), "kind = 'jd': [[from, to], ...], such as whole nights")
+    antpairs: tuple[AntennaPair, ...] = key((), "kind = 'baselines': [[ant1, ant2], ...]")
+
+    @model_validator(mode="after")
+    def _has_what_it_needs(self) -> Self:
+        _go_together(self, "kind", "lst", "lst_ranges", "[[from, to], ...]")
+        _go_together(self, "kind", "jd", "jd_ranges", "[[from, to], ...]")
+        _go_together(self, "kind", "baselines", "antpairs", "[[ant1, ant2], ...]")
+        return self
+
+
+class SkyColumns(Section):
+    """Columns of a VOTable; defaults are GLEAM's power-law fits. Without it, GLEAM's subbands are read."""
+
+    table: str = key("GLEAM", "name of the table, or part of it")
+    name: str = key("GLEAM", "column of the sources' names")
+    lon: str = key("RAJ2000", "column")
+    lat: str = key("DEJ2000", "column")
+    frame: str = key("fk5", "astropy's name of the frame of lon and lat")
+    flux: tuple[str, ...] = key(("Fintfit200",), "one column, or one for each of freqs", min_length=1)
+    freqs: tuple[Hertz, ...] = key((), "Hz, of several flux columns")
+    reference_freq: Hertz = key(200e6, "Hz, of a single flux column")
+    spectral_index: str = key("alpha", "column, or '' where a single flux column holds at all frequencies")
+
+    @model_validator(mode="after")
+    def _has_what_it_needs(self) -> Self:
+        if len(self.flux) > 1 and len(self.freqs) != len(self.flux):
+            raise ValueError(f"{len(self.flux)} flux columns, {len(self.freqs)} freqs; give one for each")
+        return self
+
+
+class Sky(Section):
+    """The sky model: the mock of HDBI II, or a catalogue."""
+
+    kind: Literal["mock", "catalogue"] = key("mock", "drawn at random, or from a file")
+    n_sources: int = key(10000, "mock", ge=1)
+    flux_range: FluxRange = key((0.1, 100.0), "Jy at reference_freq, log-flat: mock")
+    reference_freq: Hertz = key(100e6, "Hz, to which fluxes of the mock and cuts refer")
+    spectral_index: float = key(-2.7, "mock")
+    file: Path | None = key(None, "skyh5, VOTable, text or FHD .sav: catalogue")
+    columns: SkyColumns | None = None
+    diffuse: Path | None = key(None, "folder of the GSM 2016 maps, added to the catalogue")
+    positions: Literal["apparent", "lst"] | None = key(
+        None, "apparent places (a catalogue's default), or turned by LST alone (a mock's)"
+    )
+    flux_min: Jansky = key(0.0, "Jy at reference_freq; fainter sources do not exist", ge=0)
+    model_flux_min: Jansky = key(0.0, "Jy at reference_freq; fainter sources are not modelled", ge=0)
+
+    @model_validator(mode="after")
+    def _has_what_it_needs(self) -> Self:
+        _go_together(self, "kind", "catalogue", "file", "'...'")
+        if self.columns is not None and self.kind != "catalogue":
+            raise ValueError("columns are of a catalogue; leave them out or set kind = 'catalogue'")
+        return self
+
+
+class Beam(Section):
+    """The electromagnetic beam model that is nearly right; the prior mean is its fit."""
+
+    source: str = key("hera-vivaldi-131MHz", "beam file, or 'hera-vivaldi-131MHz', 'gaussian' or 'airy'")
+    east_feed: Literal["x", "y"] | None = key(None, "feed that points East, instead of what the file says")
+    diameter: Metres | None = key(None, "m, of 'gaussian' or 'airy'", gt=0)
+    frequency: Literal["match", "interpolate", "scale"] = key(
+        "match", "where the file lacks a channel: an error, interpolate, or scale with the wavelength"
+    )
+
+    @model_validator(mode="after")
+    def _has_what_it_needs(self) -> Self:
+        if (self.source in ANALYTIC_BEAMS) != (self.diameter is not None):
+            raise ValueError(
+                "a formula goes with a diameter; give both, such as 'airy' and '14 m', or neither"
+            )
+        return self
+
+
+class Basis(Section):
+    """The linear basis of the inferred beam."""
+
+    kind: Literal["fourier-bessel", "zernike"] = key("fourier-bessel", "family of functions")
+    form: Literal["real", "complex"] = key("real", "fourier-bessel: of the coefficients")
+    n_modes: int = key(1024, "fourier-bessel: coefficients kept, the largest of the model beam's", ge=1)
+    k_max: int = key(80, "fourier-bessel: radial orders 1 to k_max", ge=1)
+    m_max: int = key(45, "fourier-bessel: azimuthal orders -m_max to m_max", ge=0)
+    edge: Degrees = key(92.0, "deg of zenith angle where the functions end", ge=90, le=180)
+    boundary: Literal["dirichlet", "neumann"] = key("dirichlet", "fourier-bessel: zero at the edge, or flat")
+    max_degree: int = key(30, "zernike", ge=0)
+
+    @model_validator(mode="after")
+    def _has_so_many_modes(self) -> Self:
+        if self.kind == "fourier-bessel" and self.n_modes > self.k_max * (2 * self.m_max + 1):
+            raise ValueError(
+                f"n_modes = {self.n_modes}, but k_max and m_max give {self.k_max * (2 * self.m_max + 1)}"
+                "; ask for fewer, or for higher orders"
+            )
+        return self
+
+
+class Prior(Section):
+    """The Gaussian prior on the coefficients."""
+
+    kind: Literal["fraction", "flat", "file"] = key(
+        "fraction", "independent coefficients, none, or from a file"
+    )
+    fraction: float = key(1.0, "standard deviation over the amplitude of the fitted coefficient", gt=0)
+    floor: float = key(0.0, "least amplitude taken for that, relative to the largest", ge=0)
+    file: Path | None = key(None, "kind = 'file': mean and covariance")
+
+    @model_validator(mode="after")
+    def _has_what_it_needs(self) -> Self:
+        _go_together(self, "kind", "file", "file", "'...'")
+        return self
+
+
+class Solver(Section):
+    """How the design matrix is computed."""
+
+    engine: Literal["gemm", "nufft"] = key("gemm", "matrix products, or a non-uniform FFT for many sources")
+    compress: bool = key(True, "treat redundant baselines as one, which changes nothing but the time")
+
+
+class Output(Section):
+    """What is written beside the posterior mean and covariance."""
+
+    draws: int = key(100, "from the posterior", ge=0)
+
+
+def _go_together(section: Section, switch: str, position: str, key: str, example: str) -> None:
+    """Make sure that ``key`` is given where, and only where, ``switch`` asks for it."""
+    if (getattr(section, switch) == position) != bool(getattr(section, key)):
+        raise ValueError(f"{switch} = '{position}' and {key} = {example} go together; give both or neither")
