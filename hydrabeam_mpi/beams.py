@@ -10,7 +10,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from hydrabeam_mpi.config import Job, Perturbation
+from hydrabeam_mpi.config import ANALYTIC_BEAMS, BUILT_IN_BEAMS, Job, Perturbation
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.infer.prior import CovariancePrior, DiagonalPrior, FlatPrior, Prior
@@ -56,12 +56,15 @@ def load_beams(job: Job, freqs: FloatArray, pol: str) -> tuple[Beam, ...]:
         If the source has no beam at a frequency or in this polarisation.
     """
     settings = job.beam
-    if settings.source in ("gaussian", "airy"):
-        if settings.diameter is None:
-            raise InputError("is missing", field="[beam] diameter", remedy="give it in metres")
+    if settings.source in ANALYTIC_BEAMS:
         return tuple(analytic_beam(settings.source, float(freq), pol, diameter=settings.diameter) for freq in freqs)
     if settings.source == "hera-vivaldi-131MHz":
         return tuple(_embedded(float(freq), pol, settings.frequency == "scale") for freq in freqs)
+    if not Path(settings.source).exists():
+        known = ", ".join(BUILT_IN_BEAMS)
+        raise InputError(
+            "no such file", file=settings.source, field="[beam] source", remedy=f"check the path, or use {known}"
+        )
     file = BeamFile(Path(settings.source), east_feed=settings.east_feed)
     if settings.frequency != "scale":
         interpolate = settings.frequency == "interpolate"
@@ -137,6 +140,8 @@ def make_prior(job: Job, fit: FittedBeam) -> Prior:
 
 def _prior_from_file(path: Path, basis: LinearBasis) -> Prior:
     """Read mean and covariance, as ``tools/ensemble_prior`` writes them."""
+    if not path.exists():
+        raise InputError("no such file", file=path, field="[prior] file", remedy="check the path")
     try:
         with h5py.File(path) as file:
             mean, covariance = np.asarray(file["mean"]), np.asarray(file["covariance"])

@@ -76,20 +76,14 @@ def _parser() -> argparse.ArgumentParser:
     for name, what in (("simulate", simulate), ("infer", infer)):
         command = commands.add_parser(name, help=what, description=what)
         command.add_argument("job", type=Path, metavar="JOB.toml", help="job file")
-        command.add_argument(
-            "-o", "--output", type=Path, required=True, metavar="DIR", help="folder to write"
-        )
-        command.add_argument(
-            "--overwrite", action="store_true", help="replace DIR where it is an earlier result"
-        )
+        command.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder to write")
+        command.add_argument("--overwrite", action="store_true", help="replace DIR where it is an earlier result")
     what = "draw the figures and report.html of a result"
     report = commands.add_parser("report", help=what, description=what)
     report.add_argument("directory", type=Path, metavar="DIR", help="folder that infer wrote")
     what = "print a job file filled in from data files"
     init = commands.add_parser("init", help=what, description=what)
-    init.add_argument(
-        "data", type=Path, nargs="+", metavar="DATA", help="uvh5, uvfits, measurement set or miriad"
-    )
+    init.add_argument("data", type=Path, nargs="+", metavar="DATA", help="uvh5, uvfits, measurement set or miriad")
     return parser
 
 

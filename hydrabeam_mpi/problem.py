@@ -122,11 +122,6 @@ class Problem:
         """Number of different baseline vectors."""
         return self.redundant.Ngroups
 
-    @property
-    def flux_scale(self) -> float:
-        """Factor that brings the data to V = 1/2 I B: data in the convention V = I B are halved."""
-        return 0.5 if self.job.data.pol_convention == "avg" else 1.0
-
     def forward_model(self, groups: IntArray) -> ForwardModel:
         """Return the forward model of some redundant groups."""
         job = self.job
@@ -165,6 +160,24 @@ def load_sky(job: Job, freqs: FloatArray) -> Sky:
         columns=VOTableColumns(**settings.columns.model_dump()) if settings.columns else None,
     )
     return concatenate([sky, read_gsm2016(settings.diffuse, freqs)]) if settings.diffuse else sky
+
+
+def count_sources(sky: Sky, observation: Observation) -> FloatArray:
+    """Estimate how many sources are up at each time, (Ntimes,).
+
+    Raises
+    ------
+    InputError
+        If there is none at any time.
+    """
+    counts = count_above_horizon(sky, observation)
+    if not counts.any() and not count_above_horizon(sky, observation, max_sample=sky.Nsrc).any():
+        raise InputError(
+            f"none of {sky.Nsrc} sources is above the horizon at any time",
+            field="[sky]",
+            remedy="use another catalogue or lower flux_min and model_flux_min",
+        )
+    return counts
 
 
 def expand(patterns: Sequence[str], field: str) -> tuple[Path, ...]:
@@ -244,16 +257,14 @@ def prepare(job: Job, files: tuple[Path, ...], truths: tuple[Beam, ...] = ()) ->
     InputError
         If a file or a setting cannot be used.
     """
-    observation = read_observation(files, select(job))
+    observation = replace(read_observation(files, select(job)), pol_convention=job.data.pol_convention)
     if job.data.channel_width is not None:
         width = np.full(observation.Nfreqs, job.data.channel_width)
         observation = replace(observation, channel_width=width)
     holdout = split_holdout(observation, _holdout_rule(job))
     whole_sky = load_sky(job, observation.freqs)
     sky = whole_sky.brighter_than(job.sky.model_flux_min)
-    time_costs = count_above_horizon(sky, observation)
-    if not time_costs.any():
-        raise InputError("no source is above the horizon at any time", field="[sky]", remedy="use another catalogue")
+    time_costs = count_sources(sky, observation)
     beams = load_beams(job, observation.freqs, observation.pols[0])
     basis, fits = fit_model_beams(job, beams)
     return Problem(

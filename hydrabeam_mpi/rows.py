@@ -80,5 +80,4 @@ def read_rows(problem: Problem, tile: Tile) -> Rows:
         weights = noise.variance_weights(problem.noise_variance[:, tile.bls], flags, nsamples)
     else:
         weights = noise.radiometer_weights(files, observation, tile, flags, nsamples, problem.gain_files)
-    scale = problem.flux_scale
-    return Rows.of(tile, Visibilities(scale * data, weights / scale**2), problem.redundant, int(np.sum(~flags)))
+    return Rows.of(tile, Visibilities(data, weights), problem.redundant, int(np.sum(~flags)))

@@ -19,7 +19,7 @@ from hydrabeam_mpi.inference import Clock, describe_channels, infer_channels
 from hydrabeam_mpi.io.beamfits import write_power_beam
 from hydrabeam_mpi.io.posterior_file import ChannelRecord, PosteriorFile, write_posterior
 from hydrabeam_mpi.io.provenance import provenance
-from hydrabeam_mpi.io.staging import StagedDirectory
+from hydrabeam_mpi.io.staging import StagedDirectory, writing
 from hydrabeam_mpi.mpi import (
     Comm,
     ProcessGrid,
@@ -46,7 +46,8 @@ def simulate(world: Comm, job_path: Path, out: Path, overwrite: bool, threads: i
         with together(world):
             if world.rank == 0:
                 record = provenance(job, [], world.size, threads, library_version())
-                _write_job_and_provenance(folder, job, record)
+                with writing(folder):
+                    _write_job_and_provenance(folder, job, record)
     say(f"wrote {out}", world.rank == 0)
 
 
@@ -88,7 +89,8 @@ def infer(world: Comm, job_path: Path, out: Path, overwrite: bool, threads: int)
                 inputs = [path for path in _inputs(job, problem) if path.parent != folder]
                 about = provenance(job, inputs, world.size, threads, library_version())
                 run = {"wall_s": clock.inference, "phases_s": clock.seconds, "peak_rss_mb": memory}
-                _write(folder, job, problem, records, about, run)
+                with writing(folder):
+                    _write(folder, job, problem, records, about, run)
     say(f"wrote {out}", world.rank == 0)
 
 

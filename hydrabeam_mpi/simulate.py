@@ -17,15 +17,15 @@ from hydrabeam_mpi.data.partition import make_tiles
 from hydrabeam_mpi.data.redundancy import find_redundant_groups
 from hydrabeam_mpi.diagnose import GRID_AZ, GRID_ZA, evaluate_on_grid
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.staging import writing
 from hydrabeam_mpi.io.uvwrite import write_uvh5
 from hydrabeam_mpi.model.arrays import hexagon, read_layout
 from hydrabeam_mpi.model.beam import Beam
 from hydrabeam_mpi.model.engine import make_engine
-from hydrabeam_mpi.model.positions import count_above_horizon
 from hydrabeam_mpi.model.rime import ForwardModel
 from hydrabeam_mpi.model.sky import Sky
 from hydrabeam_mpi.mpi import Comm, bcast_object, together
-from hydrabeam_mpi.problem import load_sky, source_positions
+from hydrabeam_mpi.problem import count_sources, load_sky, source_positions
 from hydrabeam_mpi.progress import say
 from hydrabeam_mpi.random import complex_normal, generator
 
@@ -57,7 +57,7 @@ def simulate_to(world: Comm, job: Job, folder: Path) -> tuple[Beam, ...]:
         engine = make_engine(job.solver.engine, vectors, job.data.redundancy_tol)
         model = ForwardModel(source_positions(job, sky, observation), sky.flux, observation.freqs, engine)
         alone = np.zeros(1, dtype=int)
-        costs = count_above_horizon(sky, observation)
+        costs = count_sources(sky, observation)
         tiles = make_tiles(np.arange(observation.Ntimes), costs, alone, alone, world.size)
         part = model.visibilities(beams, tiles[world.rank].times)
     parts = world.gather(part)
@@ -66,7 +66,8 @@ def simulate_to(world: Comm, job: Job, folder: Path) -> tuple[Beam, ...]:
             unique = np.concatenate(parts, axis=1)
             crosses = unique[:, :, redundant.group]
             crosses = np.where(redundant.flipped, crosses.conj(), crosses)
-            _write(folder, job, observation, sky, beams, crosses, unique[:, :, -1].real)
+            with writing(folder):
+                _write(folder, job, observation, sky, beams, crosses, unique[:, :, -1].real)
     return beams
 
 

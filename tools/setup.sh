@@ -49,7 +49,8 @@ permit_open_mpi() {
 
 # An mpicc alone is not enough: distributions ship it apart from mpi.h.
 compiles_mpi() {
-    "$1" -x c -o "$venv/hydrabeam.probe" - 2>/dev/null <<<$'#include <mpi.h>\nint main(void) { return MPI_Init(0, 0); }'
+    local source=$'#include <mpi.h>\nint main(void) { return MPI_Init(0, 0); }'
+    "$1" -x c -o "$venv/hydrabeam.probe" - <<<"$source" 2>/dev/null && rm "$venv/hydrabeam.probe"
 }
 
 # The machine's own MPI knows its network and its batch system, so it comes before the wheel.
@@ -84,13 +85,16 @@ check_mpi() {
     local said mpiexec remedy
     mpiexec=$(command -v mpiexec)
     remedy="remove $venv and put the mpiexec and mpicc to be used first on PATH, or set HYDRABEAM_MPI=wheel"
-    said=$(mpiexec -n 2 python -c 'from mpi4py.MPI import COMM_WORLD as world; print("world of", world.size)' \
-        </dev/null 2>&1) || {
+    said=$(mpiexec -n 2 python -c '
+import sys
+from mpi4py.MPI import COMM_WORLD as world
+if world.rank == 0:
+    sys.stdout.write(f"world of {world.size}\n")' </dev/null 2>&1) || {
         echo "$said" >&2
         fail "$mpiexec -n 2 cannot start mpi4py (its words are above); $remedy"
     }
     case $said in
-        *"world of 2"*"world of 2"*) ;;
+        *"world of 2"*) ;;
         *"world of 1"*) fail "$mpiexec -n 2 starts 2 worlds of 1 rank: it is not of the MPI of mpi4py; $remedy" ;;
         *) fail "$mpiexec -n 2 starts no world of 2 ranks but says: ${said//$'\n'/ }; $remedy" ;;
     esac

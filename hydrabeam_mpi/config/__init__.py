@@ -1,6 +1,15 @@
 """The job file: what it may say, and what is wrong with it where something is."""
 
 from hydrabeam_mpi.config.job import Job, load_job, named_files
-from hydrabeam_mpi.config.sections import Perturbation, Section, Simulate
+from hydrabeam_mpi.config.sections import ANALYTIC_BEAMS, BUILT_IN_BEAMS, Perturbation, Section, Simulate
 
-__all__ = ["Job", "Perturbation", "Section", "Simulate", "load_job", "named_files"]
+__all__ = [
+    "ANALYTIC_BEAMS",
+    "BUILT_IN_BEAMS",
+    "Job",
+    "Perturbation",
+    "Section",
+    "Simulate",
+    "load_job",
+    "named_files",
+]

@@ -67,7 +67,5 @@ def _are_distinct(values: tuple[float, ...]) -> tuple[float, ...]:
 LstRange = Annotated[tuple[SiderealHours, SiderealHours], AfterValidator(_is_some_time)]
 JdRange = Annotated[tuple[JulianDate, JulianDate], AfterValidator(_ascends)]
 FreqRange = Annotated[tuple[Hertz, Hertz], AfterValidator(_ascends)]
-FluxRange = Annotated[
-    tuple[Annotated[Jansky, Field(gt=0)], Annotated[Jansky, Field(gt=0)]], AfterValidator(_ascends)
-]
+FluxRange = Annotated[tuple[Annotated[Jansky, Field(gt=0)], Annotated[Jansky, Field(gt=0)]], AfterValidator(_ascends)]
 Freqs = Annotated[tuple[Hertz, ...], AfterValidator(_are_distinct), Field(min_length=1)]

@@ -35,9 +35,7 @@ def key(default: Any, meaning: str, **limits: Any) -> Any:
 class Section(BaseModel):
     """A table of the job file: frozen, strict about types, and an unknown key is an error."""
 
-    model_config = ConfigDict(
-        frozen=True, strict=True, extra="forbid", validate_default=True, allow_inf_nan=False
-    )
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", validate_default=True, allow_inf_nan=False)
 
 
 class Array(Section):
@@ -53,9 +51,7 @@ class Array(Section):
     def _is_a_hexagon(self) -> Self:
         side, diagonal = self.hex
         if diagonal < max(side, 2):
-            raise ValueError(
-                f"hex = [{side}, {diagonal}] is no array; give [first row, middle row], such as [4, 7]"
-            )
+            raise ValueError(f"hex = [{side}, {diagonal}] is no array; give [first row, middle row], such as [4, 7]")
         return self
 
 
@@ -132,7 +128,7 @@ class Noise(Section):
     kind: Literal["autocorrelations", "constant", "file", "time-differences", "frequency-differences"] = key(
         "autocorrelations", "by the radiometer equation, one sigma, from a file, or from the data's scatter"
     )
-    sigma: Jansky | None = key(None, "Jy, kind = 'constant'", gt=0)
+    sigma: Jansky | None = key(None, "Jy of V = I B / 2, kind = 'constant'", gt=0)
     file: Path | None = key(None, "kind = 'file': uvh5 of sigmas, or HDF5 or npz with freqs and sigma")
 
     @model_validator(mode="after")
@@ -217,9 +213,7 @@ class Beam(Section):
     @model_validator(mode="after")
     def _has_what_it_needs(self) -> Self:
         if (self.source in ANALYTIC_BEAMS) != (self.diameter is not None):
-            raise ValueError(
-                "a formula goes with a diameter; give both, such as 'airy' and '14 m', or neither"
-            )
+            raise ValueError("a formula goes with a diameter; give both, such as 'airy' and '14 m', or neither")
         return self
 
 
@@ -228,11 +222,11 @@ class Basis(Section):
 
     kind: Literal["fourier-bessel", "zernike"] = key("fourier-bessel", "family of functions")
     form: Literal["real", "complex"] = key("real", "fourier-bessel: of the coefficients")
-    n_modes: int = key(1024, "fourier-bessel: coefficients kept, the largest of the model beam's", ge=1)
+    n_modes: int = key(2048, "fourier-bessel: coefficients kept, the largest of the model beam's", ge=1)
     k_max: int = key(80, "fourier-bessel: radial orders 1 to k_max", ge=1)
     m_max: int = key(45, "fourier-bessel: azimuthal orders -m_max to m_max", ge=0)
     edge: Degrees = key(92.0, "deg of zenith angle where the functions end", ge=90, le=180)
-    boundary: Literal["dirichlet", "neumann"] = key("dirichlet", "fourier-bessel: zero at the edge, or flat")
+    boundary: Literal["dirichlet", "neumann"] = key("neumann", "fourier-bessel: zero at the edge, or flat")
     max_degree: int = key(30, "zernike", ge=0)
 
     @model_validator(mode="after")
@@ -248,9 +242,7 @@ class Basis(Section):
 class Prior(Section):
     """The Gaussian prior on the coefficients."""
 
-    kind: Literal["fraction", "flat", "file"] = key(
-        "fraction", "independent coefficients, none, or from a file"
-    )
+    kind: Literal["fraction", "flat", "file"] = key("fraction", "independent coefficients, none, or from a file")
     fraction: float = key(1.0, "standard deviation over the amplitude of the fitted coefficient", gt=0)
     floor: float = key(0.0, "least amplitude taken for that, relative to the largest", ge=0)
     file: Path | None = key(None, "kind = 'file': mean and covariance")

@@ -38,6 +38,8 @@ class Observation:
         Seconds.
     pols : tuple of str
         Polarisations as the data name them, such as "ee".
+    pol_convention : {"sum", "avg"}, optional
+        Of files that do not state it: V = 1/2 I B (also where this is None), or V = I B.
     """
 
     telescope_name: str
@@ -52,6 +54,7 @@ class Observation:
     lsts: FloatArray
     integration_time: FloatArray
     pols: tuple[str, ...]
+    pol_convention: str | None = None
 
     @property
     def Nants(self) -> int:

@@ -166,7 +166,11 @@ def select_channels(freqs: FloatArray, channel_width: FloatArray, selection: Sel
     if selection.channels is not None:
         chosen = np.asarray(selection.channels, dtype=int)
         if np.any((chosen < 0) | (chosen >= len(freqs))):
-            raise InputError(f"the data have channels 0 to {len(freqs) - 1}", field="[data] channels")
+            raise InputError(
+                f"the data have channels 0 to {len(freqs) - 1}",
+                field="[data] channels",
+                remedy="choose among those",
+            )
         _narrow(keep, np.isin(np.arange(len(freqs)), chosen), "[data] channels", "channels")
     if selection.freqs is not None:
         chosen = match(selection.freqs, freqs, np.inf)

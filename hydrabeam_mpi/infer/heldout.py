@@ -19,18 +19,23 @@ class HeldoutStatistics:
     The z-scores are those of real and imaginary parts: of the data about the posterior predictive, whose variance
     is noise plus model, and of the data about the model beam's prediction with the noise alone.
 
+    Flux scale and beam amplitude cannot be told apart, and an inferred beam takes up what is wrong with either. The
+    model beam is therefore also compared with one free amplitude ("scaled"), fitted to the held-out data themselves,
+    which favours the model beam.
+
     Attributes
     ----------
-    sums : ndarray, (9,)
+    sums : ndarray, (12,)
         Number of parts; sum of z, of z^2 and of the log predictive density (natural, per Jy^2) for the inferred
-        beam; sum of z and z^2 for the model beam; sum of w|d|^2, w|r|^2 (inferred), w|r|^2 (model).
+        beam; sum of z and z^2 for the model beam; sum of w|d|^2, w|r|^2 (inferred), w|r|^2 (model); sum of w, and
+        of w Re(d* m) and w|m|^2 with m the model beam's prediction.
     counts : ndarray, (2, Nbins)
         Histograms of z over `Z_EDGES`, inferred and model beam.
     largest : ndarray, (2,)
         Largest absolute z of each; combined by maximum.
     """
 
-    sums: FloatArray = field(default_factory=lambda: np.zeros(9))
+    sums: FloatArray = field(default_factory=lambda: np.zeros(12))
     counts: FloatArray = field(default_factory=lambda: np.zeros((2, len(Z_EDGES) - 1)))
     largest: FloatArray = field(default_factory=lambda: np.zeros(2))
 
@@ -46,9 +51,9 @@ class HeldoutStatistics:
         used = inv_noise_var > 0
         if not used.any():
             return
-        weights, observed = inv_noise_var[used], data[used]
+        weights, observed, predicted = inv_noise_var[used], data[used], before[used]
         after = _parts(observed - mean[used])
-        raw = _parts(observed - before[used])
+        raw = _parts(observed - predicted)
         total = 0.5 / weights + variance[:, used]
         z = after / np.sqrt(total)
         z_before = raw * np.sqrt(2 * weights)
@@ -56,6 +61,8 @@ class HeldoutStatistics:
         self.sums += [
             z.size, z.sum(), np.sum(z**2), log_density, z_before.sum(), np.sum(z_before**2),
             np.sum(weights * np.abs(observed) ** 2), np.sum(weights * after**2), np.sum(weights * raw**2),
+            weights.sum(), np.sum(weights * (observed.conj() * predicted).real),
+            np.sum(weights * np.abs(predicted) ** 2),
         ]  # fmt: skip
         for row, scores in enumerate((z, z_before)):
             self.counts[row] += np.histogram(np.clip(scores, Z_EDGES[0], Z_EDGES[-1]), Z_EDGES)[0]
@@ -63,21 +70,27 @@ class HeldoutStatistics:
 
     def summary(self) -> dict[str, float]:
         """Return the numbers that ``summary.json`` shows; empty where nothing was held out."""
-        n, z, z2, log_density, z_before, z2_before, power, after, before = self.sums.tolist()
+        n, z, z2, log_density, z_before, z2_before, *products = self.sums.tolist()
         if not n:
             return {}
-        return {
+        power, after, before, weight, overlap, model_power = products
+        amplitude = overlap / model_power if model_power else 0.0
+        scaled = max(power - amplitude * overlap, 0.0)
+        numbers = {
             "ppd_z_std": _std(n, z, z2),
             "ppd_z_max": float(self.largest[0]),
             "ppd_z_std_unperturbed": _std(n, z_before, z2_before),
             "ppd_z_max_unperturbed": float(self.largest[1]),
             "heldout_log_density": log_density,
-            "heldout_chi2": 2 * after / n,
-            "heldout_chi2_unperturbed": 2 * before / n,
-            "heldout_explained": 1 - after / power if power else 0.0,
-            "heldout_explained_unperturbed": 1 - before / power if power else 0.0,
             "heldout_n": n / 2,
+            "heldout_rms_jy_data": float(np.sqrt(power / weight)),
+            "heldout_amplitude_unperturbed": amplitude,
         }
+        for name, residual in {"": after, "_unperturbed": before, "_unperturbed_scaled": scaled}.items():
+            numbers[f"heldout_chi2{name}"] = 2 * residual / n
+            numbers[f"heldout_explained{name}"] = 1 - residual / power if power else 0.0
+            numbers[f"heldout_rms_jy{name}"] = float(np.sqrt(residual / weight))
+        return numbers
 
 
 def _parts(values: ComplexArray) -> FloatArray:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from astropy.io import fits
 from astropy_healpix import HEALPix
 from pyuvdata import UVBeam
 from pyuvdata.utils import polnum2str, polstr2num
@@ -21,6 +22,7 @@ from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.feeds import orientation_from_field, pol_number, x_orientation
 from hydrabeam_mpi.model.basis import Array, FloatArray
 from hydrabeam_mpi.model.beam import BeamInfo, SampledBeam
+from hydrabeam_mpi.model.interpolate import AzZaGrid, HealpixMap
 from hydrabeam_mpi.model.rings import Pixels
 
 # A channel this close (relative) is the frequency asked for.
@@ -54,9 +56,7 @@ class BeamFile:
         nside.
     """
 
-    def __init__(
-        self, path: Path, *, east_feed: str | None = None, options: Mapping[str, Any] | None = None
-    ) -> None:
+    def __init__(self, path: Path, *, east_feed: str | None = None, options: Mapping[str, Any] | None = None) -> None:
         self.path = Path(path)
         self._uvbeam = _read(self.path, dict(options or {}))
         self._za, self._az = _pixel_directions(self._uvbeam, self.path)
@@ -90,13 +90,16 @@ class BeamFile:
         known = [int(number) for number in power.polarization_array]
         number = pol_number(pol, self._orientation, file=str(self.path), known=known)
         peak = self._peak(power, number, known)
-        power.select(polarizations=[number])
-        power.data_array = power.data_array / peak
+        values = power.data_array[0, known.index(number), 0] / peak
         if number in _COPOLS:
-            power.data_array = power.data_array.real
+            values = values.real
         info = BeamInfo(self.path.name, float(freq), pol, peak)
-        pixels = Pixels.above_horizon(self._za, self._az, power.data_array[0, 0, 0].ravel())
-        return SampledBeam(power, pixels, info)
+        return SampledBeam(self._interpolator(values), Pixels.above_horizon(self._za, self._az, values.ravel()), info)
+
+    def _interpolator(self, values: Array) -> AzZaGrid | HealpixMap:
+        if self._uvbeam.pixel_coordinate_system == "healpix":
+            return HealpixMap(self._uvbeam.nside, self._uvbeam.ordering, self._uvbeam.pixel_array, values)
+        return AzZaGrid(self._uvbeam.axis2_array, self._uvbeam.axis1_array, values)
 
     def _power_at(self, freq: float, interpolate: bool) -> UVBeam:
         """Return the power beam of all polarisations at one frequency."""
@@ -106,12 +109,10 @@ class BeamFile:
         if not exact and not (freqs.min() <= freq <= freqs.max()):
             span = f"{freqs.min() / 1e6:.6g}-{freqs.max() / 1e6:.6g} MHz"
             message = f"the beam covers {span}, not {freq / 1e6:.6g} MHz"
-            raise InputError(
-                message, file=self.path, field="freq", remedy="choose channels within it or another beam"
-            )
+            raise InputError(message, file=self.path, field="freq", remedy="choose channels within it or another beam")
         if not exact and not interpolate:
             message = f"no channel at {freq / 1e6:.6g} MHz, the nearest is {freqs[nearest] / 1e6:.6g} MHz"
-            raise InputError(message, file=self.path, field="freq", remedy="set interpolate_frequency = true")
+            raise InputError(message, file=self.path, field="freq", remedy="set frequency = 'interpolate' in [beam]")
         count = 1 if exact else _FREQS_TO_INTERPOLATE
         channels = np.sort(np.argsort(np.abs(freqs - freq), kind="stable")[:count])
         with warnings.catch_warnings():
@@ -153,6 +154,10 @@ class BeamFile:
 
 # xx, yy, rr, ll
 _COPOLS = (-5, -6, -1, -2)
+# Axes of real power in a beamfits file: vector component, spectral window, polarisation, frequency, za, az.
+_REAL_POWER_NDIM = 6
+# A file holds channels whose spacings agree to this, Hz.
+_UNEVEN = 1e-3
 
 
 def _read(path: Path, options: dict[str, Any]) -> UVBeam:
@@ -183,9 +188,7 @@ def _pixel_directions(uvbeam: UVBeam, path: Path) -> tuple[FloatArray, FloatArra
         return za.ravel(), az.ravel()
     if uvbeam.pixel_coordinate_system != "healpix":
         system = uvbeam.pixel_coordinate_system
-        raise InputError(
-            f"pixels in {system} are not supported", file=path, remedy="convert it to az_za or HEALPix"
-        )
+        raise InputError(f"pixels in {system} are not supported", file=path, remedy="convert it to az_za or HEALPix")
     whole_sky = round(np.sqrt(uvbeam.Npixels / 12))
     if uvbeam.nside != whole_sky and np.array_equal(uvbeam.pixel_array, np.arange(12 * whole_sky**2)):
         warnings.warn(
@@ -214,6 +217,9 @@ def write_power_beam(
     peak would lose the amplitude, which visibilities do constrain. The imaginary part of a co-polarised beam
     is left out, and its maximum is recorded in the header (extra keyword IMAGMAX).
 
+    A beamfits file holds evenly spaced channels only. Others go into one file each, ``NAME.<freq>MHz.SUFFIX``
+    in place of ``NAME.SUFFIX``, which pyuvdata reads together.
+
     Parameters
     ----------
     path : Path
@@ -233,12 +239,23 @@ def write_power_beam(
     float
         Largest absolute imaginary part of the co-polarised values.
     """
+    if len(freqs) > 2 and np.ptp(np.diff(freqs)) > _UNEVEN:
+        return max(
+            write_power_beam(
+                path.with_name(f"{path.stem}.{freq / 1e6:.6f}MHz{path.suffix}"),
+                values[:, channel : channel + 1],
+                freqs[channel : channel + 1],
+                pols,
+                telescope_name=telescope_name,
+                history=history,
+                x_points=x_points,
+            )
+            for channel, freq in enumerate(freqs)
+        )
     numbers = [int(polstr2num(pol, x_orientation=x_points)) for pol in pols]
     copol = np.isin(numbers, _COPOLS)
     imag_max = float(np.abs(np.imag(values[copol])).max(initial=0.0))
-    data = np.array(
-        values, dtype=np.float64 if copol.all() and not np.iscomplexobj(values) else np.complex128
-    )
+    data = np.array(values, dtype=np.complex128)
     data[copol] = data[copol].real
     n_za, n_az = values.shape[2:]
     uvbeam = UVBeam.new(
@@ -258,4 +275,8 @@ def write_power_beam(
         extra_keywords={"IMAGMAX": imag_max},
     )
     uvbeam.write_beamfits(str(path), clobber=True)
+    with fits.open(path, mode="update") as file:
+        # pyuvdata 3.2 writes several real polarisations on the axis of spectral windows, and cannot read them.
+        if file[0].data.ndim == _REAL_POWER_NDIM and file[0].data.shape[1] > 1:
+            file[0].data = file[0].data.swapaxes(1, 2)
     return imag_max

@@ -81,9 +81,9 @@ def orientation_from_field(uvbeam: UVBeam, za: FloatArray, az: FloatArray) -> st
     along_az, along_za = np.einsum("ai,aci->ci", recorded, directions)
     horizontal = along_za * np.cos(za[near])
     cos, sin = np.cos(az[near]), np.sin(az[near])
-    east = np.sum(np.abs(horizontal * cos - along_az * sin) ** 2)
-    north = np.sum(np.abs(horizontal * sin + along_az * cos) ** 2)
+    east = np.nansum(np.abs(horizontal * cos - along_az * sin) ** 2)
+    north = np.nansum(np.abs(horizontal * sin + along_az * cos) ** 2)
     # A dipole puts all but a few per cent of its field near the zenith along its axis; 45 degrees is neither.
-    if max(east, north) < 4 * min(east, north):
+    if max(east, north) <= 4 * min(east, north):
         return None
     return "east" if east > north else "north"

@@ -89,9 +89,7 @@ def calibrate(
     return np.where(flags, 0.0, data), flags
 
 
-def read_gains(
-    files: Sequence[Path], observation: Observation, times: IntArray
-) -> tuple[ComplexArray, BoolArray]:
+def read_gains(files: Sequence[Path], observation: Observation, times: IntArray) -> tuple[ComplexArray, BoolArray]:
     """Read gains in the sense of V_obs = g_i g_j* V_true, each time from the nearest solution.
 
     Returns
@@ -155,8 +153,9 @@ def _read_solution(path: Path, observation: Observation) -> _Solution:
     gains[flags] = 1.0
     if cal.gain_convention == "multiply":
         gains = 1 / gains
-    if cal.pol_convention == "avg":
-        gains *= np.sqrt(2)
+    if cal.pol_convention is not None:
+        # What the gains say of the data that they calibrate stands in place of what the job says.
+        gains *= np.sqrt(2) ** ((cal.pol_convention == "avg") - (observation.pol_convention == "avg"))
     return _Solution(gains, flags, *_stamps(cal), _feed_names(cal))
 
 

@@ -80,9 +80,7 @@ def radiometer_weights(
     return np.where(usable, weights, 0.0)
 
 
-def _check_autos_stored(
-    lacking: BoolArray, files: Sequence[Path], observation: Observation, tile: Tile
-) -> None:
+def _check_autos_stored(lacking: BoolArray, files: Sequence[Path], observation: Observation, tile: Tile) -> None:
     if lacking.any():
         ant_1, ant_2 = observation.antpairs[tile.bls[np.argwhere(lacking)[0, 2]]]
         raise InputError(
@@ -117,7 +115,7 @@ def check_weights(n_unflagged: int, n_weighted: int, files: Sequence[Path]) -> N
 
 
 def constant_weights(sigma: float, flags: BoolArray, nsamples: FloatArray) -> FloatArray:
-    """Noise of one sigma (Jy) for every visibility, whatever its nsamples."""
+    """Noise of one sigma (Jy) for every visibility V = 1/2 I B, whatever its nsamples."""
     if not sigma > 0:
         raise InputError(f"must be positive, not {sigma:g}", field="[noise] sigma", remedy="give it in Jy")
     return np.where(flags | ~(nsamples > 0), 0.0, sigma**-2.0)
@@ -159,9 +157,7 @@ def file_weights(
         sigma = block.data.real
         usable, samples = ~flags & ~block.flags, np.ones(flags.shape)
     if not np.all(sigma[usable] > 0):
-        raise InputError(
-            "a sigma that is not positive", file=path, field="sigma", remedy="correct or flag it"
-        )
+        raise InputError("a sigma that is not positive", file=path, field="sigma", remedy="correct or flag it")
     return np.where(usable, samples / np.where(usable, sigma, 1.0) ** 2, 0.0)
 
 
@@ -252,9 +248,7 @@ def difference_variance(
     if how == "time":
         total, count = power.sum(axis=0), known.sum(axis=0)
     else:
-        total, count = (
-            _by_channel(values.sum(axis=1), middle, observation.Nfreqs) for values in (power, known)
-        )
+        total, count = (_by_channel(values.sum(axis=1), middle, observation.Nfreqs) for values in (power, known))
     return np.where(count >= MIN_DIFFERENCES, total / np.maximum(count, 1), np.inf)
 
 

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-import contextlib
+import errno
+import os
+import re
 import secrets
 import shutil
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from hydrabeam_mpi.errors import InputError
 
 # Every finished folder has it: only a folder with this file is ever replaced.
 RESULT_MARK = "provenance.json"
+# What the disk says when it takes no more.
+DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES}
 
 
 class StagedDirectory:
@@ -70,7 +75,8 @@ class StagedDirectory:
             try:
                 self.partial.rename(self.path)
             except OSError:
-                old.rename(self.path)
+                if old.exists():
+                    old.rename(self.path)
                 raise
         except (OSError, InputError) as error:
             reason = error.strerror if isinstance(error, OSError) else error.message
@@ -82,7 +88,7 @@ class StagedDirectory:
     def discard(self) -> None:
         """Remove what has been written so far; any process may do so, also several at once."""
         shutil.rmtree(self.partial, ignore_errors=True)
-        with contextlib.suppress(OSError):
+        with suppress(OSError):
             for parent in self._new_parents:
                 parent.rmdir()
 
@@ -109,3 +115,33 @@ class StagedDirectory:
 
     def _refusal(self, message: str, remedy: str) -> InputError:
         return InputError(message, file=self._asked, field="-o", remedy=remedy)
+
+
+@contextmanager
+def writing(folder: Path) -> Iterator[None]:
+    """Tell of a disk that takes no more as of wrong input.
+
+    Raises
+    ------
+    InputError
+        If one of `DISK_ERRORS` is at the root of what the block raises.
+    """
+    try:
+        yield
+    except Exception as error:
+        number = _disk_error(error)
+        if number is None:
+            raise
+        reason, remedy = os.strerror(number), "make room, or choose a folder elsewhere"
+        raise InputError(f"cannot be written ({reason})", file=folder.parent, field="-o", remedy=remedy) from error
+
+
+def _disk_error(error: BaseException | None) -> int | None:
+    """Find one of `DISK_ERRORS` in a chain of exceptions, or in what HDF5 says while it closes a file."""
+    while error:
+        said = re.search(r"errno = (\d+)", str(error))
+        number = getattr(error, "errno", None) or (int(said[1]) if said else None)
+        if number in DISK_ERRORS:
+            return number
+        error = error.__cause__ or error.__context__
+    return None

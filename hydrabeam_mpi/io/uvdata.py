@@ -115,7 +115,13 @@ def read_block(
             raise InputError(
                 "holds a sample twice, or one that an earlier file holds", file=path, remedy="remove the copy"
             )
-        part = read_rows(header, rows, channels[channels >= 0], stored_pols[stored_pols >= 0])
+        part = read_rows(
+            header,
+            rows,
+            channels[channels >= 0],
+            stored_pols[stored_pols >= 0],
+            observation.pol_convention,
+        )
         for whole, values in zip(block, _checked(*part, path), strict=True):
             whole[here] = values.swapaxes(0, 1)
     shape = (observation.Nfreqs, len(times), len(antpairs), len(pols))
@@ -135,13 +141,9 @@ def _empty(shape: tuple[int, int, int]) -> Block:
 def _checked(data: ComplexArray, flags: BoolArray, nsamples: FloatArray, path: Path) -> Block:
     """Flag samples without weight, blank what is flagged, and refuse what is neither flagged nor finite."""
     if not np.isfinite(nsamples[~flags]).all():
-        raise InputError(
-            "unflagged values that are not finite", file=path, field="nsample_array", remedy="flag them"
-        )
+        raise InputError("unflagged values that are not finite", file=path, field="nsample_array", remedy="flag them")
     flags = flags | ~(nsamples > 0)
     if not np.isfinite(data[~flags]).all():
-        raise InputError(
-            "unflagged NaN or infinite values", file=path, field="data_array", remedy="flag them"
-        )
+        raise InputError("unflagged NaN or infinite values", file=path, field="data_array", remedy="flag them")
     known = np.where(np.isfinite(nsamples), nsamples, 0.0)
     return Block(np.where(flags, 0.0, data), flags, known, np.ones(data.shape, bool))

@@ -142,9 +142,7 @@ def file_kind(path: Path) -> str:
         with path.open("rb") as file:
             magic = file.read(9)
     except OSError as error:
-        raise InputError(
-            f"cannot be read ({error.strerror})", file=path, remedy="check its permissions"
-        ) from error
+        raise InputError(f"cannot be read ({error.strerror})", file=path, remedy="check its permissions") from error
     if magic.startswith(b"\x89HDF\r\n\x1a\n"):
         _check_uvh5(path)
         return "uvh5"
@@ -159,13 +157,9 @@ def _check_uvh5(path: Path) -> None:
         with h5py.File(path, "r") as file:
             missing = [name for name in ("Header", "Data/visdata") if name not in file]
     except OSError as error:
-        raise InputError(
-            f"truncated or damaged ({error})", file=path, remedy="copy or write it again"
-        ) from error
+        raise InputError(f"truncated or damaged ({error})", file=path, remedy="copy or write it again") from error
     if missing:
-        raise InputError(
-            "not a uvh5 file, although HDF5", file=path, field=missing[0], remedy="give a uvh5 file"
-        )
+        raise InputError("not a uvh5 file, although HDF5", file=path, field=missing[0], remedy="give a uvh5 file")
 
 
 def may_hold(path: Path, times: FloatArray, tolerance: float) -> bool:

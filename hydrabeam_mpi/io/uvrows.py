@@ -22,24 +22,28 @@ SAMPLE_BYTES = 16 + 1 + 4
 Samples = tuple[ComplexArray, BoolArray, FloatArray]
 
 
-def read_rows(header: UVHeader, rows: IntArray, channels: IntArray, pols: IntArray) -> Samples:
+def read_rows(
+    header: UVHeader, rows: IntArray, channels: IntArray, pols: IntArray, pol_convention: str | None = None
+) -> Samples:
     """Read part of a file: visibilities, flags and nsamples.
 
-    Phased visibilities are turned back to drift scan. Visibilities said to be in the convention
-    I = (V_xx + V_yy) / 2 are halved, so that they are V = 1/2 I B.
+    Phased visibilities are turned back to drift scan. Visibilities in the convention I = (V_xx + V_yy) / 2
+    ("avg") are halved, so that they are V = 1/2 I B ("sum").
 
     Parameters
     ----------
     header : UVHeader
     rows, channels, pols : ndarray of int
         Indices of distinct rows, channels and polarisations in the file, in any order.
+    pol_convention : {"sum", "avg"}, optional
+        Of a file that does not state it; "sum" if that is not given either.
 
     Returns
     -------
     data, flags, nsamples : ndarray, (len(rows), len(channels), len(pols))
     """
     if header.kind not in READ_IN_PART:
-        return _samples(read_uvdata(header.path, header.kind), np.ix_(rows, channels, pols))
+        return _samples(read_uvdata(header.path, header.kind), np.ix_(rows, channels, pols), pol_convention)
     # pyuvdata returns what it selects in the order of the file.
     select: dict[str, Any] = {"freq_chans": np.sort(channels)}
     select["polarizations"] = [header.feed_pols[pol] for pol in np.sort(pols)]
@@ -47,7 +51,11 @@ def read_rows(header: UVHeader, rows: IntArray, channels: IntArray, pols: IntArr
         select["multidim_index"] = True
     picked = np.argsort(np.argsort(channels)), np.argsort(np.argsort(pols))
     parts = [
-        _samples(read_uvdata(header.path, header.kind, blt_inds=read, **select), np.ix_(wanted, *picked))
+        _samples(
+            read_uvdata(header.path, header.kind, blt_inds=read, **select),
+            np.ix_(wanted, *picked),
+            pol_convention,
+        )
         for read, wanted in _windows(np.sort(rows), SAMPLE_BYTES * len(channels) * len(pols))
     ]
     order = np.argsort(np.argsort(rows))
@@ -68,12 +76,12 @@ def _windows(rows: IntArray, row_bytes: int) -> Iterator[tuple[IntArray, IntArra
         yield np.arange(part[0], part[-1] + 1), part - part[0]
 
 
-def _samples(uv: UVData, wanted: tuple[IntArray, ...]) -> Samples:
+def _samples(uv: UVData, wanted: tuple[IntArray, ...], pol_convention: str | None) -> Samples:
     """Take samples out of a pyuvdata object, as drift scan and in the convention V = 1/2 I B."""
     uv.data_array = uv.data_array.astype(np.complex128)
     if any(centre["cat_type"] != "unprojected" for centre in uv.phase_center_catalog.values()):
         with quiet():
             uv.unproject_phase()
-    if uv.pol_convention == "avg":
+    if (uv.pol_convention or pol_convention) == "avg":
         uv.data_array.view(float)[:] *= 0.5
     return uv.data_array[wanted], uv.flag_array[wanted], uv.nsample_array[wanted].astype(float)

@@ -69,9 +69,7 @@ def _auto_block(observation: Observation, autos: FloatArray) -> Block:
     """Give autocorrelations by feed the polarisation axis of the visibilities."""
     feeds = feeds_of(observation.pols)
     nothing = np.full(autos.shape[:3], np.nan)
-    values = np.stack(
-        [autos[..., feeds.index(p[0])] if p[0] == p[1] else nothing for p in observation.pols], axis=-1
-    )
+    values = np.stack([autos[..., feeds.index(p[0])] if p[0] == p[1] else nothing for p in observation.pols], axis=-1)
     known = np.isfinite(values)
     return Block(np.where(known, values, 0.0).astype(np.complex128), ~known, known.astype(float), known)
 

@@ -6,17 +6,16 @@ real, a cross-polarised one complex. Angles are radians, azimuth from East throu
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
-from pyuvdata import AiryBeam, GaussianBeam, ShortDipoleBeam, UniformBeam, UVBeam
+from pyuvdata import AiryBeam, GaussianBeam, ShortDipoleBeam, UniformBeam
 from pyuvdata.utils import polstr2num
 
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.basis import Array, FloatArray, LinearBasis
+from hydrabeam_mpi.model.interpolate import AzZaGrid, HealpixMap
 from hydrabeam_mpi.model.rings import Pixels
 
 
@@ -83,31 +82,20 @@ class CoefficientBeam:
 
 @dataclass(frozen=True)
 class SampledBeam:
-    """A beam given by samples, interpolated between them by pyuvdata.
-
-    Interpolation is by cubic splines on an azimuth x zenith angle grid, bilinear on HEALPix.
+    """A beam given by samples: interpolated by cubic splines on an az_za grid, bilinearly on HEALPix.
 
     Attributes
     ----------
-    uvbeam : pyuvdata.UVBeam
-        Power beam with one frequency and one polarisation, normalised.
+    interpolate : AzZaGrid or HealpixMap
+        Interpolates the samples.
     pixels : Pixels
-        Its samples above the horizon.
+        The samples above the horizon.
     info : BeamInfo
     """
 
-    uvbeam: UVBeam
+    interpolate: AzZaGrid | HealpixMap
     pixels: Pixels
     info: BeamInfo
-
-    @cached_property
-    def _function(self) -> str:
-        if np.isnan(self.uvbeam.data_array).any():
-            remedy = "describe the beam by basis functions, which are fitted to the other samples"
-            raise InputError(
-                "samples that are NaN cannot be interpolated", file=self.info.name, remedy=remedy
-            )
-        return "healpix_simple" if self.uvbeam.pixel_coordinate_system == "healpix" else "az_za_simple"
 
     def __call__(self, za: FloatArray, az: FloatArray) -> Array:
         """Interpolate the samples.
@@ -115,23 +103,12 @@ class SampledBeam:
         Raises
         ------
         InputError
-            If some samples are NaN, or the file does not cover the directions.
+            If samples that are needed are NaN or missing.
         """
-        function = self._function
-        # The grid's azimuths may start anywhere.
-        start = 0.0 if function == "healpix_simple" else self.uvbeam.axis1_array[0]
         try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                values = self.uvbeam.interp(
-                    az_array=start + np.mod(az - start, 2 * np.pi),
-                    za_array=np.asarray(za),
-                    interpolation_function=function,
-                    reuse_spline=True,
-                )[0][0, 0, 0]
-        except ValueError as error:
-            raise InputError(f"cannot be interpolated: {error}", file=self.info.name) from error
-        return values.real if self.info.is_copol else values
+            return self.interpolate(np.asarray(za, dtype=float), np.asarray(az, dtype=float))
+        except InputError as error:
+            raise InputError(error.message, file=self.info.name, remedy=error.remedy) from error
 
 
 @dataclass(frozen=True)
@@ -156,9 +133,7 @@ class AnalyticBeam:
         orientation = self.formula.get_x_orientation_from_feeds()
         number = polstr2num(self.info.pol, x_orientation=orientation)
         index = list(self.formula.polarization_array).index(number)
-        power: Array = self.formula.power_eval(
-            az_array=az, za_array=za, freq_array=np.array([self.info.freq])
-        )
+        power: Array = self.formula.power_eval(az_array=az, za_array=za, freq_array=np.array([self.info.freq]))
         return power[0, index, 0]
 
 
@@ -189,9 +164,7 @@ def analytic_beam(formula: str, freq: float, pol: str = "ee", **parameters: Any)
         If the formula or a parameter is unknown.
     """
     if formula not in _FORMULAE:
-        raise InputError(
-            f"unknown formula {formula!r}", field="beam", remedy=f"known: {', '.join(_FORMULAE)}"
-        )
+        raise InputError(f"unknown formula {formula!r}", field="beam", remedy=f"known: {', '.join(_FORMULAE)}")
     try:
         made = _FORMULAE[formula](x_orientation="east", **parameters)
     except (TypeError, ValueError) as error:

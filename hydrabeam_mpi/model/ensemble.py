@@ -2,8 +2,7 @@
 
 An ensemble has far fewer beams than a basis has modes, so the sample covariance S is singular. It is shrunk
 towards its own diagonal, (1 - lambda) S + lambda diag(S), with the intensity lambda that minimises the
-expected squared error (Schaefer & Strimmer 2005, target D), and a ridge adds the variance that fitting errors
-alone would give.
+expected squared error (Schaefer & Strimmer 2005, target D); a ridge is added for what fits leave over.
 """
 
 from __future__ import annotations
@@ -69,9 +68,7 @@ def summarise_ensemble(coeffs: Array, ridge: float) -> CoefficientEnsemble:
     """
     n_beams = len(coeffs)
     if n_beams < 3:
-        raise InputError(
-            f"{n_beams} beams do not give a covariance", field="ensemble", remedy="give three or more"
-        )
+        raise InputError(f"{n_beams} beams do not give a covariance", field="ensemble", remedy="give three or more")
     mean = coeffs.mean(axis=0)
     centred = coeffs - mean
     variance = np.sum(np.abs(centred) ** 2, axis=0) / (n_beams - 1)

@@ -14,11 +14,13 @@ every m:
 - where no sample is at the zenith, the beam there has no component with m != 0, with the weight of the
   innermost ring.
 
-With at least 2 m_max + 1 azimuths on every ring and a ring at the zenith, neither rule is ever used.
+With at least 2 m_max + 1 azimuths on every ring and a ring at the zenith, neither rule is ever used. Where
+azimuths are not quite equally spaced, each ring is fitted in azimuth first, and its coefficients in radius.
 """
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -60,9 +62,7 @@ class FourierBesselSpec:
 
     def full_basis(self) -> FourierBessel:
         """Return the basis of all modes."""
-        return FourierBessel.full(
-            self.k_max, self.m_max, form=self.form, edge=self.edge, boundary=self.boundary
-        )
+        return FourierBessel.full(self.k_max, self.m_max, form=self.form, edge=self.edge, boundary=self.boundary)
 
 
 @dataclass(frozen=True)
@@ -104,6 +104,7 @@ def fit_beam(beam: Evaluable | Pixels, spec: FourierBesselSpec | LinearBasis) ->
     ----------
     beam : beam or Pixels
         A beam with its own samples (attribute ``pixels``) is fitted on them, any other on the 1 degree grid.
+        So is, with a warning, a beam that has samples at fewer zenith angles than the spec has radial modes.
     spec : FourierBesselSpec or LinearBasis
         A basis is used as it is.
 
@@ -116,6 +117,14 @@ def fit_beam(beam: Evaluable | Pixels, spec: FourierBesselSpec | LinearBasis) ->
     pixels = beam if isinstance(beam, Pixels) else beam_pixels(beam)
     if not isinstance(spec, FourierBesselSpec):
         return fit_basis(spec, pixels)
+    rings = RingGrid.from_pixels(pixels)
+    if rings is not None and len(rings.za) < spec.k_max and not isinstance(beam, Pixels):
+        warnings.warn(
+            f"the beam's samples at {len(rings.za)} zenith angles cannot carry {spec.k_max} radial modes: "
+            "it is interpolated to the 1 degree grid",
+            stacklevel=2,
+        )
+        pixels = Pixels(*degree_grid(), beam(*degree_grid()))
     full = spec.full_basis()
     coeffs, _ = _solve(full, pixels)
     n_modes = full.n_modes if spec.n_modes is None else spec.n_modes
@@ -161,9 +170,7 @@ def select_largest(basis: FourierBessel, coeffs: Array, n_modes: int) -> Fourier
 def _solve(basis: LinearBasis, pixels: Pixels) -> tuple[Array, int]:
     """Return the coefficients and the number of directions cut."""
     if np.iscomplexobj(pixels.values) and not basis.is_complex:
-        raise InputError(
-            "a complex beam needs complex coefficients", field="form", remedy='use form = "complex"'
-        )
+        raise InputError("a complex beam needs complex coefficients", field="form", remedy='use form = "complex"')
     if len(pixels.values) < basis.n_modes:
         raise InputError(
             f"{basis.n_modes} modes cannot be fitted to {len(pixels.values)} samples above the horizon",

@@ -286,10 +286,6 @@ def _check(modes: list[tuple[int, int]], form: str, edge: float, boundary: str) 
     if form not in ("real", "complex"):
         raise InputError(f"unknown form {form!r}", field="form", remedy='use "real" or "complex"')
     if boundary not in ("dirichlet", "neumann"):
-        raise InputError(
-            f"unknown boundary {boundary!r}", field="boundary", remedy='use "dirichlet" or "neumann"'
-        )
+        raise InputError(f"unknown boundary {boundary!r}", field="boundary", remedy='use "dirichlet" or "neumann"')
     if not 0 < edge <= np.pi:
-        raise InputError(
-            f"edge = {edge} rad is not between 0 and pi", field="edge", remedy="give degrees above 0"
-        )
+        raise InputError(f"edge = {edge} rad is not between 0 and pi", field="edge", remedy="give degrees above 0")

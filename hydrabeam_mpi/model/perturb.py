@@ -36,7 +36,7 @@ class PerturbedBeam:
     seed : int
         Of the eight amplitudes c_n, standard normal.
     stretch : tuple of float
-        a (East-West) and b (North-South); not below one, as the base is not known beyond its rim.
+        a (East-West) and b (North-South); below one by so little at most that the horizon stays within the rim.
     sigma_sl : float
         Range of the modulation of the sidelobes.
     edge : float
@@ -50,11 +50,11 @@ class PerturbedBeam:
     edge: float = EDGE
 
     def __post_init__(self) -> None:
-        """Refuse to shrink the beam."""
-        if min(self.stretch) < 1:
-            raise InputError(
-                f"stretch {self.stretch} is below 1", field="stretch", remedy="use 1 or more along each axis"
-            )
+        """Refuse to shrink the beam so much that the horizon comes from beyond the base's rim."""
+        smallest = np.sin(np.pi / 4) / np.sin(self.edge / 2)
+        if min(self.stretch) < smallest:
+            message = f"stretch {self.stretch} takes the horizon from beyond the rim of the beam"
+            raise InputError(message, field="stretch", remedy=f"use {smallest:.4f} or more along each axis")
 
     @property
     def info(self) -> BeamInfo:

@@ -1,7 +1,7 @@
 """Beam samples on the sky, and the rings of equal zenith angle on which most beam files have them.
 
-Both grids in use, azimuth x zenith angle and HEALPix, consist of rings with equally spaced azimuths. On such
-a ring the azimuthal functions are orthogonal, so a fit falls apart into one small problem for every m.
+Both grids in use, azimuth x zenith angle and HEALPix, consist of rings with (nearly) equally spaced azimuths. On
+such a ring the azimuthal functions are orthogonal, so a fit falls apart into one small problem for every m.
 """
 
 from __future__ import annotations
@@ -17,6 +17,10 @@ IntArray = NDArray[np.int64]
 
 # Angles closer than this (radians, 0.02 arcsec) are the same angle.
 _SAME = 1e-7
+# A ring has at least this many azimuths, unless it is the zenith, ...
+_FEWEST = 3
+# ... and no gap larger than this many times the mean.
+_LARGEST_GAP = 1.5
 
 
 @dataclass(frozen=True)
@@ -43,7 +47,7 @@ class Pixels:
 
 @dataclass(frozen=True)
 class RingGrid:
-    """Samples on full rings of equally spaced azimuths.
+    """Samples on full rings of equal zenith angle.
 
     Attributes
     ----------
@@ -51,20 +55,18 @@ class RingGrid:
         Zenith angle of each ring, ascending.
     n_az : ndarray of int, (Nrings,)
         Number of azimuths on each ring.
-    az0 : ndarray, (Nrings,)
-        First azimuth of each ring.
-    values : ndarray, (Npix,)
+    az, values : ndarray, (Npix,)
         Ring after ring, azimuth ascending.
     """
 
     za: FloatArray
     n_az: IntArray
-    az0: FloatArray
+    az: FloatArray
     values: Array
 
     @classmethod
     def from_pixels(cls, pixels: Pixels) -> RingGrid | None:
-        """Find the rings; None where some samples do not lie on full, equally spaced rings."""
+        """Find the rings; None where samples do not lie on rings that go evenly all around."""
         order = np.argsort(pixels.za, kind="stable")
         za = pixels.za[order]
         ring = np.concatenate([[0], np.cumsum(np.diff(za) > _SAME)])
@@ -76,25 +78,31 @@ class RingGrid:
         za, az, values, ring = za[new], az[new], values[new], ring[new]
         n_az = np.bincount(ring)
         start = np.cumsum(n_az) - n_az
-        step = np.arange(len(az)) - start[ring]
-        if np.abs(az - az[start][ring] - 2 * np.pi * step / n_az[ring]).max() > 10 * _SAME:
-            return None
-        return cls(za[start], n_az, az[start], values)
+        gap = np.append(np.diff(az), 0.0)
+        gap[start + n_az - 1] = az[start] + 2 * np.pi - az[start + n_az - 1]
+        uneven = gap > _LARGEST_GAP * 2 * np.pi / n_az[ring]
+        few = (n_az < _FEWEST) & (za[start] > _SAME)
+        return None if uneven.any() or few.any() else cls(za[start], n_az, az, values)
 
     def azimuthal_orders(self, m_max: int) -> NDArray[np.complex128]:
-        """Return the mean of ``B exp(-i m az)`` on each ring, m = -m_max..m_max, (Nrings, 2 m_max + 1)."""
+        """Return the coefficients of exp(i m az) on each ring, m = -m_max..m_max, (Nrings, 2 m_max + 1).
+
+        On equally spaced azimuths these are means of ``B exp(-i m az)``; on others, a least-squares fit.
+        """
         m = np.arange(-m_max, m_max + 1)
-        orders = np.empty((len(self.za), len(m)), dtype=np.complex128)
-        for row, n, az0, ring in zip(orders, self.n_az, self.az0, self.split(), strict=True):
-            row[:] = np.fft.fft(ring)[m % n] * np.exp(-1j * m * az0) / n
+        orders = np.zeros((len(self.za), len(m)), dtype=np.complex128)
+        ends = np.cumsum(self.n_az)[:-1]
+        for row, az, ring in zip(orders, np.split(self.az, ends), np.split(self.values, ends), strict=True):
+            n = len(az)
+            if np.abs(az - az[0] - 2 * np.pi * np.arange(n) / n).max() < 10 * _SAME:
+                row[:] = np.fft.fft(ring)[m % n] * np.exp(-1j * m * az[0]) / n
+            else:
+                held = 2 * np.abs(m) < n
+                row[held] = np.linalg.lstsq(np.exp(1j * np.outer(az, m[held])), ring, rcond=None)[0]
         if not np.iscomplexobj(self.values):
             # To the last digit, so that the two modes of a pair rank equal.
             orders = 0.5 * (orders + orders[:, ::-1].conj())
         return orders
-
-    def split(self) -> list[Array]:
-        """Return the values of every ring."""
-        return np.split(self.values, np.cumsum(self.n_az)[:-1])
 
 
 def degree_grid() -> tuple[FloatArray, FloatArray]:

@@ -77,7 +77,5 @@ class Zernike(LinearBasis):
             c = 2 * j + m
             linear = (c - 1) * (c * (c - 2) * x - m * m) * jacobi[-1]
             previous = 2 * (j - 1) * (j + m - 1) * c * jacobi[-2] if j > 1 else 0.0
-            jacobi.append(
-                (linear - previous) / (2 * j * (j + m) * (c - 2)) if c > 2 else 0.5 * ((2 + m) * x - m)
-            )
+            jacobi.append((linear - previous) / (2 * j * (j + m) * (c - 2)) if c > 2 else 0.5 * ((2 + m) * x - m))
         return [rho**m * polynomial for polynomial in jacobi]

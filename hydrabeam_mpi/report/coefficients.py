@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from hydrabeam_mpi.report.result import Channel
 from hydrabeam_mpi.report.style import INFERRED, MODEL, REFERENCE, UNCERTAINTY, Drawing, decades, new_figure
 
-Array = NDArray
+Array = NDArray[Any]
 
 
 def draw_coefficients(channel: Channel) -> Drawing:

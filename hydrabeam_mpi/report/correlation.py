@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm
@@ -10,7 +12,7 @@ from numpy.typing import NDArray
 from hydrabeam_mpi.report.result import Channel
 from hydrabeam_mpi.report.style import Drawing, colour_map, new_figure
 
-Array = NDArray
+Array = NDArray[Any]
 _STEP = 0.05  # of the colour scale
 
 
@@ -49,7 +51,7 @@ def draw_correlation(channel: Channel, covariance: Array, largest: int = 1040) -
         "correlation",
         "Correlations",
         _caption(channel, m is not None, block, norm),
-        f"Square matrix of correlations between coefficients{', in blocks of equal azimuthal number' if m is not None else ''}.",
+        f"Square matrix of correlations between coefficients{'' if m is None else ', in blocks of equal m'}.",
         figure,
     )
 
@@ -62,11 +64,11 @@ def _azimuthal_numbers(channel: Channel, n: int) -> Array | None:
 
 
 def _colour_steps(correlation: Array) -> BoundaryNorm:
-    """Steps of the colour scale, the middle one around zero, that end where one pair in a thousand lies beyond."""
+    """Return steps of colour, the middle one around zero, that end where one pair in a thousand lies beyond."""
     pairs = np.abs(correlation[np.triu_indices_from(correlation, 1)])
     beyond = float(np.quantile(pairs, 0.999)) if pairs.size else 0.0
     steps = np.clip(np.ceil(beyond / _STEP), 2, 19)
-    return BoundaryNorm(_STEP * np.arange(-steps - 0.5, steps + 1), 48, extend="both")
+    return BoundaryNorm(_STEP * np.arange(-steps - 0.5, steps + 1), 49, extend="both")
 
 
 def strongest(matrix: Array, block: int) -> Array:
@@ -84,8 +86,8 @@ def _mark_blocks(axes: Axes, m: Array) -> None:
     """Draw lines where m changes, and label the blocks between which there is room."""
     values, starts, counts = np.unique(m, return_index=True, return_counts=True)
     for edge in starts[1:] - 0.5:
-        axes.axhline(edge, color="black", linewidth=0.3)
-        axes.axvline(edge, color="black", linewidth=0.3)
+        axes.axhline(edge, color="0.3", linewidth=0.25)
+        axes.axvline(edge, color="0.3", linewidth=0.25)
     centres = starts + (counts - 1) / 2
     labelled: list[int] = []
     for i in range(len(values)):
@@ -101,7 +103,9 @@ def _mark_blocks(axes: Axes, m: Array) -> None:
 def _caption(channel: Channel, by_m: bool, block: int, norm: BoundaryNorm) -> str:
     text = f"{'Real part of the correlations' if channel.is_complex else 'Correlations'} between coefficients. "
     if by_m:
-        text += "Modes are ordered by azimuthal number m, and within each m as in the basis; lines mark where m changes. "
+        text += (
+            "Modes are ordered by azimuthal number m, and within each m as in the basis; lines mark where m changes. "
+        )
         text += "" if channel.is_complex else "Negative m are sines, the others cosines. "
     if "correlation_below_0.1" in channel.numbers and "correlation_max_real" in channel.numbers:
         below, largest = (channel.numbers[key] for key in ("correlation_below_0.1", "correlation_max_real"))

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.colors import Normalize
-from matplotlib.figure import Figure
+from matplotlib.figure import SubFigure
 from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 from scipy.linalg import eigvalsh
@@ -13,7 +15,7 @@ from hydrabeam_mpi.report.projection import VIEW, add_colorbar, draw_disc, to_di
 from hydrabeam_mpi.report.result import Channel
 from hydrabeam_mpi.report.style import UNCERTAINTY, Drawing, new_figure
 
-Array = NDArray
+Array = NDArray[Any]
 
 
 def draw_eigenbeams(channel: Channel, covariance: Array) -> Drawing | None:
@@ -22,9 +24,11 @@ def draw_eigenbeams(channel: Channel, covariance: Array) -> Drawing | None:
         return None
     parts = 2 if channel.is_complex else 1
     figure = new_figure(1.8 * parts + 2.2)
-    maps, spectrum = figure.subfigures(2, 1, height_ratios=[1.8 * parts, 2.0])
+    maps, spectrum = np.ravel(figure.subfigures(2, 1, height_ratios=[1.8 * parts, 2.0]))
     _draw_beams(maps, channel, parts)
-    variances = eigvalsh(covariance, check_finite=False)
+    variances = channel.arrays.get("eigenvalues")
+    if variances is None:
+        variances = eigvalsh(covariance, check_finite=False)
     axes = spectrum.subplots()
     axes.plot(np.arange(1, len(variances) + 1), np.sqrt(np.abs(variances)), color=UNCERTAINTY)
     axes.set(yscale="log", xlim=(0, len(variances) + 1))
@@ -39,7 +43,7 @@ def draw_eigenbeams(channel: Channel, covariance: Array) -> Drawing | None:
     )
 
 
-def _draw_beams(figure: Figure, channel: Channel, parts: int) -> None:
+def _draw_beams(figure: SubFigure, channel: Channel, parts: int) -> None:
     """Draw a column for each eigenvector, real above imaginary part."""
     beams, variances = channel.arrays["eigen_beams"], channel.arrays["eigen_variances"]
     grid = figure.subplots(parts, len(beams), squeeze=False)
@@ -67,7 +71,11 @@ def with_real_peak(beam: Array) -> Array:
 
 def _caption(parts: int, variances: Array) -> str:
     condition = variances[-1] / variances[0]
-    free = "Their free phase is chosen such that the peak is real" if parts == 2 else "Their free sign makes the peak positive"
+    free = (
+        "Their free phase is chosen such that the peak is real"
+        if parts == 2
+        else "Their free sign makes the peak positive"
+    )
     return (
         "Top: the combinations of modes that the data determine best, that is, the eigenvectors of the posterior "
         "covariance with the smallest eigenvalues σ², seen on the sky. They resemble what the array measures directly: "

@@ -6,23 +6,25 @@ With azimuth from East through North the picture is a map seen from above, as on
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
-from matplotlib.figure import Figure
+from matplotlib.figure import FigureBase
 from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from hydrabeam_mpi.report.style import colour_map
 
-Array = NDArray
+Array = NDArray[Any]
 VIEW = (
     "Equal-area projection of the hemisphere with radius √(1 − cos za): zenith in the middle, horizon at the rim, "
     "circles at za = 30° and 60°. Azimuth runs from East (right, az = 0°) through North (up, az = 90°): the view is "
     "from above, looking down on the array as on a map."
 )
-COMPASS = {"E": (1.07, 0), "N": (0, 1.07), "W": (-1.07, 0), "S": (0, -1.07)}
+COMPASS = {"E": (1.09, 0), "N": (0, 1.09), "W": (-1.09, 0), "S": (0, -1.09)}
 
 
 def to_disc(values: Array, za: Array, az: Array, pixels: int = 360) -> Array:
@@ -67,12 +69,12 @@ def draw_disc(
         axes.plot(radius * np.cos(turn), radius * np.sin(turn), color=colour, linewidth=width)
     for letter in directions:
         axes.text(*COMPASS[letter], letter, ha="center", va="center", fontsize=8, color="0.25")
-    axes.set(xlim=(-1.13, 1.13), ylim=(-1.13, 1.13), xticks=[], yticks=[], aspect="equal")
+    axes.set(xlim=(-1.16, 1.16), ylim=(-1.16, 1.16), xticks=[], yticks=[], aspect="equal")
     axes.set_frame_on(False)
     return image
 
 
-def add_colorbar(figure: Figure, axes: Axes | Array, image: AxesImage, label: str, extend: str = "neither") -> None:
+def add_colorbar(figure: FigureBase, axes: Axes | Array, image: AxesImage, label: str, extend: str = "neither") -> None:
     """Put a thin colour bar beside a disc, or beside several that share their colours."""
     bar = figure.colorbar(image, ax=axes, shrink=0.8, aspect=24, pad=0.02, extend=extend)
     bar.set_label(label)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.posterior_file import PosteriorFile, read_covariance, read_posterior
 
-Array = NDArray
+Array = NDArray[Any]
 REMEDY = "name a folder written by 'hydrabeam infer'"
 
 

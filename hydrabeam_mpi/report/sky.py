@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.colors import LogNorm, Normalize, SymLogNorm
 from numpy.typing import NDArray
@@ -10,7 +12,7 @@ from hydrabeam_mpi.report.projection import VIEW, add_colorbar, draw_disc, to_di
 from hydrabeam_mpi.report.result import Channel
 from hydrabeam_mpi.report.style import AZ_0, AZ_90, MODEL, REFERENCE, Drawing, decades, new_figure
 
-Array = NDArray
+Array = NDArray[Any]
 
 
 def difference(channel: Channel) -> tuple[Array, str]:
@@ -37,7 +39,9 @@ def draw_maps(channel: Channel) -> Drawing | None:
     limit = float(np.abs(error.real).max()) or 1.0
     norm = SymLogNorm(max(float(np.median(std)), 1e-3 * limit), vmin=-limit, vmax=limit)
     panels.draw(f"{name}{part}", error.real, "RdBu_r", norm, "power beam", ink="0.4")
-    panels.draw(f"|{name}| / posterior std", np.abs(error) / std, "cividis", Normalize(0, 5), "|z|", "max")
+    z = np.abs(error) / std
+    norm = Normalize(0, max(5.0, float(np.percentile(z, 99))))
+    panels.draw(f"|{name}| / posterior std", z, "cividis", norm, "|z|", "max")
     return Drawing(
         "maps",
         "The beam on the sky",
@@ -108,18 +112,22 @@ def draw_slices(channel: Channel) -> Drawing | None:
         top.plot(za, part(reference[:, cut]), "--", color=colour, linewidth=1, label=f"{name}, az = {degrees}°")
         bottom.plot(za, np.abs(error[:, cut]), color=colour, label=f"|{what}|, az = {degrees}°")
         bottom.plot(za, std[:, cut], ":", color=colour, label=f"posterior std, az = {degrees}°")
-    top.set(yscale="log", ylabel="|beam|" if amplitude else "beam", ylim=(max(decades(part(reference), 0.5)[0], 1e-6), 2))
+    floor = max(decades(part(reference), 0.5)[0], 1e-6)
+    top.set(yscale="log", ylabel="|power beam|" if amplitude else "power beam", ylim=(floor, 2))
     bottom.set(yscale="log", ylabel="difference", xlabel="zenith angle (deg)", xlim=(0, za[-1]))
     for axes in (top, bottom):
         axes.grid()
-        axes.legend(ncols=2, loc="best")
+        axes.legend(ncols=2, loc="upper right")
     shown = "amplitude" if amplitude else "real part"
-    caption = (
+    return Drawing(
+        "slices",
+        "Slices",
         f"Cuts through the beam ({shown}) at azimuth 0° (East) and 90° (North): inferred (solid) and {name} (dashed). "
-        f"Below, the size of {what} along the cuts with the posterior standard deviation (dotted)."
+        f"Below, the size of {what} along the cuts, with the posterior standard deviation (dotted).",
+        f"Beam against zenith angle at two azimuths, inferred and {name}, on a logarithmic scale; below, their "
+        "difference.",
+        figure,
     )
-    return Drawing("slices", "Slices", caption, f"Beam against zenith angle at two azimuths, inferred and {name}, on a "
-                   "logarithmic scale, with their difference below.", figure)  # fmt: skip
 
 
 def shows_amplitude(channel: Channel) -> bool:
@@ -133,30 +141,41 @@ def draw_map_scores(channel: Channel) -> Drawing | None:
         return None
     error, name = difference(channel)
     z = (np.abs(error) / channel.arrays["map_std"]).ravel()
-    end = 6.0
-    counts, edges = np.histogram(np.minimum(z, end * (1 - 1e-9)), np.linspace(0, end, 61))
     figure = new_figure(3.3)
     axes = figure.subplots()
-    axes.stairs(counts / z.size / np.diff(edges), edges, fill=True, color=MODEL, alpha=0.35)
-    axes.stairs(counts / z.size / np.diff(edges), edges, color=MODEL, linewidth=1)
-    x = np.linspace(0, end, 601)
+    far = np.percentile(z, 95) > 10
+    edges = np.geomspace(0.05, max(z.max(), 10), 61) if far else np.linspace(0, max(6.0, np.percentile(z, 99.9)), 61)
+    density = np.histogram(z, edges)[0] / z.size / np.diff(edges)
+    axes.stairs(density, edges, fill=True, color=MODEL, alpha=0.3)
+    axes.stairs(density, edges, color=MODEL, linewidth=1, label="one-degree grid")
+    x = np.geomspace(0.05, edges[-1], 2001) if far else np.linspace(0, edges[-1], 2001)
     expected, law = expected_scores(x, channel.is_complex)
     axes.plot(x, expected, "--", color=REFERENCE, label=law)
-    axes.set(xlim=(0, end), xlabel=f"|z| = |{name}| / posterior std", ylabel="density over the one-degree grid")
+    axes.set(xlim=(edges[0], edges[-1]), xlabel=f"|z| = |{name}| / posterior std", ylabel="density")
+    if far:
+        axes.set(xscale="log", yscale="log", ylim=(0.5 * density[density > 0].min(), 2))
     axes.legend()
     axes.grid()
-    expectation = (
+    return Drawing(
+        "map_scores",
+        "Scores of the map",
+        _score_caption(channel, z, float(edges[-1]), law),
+        f"Histogram of |z| over the map against the {law}.",
+        figure,
+    )
+
+
+def _score_caption(channel: Channel, z: Array, end: float, law: str) -> str:
+    meaning = (
         "expected of an inference whose basis and sky are complete"
         if channel.truth is not None
-        else "what would be seen if the model beam were the truth"
+        else "which would be seen if the model beam were the truth"
     )
-    caption = (
-        f"Distribution of |z| over the map; the last bin holds all beyond ({100 * np.mean(z > end):.2g}% of the grid). "
-        f"Dashed: the {law}, {expectation}. Median {np.median(z):.2f}, expected "
-        f"{np.sqrt(np.log(2)) if channel.is_complex else 0.6745:.2f}."
-    )
-    return Drawing("map_scores", "Scores of the map", caption,
-                   f"Histogram of |z| from 0 to {end:.0f} against the {law}.", figure)  # fmt: skip
+    expected = np.sqrt(np.log(2)) if channel.is_complex else 0.6745
+    text = f"Distribution of |z| over the one-degree grid. Dashed: the {law}, {meaning}. "
+    text += f"The median is {np.median(z):.3g}, expected {expected:.2f}; the largest is {z.max():.3g}. "
+    beyond = np.mean(z > end)
+    return (text + (f"Beyond the axis lie {100 * beyond:.2g}% of the grid." if beyond else "")).strip()
 
 
 def expected_scores(z: Array, is_complex: bool) -> tuple[Array, str]:

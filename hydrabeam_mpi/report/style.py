@@ -21,7 +21,7 @@ REFERENCE = "#222222"
 AZ_0 = "#009e73"
 AZ_90 = "#7b3294"
 
-STYLE: dict[str, Any] = {
+STYLE: Any = {
     "font.family": "DejaVu Sans",
     "font.size": 9,
     "axes.titlesize": 9.5,
@@ -81,11 +81,11 @@ def new_figure(height: float) -> Figure:
 
 
 def colour_map(name: str) -> Colormap:
-    """Return a colour map in 48 steps: finer than the eye reads off a bar, and small in a file."""
-    return colormaps[name].resampled(48)
+    """Return a colour map in 49 steps: finer than the eye reads off a bar, and small in a file."""
+    return colormaps[name].resampled(49)
 
 
-def decades(values: NDArray, low: float = 0.0, high: float = 100.0) -> tuple[float, float]:
+def decades(values: NDArray[Any], low: float = 0.0, high: float = 100.0) -> tuple[float, float]:
     """Return powers of ten that enclose the given percentiles of the positive values; (0.1, 1) without any."""
     positive = values[np.isfinite(values) & (values > 0)]
     if not positive.size:

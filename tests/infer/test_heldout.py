@@ -48,6 +48,33 @@ def test_sums_add_up_over_parts_and_flags_do_not_count():
     assert whole.summary()["heldout_n"] == np.sum(weights > 0)
 
 
+def test_the_model_beam_with_its_best_amplitude_is_the_least_squares_fit():
+    data, weights, mean, variance = sample(40)
+    before = 0.3 * data + mean
+    weights[:3] = 0
+    statistics = HeldoutStatistics()
+    statistics.add(data, weights, mean, variance, before)
+    summary = statistics.summary()
+    root = np.sqrt(weights)
+    design, target = (np.concatenate([x.real, x.imag]) for x in (root * before, root * data))
+    (amplitude,), (residual,) = np.linalg.lstsq(design[:, None], target)[:2]
+    assert summary["heldout_amplitude_unperturbed"] == pytest.approx(amplitude, rel=1e-12)
+    assert summary["heldout_chi2_unperturbed_scaled"] == pytest.approx(residual / 37, rel=1e-12)
+    explained = 1 - residual / (target @ target)
+    assert summary["heldout_explained_unperturbed_scaled"] == pytest.approx(explained, rel=1e-12)
+
+
+def test_rms_is_the_weighted_root_mean_square_of_the_residual():
+    data, weights, mean, variance = sample(40)
+    statistics = HeldoutStatistics()
+    statistics.add(data, weights, mean, variance, np.zeros(40, complex))
+    summary = statistics.summary()
+    rms = np.sqrt(np.average(np.abs(data - mean) ** 2, weights=weights))
+    assert summary["heldout_rms_jy"] == pytest.approx(rms, rel=1e-12)
+    assert summary["heldout_rms_jy_unperturbed"] == pytest.approx(summary["heldout_rms_jy_data"], rel=1e-12)
+    assert summary["heldout_amplitude_unperturbed"] == 0
+
+
 def test_far_outliers_stay_in_the_histogram():
     statistics = HeldoutStatistics()
     statistics.add(np.array([1e9 + 0j]), np.ones(1), np.zeros(1, complex), np.zeros((2, 1)), np.zeros(1, complex))

@@ -149,6 +149,20 @@ def test_gains_in_the_average_convention_leave_half(read):
     np.testing.assert_allclose(half, plain / 2, rtol=1e-14)
 
 
+@pytest.mark.parametrize(("stated", "factor"), [("sum", 1.0), ("avg", 0.5), (None, 0.5)])
+def test_the_convention_that_gains_state_replaces_that_of_the_job(read, tmp_path, stated, factor):
+    uv = make_uvdata()
+    cal = make_uvcal(uv)
+    obs, data, flags, files = read(uv, cal)
+    plain, _ = apply_gains(data, flags, obs, whole(obs), files)
+    cal.pol_convention, cal.gain_scale = stated, "Jy" if stated else None
+    obs, *_, files = read(uv, cal, extension="calh5")
+    job = dataclasses.replace(obs, pol_convention="avg")
+    halved, flags, _ = read_visibilities([tmp_path / "a.uvh5"], job, whole(job))
+    found, _ = apply_gains(halved, flags, job, whole(job), files)
+    np.testing.assert_allclose(found, factor * plain, rtol=1e-14)
+
+
 def test_feeds_are_matched_by_direction(read):
     uv = make_uvdata(x_orientation="north")
     cal = make_uvcal(make_uvdata())

@@ -28,12 +28,25 @@ def test_rows_come_in_the_order_asked(tmp_path):
     np.testing.assert_array_equal(nsamples, uv.nsample_array[part])
 
 
-@pytest.mark.parametrize(("convention", "factor"), [("avg", 0.5), ("sum", 1.0), (None, 1.0)])
-def test_convention_of_polarisation_is_one_half_of_i(tmp_path, convention, factor):
+@pytest.mark.parametrize(
+    ("stated", "given", "factor"),
+    [
+        ("avg", None, 0.5),
+        ("avg", "avg", 0.5),
+        ("avg", "sum", 0.5),
+        ("sum", None, 1.0),
+        ("sum", "avg", 1.0),
+        (None, None, 1.0),
+        (None, "sum", 1.0),
+        (None, "avg", 0.5),
+    ],
+)
+def test_convention_of_polarisation_is_one_half_of_i(tmp_path, stated, given, factor):
+    """What the file states counts, else what is given; "avg" is halved once."""
     uv = make_uvdata()
-    uv.pol_convention = convention
+    uv.pol_convention = stated
     header, _ = read_metadata(written(uv, tmp_path / "a.uvh5"))
-    data, _, _ = read_rows(header, np.arange(5), np.arange(4), np.arange(2))
+    data, _, _ = read_rows(header, np.arange(5), np.arange(4), np.arange(2), given)
     np.testing.assert_array_equal(data, factor * uv.data_array[:5])
 
 

@@ -4,12 +4,12 @@ import json
 
 import numpy as np
 import pytest
-from hydrabeam_mpi.random import generator
 
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.basis import LinearBasis, basis_from_description
 from hydrabeam_mpi.model.fourier_bessel import FourierBessel
 from hydrabeam_mpi.model.zernike import Zernike
+from hydrabeam_mpi.random import generator
 
 
 class Cosines(LinearBasis):

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from hydrabeam_mpi.random import generator
 from scipy.special import j0, jn_zeros, jnp_zeros, jv, roots_legendre
 
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bessel import BesselRows, chebyshev
 from hydrabeam_mpi.model.fourier_bessel import EDGE, FourierBessel, radial_zeros
+from hydrabeam_mpi.random import generator
 
 ALPHA = np.sqrt(1 - np.cos(23 * np.pi / 45))
 

@@ -39,6 +39,12 @@ def closed_circle():
     return za.ravel(), az.ravel()
 
 
+def uneven():
+    """Azimuths that leave half a step between the last and the first."""
+    az, za = np.meshgrid(np.linspace(0, np.deg2rad(359), 90), np.linspace(0, np.pi / 2, 46))
+    return za.ravel(), az.ravel()
+
+
 GRIDS = {
     "1 degree": degree_grid(),
     "azimuth from -3": degree_grid_from(-3.0),
@@ -46,6 +52,7 @@ GRIDS = {
     "HEALPix": healpix(32),
     "HEALPix nested": healpix(32, "nested"),
     "any order": shuffled(*healpix(32)),
+    "uneven azimuths": uneven(),
     "scattered": scattered(3000),
 }
 
@@ -99,6 +106,14 @@ def test_rings_and_points_give_the_same_least_squares_solution(form):
     residual = np.abs(design @ on_rings.coeffs - values)
     assert on_rings.rms_residual == pytest.approx(np.sqrt(np.mean(residual**2)))
     assert on_rings.max_residual == pytest.approx(residual.max())
+
+
+def test_rings_are_told_from_scattered_points():
+    for name, (za, az) in GRIDS.items():
+        rings = RingGrid.from_pixels(Pixels(za, az, np.cos(za)))
+        assert (rings is None) == (name == "scattered")
+    half = np.meshgrid(np.linspace(0, np.pi, 90), np.linspace(0, 1.5, 10))
+    assert RingGrid.from_pixels(Pixels(half[1].ravel(), half[0].ravel(), np.ones(900))) is None
 
 
 def test_real_and_complex_form_are_the_same_fit():
@@ -212,5 +227,5 @@ def test_complex_beam_needs_complex_coefficients():
 
 def test_more_modes_than_samples_are_refused():
     za, az = scattered(20)
-    with pytest.raises(InputError, match="27 modes.*20 samples"):
+    with pytest.raises(InputError, match=r"27 modes.*20 samples"):
         fit_basis(FourierBessel.full(3, 4), Pixels(za, az, np.ones(20)))

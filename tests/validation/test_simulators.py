@@ -6,9 +6,10 @@ engine, which is asked for 1e-12); through a file, whose antenna positions are r
 """
 
 import sys
-import warnings
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import pairwise
+from typing import ClassVar
 
 import fftvis
 import h5py
@@ -59,6 +60,8 @@ def lopsided(za, az):
 class Lopsided(AnalyticBeam):
     """The same beam as pyuvdata has it, for feed x; the E-field is shared by both of its components."""
 
+    basis_vector_type: ClassVar[str] = "az_za"
+
     def _efield_eval(self, *, az_grid, za_grid, f_grid):
         field = self._get_empty_data_array(az_grid.shape)
         field[:] = np.sqrt(0.5 * lopsided(za_grid, az_grid))
@@ -100,7 +103,10 @@ SKY = draw_sky()
 
 def ours(observation, sky=SKY, beam=lopsided, engine="gemm"):
     model = ForwardModel(
-        ApparentPositions(sky, observation), sky.flux, observation.freqs, make_engine(engine, observation.bl_vectors, 1e-7)
+        ApparentPositions(sky, observation),
+        sky.flux,
+        observation.freqs,
+        make_engine(engine, observation.bl_vectors, 1e-7),
     )
     return model.visibilities([beam] * observation.Nfreqs, np.arange(observation.Ntimes))
 
@@ -146,7 +152,7 @@ def by_fftvis(observation, sky=SKY, beam=None, **options):
 
 
 def by_pyuvsim(path, sky, beam):
-    """Simulate what the metadata of a file say, and return the simulated and the file's data, as pyuvdata reads them."""
+    """Simulate what the metadata of a file say; return these data and those of the file, (Nbls, Ntimes, Nfreqs)."""
     pyuvsim = pytest.importorskip("pyuvsim")
     written = UVData.from_file(path)
     n_freqs = sky.Nfreqs
@@ -158,9 +164,7 @@ def by_pyuvsim(path, sky, beam):
         freq_array=written.freq_array * units.Hz,
     )
     beam_of = dict.fromkeys(written.telescope.antenna_names, 0)
-    simulated = pyuvsim.uvsim.run_uvdata_uvsim(
-        written.copy(), pyuvsim.BeamList([beam]), beam_of, model, quiet=True
-    )
+    simulated = pyuvsim.uvsim.run_uvdata_uvsim(written.copy(), pyuvsim.BeamList([beam]), beam_of, model, quiet=True)
     pairs = written.get_antpairs()
     return [np.array([uv.get_data(*pair, "ee") for pair in pairs]) for uv in (simulated, written)]
 
@@ -180,6 +184,120 @@ def difference(one, other):
     return np.abs(one - other).max() / np.abs(other).max()
 
 
-def as_ours(visibilities, simulator):
-    """fftvis already returns (Nfreqs, Ntimes, Nbls), like matvis."""
-    return visibilities
+def test_sources_rise_and_set():
+    """What the other tests rely on: the set of sources above the horizon changes from time to time."""
+    above = ApparentPositions(SKY, observe(ARRAYS["irregular"])).above_horizon
+    sets = [set(above(time)[0].tolist()) for time in range(len(HOURS))]
+    for before, after in pairwise(sets):
+        assert len(before - after) > 2
+        assert len(after - before) > 2
+
+
+@pytest.mark.parametrize("simulator", SIMULATORS)
+@pytest.mark.parametrize("array", ARRAYS)
+@pytest.mark.parametrize(("engine", "tolerance"), [("gemm", 1e-12), ("nufft", 2e-11)])
+def test_visibilities(array, simulator, engine, tolerance):
+    assert difference(ours(observe(ARRAYS[array]), engine=engine), simulated(array, simulator)) < tolerance
+
+
+MISTAKES = {
+    "conjugated": (lambda antpos: -antpos, lopsided),
+    "North and East exchanged in the array": (lambda antpos: antpos[:, [1, 0, 2]], lopsided),
+    "heights upside down": (lambda antpos: antpos * [1, 1, -1], lopsided),
+    "North and East exchanged in the beam": (np.copy, lambda za, az: lopsided(za, np.pi / 2 - az)),
+    "azimuth from North through East": (np.copy, lambda za, az: lopsided(za, az - np.pi / 2)),
+    "azimuth the other way": (np.copy, lambda za, az: lopsided(za, -az)),
+    "beam turned by half a turn": (np.copy, lambda za, az: lopsided(za, az + np.pi)),
+    "beam of the field, not of the power": (np.copy, lambda za, az: np.sqrt(lopsided(za, az))),
+    "no factor of a half": (np.copy, lambda za, az: 2 * lopsided(za, az)),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_mistakes_would_be_seen(mistake):
+    change, beam = MISTAKES[mistake]
+    observation = observe(ARRAYS["irregular"])
+    wrong = ours(replace(observation, antpos=change(observation.antpos)), beam=beam)
+    assert difference(wrong, simulated("irregular", "matvis")) > 0.1
+
+
+@pytest.mark.parametrize("simulator", SIMULATORS)
+def test_a_source_of_ten_jansky_in_a_beam_of_one_is_five_jansky(simulator):
+    """The factor 1/2: the co-polarised visibility of an unpolarised source is half of its Stokes I, here as there."""
+    observation = observe(ARRAYS["irregular"])
+    sky = Sky(observation.lsts[:1], np.array([observation.location.lat.rad]), np.full((2, 1), 10.0))
+    mine = ours(observation, sky, lambda za, az: np.ones_like(za))[:, 0]
+    theirs = SIMULATORS[simulator](observation, sky, UniformBeam())[:, 0]
+    np.testing.assert_allclose(np.abs(mine), 5.0, rtol=1e-12)
+    np.testing.assert_allclose(theirs, mine, rtol=1e-10)
+
+
+@pytest.fixture(scope="module")
+def vivaldi_file(tmp_path_factory):
+    """The built-in beam on a quarter-degree grid, as a beamfits file."""
+    za, az = np.meshgrid(np.deg2rad(np.arange(361) / 4), np.deg2rad(np.arange(1440) / 4), indexing="ij")
+    values = embedded_beam()(za.ravel(), az.ravel()).reshape(za.shape)
+    path = tmp_path_factory.mktemp("beam") / "vivaldi.beamfits"
+    write_power_beam(path, np.broadcast_to(values, (1, 2, *values.shape)), FREQS, ["ee"], telescope_name="made")
+    return path
+
+
+def test_a_beam_file_is_the_same_beam_to_all(vivaldi_file):
+    """The file's samples are interpolated by pyuvdata for both sides, with the function that the simulator uses."""
+    observation = observe(ARRAYS["irregular"])
+    for simulator, function in (("matvis", "az_za_map_coordinates"), ("fftvis", "az_za_simple")):
+        uvbeam = UVBeam.from_file(vivaldi_file)
+
+        def interpolated(za, az, uvbeam=uvbeam, function=function):
+            options = {"freq_array": FREQS[:1], "interpolation_function": function, "return_basis_vector": False}
+            return uvbeam.interp(az_array=az, za_array=za, **options)[0][0, 0, 0]
+
+        options = {"interpolation_function": function} if simulator == "fftvis" else {}
+        theirs = SIMULATORS[simulator](observation, beam=UVBeam.from_file(vivaldi_file), **options)
+        assert difference(ours(observation, beam=interpolated), theirs) < 1e-12
+        if function == "az_za_simple":
+            # The coefficients themselves, against splines between samples a quarter of a degree apart.
+            assert difference(ours(observation, beam=embedded_beam()), theirs) < 1e-6
+
+
+def test_a_written_file_is_what_pyuvsim_makes_of_its_metadata(tmp_path, monkeypatch):
+    """Antenna positions, times, baseline order and polarisation as pyuvdata understands them."""
+    monkeypatch.setattr(sys, "excepthook", sys.excepthook)  # pyuvsim sets one that ends the process
+    # pyuvsim takes antennas in the order of the file to be in the order of their numbers.
+    observation = observe(ARRAYS["irregular"], step=5)
+    data = ours(observation)[..., np.newaxis]
+    path = tmp_path / "data.uvh5"
+    write_uvh5(path, observation, data, np.zeros(data.shape, bool), np.ones(data.shape))
+    theirs, read_back = by_pyuvsim(path, SKY, Lopsided(**FEED))
+    np.testing.assert_array_equal(read_back, data[..., 0].transpose(2, 1, 0))
+    assert difference(read_back, theirs) < 1e-8
+
+
+JOB = """
+[data.simulate]
+array = {{ file = "{array}" }}
+lst_range = ["6 h", "12 h"]
+n_times = 4
+freqs = ["110 MHz", "131 MHz"]
+noise = false
+perturb = {{ stretch = [1, 1], sidelobe = 0 }}
+[sky]
+n_sources = 300
+positions = "apparent"
+[beam]
+source = "airy"
+diameter = "9 m"
+"""
+
+
+def test_the_simulate_command_against_pyuvsim(tmp_path, monkeypatch):
+    """Cross- and autocorrelations of `hydrabeam simulate`, from nothing but the two files that it writes."""
+    monkeypatch.setattr(sys, "excepthook", sys.excepthook)
+    np.savetxt(tmp_path / "array.txt", ARRAYS["irregular"])
+    (tmp_path / "job.toml").write_text(JOB.format(array=tmp_path / "array.txt"))
+    simulate(MPI.COMM_SELF, tmp_path / "job.toml", tmp_path / "out", overwrite=False, threads=1)
+    with h5py.File(tmp_path / "out" / "truth.h5") as truth:
+        sky = Sky(truth["ra"][:], truth["dec"][:], truth["flux"][:])
+    theirs, ours_in_file = by_pyuvsim(tmp_path / "out" / "data.uvh5", sky, AiryBeam(diameter=9.0, **FEED))
+    assert len(theirs) == 15  # 10 cross-correlations and 5 autocorrelations
+    assert difference(ours_in_file, theirs) < 1e-8

@@ -1,0 +1,52 @@
+"""Key numbers of all channels against frequency."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hydrabeam_mpi.report.result import Channel
+from hydrabeam_mpi.report.style import INFERRED, MODEL, REFERENCE, Drawing, new_figure
+
+PANELS = {
+    "held-out reduced χ²": {"heldout_chi2_unperturbed": "model beam", "heldout_chi2": "inferred beam"},
+    "held-out z, standard deviation": {"ppd_z_std_unperturbed": "model beam", "ppd_z_std": "inferred beam"},
+    "largest beam error": {"model_error_max": "model beam", "beam_error_max": "inferred beam"},
+    "largest change from the model beam": {"beam_update_max": "|MAP − model|"},
+    "median posterior std of a coefficient": {"posterior_std_median": "std"},
+    "condition number of the covariance": {"condition_number": "number"},
+    "fraction of the map below zero": {"negative_fraction": "fraction"},
+}
+COLOURS = {"model beam": MODEL, "inferred beam": INFERRED}
+
+
+def draw_frequencies(channels: list[Channel]) -> Drawing | None:
+    """Draw the key numbers against frequency; None for a single channel."""
+    known = {title: keys for title, keys in PANELS.items() if any(key in c.numbers for key in keys for c in channels)}
+    if len(channels) < 2 or not known:
+        return None
+    freqs = np.array([channel.freq for channel in channels]) / 1e6
+    rows = -(-len(known) // 2)
+    figure = new_figure(1.75 * rows + 0.4)
+    grid = figure.subplots(rows, 2, squeeze=False).ravel()
+    for axes, (title, keys) in zip(grid, known.items(), strict=False):
+        lowest = np.inf
+        for key, name in keys.items():
+            values = np.array([channel.numbers.get(key, np.nan) for channel in channels], dtype=float)
+            if np.isfinite(values).any():
+                axes.plot(freqs, values, "o-", markersize=3, color=COLOURS.get(name, REFERENCE), label=name)
+                lowest = min(lowest, np.nanmin(values))
+        axes.set(title=title, yscale="log" if lowest > 0 else "linear")
+        if len(keys) > 1:
+            axes.legend(fontsize=7.5)
+        axes.grid()
+    for axes in grid[len(known) - 2 : len(known)]:
+        axes.set_xlabel("frequency (MHz)")
+    for axes in grid[len(known) :]:
+        axes.set_visible(False)
+    return Drawing(
+        "frequencies",
+        "All channels",
+        "Key numbers of every channel; each was inferred from its own visibilities, without the others.",
+        f"{len(known)} small panels with key numbers against frequency.",
+        figure,
+    )

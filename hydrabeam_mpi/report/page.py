@@ -1,0 +1,126 @@
+"""``hydrabeam report DIR``: figures and one self-contained page."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+from base64 import b64encode
+from html import escape
+from importlib.resources import files
+from itertools import count
+from pathlib import Path
+
+import matplotlib
+
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.report.figures import draw_channel, shown_channels
+from hydrabeam_mpi.report.frequencies import draw_frequencies
+from hydrabeam_mpi.report.key_numbers import table, text_table
+from hydrabeam_mpi.report.result import Result, load_result
+from hydrabeam_mpi.report.sections import channel_table, finding, key_numbers, provenance, warnings
+from hydrabeam_mpi.report.style import STYLE, Drawing, render
+from hydrabeam_mpi.report.words import introduction, megahertz, remarks
+
+
+def write_report(directory: Path) -> None:
+    """Write ``report.html`` and ``figures/`` into a result folder, and print its key numbers.
+
+    Everything is drawn before the first file is written, and each file appears whole.
+
+    Parameters
+    ----------
+    directory : Path
+        Folder that ``hydrabeam infer`` wrote.
+
+    Raises
+    ------
+    InputError
+        If it is no such folder, or cannot be written.
+    """
+    result = load_result(directory)
+    contents: dict[Path, bytes] = {}
+    with matplotlib.rc_context(STYLE):
+        page = _page(result, _Album(contents, directory / "figures"))
+    contents[directory / "report.html"] = page.encode()
+    for path, content in contents.items():
+        _write_whole(path, content)
+    print(introduction(result), end="\n\n")
+    print(text_table(table(result.numbers, result.name)), end="\n\n")
+    for remark in remarks(result):
+        print(f"Note: {remark}")
+    print(f"Report: {directory / 'report.html'}")
+
+
+def _write_whole(path: Path, content: bytes) -> None:
+    """Write a file under another name and rename it."""
+    partial = path.with_name(f".{path.name}.partial-{secrets.token_hex(4)}")
+    try:
+        path.parent.mkdir(exist_ok=True)
+        partial.write_bytes(content)
+        os.replace(partial, path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
+        raise InputError(
+            f"cannot be written ({error.strerror})", file=path, remedy="make the folder writable"
+        ) from error
+
+
+class _Album:
+    """Numbers the figures of the page, renders them, and keeps their files for writing."""
+
+    def __init__(self, contents: dict[Path, bytes], folder: Path) -> None:
+        self._contents, self._folder = contents, folder
+        self._numbers = count(1)
+
+    def place(self, drawing: Drawing, prefix: str = "") -> str:
+        """Return a figure element with its picture inside."""
+        name = prefix + drawing.name
+        pictures = {form: render(drawing.figure, form) for form in ("png", "pdf")}
+        for form, content in pictures.items():
+            self._contents[self._folder / f"{name}.{form}"] = content
+        source = b64encode(pictures["png"]).decode()
+        return (
+            f'<figure id="{escape(name)}"><img alt="{escape(drawing.alt)}" src="data:image/png;base64,{source}">'
+            f"<figcaption><b>Figure {next(self._numbers)}. {escape(drawing.title)}.</b> {escape(drawing.caption)} "
+            f'<span class="key">figures/{escape(name)}.pdf</span></figcaption></figure>\n'
+        )
+
+
+def _page(result: Result, album: _Album) -> str:
+    style = files("hydrabeam_mpi.report").joinpath("page.css").read_text(encoding="utf-8")
+    title = f"Beam posterior: {result.name}"
+    body = [
+        f"<h1>{escape(title)}</h1>\n<p>{escape(introduction(result))}</p>\n",
+        finding(result.channels[0]) if len(result.channels) == 1 else "",
+        warnings(result),
+        key_numbers(result),
+        _channels(result, album),
+        provenance(result),
+    ]
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{escape(title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n{''.join(body)}"
+        "<footer>“The paper” is Wilensky et al. 2025, High Dimensional Beam Inference II (HDBI II); the method is its."
+        "</footer>\n</body>\n</html>\n"
+    )
+
+
+def _channels(result: Result, album: _Album) -> str:
+    """Place the figures of all channels together, then of the chosen ones."""
+    several = len(result.channels) > 1
+    shown = shown_channels(result.channels)
+    parts = []
+    together = draw_frequencies(result.channels)
+    if together is not None:
+        parts.append(f"<h2>All channels</h2>\n{album.place(together)}{channel_table(result.channels)}")
+    if len(shown) < len(result.channels):
+        parts.append("<p>The first, the middle and the last channel follow in full.</p>\n")
+    for channel in shown:
+        heading = f"Channel {channel.number}, {megahertz(channel.freq)}" if several else "Figures"
+        prefix = f"channel_{channel.number:04d}_" if several else ""
+        parts.append(f"<h2>{heading}</h2>\n{finding(channel) if several else ''}")
+        parts.extend(album.place(drawing, prefix) for drawing in draw_channel(channel))
+    return "".join(parts)

@@ -1,0 +1,137 @@
+"""What a result says, in plain words."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hydrabeam_mpi.report.key_numbers import format_value
+from hydrabeam_mpi.report.result import Channel, Result
+
+ORDINALS = {2: "second", 3: "third"}
+BASES = {"fourier_bessel": "Fourier-Bessel", "zernike": "Zernike"}
+
+
+def megahertz(freq: float) -> str:
+    """Write a frequency in MHz with as many digits as it needs, four decimals at most."""
+    return f"{freq / 1e6:.4f}".rstrip("0").rstrip(".") + " MHz"
+
+
+def introduction(result: Result) -> str:
+    """Tell in one paragraph what was inferred from what."""
+    job, channels, numbers = result.provenance.get("job", {}), result.channels, result.numbers
+    first = channels[0]
+    n_data = sum(channel.numbers.get("n_data", 0) for channel in channels)
+    where = f"at {megahertz(first.freq)}"
+    if len(channels) > 1:
+        where = f"in {len(channels)} channels from {megahertz(first.freq)[:-4]} to {megahertz(channels[-1].freq)}"
+    text = f"The power beam that all antennas share (polarisation {result.polarization}), inferred {where}"
+    if n_data:
+        text += f" from {n_data:,} complex visibilities"
+        unique = first.numbers.get("n_unique_baselines")
+        text += f" on {unique:,} different baseline vectors" if unique else ""
+    text += f", which {_origin(job.get('data', {}))}. {_basis(first)}{_prior(job)}{_sky(job)}{_holdout(job)}"
+    if "ranks" in numbers and "wall_s" in numbers:
+        ranks = numbers["ranks"]
+        text += f" {ranks} rank{'s' if ranks != 1 else ''} took {format_value(numbers['wall_s'])} s for the inference."
+    return text
+
+
+def _origin(data: dict[str, Any]) -> str:
+    if data.get("simulate"):
+        return "were simulated with a known beam"
+    files = len(data.get("files", ()))
+    return f"were read from {files} file{'s' if files != 1 else ''}" if files else "were measured"
+
+
+def _basis(channel: Channel) -> str:
+    kind = BASES.get(channel.basis.get("kind", ""), "linear")
+    form = "complex" if channel.is_complex else "real"
+    return f"The beam is a sum of {len(channel.arrays['mean']):,} {kind} modes with {form} coefficients"
+
+
+def _prior(job: dict[str, Any]) -> str:
+    prior, source = job.get("prior", {}), job.get("beam", {}).get("source")
+    centre = f" is centred on the fit of the model beam ({source})" if source else ""
+    texts = {
+        "fraction": f"; its prior{centre or ' is Gaussian'}, with a standard deviation of "
+        f"{100 * prior.get('fraction', 1):.3g}% of each coefficient.",
+        "flat": "; its prior is flat.",
+        "file": f"; its prior{centre or ' is Gaussian'}, with the covariance of {prior.get('file')}.",
+    }
+    return texts.get(prior.get("kind", ""), ".")
+
+
+def _sky(job: dict[str, Any]) -> str:
+    sky = job.get("sky", {})
+    if sky.get("kind") == "catalogue":
+        return f" The sky model is the catalogue {sky.get('file')}."
+    return f" The sky model is a mock of {sky['n_sources']:,} point sources." if "n_sources" in sky else ""
+
+
+def _holdout(job: dict[str, Any]) -> str:
+    holdout = job.get("holdout", {})
+    every = holdout.get("every")
+    kinds = {
+        "times": f"every {ORDINALS.get(every, f'{every}th')} time was",
+        "lst": "ranges of sidereal time were",
+        "jd": "ranges of time were",
+        "baselines": "some baselines were",
+    }
+    held = kinds.get(holdout.get("kind", ""))
+    return f" To test it, {held} held out of the inference." if held else ""
+
+
+def heldout_words(numbers: dict[str, Any]) -> str:
+    """Tell what the inferred beam makes of the held-out visibilities, before and after; empty if none were held out."""
+    after, before = numbers.get("heldout_chi2"), numbers.get("heldout_chi2_unperturbed")
+    if after is None or before is None:
+        return ""
+    n = numbers.get("heldout_n")
+    text = (
+        f"{f'On {n:,.0f} held-out visibilities' if n else 'On held-out visibilities'} the reduced χ² "
+        f"{'falls' if after < before else 'rises'} from {format_value(before)} with the model beam to "
+        f"{format_value(after)} with the inferred beam; noise alone would give 1. "
+    )
+    keys = ("ppd_z_std_unperturbed", "ppd_z_max_unperturbed", "ppd_z_std", "ppd_z_max")
+    if all(key in numbers for key in keys):
+        text += "Standard deviation of z (and its largest value): {} ({}) before, {} ({}) after. ".format(
+            *(format_value(numbers[key]) for key in keys)
+        )
+    if "heldout_explained" in numbers and "heldout_explained_unperturbed" in numbers:
+        old, new = (numbers[key] for key in ("heldout_explained_unperturbed", "heldout_explained"))
+        text += (
+            f"The model beam explains {format_value(old, 'percent')} of the held-out power, the inferred beam "
+            f"{format_value(new, 'percent')}. "
+        )
+    return text + _verdict(after, before)
+
+
+def _verdict(after: float, before: float) -> str:
+    if after >= before:
+        return "The inferred beam predicts data that it has not seen no better than the model beam."
+    if after < 1.1:
+        return "The inferred beam predicts data that it has not seen to the noise."
+    if after < 5:
+        return "What is left is detectable, but of the order of the noise."
+    return "What is left is far above the noise: something besides the beam is missing from the model."
+
+
+def remarks(result: Result) -> list[str]:
+    """Return what a reader must not overlook: the run's own warnings, and what the report adds to them."""
+    said = list(result.warnings)
+    removed = result.numbers.get("flux_removed")
+    if removed:
+        said.append(
+            f"The sky model lacks {format_value(removed, 'percent')} of the simulated flux. With an incomplete sky the "
+            "beam takes up errors that are not its own: imaginary parts and negative power stand in for the missing "
+            "sources, and the posterior standard deviation knows nothing of it."
+        )
+    worse = [
+        c for c in result.channels if c.numbers.get("heldout_chi2", 0) > c.numbers.get("heldout_chi2_unperturbed", 0)
+    ]
+    if worse:
+        where = f" at {', '.join(megahertz(c.freq) for c in worse)}" if len(result.channels) > 1 else ""
+        said.append(f"The inferred beam predicts held-out data worse than the model beam{where}: do not use it there.")
+    if not any("heldout_chi2" in channel.numbers for channel in result.channels):
+        said.append("No data were held out, so nothing here tests the posterior on data that it has not seen.")
+    return said
