@@ -85,7 +85,7 @@ check_mpi() {
     local said mpiexec remedy
     mpiexec=$(command -v mpiexec)
     remedy="remove $venv and put the mpiexec and mpicc to be used first on PATH, or set HYDRABEAM_MPI=wheel"
-    said=$(mpiexec -n 2 python -c '
+    said=$(timeout --foreground 120 mpiexec -n 2 python -c '
 import sys
 from mpi4py.MPI import COMM_WORLD as world
 if world.rank == 0:

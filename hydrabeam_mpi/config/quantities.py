@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 from astropy import units
 from pydantic import AfterValidator, BeforeValidator, Field
 
 
-def _quantity(what: str, unit: str, example: str, *, sidereal: bool = False) -> Callable[[Any], float]:
-    """Return a validator that takes a plain number in ``unit``, or text with any unit of the same kind."""
-    expected = f"{what}, a number in {unit} or text such as '{example}'"
-    # An hour of sidereal time is an hour of angle.
-    target, same = (units.hourangle, [(units.h, units.hourangle)]) if sidereal else (units.Unit(unit), [])
+@dataclass(frozen=True)
+class Quantity:
+    """Takes a plain number in ``unit``, or text with any unit of the same kind."""
 
-    def parse(value: Any) -> float:
+    what: str
+    unit: str
+    example: str
+
+    def __call__(self, value: Any) -> float:
+        """Return the number in ``unit``."""
+        expected = f"{self.what}, a number in {self.unit} or text such as '{self.example}'"
         if isinstance(value, bool) or not isinstance(value, int | float | str):
             raise ValueError(expected)
         if not isinstance(value, str):
@@ -24,21 +28,19 @@ def _quantity(what: str, unit: str, example: str, *, sidereal: bool = False) -> 
             quantity = units.Quantity(value)
             if quantity.unit == units.dimensionless_unscaled:
                 return float(quantity.value)
+            # An hour of sidereal time is an hour of angle.
+            target, same = (units.hourangle, [(units.h, units.hourangle)]) if self.unit == "h" else (self.unit, [])
             return float(quantity.to_value(target, same))
         except (TypeError, ValueError, units.UnitConversionError) as error:
             raise ValueError(expected) from error
 
-    return parse
 
-
-Hertz = Annotated[float, BeforeValidator(_quantity("a frequency", "Hz", "131 MHz")), Field(gt=0)]
-Metres = Annotated[float, BeforeValidator(_quantity("a length", "m", "14.6 m"))]
-Seconds = Annotated[float, BeforeValidator(_quantity("a time", "s", "10 s"))]
-Jansky = Annotated[float, BeforeValidator(_quantity("a flux density", "Jy", "0.1 Jy"))]
-Degrees = Annotated[float, BeforeValidator(_quantity("an angle", "deg", "90 deg"))]
-SiderealHours = Annotated[
-    float, BeforeValidator(_quantity("a sidereal time", "h", "6 h", sidereal=True)), Field(ge=0, le=24)
-]
+Hertz = Annotated[float, BeforeValidator(Quantity("a frequency", "Hz", "131 MHz")), Field(gt=0)]
+Metres = Annotated[float, BeforeValidator(Quantity("a length", "m", "14.6 m"))]
+Seconds = Annotated[float, BeforeValidator(Quantity("a time", "s", "10 s"))]
+Jansky = Annotated[float, BeforeValidator(Quantity("a flux density", "Jy", "0.1 Jy"))]
+Degrees = Annotated[float, BeforeValidator(Quantity("an angle", "deg", "90 deg"))]
+SiderealHours = Annotated[float, BeforeValidator(Quantity("a sidereal time", "h", "6 h")), Field(ge=0, le=24)]
 # 1962 to 2100: beyond, the rotation of the Earth is not known or guessed.
 JulianDate = Annotated[float, Field(ge=2437665, le=2488070)]
 Polarization = Literal["ee", "nn", "en", "ne", "xx", "yy", "xy", "yx"]

@@ -90,12 +90,17 @@ class GemmEngine:
         # Chunks of equal size: a short last one would cost nearly as much as a full one.
         n_chunks = max(-(-len(za) // self.chunk), 1)
         edges = np.linspace(0, len(za), n_chunks + 1).astype(int)
+        # One work space for all chunks: fresh pages cost as much as what is computed in them.
+        n_rows = basis.n_columns + 2 * n_vectors
+        space = np.empty(n_rows * self.chunk)
         for lo, hi in pairwise(edges.tolist()):
-            columns = basis.columns(za[lo:hi], az[lo:hi])
-            fringes = np.empty((2, n_vectors, hi - lo))
+            rows = space[: n_rows * (hi - lo)].reshape(n_rows, hi - lo)
+            columns = basis.columns(za[lo:hi], az[lo:hi], out=rows[: basis.n_columns])
+            fringes = rows[basis.n_columns :]
             for f, freq in enumerate(freqs):
-                self.fringes.fill(fringes, directions[:, lo:hi], 0.5 * flux[f, lo:hi], float(freq))
-                _add_product(out[f], fringes.reshape(2 * n_vectors, hi - lo), columns)
+                parts = fringes.reshape(2, n_vectors, hi - lo)
+                self.fringes.fill(parts, directions[:, lo:hi], 0.5 * flux[f, lo:hi], float(freq))
+                _add_product(out[f], fringes, columns)
         return out.reshape(len(freqs), 2, n_vectors, basis.n_columns)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from astropy import units
 from astropy_healpix import HEALPix
+from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
 from hydrabeam_mpi.errors import InputError
@@ -34,7 +35,7 @@ class AzZaGrid:
     """
 
     def __init__(self, za: FloatArray, az: FloatArray, values: Array) -> None:
-        gaps = np.isnan(values).any(axis=1)
+        gaps: NDArray[np.bool_] = np.logical_or.reduce(np.isnan(values), axis=1)
         usable = np.flatnonzero(np.cumsum(gaps & (za > np.pi / 2 + _TOLERANCE)) == 0)
         self._za_max = za[usable][-1]
         self._has_gaps = bool(gaps[usable].any())

@@ -11,7 +11,7 @@ from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 from scipy.linalg import eigvalsh
 
-from hydrabeam_mpi.report.projection import VIEW, add_colorbar, draw_disc, to_disc
+from hydrabeam_mpi.report.projection import add_colorbar, draw_disc, to_disc
 from hydrabeam_mpi.report.result import Channel
 from hydrabeam_mpi.report.style import UNCERTAINTY, Drawing, new_figure
 
@@ -24,7 +24,8 @@ def draw_eigenbeams(channel: Channel, covariance: Array) -> Drawing | None:
         return None
     parts = 2 if channel.is_complex else 1
     figure = new_figure(1.8 * parts + 2.2)
-    maps, spectrum = np.ravel(figure.subfigures(2, 1, height_ratios=[1.8 * parts, 2.0]))
+    halves: Any = figure.subfigures(2, 1, height_ratios=[1.8 * parts, 2.0])
+    maps, spectrum = halves
     _draw_beams(maps, channel, parts)
     variances = channel.arrays.get("eigenvalues")
     if variances is None:
@@ -71,15 +72,12 @@ def with_real_peak(beam: Array) -> Array:
 
 def _caption(parts: int, variances: Array) -> str:
     condition = variances[-1] / variances[0]
-    free = (
-        "Their free phase is chosen such that the peak is real"
-        if parts == 2
-        else "Their free sign makes the peak positive"
-    )
+    free = "phase makes the peak real" if parts == 2 else "sign makes the peak positive"
     return (
         "Top: the combinations of modes that the data determine best, that is, the eigenvectors of the posterior "
         "covariance with the smallest eigenvalues σ², seen on the sky. They resemble what the array measures directly: "
         "fringes of its most redundant baselines, mixed where their eigenvalues are nearly equal, and its point-spread "
-        f"function. {free}. {VIEW} Bottom: posterior standard deviation along all {len(variances):,} eigenvectors. The "
-        f"condition number of the covariance, the ratio of its extreme eigenvalues, is {condition:,.0f}."
+        f"function. Their free {free}; they are projected as the maps of the beam. Bottom: posterior standard deviation "
+        f"along all {len(variances):,} eigenvectors. The condition number of the covariance, the ratio of its extreme "
+        f"eigenvalues, is {condition:,.0f}."
     )

@@ -67,6 +67,6 @@ def merge_bins(edges: Array, counts: Array) -> tuple[Array, Array]:
     edges, counts : ndarray
     """
     middle = counts[len(counts) // 2 - 10 : len(counts) // 2 + 10].mean()
-    step = next((step for step in (1, 2, 5) if step * middle >= 150), 10)
+    step = next((step for step in (1, 2, 5) if step * middle >= 250), 10)
     starts = np.arange(0, len(counts), step)
     return np.append(edges[starts], edges[-1]), np.add.reduceat(counts, starts)

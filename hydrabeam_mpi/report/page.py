@@ -103,8 +103,8 @@ def _page(result: Result, album: _Album) -> str:
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{escape(title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n{''.join(body)}"
-        "<footer>“The paper” is Wilensky et al. 2025, High Dimensional Beam Inference II (HDBI II); the method is its."
-        "</footer>\n</body>\n</html>\n"
+        "<footer>“The paper” is Wilensky et al. 2025, High Dimensional Beam Inference II, whose method this is.</footer>\n"
+        "</body>\n</html>\n"
     )
 
 

@@ -1,4 +1,4 @@
-"""The posterior on the sky: maps, slices and scores of the map (HDBI II, section 4.2)."""
+"""The posterior on the sky: maps, slices and scores of the map (HDBI II, section 4.2, eqs 26-29)."""
 
 from __future__ import annotations
 
@@ -143,8 +143,9 @@ def draw_map_scores(channel: Channel) -> Drawing | None:
     z = (np.abs(error) / channel.arrays["map_std"]).ravel()
     figure = new_figure(3.3)
     axes = figure.subplots()
-    far = np.percentile(z, 95) > 10
-    edges = np.geomspace(0.05, max(z.max(), 10), 61) if far else np.linspace(0, max(6.0, np.percentile(z, 99.9)), 61)
+    far = bool(np.percentile(z, 95) > 10)
+    end = float(z.max()) if far else max(6.0, float(np.percentile(z, 99.9)))
+    edges = np.geomspace(0.05, end, 61) if far else np.linspace(0, end, 61)
     density = np.histogram(z, edges)[0] / z.size / np.diff(edges)
     axes.stairs(density, edges, fill=True, color=MODEL, alpha=0.3)
     axes.stairs(density, edges, color=MODEL, linewidth=1, label="one-degree grid")

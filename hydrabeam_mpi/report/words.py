@@ -82,33 +82,39 @@ def _holdout(job: dict[str, Any]) -> str:
 
 
 def heldout_words(numbers: dict[str, Any]) -> str:
-    """Tell what the inferred beam makes of the held-out visibilities, before and after; empty if none were held out."""
+    """Tell what the inferred beam makes of held-out visibilities, before and after; empty where none were held out."""
     after, before = numbers.get("heldout_chi2"), numbers.get("heldout_chi2_unperturbed")
     if after is None or before is None:
         return ""
-    n = numbers.get("heldout_n")
+    scaled, n = numbers.get("heldout_chi2_unperturbed_scaled"), numbers.get("heldout_n")
+    fitted = "" if scaled is None else f" ({format_value(scaled)} with its amplitude fitted to these very data)"
     text = (
-        f"{f'On {n:,.0f} held-out visibilities' if n else 'On held-out visibilities'} the reduced χ² "
-        f"{'falls' if after < before else 'rises'} from {format_value(before)} with the model beam to "
-        f"{format_value(after)} with the inferred beam; noise alone would give 1. "
+        f"On {f'{n:,.0f} ' if n else ''}held-out visibilities the reduced χ² {'falls' if after < before else 'rises'} from "
+        f"{format_value(before)} with the model beam{fitted} to {format_value(after)} with the inferred beam; noise alone "
+        "would give 1. "
     )
-    keys = ("ppd_z_std_unperturbed", "ppd_z_max_unperturbed", "ppd_z_std", "ppd_z_max")
-    if all(key in numbers for key in keys):
-        text += "Standard deviation of z (and its largest value): {} ({}) before, {} ({}) after. ".format(
-            *(format_value(numbers[key]) for key in keys)
-        )
-    if "heldout_explained" in numbers and "heldout_explained_unperturbed" in numbers:
-        old, new = (numbers[key] for key in ("heldout_explained_unperturbed", "heldout_explained"))
-        text += (
-            f"The model beam explains {format_value(old, 'percent')} of the held-out power, the inferred beam "
-            f"{format_value(new, 'percent')}. "
-        )
-    return text + _verdict(after, before)
+    sentences = {
+        "The residual's rms changes from {} to {} Jy, of {} Jy in the data. ": (
+            "heldout_rms_jy_unperturbed",
+            "heldout_rms_jy",
+            "heldout_rms_jy_data",
+        ),
+        "The standard deviation of z (its largest value) is {} ({}) before and {} ({}) after. ": (
+            "ppd_z_std_unperturbed",
+            "ppd_z_max_unperturbed",
+            "ppd_z_std",
+            "ppd_z_max",
+        ),
+    }
+    for sentence, keys in sentences.items():
+        if all(key in numbers for key in keys):
+            text += sentence.format(*(format_value(numbers[key]) for key in keys))
+    return text + _verdict(after, before if scaled is None else min(before, scaled))
 
 
 def _verdict(after: float, before: float) -> str:
     if after >= before:
-        return "The inferred beam predicts data that it has not seen no better than the model beam."
+        return "The inferred beam predicts data that it has not seen no better than the model beam does."
     if after < 1.1:
         return "The inferred beam predicts data that it has not seen to the noise."
     if after < 5:
@@ -126,12 +132,14 @@ def remarks(result: Result) -> list[str]:
             "beam takes up errors that are not its own: imaginary parts and negative power stand in for the missing "
             "sources, and the posterior standard deviation knows nothing of it."
         )
-    worse = [
-        c for c in result.channels if c.numbers.get("heldout_chi2", 0) > c.numbers.get("heldout_chi2_unperturbed", 0)
-    ]
+    worse = [channel for channel in result.channels if _is_worse(channel.numbers)]
     if worse:
-        where = f" at {', '.join(megahertz(c.freq) for c in worse)}" if len(result.channels) > 1 else ""
+        where = f" at {', '.join(megahertz(channel.freq) for channel in worse)}" if len(result.channels) > 1 else ""
         said.append(f"The inferred beam predicts held-out data worse than the model beam{where}: do not use it there.")
     if not any("heldout_chi2" in channel.numbers for channel in result.channels):
         said.append("No data were held out, so nothing here tests the posterior on data that it has not seen.")
     return said
+
+
+def _is_worse(numbers: dict[str, Any]) -> bool:
+    return bool(numbers.get("heldout_chi2", 0) > numbers.get("heldout_chi2_unperturbed", float("inf")))

@@ -2,7 +2,9 @@
 
 The reference takes the data from the uvh5 file by pyuvdata, the sources from ``truth.h5``, the modes and the prior
 from ``posterior.h5``, and computes the rest in the plainest way: every basis function by its formula, every
-visibility of every baseline as a sum over sources, every matrix in full.
+visibility of every baseline as a sum over sources, every matrix in full. What is left is rounding: with the GEMM
+engine the means differ by 5e-10 of their standard deviation and the covariances by 3e-13, with the NUFFT engine by
+3e-9 and 1e-12, and the numbers of ``summary.json`` by 1e-9.
 """
 
 import json
@@ -30,9 +32,9 @@ n_sources = 200
 SIMULATION = """
 [data.simulate]
 array = { hex = [3, 5], spacing = "14.6 m" }
-lst_range = ["6 h", "9 h"]
-n_times = 6
-nsamples = 1000
+lst_range = ["6 h", "12 h"]
+n_times = 8
+nsamples = 1
 """
 INFERENCE = """
 [data]
@@ -63,7 +65,7 @@ def folder(tmp_path_factory):
     cross = (uv.ant_1_array != uv.ant_2_array)[:, np.newaxis, np.newaxis]
     uv.flag_array |= cross & (rng.random(uv.flag_array.shape) < 0.1)
     uv.data_array[uv.flag_array] = 1e5
-    uv.nsample_array[:] = np.where(cross, rng.integers(500, 2000, uv.nsample_array.shape), 1)
+    uv.nsample_array[:] = np.where(cross, rng.integers(1, 9, uv.nsample_array.shape) / 4, 1)
     uv.write_uvh5(folder / "observed.uvh5")
     return folder
 
@@ -285,9 +287,6 @@ def test_pipeline_is_the_dense_inference(folder, expected, form, boundary, engin
     assert inferred.summary["n_unique_baselines"] == (30 if compress else 171)
     mean, covariance, numbers = expected(form, boundary, inferred)
     std = np.sqrt(np.diag(covariance).real)
-    error=np.abs(inferred.arrays["mean"] - mean)/std
-    cerror=np.abs(inferred.arrays["covariance"] - covariance)/np.outer(std,std)
-    print(error.max(), cerror.max(), max(abs(inferred.summary[name]/numbers[name]-1) for name in numbers))
     assert np.all(np.abs(inferred.arrays["mean"] - mean) < 1e-8 * std)
     assert np.all(np.abs(inferred.arrays["covariance"] - covariance) < 1e-8 * np.outer(std, std))
     assert {name: inferred.summary[name] for name in numbers} == pytest.approx(numbers, rel=1e-8)
