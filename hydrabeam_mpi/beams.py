@@ -77,13 +77,14 @@ def _embedded(freq: float, pol: str, scale: bool) -> Beam:
     """Return the built-in beam for one channel."""
     beam = embedded_beam()
     if pol not in ("ee", "xx"):
-        raise InputError(f"has no '{pol}'", file=beam.info.name, field="[beam] source", remedy="give a beam file")
+        raise InputError(
+            f"the built-in beam has no '{pol}'", field="[beam] source", remedy="give a beam file, or choose 'ee'"
+        )
     if not scale and abs(beam.info.freq - freq) > SAME_FREQ * freq:
         raise InputError(
-            f"is at {beam.info.freq / 1e6:g} MHz, not {freq / 1e6:g} MHz",
-            file=beam.info.name,
+            f"the built-in beam is at {beam.info.freq / 1e6:g} MHz, not {freq / 1e6:g} MHz",
             field="[beam] source",
-            remedy="give a beam file, choose that channel, or set [beam] frequency = 'scale'",
+            remedy="give a beam file, choose that channel, or set frequency = 'scale'",
         )
     return _scaled(beam, freq)
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NoReturn
 
@@ -40,10 +41,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with console(speaks=world.rank == 0):
         options = _parser().parse_args(arguments)
         install_abort_hook(world)
-        # What a batch system sends to a job that it ends: nothing half-written shall stay behind then either.
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
         try:
-            _run(world, options)
+            with _interrupted_by_sigterm():
+                _run(world, options)
         except InputError as error:
             return refuse(world, error)
         except KeyboardInterrupt:
@@ -52,6 +52,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
             say("interrupted")
             return INTERRUPTED_STATUS
     return 0
+
+
+@contextmanager
+def _interrupted_by_sigterm() -> Iterator[None]:
+    """Take what a batch system sends to a job that it ends as Ctrl-C: neither leaves anything half-written."""
+    previous = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, previous)
 
 
 class _Parser(argparse.ArgumentParser):

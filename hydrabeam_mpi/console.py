@@ -18,9 +18,8 @@ PACKAGE = "hydrabeam_mpi"
 def console(speaks: bool) -> Iterator[None]:
     """Say the package's notes and warnings as single lines on one rank, and keep the others silent.
 
-    Warnings and log records of other packages are dropped: they speak of code that the user did not write.
-    They come
-    back, in Python's own form, with ``python -W`` or ``PYTHONWARNINGS``.
+    Warnings and log records of other packages are dropped, as they speak of code that the user did not write.
+    Warnings come back, in Python's own form, with ``python -W`` or ``PYTHONWARNINGS``.
 
     Parameters
     ----------
@@ -47,17 +46,13 @@ def _warnings_as_lines() -> Iterator[None]:
             # Those are for developers, and the tests show them.
             warnings.simplefilter("ignore", DeprecationWarning)
             warnings.simplefilter("ignore", PendingDeprecationWarning)
-            warnings.showwarning = _say_warning
+            warnings.showwarning = lambda message, *_, **__: say(f"warning: {_in_one_line(message)}")
         yield
-
-
-def _say_warning(message: Warning | str, *_: object) -> None:
-    say(f"warning: {_in_one_line(message)}")
 
 
 @contextmanager
 def _records_as_lines() -> Iterator[None]:
-    """Say the package's log records from "info" upwards; one on top keeps Python from printing others."""
+    """Say the package's log records from "info" upwards; a handler on top keeps Python from printing others."""
     logger, ours, others = logging.getLogger(PACKAGE), _Lines(), logging.NullHandler()
     level = logger.level
     logger.setLevel(logging.INFO)

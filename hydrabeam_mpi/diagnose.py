@@ -94,6 +94,10 @@ def summarise_maps(maps: SkyMaps) -> dict[str, float]:
         "beam_std_median": float(np.median(maps.std)),
         "beam_update_max": float(np.abs(maps.mean - maps.model).max()),
     }
+    for name, beam in {"": maps.mean.real, "_model": maps.model.real}.items():
+        numbers[f"beam_peak{name}"] = float(beam.max())
+        numbers[f"beam_fwhm_ew_deg{name}"] = full_width(beam[:, 0], beam[:, 180])
+        numbers[f"beam_fwhm_ns_deg{name}"] = full_width(beam[:, 90], beam[:, 270])
     if maps.truth is not None:
         error = np.abs(maps.truth.real - maps.mean.real)
         z = np.abs(maps.truth - maps.mean) / maps.std
@@ -107,6 +111,27 @@ def summarise_maps(maps: SkyMaps) -> dict[str, float]:
             "beam_z_max": float(z.max()),
         }
     return numbers
+
+
+def full_width(forward: FloatArray, backward: FloatArray) -> float:
+    """Return the full width at half maximum of a cut through the zenith, degrees; at most from horizon to horizon.
+
+    Parameters
+    ----------
+    forward, backward : ndarray, (91,)
+        The beam at zenith angles 0..90 degrees on either side; between them it is taken as linear.
+    """
+    cut = np.concatenate([backward[:0:-1], forward])
+    top = int(cut.argmax())
+    width = 0.0
+    for side in (cut[top:], cut[top::-1]):
+        below = np.flatnonzero(side < cut[top] / 2)
+        if below.size:
+            end = below[0]
+            width += end - (cut[top] / 2 - side[end]) / (side[end - 1] - side[end])
+        else:
+            width += len(side) - 1
+    return float(width)
 
 
 def eigenbeams(posterior: Posterior, basis: LinearBasis, n: int = 4) -> tuple[FloatArray, Array]:
@@ -128,17 +153,38 @@ def eigenbeams(posterior: Posterior, basis: LinearBasis, n: int = 4) -> tuple[Fl
 
 def warnings_of(channels: list[dict[str, Any]]) -> list[str]:
     """Say in plain words what a user should not overlook in the channels' summaries."""
-    said = []
-    chi2 = max((channel.get("heldout_chi2", 0.0) for channel in channels), default=0.0)
-    if chi2 > 2:
-        said.append(
-            f"Held-out reduced chi^2 is {chi2:.3g}: the beam alone does not explain the data. Where sky, gains or "
-            "another effect are wrong, the inferred beam takes up errors that are not its own."
-        )
+    said = _warnings_of_heldout([channel for channel in channels if "heldout_chi2" in channel])
     negative = max(channel["negative_fraction"] for channel in channels)
     if negative > 0.01:
         said.append(f"The inferred power beam is negative on up to {negative:.1%} of the sky, which no power beam is.")
     imaginary = max(channel["imag_max"] for channel in channels)
     if imaginary > 1e-3:
         said.append(f"The inferred beam has imaginary parts up to {imaginary:.1e}, which no co-polarised beam has.")
+    return said
+
+
+def _warnings_of_heldout(channels: list[dict[str, Any]]) -> list[str]:
+    """Say what the held-out data say against the inferred beam."""
+    said = []
+    chi2 = max((channel["heldout_chi2"] for channel in channels), default=0.0)
+    if chi2 > 2:
+        said.append(
+            f"Held-out reduced chi^2 is up to {chi2:.3g}: the beam alone does not explain the data. Where sky, gains "
+            "or another effect are wrong, the inferred beam takes up errors that are not its own. Its standard "
+            f"deviations count noise alone, and are too small by a factor of up to {np.sqrt(chi2):.2g} at least."
+        )
+    lost = [c for c in channels if c["heldout_chi2"] > c["heldout_chi2_unperturbed_scaled"]]
+    if lost:
+        freqs = ", ".join(f"{channel['freq_hz'] / 1e6:.6g}" for channel in lost)
+        said.append(
+            f"At {freqs} MHz the model beam with one free amplitude predicts the held-out data better than the "
+            "inferred beam does."
+        )
+    amplitudes = [channel["heldout_amplitude_unperturbed"] for channel in channels]
+    furthest = max(amplitudes, key=lambda amplitude: abs(amplitude - 1), default=1.0)
+    if abs(furthest - 1) > 0.05:
+        said.append(
+            f"The held-out data are up to {furthest:.3g} times what the model beam predicts: flux scale and beam "
+            "amplitude cannot be told apart, so the peak of the inferred beam need not be one."
+        )
     return said

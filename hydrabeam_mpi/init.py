@@ -115,10 +115,10 @@ def _about_data(summary: Summary, n_chosen: int) -> list[str]:
 
 
 def _about_channels(observation: Observation) -> str:
-    freqs, width = observation.freqs, np.median(observation.channel_width)
+    freqs, width = observation.freqs, float(np.median(observation.channel_width))
     if len(freqs) == 1:
         return f"Channels: 1, at {frequency_text(freqs[0])}, {frequency_text(width)} wide."
-    spacing = np.median(np.diff(freqs))
+    spacing = float(np.median(np.diff(freqs)))
     return (
         f"Channels: {len(freqs)}, from {frequency_text(freqs[0])} to {frequency_text(freqs[-1])},"
         f" {frequency_text(spacing)} apart and {frequency_text(width)} wide."

@@ -52,11 +52,11 @@ class Rows:
 
     def compressed(self) -> tuple[ComplexArray, FloatArray]:
         """Return sum(w d) and sum(w) over each group, (Nfreqs, Ntimes, Nlocal): exact sufficient statistics."""
-        n_bls = len(self.member)
+        n_freqs, n_times, n_bls = self.data.shape
         member = csr_array((np.ones(n_bls), (np.arange(n_bls), self.member)), shape=(n_bls, len(self.groups)))
-        shape = (*self.data.shape[:2], len(self.groups))
-        weighted = (self.inv_noise_var * self.data).reshape(-1, n_bls) @ member
-        weights = self.inv_noise_var.reshape(-1, n_bls) @ member
+        flat, shape = (n_freqs * n_times, n_bls), (n_freqs, n_times, len(self.groups))
+        weighted = (self.inv_noise_var * self.data).reshape(flat) @ member
+        weights = self.inv_noise_var.reshape(flat) @ member
         return weighted.reshape(shape), weights.reshape(shape)
 
 

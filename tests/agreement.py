@@ -46,9 +46,7 @@ class RankAgreement:
         """What each rank says of a test on which some rank failed, or on which the ranks disagree."""
         words = self.comm.allgather(report.longreprtext or f"{report.when} {report.outcome}")
         ranks_of = {text: [r for r, other in enumerate(words) if other == text] for text in words}
-        return "\n".join(
-            f"*** rank {', '.join(map(str, ranks))}:\n{text}" for text, ranks in ranks_of.items()
-        )
+        return "\n".join(f"*** rank {', '.join(map(str, ranks))}:\n{text}" for text, ranks in ranks_of.items())
 
     def _exchange(self, value: int, patience: float, words: str) -> list[int]:
         """Gather an integer of every rank; end the run if the others do not come to do the same."""

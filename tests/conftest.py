@@ -60,9 +60,7 @@ def mpiexec() -> Callable[..., subprocess.CompletedProcess[str]]:
     if launcher is None:
         pytest.skip("no mpiexec on PATH")
 
-    def run(
-        n: int, *command: str | Path, timeout: float = 60, **environment: str
-    ) -> subprocess.CompletedProcess[str]:
+    def run(n: int, *command: str | Path, timeout: float = 60, **environment: str) -> subprocess.CompletedProcess[str]:
         words = [launcher, "-n", str(n), *map(str, command)]
         # os.environ, not the C library's environment, to which MPI_Init may add what is this process's.
         with subprocess.Popen(
@@ -97,6 +95,4 @@ def mpiexec_python(
     mpiexec: Callable[..., subprocess.CompletedProcess[str]],
 ) -> Callable[..., subprocess.CompletedProcess[str]]:
     """Like `mpiexec`, for Python source: ``mpiexec_python(n, source, ...)``."""
-    return lambda n, source, *arguments, **options: mpiexec(
-        n, sys.executable, "-c", source, *arguments, **options
-    )
+    return lambda n, source, *arguments, **options: mpiexec(n, sys.executable, "-c", source, *arguments, **options)

@@ -15,9 +15,7 @@ HEAD = "import pytest\nfrom mpi4py.MPI import COMM_WORLD as world\n"
 
 
 @pytest.fixture
-def run_ranks(
-    mpiexec: Callable[..., CompletedProcess[str]], tmp_path: Path
-) -> Callable[[str], CompletedProcess[str]]:
+def run_ranks(mpiexec: Callable[..., CompletedProcess[str]], tmp_path: Path) -> Callable[[str], CompletedProcess[str]]:
     def run(source: str) -> CompletedProcess[str]:
         (tmp_path / "conftest.py").write_text(CONFTEST)
         (tmp_path / "test_it.py").write_text(HEAD + source)
@@ -41,8 +39,7 @@ def test_failure_on_one_rank_fails_all(
     run_ranks: Callable[[str], CompletedProcess[str]], failing: int, outcome: str
 ) -> None:
     result = run_ranks(
-        f"def test_one():\n    if world.rank == {failing}: {outcome}\n"
-        "def test_two(): assert world.allreduce(1) == 2\n"
+        f"def test_one():\n    if world.rank == {failing}: {outcome}\ndef test_two(): assert world.allreduce(1) == 2\n"
     )
     assert result.returncode == 1
     assert result.stdout.count("1 failed, 1 passed") == 1

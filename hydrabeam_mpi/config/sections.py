@@ -126,7 +126,7 @@ class Noise(Section):
     """Where the noise variance comes from."""
 
     kind: Literal["autocorrelations", "constant", "file", "time-differences", "frequency-differences"] = key(
-        "autocorrelations", "by the radiometer equation, one sigma, from a file, or from the data's scatter"
+        "autocorrelations", "where sigma comes from"
     )
     sigma: Jansky | None = key(None, "Jy of V = I B / 2, kind = 'constant'", gt=0)
     file: Path | None = key(None, "kind = 'file': uvh5 of sigmas, or HDF5 or npz with freqs and sigma")

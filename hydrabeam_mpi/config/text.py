@@ -16,6 +16,7 @@ from hydrabeam_mpi.config.quantities import Quantity
 from hydrabeam_mpi.config.sections import Section
 
 COMMENT_COLUMN = 44
+MAX_LINE = 120
 
 
 def table_text(
@@ -50,14 +51,19 @@ def keys_text(section: type[Section], values: Mapping[str, Any]) -> list[str]:
             line = f"# {name} = {_placeholder(field, unit)}"
         else:
             line = f"# {name} = {toml_value(field.default, unit)}"
-        lines.append(f"{line:<{COMMENT_COLUMN}} # {_choices(field)}{field.description}")
+        comment = f"# {_choices(field)}{field.description}"
+        beside = f"{line:<{COMMENT_COLUMN}} {comment}"
+        lines += [beside] if len(beside) <= MAX_LINE else [comment, line]
     return lines
 
 
 def toml_value(value: Any, unit: str | None = None) -> str:
     """Write a value, with its unit where it has one."""
     if isinstance(value, tuple):
-        return f"[{', '.join(toml_value(item, unit) for item in value)}]"
+        items = [toml_value(item, unit) for item in value]
+        if sum(map(len, items)) <= MAX_LINE:
+            return f"[{', '.join(items)}]"
+        return "\n".join(["[", *(f"    {item}," for item in items), "]"])
     if unit == "Hz":
         return f'"{frequency_text(value)}"'
     if unit is not None:

@@ -23,7 +23,7 @@ from hydrabeam_mpi.io.feeds import orientation_from_field, pol_number, x_orienta
 from hydrabeam_mpi.model.basis import Array, FloatArray
 from hydrabeam_mpi.model.beam import BeamInfo, SampledBeam
 from hydrabeam_mpi.model.interpolate import AzZaGrid, HealpixMap
-from hydrabeam_mpi.model.rings import Pixels
+from hydrabeam_mpi.model.rings import IntArray, Pixels
 
 # A channel this close (relative) is the frequency asked for.
 _SAME_FREQ = 5e-4
@@ -213,12 +213,9 @@ def write_power_beam(
 ) -> float:
     """Write power beams on an azimuth x zenith angle grid as a beamfits file.
 
-    Values are written as they are ("physical" normalisation, bandpass one): a tool that normalises to the
-    peak would lose the amplitude, which visibilities do constrain. The imaginary part of a co-polarised beam
-    is left out, and its maximum is recorded in the header (extra keyword IMAGMAX).
-
-    A beamfits file holds evenly spaced channels only. Others go into one file each, ``NAME.<freq>MHz.SUFFIX``
-    in place of ``NAME.SUFFIX``, which pyuvdata reads together.
+    Values are written as they are ("physical" normalisation, bandpass one), as visibilities do constrain the
+    amplitude; of a co-polarised beam the real part, the largest imaginary one going to the header (IMAGMAX).
+    A file holds evenly spaced channels only. Others go into one each, ``NAME.<freq>MHz.SUFFIX``.
 
     Parameters
     ----------
@@ -239,26 +236,31 @@ def write_power_beam(
     float
         Largest absolute imaginary part of the co-polarised values.
     """
+    about = {"telescope_name": telescope_name, "history": history, "x_points": x_points}
     if len(freqs) > 2 and np.ptp(np.diff(freqs)) > _UNEVEN:
+        names = [path.with_name(f"{path.stem}.{freq / 1e6:.6f}MHz{path.suffix}") for freq in freqs]
         return max(
-            write_power_beam(
-                path.with_name(f"{path.stem}.{freq / 1e6:.6f}MHz{path.suffix}"),
-                values[:, channel : channel + 1],
-                freqs[channel : channel + 1],
-                pols,
-                telescope_name=telescope_name,
-                history=history,
-                x_points=x_points,
-            )
-            for channel, freq in enumerate(freqs)
+            write_power_beam(name, values[:, f : f + 1], freqs[f : f + 1], pols, **about)
+            for f, name in enumerate(names)
         )
-    numbers = [int(polstr2num(pol, x_orientation=x_points)) for pol in pols]
+    numbers = np.array([int(polstr2num(pol, x_orientation=x_points)) for pol in pols])
     copol = np.isin(numbers, _COPOLS)
     imag_max = float(np.abs(np.imag(values[copol])).max(initial=0.0))
     data = np.array(values, dtype=np.complex128)
     data[copol] = data[copol].real
-    n_za, n_az = values.shape[2:]
-    uvbeam = UVBeam.new(
+    uvbeam = _new_uvbeam(data.real if copol.all() else data, freqs, numbers, **about)
+    uvbeam.extra_keywords = {"IMAGMAX": imag_max}
+    uvbeam.write_beamfits(str(path), clobber=True)
+    _put_polarisations_in_place(path)
+    return imag_max
+
+
+def _new_uvbeam(
+    data: Array, freqs: FloatArray, numbers: IntArray, *, telescope_name: str, history: str, x_points: str
+) -> UVBeam:
+    """Return a power beam on the grid of :func:`write_power_beam`."""
+    n_za, n_az = data.shape[2:]
+    return UVBeam.new(
         telescope_name=telescope_name,
         data_normalization="physical",
         freq_array=np.asarray(freqs, dtype=float),
@@ -267,16 +269,16 @@ def write_power_beam(
         feed_array=np.array(["x", "y"]),
         feed_angle=np.array([np.pi / 2, 0.0] if x_points == "east" else [0.0, np.pi / 2]),
         mount_type="fixed",
-        polarization_array=np.array(numbers),
+        polarization_array=numbers,
         axis1_array=np.arange(n_az) * (2 * np.pi / n_az),
         axis2_array=np.linspace(0, np.pi / 2, n_za),
-        data_array=(data.real if copol.all() else data)[None],
+        data_array=data[None],
         history=history,
-        extra_keywords={"IMAGMAX": imag_max},
     )
-    uvbeam.write_beamfits(str(path), clobber=True)
+
+
+def _put_polarisations_in_place(path: Path) -> None:
+    """Move real polarisations off the axis of spectral windows, where pyuvdata 3.2 writes but cannot read them."""
     with fits.open(path, mode="update") as file:
-        # pyuvdata 3.2 writes several real polarisations on the axis of spectral windows, and cannot read them.
         if file[0].data.ndim == _REAL_POWER_NDIM and file[0].data.shape[1] > 1:
             file[0].data = file[0].data.swapaxes(1, 2)
-    return imag_max

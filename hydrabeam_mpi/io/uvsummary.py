@@ -10,6 +10,7 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import IntArray, Observation
 from hydrabeam_mpi.data.selection import BoolArray, Selection, match
+from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.uvfile import READ_IN_PART, UVHeader, read_metadata, read_uvdata
 from hydrabeam_mpi.io.uvmeta import FREQ_TOLERANCE, read_observation
 from hydrabeam_mpi.io.uvrows import SAMPLE_BYTES, WINDOW_BYTES, read_rows
@@ -56,7 +57,7 @@ def summarise(files: Sequence[Path]) -> Summary:
         If a file cannot be used, or the files do not fit together.
     """
     observation = read_observation(files, Selection())
-    pol = next((pol for pol in observation.pols if pol[0] == pol[1]), observation.pols[0])
+    pol = _first_pol(observation.pols, files[0])
     good_channels = np.zeros(observation.Nfreqs, dtype=bool)
     good_antennas: set[int] = set()
     autos: set[int] = set()
@@ -86,6 +87,19 @@ def summarise(files: Sequence[Path]) -> Summary:
     )
 
 
+def _first_pol(pols: Sequence[str], path: Path) -> str:
+    """Choose a polarisation that the model has a word for."""
+    linear = [pol for pol in pols if len(pol) == 2 and set(pol) <= set("enxy")]
+    if not linear:
+        raise InputError(
+            f"only the polarisations {', '.join(pols)}",
+            file=path,
+            field="polarization_array",
+            remedy="give data of linear feeds",
+        )
+    return next((pol for pol in linear if pol[0] == pol[1]), linear[0])
+
+
 def _parts(header: UVHeader, rows: IntArray, pol: str) -> Iterator[tuple[IntArray, BoolArray, list[float]]]:
     """Yield rows, which of their samples are good, (Nrows, Nfreqs), and the range of those samples' nsamples."""
     where = header.pol_index(pol)
@@ -95,7 +109,7 @@ def _parts(header: UVHeader, rows: IntArray, pol: str) -> Iterator[tuple[IntArra
     # Other formats are read as a whole each time.
     n_parts = 1 + SAMPLE_BYTES * rows.size * channels.size // WINDOW_BYTES if header.kind in READ_IN_PART else 1
     for part in np.array_split(rows, n_parts):
-        _, flags, nsamples = (array[..., 0] for array in read_rows(header, part, channels, np.array([where])))
-        good = ~flags & (nsamples > 0)
-        known = nsamples[good]
+        _, flags, nsamples = read_rows(header, part, channels, np.array([where]))
+        good = ~flags[..., 0] & (nsamples[..., 0] > 0)
+        known = nsamples[good, 0]
         yield part, good, [float(known.min()), float(known.max())] if known.size else []

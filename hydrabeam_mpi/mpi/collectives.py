@@ -88,9 +88,7 @@ def allreduce_max(comm: MPI.Comm, array: Array, max_bytes: int = MAX_MESSAGE_BYT
         comm.Allreduce(MPI.IN_PLACE, piece, MPI.MAX)
 
 
-def bcast_array(
-    comm: MPI.Comm, array: Array | None, root: int = 0, max_bytes: int = MAX_MESSAGE_BYTES
-) -> Array:
+def bcast_array(comm: MPI.Comm, array: Array | None, root: int = 0, max_bytes: int = MAX_MESSAGE_BYTES) -> Array:
     """Return the ``array`` of rank ``root`` on every rank. Collective: all ranks of `comm`.
 
     Parameters
@@ -120,9 +118,7 @@ def bcast_object(comm: MPI.Comm, obj: Any, root: int = 0, max_bytes: int = MAX_M
     return pickle.loads(bcast_array(comm, None, root, max_bytes).data)
 
 
-def send_array(
-    comm: MPI.Comm, array: Array, dest: int, tag: int = 0, max_bytes: int = MAX_MESSAGE_BYTES
-) -> None:
+def send_array(comm: MPI.Comm, array: Array, dest: int, tag: int = 0, max_bytes: int = MAX_MESSAGE_BYTES) -> None:
     """Send ``array`` to rank ``dest``, which calls `recv_array`; it may return only once that has begun."""
     array = np.asarray(array, order="C")
     comm.send((array.shape, array.dtype), dest, tag)

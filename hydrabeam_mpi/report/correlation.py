@@ -85,9 +85,8 @@ def strongest(matrix: Array, block: int) -> Array:
 def _mark_blocks(axes: Axes, m: Array) -> None:
     """Draw lines where m changes, and label the blocks between which there is room."""
     values, starts, counts = np.unique(m, return_index=True, return_counts=True)
-    for edge in starts[1:] - 0.5:
-        axes.axhline(edge, color="0.3", linewidth=0.25)
-        axes.axvline(edge, color="0.3", linewidth=0.25)
+    axes.hlines(starts[1:] - 0.5, -0.5, len(m) - 0.5, color="0.3", linewidth=0.25)
+    axes.vlines(starts[1:] - 0.5, -0.5, len(m) - 0.5, color="0.3", linewidth=0.25)
     centres = starts + (counts - 1) / 2
     labelled: list[int] = []
     for i in range(len(values)):

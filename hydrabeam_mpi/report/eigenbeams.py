@@ -11,6 +11,7 @@ from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 from scipy.linalg import eigvalsh
 
+from hydrabeam_mpi.report.key_numbers import format_value
 from hydrabeam_mpi.report.projection import add_colorbar, draw_disc, to_disc
 from hydrabeam_mpi.report.result import Channel
 from hydrabeam_mpi.report.style import UNCERTAINTY, Drawing, new_figure
@@ -77,7 +78,7 @@ def _caption(parts: int, variances: Array) -> str:
         "Top: the combinations of modes that the data determine best, that is, the eigenvectors of the posterior "
         "covariance with the smallest eigenvalues σ², seen on the sky. They resemble what the array measures directly: "
         "fringes of its most redundant baselines, mixed where their eigenvalues are nearly equal, and its point-spread "
-        f"function. Their free {free}; they are projected as the maps of the beam. Bottom: posterior standard deviation "
-        f"along all {len(variances):,} eigenvectors. The condition number of the covariance, the ratio of its extreme "
-        f"eigenvalues, is {condition:,.0f}."
+        f"function. Their free {free}; they are projected as the maps of the beam. Bottom: posterior standard "
+        f"deviation along all {len(variances):,} eigenvectors. The condition number of the covariance, the ratio of "
+        f"its extreme eigenvalues, is {format_value(float(condition))}."
     )

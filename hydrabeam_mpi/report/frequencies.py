@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from matplotlib.ticker import NullFormatter
 
 from hydrabeam_mpi.report.result import Channel
 from hydrabeam_mpi.report.style import INFERRED, MODEL, REFERENCE, Drawing, new_figure
 
 PANELS = {
     "held-out reduced χ²": {"heldout_chi2_unperturbed": "model beam", "heldout_chi2": "inferred beam"},
-    "held-out z, standard deviation": {"ppd_z_std_unperturbed": "model beam", "ppd_z_std": "inferred beam"},
     "largest beam error": {"model_error_max": "model beam", "beam_error_max": "inferred beam"},
     "largest change from the model beam": {"beam_update_max": "|MAP − model|"},
     "median posterior std of a coefficient": {"posterior_std_median": "std"},
@@ -29,13 +29,16 @@ def draw_frequencies(channels: list[Channel]) -> Drawing | None:
     figure = new_figure(1.75 * rows + 0.4)
     grid = figure.subplots(rows, 2, squeeze=False).ravel()
     for axes, (title, keys) in zip(grid, known.items(), strict=False):
-        lowest = np.inf
+        plotted = []
         for key, name in keys.items():
             values = np.array([channel.numbers.get(key, np.nan) for channel in channels], dtype=float)
             if np.isfinite(values).any():
                 axes.plot(freqs, values, "o-", markersize=3, color=COLOURS.get(name, REFERENCE), label=name)
-                lowest = min(lowest, np.nanmin(values))
-        axes.set(title=title, yscale="log" if lowest > 0 else "linear")
+                plotted.append(values)
+        axes.set(title=title)
+        if np.nanmin(plotted) > 0 and np.nanmax(plotted) > 10 * np.nanmin(plotted):
+            axes.set_yscale("log")
+            axes.yaxis.set_minor_formatter(NullFormatter())
         if len(keys) > 1:
             axes.legend(fontsize=7.5)
         axes.grid()

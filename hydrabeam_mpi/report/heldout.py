@@ -46,9 +46,11 @@ def draw_heldout_scores(channel: Channel) -> Drawing | None:
     right.set_xscale("asinh", linear_width=2.0)
     right.set(yscale="log", ylim=(0.1 / counts[0].sum() / reach**0.5, 2), xlim=(-reach, reach))
     right.set(xlabel="z of held-out visibilities (asinh scale)")
-    positive = [x for x in (3.0, 10.0, 30.0, 100.0, 1e3, 1e4, 1e5) if x < reach]
-    ticks = [-x for x in positive[::-1]] + [0.0] + positive
-    right.set_xticks(ticks, [f"{x:g}".replace("-", "−") for x in ticks])
+    candidates = (3, 10, 30, 100) if reach < 400 else (10, 100, 1000, 10_000, 100_000)[:: 1 if reach < 4e4 else 2]
+    positive = [x for x in candidates if x < reach]
+    ticks = [-x for x in positive[::-1]] + [0] + positive
+    right.set_xticks(ticks, [f"{x:,}".replace("-", "−") for x in ticks])
+    right.minorticks_off()
     figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return Drawing(
         "heldout_scores",

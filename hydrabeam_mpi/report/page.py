@@ -22,6 +22,8 @@ from hydrabeam_mpi.report.sections import channel_table, finding, key_numbers, p
 from hydrabeam_mpi.report.style import STYLE, Drawing, render
 from hydrabeam_mpi.report.words import introduction, megahertz, remarks
 
+FOOTER = "“The paper” is Wilensky et al. 2025, High Dimensional Beam Inference II, whose method this is."
+
 
 def write_report(directory: Path) -> None:
     """Write ``report.html`` and ``figures/`` into a result folder, and print its key numbers.
@@ -77,7 +79,7 @@ class _Album:
     def place(self, drawing: Drawing, prefix: str = "") -> str:
         """Return a figure element with its picture inside."""
         name = prefix + drawing.name
-        pictures = {form: render(drawing.figure, form) for form in ("png", "pdf")}
+        pictures = render(drawing.figure)
         for form, content in pictures.items():
             self._contents[self._folder / f"{name}.{form}"] = content
         source = b64encode(pictures["png"]).decode()
@@ -103,8 +105,7 @@ def _page(result: Result, album: _Album) -> str:
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{escape(title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n{''.join(body)}"
-        "<footer>“The paper” is Wilensky et al. 2025, High Dimensional Beam Inference II, whose method this is.</footer>\n"
-        "</body>\n</html>\n"
+        f"<footer>{FOOTER}</footer>\n</body>\n</html>\n"
     )
 
 

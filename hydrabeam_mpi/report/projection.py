@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import Normalize
+from matplotlib.colors import Normalize, SymLogNorm
 from matplotlib.figure import FigureBase
 from matplotlib.image import AxesImage
+from matplotlib.patches import Circle
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
@@ -63,10 +64,9 @@ def draw_disc(
     image = axes.imshow(
         square, cmap=colour_map(cmap), norm=norm, extent=(-1, 1, -1, 1), origin="lower", interpolation="nearest"
     )
-    turn = np.linspace(0, 2 * np.pi, 361)
     for degrees, width, colour in ((30, 0.5, ink), (60, 0.5, ink), (90, 0.8, "black")):
-        radius = np.sqrt(1 - np.cos(np.deg2rad(degrees)))
-        axes.plot(radius * np.cos(turn), radius * np.sin(turn), color=colour, linewidth=width)
+        radius = float(np.sqrt(1 - np.cos(np.deg2rad(degrees))))
+        axes.add_patch(Circle((0, 0), radius, fill=False, edgecolor=colour, linewidth=width))
     for letter in directions:
         axes.text(*COMPASS[letter], letter, ha="center", va="center", fontsize=8, color="0.25")
     axes.set(xlim=(-1.16, 1.16), ylim=(-1.16, 1.16), xticks=[], yticks=[], aspect="equal")
@@ -77,4 +77,7 @@ def draw_disc(
 def add_colorbar(figure: FigureBase, axes: Axes | Array, image: AxesImage, label: str, extend: str = "neither") -> None:
     """Put a thin colour bar beside a disc, or beside several that share their colours."""
     bar = figure.colorbar(image, ax=axes, shrink=0.8, aspect=24, pad=0.02, extend=extend)
+    if isinstance(image.norm, SymLogNorm):
+        decades = 10.0 ** np.arange(np.log10(image.norm.linthresh), np.log10(image.norm.vmax or 1.0))
+        bar.set_ticks([*-decades[::-1], 0.0, *decades])
     bar.set_label(label)

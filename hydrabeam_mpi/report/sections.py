@@ -21,7 +21,8 @@ def as_html(text: str) -> str:
         mantissa, exponent = match[1], str(int(match[2])).replace("-", "−")
         return f"{'' if mantissa == '1' else f'{mantissa} × '}10<sup>{exponent}</sup>"
 
-    return re.sub(r"(?<![\w.])(\d+(?:\.\d+)?)e([+-]?\d+)\b", power, escape(text))
+    signed = re.sub(r"(?<![\w.])-(?=\d)", "−", escape(text))
+    return re.sub(r"(?<![\w.])(\d+(?:\.\d+)?)e([+-]?\d+)\b", power, signed)
 
 
 def finding(channel: Channel) -> str:
@@ -62,10 +63,10 @@ CHANNEL_COLUMNS: dict[str, tuple[str, Kind]] = {
     "posterior_std_median": ("median std", "number"),
     "condition_number": ("condition number", "number"),
     "beam_error_max": ("largest error", "number"),
-    "beam_update_max": ("largest update", "number"),
+    "beam_update_max": ("largest change", "number"),
     "negative_fraction": ("negative", "percent"),
-    "heldout_chi2_unperturbed": ("held-out χ², model", "number"),
-    "heldout_chi2": ("held-out χ², inferred", "number"),
+    "heldout_chi2_unperturbed": ("χ² held out, model", "number"),
+    "heldout_chi2": ("χ² held out, inferred", "number"),
 }
 
 
@@ -81,13 +82,13 @@ def channel_table(channels: list[Channel]) -> str:
         ]
         cells = "".join(f'<td class="value">{as_html(value)}</td>' for value in values)
         lines.append(f'<tr><td class="value">{megahertz(channel.freq)}</td>{cells}</tr>')
-    return _table("", f'<tr><th class="value">channel</th>{names}</tr>', lines)
+    return _table("", f'<tr><th class="value">frequency</th>{names}</tr>', lines, "channels")
 
 
-def _table(title: str, head: str, lines: list[str]) -> str:
+def _table(title: str, head: str, lines: list[str], kind: str = "keys") -> str:
     heading = f"<h2>{escape(title)}</h2>\n" if title else ""
     body = "\n".join(lines)
-    return f"{heading}<table>\n<thead>{head}</thead>\n<tbody>\n{body}\n</tbody>\n</table>\n"
+    return f'{heading}<table class="{kind}">\n<thead>{head}</thead>\n<tbody>\n{body}\n</tbody>\n</table>\n'
 
 
 def provenance(result: Result) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.colors import LogNorm, Normalize, SymLogNorm
 from numpy.typing import NDArray
 
+from hydrabeam_mpi.report.key_numbers import format_value
 from hydrabeam_mpi.report.projection import VIEW, add_colorbar, draw_disc, to_disc
 from hydrabeam_mpi.report.result import Channel
 from hydrabeam_mpi.report.style import AZ_0, AZ_90, MODEL, REFERENCE, Drawing, decades, new_figure
@@ -37,7 +38,8 @@ def draw_maps(channel: Channel) -> Drawing | None:
     low, high = np.percentile(std, [0.5, 100])
     panels.draw("posterior standard deviation", std, "viridis", LogNorm(low, max(high, 1.01 * low)), "power beam")
     limit = float(np.abs(error.real).max()) or 1.0
-    norm = SymLogNorm(max(float(np.median(std)), 1e-3 * limit), vmin=-limit, vmax=limit)
+    linear = 10 ** np.round(np.log10(max(float(np.median(std)), 1e-3 * limit)))
+    norm = SymLogNorm(linear, vmin=-limit, vmax=limit)
     panels.draw(f"{name}{part}", error.real, "RdBu_r", norm, "power beam", ink="0.4")
     z = np.abs(error) / std
     norm = Normalize(0, max(5.0, float(np.percentile(z, 99))))
@@ -88,7 +90,7 @@ def _map_caption(channel: Channel, mean: Array) -> str:
     negative = np.mean(mean < 0)
     if negative > 0:
         text += f"White: the real part is negative ({100 * negative:.2g}% of the one-degree grid). "
-    text += "The colours of the difference are linear within the median standard deviation and logarithmic beyond. "
+    text += "The colours of the difference are linear around zero, to the first ticks, and logarithmic beyond. "
     if channel.truth is not None:
         text += "Where |z| is far above 3 the error is not noise: the basis or the sky model cannot follow the data. "
     return text + VIEW
@@ -144,7 +146,7 @@ def draw_map_scores(channel: Channel) -> Drawing | None:
     figure = new_figure(3.3)
     axes = figure.subplots()
     far = bool(np.percentile(z, 95) > 10)
-    end = float(z.max()) if far else max(6.0, float(np.percentile(z, 99.9)))
+    end = float(z.max()) if far else max(6.0, float(np.percentile(z, 99.5)))
     edges = np.geomspace(0.05, end, 61) if far else np.linspace(0, end, 61)
     density = np.histogram(z, edges)[0] / z.size / np.diff(edges)
     axes.stairs(density, edges, fill=True, color=MODEL, alpha=0.3)
@@ -172,9 +174,11 @@ def _score_caption(channel: Channel, z: Array, end: float, law: str) -> str:
         if channel.truth is not None
         else "which would be seen if the model beam were the truth"
     )
-    expected = np.sqrt(np.log(2)) if channel.is_complex else 0.6745
-    text = f"Distribution of |z| over the one-degree grid. Dashed: the {law}, {meaning}. "
-    text += f"The median is {np.median(z):.3g}, expected {expected:.2f}; the largest is {z.max():.3g}. "
+    median = float(np.sqrt(np.log(2))) if channel.is_complex else 0.6745  # of the law
+    text = (
+        f"Distribution of |z| over the one-degree grid. Dashed: the {law}, {meaning}. The median is "
+        f"{format_value(float(np.median(z)))}, expected {median:.2f}; the largest is {format_value(float(z.max()))}. "
+    )
     beyond = np.mean(z > end)
     return (text + (f"Beyond the axis lie {100 * beyond:.2g}% of the grid." if beyond else "")).strip()
 

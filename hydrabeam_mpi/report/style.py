@@ -94,15 +94,15 @@ def decades(values: NDArray[Any], low: float = 0.0, high: float = 100.0) -> tupl
     return float(10 ** np.floor(bottom)), float(10 ** max(np.ceil(top), np.floor(bottom) + 1))
 
 
-def render(figure: Figure, form: str) -> bytes:
-    """Return a figure as ``form``, "png" or "pdf"; the same figure gives the same bytes at any time."""
-    buffer = BytesIO()
-    if form == "pdf":
-        figure.savefig(buffer, format=form, dpi=DPI, metadata={"CreationDate": None})
-        return buffer.getvalue()
-    figure.savefig(buffer, format="rgba", dpi=DPI)
+def render(figure: Figure) -> dict[str, bytes]:
+    """Return a figure as "png" and as "pdf"; the same figure gives the same bytes at any time."""
+    pixels, pages = BytesIO(), BytesIO()
+    figure.savefig(pixels, format="rgba", dpi=DPI)
+    figure.set_layout_engine("none")  # it is laid out; once is enough
+    figure.savefig(pages, format="pdf", dpi=DPI, metadata={"CreationDate": None})
     width, height = (figure.get_size_inches() * DPI).astype(int).tolist()
-    return _as_small_png(Image.frombytes("RGBA", (width, height), buffer.getvalue()).convert("RGB"))
+    image = Image.frombytes("RGBA", (width, height), pixels.getvalue()).convert("RGB")
+    return {"png": _as_small_png(image), "pdf": pages.getvalue()}
 
 
 def _as_small_png(image: Image.Image) -> bytes:

@@ -89,9 +89,9 @@ def heldout_words(numbers: dict[str, Any]) -> str:
     scaled, n = numbers.get("heldout_chi2_unperturbed_scaled"), numbers.get("heldout_n")
     fitted = "" if scaled is None else f" ({format_value(scaled)} with its amplitude fitted to these very data)"
     text = (
-        f"On {f'{n:,.0f} ' if n else ''}held-out visibilities the reduced χ² {'falls' if after < before else 'rises'} from "
-        f"{format_value(before)} with the model beam{fitted} to {format_value(after)} with the inferred beam; noise alone "
-        "would give 1. "
+        f"On {f'{n:,.0f} ' if n else ''}held-out visibilities the reduced χ² {'falls' if after < before else 'rises'} "
+        f"from {format_value(before)} with the model beam{fitted} to {format_value(after)} with the inferred beam; "
+        "noise alone would give 1. "
     )
     sentences = {
         "The residual's rms changes from {} to {} Jy, of {} Jy in the data. ": (

@@ -14,6 +14,8 @@ from mpi4py import MPI
 
 from hydrabeam_mpi.cli import main
 
+OnRoot = Callable[[Callable[[], Any]], Any]
+
 # Seven antennas, a few sources and modes: a run takes a second.
 SIMULATION: dict[str, Any] = {
     "name": "tiny",
@@ -86,6 +88,18 @@ def simulated(comm: MPI.Comm, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "result"
 
 
+@pytest.fixture(scope="session")
+def result(comm: MPI.Comm, simulated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder that ``hydrabeam infer`` wrote."""
+    folder = comm.bcast(tmp_path_factory.mktemp("inferred"))
+    job = folder / "job.toml"
+    if comm.rank == 0:
+        Workspace(folder, simulated).job()
+    comm.Barrier()
+    assert main(["infer", str(job), "-o", str(folder / "result")]) == 0
+    return folder / "result"
+
+
 @pytest.fixture
 def workspace(common_tmp_path: Path, simulated: Path) -> Workspace:
     """A folder that all ranks share."""
@@ -93,6 +107,6 @@ def workspace(common_tmp_path: Path, simulated: Path) -> Workspace:
 
 
 @pytest.fixture
-def on_root(comm: MPI.Comm) -> Callable[[Callable[[], Any]], Any]:
+def on_root(comm: MPI.Comm) -> OnRoot:
     """Run a function on rank 0 and give its result to all."""
     return lambda function: comm.bcast(function() if comm.rank == 0 else None)

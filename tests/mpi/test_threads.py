@@ -43,9 +43,7 @@ def test_fair_share(cores_of_ranks: list[set[int]], shares: list[int]) -> None:
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])
-def test_ranks_times_threads_fit_the_cores(
-    mpiexec_python: Callable[..., CompletedProcess[str]], n: int
-) -> None:
+def test_ranks_times_threads_fit_the_cores(mpiexec_python: Callable[..., CompletedProcess[str]], n: int) -> None:
     result = mpiexec_python(n, COUNT_THREADS, OMP_NUM_THREADS="")
     assert result.returncode == 0, result.stderr
     everyone = json.loads(result.stdout)

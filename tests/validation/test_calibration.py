@@ -30,13 +30,13 @@ from hydrabeam_mpi.model.sky import mock_sky
 from hydrabeam_mpi.random import complex_normal, generator
 from hydrabeam_mpi.rows import Rows
 
-N_MOCKS = 400
+N_MOCKS = 600
 N_DRAWS = 63
 N_BINS = 8
 MODES = [(k, m) for k in (1, 2, 3) for m in (0, 1, -1, 2, -2)]
 FREQ = np.array([131e6])
 TRAIN, TEST = np.arange(4), np.arange(4, 6)
-SIGMA = 3.0  # Jy
+SIGMA = 1.0  # Jy
 CHANCE, HOPELESS = 1e-3, 1e-6
 
 
@@ -89,7 +89,7 @@ class Experiment:
         engine = make_engine("gemm", self.redundant.vectors, 1e-7)
         self.model = ForwardModel(RotatedPositions(sky, observation), sky.flux, FREQ, engine)
         rng = generator(1, "experiment", form)
-        # The data settle some combinations of coefficients to a few per cent of the prior and hardly touch others.
+        # The data narrow some coefficients to a few per cent of the prior, others to two thirds of it.
         self.prior = DiagonalPrior(self.white(rng), np.geomspace(1, 0.1, len(MODES)))
         shape = (1, 6, observation.Nbls)
         self.sigma = SIGMA * rng.uniform(0.5, 2, shape)

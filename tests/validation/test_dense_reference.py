@@ -116,7 +116,7 @@ def antenna_positions(telescope):
 
 
 def read_rows(path):
-    """List the unflagged visibilities with sigma^2 = V_11 V_22 / (dt dnu n); and sidereal times, latitude, frequency."""
+    """List the unflagged visibilities, sigma^2 = V_11 V_22 / (dt dnu n); then sidereal times, latitude, frequency."""
     uv = UVData.from_file(path)
     position = dict(zip(uv.telescope.antenna_numbers.tolist(), antenna_positions(uv.telescope), strict=True))
     rows = []
@@ -243,10 +243,7 @@ def infer_densely(folder, form, boundary, inferred):
 
 def predict(form, rows, design, mean, covariance, before):
     """Held-out residuals over the square root of noise plus model variance; real and imaginary parts apart."""
-    if form == "real":
-        parts = np.stack([design.real, design.imag])
-    else:
-        parts = np.stack([design, design]) / np.sqrt(2)
+    parts = np.stack([design.real, design.imag] if form == "real" else [design / np.sqrt(2)] * 2)
     model_variance = np.einsum("pri,ij,prj->pr", parts, covariance, parts.conj()).real
     total = rows.variance / 2 + model_variance
     residual, raw = (np.stack([r.real, r.imag]) for r in (rows.data - design @ mean, rows.data - before))
