@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from hydrabeam_mpi.beams import fit_model_beams, load_beams, make_prior
-from hydrabeam_mpi.config import Job
+from hydrabeam_mpi.config import Job, SkyColumns
 from hydrabeam_mpi.data.observation import FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.partition import Tile, make_tiles
 from hydrabeam_mpi.data.redundancy import RedundantGroups, find_redundant_groups
@@ -157,9 +157,14 @@ def load_sky(job: Job, freqs: FloatArray) -> Sky:
         freqs,
         reference_freq=settings.reference_freq if cut else None,
         flux_min=settings.flux_min,
-        columns=VOTableColumns(**settings.columns.model_dump()) if settings.columns else None,
+        columns=_votable_columns(settings.columns) if settings.columns else None,
     )
     return concatenate([sky, read_gsm2016(settings.diffuse, freqs)]) if settings.diffuse else sky
+
+
+def _votable_columns(columns: SkyColumns) -> VOTableColumns:
+    """Pass on which columns hold what; a job has no other way to say "none" than an empty text."""
+    return VOTableColumns(**(columns.model_dump() | {"spectral_index": columns.spectral_index or None}))
 
 
 def count_sources(sky: Sky, observation: Observation) -> FloatArray:

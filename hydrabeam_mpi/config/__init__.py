@@ -1,7 +1,7 @@
 """The job file: what it may say, and what is wrong with it where something is."""
 
 from hydrabeam_mpi.config.job import Job, load_job, named_files
-from hydrabeam_mpi.config.sections import ANALYTIC_BEAMS, BUILT_IN_BEAMS, Perturbation, Section, Simulate
+from hydrabeam_mpi.config.sections import ANALYTIC_BEAMS, BUILT_IN_BEAMS, Perturbation, Section, Simulate, SkyColumns
 
 __all__ = [
     "ANALYTIC_BEAMS",
@@ -10,6 +10,7 @@ __all__ = [
     "Perturbation",
     "Section",
     "Simulate",
+    "SkyColumns",
     "load_job",
     "named_files",
 ]

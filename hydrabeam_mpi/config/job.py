@@ -1,11 +1,10 @@
-"""The job file as a whole: reading, validating, and finding the files that it names."""
+"""The job file as a whole."""
 
 from __future__ import annotations
 
 import json
 import tomllib
 from pathlib import Path
-from typing import Any
 
 from pydantic import ValidationError
 
@@ -25,17 +24,6 @@ from hydrabeam_mpi.config.sections import (
     key,
 )
 from hydrabeam_mpi.errors import InputError
-
-PATH_KEYS = (
-    ("data", "files"),
-    ("data", "gains"),
-    ("data", "simulate", "array", "file"),
-    ("noise", "file"),
-    ("sky", "file"),
-    ("sky", "diffuse"),
-    ("beam", "source"),
-    ("prior", "file"),
-)
 
 
 class Job(Section):
@@ -69,39 +57,17 @@ def load_job(path: Path) -> Job:
         raise InputError(f"cannot be read ({error.strerror})", file=path, remedy="check the path") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"is not a TOML file ({error})", file=path, remedy="mend that line") from error
-    resolved = _with_absolute_paths(table, path.resolve().parent)
     try:
         # As JSON: lists and texts become tuples and paths, and no other type is taken for another.
-        return Job.model_validate_json(json.dumps(resolved, default=str))
+        context = {"folder": path.resolve().parent}
+        return Job.model_validate_json(json.dumps(table, default=str), context=context)
     except ValidationError as error:
         raise as_input_error(error, Job, path) from error
 
 
 def named_files(job: Job) -> list[Path]:
     """List the files and folders that a job names, wildcards as they are."""
-    named: list[Path] = []
-    for *parents, name in PATH_KEYS:
-        section: Any = job
-        for parent in parents:
-            section = getattr(section, parent, None)
-        value = getattr(section, name, None) or ()
-        named += map(Path, value if isinstance(value, tuple) else [value])
-    return [path for path in named if str(path) not in BUILT_IN_BEAMS]
-
-
-def _with_absolute_paths(table: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Resolve the file names of a job against the folder of the job file; named beams stay what they are."""
-
-    def resolve(value: Any) -> Any:
-        if isinstance(value, list):
-            return [resolve(item) for item in value]
-        return str(folder / Path(value).expanduser()) if isinstance(value, str) else value
-
-    for *parents, name in PATH_KEYS:
-        section: Any = table
-        for parent in parents:
-            section = section.get(parent) if isinstance(section, dict) else None
-        is_beam = name == "source" and isinstance(section, dict) and section.get(name) in BUILT_IN_BEAMS
-        if isinstance(section, dict) and name in section and not is_beam:
-            section[name] = resolve(section[name])
-    return table
+    array = job.data.simulate.array if job.data.simulate else None
+    source = job.beam.source if job.beam.source not in BUILT_IN_BEAMS else None
+    single = (array and array.file, job.noise.file, job.sky.file, job.sky.diffuse, source, job.prior.file)
+    return [Path(name) for name in (*job.data.files, *job.data.gains, *single) if name]

@@ -23,7 +23,6 @@ SHOULD_BE: dict[str, Callable[[Details], str]] = {
     "float_": lambda _: "a number",
     "finite_number": lambda _: "finite",
     "string_": lambda _: "text in quotes",
-    "path_": lambda _: "a file name in quotes",
     "tuple_": lambda _: "a list in brackets",
     "model_": lambda _: "keys and values below a line with its name in brackets",
     "literal_error": lambda context: str(context["expected"]),

@@ -1,12 +1,14 @@
-"""The kinds of values that a job file holds: quantities with units, ranges, names."""
+"""The kinds of values that a job file holds: quantities with units, ranges, names, files."""
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from astropy import units
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,8 @@ class Quantity:
                 return float(quantity.value)
             # An hour of sidereal time is an hour of angle.
             target, same = (units.hourangle, [(units.h, units.hourangle)]) if self.unit == "h" else (self.unit, [])
-            return float(quantity.to_value(target, same))
+            # In as many digits as a decimal number keeps: 360 deg are 24 h, not 24.000000000000004.
+            return float(f"{quantity.to_value(target, same):.15g}")
         except (TypeError, ValueError, units.UnitConversionError) as error:
             raise ValueError(expected) from error
 
@@ -71,3 +74,13 @@ JdRange = Annotated[tuple[JulianDate, JulianDate], AfterValidator(_ascends)]
 FreqRange = Annotated[tuple[Hertz, Hertz], AfterValidator(_ascends)]
 FluxRange = Annotated[tuple[Annotated[Jansky, Field(gt=0)], Annotated[Jansky, Field(gt=0)]], AfterValidator(_ascends)]
 Freqs = Annotated[tuple[Hertz, ...], AfterValidator(_are_distinct), Field(min_length=1)]
+
+
+def from_job(name: Any, info: ValidationInfo) -> Any:
+    """Take a file name, text or Path, as relative to the folder of the job, if the validation's context names it."""
+    folder = (info.context or {}).get("folder")
+    return name if folder is None else type(name)(folder / os.path.expanduser(name))
+
+
+File = Annotated[Path, AfterValidator(from_job)]
+FilePatterns = tuple[Annotated[str, AfterValidator(from_job)], ...]

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, model_validator
 
 from hydrabeam_mpi.config.quantities import (
     AntennaPair,
     Degrees,
+    File,
+    FilePatterns,
     FluxRange,
     FreqRange,
     Freqs,
@@ -21,6 +22,7 @@ from hydrabeam_mpi.config.quantities import (
     Metres,
     Polarization,
     Seconds,
+    from_job,
 )
 
 ANALYTIC_BEAMS = ("gaussian", "airy")
@@ -45,7 +47,7 @@ class Array(Section):
         (4, 7), "antennas in the first and in the middle row"
     )
     spacing: Metres = key(14.6, "m between neighbours", gt=0)
-    file: Path | None = key(None, "text, CSV or uvh5 with positions (m ENU), instead of the hexagon")
+    file: File | None = key(None, "text, CSV or uvh5 with positions (m ENU), instead of the hexagon")
 
     @model_validator(mode="after")
     def _is_a_hexagon(self) -> Self:
@@ -91,13 +93,13 @@ class Simulate(Section):
 class Data(Section):
     """Which visibilities: files and a selection of them, or a simulation."""
 
-    files: tuple[str, ...] = key((), "uvh5, uvfits, measurement sets or miriad; wildcards allowed")
+    files: FilePatterns = key((), "uvh5, uvfits, measurement sets or miriad; wildcards allowed")
     simulate: Simulate | None = None
     polarization: Polarization = key("ee", "e, n by direction where the files tell it, else x, y by feed")
     pol_convention: Literal["sum", "avg"] | None = key(
         None, "of files that do not state it: 'sum' is V = I B / 2, 'avg' is V = I B"
     )
-    gains: tuple[str, ...] = key((), "calfits or calh5 to apply; wildcards allowed")
+    gains: FilePatterns = key((), "calfits or calh5 to apply; wildcards allowed")
     antennas: tuple[int, ...] | None = key(None, "keep only these")
     exclude_antennas: tuple[int, ...] = key((), "leave these out")
     antpairs: tuple[AntennaPair, ...] | None = key(None, "keep only these baselines, [[ant1, ant2], ...]")
@@ -129,7 +131,7 @@ class Noise(Section):
         "autocorrelations", "where sigma comes from"
     )
     sigma: Jansky | None = key(None, "Jy of V = I B / 2, kind = 'constant'", gt=0)
-    file: Path | None = key(None, "kind = 'file': uvh5 of sigmas, or HDF5 or npz with freqs and sigma")
+    file: File | None = key(None, "kind = 'file': uvh5 of sigmas, or HDF5 or npz with freqs and sigma")
 
     @model_validator(mode="after")
     def _has_what_it_needs(self) -> Self:
@@ -183,9 +185,9 @@ class Sky(Section):
     flux_range: FluxRange = key((0.1, 100.0), "Jy at reference_freq, log-flat: mock")
     reference_freq: Hertz = key(100e6, "Hz, to which fluxes of the mock and cuts refer")
     spectral_index: float = key(-2.7, "mock")
-    file: Path | None = key(None, "skyh5, VOTable, text or FHD .sav: catalogue")
+    file: File | None = key(None, "skyh5, VOTable, text or FHD .sav: catalogue")
     columns: SkyColumns | None = None
-    diffuse: Path | None = key(None, "folder of the GSM 2016 maps, added to the catalogue")
+    diffuse: File | None = key(None, "folder of the GSM 2016 maps, added to the catalogue")
     positions: Literal["apparent", "lst"] | None = key(
         None, "apparent places (a catalogue's default), or turned by LST alone (a mock's)"
     )
@@ -200,10 +202,16 @@ class Sky(Section):
         return self
 
 
+def _beam_file(source: str, info: ValidationInfo) -> str:
+    return source if source in BUILT_IN_BEAMS else str(from_job(source, info))
+
+
 class Beam(Section):
     """The electromagnetic beam model that is nearly right; the prior mean is its fit."""
 
-    source: str = key("hera-vivaldi-131MHz", "beam file, or 'hera-vivaldi-131MHz', 'gaussian' or 'airy'")
+    source: Annotated[str, AfterValidator(_beam_file)] = key(
+        "hera-vivaldi-131MHz", "beam file, or 'hera-vivaldi-131MHz', 'gaussian' or 'airy'"
+    )
     east_feed: Literal["x", "y"] | None = key(None, "feed that points East, instead of what the file says")
     diameter: Metres | None = key(None, "m, of 'gaussian' or 'airy'", gt=0)
     frequency: Literal["match", "interpolate", "scale"] = key(
@@ -245,7 +253,7 @@ class Prior(Section):
     kind: Literal["fraction", "flat", "file"] = key("fraction", "independent coefficients, none, or from a file")
     fraction: float = key(1.0, "standard deviation over the amplitude of the fitted coefficient", gt=0)
     floor: float = key(0.0, "least amplitude taken for that, relative to the largest", ge=0)
-    file: Path | None = key(None, "kind = 'file': mean and covariance")
+    file: File | None = key(None, "kind = 'file': mean and covariance")
 
     @model_validator(mode="after")
     def _has_what_it_needs(self) -> Self:

@@ -7,7 +7,7 @@ import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import NoneType
-from typing import Any, Literal, get_args, get_origin
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 from pydantic import BeforeValidator
 from pydantic.fields import FieldInfo
@@ -87,10 +87,10 @@ def _unit(*parts: Any) -> str | None:
 
 
 def _kind(field: FieldInfo) -> Any:
-    """Return the type of a key, whether or not it may be left out."""
-    if NoneType not in get_args(field.annotation):
-        return field.annotation
-    return next(kind for kind in get_args(field.annotation) if kind is not NoneType)
+    """Return the plain type of a key, whether or not it may be left out."""
+    kinds = [kind for kind in get_args(field.annotation) if kind is not NoneType]
+    kind = kinds[0] if NoneType in get_args(field.annotation) else field.annotation
+    return get_args(kind)[0] if get_origin(kind) is Annotated else kind
 
 
 def _placeholder(field: FieldInfo, unit: str | None) -> str:

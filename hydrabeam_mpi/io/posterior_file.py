@@ -93,7 +93,7 @@ def read_posterior(path: Path) -> PosteriorFile:
             while (name := CHANNEL.format(len(channels))) in file:
                 group = file[name]
                 arrays = {key: np.asarray(group[key]) for key in group if key != "covariance"}
-                evidence = group.attrs.get("log_evidence")
+                evidence = float(group.attrs["log_evidence"]) if "log_evidence" in group.attrs else None
                 summary = json.loads(group.attrs["summary"])
                 channels.append(ChannelRecord(float(group.attrs["freq"]), summary, arrays, evidence))
             return PosteriorFile(
@@ -104,7 +104,7 @@ def read_posterior(path: Path) -> PosteriorFile:
                 np.asarray(file["grid_az"]),
                 channels,
             )
-    except (OSError, KeyError) as error:
+    except (OSError, KeyError, ValueError) as error:
         raise InputError(
             f"is not a posterior file ({error})",
             file=path,

@@ -51,7 +51,7 @@ class StagedDirectory:
             self._check_free()
             self._check_holds_none_of(inputs)
             self.partial = self._beside("partial")
-            self._new_parents = [parent for parent in self.path.parents if not parent.exists()]
+            self._new_parents = [parent for parent in self.path.parents if not parent.is_dir()]
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self.partial.mkdir()
         except OSError as error:
@@ -98,6 +98,9 @@ class StagedDirectory:
 
     def _check_free(self) -> None:
         """Make sure that nothing stands in the way, or else a result that may be replaced."""
+        above = next((parent for parent in self.path.parents if parent.exists()), self.path)
+        if not above.is_dir():
+            raise self._refusal(f"cannot be written, as {above} is a file", "choose a folder that you may write")
         if not self.path.exists():
             return
         if not self._overwrite:

@@ -35,20 +35,26 @@ GROUPS: dict[str, tuple[KeyNumber, ...]] = {
         KeyNumber("posterior_std_median", "median posterior std of a coefficient", paper="~4.5e-6"),
         KeyNumber("condition_number", "condition number of the posterior covariance", paper="~3700"),
         KeyNumber("correlation_below_0.1", "pairs correlated by less than 0.1", "percent", "96.5%"),
-        KeyNumber("correlation_max_real", "largest correlation of two coefficients, real part", paper="~0.4"),
+        KeyNumber("correlation_max_real", "largest correlation, real part", paper="~0.4"),
         KeyNumber("z_update_above_10", "modes updated by more than 10σ", "count", "first hundred or so"),
-        KeyNumber("fit_rms", "rms error of the model beam's fit in this basis"),
+        KeyNumber("fit_rms", "rms error of the model beam's fit"),
     ),
     "Beam on the one-degree grid": (
         KeyNumber("beam_error_below_1e-4", "pixels with an error below 1e-4", "percent", "“generally”"),
         KeyNumber("beam_error_max", "largest error"),
         KeyNumber("beam_error_max_za_deg", "zenith angle of the largest error, degrees"),
         KeyNumber("beam_error_rms", "rms error"),
-        KeyNumber("model_error_max", "largest error of the model beam, before the inference"),
+        KeyNumber("model_error_max", "largest error of the model beam"),
         KeyNumber("beam_std_median", "median posterior std"),
         KeyNumber("beam_z_median", "median |error| in posterior std"),
         KeyNumber("beam_z_max", "largest |error| in posterior std"),
         KeyNumber("beam_update_max", "largest change from the model beam"),
+        KeyNumber("beam_peak", "peak, inferred beam"),
+        KeyNumber("beam_peak_model", "peak, model beam"),
+        KeyNumber("beam_fwhm_ew_deg", "FWHM East-West, inferred beam, degrees"),
+        KeyNumber("beam_fwhm_ew_deg_model", "FWHM East-West, model beam, degrees"),
+        KeyNumber("beam_fwhm_ns_deg", "FWHM North-South, inferred beam, degrees"),
+        KeyNumber("beam_fwhm_ns_deg_model", "FWHM North-South, model beam, degrees"),
         KeyNumber("imag_max", "largest imaginary part", paper="≲1e-5", incomplete="≲1e-3"),
         KeyNumber("negative_fraction", "pixels with a negative real part", "percent", incomplete="some"),
     ),
@@ -59,8 +65,8 @@ GROUPS: dict[str, tuple[KeyNumber, ...]] = {
         KeyNumber("ppd_z_max_unperturbed", "largest |z|, model beam", paper="up to 100"),
         KeyNumber("heldout_chi2", "reduced χ², inferred beam"),
         KeyNumber("heldout_chi2_unperturbed", "reduced χ², model beam"),
-        KeyNumber("heldout_chi2_unperturbed_scaled", "reduced χ², model beam times a fitted amplitude"),
-        KeyNumber("heldout_amplitude_unperturbed", "that amplitude, fitted to the held-out data"),
+        KeyNumber("heldout_chi2_unperturbed_scaled", "reduced χ², scaled model beam"),
+        KeyNumber("heldout_amplitude_unperturbed", "its scale, fitted to the held-out data"),
         KeyNumber("heldout_explained", "power explained by the inferred beam", "percent"),
         KeyNumber("heldout_explained_unperturbed", "power explained by the model beam", "percent"),
         KeyNumber("heldout_explained_unperturbed_scaled", "power explained by the scaled model beam", "percent"),
@@ -151,7 +157,7 @@ def _percent(share: float) -> str:
     missing = abs(1 - share)
     if 0 < missing < 0.01:
         return f"{100 * share:.{min(-math.floor(math.log10(missing)) - 1, 12)}f}%"
-    return f"{100 * share:.1f}%" if abs(share) >= 0.1 else f"{100 * share:.2g}%"
+    return f"{100 * share:.1f}%" if abs(share) >= 0.1 else f"{100 * share:.3g}%"
 
 
 def text_table(groups: dict[str, list[Row]]) -> str:

@@ -22,7 +22,7 @@ def as_html(text: str) -> str:
         return f"{'' if mantissa == '1' else f'{mantissa} × '}10<sup>{exponent}</sup>"
 
     signed = re.sub(r"(?<![\w.])-(?=\d)", "−", escape(text))
-    return re.sub(r"(?<![\w.])(\d+(?:\.\d+)?)e([+-]?\d+)\b", power, signed)
+    return re.sub(r"(?<![\w.])(?<![\w.]-)(\d+(?:\.\d+)?)e([+-]?\d+)\b", power, signed)
 
 
 def finding(channel: Channel) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from hydrabeam_mpi.report.key_numbers import format_value
@@ -51,12 +52,12 @@ def _basis(channel: Channel) -> str:
 
 def _prior(job: dict[str, Any]) -> str:
     prior, source = job.get("prior", {}), job.get("beam", {}).get("source")
-    centre = f" is centred on the fit of the model beam ({source})" if source else ""
+    centre = f" is centred on the fit of the model beam ({Path(source).name})" if source else ""
     texts = {
         "fraction": f"; its prior{centre or ' is Gaussian'}, with a standard deviation of "
         f"{100 * prior.get('fraction', 1):.3g}% of each coefficient.",
         "flat": "; its prior is flat.",
-        "file": f"; its prior{centre or ' is Gaussian'}, with the covariance of {prior.get('file')}.",
+        "file": f"; its prior{centre or ' is Gaussian'}, with the covariance of {Path(str(prior.get('file'))).name}.",
     }
     return texts.get(prior.get("kind", ""), ".")
 
@@ -64,8 +65,13 @@ def _prior(job: dict[str, Any]) -> str:
 def _sky(job: dict[str, Any]) -> str:
     sky = job.get("sky", {})
     if sky.get("kind") == "catalogue":
-        return f" The sky model is the catalogue {sky.get('file')}."
-    return f" The sky model is a mock of {sky['n_sources']:,} point sources." if "n_sources" in sky else ""
+        diffuse = " with diffuse emission" if sky.get("diffuse") else ""
+        return f" The sky model is the catalogue {Path(str(sky.get('file'))).name}{diffuse}."
+    if "n_sources" not in sky:
+        return ""
+    faintest = sky.get("model_flux_min", 0)
+    without = f" without those below {faintest:g} Jy at {megahertz(sky['reference_freq'])}" if faintest else ""
+    return f" The sky model is a mock of {sky['n_sources']:,} point sources{without}."
 
 
 def _holdout(job: dict[str, Any]) -> str:
@@ -132,14 +138,6 @@ def remarks(result: Result) -> list[str]:
             "beam takes up errors that are not its own: imaginary parts and negative power stand in for the missing "
             "sources, and the posterior standard deviation knows nothing of it."
         )
-    worse = [channel for channel in result.channels if _is_worse(channel.numbers)]
-    if worse:
-        where = f" at {', '.join(megahertz(channel.freq) for channel in worse)}" if len(result.channels) > 1 else ""
-        said.append(f"The inferred beam predicts held-out data worse than the model beam{where}: do not use it there.")
     if not any("heldout_chi2" in channel.numbers for channel in result.channels):
         said.append("No data were held out, so nothing here tests the posterior on data that it has not seen.")
     return said
-
-
-def _is_worse(numbers: dict[str, Any]) -> bool:
-    return bool(numbers.get("heldout_chi2", 0) > numbers.get("heldout_chi2_unperturbed", float("inf")))

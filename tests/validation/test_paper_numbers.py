@@ -1,7 +1,8 @@
 """The experiment of HDBI II, jobs/paper as it is, on two ranks: its numbers, and its beam in other people's hands.
 
-The bands are wider than the spread over seeds, and narrow enough that a wrong noise level, basis, prior or beam falls
-out of them.
+The bands hold what seeds 1 to 8 give (posterior_std_median 4.2e-6 to 5.4e-6, condition_number 1380 to 2330, ppd_z_std
+1.18 to 1.35, ppd_z_std_unperturbed 38 to 49), and are narrow enough that a wrong noise level, basis, prior or beam
+falls out of them.
 """
 
 import json
@@ -32,7 +33,7 @@ BANDS = {
     "z_update_above_10": (60, 250),
     "beam_error_below_1e-4": (0.9, 1),
     "beam_error_max": (1e-4, 1e-2),
-    "imag_max": (0, 1e-3),
+    "imag_max": (1e-4, 2e-3),
     "train_chi2": (0.95, 1.1),
     "ppd_z_std": (0.95, 1.5),
     "ppd_z_std_unperturbed": (20, 100),
@@ -152,7 +153,7 @@ class HeldoutTime:
 
 @pytest.mark.parametrize("simulator", ["matvis", "fftvis"])
 def test_simulators_predict_heldout_data_with_it(result, simulator):
-    """The file in the hands of a user: thirty times closer to the data than the beam before the inference."""
+    """The file in the hands of a user: some thirty times closer to the data than the beam before the inference."""
     heldout = HeldoutTime(result)
     beam = UVBeam.from_file(result / "beam.beamfits")
     before = beam.copy()

@@ -1,0 +1,227 @@
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import get_args
+
+import pytest
+import tomli_w
+from pydantic import BaseModel, ValidationError
+
+from hydrabeam_mpi.config import Job, Section, load_job, named_files
+
+JOBS = sorted((Path(__file__).parents[2] / "jobs").glob("*/*.toml"))
+
+# No key at its default.
+FILES = """
+name = "all of it"
+seed = 7
+
+[data]
+files = ["night*.uvh5", "/elsewhere/night.uvh5"]
+polarization = "nn"
+pol_convention = "avg"
+gains = ["gains.calfits"]
+antennas = [1, 2, 3]
+exclude_antennas = [4]
+antpairs = [[1, 2], [2, 3]]
+lst_range = ["23 h", "30 deg"]
+time_range = [2459866.25, 2459867.5]
+freq_range = ["100 MHz", "200 MHz"]
+freqs = ["131.25 MHz", "129.6875 MHz"]
+channels = [3, 1]
+channel_width = "97.65625 kHz"
+min_bl_length = "10 m"
+max_bl_length = "100 m"
+redundancy_tol = "5 cm"
+
+[noise]
+kind = "constant"
+sigma = "250 mJy"
+
+[holdout]
+kind = "lst"
+every = 3
+lst_ranges = [["1 h", "2 h"], ["3 h", "4 h"]]
+
+[sky]
+kind = "catalogue"
+n_sources = 3
+flux_range = ["10 mJy", "1 Jy"]
+reference_freq = "180 MHz"
+spectral_index = -0.8
+file = "sky/gleam.vot"
+diffuse = "../gsm"
+positions = "lst"
+flux_min = "1 Jy"
+model_flux_min = "2 Jy"
+
+[sky.columns]
+table = "t"
+name = "n"
+lon = "l"
+lat = "b"
+frame = "galactic"
+flux = ["a", "b"]
+freqs = ["100 MHz", "200 MHz"]
+reference_freq = "150 MHz"
+spectral_index = ""
+
+[beam]
+source = "airy"
+east_feed = "y"
+diameter = "14 m"
+frequency = "scale"
+
+[basis]
+kind = "zernike"
+form = "complex"
+n_modes = 12
+k_max = 7
+m_max = 6
+edge = "95 deg"
+boundary = "dirichlet"
+max_degree = 9
+
+[prior]
+kind = "file"
+fraction = 0.5
+floor = 1e-5
+file = "prior.h5"
+
+[solver]
+engine = "nufft"
+compress = false
+
+[output]
+draws = 0
+"""
+SIMULATION = """
+[data.simulate]
+latitude = "0.1 rad"
+longitude = -100
+height = "1 km"
+start = 2460000.5
+lst_range = ["20 h", "2 h"]
+n_times = 3
+freqs = ["130 MHz", 131e6]
+channel_width = "1 MHz"
+integration_time = "1 min"
+nsamples = 2.5
+noise = false
+array = { hex = [2, 3], spacing = "10 m", file = "layout.csv" }
+perturb = { stretch = [1, 1.5], sidelobe = 0 }
+"""
+
+
+def write(text: str, folder: Path) -> Path:
+    (folder / "job.toml").write_text(text)
+    return folder / "job.toml"
+
+
+def sections(model: type[BaseModel] = Job) -> Iterator[type[BaseModel]]:
+    yield model
+    for field in model.model_fields.values():
+        for kind in (field.annotation, *get_args(field.annotation)):
+            if isinstance(kind, type) and issubclass(kind, Section):
+                yield from sections(kind)
+
+
+@pytest.mark.parametrize("text", [FILES, SIMULATION, "[data.simulate]", "[data]\nfiles = ['a']"])
+def test_resolved_job_is_the_same_job(text: str, tmp_path: Path) -> None:
+    job = load_job(write(text, tmp_path))
+    elsewhere = tmp_path / "result"
+    elsewhere.mkdir()
+    resolved = tomli_w.dumps(job.model_dump(mode="json", exclude_none=True))
+    assert load_job(write(resolved, elsewhere)) == job
+
+
+@pytest.mark.parametrize("text", [FILES, SIMULATION])
+def test_no_key_of_these_jobs_is_at_its_default(text: str, tmp_path: Path) -> None:
+    """So that the test above, of which they are the material, leaves nothing out."""
+    job = load_job(write(text, tmp_path))
+    parts = [job.data.simulate, job.data.simulate.array, job.data.simulate.perturb] if job.data.simulate else [
+        job, job.data, job.noise, job.holdout, job.sky, job.sky.columns, job.beam, job.basis, job.prior, job.solver,
+        job.output,
+    ]  # fmt: skip
+    exclusive = {"simulate", "jd_ranges", "antpairs", "file"}
+    for part in parts:
+        assert part is not None
+        at_default = {name for name, field in type(part).model_fields.items() if getattr(part, name) == field.default}
+        assert at_default <= exclusive, type(part)
+
+
+def test_units_are_those_of_the_code(tmp_path: Path) -> None:
+    job = load_job(write(FILES, tmp_path))
+    assert job.data.freqs == (131.25e6, 129.6875e6)
+    assert job.data.channel_width == 97656.25
+    assert job.data.lst_range == pytest.approx((23.0, 2.0), rel=1e-15)
+    assert job.data.redundancy_tol == 0.05
+    assert job.noise.sigma == 0.25
+    assert job.sky.flux_range == pytest.approx((0.01, 1.0), rel=1e-15)
+    assert job.basis.edge == 95.0
+    simulate = load_job(write(SIMULATION, tmp_path)).data.simulate
+    assert simulate is not None
+    assert simulate.latitude == pytest.approx(5.729577951308232, rel=1e-15)
+    assert (simulate.height, simulate.integration_time, simulate.channel_width) == (1000.0, 60.0, 1e6)
+
+
+def test_file_names_are_relative_to_the_job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "jobs"
+    folder.mkdir()
+    path = write(FILES, folder)
+    monkeypatch.chdir(tmp_path)
+    job = load_job(Path("jobs/job.toml"))
+    assert job == load_job(path)
+    assert job.data.files == (str(folder / "night*.uvh5"), "/elsewhere/night.uvh5")
+    assert job.data.gains == (str(folder / "gains.calfits"),)
+    assert job.sky.file == folder / "sky" / "gleam.vot"
+    assert job.sky.diffuse == folder / ".." / "gsm"
+    assert job.prior.file == folder / "prior.h5"
+    assert job.beam.source == "airy"
+
+
+def test_home_is_understood(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", "/home/someone")
+    job = load_job(write("[data]\nfiles = ['~/a.uvh5']\n[beam]\nsource = '~/beam.fits'", tmp_path))
+    assert job.data.files == ("/home/someone/a.uvh5",)
+    assert job.beam.source == "/home/someone/beam.fits"
+
+
+def test_named_files_are_all_that_a_job_reads(tmp_path: Path) -> None:
+    job = load_job(write(FILES, tmp_path))
+    assert set(named_files(job)) == {
+        tmp_path / "night*.uvh5",
+        Path("/elsewhere/night.uvh5"),
+        tmp_path / "gains.calfits",
+        tmp_path / "sky" / "gleam.vot",
+        tmp_path / ".." / "gsm",
+        tmp_path / "prior.h5",
+    }
+    assert named_files(load_job(write(SIMULATION, tmp_path))) == [tmp_path / "layout.csv"]
+
+
+@pytest.mark.parametrize("path", JOBS, ids=lambda path: os.fspath(path.relative_to(path.parents[1])))
+def test_jobs_that_come_along_load(path: Path) -> None:
+    assert load_job(path).name
+
+
+def test_every_key_has_a_meaning() -> None:
+    tables = 0
+    for section in sections():
+        for name, field in section.model_fields.items():
+            kinds = (field.annotation, *get_args(field.annotation))
+            if any(isinstance(kind, type) and issubclass(kind, Section) for kind in kinds):
+                tables += 1
+            else:
+                assert field.description, f"{section.__name__}.{name}"
+                assert not field.is_required()
+        assert section.__doc__
+    assert tables == 13
+
+
+def test_sections_do_not_change(tmp_path: Path) -> None:
+    job = load_job(write(SIMULATION, tmp_path))
+    with pytest.raises(ValidationError, match="frozen"):
+        job.seed = 3  # type: ignore[misc]

@@ -1,0 +1,188 @@
+"""What a user reads who has written a job wrongly: table, key, what is there, what should be."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from hydrabeam_mpi.config import load_job
+from hydrabeam_mpi.errors import InputError
+
+DATA = "[data]\nfiles = ['a.uvh5']\n"
+SIMULATE = "[data.simulate]\n"
+TABLES = {
+    "": "", "data": "", "data.simulate": "", "data.simulate.array": "", "data.simulate.perturb": "", "noise": "",
+    "holdout": "", "sky": "", "sky.columns": "[sky]\nkind = 'catalogue'\nfile = 'a.skyh5'\n", "beam": "", "basis": "",
+    "prior": "", "solver": "", "output": "",
+}  # fmt: skip
+
+
+def complaint(text: str, folder: Path) -> str:
+    """Return what is said of a job, without its file."""
+    path = folder / "job.toml"
+    path.write_text(text)
+    with pytest.raises(InputError) as raised:
+        load_job(path)
+    said = str(raised.value)
+    assert said.startswith(f"{path}: ")
+    assert "\n" not in said
+    assert raised.value.field
+    assert raised.value.remedy
+    return said.removeprefix(f"{path}: ")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        # Keys and tables that do not exist: the nearest, or where they belong, or all there are.
+        (DATA + "polarisation = 'ee'", "[data] polarisation: unknown key; did you mean 'polarization'?"),
+        ("[dat]\nfiles = []", "[dat]: unknown key; did you mean 'data'?"),
+        (DATA + "[simulate]\nn_times = 3", "[simulate]: unknown key; it belongs in [data.simulate]"),
+        (DATA + "n_modes = 3", "[data] n_modes: unknown key; it belongs in [basis]"),
+        (DATA + "seed = 3", "[data] seed: unknown key; it belongs in the first lines"),
+        (
+            DATA + "kind = 'x'",
+            "[data] kind: unknown key; it belongs in [noise] or [holdout] or [sky] or [basis] or [prior]",
+        ),
+        (
+            DATA + "[solver]\nqwertz = 1",
+            "[solver] qwertz: unknown key; the keys of [solver] are engine, compress",
+        ),
+        (DATA + "qwertz = 1\n[sky]\nn_source = 1", "[data] qwertz: unknown key; the keys of [data] are files, "),
+        ("[data.simulate.array]\nhxe = [4, 3]", "[data.simulate.array] hxe: unknown key; did you mean 'hex'?"),
+        # What is lacking.
+        ("", "[data]: is missing; add it; 'hydrabeam init' prints a whole job"),
+        ("[data]", "[data]: no data; give either files = [...] or a [data.simulate] table"),
+        (DATA + SIMULATE, "[data]: no data; give either files"),
+        # Wrong types, told in the words of TOML and not of Python.
+        ("data = 3", "[data]: is not a table; it should be keys and values below a line with its name in brackets"),
+        (DATA + "[[sky]]\nkind = 'mock'", "[sky]: is not a table"),
+        ("[data]\nfiles = 'a.uvh5'", '[data] files: is "a.uvh5"; it should be a list in brackets'),
+        ("[data]\nfiles = [1]", "[data] files: is 1; it should be text in quotes"),
+        (DATA + "[beam]\nsource = 3", "[beam] source: is 3; it should be text in quotes"),
+        (DATA + "[prior]\nfile = 3", "[prior] file: is 3; it should be text in quotes"),
+        (DATA + "[basis]\nn_modes = '16'", '[basis] n_modes: is "16"; it should be a whole number'),
+        (DATA + "[basis]\nn_modes = 16.0", "[basis] n_modes: is 16.0; it should be a whole number"),
+        (DATA + "[basis]\nn_modes = true", "[basis] n_modes: is true; it should be a whole number"),
+        (DATA + "[solver]\ncompress = 1", "[solver] compress: is 1; it should be true or false"),
+        (DATA + "[prior]\nfraction = 'half'", '[prior] fraction: is "half"; it should be a number'),
+        ("seed = 1979-05-27\n" + DATA, 'seed: is "1979-05-27"; it should be a whole number'),
+        (DATA + "antpairs = [[1, 2, 3]]", "[data] antpairs: is [1, 2, 3]; it should be a list of 2"),
+        (DATA + "antpairs = [[1, 'a']]", '[data] antpairs: is "a"; it should be a whole number'),
+        (DATA + "lst_range = [1]", "[data] lst_range: is [1]; it should be a list of two"),
+        # Wrong units and values.
+        (
+            DATA + "[basis]\nedge = '92 m'",
+            "[basis] edge: is \"92 m\"; it should be an angle, a number in deg or text such as '90 deg'",
+        ),
+        (DATA + "[basis]\nedge = 1.6", "[basis] edge: is 1.6; it should be at least 90"),
+        (DATA + "[basis]\nn_modes = 0", "[basis] n_modes: is 0; it should be at least 1"),
+        (DATA + "freqs = ['-131 MHz']", '[data] freqs: is "-131 MHz"; it should be more than 0'),
+        (DATA + "freqs = []", "[data] freqs: is []; it should be a list of 1 or more"),
+        (DATA + "channels = [-1]", "[data] channels: is -1; it should be at least 0"),
+        (DATA + "lst_range = [1, 90]", "[data] lst_range: is 90; it should be at most 24"),
+        (
+            DATA + "lst_range = [1, 1]",
+            "[data] lst_range: is [1, 1]; it should be [from, to] with two different times, [0, 24] for a whole day",
+        ),
+        (
+            DATA + "freq_range = ['2 MHz', '1 MHz']",
+            '[data] freq_range: is ["2 MHz", "1 MHz"]; it should be [from, to] with the lower value first',
+        ),
+        (DATA + "[sky]\nflux_range = [2, 1]", "[sky] flux_range: is [2, 1]; it should be [from, to]"),
+        (DATA + "[noise]\nkind = 'constant'\nsigma = nan", "[noise] sigma: is NaN; it should be finite"),
+        (DATA + "[noise]\nkind = 'constant'\nsigma = '0 Jy'", '[noise] sigma: is "0 Jy"; it should be more than 0'),
+        (
+            DATA + "[basis]\nform = 'reel'",
+            "[basis] form: is \"reel\"; it should be 'real' or 'complex'; did you mean 'real'?",
+        ),
+        (DATA + "[basis]\nform = 'qwertz'", "[basis] form: is \"qwertz\"; it should be 'real' or 'complex'"),
+        (SIMULATE + "start = 59866", "[data.simulate] start: is 59866; it should be at least 2437665"),
+        (SIMULATE + "n_times = 0", "[data.simulate] n_times: is 0; it should be at least 1"),
+        (
+            SIMULATE + "freqs = [1e8, 1e8]",
+            "[data.simulate] freqs: is [100000000.0, 100000000.0]; it should be a list that",
+        ),
+        (
+            SIMULATE + "perturb = {stretch = [0.9, 1]}",
+            "[data.simulate.perturb] stretch: is 0.9; it should be at least 1",
+        ),
+        (DATA + f"gains = {['x' * 20] * 9 + [1]}", "[data] gains: is 1; it should be text in quotes"),
+        (DATA + f"polarization = '{'x' * 99}'", f'[data] polarization: is "{"x" * 59}...; it should be'),
+        # Keys that do not fit together.
+        (
+            DATA + "[noise]\nkind = 'constant'",
+            "[noise]: kind = 'constant' and sigma = '... Jy' go together; give both or",
+        ),
+        (DATA + "[noise]\nfile = 'a'", "[noise]: kind = 'file' and file = '...' go together; give both or neither"),
+        (DATA + "[holdout]\nkind = 'lst'", "[holdout]: kind = 'lst' and lst_ranges = [[from, to], ...] go together"),
+        (DATA + "[holdout]\nkind = 'jd'", "[holdout]: kind = 'jd' and jd_ranges = [[from, to], ...] go together"),
+        (
+            DATA + "[holdout]\nantpairs = [[1, 2]]",
+            "[holdout]: kind = 'baselines' and antpairs = [[ant1, ant2], ...] go",
+        ),
+        (DATA + "[sky]\nkind = 'catalogue'", "[sky]: kind = 'catalogue' and file = '...' go together"),
+        (DATA + "[sky.columns]\nname = 'x'", "[sky]: columns are of a catalogue; leave them out"),
+        (
+            TABLES["sky.columns"] + "[sky.columns]\nflux = ['a', 'b']\n" + DATA,
+            "[sky.columns]: 2 flux columns, 0 freqs; give one for each",
+        ),
+        (DATA + "[prior]\nkind = 'file'", "[prior]: kind = 'file' and file = '...' go together"),
+        (DATA + "[beam]\nsource = 'airy'", "[beam]: a formula goes with a diameter; give both, such as"),
+        (DATA + "[beam]\ndiameter = 14", "[beam]: a formula goes with a diameter; give both, such as"),
+        (
+            DATA + "[basis]\nk_max = 2\nm_max = 1\nn_modes = 7",
+            "[basis]: n_modes = 7, but k_max and m_max give 6; ask for fewer, or for higher orders",
+        ),
+        (SIMULATE + "freqs = [2e8, 1e8]", "[data.simulate]: freqs do not ascend; sort them"),
+        (
+            "[data.simulate.array]\nhex = [4, 3]",
+            "[data.simulate.array]: hex = [4, 3] is no array; give [first row, middle row], such as [4, 7]",
+        ),
+        ("[data.simulate.array]\nhex = [1, 1]", "[data.simulate.array]: hex = [1, 1] is no array"),
+        ("[data]\nchannels = [0]\n" + SIMULATE, "[data]: channels is for data from files; leave it out, or set it in"),
+        ("[data]\npol_convention = 'avg'\n" + SIMULATE, "[data]: pol_convention is for data from files; leave it out"),
+    ],
+)
+def test_complaint(text: str, expected: str, tmp_path: Path) -> None:
+    assert complaint(text, tmp_path).startswith(expected)
+
+
+@pytest.mark.parametrize("table", TABLES)
+def test_unknown_key_of_every_table(table: str, tmp_path: Path) -> None:
+    data = "" if table.startswith("data") else DATA
+    unknown = "xyzzy = 1\n"
+    text = f"{TABLES[table]}[{table}]\n{unknown}{data}" if table else unknown + data
+    where = f"[{table}] xyzzy" if table else "xyzzy"
+    assert complaint(text, tmp_path).startswith(
+        f"{where}: unknown key; the keys of {f'[{table}]' if table else 'a job'}"
+    )
+
+
+def test_a_misspelt_key_comes_before_what_is_missing_for_it(tmp_path: Path) -> None:
+    said = complaint("[data]\nfile = ['a.uvh5']", tmp_path)
+    assert said == "[data] file: unknown key; did you mean 'files'?"
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        (b"[data]\nfiles = [", "is not a TOML file (Invalid value (at end of document)); mend that line"),
+        (b"seed = 1\nseed = 2\n", "is not a TOML file (Cannot overwrite a value (at line 2, column 9)); mend"),
+        (b"\xff\xfe", "is not a TOML file ("),
+    ],
+)
+def test_not_toml(content: bytes, expected: str, tmp_path: Path) -> None:
+    path = tmp_path / "job.toml"
+    path.write_bytes(content)
+    with pytest.raises(InputError) as raised:
+        load_job(path)
+    assert str(raised.value).startswith(f"{path}: {expected}")
+
+
+def test_no_file(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"none.toml: cannot be read \(No such file or directory\); check the path"):
+        load_job(tmp_path / "none.toml")
+    with pytest.raises(InputError, match=r"cannot be read \(Is a directory\)"):
+        load_job(tmp_path)

@@ -1,0 +1,43 @@
+from __future__ import annotations
+
+import pickle
+
+import pytest
+
+from hydrabeam_mpi.errors import InputError
+
+
+@pytest.mark.parametrize(
+    ("details", "line"),
+    [
+        ({}, "is wrong"),
+        ({"file": "a.uvh5"}, "a.uvh5: is wrong"),
+        ({"field": "freq"}, "freq: is wrong"),
+        ({"remedy": "mend it"}, "is wrong; mend it"),
+        ({"file": "a.uvh5", "field": "freq", "remedy": "mend it"}, "a.uvh5: freq: is wrong; mend it"),
+    ],
+)
+def test_one_line(details: dict[str, str], line: str) -> None:
+    assert str(InputError("is wrong", **details)) == line
+
+
+def test_whatever_a_library_says_is_one_line() -> None:
+    error = InputError("cannot be read (two\nlines\n\n  of it)", file="a.uvh5", remedy="mend\nit")
+    assert str(error) == "a.uvh5: cannot be read (two lines of it); mend it"
+
+
+def test_locate_names_a_file_once() -> None:
+    error = InputError("is wrong", field="[data] files", remedy="mend it")
+    error.locate("job.toml")
+    assert str(error) == "job.toml: [data] files: is wrong; mend it"
+    error.locate("another.toml")
+    assert error.file == "job.toml"
+    assert str(error) == "job.toml: [data] files: is wrong; mend it"
+
+
+def test_survives_the_way_to_another_rank() -> None:
+    error = InputError("is wrong", field="freq", remedy="mend it")
+    error.locate("job.toml")
+    copy = pickle.loads(pickle.dumps(error))
+    assert str(copy) == str(error)
+    assert (copy.message, copy.file, copy.field, copy.remedy) == ("is wrong", "job.toml", "freq", "mend it")

@@ -1,0 +1,97 @@
+"""Which module may import which: read from the source, so that it also holds for imports inside functions."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+PACKAGE = "hydrabeam_mpi"
+ROOT = Path(__file__).parents[1]
+SERIAL = ("beams", "config", "console", "data", "infer", "init", "io", "model", "progress", "report", "tables")
+# What knows of processes: the layer that runs.
+RUNNING = ("mpi", "run", "cli", "inference", "accumulate", "problem", "rows", "simulate", "diagnose", "__main__")
+
+
+def modules() -> dict[str, Path]:
+    """Return the package's modules by name."""
+    return {
+        ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
+        for path in sorted((ROOT / PACKAGE).rglob("*.py"))
+    }
+
+
+def imported(path: Path, *, at_load: bool = False) -> Iterator[str]:
+    """Yield what a module imports, down to single names; ``at_load`` leaves out imports within functions."""
+    waiting: list[ast.AST] = [ast.parse(path.read_text())]
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            yield str(node.module)
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+        if not (at_load and isinstance(node, ast.FunctionDef)):
+            waiting += ast.iter_child_nodes(node)
+
+
+MODULES = modules()
+
+
+def inner_imports(name: str) -> set[str]:
+    """Return the modules of the package that a module imports when it is loaded."""
+    return {found for found in imported(MODULES[name], at_load=True) if found in MODULES and found != name}
+
+
+def in_any(name: str, parts: tuple[str, ...]) -> bool:
+    return any(name == f"{PACKAGE}.{part}" or name.startswith(f"{PACKAGE}.{part}.") for part in parts)
+
+
+def test_modules_are_found() -> None:
+    assert {f"{PACKAGE}.cli", f"{PACKAGE}.mpi", f"{PACKAGE}.model.fit", f"{PACKAGE}.random"} <= set(MODULES)
+    assert "mpi4py.MPI.Comm" in set(imported(MODULES[f"{PACKAGE}.mpi"]))
+    assert f"{PACKAGE}.run" in set(imported(MODULES[f"{PACKAGE}.cli"]))
+    assert f"{PACKAGE}.run" not in set(imported(MODULES[f"{PACKAGE}.cli"], at_load=True))
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_mpi4py_is_imported_in_few_places(name: str) -> None:
+    if not in_any(name, ("mpi", "cli")):
+        assert not [found for found in imported(MODULES[name]) if found.split(".")[0] == "mpi4py"]
+
+
+@pytest.mark.parametrize("name", [name for name in MODULES if in_any(name, SERIAL)])
+def test_serial_modules_never_see_processes(name: str) -> None:
+    assert not [found for found in imported(MODULES[name]) if in_any(found, RUNNING)]
+
+
+@pytest.mark.parametrize("name", [name for name in MODULES if in_any(name, ("mpi",))])
+def test_processes_know_nothing_of_beams(name: str) -> None:
+    allowed = ("mpi", "data", "errors")
+    within = [found for found in imported(MODULES[name]) if found.split(".")[0] == PACKAGE and found in MODULES]
+    assert [found for found in within if found != PACKAGE and not in_any(found, allowed)] == []
+
+
+@pytest.mark.parametrize("name", [name for name in MODULES if in_any(name, ("data", "random", "errors"))])
+def test_data_know_nothing_of_models(name: str) -> None:
+    allowed = ("data", "random", "errors")
+    within = [found for found in imported(MODULES[name]) if found in MODULES and found != PACKAGE]
+    assert [found for found in within if not in_any(found, allowed)] == []
+
+
+def test_no_cycles() -> None:
+    finished: set[str] = set()
+
+    def visit(name: str, path: tuple[str, ...]) -> None:
+        assert name not in path, " -> ".join((*path, name))
+        if name not in finished:
+            for found in sorted(inner_imports(name)):
+                visit(found, (*path, name))
+            finished.add(name)
+
+    for name in MODULES:
+        visit(name, ())
+    assert finished == set(MODULES)
