@@ -205,9 +205,7 @@ def _to_jansky(values: FloatArray, unit: units.UnitBase, freqs: FloatArray) -> F
     """Convert from Jy or (by Rayleigh-Jeans) from K sr."""
     if unit.is_equivalent("Jy"):
         return values * unit.to("Jy")
-    jy_per_k_sr = [
-        (1 * units.K).to_value("Jy/sr", units.brightness_temperature(freq * units.Hz)) for freq in freqs
-    ]
+    jy_per_k_sr = [(1 * units.K).to_value("Jy/sr", units.brightness_temperature(freq * units.Hz)) for freq in freqs]
     return values * unit.to("K sr") * np.array(jy_per_k_sr)[:, np.newaxis]
 
 
@@ -221,7 +219,5 @@ def _usable(flux: FloatArray, is_map: bool, path: Path) -> IntArray:
         raise InputError("no source with a flux at these frequencies", file=path, remedy=remedy)
     if len(usable) < total:
         count = f"{total - len(usable)} of {total} sources left out"
-        logger.warning(
-            "%s: %s: %d without a flux or place, the others not positive", path.name, count, unknown
-        )
+        logger.warning("%s: %s: %d without a flux or place, the others not positive", path.name, count, unknown)
     return usable

@@ -81,9 +81,7 @@ def read_layout(path: Path) -> Layout:
     if len(without):
         raise InputError(f"antenna {without[0]} has no position", file=path, remedy=FORMATS)
     if len(np.unique(layout.numbers)) < len(layout.numbers):
-        raise InputError(
-            "an antenna number stands twice", file=path, field="number", remedy="number them apart"
-        )
+        raise InputError("an antenna number stands twice", file=path, field="number", remedy="number them apart")
     return layout
 
 
@@ -98,9 +96,7 @@ def _read_uvh5(path: Path) -> Layout:
     except Exception as error:  # pyuvdata raises whatever its parts raise
         raise InputError(f"not a readable uvh5 file ({error})", file=path, remedy="check the file") from error
     names = dict(zip(uvd.telescope.antenna_numbers, uvd.telescope.antenna_names, strict=True))
-    return _layout(
-        np.asarray(numbers, dtype=np.int64), tuple(str(names[number]) for number in numbers), antpos
-    )
+    return _layout(np.asarray(numbers, dtype=np.int64), tuple(str(names[number]) for number in numbers), antpos)
 
 
 def _read_text(path: Path) -> Layout:
@@ -120,9 +116,7 @@ def _read_text(path: Path) -> Layout:
         raise InputError("no antennas", file=path, remedy=FORMATS)
     for row in rows:
         if len(row) != len(header):
-            raise InputError(
-                f"{len(row)} columns, not {len(header)}: {' '.join(row)}", file=path, remedy=FORMATS
-            )
+            raise InputError(f"{len(row)} columns, not {len(header)}: {' '.join(row)}", file=path, remedy=FORMATS)
     columns = {name: [row[i] for row in rows] for i, name in enumerate(header)}
     try:
         antpos = np.array([columns[column] for column in "enu"], dtype=float).T

@@ -119,7 +119,10 @@ def draw_slices(channel: Channel) -> Drawing | None:
     bottom.set(yscale="log", ylabel="difference", xlabel="zenith angle (deg)", xlim=(0, za[-1]))
     for axes in (top, bottom):
         axes.grid()
-        axes.legend(ncols=2, loc="upper right")
+    figure.legend(*top.get_legend_handles_labels(), loc="outside upper center", ncols=4)
+    low, high = bottom.get_ylim()
+    bottom.set_ylim(low, high * (high / low) ** 0.25)  # room for the legend
+    bottom.legend(ncols=4, loc="upper center", columnspacing=1.2, handlelength=1.6)
     shown = "amplitude" if amplitude else "real part"
     return Drawing(
         "slices",

@@ -9,8 +9,8 @@ def hexagon_vectors(spacing=14.6):
     positions = []
     for row in range(-3, 4):
         n = 7 - abs(row)
-        for i in range(n):
-            positions.append(((i - (n - 1) / 2) * spacing, row * spacing * np.sqrt(3) / 2, 0.0))
+        north = row * spacing * np.sqrt(3) / 2
+        positions += [((i - (n - 1) / 2) * spacing, north, 0.0) for i in range(n)]
     positions = np.array(positions)
     first, second = np.triu_indices(37, 1)
     return positions[second] - positions[first]

@@ -33,9 +33,7 @@ def test_hexagon_of_the_paper():
     np.testing.assert_allclose(layout.antpos.mean(axis=0), 0, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("side", "diagonal", "count"), [(1, 1, 1), (2, 3, 7), (3, 5, 19), (3, 4, 10), (11, 21, 331)]
-)
+@pytest.mark.parametrize(("side", "diagonal", "count"), [(1, 1, 1), (2, 3, 7), (3, 5, 19), (3, 4, 10), (11, 21, 331)])
 def test_hexagon_sizes(side, diagonal, count):
     assert len(hexagon(side, diagonal, 14.6).antpos) == count
 

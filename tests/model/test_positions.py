@@ -84,9 +84,7 @@ def test_rotated_positions_agree_with_rotation_matrices():
     sky = mock_sky(2, FREQS, n_sources=2000)
     lsts = np.array([0.3, 5.9])
     positions = RotatedPositions(sky, observation([JD_2017, JD_2017 + 0.1], lsts))
-    celestial = np.stack(
-        [np.cos(sky.dec) * np.cos(sky.ra), np.cos(sky.dec) * np.sin(sky.ra), np.sin(sky.dec)]
-    )
+    celestial = np.stack([np.cos(sky.dec) * np.cos(sky.ra), np.cos(sky.dec) * np.sin(sky.ra), np.sin(sky.dec)])
     lat = HERA.lat.rad
     for itime, lst in enumerate(lsts):
         east = np.array([-np.sin(lst), np.cos(lst), 0])
@@ -127,9 +125,7 @@ def test_count_above_horizon_follows_the_true_counts():
     times = JD_2017 + np.linspace(0, 1, 8)
     dense_south = mock_sky(7, FREQS, n_sources=20_000)
     dense_south = dense_south.select((dense_south.dec < -0.3) | (dense_south.ra < 2.0))
-    exact = np.array(
-        [len(RotatedPositions(dense_south, observation(times)).above_horizon(i)[0]) for i in range(8)]
-    )
+    exact = np.array([len(RotatedPositions(dense_south, observation(times)).above_horizon(i)[0]) for i in range(8)])
     assert np.ptp(exact) > 0.2 * exact.mean()
     np.testing.assert_allclose(count_above_horizon(dense_south, observation(times)), exact, rtol=0.1)
     few = dense_south.select(np.arange(500))

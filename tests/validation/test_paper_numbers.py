@@ -147,7 +147,7 @@ class HeldoutTime:
             pairs = np.array([[order.index(antenna) for antenna in pair] for pair in self.pairs])
             visibilities = matvis.simulate_vis(beams=[beam], antpairs=pairs, **options)
         else:
-            visibilities = fftvis.simulate_vis(beam=beam, baselines=self.pairs, **options)
+            visibilities = fftvis.simulate_vis(beam=beam, baselines=self.pairs, nthreads=1, **options)
         return np.sqrt(np.mean(np.abs(visibilities[0, 0] - self.data) ** 2) / np.mean(np.abs(self.data) ** 2))
 
 

@@ -146,6 +146,7 @@ def by_fftvis(observation, sky=SKY, beam=None, **options):
         telescope_loc=observation.location,
         precision=2,
         baselines=[tuple(pair) for pair in observation.antpairs.tolist()],
+        nthreads=1,
         coord_method="CoordinateRotationAstropy",
         **options,
     )
