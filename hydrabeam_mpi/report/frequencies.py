@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.ticker import NullFormatter
+from numpy.typing import NDArray
 
 from hydrabeam_mpi.report.result import Channel
 from hydrabeam_mpi.report.style import INFERRED, MODEL, REFERENCE, Drawing, new_figure
+
+Array = NDArray[Any]
 
 PANELS = {
     "held-out reduced χ²": {"heldout_chi2_unperturbed": "model beam", "heldout_chi2": "inferred beam"},
@@ -21,28 +26,25 @@ COLOURS = {"model beam": MODEL, "inferred beam": INFERRED}
 
 def draw_frequencies(channels: list[Channel]) -> Drawing | None:
     """Draw the key numbers against frequency; None for a single channel."""
-    known = {title: keys for title, keys in PANELS.items() if any(key in c.numbers for key in keys for c in channels)}
+    known = {title: lines for title, keys in PANELS.items() if (lines := _lines(channels, keys))}
     if len(channels) < 2 or not known:
         return None
     freqs = np.array([channel.freq for channel in channels]) / 1e6
     rows = -(-len(known) // 2)
     figure = new_figure(1.75 * rows + 0.4)
     grid = figure.subplots(rows, 2, squeeze=False).ravel()
-    for axes, (title, keys) in zip(grid, known.items(), strict=False):
-        plotted = []
-        for key, name in keys.items():
-            values = np.array([channel.numbers.get(key, np.nan) for channel in channels], dtype=float)
-            if np.isfinite(values).any():
-                axes.plot(freqs, values, "o-", markersize=3, color=COLOURS.get(name, REFERENCE), label=name)
-                plotted.append(values)
+    for axes, (title, lines) in zip(grid, known.items(), strict=False):
+        for name, values in lines.items():
+            axes.plot(freqs, values, "o-", markersize=3, color=COLOURS.get(name, REFERENCE), label=name)
         axes.set(title=title)
-        if np.nanmin(plotted) > 0 and np.nanmax(plotted) > 10 * np.nanmin(plotted):
+        low, high = np.nanmin([*lines.values()]), np.nanmax([*lines.values()])
+        if 0 < 10 * low < high:
             axes.set_yscale("log")
             axes.yaxis.set_minor_formatter(NullFormatter())
-        if len(keys) > 1:
+        if len(lines) > 1:
             axes.legend(fontsize=7.5)
         axes.grid()
-    for axes in grid[len(known) - 2 : len(known)]:
+    for axes in grid[max(len(known) - 2, 0) : len(known)]:
         axes.set_xlabel("frequency (MHz)")
     for axes in grid[len(known) :]:
         axes.set_visible(False)
@@ -53,3 +55,9 @@ def draw_frequencies(channels: list[Channel]) -> Drawing | None:
         f"{len(known)} small panels with key numbers against frequency.",
         figure,
     )
+
+
+def _lines(channels: list[Channel], keys: dict[str, str]) -> dict[str, Array]:
+    """Return the named numbers of all channels, NaN where one has none; those that no channel has are left out."""
+    lines = {name: np.array([c.numbers.get(key, np.nan) for c in channels], dtype=float) for key, name in keys.items()}
+    return {name: values for name, values in lines.items() if np.isfinite(values).any()}

@@ -33,9 +33,8 @@ def draw_heldout_scores(channel: Channel) -> Drawing | None:
             axes.stairs(
                 coarse / row.sum() / np.diff(coarse_edges), coarse_edges, color=colour, linewidth=1.3, label=label
             )
-    reach = 1.3 * float(
-        max(np.abs(edges[:-1][counts.any(axis=0)]).max(), np.abs(edges[1:][counts.any(axis=0)]).max(), 5)
-    )
+    filled = np.flatnonzero(counts.any(axis=0))
+    reach = 1.3 * max(-float(edges[filled[0]]), float(edges[filled[-1] + 1]), 5.0)
     z = np.sinh(np.linspace(-np.arcsinh(reach), np.arcsinh(reach), 1001))
     for axes in (left, right):
         axes.plot(

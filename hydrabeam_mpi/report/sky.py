@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.colors import LogNorm, Normalize, SymLogNorm
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from hydrabeam_mpi.report.key_numbers import format_value
@@ -24,6 +25,13 @@ def difference(channel: Channel) -> tuple[Array, str]:
     return mean - channel.arrays["map_model"], "MAP − model"
 
 
+def scores(channel: Channel) -> Array:
+    """Return the size of the difference in posterior standard deviations, (Nza, Naz); NaN where all modes vanish."""
+    std = channel.arrays["map_std"]
+    vanishing = std <= 1e-9 * std.max()
+    return np.where(vanishing, np.nan, np.abs(difference(channel)[0]) / np.where(vanishing, 1.0, std))
+
+
 def draw_maps(channel: Channel) -> Drawing | None:
     """Draw MAP beam, posterior standard deviation, error (or update) and its score."""
     if "map_mean" not in channel.arrays:
@@ -35,14 +43,15 @@ def draw_maps(channel: Channel) -> Drawing | None:
     part = ", real part" if np.iscomplexobj(channel.arrays["map_mean"]) else ""
     norm: Normalize = LogNorm(floor, max(float(mean.max()), 10 * floor))
     panels.draw(f"MAP beam{part}", np.where(mean > 0, mean, np.nan), "magma", norm, "power beam")
-    low, high = np.percentile(std, [0.5, 100])
+    z = scores(channel)
+    std = np.where(np.isnan(z), np.nan, std)
+    low, high = np.nanpercentile(std, [0.5, 100])
     panels.draw("posterior standard deviation", std, "viridis", LogNorm(low, max(high, 1.01 * low)), "power beam")
     limit = float(np.abs(error.real).max()) or 1.0
-    linear = 10 ** np.round(np.log10(max(float(np.median(std)), 1e-3 * limit)))
+    linear = 10 ** np.round(np.log10(max(float(np.nanmedian(std)), 1e-3 * limit)))
     norm = SymLogNorm(linear, vmin=-limit, vmax=limit)
     panels.draw(f"{name}{part}", error.real, "RdBu_r", norm, "power beam", ink="0.4")
-    z = np.abs(error) / std
-    norm = Normalize(0, max(5.0, float(np.percentile(z, 99))))
+    norm = Normalize(0, max(5.0, float(np.nanpercentile(z, 99))))
     panels.draw(f"|{name}| / posterior std", z, "cividis", norm, "|z|", "max")
     return Drawing(
         "maps",
@@ -121,8 +130,9 @@ def draw_slices(channel: Channel) -> Drawing | None:
         axes.grid()
     figure.legend(*top.get_legend_handles_labels(), loc="outside upper center", ncols=4)
     low, high = bottom.get_ylim()
-    bottom.set_ylim(low, high * (high / low) ** 0.25)  # room for the legend
-    bottom.legend(ncols=4, loc="upper center", columnspacing=1.2, handlelength=1.6)
+    bottom.set_ylim(low, high * (high / low) ** 0.2)  # room for the legend
+    kinds = [Line2D([], [], color=REFERENCE, linestyle=style) for style in ("-", ":")]
+    bottom.legend(kinds, [f"|{what}|", "posterior standard deviation"], ncols=2, loc="upper right")
     shown = "amplitude" if amplitude else "real part"
     return Drawing(
         "slices",
@@ -144,8 +154,9 @@ def draw_map_scores(channel: Channel) -> Drawing | None:
     """Draw the histogram of |z| over the map with the distribution expected of it."""
     if "map_mean" not in channel.arrays:
         return None
-    error, name = difference(channel)
-    z = (np.abs(error) / channel.arrays["map_std"]).ravel()
+    name = difference(channel)[1]
+    z = scores(channel)
+    z = z[np.isfinite(z)]
     figure = new_figure(3.3)
     axes = figure.subplots()
     far = bool(np.percentile(z, 95) > 10)

@@ -134,7 +134,7 @@ def remarks(result: Result) -> list[str]:
     removed = result.numbers.get("flux_removed")
     if removed:
         said.append(
-            f"The sky model lacks {format_value(removed, 'percent')} of the simulated flux. With an incomplete sky the "
+            f"The sky model leaves out {format_value(removed, 'percent')} of the sky's flux. With an incomplete sky the "
             "beam takes up errors that are not its own: imaginary parts and negative power stand in for the missing "
             "sources, and the posterior standard deviation knows nothing of it."
         )

@@ -110,3 +110,18 @@ def workspace(common_tmp_path: Path, simulated: Path) -> Workspace:
 def on_root(comm: MPI.Comm) -> OnRoot:
     """Run a function on rank 0 and give its result to all."""
     return lambda function: comm.bcast(function() if comm.rank == 0 else None)
+
+
+def refusal(capfd: pytest.CaptureFixture[str], comm: MPI.Comm) -> str:
+    """Return the one line of complaint of all ranks; else rank 0 tells its progress, and the others are silent."""
+    out, err = capfd.readouterr()
+    assert not out
+    lines = err.splitlines()
+    complaints = [line for line in lines if line.startswith("hydrabeam: error: ")]
+    assert all(line.startswith("hydrabeam: ") for line in lines)
+    if comm.rank > 0:
+        assert lines == complaints
+    if complaints:
+        assert lines[-1] == complaints[-1]
+    (complaint,) = (line for of_rank in comm.allgather(complaints) for line in of_rank)
+    return complaint

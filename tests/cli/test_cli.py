@@ -15,7 +15,10 @@ from subprocess import CompletedProcess
 
 import numpy as np
 import pytest
+from astropy import units
+from astropy.coordinates import SkyCoord
 from mpi4py import MPI
+from pyradiosky import SkyModel
 
 from hydrabeam_mpi.cli import main
 from hydrabeam_mpi.config import load_job
@@ -87,6 +90,32 @@ def test_normal_run_says_only_its_own_lines(
         "beam.beamfits", "data.uvh5", "job.toml", "posterior.h5", "provenance.json", "summary.json", "truth.h5",
     }  # fmt: skip
     assert {path.name for path in workspace.folder.iterdir()} == {"job.toml", "result"}
+
+
+@pytest.mark.mpi
+def test_notes_are_said_once(
+    workspace: Workspace, on_root: OnRoot, comm: MPI.Comm, capfd: pytest.CaptureFixture[str]
+) -> None:
+    on_root(lambda: write_catalogue(workspace.folder / "sky.skyh5", flux=[10.0, -1.0, 20.0]))
+    job = on_root(lambda: workspace.job({"sky.kind": "catalogue", "sky.file": "sky.skyh5"}))
+    capfd.readouterr()
+    assert main(["infer", str(job), "-o", str(workspace.folder / "result")]) == 0
+    notes = [line for err in comm.allgather(capfd.readouterr().err) for line in err.splitlines() if "sky.skyh5" in line]
+    assert notes == [
+        "hydrabeam: sky.skyh5 gives one flux a source, used at every frequency",
+        "hydrabeam: warning: sky.skyh5: 1 of 3 sources left out: 0 without a flux or place, the others not positive",
+    ]
+
+
+def write_catalogue(path: Path, flux: list[float]) -> None:
+    stokes = np.zeros((4, 1, len(flux)))
+    stokes[0] = flux
+    SkyModel(
+        name=[f"source {i}" for i in range(len(flux))],
+        skycoord=SkyCoord(np.full(len(flux), 95.0) * units.deg, np.full(len(flux), -30.0) * units.deg, frame="icrs"),
+        stokes=stokes * units.Jy,
+        spectral_type="flat",
+    ).write_skyh5(path)
 
 
 def test_installed_program_on_one_and_two_ranks(workspace: Workspace, mpiexec: Runner) -> None:

@@ -20,8 +20,8 @@ from hydrabeam_mpi.report.frequencies import draw_frequencies
 from hydrabeam_mpi.report.heldout import draw_heldout_scores, merge_bins
 from hydrabeam_mpi.report.projection import to_disc
 from hydrabeam_mpi.report.result import Channel, load_result
-from hydrabeam_mpi.report.sky import difference, draw_map_scores, draw_maps, draw_slices, expected_scores
-from hydrabeam_mpi.report.style import STYLE, Drawing
+from hydrabeam_mpi.report.sky import difference, draw_map_scores, draw_maps, draw_slices, expected_scores, scores
+from hydrabeam_mpi.report.style import STYLE, Drawing, render
 
 
 @pytest.fixture(autouse=True)
@@ -172,6 +172,17 @@ def test_without_truth_the_difference_is_the_update(bands_channel: Channel) -> N
     assert "model, az = 0°" in lines(draw_slices(bands_channel), 0)
 
 
+def test_where_all_modes_vanish_there_is_no_score(paper_channel: Channel) -> None:
+    std = paper_channel.arrays["map_std"].copy()
+    std[-1], std[-2] = 0, 1e-17  # as a Dirichlet edge at the horizon makes it, up to rounding
+    channel = replace(paper_channel, arrays=dict(paper_channel.arrays, map_std=std))
+    z = scores(channel)
+    assert np.isnan(z[-2:]).all()
+    np.testing.assert_allclose(z[:-2], scores(paper_channel)[:-2])
+    drawings = draw_maps(channel), draw_slices(channel), draw_map_scores(channel)
+    assert all(drawing is not None and render(drawing.figure)["png"] for drawing in drawings)
+
+
 @pytest.mark.parametrize(("is_complex", "law"), [(True, rayleigh(scale=np.sqrt(0.5))), (False, halfnorm())])
 def test_scores_are_compared_with_the_right_law(is_complex: bool, law: object) -> None:
     z = np.linspace(0, 5, 50)
@@ -220,6 +231,10 @@ def test_numbers_against_frequency(bands: Path) -> None:
     np.testing.assert_array_equal(first.lines[0].get_ydata(), [np.nan, 3.0, np.nan, np.nan])
     np.testing.assert_allclose(np.asarray(first.lines[0].get_xdata()), [120, 130, 140, 150])
     assert draw_frequencies(channels[:1]) is None
+    for channel in channels:
+        channel.numbers.clear()
+        channel.numbers["condition_number"] = None
+    assert draw_frequencies(channels) is None
 
 
 @pytest.mark.parametrize(("n", "shown"), [(1, [0]), (3, [0, 1, 2]), (4, [0, 2, 3]), (9, [0, 4, 8])])
