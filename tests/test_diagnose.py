@@ -38,13 +38,17 @@ GOOD = {
         ({"heldout_chi2": 4.0}, "the beam alone does not explain the data"),
         ({"heldout_chi2": 4.0}, "too small by a factor of up to 2 "),
         ({"heldout_chi2": 10.0}, "At 150 MHz the model beam with one free amplitude"),
-        ({"heldout_amplitude_unperturbed": 1.7}, "up to 1.7 times what the model beam predicts"),
+        ({"heldout_amplitude_unperturbed": 1.7}, "when it is 1.01 to 1.7 times as large"),
         ({"negative_fraction": 0.2}, "negative on up to 20.0% of the sky"),
         ({"imag_max": 0.01}, "imaginary parts up to 1.0e-02"),
     ],
 )
 def test_what_a_user_should_not_overlook_is_said(change, said):
     assert said in " ".join(warnings_of([GOOD, GOOD | change]))
+
+
+def test_one_amplitude_is_told_as_one():
+    assert "when it is 0.4 times as large" in " ".join(warnings_of([GOOD | {"heldout_amplitude_unperturbed": 0.4}]))
 
 
 def test_a_good_result_and_one_without_heldout_data_need_no_warning():

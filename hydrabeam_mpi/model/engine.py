@@ -15,6 +15,7 @@ from typing import Protocol
 import finufft
 import numpy as np
 from scipy.linalg.blas import dgemm
+from threadpoolctl import threadpool_info
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.model.fringes import C_M_PER_S, Fringes
@@ -128,6 +129,9 @@ class NufftEngine:
         self.eps = eps
         self.batch = batch
         self.coplanar = bool(np.abs(self.vectors[:, 2]).max(initial=0.0) < 1e-9)
+        # finufft would take all cores, whatever share of them OpenMP has been limited to; 0 leaves it to finufft.
+        pools = threadpool_info()
+        self.threads = max((pool["num_threads"] for pool in pools if pool["user_api"] == "openmp"), default=0)
 
     @property
     def n_vectors(self) -> int:
@@ -154,7 +158,7 @@ class NufftEngine:
 
     def _transform(self, points: list[FloatArray], strengths: ComplexArray, targets: list[FloatArray]) -> ComplexArray:
         transform = finufft.nufft2d3 if self.coplanar else finufft.nufft3d3
-        values = transform(*points, strengths, *targets, isign=1, eps=self.eps)
+        values = transform(*points, strengths, *targets, isign=1, eps=self.eps, nthreads=self.threads)
         return np.atleast_2d(values)
 
 

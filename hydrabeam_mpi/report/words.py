@@ -134,9 +134,9 @@ def remarks(result: Result) -> list[str]:
     removed = result.numbers.get("flux_removed")
     if removed:
         said.append(
-            f"The sky model leaves out {format_value(removed, 'percent')} of the sky's flux. With an incomplete sky the "
-            "beam takes up errors that are not its own: imaginary parts and negative power stand in for the missing "
-            "sources, and the posterior standard deviation knows nothing of it."
+            f"The sky model leaves out {format_value(removed, 'percent')} of the sky's flux. With an incomplete sky "
+            "the beam takes up errors that are not its own: imaginary parts and negative power stand in for the "
+            "missing sources, and the posterior standard deviation knows nothing of it."
         )
     if not any("heldout_chi2" in channel.numbers for channel in result.channels):
         said.append("No data were held out, so nothing here tests the posterior on data that it has not seen.")

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from astropy.constants import c
+from threadpoolctl import threadpool_limits
 
 from hydrabeam_mpi.model.engine import GemmEngine, NufftEngine
 from hydrabeam_mpi.model.fringes import Fringes, find_lattice
@@ -76,3 +77,10 @@ def test_no_lattice_where_there_is_none():
     assert find_lattice(HEX + generator(0, "jitter").normal(size=HEX.shape) * 1e-3, 1e-7) is None
     assert find_lattice(np.array([[14.6, 0, 0], [29.2, 0, 0], [43.8, 0, 0]]), 1e-7) is None
     assert Fringes(np.zeros((0, 3))).lattice is None
+
+
+def test_nufft_keeps_to_its_share_of_the_cores():
+    with threadpool_limits(1):
+        assert NufftEngine(HEX).threads == 1
+    with threadpool_limits(2):
+        assert NufftEngine(HEX).threads == 2

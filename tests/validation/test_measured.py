@@ -1,4 +1,4 @@
-"""The shipped job on measured HERA data, cut down to one channel and the brightest sources."""
+"""The shipped jobs on measured HERA data, cut down to one channel and the brightest sources."""
 
 from __future__ import annotations
 
@@ -9,22 +9,29 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import tomli_w
 from mpi4py import MPI
 from pyradiosky import SkyModel
 from pyuvdata import UVData
 
+from hydrabeam_mpi.config import load_job
+from hydrabeam_mpi.infer.normal import NormalEquations
+from hydrabeam_mpi.infer.posterior import solve_posterior
+from hydrabeam_mpi.problem import estimate_noise, prepare
+from hydrabeam_mpi.random import complex_normal, generator
+from hydrabeam_mpi.rows import read_rows
 from hydrabeam_mpi.run import infer
 
-JOB = Path(__file__).parents[2] / "jobs" / "hera_h1c" / "job.toml"
+JOBS = Path(__file__).parents[2] / "jobs" / "hera_h1c"
 CHANNEL = 48  # 175 MHz
 FLUX_MIN = 1.0  # Jy at 180 MHz: 46% of the catalogue's flux, 9% of its sources
 
 
 @pytest.fixture(scope="module")
 def bright_sources(data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The catalogue of the job without its faint sources, which is read in no time."""
+    """The catalogue of the jobs without its faint sources, which is read in no time."""
     path = tmp_path_factory.mktemp("sky") / "bright.skyh5"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # pyradiosky's, about the format
@@ -35,34 +42,38 @@ def bright_sources(data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> 
 
 
 @pytest.fixture(scope="module")
-def run_job(
-    data_dir: Path, bright_sources: Path, tmp_path_factory: pytest.TempPathFactory
-) -> Callable[[list[Path]], dict[str, Any]]:
-    """Function that runs the job on some files and returns its ``summary.json``."""
-    folder = tmp_path_factory.mktemp("measured")
-
-    def run(files: list[Path]) -> dict[str, Any]:
-        job = tomllib.loads(JOB.read_text())
-        job["data"] |= {"files": [str(file) for file in files], "channels": [CHANNEL]}
-        job["sky"] |= {"file": str(bright_sources), "diffuse": str(data_dir / "models" / "gsm2016"), "flux_min": 0.0}
-        job["beam"]["source"] = str(data_dir / "models" / "HERA_Dipole_efield_100-101MHz.fits")
-        (folder / "job.toml").write_text(tomli_w.dumps(job))
-        infer(MPI.COMM_SELF, folder / "job.toml", folder / "out", overwrite=True, threads=1)
-        return json.loads((folder / "out" / "summary.json").read_text())
-
-    return run
-
-
-@pytest.fixture(scope="module")
 def files(data_dir: Path) -> list[Path]:
     """Set B of the measured data."""
     return sorted((data_dir / "H1C_2458042_LST5.7").glob("*.uvh5_downselected"))
 
 
 @pytest.fixture(scope="module")
-def summary(run_job: Callable[[list[Path]], dict[str, Any]], files: list[Path]) -> dict[str, Any]:
+def write_job(data_dir: Path, bright_sources: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """Function that cuts down a shipped job, ``write_job("job.toml", files)``."""
+    folder = tmp_path_factory.mktemp("measured")
+
+    def write(name: str, files: list[Path]) -> Path:
+        job = tomllib.loads((JOBS / name).read_text())
+        job["data"] |= {"files": [str(file) for file in files], "channels": [CHANNEL]}
+        job["sky"] |= {"file": str(bright_sources), "diffuse": str(data_dir / "models" / "gsm2016"), "flux_min": 0.0}
+        job["beam"]["source"] = str(data_dir / "models" / "HERA_Dipole_efield_100-101MHz.fits")
+        (folder / name).write_text(tomli_w.dumps(job))
+        return folder / name
+
+    return write
+
+
+def summary_of(job: Path) -> dict[str, Any]:
+    """Run a job and return its ``summary.json``."""
+    out = job.with_suffix("")
+    infer(MPI.COMM_SELF, job, out, overwrite=True, threads=1)
+    return json.loads((out / "summary.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def summary(write_job: Callable[..., Path], files: list[Path]) -> dict[str, Any]:
     """The result on the data as they are."""
-    return run_job(files)
+    return summary_of(write_job("job.toml", files))
 
 
 def test_the_inferred_beam_explains_more_of_data_that_it_has_not_seen(summary):
@@ -78,13 +89,52 @@ def test_the_inferred_beam_explains_more_of_data_that_it_has_not_seen(summary):
     assert summary["heldout_chi2"] > 10
 
 
-def test_conjugated_data_are_not_explained(run_job, files, summary, tmp_path):
+def test_conjugated_data_are_not_explained(write_job, files, summary, tmp_path):
     """The sign of the phase, that of the baselines and the place of the array are right only together."""
     copies = [tmp_path / path.name for path in files]
     for path, copy in zip(files, copies, strict=True):
         uv = UVData.from_file(str(path), file_type="uvh5", run_check=False)
         uv.data_array = uv.data_array.conj()
         uv.write_uvh5(str(copy), run_check=False)
-    conjugated = run_job(copies)
+    conjugated = summary_of(write_job("job.toml", copies))
     assert conjugated["heldout_explained_unperturbed_scaled"] < 0.1
     assert conjugated["heldout_explained"] < summary["heldout_explained"] - 0.4
+
+
+def test_unseen_baselines_tell_an_error_of_the_beam_from_one_of_the_antennas(write_job, files):
+    """Mock data of the measured array, sky and noise: the beam is right about unseen baselines if gains are."""
+    job = load_job(write_job("baselines.toml", files))
+    problem = estimate_noise(MPI.COMM_SELF, prepare(job, tuple(files)))
+    train, test = read_rows(problem, problem.train), read_rows(problem, problem.test)
+    designs = [
+        np.array(list(problem.forward_model(rows.groups).design(problem.basis, rows.tile.times)))[:, 0, rows.member]
+        for rows in (train, test)
+    ]
+    prior = problem.priors[0]
+    antennas = np.searchsorted(problem.observation.antenna_numbers, problem.observation.antpairs)
+
+    def explained(gain_error: float, seed: int) -> float:
+        """Return the explained part of held-out mock data, whose beam is a draw from the prior."""
+        rng = generator(seed, "unseen baselines", str(gain_error))
+        coeffs = prior.mean + prior.std() * rng.standard_normal(problem.basis.n_modes)
+        gains = (1 + gain_error * rng.standard_normal(6)) * np.exp(1j * gain_error * rng.standard_normal(6))
+        product = gains[antennas[:, 0]] * gains[antennas[:, 1]].conj()
+        product = np.where(problem.redundant.flipped, product.conj(), product)
+        normal = NormalEquations.zeros(problem.basis.n_modes, is_complex=False)
+        for rows, design in zip((train, test), designs, strict=True):
+            weights = rows.inv_noise_var[0]
+            sigma = np.divide(1, np.sqrt(weights), out=np.zeros(weights.shape), where=weights > 0)
+            data = (design @ coeffs) * product[rows.tile.bls] + sigma * complex_normal(rng, weights.shape)
+            if rows is train:
+                parts = np.stack([design.real, design.imag]).reshape(2, data.size, -1)
+                normal.add_data(data, weights)
+                normal.add_rows(parts, (weights * data).ravel(), weights.ravel())
+        normal.symmetrise()
+        residual = data - design @ solve_posterior(normal, prior).mean
+        return 1 - float(np.sum(weights * np.abs(residual) ** 2) / np.sum(weights * np.abs(data) ** 2))
+
+    beam_alone = [explained(0.0, seed) for seed in range(20)]
+    with_gains = [explained(0.2, seed) for seed in range(20)]
+    assert np.median(beam_alone) > 0.9
+    assert np.median(with_gains) < 0
+    print(np.round(np.sort(beam_alone), 3), np.round(np.sort(with_gains), 2))
