@@ -90,10 +90,10 @@ class NormalEquations:
         """
         root = np.sqrt(weights)[:, np.newaxis]
         if self.is_complex:
-            self.projection += rows.conj().T @ weighted_data
-            scaled = rows * root
-            # BLAS sees the transpose: scaled.T scaled.conj() is the conjugate of the Gram matrix.
-            self.gram = zherk(1.0, scaled.T, beta=1.0, c=self.gram, overwrite_c=1)
+            conjugate = rows.conj()
+            self.projection += conjugate.T @ weighted_data
+            conjugate *= root
+            self.gram = zherk(1.0, conjugate.T, beta=1.0, c=self.gram, overwrite_c=1)
         else:
             self.projection += rows[0].T @ weighted_data.real + rows[1].T @ weighted_data.imag
             scaled = (rows * root).reshape(-1, self.n)
@@ -101,9 +101,16 @@ class NormalEquations:
 
     def symmetrise(self) -> None:
         """Fill the other triangle of the Gram matrix; once, after the last rows and the sum over ranks."""
-        upper = np.triu(self.gram)
-        full = upper + np.triu(self.gram, 1).conj().T
-        self.gram = full.conj() if self.is_complex else full
+        complete_hermitian(self.gram)
+
+
+def complete_hermitian(matrix: Array, block: int = 128) -> None:
+    """Fill the lower triangle of a Hermitian matrix from its upper one, in place and block by block."""
+    for lo in range(0, len(matrix), block):
+        hi = lo + block
+        corner = np.triu(matrix[lo:hi, lo:hi])
+        matrix[lo:hi, lo:hi] = corner + np.triu(corner, 1).conj().T
+        matrix[hi:, lo:hi] = matrix[lo:hi, hi:].conj().T
 
 
 class RowBuffer:

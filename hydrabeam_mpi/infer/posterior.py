@@ -18,7 +18,7 @@ from scipy.linalg.lapack import dpotri, zpotri
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.infer.normal import NormalEquations
+from hydrabeam_mpi.infer.normal import NormalEquations, complete_hermitian
 from hydrabeam_mpi.infer.prior import Prior, cholesky_lower
 from hydrabeam_mpi.random import complex_normal
 
@@ -55,8 +55,9 @@ class Posterior:
         lower, info = invert(self.factor, lower=1)
         if info:  # pragma: no cover - a Cholesky factor has no zero on its diagonal
             raise ArithmeticError(f"potri failed with info = {info}")
-        lower = np.tril(lower)
-        return lower + np.tril(lower, -1).conj().T
+        # The transpose of the lower triangle is the upper triangle of the transpose, which is the conjugate.
+        complete_hermitian(lower.T)
+        return np.asarray(lower)
 
     @property
     def std(self) -> FloatArray:

@@ -124,7 +124,7 @@ class CovariancePrior:
 
 
 def cholesky_lower(matrix: Array) -> Array:
-    """Return L with L L^H = ``matrix``.
+    """Return L with L L^H = ``matrix``, whose memory may be used for it.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def cholesky_lower(matrix: Array) -> Array:
         free.
     """
     try:
-        return cholesky(matrix, lower=True, check_finite=False)
+        return cholesky(matrix, lower=True, check_finite=False, overwrite_a=True)
     except LinAlgError as error:
         raise InputError(
             "the posterior precision is not positive definite: data and prior leave some beam modes free",

@@ -21,7 +21,7 @@ from hydrabeam_mpi.infer.normal import NormalEquations
 from hydrabeam_mpi.infer.posterior import solve_posterior
 from hydrabeam_mpi.problem import estimate_noise, prepare
 from hydrabeam_mpi.random import complex_normal, generator
-from hydrabeam_mpi.rows import read_rows
+from hydrabeam_mpi.rows import Rows, read_rows
 from hydrabeam_mpi.run import infer
 
 JOBS = Path(__file__).parents[2] / "jobs" / "hera_h1c"
@@ -106,10 +106,10 @@ def test_unseen_baselines_tell_an_error_of_the_beam_from_one_of_the_antennas(wri
     job = load_job(write_job("baselines.toml", files))
     problem = estimate_noise(MPI.COMM_SELF, prepare(job, tuple(files)))
     train, test = read_rows(problem, problem.train), read_rows(problem, problem.test)
-    designs = [
+    train_design, test_design = (
         np.array(list(problem.forward_model(rows.groups).design(problem.basis, rows.tile.times)))[:, 0, rows.member]
         for rows in (train, test)
-    ]
+    )
     prior = problem.priors[0]
     antennas = np.searchsorted(problem.observation.antenna_numbers, problem.observation.antpairs)
 
@@ -120,21 +120,21 @@ def test_unseen_baselines_tell_an_error_of_the_beam_from_one_of_the_antennas(wri
         gains = (1 + gain_error * rng.standard_normal(6)) * np.exp(1j * gain_error * rng.standard_normal(6))
         product = gains[antennas[:, 0]] * gains[antennas[:, 1]].conj()
         product = np.where(problem.redundant.flipped, product.conj(), product)
-        normal = NormalEquations.zeros(problem.basis.n_modes, is_complex=False)
-        for rows, design in zip((train, test), designs, strict=True):
+
+        def mock(rows: Rows, design: np.ndarray) -> np.ndarray:
             weights = rows.inv_noise_var[0]
             sigma = np.divide(1, np.sqrt(weights), out=np.zeros(weights.shape), where=weights > 0)
-            data = (design @ coeffs) * product[rows.tile.bls] + sigma * complex_normal(rng, weights.shape)
-            if rows is train:
-                parts = np.stack([design.real, design.imag]).reshape(2, data.size, -1)
-                normal.add_data(data, weights)
-                normal.add_rows(parts, (weights * data).ravel(), weights.ravel())
+            return (design @ coeffs) * product[rows.tile.bls] + sigma * complex_normal(rng, weights.shape)
+
+        normal = NormalEquations.zeros(problem.basis.n_modes, is_complex=False)
+        data, weights = mock(train, train_design).ravel(), train.inv_noise_var[0].ravel()
+        rows = train_design.reshape(len(data), -1)
+        normal.add_data(data, weights)
+        normal.add_rows(np.stack([rows.real, rows.imag]), weights * data, weights)
         normal.symmetrise()
-        residual = data - design @ solve_posterior(normal, prior).mean
+        data, weights = mock(test, test_design), test.inv_noise_var[0]
+        residual = data - test_design @ solve_posterior(normal, prior).mean
         return 1 - float(np.sum(weights * np.abs(residual) ** 2) / np.sum(weights * np.abs(data) ** 2))
 
-    beam_alone = [explained(0.0, seed) for seed in range(20)]
-    with_gains = [explained(0.2, seed) for seed in range(20)]
-    assert np.median(beam_alone) > 0.9
-    assert np.median(with_gains) < 0
-    print(np.round(np.sort(beam_alone), 3), np.round(np.sort(with_gains), 2))
+    assert min(explained(0.0, seed) for seed in range(20)) > 0.7
+    assert max(explained(0.2, seed) for seed in range(20)) < 0
