@@ -30,11 +30,13 @@ SAME_FREQ = 5e-4
 class ScaledBeam:
     """A beam of one frequency taken for another: its pattern shrinks as the wavelength.
 
-    ``B(za, nu) = B_0(za nu / nu_0)``, which holds for the main lobe and the first sidelobes of a dish.
+    ``B(za, nu) = B_0(za nu / nu_0)``, which holds for the main lobe and the first sidelobes of a dish. Where that
+    asks for directions beyond ``za_max`` (radians), the base's value there is taken.
     """
 
     base: Beam
     freq: float
+    za_max: float = np.pi / 2
 
     @property
     def info(self) -> BeamInfo:
@@ -44,7 +46,7 @@ class ScaledBeam:
 
     def __call__(self, za: FloatArray, az: FloatArray) -> Array:
         """Evaluate the base at the scaled zenith angle, (Npoints,)."""
-        return self.base(np.minimum(za * (self.freq / self.base.info.freq), np.pi), az)
+        return self.base(np.minimum(za * (self.freq / self.base.info.freq), self.za_max), az)
 
 
 def load_beams(job: Job, freqs: FloatArray, pol: str) -> tuple[Beam, ...]:
@@ -70,7 +72,9 @@ def load_beams(job: Job, freqs: FloatArray, pol: str) -> tuple[Beam, ...]:
         interpolate = settings.frequency == "interpolate"
         return tuple(file.beam(float(freq), pol, interpolate_frequency=interpolate) for freq in freqs)
     nearest = [float(file.freqs[np.argmin(np.abs(file.freqs - freq))]) for freq in freqs]
-    return tuple(_scaled(file.beam(own, pol), float(freq)) for own, freq in zip(nearest, freqs, strict=True))
+    return tuple(
+        _scaled(file.beam(own, pol), float(freq), file.za_max) for own, freq in zip(nearest, freqs, strict=True)
+    )
 
 
 def _embedded(freq: float, pol: str, scale: bool) -> Beam:
@@ -89,9 +93,9 @@ def _embedded(freq: float, pol: str, scale: bool) -> Beam:
     return _scaled(beam, freq)
 
 
-def _scaled(beam: Beam, freq: float) -> Beam:
+def _scaled(beam: Beam, freq: float, za_max: float = np.pi / 2) -> Beam:
     """Scale a beam to a frequency that is not its own."""
-    return beam if abs(beam.info.freq - freq) <= SAME_FREQ * freq else ScaledBeam(beam, freq)
+    return beam if abs(beam.info.freq - freq) <= SAME_FREQ * freq else ScaledBeam(beam, freq, za_max)
 
 
 def perturb(job: Job, beam: Beam, settings: Perturbation) -> Beam:

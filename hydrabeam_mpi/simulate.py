@@ -25,9 +25,9 @@ from hydrabeam_mpi.model.engine import make_engine
 from hydrabeam_mpi.model.rime import ForwardModel
 from hydrabeam_mpi.model.sky import Sky
 from hydrabeam_mpi.mpi import Comm, bcast_object, together
-from hydrabeam_mpi.problem import count_sources, load_sky, source_positions
 from hydrabeam_mpi.progress import say
 from hydrabeam_mpi.random import complex_normal, generator
+from hydrabeam_mpi.skies import count_sources, load_sky, source_positions
 
 SIDEREAL_DAY = 0.99726956632908  # days of UT1
 

@@ -187,7 +187,7 @@ class Sky(Section):
     spectral_index: float = key(-2.7, "mock")
     file: File | None = key(None, "skyh5, VOTable, text or FHD .sav: catalogue")
     columns: SkyColumns | None = None
-    diffuse: File | None = key(None, "folder of the GSM 2016 maps, added to the catalogue")
+    diffuse: File | None = key(None, "folder of the GSM 2016 maps, added to the sources")
     positions: Literal["apparent", "lst"] | None = key(
         None, "apparent places (a catalogue's default), or turned by LST alone (a mock's)"
     )

@@ -69,6 +69,11 @@ class BeamFile:
         """Frequencies of the file, Hz."""
         return np.array(self._uvbeam.freq_array)
 
+    @property
+    def za_max(self) -> float:
+        """Largest zenith angle of the file's samples, radians."""
+        return float(self._za.max())
+
     def beam(self, freq: float, pol: str, *, interpolate_frequency: bool = False) -> SampledBeam:
         """Take one power beam.
 
