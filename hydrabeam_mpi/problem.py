@@ -118,7 +118,7 @@ class Problem:
     def forward_model(self, groups: IntArray) -> ForwardModel:
         """Return the forward model of some redundant groups."""
         job = self.job
-        engine = make_engine(job.solver.engine, self.redundant.vectors[groups], job.data.redundancy_tol)
+        engine = make_engine(job.solver.engine, self.redundant.vectors[groups])
         return ForwardModel(
             source_positions(job, self.sky, self.observation), self.sky.flux, self.observation.freqs, engine
         )

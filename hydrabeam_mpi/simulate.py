@@ -54,7 +54,7 @@ def simulate_to(world: Comm, job: Job, folder: Path) -> tuple[Beam, ...]:
             observation.bl_vectors, job.data.redundancy_tol, either_sign=_is_copol(observation)
         )
         vectors = np.concatenate([redundant.vectors, np.zeros((1, 3))])
-        engine = make_engine(job.solver.engine, vectors, job.data.redundancy_tol)
+        engine = make_engine(job.solver.engine, vectors)
         model = ForwardModel(source_positions(job, sky, observation), sky.flux, observation.freqs, engine)
         alone = np.zeros(1, dtype=int)
         costs = count_sources(sky, observation)

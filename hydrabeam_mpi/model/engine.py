@@ -162,6 +162,6 @@ class NufftEngine:
         return np.atleast_2d(values)
 
 
-def make_engine(kind: str, vectors: FloatArray, tol: float) -> GemmEngine | NufftEngine:
+def make_engine(kind: str, vectors: FloatArray) -> GemmEngine | NufftEngine:
     """Build the engine that the job names, "gemm" or "nufft"."""
-    return NufftEngine(vectors) if kind == "nufft" else GemmEngine(vectors, tol)
+    return NufftEngine(vectors) if kind == "nufft" else GemmEngine(vectors)

@@ -86,7 +86,7 @@ class Experiment:
         sky = mock_sky(1, FREQ, n_sources=60)
         self.basis = FourierBessel(MODES, form)
         self.redundant = find_redundant_groups(observation.bl_vectors, 1e-7)
-        engine = make_engine("gemm", self.redundant.vectors, 1e-7)
+        engine = make_engine("gemm", self.redundant.vectors)
         self.model = ForwardModel(RotatedPositions(sky, observation), sky.flux, FREQ, engine)
         rng = generator(1, "experiment", form)
         # The data narrow some coefficients to a few per cent of the prior, others to two thirds of it.

@@ -106,7 +106,7 @@ def ours(observation, sky=SKY, beam=lopsided, engine="gemm"):
         ApparentPositions(sky, observation),
         sky.flux,
         observation.freqs,
-        make_engine(engine, observation.bl_vectors, 1e-7),
+        make_engine(engine, observation.bl_vectors),
     )
     return model.visibilities([beam] * observation.Nfreqs, np.arange(observation.Ntimes))
 
