@@ -16,21 +16,6 @@ from tests.visibilities import CROSS, SECOND, make_uvcal, make_uvdata, whole
 T0 = 2459866.2
 
 
-@pytest.fixture
-def read(tmp_path):
-    """Function that writes visibilities and reads them, ``obs, flags, nsamples, [path] = read(uv)``."""
-
-    def read(uv, selection=None, name="a.uvh5"):
-        (tmp_path / name).unlink(missing_ok=True)
-        uv.write_uvh5(str(tmp_path / name), run_check=False)
-        files = [tmp_path / name]
-        obs = read_observation(files, selection or Selection())
-        _, flags, nsamples = read_visibilities(files, obs, whole(obs))
-        return obs, flags, nsamples, files
-
-    return read
-
-
 def noisy(n_times, n_freqs=4, seed=3, times=None):
     """Noise of variance 2 (b + 1) Jy^2 a sample for baseline b of `CROSS`, on a drifting sky of 50 Jy."""
     times = T0 + 10 * SECOND * np.arange(n_times) if times is None else times
