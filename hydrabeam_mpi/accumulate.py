@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -32,12 +32,17 @@ def accumulate(rows: Rows, model: ForwardModel, basis: LinearBasis, show: bool =
     show : bool
         Whether to report progress.
     """
-    normals = [NormalEquations.zeros(basis.n_modes, basis.is_complex) for _ in model.freqs]
+    return accumulate_designs(rows, designs(rows, model, basis, "design matrix", show), basis)
+
+
+def accumulate_designs(rows: Rows, by_time: Iterable[NDArray[Any]], basis: LinearBasis) -> list[NormalEquations]:
+    """Do as `accumulate` with the design of each time, as `designs` gives it."""
+    normals = [NormalEquations.zeros(basis.n_modes, basis.is_complex) for _ in rows.data]
     buffers = [RowBuffer(normal) for normal in normals]
     weighted, weights = rows.compressed()
     for normal, data, inv_noise_var in zip(normals, rows.data, rows.inv_noise_var, strict=True):
         normal.add_data(data, inv_noise_var)
-    for t, design in enumerate(_designs(rows, model, basis, "design matrix", show)):
+    for t, design in enumerate(by_time):
         for f, buffer in enumerate(buffers):
             buffer.add(design[f], weighted[f, t], weights[f, t])
     for buffer in buffers:
@@ -66,9 +71,9 @@ def check_heldout(
     """
     statistics = [HeldoutStatistics() for _ in model.freqs]
     before = model.visibilities(beams, rows.tile.times)
-    for t, design in enumerate(_designs(rows, model, basis, "held-out rows", show)):
+    for t, design in enumerate(designs(rows, model, basis, "held-out rows", show)):
         for f, posterior in enumerate(posteriors):
-            mean, variance = _predict(posterior, design[f])
+            mean, variance = predict(posterior, design[f])
             statistics[f].add(
                 rows.data[f, t],
                 rows.inv_noise_var[f, t],
@@ -79,7 +84,7 @@ def check_heldout(
     return statistics
 
 
-def _designs(rows: Rows, model: ForwardModel, basis: LinearBasis, label: str, show: bool) -> Iterator[NDArray[Any]]:
+def designs(rows: Rows, model: ForwardModel, basis: LinearBasis, label: str, show: bool) -> Iterator[NDArray[Any]]:
     """Yield a time's design rows as `NormalEquations.add_rows` takes them, for each channel."""
     times = rows.tile.times
     for parts in track(model.design_columns(basis, times), len(times), label, show):
@@ -87,7 +92,7 @@ def _designs(rows: Rows, model: ForwardModel, basis: LinearBasis, label: str, sh
         yield mixed[:, 0] + 1j * mixed[:, 1] if basis.is_complex else mixed
 
 
-def _predict(posterior: Posterior, design: NDArray[Any]) -> tuple[ComplexArray, FloatArray]:
+def predict(posterior: Posterior, design: NDArray[Any]) -> tuple[ComplexArray, FloatArray]:
     """Return the posterior predictive mean (Nlocal,) and the model variance of its parts (2, Nlocal)."""
     if posterior.is_complex:
         half = 0.5 * posterior.predictive_variance(design)

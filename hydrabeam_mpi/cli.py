@@ -83,7 +83,8 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     simulate = "make mock data: data.uvh5 and truth.h5"
     infer = "infer the beam: posterior.h5, beam.beamfits, summary.json"
-    for name, what in (("simulate", simulate), ("infer", infer)):
+    loop = "infer, find what the model lacks and add it: also loop.json, amended.toml"
+    for name, what in (("simulate", simulate), ("infer", infer), ("loop", loop)):
         command = commands.add_parser(name, help=what, description=what)
         command.add_argument("job", type=Path, metavar="JOB.toml", help="job file")
         command.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder to write")
@@ -100,10 +101,11 @@ def _parser() -> argparse.ArgumentParser:
 def _run(world: MPI.Comm, options: argparse.Namespace) -> None:
     """Dispatch. Commands are imported here so that `--help` does not wait for astronomy packages."""
     threads = limit_blas_threads(world)
-    if options.command in ("simulate", "infer"):
+    if options.command in ("simulate", "infer", "loop"):
         from hydrabeam_mpi import run
+        from hydrabeam_mpi.loop.command import close_loop
 
-        command = run.infer if options.command == "infer" else run.simulate
+        command = {"simulate": run.simulate, "infer": run.infer, "loop": close_loop}[options.command]
         command(world, options.job, options.output, options.overwrite, threads)
         return
     with together(world):

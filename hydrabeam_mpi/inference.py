@@ -85,18 +85,18 @@ def infer_channels(grid: ProcessGrid, problem: Problem, clock: Clock) -> list[Ch
         On every rank of the group.
     """
     with clock.time("read"):
-        train, test = _read(grid, problem)
+        train, test = read_shares(grid, problem)
     with clock.time("design"):
         normals = _sum_normals(grid, problem, train)
     with clock.time("solve"):
-        posteriors = _solve(grid, problem, normals)
+        posteriors = solve_channels(grid, problem, normals)
     with clock.time("heldout"):
         heldout = _sum_heldout(grid, problem, test, posteriors)
     return [ChannelResult(*parts) for parts in zip(normals, posteriors, heldout, strict=True)]
 
 
-def _read(grid: ProcessGrid, problem: Problem) -> tuple[Rows, Rows]:
-    """Read the rank's training and held-out rows."""
+def read_shares(grid: ProcessGrid, problem: Problem) -> tuple[Rows, Rows]:
+    """Read the rank's training and held-out rows. Collective: all ranks of `grid.world`."""
     with together(grid.world):
         train = read_rows(problem, problem.tile_of(problem.train, grid.group.rank, grid.group.size))
         test = read_rows(problem, problem.tile_of(problem.test, grid.group.rank, grid.group.size))
@@ -111,6 +111,11 @@ def _sum_normals(grid: ProcessGrid, problem: Problem, rows: Rows) -> list[Normal
     """Accumulate the rank's rows and sum over the group."""
     with together(grid.world):
         normals = accumulate(rows, problem.forward_model(rows.groups), problem.basis, show=grid.world.rank == 0)
+    return reduce_normals(grid, normals)
+
+
+def reduce_normals(grid: ProcessGrid, normals: list[NormalEquations]) -> list[NormalEquations]:
+    """Sum over the group's ranks, in place. Collective: all ranks of `grid.group`."""
     for normal in normals:
         # The transpose of an F-ordered array is C-ordered memory, which messages need.
         allreduce_sum(grid.group, normal.gram.T)
@@ -120,8 +125,11 @@ def _sum_normals(grid: ProcessGrid, problem: Problem, rows: Rows) -> list[Normal
     return normals
 
 
-def _solve(grid: ProcessGrid, problem: Problem, normals: list[NormalEquations]) -> list[Posterior]:
-    """Solve on the group's root and share the posterior, which every rank needs for its held-out rows."""
+def solve_channels(grid: ProcessGrid, problem: Problem, normals: list[NormalEquations]) -> list[Posterior]:
+    """Solve on the group's root and share the posterior, which every rank needs for its held-out rows.
+
+    Collective: all ranks of `grid.world`.
+    """
     solved: list[Posterior] = []
     with together(grid.world):
         if grid.is_group_root:
@@ -145,11 +153,16 @@ def _sum_heldout(
     with together(grid.world):
         model = problem.forward_model(rows.groups)
         statistics = check_heldout(rows, model, problem.basis, posteriors, problem.beams, show=grid.world.rank == 0)
+    reduce_heldout(grid, statistics)
+    return statistics
+
+
+def reduce_heldout(grid: ProcessGrid, statistics: list[HeldoutStatistics]) -> None:
+    """Combine the statistics of the group, in place. Collective: all ranks of `grid.group`."""
     for one in statistics:
         allreduce_sum(grid.group, one.sums)
         allreduce_sum(grid.group, one.counts)
         allreduce_max(grid.group, one.largest)
-    return statistics
 
 
 def describe_channels(grid: ProcessGrid, problem: Problem, results: list[ChannelResult]) -> list[ChannelRecord]:
@@ -186,7 +199,7 @@ def _record(problem: Problem, f: int, result: ChannelResult, maps: SkyMaps) -> C
         "n_unique_baselines": problem.n_unique_baselines,
         "n_modes": problem.basis.n_modes,
         "log_evidence": posterior.log_evidence,
-        "train_chi2": _chi2(result.normal, posterior),
+        "train_chi2": reduced_chi2(result.normal, posterior),
         "fit_rms": problem.fit_rms[f],
     }
     summary |= summarise_coefficients(posterior, prior) | summarise_maps(maps) | result.heldout.summary()
@@ -210,7 +223,7 @@ def _record(problem: Problem, f: int, result: ChannelResult, maps: SkyMaps) -> C
     return ChannelRecord(float(problem.observation.freqs[f]), summary, arrays, posterior.log_evidence)
 
 
-def _chi2(normal: NormalEquations, posterior: Posterior) -> float:
+def reduced_chi2(normal: NormalEquations, posterior: Posterior) -> float:
     """Reduced chi^2 of the fitted data at the posterior mean: d^H N^-1 d - 2 Re x^H p + x^H G x over their number."""
     mean = posterior.mean
     quadratic = np.vdot(mean, normal.gram @ mean).real - 2 * np.vdot(mean, normal.projection).real

@@ -40,14 +40,14 @@ def simulate(world: Comm, job_path: Path, out: Path, overwrite: bool, threads: i
 
     Collective: all ranks of `world`.
     """
-    job = _load(world, job_path, needs_simulation=True)
+    job = load(world, job_path, needs_simulation=True)
     with staged(world, job_path, job, out, overwrite) as folder:
         simulate_to(world, job, folder)
         with together(world):
             if world.rank == 0:
                 record = provenance(job, [], world.size, threads, library_version())
                 with writing(folder):
-                    _write_job_and_provenance(folder, job, record)
+                    write_job_and_provenance(folder, job, record)
     say(f"wrote {out}", world.rank == 0)
 
 
@@ -73,24 +73,24 @@ def infer(world: Comm, job_path: Path, out: Path, overwrite: bool, threads: int)
     InputError
         On all ranks, if something in the job or in a file is wrong.
     """
-    job = _load(world, job_path)
+    job = load(world, job_path)
     clock = Clock()
     with staged(world, job_path, job, out, overwrite) as folder:
         with clock.time("prepare"):
-            problem = _prepare(world, job, folder)
+            problem = prepare_shared(world, job, folder)
         grid = ProcessGrid.split(world, problem.observation.Nfreqs)
         mine = problem.of_channels(grid.channels)
         results = infer_channels(grid, mine, clock)
         with clock.time("describe"):
-            records = _gather(grid, describe_channels(grid, mine, results))
+            records = gather_records(grid, describe_channels(grid, mine, results))
         memory = peak_rss_mb(world)
         with together(world):
             if world.rank == 0:
-                inputs = [path for path in _inputs(job, problem) if path.parent != folder]
+                inputs = [path for path in input_files(job, problem) if path.parent != folder]
                 about = provenance(job, inputs, world.size, threads, library_version())
                 run = {"wall_s": clock.inference, "phases_s": clock.seconds, "peak_rss_mb": memory}
                 with writing(folder):
-                    _write(folder, job, problem, records, about, run)
+                    write_result(folder, job, problem, records, about, run)
     say(f"wrote {out}", world.rank == 0)
 
 
@@ -118,7 +118,7 @@ def staged(world: Comm, job_path: Path, job: Job, out: Path, overwrite: bool) ->
             folder.publish()
 
 
-def _load(world: Comm, job_path: Path, needs_simulation: bool = False) -> Job:
+def load(world: Comm, job_path: Path, needs_simulation: bool = False) -> Job:
     """Read the job on rank 0 and share it."""
     job = None
     with together(world):
@@ -134,7 +134,7 @@ def _load(world: Comm, job_path: Path, needs_simulation: bool = False) -> Job:
     return world.bcast(job)
 
 
-def _prepare(world: Comm, job: Job, folder: Path) -> Problem:
+def prepare_shared(world: Comm, job: Job, folder: Path) -> Problem:
     """Simulate where asked, and set up the problem on every rank."""
     truths = simulate_to(world, job, folder) if job.data.simulate else ()
     problem = None
@@ -158,7 +158,7 @@ def _one_line(problem: Problem) -> str:
     )
 
 
-def _gather(grid: ProcessGrid, records: list[ChannelRecord]) -> list[ChannelRecord]:
+def gather_records(grid: ProcessGrid, records: list[ChannelRecord]) -> list[ChannelRecord]:
     """Bring the channels' records to rank 0, arrays in messages of bounded size."""
     if grid.is_world_root:
         elsewhere = range(len(records), grid.n_channels)
@@ -169,7 +169,7 @@ def _gather(grid: ProcessGrid, records: list[ChannelRecord]) -> list[ChannelReco
     return []
 
 
-def _inputs(job: Job, problem: Problem) -> list[Path]:
+def input_files(job: Job, problem: Problem) -> list[Path]:
     """List the files that the result depends on."""
     named = [job.noise.file, job.sky.file, job.prior.file]
     if Path(job.beam.source).is_file():
@@ -177,7 +177,7 @@ def _inputs(job: Job, problem: Problem) -> list[Path]:
     return [*problem.files, *problem.gain_files, *(path for path in named if path is not None)]
 
 
-def _write(
+def write_result(
     folder: Path,
     job: Job,
     problem: Problem,
@@ -214,10 +214,10 @@ def _write(
         "warnings": warnings_of(channels),
     }
     (folder / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
-    _write_job_and_provenance(folder, job, about)
+    write_job_and_provenance(folder, job, about)
 
 
-def _write_job_and_provenance(folder: Path, job: Job, about: dict[str, Any]) -> None:
+def write_job_and_provenance(folder: Path, job: Job, about: dict[str, Any]) -> None:
     """Write the resolved job and where the result comes from."""
     (folder / "job.toml").write_text(tomli_w.dumps(job.model_dump(mode="json", exclude_none=True)))
     (folder / "provenance.json").write_text(json.dumps(about, indent=2) + "\n")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import h5py
@@ -10,13 +11,14 @@ from astropy import units
 from astropy.coordinates import EarthLocation
 from astropy.time import Time
 
-from hydrabeam_mpi.beams import load_beams, perturb
+from hydrabeam_mpi.beams import fit_model_beams, load_beams, perturb
 from hydrabeam_mpi.config import Job, Simulate
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, Observation
 from hydrabeam_mpi.data.partition import make_tiles
-from hydrabeam_mpi.data.redundancy import find_redundant_groups
+from hydrabeam_mpi.data.redundancy import RedundantGroups, find_redundant_groups
 from hydrabeam_mpi.diagnose import GRID_AZ, GRID_ZA, evaluate_on_grid
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.inject import Injection, Truth
 from hydrabeam_mpi.io.staging import writing
 from hydrabeam_mpi.io.uvwrite import write_uvh5
 from hydrabeam_mpi.model.arrays import hexagon, read_layout
@@ -67,7 +69,7 @@ def simulate_to(world: Comm, job: Job, folder: Path) -> tuple[Beam, ...]:
             crosses = unique[:, :, redundant.group]
             crosses = np.where(redundant.flipped, crosses.conj(), crosses)
             with writing(folder):
-                _write(folder, job, observation, sky, beams, crosses, unique[:, :, -1].real)
+                _write(folder, job, observation, redundant, sky, beams, crosses, unique[:, :, -1].real)
     return beams
 
 
@@ -145,6 +147,7 @@ def _write(
     folder: Path,
     job: Job,
     observation: Observation,
+    redundant: RedundantGroups,
     sky: Sky,
     beams: tuple[Beam, ...],
     crosses: ComplexArray,
@@ -153,8 +156,16 @@ def _write(
     """Add noise and write the data and the truth."""
     settings = job.data.simulate
     assert settings is not None
+    variance = radiometer_variance(autos, observation, settings.nsamples)
+    injection = _injection(job, observation, redundant, sky, beams) if settings.effects else None
+    truths: list[Truth] = []
+    if injection:
+        crosses, truths = injection.before_noise(crosses)
     if settings.noise:
-        crosses = add_noise(crosses, radiometer_variance(autos, observation, settings.nsamples), job.seed)
+        crosses = add_noise(crosses, variance, job.seed)
+    if injection:
+        crosses, more = injection.after_noise(crosses, variance)
+        truths += more
     data = crosses[..., np.newaxis]
     nsamples = np.full(data.shape, settings.nsamples)
     shared = np.repeat(autos[..., np.newaxis], observation.Nants, axis=2)[..., np.newaxis]
@@ -166,3 +177,12 @@ def _write(
         file["ra"], file["dec"], file["flux"] = sky.ra, sky.dec, sky.flux
         file.attrs["beam_names"] = [beam.info.name for beam in beams]
         file.attrs["polarization"] = observation.pols[0]
+        file.attrs["effects"] = json.dumps(truths)
+
+
+def _injection(
+    job: Job, observation: Observation, redundant: RedundantGroups, sky: Sky, beams: tuple[Beam, ...]
+) -> Injection:
+    """Prepare the effects that the job wants in its data."""
+    basis, fits = fit_model_beams(job, load_beams(job, observation.freqs, observation.pols[0]))
+    return Injection(job, observation, redundant, sky, beams, basis, [fit.coeffs for fit in fits])

@@ -8,6 +8,8 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
+from hydrabeam_mpi.config.base import Section, key
+from hydrabeam_mpi.config.effects import Effect, Loop
 from hydrabeam_mpi.config.mistakes import as_input_error
 from hydrabeam_mpi.config.sections import (
     BUILT_IN_BEAMS,
@@ -18,10 +20,8 @@ from hydrabeam_mpi.config.sections import (
     Noise,
     Output,
     Prior,
-    Section,
     Sky,
     Solver,
-    key,
 )
 from hydrabeam_mpi.errors import InputError
 
@@ -40,6 +40,8 @@ class Job(Section):
     prior: Prior = Prior()
     solver: Solver = Solver()
     output: Output = Output()
+    loop: Loop = Loop()
+    effects: tuple[Effect, ...] = ()
 
 
 def load_job(path: Path) -> Job:

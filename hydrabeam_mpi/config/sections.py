@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, model_validator
+from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
+from hydrabeam_mpi.config.base import Section, key
+from hydrabeam_mpi.config.effects import Injected
 from hydrabeam_mpi.config.quantities import (
     AntennaPair,
     Degrees,
@@ -27,17 +29,6 @@ from hydrabeam_mpi.config.quantities import (
 
 ANALYTIC_BEAMS = ("gaussian", "airy")
 BUILT_IN_BEAMS = ("hera-vivaldi-131MHz", *ANALYTIC_BEAMS)
-
-
-def key(default: Any, meaning: str, **limits: Any) -> Any:
-    """Return a field with what ``hydrabeam init`` says of it."""
-    return Field(default, description=meaning, **limits)
-
-
-class Section(BaseModel):
-    """A table of the job file: frozen, strict about types, and an unknown key is an error."""
-
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", validate_default=True, allow_inf_nan=False)
 
 
 class Array(Section):
@@ -82,6 +73,7 @@ class Simulate(Section):
     nsamples: float = key(100.0, "integrations averaged, such as nights", gt=0)
     noise: bool = key(True, "add noise by the radiometer equation")
     perturb: Perturbation = Perturbation()
+    effects: tuple[Injected, ...] = ()
 
     @model_validator(mode="after")
     def _ascends(self) -> Self:

@@ -12,8 +12,8 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 from pydantic import BeforeValidator
 from pydantic.fields import FieldInfo
 
+from hydrabeam_mpi.config.base import Section
 from hydrabeam_mpi.config.quantities import Quantity
-from hydrabeam_mpi.config.sections import Section
 
 COMMENT_COLUMN = 44
 MAX_LINE = 120

@@ -17,6 +17,9 @@ from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.report.figures import draw_channel, shown_channels
 from hydrabeam_mpi.report.frequencies import draw_frequencies
 from hydrabeam_mpi.report.key_numbers import table, text_table
+from hydrabeam_mpi.report.loop import loop_section
+from hydrabeam_mpi.report.loop_record import Entry, load_loop
+from hydrabeam_mpi.report.loop_words import verdict_words
 from hydrabeam_mpi.report.result import Result, load_result
 from hydrabeam_mpi.report.sections import channel_table, finding, key_numbers, provenance, warnings
 from hydrabeam_mpi.report.style import STYLE, Drawing, render
@@ -33,17 +36,17 @@ def write_report(directory: Path) -> None:
     Parameters
     ----------
     directory : Path
-        Folder that ``hydrabeam infer`` wrote.
+        Folder that ``hydrabeam infer`` or ``hydrabeam loop`` wrote.
 
     Raises
     ------
     InputError
         If it is no such folder, or cannot be written.
     """
-    result = load_result(directory)
+    result, loop = load_result(directory), load_loop(directory)
     contents: dict[Path, bytes] = {}
     with matplotlib.rc_context(STYLE):
-        page = _page(result, _Album(contents, directory / "figures"))
+        page = _page(result, loop, _Album(contents, directory / "figures"))
     contents[directory / "report.html"] = page.encode()
     for path, content in contents.items():
         _write_whole(path, content)
@@ -51,6 +54,8 @@ def write_report(directory: Path) -> None:
     print(text_table(table(result.numbers, result.name)), end="\n\n")
     for remark in remarks(result):
         print(f"Note: {remark}")
+    if loop is not None:
+        print(verdict_words(loop))
     print(f"Report: {directory / 'report.html'}")
 
 
@@ -90,11 +95,12 @@ class _Album:
         )
 
 
-def _page(result: Result, album: _Album) -> str:
+def _page(result: Result, loop: Entry | None, album: _Album) -> str:
     style = files("hydrabeam_mpi.report").joinpath("page.css").read_text(encoding="utf-8")
     title = f"Beam posterior: {result.name}"
     body = [
         f"<h1>{escape(title)}</h1>\n<p>{escape(introduction(result))}</p>\n",
+        f"{loop_section(loop, album.place)}<h2>The beam of the amended model</h2>\n" if loop else "",
         finding(result.channels[0]) if len(result.channels) == 1 else "",
         warnings(result),
         key_numbers(result),

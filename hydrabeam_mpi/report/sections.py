@@ -13,9 +13,13 @@ from hydrabeam_mpi.report.key_numbers import PAPER_HEADING, Kind, format_value, 
 from hydrabeam_mpi.report.result import Channel, Result
 from hydrabeam_mpi.report.words import heldout_words, megahertz, remarks
 
+SIGNS = {"chi^2": "χ²", " -> ": " → ", " +- ": " ± "}
+
 
 def as_html(text: str) -> str:
-    """Escape text and set its powers of ten, such as 4.5e-6, as one writes them by hand."""
+    """Escape text and set its powers of ten, such as 4.5e-6, and its signs as one writes them by hand."""
+    for plain, sign in SIGNS.items():
+        text = text.replace(plain, sign)
 
     def power(match: re.Match[str]) -> str:
         mantissa, exponent = match[1], str(int(match[2])).replace("-", "−")
@@ -55,7 +59,7 @@ def key_numbers(result: Result) -> str:
             )
     note = f" of the first channel, {megahertz(result.channels[0].freq)}" if len(result.channels) > 1 else ""
     head = f'<tr><th>What it is</th><th class="value">Value</th>{paper}<th>Key in summary.json</th></tr>'
-    return _table(f"Key numbers{note}", head, lines)
+    return set_table(f"Key numbers{note}", head, lines)
 
 
 CHANNEL_COLUMNS: dict[str, tuple[str, Kind]] = {
@@ -82,10 +86,11 @@ def channel_table(channels: list[Channel]) -> str:
         ]
         cells = "".join(f'<td class="value">{as_html(value)}</td>' for value in values)
         lines.append(f'<tr><td class="value">{megahertz(channel.freq)}</td>{cells}</tr>')
-    return _table("", f'<tr><th class="value">frequency</th>{names}</tr>', lines, "channels")
+    return set_table("", f'<tr><th class="value">frequency</th>{names}</tr>', lines, "channels")
 
 
-def _table(title: str, head: str, lines: list[str], kind: str = "keys") -> str:
+def set_table(title: str, head: str, lines: list[str], kind: str = "keys") -> str:
+    """Set a table from its head and its lines, under a heading where there is a title."""
     heading = f"<h2>{escape(title)}</h2>\n" if title else ""
     body = "\n".join(lines)
     return f'{heading}<table class="{kind}">\n<thead>{head}</thead>\n<tbody>\n{body}\n</tbody>\n</table>\n'

@@ -1,0 +1,62 @@
+"""The tables of a job file that are about effects: those in the model, those in a simulation, and how to look for more."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from hydrabeam_mpi.config.base import Section, key
+
+Kind = Literal[
+    "antenna_gains",
+    "antenna_delays",
+    "cable_reflections",
+    "cross_coupling",
+    "auto_coupling",
+    "mutual_coupling",
+    "missing_sources",
+    "catalogue_flux",
+    "diffuse",
+    "antenna_positions",
+    "timestamp",
+    "antenna_pointing",
+    "nonredundant_beams",
+    "basis_truncation",
+    "ionosphere",
+    "horizon",
+    "leakage",
+    "outliers",
+    "noise_level",
+]
+
+
+class Effect(Section):
+    """An effect that is part of the model; `hydrabeam loop` writes these."""
+
+    kind: Kind
+    settings: dict[str, Any] = key({}, "which of several, such as the positions of sources")
+    names: tuple[str, ...] = key((), "of the parameters in use")
+    index: tuple[Annotated[int, Field(ge=0)], ...] = key((), "their numbers among all of the effect's parameters")
+    values: tuple[tuple[float, ...], ...] = key((), "one list a channel, where `inference` starts")
+    std: tuple[tuple[float, ...], ...] = key((), "posterior standard deviations, likewise")
+    prior_std: tuple[float, ...] = key((), "of the prior about zero")
+
+
+class Injected(Section):
+    """An effect to simulate with: given parameters, or drawn at random."""
+
+    kind: Kind
+    settings: dict[str, Any] = key({}, "which of several, such as the positions of sources")
+    strength: float = key(0.1, "rms of the parameters drawn, over their natural size", gt=0)
+    parameters: dict[str, float] = key({}, "instead: values by name, the others zero")
+
+
+class Loop(Section):
+    """How `hydrabeam loop` looks for what the model lacks."""
+
+    effects: tuple[Kind, ...] = key((), "only these; all by default")
+    skip: tuple[Kind, ...] = key((), "not these")
+    max_rounds: int = key(6, "effects added at most", ge=0)
+    min_log_bayes_factor: float = key(10.0, "evidence that an effect must have, natural logarithm", gt=0)
+    min_heldout_sigma: float = key(3.0, "significance with which held-out data must improve", gt=0)

@@ -1,0 +1,97 @@
+"""Antennas that do not point where they should."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.effects.base import Columns, Effect, Parameters
+from hydrabeam_mpi.effects.displaced import TILTS, need_real_beam, rotate, rotation_rate, seen_at, torque
+from hydrabeam_mpi.effects.per_antenna import antenna_parameters, common_values, row_antennas, row_parameters
+from hydrabeam_mpi.effects.scene import Experiment, Scene, Sources
+
+DEGREE = np.pi / 180
+
+
+class AntennaPointing(Effect):
+    """Each antenna's beam is tilted towards East and North, the same at all times and frequencies.
+
+    The power beam of a baseline is the product of its antennas' voltage beams. For small tilts that is half the sum of
+    the two antennas' power beams,
+
+        E_ij = 1/2 (V(tilt_i) - V) + 1/2 (V(tilt_j) - V)
+
+    with V(tilt) what an array would see all of whose beams are tilted; tilts themselves are exact rotations of the beam
+    about a horizontal axis. A tilt that all antennas have in common is a beam that points elsewhere, which the beam's
+    own freedom takes up.
+    """
+
+    kind = "antenna_pointing"
+    title = "antenna pointing"
+    shared = True
+
+    def refusal(self, experiment: Experiment) -> str | None:
+        """Refuse complex beams."""
+        return need_real_beam(experiment)
+
+    def parameters(self, experiment: Experiment) -> Parameters:
+        """Return the tilts of every antenna towards East and North."""
+        return antenna_parameters(experiment, ("tilted towards East", "tilted towards North"), "deg", 0.1)
+
+    def sky_columns(self, sources: Sources) -> FloatArray:
+        """Return how the beam changes as it is tilted towards East and North, (2, Nsrc) per radian."""
+        return -TILTS.T @ torque(sources)
+
+    def undecidable(self, experiment: Experiment) -> FloatArray:
+        """Return the tilts that all antennas have in common."""
+        return common_values(len(experiment.antennas_in_use), 2)
+
+    def columns(self, scene: Scene, x: FloatArray) -> Columns:
+        """Return half of what tilting further does, for a row's first and second antenna."""
+        values: ComplexArray = np.repeat(scene.spread(scene.integrals[self.kind])[:, :, np.newaxis], 2, axis=2)
+
+        def rates(sources: Sources, rotation: FloatArray) -> FloatArray:
+            tilted = seen_at(sources, rotate(sources.enu, -rotation))
+            return -(rotation_rate(-rotation) @ TILTS).T @ torque(tilted)
+
+        self._tilt(scene, x, rates, values)
+        values = (0.5 * DEGREE * values).reshape(*scene.shape, 4)
+        return Columns(values, 2 * len(scene.experiment.antennas_in_use), row_parameters(scene, 2))
+
+    def added(self, scene: Scene, x: FloatArray) -> ComplexArray:
+        """Return half the sum of what the two antennas' tilts change, (Ntimes, Nbls)."""
+        changes = np.zeros((*scene.shape, 2, 1), dtype=complex)
+
+        def change(sources: Sources, rotation: FloatArray) -> FloatArray:
+            return (seen_at(sources, rotate(sources.enu, -rotation)).beam - sources.beam)[np.newaxis]
+
+        self._tilt(scene, x, change, changes)
+        return np.asarray(0.5 * changes.sum(axis=(2, 3)))
+
+    @staticmethod
+    def _tilt(
+        scene: Scene, x: FloatArray, columns: Callable[[Sources, FloatArray], FloatArray], out: ComplexArray
+    ) -> None:
+        """Integrate ``columns`` of the sources and of an antenna's rotation, (p, Nsrc), wherever an antenna is tilted.
+
+        ``out``, (Ntimes, Nbls, 2, p), receives them at the rows of tilted antennas, first or second.
+        """
+        rotations = DEGREE * x.reshape(-1, 2) @ TILTS.T
+        tilted = np.flatnonzero(rotations.any(axis=1))
+        if not len(tilted):
+            return
+        place = np.full(len(rotations), -1)
+        place[tilted] = np.arange(len(tilted))
+        of_row = place[row_antennas(scene)]
+        rows, side = np.nonzero(of_row >= 0)
+
+        def stacked(sources: Sources) -> FloatArray:
+            return np.concatenate([columns(sources, rotation) for rotation in rotations[tilted]])
+
+        for t in range(len(scene.times)):
+            integrals = replace(scene, times=scene.times[t : t + 1]).integrate(stacked)[0]
+            integrals = integrals.reshape(len(scene.groups), len(tilted), -1)
+            out[t, rows, side] = integrals[scene.member[rows], of_row[rows, side]]

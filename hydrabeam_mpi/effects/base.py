@@ -1,0 +1,215 @@
+"""What every effect must be able to do: its parameters, its change of the model, and the derivative of that change.
+
+The data are modelled as
+
+    d = C (A b + E) + n
+
+with A b the visibilities that the beam sees, E what an effect adds and C what it multiplies each visibility with; both
+are functions of the effect's real parameters x. Effects that add are summed, effects that multiply are multiplied.
+Everything that follows works on the calibrated data d/C - E with weights w|C|^2, in which the derivative of the model is
+dE/dx for the one kind and d ln C/dx (A b + E) for the other: the *columns* of the effect.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.scene import Experiment, Scene, Sources
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """The real parameters of an effect, the same on every rank.
+
+    Attributes
+    ----------
+    names : tuple of str
+        In words, such as "antenna 23 amplitude".
+    units : tuple of str
+        Such as "ns"; "" for pure numbers. Parameters are stored in these units.
+    scale : ndarray, (n_params,)
+        Natural sizes: the prior is x_p ~ N(0, (tau scale_p)^2) with tau found from the data.
+    element : ndarray of int, (n_params,)
+        The thing (antenna, baseline, source ...) that each parameter belongs to, numbered from 0. Elements may be at
+        fault one by one.
+    refined : ndarray of bool, (n_params,)
+        True for parameters with no derivative at x = 0, such as the position of a source without flux. They are left
+        out of the search and fitted once the effect is part of the model.
+    trials : int
+        Number of elements from which these were picked; the number of elements where there was no scan.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    scale: FloatArray
+    element: IntArray
+    refined: np.ndarray[Any, np.dtype[np.bool_]]
+    trials: int
+
+    @classmethod
+    def of(
+        cls,
+        names: Sequence[str],
+        units: Sequence[str] | str,
+        scale: FloatArray | float,
+        element: IntArray | Sequence[int] | None = None,
+        refined: Sequence[bool] | None = None,
+        trials: int | None = None,
+    ) -> Parameters:
+        """Fill in defaults: one unit and one scale for all; all parameters of one element; nothing refined later."""
+        n = len(names)
+        element = np.zeros(n, dtype=int) if element is None else np.asarray(element, dtype=int)
+        return cls(
+            tuple(names),
+            (units,) * n if isinstance(units, str) else tuple(units),
+            np.broadcast_to(np.asarray(scale, dtype=float), n).copy(),
+            element,
+            np.zeros(n, dtype=bool) if refined is None else np.asarray(refined, dtype=bool),
+            trials if trials is not None else (int(element.max()) + 1 if n else 0),
+        )
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Derivatives of the model visibilities by an effect's parameters, for the rows of a scene.
+
+    Attributes
+    ----------
+    values : ndarray of complex, (Ntimes, Nrows, k)
+        The k derivatives of a row that are not zero. A row is a baseline, or with ``by_group`` a redundant group.
+    index : ndarray of int, broadcastable to (Ntimes, Nrows, k), optional
+        The parameters they belong to; one that occurs twice in a row counts with the sum. Without it k = n_params.
+    n_params : int
+    by_group : bool
+        Whether rows are the scene's groups (for effects that redundant baselines share) rather than its baselines.
+    """
+
+    values: ComplexArray
+    n_params: int
+    index: IntArray | None = None
+    by_group: bool = False
+
+    def matrix(self) -> Any:
+        """Return the columns as a matrix, (Ntimes x Nrows, n_params): sparse, or dense where there is no index."""
+        n_rows = self.values.shape[0] * self.values.shape[1]
+        if self.index is None:
+            return self.values.reshape(n_rows, self.n_params)
+        k = self.values.shape[2]
+        index = np.broadcast_to(self.index, self.values.shape).reshape(-1)
+        # A copy, as adding up duplicates sorts in place.
+        parts = (self.values.reshape(-1).copy(), index.copy(), np.arange(0, n_rows * k + 1, k))
+        matrix = csr_array(parts, (n_rows, self.n_params))
+        matrix.sum_duplicates()
+        return matrix
+
+    def apply(self, x: FloatArray) -> ComplexArray:
+        """Return the change of the model for a small ``x``, (Ntimes, Nrows)."""
+        return np.asarray(self.matrix() @ x).reshape(self.values.shape[:2])
+
+
+class Effect(ABC):
+    """Something that the instrument or the sky may do and that the model lacks.
+
+    An effect is a plain picklable object without data. It sees the data through a `Scene`: some rows of one channel. All
+    numbers that depend on ``x`` are for one channel's parameters, whether or not they are shared between channels.
+    """
+
+    kind: ClassVar[str]
+    """Name in job files and in ``loop.json``."""
+    title: ClassVar[str]
+    """Name in sentences."""
+    multiplies: ClassVar[bool] = False
+    """Whether the effect multiplies (C) rather than adds (E)."""
+    shared: ClassVar[bool] = False
+    """Whether all channels have the same parameters, through a law in frequency."""
+    local: ClassVar[Literal["times", "baselines"] | None] = None
+    """Whether the parameters belong to single times or baselines, so that other rows do not tell them."""
+
+    def refusal(self, experiment: Experiment) -> str | None:
+        """Say why these data cannot carry the effect, and which would; None where they can."""
+        return None
+
+    @abstractmethod
+    def parameters(self, experiment: Experiment) -> Parameters:
+        """Return the parameters."""
+
+    def undecidable(self, experiment: Experiment) -> FloatArray:
+        """Return combinations of all parameters that the data can never tell from another beam, (n, n_params).
+
+        They are held at zero where all of their parameters are free.
+        """
+        return np.zeros((0, len(self.parameters(experiment))))
+
+    def sky_columns(self, sources: Sources) -> FloatArray | None:
+        """Return what the effect needs integrated over the sky at one time, (K, Nsrc) real.
+
+        The scene then has ``scene.integrals[self.kind]``, (Ntimes, Ngroups, K) complex, with
+
+            1/2 sum_s I_s column_k(s) exp(2 pi i nu b_g.s / c)
+
+        for every group g. One pass over the sky serves all effects. The beam must be part of the columns.
+        """
+        return None
+
+    @abstractmethod
+    def columns(self, scene: Scene, x: FloatArray) -> Columns:
+        """Return dE/dx, or d ln C/dx (A b + E), at the parameters ``x``."""
+
+    def added(self, scene: Scene, x: FloatArray) -> ComplexArray:
+        """Return E at ``x``, (Ntimes, Nbls); zero for effects that multiply. Exact, not linearised."""
+        if self.multiplies:
+            return np.zeros(scene.shape, dtype=complex)
+        columns = self.columns(scene, x)
+        change = columns.apply(x)
+        return scene.spread(change) if columns.by_group else change
+
+    def factor(self, scene: Scene, x: FloatArray) -> ComplexArray:
+        """Return C at ``x``, (Ntimes, Nbls); one for effects that add."""
+        return np.ones(scene.shape, dtype=complex)
+
+    def draw(self, experiment: Experiment, rng: np.random.Generator, strength: float) -> FloatArray:
+        """Draw parameters to simulate with, of rms ``strength`` x scale, (n_params,)."""
+        parameters = self.parameters(experiment)
+        return strength * parameters.scale * rng.standard_normal(len(parameters))
+
+    def drawn(self, experiment: Experiment, rng: np.random.Generator) -> Effect:
+        """Return the effect to simulate: itself, or where there are candidates, one of them at random."""
+        return self
+
+    def describe(self) -> dict[str, Any]:
+        """Return what, besides its kind, makes this effect: keyword arguments of its class, JSON-able."""
+        return {}
+
+
+class ScannedEffect(Effect):
+    """An effect of which there are too many candidates to treat together: they are scanned one by one first."""
+
+    @abstractmethod
+    def n_hypotheses(self, experiment: Experiment) -> int:
+        """Return the number of candidates."""
+
+    @abstractmethod
+    def scan(self, scene: Scene) -> tuple[FloatArray, FloatArray]:
+        """Return Re sum w s* r and sum w |s|^2 of every candidate's columns s, each (n_hypotheses, p).
+
+        r is ``scene.residual``, w ``scene.weights``; sums over the scene's rows alone. The p columns of a candidate are
+        taken as orthogonal.
+        """
+
+    @abstractmethod
+    def at(self, experiment: Experiment, hypotheses: IntArray) -> Effect:
+        """Return the effect with these candidates as its elements, in this order."""
+
+    def drawn(self, experiment: Experiment, rng: np.random.Generator) -> Effect:
+        """Pick a candidate at random."""
+        return self.at(experiment, rng.integers(self.n_hypotheses(experiment), size=1))

@@ -1,0 +1,132 @@
+"""A basis that is too small: the beam has more structure than its functions can follow."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.effects.base import Columns, Effect, Parameters
+from hydrabeam_mpi.effects.displaced import need_real_beam
+from hydrabeam_mpi.effects.scene import Experiment, Scene, Sources
+from hydrabeam_mpi.model.fourier_bessel import FourierBessel
+from hydrabeam_mpi.model.zernike import Zernike
+
+MOST_MODES = 128
+_NEGLIGIBLE = 1e-9  # of the largest coefficient: rounding errors
+_MARGIN = 4  # orders beyond those of a basis that has all of its own; enough for as many modes again
+
+
+class BasisTruncation(Effect):
+    """The beam has modes that the basis lacks: the next ones, each channel its own.
+
+    They are real functions whatever the form of the basis. As redundant baselines share the beam, they share these.
+    The modes do not depend on the beam, so they are integrated where they are first needed, by `columns`, and kept with
+    the scene.
+    """
+
+    kind = "basis_truncation"
+    title = "a basis that is too small"
+
+    def refusal(self, experiment: Experiment) -> str | None:
+        """Refuse complex beams, and bases of which it is not known what comes next."""
+        if isinstance(experiment.basis, FourierBessel | Zernike):
+            return need_real_beam(experiment)
+        return "it is not known which functions come next; a Fourier-Bessel or Zernike basis would tell"
+
+    def parameters(self, experiment: Experiment) -> Parameters:
+        """Return the coefficients of the next modes, expected to be as large as the smallest that there are."""
+        modes = next_modes(experiment)
+        names = [f"coefficient of mode ({a}, {b})" for a, b in modes]
+        amplitudes = _amplitudes(experiment)
+        told = np.sort(amplitudes[amplitudes > _NEGLIGIBLE * amplitudes.max()])
+        return Parameters.of(names, "", float(np.median(told[: len(modes)])))
+
+    def columns(self, scene: Scene, x: FloatArray) -> Columns:
+        """Return the visibilities of the modes."""
+        if self.kind not in scene.integrals:
+            scene.integrals[self.kind] = scene.integrate(NextModes(scene.experiment))
+        values = scene.integrals[self.kind]
+        return Columns(values, values.shape[-1], by_group=True)
+
+    def amended_basis_settings(self, experiment: Experiment) -> dict[str, int]:
+        """Return the keys of the job's ``[basis]`` table that must be at least so large for a basis with more modes.
+
+        For a Fourier-Bessel basis the job then takes the largest modes of the model beam, so many as there are here.
+        """
+        modes = next_modes(experiment)
+        if isinstance(experiment.basis, Zernike):
+            return {"max_degree": modes[-1][0]}
+        assert isinstance(experiment.basis, FourierBessel)
+        every = [*experiment.basis.modes, *modes]
+        return {
+            "n_modes": len(every),
+            "k_max": max(k for k, _ in every),
+            "m_max": max(abs(m) for _, m in every),
+        }
+
+
+class NextModes:
+    """The next modes of an experiment's basis as columns on the sky."""
+
+    def __init__(self, experiment: Experiment) -> None:
+        basis, modes = experiment.basis, next_modes(experiment)
+        if isinstance(basis, Zernike):
+            self._basis: Zernike | FourierBessel = Zernike(modes[-1][0], basis.edge)
+        else:
+            assert isinstance(basis, FourierBessel)
+            self._basis = basis.with_modes(modes, form="real")
+        self._n_modes = len(modes)
+
+    def __call__(self, sources: Sources) -> FloatArray:
+        """Evaluate them, (n_modes, Nsrc)."""
+        return self._basis.columns(sources.za, sources.az)[-self._n_modes :]
+
+
+def next_modes(experiment: Experiment) -> list[tuple[int, int]]:
+    """Return the modes that a basis would have next: at most 128, and not more than it has.
+
+    Returns
+    -------
+    list of (int, int)
+        (k, m) of Fourier-Bessel functions in real form, or (n, m) of whole degrees of Zernike polynomials, one or more.
+    """
+    basis = experiment.basis
+    most = min(MOST_MODES, basis.n_modes)
+    if isinstance(basis, Zernike):
+        degree = basis.degree + 1
+        while sum(n + 1 for n in range(basis.degree + 1, degree + 2)) <= most:
+            degree += 1
+        return [(n, m) for n in range(basis.degree + 1, degree + 1) for m in range(-n, n + 1, 2)]
+    assert isinstance(basis, FourierBessel)
+    return _next_fourier_bessel(basis, _amplitudes(experiment), most)
+
+
+def _next_fourier_bessel(basis: FourierBessel, amplitudes: FloatArray, most: int) -> list[tuple[int, int]]:
+    """Return the modes that are expected to be largest by those of the basis that are near.
+
+    A mode is expected to be as large as any other reduced by a factor e for each step in k and in |m|, and by e^3 more
+    where one |m| is even and the other odd, as most feeds look alike when turned by half a turn. Of the modes that a
+    selection by amplitude has left out of dipole and dish beams, this finds more than do smooth fits or order alone.
+    """
+    present = set(basis.modes)
+    logs = np.log(np.maximum(amplitudes, _NEGLIGIBLE * amplitudes.max()))
+    k, m = np.array(basis.modes).T
+    expected = np.full((k.max() + _MARGIN, abs(m).max() + 1 + _MARGIN), -np.inf)
+    np.maximum.at(expected, (k - 1, abs(m)), logs)
+    steps_k, steps_m = (abs(np.subtract.outer(np.arange(n), np.arange(n))) for n in expected.shape)
+    steps_m += 3 * (steps_m % 2)
+    expected = (expected - steps_k[:, :, np.newaxis]).max(axis=1)
+    expected = (expected[:, np.newaxis] - steps_m).max(axis=2)
+    chosen: list[tuple[int, int]] = []
+    for place in np.argsort(-expected, axis=None, kind="stable").tolist():
+        row, order = divmod(place, expected.shape[1])
+        pair = [mode for mode in dict.fromkeys([(row + 1, order), (row + 1, -order)]) if mode not in present]
+        if len(chosen) + len(pair) <= most:
+            chosen += pair
+    return chosen
+
+
+def _amplitudes(experiment: Experiment) -> FloatArray:
+    """Return how large the model beam's coefficients are over all channels, root mean square, (n_modes,)."""
+    amplitudes = [experiment.basis.amplitudes(coeffs) for coeffs in experiment.prior_mean]
+    return np.sqrt(np.mean(np.square(amplitudes), axis=0))

@@ -1,0 +1,43 @@
+"""What the current beam sees on vectors that are not those of a scene's groups."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.scene import Experiment, Scene
+from hydrabeam_mpi.model.rime import Beam
+
+
+def beam_visibilities(scene: Scene, vectors: FloatArray) -> ComplexArray:
+    """Integrate the current beam over the sky, once for a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        Keeps the result for as long as it has the same beam and times.
+    vectors : ndarray, (N, 3)
+        Baseline vectors, metres ENU; zero for autocorrelations.
+
+    Returns
+    -------
+    ndarray of complex, (Ntimes, N)
+        Jy.
+    """
+    kept: dict[bytes, tuple[Beam, IntArray, ComplexArray]] = vars(scene).setdefault("_beam_visibilities", {})
+    key = vectors.tobytes()
+    if key in kept:
+        beam, times, values = kept[key]
+        if beam is scene.beam and times is scene.times:
+            return values
+    integrals = scene.integrate(lambda sources: sources.beam[np.newaxis], vectors)
+    # Without times `integrals` has lost its axes.
+    values = integrals.reshape(len(scene.times), len(vectors)).astype(complex)
+    kept[key] = scene.beam, scene.times, values
+    return values
+
+
+def is_copolar(experiment: Experiment) -> bool:
+    """Tell whether the data are products of equal feeds, of which the model also has autocorrelations."""
+    pol = experiment.observation.pols[0]
+    return pol[0] == pol[1]

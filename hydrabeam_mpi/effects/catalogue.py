@@ -1,0 +1,61 @@
+"""All effects by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from hydrabeam_mpi.effects.antenna_delays import AntennaDelays
+from hydrabeam_mpi.effects.antenna_gains import AntennaGains
+from hydrabeam_mpi.effects.antenna_pointing import AntennaPointing
+from hydrabeam_mpi.effects.antenna_positions import AntennaPositions
+from hydrabeam_mpi.effects.auto_coupling import AutoCoupling
+from hydrabeam_mpi.effects.base import Effect
+from hydrabeam_mpi.effects.basis_truncation import BasisTruncation
+from hydrabeam_mpi.effects.cable_reflections import CableReflections
+from hydrabeam_mpi.effects.catalogue_flux import CatalogueFlux
+from hydrabeam_mpi.effects.cross_coupling import CrossCoupling
+from hydrabeam_mpi.effects.diffuse import Diffuse
+from hydrabeam_mpi.effects.horizon import Horizon
+from hydrabeam_mpi.effects.ionosphere import Ionosphere
+from hydrabeam_mpi.effects.missing_sources import MissingSources
+from hydrabeam_mpi.effects.mutual_coupling import MutualCoupling
+from hydrabeam_mpi.effects.noise_level import NoiseLevel
+from hydrabeam_mpi.effects.nonredundant_beams import NonredundantBeams
+from hydrabeam_mpi.effects.outliers import Outliers
+from hydrabeam_mpi.effects.reweighting import Reweighting
+from hydrabeam_mpi.effects.timestamp import Timestamp
+
+EFFECTS: Mapping[str, type[Effect]] = {
+    effect.kind: effect
+    for effect in (
+        AntennaGains,
+        AntennaDelays,
+        CableReflections,
+        CrossCoupling,
+        AutoCoupling,
+        MutualCoupling,
+        MissingSources,
+        CatalogueFlux,
+        Diffuse,
+        AntennaPositions,
+        Timestamp,
+        AntennaPointing,
+        NonredundantBeams,
+        BasisTruncation,
+        Ionosphere,
+        Horizon,
+    )
+}
+"""Effects that change what the data are expected to be."""
+
+REWEIGHTINGS: Mapping[str, type[Reweighting]] = {change.kind: change for change in (NoiseLevel, Outliers)}
+"""Changes of how much the data weigh."""
+
+SEPARATE = ("leakage",)
+"""Effects that are seen in other rows than those of the job's polarisation."""
+
+
+def make_effect(kind: str, settings: Mapping[str, Any]) -> Effect:
+    """Restore an effect from its kind and what its `describe` returned."""
+    return EFFECTS[kind](**settings)

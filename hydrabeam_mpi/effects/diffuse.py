@@ -1,0 +1,171 @@
+"""Diffuse emission on large scales: a sky T(s) = sum_lm a_lm Y_lm(s) with real spherical harmonics.
+
+It adds 1/2 int dOmega T(s) B(s) exp(2 pi i nu b.s/c), the integral over the visible hemisphere. The hemisphere with its
+beam and fringes stays what it is while the sky turns, and a turned harmonic is a combination of those of its degree:
+so the integrals over harmonics of the horizontal frame are made once, by a quadrature that converges exponentially up
+to the horizon, and every time takes its own combinations of them.
+"""
+
+from __future__ import annotations
+
+from math import factorial
+from typing import Any
+
+import numpy as np
+from scipy.special import lpmv
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.base import Columns, Effect, Parameters
+from hydrabeam_mpi.effects.point_sources import follow
+from hydrabeam_mpi.effects.scene import Experiment, GivenColumns, Scene
+from hydrabeam_mpi.model.engine import make_engine
+from hydrabeam_mpi.model.fringes import C_M_PER_S
+from hydrabeam_mpi.model.positions import enu
+from hydrabeam_mpi.model.sky import Sky
+
+MAX_LENGTH = 100.0  # wavelengths
+BEAM_NODES, BEAM_ORDERS = 60, 110  # what a beam's own structure adds to the quadrature in cos za and az
+POINTS_AT_ONCE = 16384
+
+
+class Diffuse(Effect):
+    """Spherical harmonics up to a low degree, in the frame of the sources; each channel its own coefficients.
+
+    Baselines of a few wavelengths see such scales directly, longer ones through the sidelobes of their beam and its
+    edge at the horizon, ever less; those beyond 100 wavelengths are taken to see nothing. All degrees up to ``l_max``
+    are kept: the prior keeps those down that an array hardly sees. The Y_lm are orthonormal; m < 0 goes with
+    sin(|m| ra), m > 0 with cos(m ra). Aberration, 20 arcseconds, is left out.
+
+    Parameters
+    ----------
+    l_max : int
+        Highest degree.
+    """
+
+    kind = "diffuse"
+    title = "diffuse emission"
+
+    def __init__(self, l_max: int = 6) -> None:
+        self.l_max = l_max
+
+    def describe(self) -> dict[str, Any]:
+        """Return the highest degree."""
+        return {"l_max": self.l_max}
+
+    def refusal(self, experiment: Experiment) -> str | None:
+        """Refuse where every baseline is too long."""
+        shortest = np.linalg.norm(experiment.redundant.vectors, axis=1).min(initial=np.inf)
+        wavelength = C_M_PER_S / float(experiment.observation.freqs.min())
+        if shortest <= MAX_LENGTH * wavelength:
+            return None
+        return (
+            f"no baseline is shorter than {MAX_LENGTH:g} wavelengths, which see no large scales; "
+            f"baselines below {MAX_LENGTH * wavelength:.0f} m would"
+        )
+
+    def parameters(self, experiment: Experiment) -> Parameters:
+        """Return the coefficients a_lm."""
+        names = [f"harmonic l={l} m={m}" for l, m in _degrees(self.l_max)]
+        return Parameters.of(names, "Jy/sr", 1e4)
+
+    def columns(self, scene: Scene, x: FloatArray) -> Columns:
+        """Return the visibilities of every harmonic."""
+        n = (self.l_max + 1) ** 2
+        values = np.zeros((len(scene.times), len(scene.groups), n), dtype=complex)
+        short = np.flatnonzero(_wavenumber(scene) * np.linalg.norm(scene.vectors, axis=1) <= 2 * np.pi * MAX_LENGTH)
+        if len(short) and len(scene.times):
+            horizontal = self._horizontal(scene, short)
+            for t, turn in enumerate(self._turns(scene)):
+                values[t, short] = horizontal @ turn.T
+        return Columns(values, n, by_group=True)
+
+    def _horizontal(self, scene: Scene, groups: IntArray) -> ComplexArray:
+        """Return the visibilities of harmonics of (90 deg - za, az), (len(groups), n)."""
+        vectors = scene.vectors[groups]
+        largest = _wavenumber(scene) * float(np.linalg.norm(vectors, axis=1).max())
+        # A fringe of largest phase k b has azimuthal orders up to about k b, and degrees as high on a sphere of which
+        # this is half.
+        nodes, weights = np.polynomial.legendre.leggauss(int(0.35 * largest) + BEAM_NODES)
+        up, weights = (nodes + 1) / 2, weights / 2
+        n_az = int(largest) + BEAM_ORDERS
+        az = np.linspace(0, 2 * np.pi, n_az, endpoint=False)
+        engine = make_engine(scene.engine_kind, vectors)
+        out = np.zeros((2, len(groups), (self.l_max + 1) ** 2))
+        n_rings = max(POINTS_AT_ONCE // n_az, 1)
+        for lo in range(0, len(up), n_rings):
+            ring = slice(lo, lo + n_rings)
+            columns = harmonics(self.l_max, up[ring, np.newaxis], az).reshape(out.shape[2], -1)
+            za_all, az_all = np.repeat(np.arccos(up[ring]), n_az), np.tile(az, len(up[ring]))
+            columns *= np.asarray(scene.beam(za_all, az_all)).real
+            area = np.repeat(weights[ring] * 2 * np.pi / n_az, n_az)[np.newaxis]
+            out += engine.design(GivenColumns(columns), za_all, az_all, area, np.array([scene.freq]))[0]
+        return np.asarray(out[0] + 1j * out[1])
+
+    def _turns(self, scene: Scene) -> FloatArray:
+        """Return equatorial harmonics as combinations of horizontal ones, (Ntimes, n, n).
+
+        By projection over the sphere, with points and weights that are exact for products of two harmonics.
+        """
+        nodes, weights = np.polynomial.legendre.leggauss(self.l_max + 1)
+        n_az = 2 * self.l_max + 3
+        az = np.tile(2 * np.pi * np.arange(n_az) / n_az, len(nodes))
+        z = np.repeat(nodes, n_az)
+        points = enu(np.arccos(z), az)
+        projection = harmonics(self.l_max, z, az) * np.repeat(weights, n_az) * (2 * np.pi / n_az)
+        turned = np.einsum("tij,ip->tjp", _frames(scene), points)
+        equatorial = harmonics(self.l_max, turned[:, 2].clip(-1, 1), np.arctan2(turned[:, 1], turned[:, 0]))
+        return np.einsum("atp,bp->tab", equatorial, projection)
+
+
+def harmonics(l_max: int, z: FloatArray, azimuth: FloatArray) -> FloatArray:
+    """Evaluate real orthonormal spherical harmonics, without the Condon-Shortley phase.
+
+    Parameters
+    ----------
+    l_max : int
+    z : ndarray
+        Cosine of the polar angle.
+    azimuth : ndarray
+        Radians; broadcast with ``z``.
+
+    Returns
+    -------
+    ndarray, ((l_max + 1)^2, ...)
+        By l, then m = -l .. l.
+    """
+    out = np.empty(((l_max + 1) ** 2, *np.broadcast_shapes(z.shape, azimuth.shape)))
+    for row, (l, m) in enumerate(_degrees(l_max)):
+        order = abs(m)
+        squared = (2 * l + 1) / (4 * np.pi) * factorial(l - order) / factorial(l + order)
+        factor = (-1) ** order * np.sqrt(squared * (2 if m else 1))
+        trigonometric = np.sin(order * azimuth) if m < 0 else np.cos(order * azimuth)
+        np.multiply(factor * lpmv(order, l, z), trigonometric, out=out[row])
+    return out
+
+
+def _degrees(l_max: int) -> list[tuple[int, int]]:
+    return [(l, m) for l in range(l_max + 1) for m in range(-l, l + 1)]
+
+
+def _wavenumber(scene: Scene) -> float:
+    return 2 * np.pi * scene.freq / C_M_PER_S
+
+
+def _frames(scene: Scene) -> FloatArray:
+    """Return the rotations from equatorial to horizontal vectors (ENU), (Ntimes, 3, 3).
+
+    The best fit to where the scene's rule puts directions all over the sky.
+    """
+    n = 60
+    z = 1 - (2 * np.arange(n) + 1) / n
+    ra = np.arange(n) * np.pi * (3 - np.sqrt(5)) % (2 * np.pi)
+    sky = Sky(ra, np.arcsin(z), np.ones((1, n)))
+    vectors = enu(np.arccos(z), ra)
+    positions = follow(scene, sky)
+    frames = np.empty((len(scene.times), 3, 3))
+    for t, itime in enumerate(scene.times.tolist()):
+        index, za, az = positions.above_horizon(itime)
+        left, _, right = np.linalg.svd(enu(za, az) @ vectors[:, index].T)
+        left[:, 2] *= np.linalg.det(left @ right)
+        frames[t] = left @ right
+    return frames

@@ -1,0 +1,96 @@
+"""Polarisation leakage: each feed of an antenna picks up some of what the other one should, e_i + d^e_i n_i.
+
+It is seen in cross-polarised visibilities. To first order, of a sky that is not polarised,
+
+    V_en,ij = d^e_i V_nn,ij + conj(d^n_j) V_ee,ij.
+
+The regressors are the measured co-polarised visibilities of the same baseline and time. They need no beam of the other
+feed, hold for any sky, and their own leakage is of second order. Their noise makes the D-terms too small by the ratio
+of noise to power in them (``attenuation``), which is little where co-polarised data can tell a beam. Where V_ee and
+V_nn are nearly proportional, a common d^e_i + c with d^n_j - c* is hardly decided, and the prior keeps it small.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import ComplexArray, IntArray
+from hydrabeam_mpi.effects.base import Columns, Parameters
+from hydrabeam_mpi.effects.scene import Experiment
+
+FEEDS = (("e", "n"), ("x", "y"), ("r", "l"))
+
+
+class LeakageCheck:
+    """D-terms of all antennas and both feeds, constant in time, each channel its own.
+
+    Not an `Effect`, as its rows are of other polarisations than those from which the beam is inferred.
+    """
+
+    kind: ClassVar[str] = "leakage"
+    title: ClassVar[str] = "polarisation leakage"
+
+    def refusal(self, experiment: Experiment) -> str | None:
+        """Say what polarisations the files lack; None where they have what it takes."""
+        if self.feeds(experiment) is not None:
+            return None
+        return (
+            "leakage is seen in cross-polarised visibilities, with both co-polarised ones beside them (ee, nn and en); "
+            f"the files have {', '.join(experiment.file_pols)}"
+        )
+
+    def feeds(self, experiment: Experiment) -> tuple[str, str] | None:
+        """Return the names of the two feeds."""
+        have = set(experiment.file_pols)
+        for one, other in FEEDS:
+            if {2 * one, 2 * other} <= have and have & {one + other, other + one}:
+                return one, other
+        return None
+
+    def cross_pols(self, experiment: Experiment) -> tuple[str, ...]:
+        """Return the cross-polarisations that the files have."""
+        feeds = self.feeds(experiment)
+        return tuple(pol for pol in experiment.file_pols if feeds and set(pol) == set(feeds))
+
+    def parameters(self, experiment: Experiment) -> Parameters:
+        """Return real and imaginary part of every antenna's D-terms, those of the first feed first."""
+        feeds = self.feeds(experiment)
+        assert feeds is not None
+        antennas = experiment.observation.antenna_numbers[experiment.antennas_in_use]
+        names = [
+            f"antenna {number} feed {feed} leakage, {part} part"
+            for number in antennas
+            for feed in feeds
+            for part in ("real", "imaginary")
+        ]
+        return Parameters.of(names, "", 1.0, np.arange(len(names)) // 2)
+
+    def columns(self, experiment: Experiment, pol: str, bls: IntArray, copols: Mapping[str, ComplexArray]) -> Columns:
+        """Return the derivatives of cross-polarised visibilities by the D-terms.
+
+        Parameters
+        ----------
+        experiment : Experiment
+        pol : str
+            Such as "en".
+        bls : ndarray of int, (Nbls,)
+            Indices into the observation's baselines.
+        copols : mapping of str to ndarray of complex, (Ntimes, Nbls)
+            Measured visibilities such as of "ee" and "nn", Jy, in the sense of the observation's antpairs.
+        """
+        feeds = self.feeds(experiment)
+        assert feeds is not None
+        index = experiment.antenna_index[bls]
+        stored = np.where(experiment.redundant.flipped[bls, np.newaxis], index[:, ::-1], index)
+        first, second = np.searchsorted(experiment.antennas_in_use, stored).T
+        mine, theirs = (4 * ant + 2 * feeds.index(feed) for ant, feed in zip((first, second), pol, strict=True))
+        by_first, by_second = copols[2 * pol[1]], copols[2 * pol[0]]
+        values = np.stack([by_first, 1j * by_first, by_second, -1j * by_second], axis=-1)
+        return Columns(
+            values,
+            4 * len(experiment.antennas_in_use),
+            np.stack([mine, mine + 1, theirs, theirs + 1], axis=-1),
+        )

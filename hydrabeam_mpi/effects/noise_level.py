@@ -1,0 +1,187 @@
+"""The noise is not as large as its weights say: sigma_jk -> s sqrt(s_j s_k) sigma_jk, global and by antenna.
+
+With Q the sum of |z|^2 over the rows of a baseline and n the number of rows,
+
+    ln L = -sum (n eta + Q exp(-eta)),    eta_jk = 2 ln s + ln s_j + ln s_k,
+
+which is concave, so that Newton's method finds the maximum and Laplace's the evidence. Whatever the model lacks makes
+residuals larger too; what tells noise is that it is white, and residuals that are not are refused.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse import csr_array
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.effects.reweighting import Reweighting, ReweightingFit, fitted_counts
+from hydrabeam_mpi.effects.scene import Experiment, Scene
+from hydrabeam_mpi.effects.whiteness import Structure, structure_of, whiteness_sums
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.random import complex_normal
+
+# Widths of the prior on logarithms of scales among which the evidence decides.
+WIDTHS: FloatArray = np.geomspace(0.003, 3.0, 13)
+# By how much the log evidence must rise before every antenna gets a scale of its own.
+MIN_GAIN = 5.0
+
+
+@dataclass(frozen=True)
+class _Solution:
+    """Maximum of one channel's posterior of (ln s, ln s_j ...): parameters, covariance, log Bayes factor, 2 ln L."""
+
+    x: FloatArray
+    covariance: FloatArray
+    log_bayes_factor: float
+    chi2_drop: float
+
+
+class NoiseLevel(Reweighting):
+    """Scales of the noise: one of all data, and one of each antenna where the evidence wants it.
+
+    The parameters of a channel are s, or s followed by s_j of all antennas in use, the mean of ln s_j being zero.
+    """
+
+    kind = "noise_level"
+    title = "noise level"
+
+    def n_sums(self, experiment: Experiment) -> int:
+        """Return 5 Nbls + 2 Ntimes + 2; see `whiteness_sums`."""
+        return 5 * experiment.observation.Nbls + 2 * experiment.observation.Ntimes + 2
+
+    def sums(self, scene: Scene, z: ComplexArray) -> FloatArray:
+        """Return numbers of rows and powers by baseline and by time, and what tells whether they are white."""
+        return whiteness_sums(scene, z)
+
+    def fit(self, experiment: Experiment, sums: FloatArray, effective_parameters: FloatArray) -> ReweightingFit:
+        """Weigh one scale, then a scale of each antenna; see `Reweighting.fit`."""
+        n_bls = experiment.observation.Nbls
+        power = sums[:, n_bls : 2 * n_bls]
+        expected = np.array([fitted_counts(*pair) for pair in zip(sums[:, :n_bls], effective_parameters, strict=True)])
+        single, width = _best(experiment, expected, power, None)
+        by_antenna, _ = _best(experiment, expected, power, width)
+        gain = sum(one.log_bayes_factor for one in by_antenna) - sum(one.log_bayes_factor for one in single)
+        solutions = by_antenna if gain > MIN_GAIN else single
+        scales = np.exp([one.x for one in solutions])
+        std = scales * np.sqrt([np.diag(one.covariance) for one in solutions])
+        evidence = float(sum(one.log_bayes_factor for one in solutions))
+        reason = self._reason(experiment, sums, expected, scales)
+        antennas = experiment.observation.antenna_numbers[experiment.antennas_in_use]
+        names = ("noise scale", *(f"antenna {number} noise scale" for number in antennas))[: scales.shape[1]]
+        return ReweightingFit(
+            log_bayes_factor=min(evidence, 0.0) if reason else evidence,
+            x=scales,
+            std=std,
+            names=names,
+            units=("",) * len(names),
+            chi2_drop=float(sum(one.chi2_drop for one in solutions)),
+            n_parameters=scales.size,
+            reason=reason,
+        )
+
+    def _reason(self, experiment: Experiment, sums: FloatArray, expected: FloatArray, scales: FloatArray) -> str | None:
+        """Say why residuals are not noise, in the channel where that is plainest; None where they may be."""
+        worst: Structure | None = None
+        for channel, x in enumerate(scales):
+            variance = _variance(experiment, x)
+            found = structure_of(experiment, sums[channel], expected[channel], variance)
+            if found and (worst is None or found.share > worst.share):
+                worst = found
+        return None if worst is None else f"the residuals {worst.what}, as noise does not"
+
+    def weight_factor(self, scene: Scene, x: FloatArray) -> FloatArray:
+        """Return 1 / (s^2 s_j s_k)."""
+        return np.broadcast_to(1 / _variance(scene.experiment, x)[scene.bls], scene.shape)
+
+    def draw(self, experiment: Experiment, rng: np.random.Generator, strength: float) -> FloatArray:
+        """Draw one scale, larger than one by ``strength`` rms."""
+        return np.array([1 + strength * abs(rng.standard_normal())])
+
+    def inject(self, data: ComplexArray, scene: Scene, x: FloatArray, rng: np.random.Generator) -> ComplexArray:
+        """Add noise of variance (s^2 s_j s_k - 1) sigma^2.
+
+        Raises
+        ------
+        InputError
+            If that is negative: noise cannot be taken away.
+        """
+        more = _variance(scene.experiment, x)[scene.bls] - 1
+        if np.any(more < -1e-12):
+            raise InputError("noise cannot be taken away", field=self.kind, remedy="give scales of 1 or more")
+        used = scene.weights > 0
+        variance = np.where(used, np.maximum(more, 0.0) / np.where(used, scene.weights, 1.0), 0.0)
+        return data + np.sqrt(variance) * complex_normal(rng, scene.shape)
+
+
+def _variance(experiment: Experiment, x: FloatArray) -> FloatArray:
+    """Return s^2 s_j s_k of every baseline, (Nbls,)."""
+    if len(x) == 1:
+        return np.full(experiment.observation.Nbls, x[0] ** 2)
+    first, second = np.searchsorted(experiment.antennas_in_use, experiment.antenna_index).T
+    return np.asarray(x[0] ** 2 * x[1:][first] * x[1:][second])
+
+
+def _design(experiment: Experiment, antennas: bool) -> csr_array:
+    """Return the matrix from (ln s, ln s_j ...) to eta, (Nbls, 1) or (Nbls, 1 + Nants)."""
+    n_bls, n_ants = experiment.observation.Nbls, len(experiment.antennas_in_use)
+    if not antennas:
+        return csr_array(np.full((n_bls, 1), 2.0))
+    ends = 1 + np.searchsorted(experiment.antennas_in_use, experiment.antenna_index)
+    index = np.concatenate([np.zeros((n_bls, 1), dtype=int), ends], axis=1)
+    values = np.tile([2.0, 1.0, 1.0], n_bls)
+    return csr_array((values, index.reshape(-1), np.arange(0, 3 * n_bls + 1, 3)), (n_bls, 1 + n_ants))
+
+
+def _best(
+    experiment: Experiment, expected: FloatArray, power: FloatArray, width: float | None
+) -> tuple[list[_Solution], float]:
+    """Return every channel's solution at the prior width that all channels together prefer, and that width.
+
+    Of the one scale where ``width`` is None; of the scales of antennas otherwise, that of the one scale being given.
+    """
+    design = _design(experiment, antennas=width is not None)
+    best: tuple[float, list[_Solution], float] | None = None
+    for trial in WIDTHS.tolist():
+        prior = np.full(design.shape[1], trial)
+        prior[0] = trial if width is None else width
+        solutions = [_solve(design, *pair, prior) for pair in zip(expected, power, strict=True)]
+        evidence = sum(one.log_bayes_factor for one in solutions)
+        if best is None or evidence > best[0]:
+            best = evidence, solutions, trial
+    assert best is not None
+    return best[1], best[2]
+
+
+def _solve(design: csr_array, expected: FloatArray, power: FloatArray, width: FloatArray) -> _Solution:
+    """Maximise the posterior of one channel and take the evidence around the maximum."""
+    x = np.zeros(len(width))
+    if not power.any() or not expected.any():
+        return _Solution(x, np.diag(width**2), 0.0, 0.0)
+    x[0] = 0.5 * np.log(power.sum() / expected.sum())
+
+    def loss(at: FloatArray) -> float:
+        eta = design @ at
+        return float(expected @ eta + power @ np.expm1(-eta) + 0.5 * np.sum((at / width) ** 2))
+
+    for _ in range(100):
+        scaled = power * np.exp(-(design @ x))
+        curvature = (design.T @ (design * scaled[:, np.newaxis])).toarray() + np.diag(width**-2)
+        factor = cho_factor(curvature)
+        step = cho_solve(factor, design.T @ (scaled - expected) - x / width**2)
+        length, here = 1.0, loss(x)
+        while loss(x + length * step) > here and length > 1e-6:
+            length *= 0.5
+        x = x + length * step
+        if np.abs(step).max() < 1e-9:
+            break
+    log_det = 2 * float(np.log(np.diag(factor[0]) * width).sum())
+    likelihood = 0.5 * float(np.sum((x / width) ** 2)) - loss(x)
+    centre = np.eye(len(x))
+    if len(x) > 1:
+        centre[0, 1:] = 1 / (len(x) - 1)
+        centre[1:, 1:] -= 1 / (len(x) - 1)
+    covariance = centre @ cho_solve(factor, centre.T)
+    return _Solution(centre @ x, covariance, -loss(x) - 0.5 * log_det, 2 * likelihood)

@@ -1,0 +1,96 @@
+"""Antennas whose beams differ in shape."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.effects.base import Columns, Effect, Parameters
+from hydrabeam_mpi.effects.displaced import need_real_beam
+from hydrabeam_mpi.effects.per_antenna import antenna_parameters, common_values, row_parameters
+from hydrabeam_mpi.effects.scene import Experiment, Scene, Sources
+
+MODES = (
+    "width East-West",
+    "width North-South",
+    "width North-East minus South-East",
+    "sidelobes",
+    "sidelobes East minus West",
+    "sidelobes North minus South",
+)
+
+
+class NonredundantBeams(Effect):
+    """Each antenna's power beam differs from the common one in a few low modes, each channel its own.
+
+    The power beam of a baseline is the product of its antennas' voltage beams, so for small differences
+
+        E_ij = 1/2 sum_n (c_i + c_j)_n D_n
+
+    with D_n the visibilities of mode n. The modes come from the current beam itself, whatever its basis:
+
+    - three widths: fractional stretches of the disc of radius sqrt(1 - cos za), along East-West, along North-South,
+      and along one diagonal at the expense of the other. They do what a reflector's size, its astigmatism and
+      a turned feed do;
+    - three sidelobe levels: B (1 - B) times 1, e and n (the direction cosines). Where the peak is one they vanish at
+      the zenith as the square and the cube of the distance, so they are no gain and no pointing. They do what
+      illumination, blockage and a feed off its axis (coma) do.
+
+    A change by a constant is a gain, and a gradient of the beam is a pointing error: those are other effects. What all
+    antennas have in common is a beam of another shape, which the beam's own freedom takes up.
+    """
+
+    kind = "nonredundant_beams"
+    title = "beams that differ between antennas"
+
+    def refusal(self, experiment: Experiment) -> str | None:
+        """Refuse complex beams."""
+        return need_real_beam(experiment)
+
+    def parameters(self, experiment: Experiment) -> Parameters:
+        """Return the modes' amplitudes for every antenna: relative changes of width and of sidelobe level."""
+        return antenna_parameters(experiment, MODES, "", 0.05)
+
+    def sky_columns(self, sources: Sources) -> FloatArray:
+        """Return the modes, (6, Nsrc)."""
+        return np.concatenate([stretches(sources), sidelobes(sources)])
+
+    def undecidable(self, experiment: Experiment) -> FloatArray:
+        """Return the shape that all antennas have in common."""
+        return common_values(len(experiment.antennas_in_use), len(MODES))
+
+    def columns(self, scene: Scene, x: FloatArray) -> Columns:
+        """Return half the modes' visibilities, for a row's first and second antenna."""
+        values = scene.spread(0.5 * np.tile(scene.integrals[self.kind], 2))
+        n_params = len(MODES) * len(scene.experiment.antennas_in_use)
+        return Columns(values, n_params, row_parameters(scene, len(MODES)))
+
+
+def stretches(sources: Sources) -> FloatArray:
+    """Return how the beam changes as it is stretched in the plane, (3, Nsrc) per unit of relative stretch.
+
+    The plane has radius sqrt(1 - cos za), on which the Fourier-Bessel functions live; there a stretch by 1 + c along x
+    looks up the beam at x - c x, y. The rows are for East-West, for North-South, and for both diagonals, the one
+    towards North-East by c and the other by -c.
+    """
+    cos_az, sin_az = np.cos(sources.az), np.sin(sources.az)
+    down = np.stack([np.cos(sources.za) * cos_az, np.cos(sources.za) * sin_az, -np.sin(sources.za)])
+    around = np.stack([-sin_az, cos_az, np.zeros_like(cos_az)])
+    # By relative radius and by azimuth: d za = 2 tan(za/2) d ln(radius).
+    by_radius = 2 * np.tan(0.5 * sources.za) * (sources.slope * down).sum(axis=0)
+    by_azimuth = np.sin(sources.za) * (sources.slope * around).sum(axis=0)
+    shear = cos_az * sin_az
+    return np.stack(
+        [
+            -(cos_az**2) * by_radius + shear * by_azimuth,
+            -(sin_az**2) * by_radius - shear * by_azimuth,
+            -2 * shear * by_radius - (cos_az**2 - sin_az**2) * by_azimuth,
+        ]
+    )
+
+
+def sidelobes(sources: Sources) -> FloatArray:
+    """Return B (1 - B) and its products with the direction cosines towards East and North, (3, Nsrc)."""
+    level = sources.beam * (1 - sources.beam)
+    east, north, _ = sources.enu
+    return np.stack([level, level * east, level * north])

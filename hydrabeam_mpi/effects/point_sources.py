@@ -1,0 +1,147 @@
+"""What effects of single point sources share: their visibilities, maps of the residual, and which to tell apart."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import map_coordinates, spline_filter
+from scipy.sparse import csr_array
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.scene import Experiment, Scene
+from hydrabeam_mpi.model.fringes import C_M_PER_S, Fringes
+from hydrabeam_mpi.model.positions import SourcePositions, enu
+from hydrabeam_mpi.model.rime import Beam
+from hydrabeam_mpi.model.sky import Sky, separation
+
+CHUNK = 1024  # directions whose fringes are in cache together
+HALF_WIDTH = 64  # samples of the beam from the zenith to the horizon, where a map does with an interpolated one
+
+
+def resolution(experiment: Experiment) -> float:
+    """Return the finest fringe's spacing, c / (nu_max b_max), radians; at most a hemisphere."""
+    longest = float(np.linalg.norm(experiment.redundant.vectors, axis=1).max(initial=0.0))
+    return min(C_M_PER_S / (float(experiment.observation.freqs.max()) * max(longest, 1e-3)), np.pi)
+
+
+def keep_apart(ra: FloatArray, dec: FloatArray, distance: float, at_most: int) -> IntArray:
+    """Choose directions, the first ones first, that are farther than ``distance`` radians from those chosen before."""
+    chosen: list[int] = []
+    left = np.arange(len(ra))
+    while len(left) and len(chosen) < at_most:
+        best = int(left[0])
+        chosen.append(best)
+        left = left[separation(ra[left], dec[left], ra[best], dec[best]) > distance]
+    return np.array(chosen, dtype=int)
+
+
+def in_degrees(ra: FloatArray, dec: FloatArray) -> tuple[tuple[float, float], ...]:
+    """Return directions as they are told and stored, pairs (ra, dec) in degrees."""
+    return tuple(zip(np.rad2deg(ra).tolist(), np.rad2deg(dec).tolist(), strict=True))
+
+
+def in_radians(sources: Sequence[tuple[float, float]]) -> tuple[FloatArray, FloatArray]:
+    """Return right ascensions and declinations of pairs in degrees, (N,) each."""
+    ra, dec = np.deg2rad(np.reshape(np.asarray(sources, dtype=float), (-1, 2))).T
+    return ra, dec
+
+
+def place(ra: float, dec: float) -> str:
+    """Tell a direction, in degrees."""
+    return f"ra={ra:.3f} dec={dec:.3f}"
+
+
+def follow(scene: Scene, sky: Sky) -> SourcePositions:
+    """Follow other sources by the rule of the scene's."""
+    rule: Any = type(scene.positions)
+    return rule(sky, scene.experiment.observation)
+
+
+def responses(scene: Scene, ra: FloatArray, dec: FloatArray) -> ComplexArray:
+    """Return the visibilities of sources of 1 Jy, (Ntimes, Ngroups, N); zero while below the horizon.
+
+    For few sources: all their fringes are held.
+    """
+    out = np.zeros((len(scene.times), len(scene.groups), len(ra)), dtype=complex)
+    if not len(ra):
+        return out
+    positions = follow(scene, Sky(ra, dec, np.ones((1, len(ra)))))
+    wavevectors = 2 * np.pi * scene.freq / C_M_PER_S * scene.vectors
+    for t, itime in enumerate(scene.times.tolist()):
+        index, za, az = positions.above_horizon(itime)
+        beam = np.asarray(scene.beam(za, az)).real
+        out[t][:, index] = 0.5 * beam * np.exp(1j * (wavevectors @ enu(za, az)))
+    return out
+
+
+def dirty_map(scene: Scene, sky: Sky) -> tuple[FloatArray, FloatArray]:
+    """Correlate the residual with every source of a sky by itself.
+
+    Redundant baselines are summed first, and the beam is interpolated between samples. Nothing larger than the sky and
+    the fringes of a few of its sources is held.
+
+    Parameters
+    ----------
+    scene : Scene
+    sky : Sky
+        Sources at the experiment's channels; many.
+
+    Returns
+    -------
+    projection, power : ndarray, (Nsrc,)
+        Re sum w s* r and sum w |s|^2 over the scene's rows, s being a source's visibilities.
+    """
+    projection, power = np.zeros(sky.Nsrc), np.zeros(sky.Nsrc)
+    n_bls = len(scene.bls)
+    members = csr_array((np.ones(n_bls), (scene.member, np.arange(n_bls))), (len(scene.groups), n_bls))
+    summed = (members @ (scene.weights * scene.residual).T).T
+    weights = scene.weights.sum(axis=1)
+    if not weights.any():
+        return projection, power
+    fringes, beam, positions = Fringes(scene.vectors), _sampled(scene.beam), follow(scene, sky)
+    for t in np.flatnonzero(weights).tolist():
+        index, za, az = positions.above_horizon(int(scene.times[t]))
+        directions = enu(za, az)
+        strength = 0.5 * sky.flux[scene.channel, index] * beam(directions)
+        projection[index] += strength * _adjoint(fringes, summed[t], directions, scene.freq)
+        power[index] += weights[t] * strength**2
+    return projection, power
+
+
+def _adjoint(fringes: Fringes, visibilities: ComplexArray, directions: FloatArray, freq: float) -> FloatArray:
+    """Return Re sum_g exp(-2 pi i nu b_g.s / c) V_g at every direction, (N,)."""
+    n_vectors, n_directions = len(fringes.vectors), directions.shape[1]
+    parts = np.concatenate([visibilities.real, visibilities.imag])
+    out = np.empty(n_directions)
+    space = np.empty(2 * n_vectors * CHUNK)
+    ones = np.ones(CHUNK)
+    for lo in range(0, n_directions, CHUNK):
+        hi = min(lo + CHUNK, n_directions)
+        rows = space[: 2 * n_vectors * (hi - lo)].reshape(2 * n_vectors, hi - lo)
+        fringes.fill(rows.reshape(2, n_vectors, hi - lo), directions[:, lo:hi], ones[: hi - lo], freq)
+        out[lo:hi] = parts @ rows
+    return out
+
+
+def _sampled(beam: Beam) -> Callable[[FloatArray], FloatArray]:
+    """Return the beam as a function of unit vectors (3, N), interpolated by cubic splines between samples.
+
+    The samples lie on Lambert's equal-area plane around the zenith, whose unit circle is the horizon: smooth there and
+    at the zenith, and reached from unit vectors without trigonometry.
+    """
+    margin = 4  # the spline's reach beyond the horizon
+    axis = np.arange(-HALF_WIDTH - margin, HALF_WIDTH + margin + 1) / HALF_WIDTH
+    east, north = np.meshgrid(axis, axis, indexing="ij")
+    za = 2 * np.arcsin(np.minimum(np.hypot(east, north), 1.0) / np.sqrt(2))
+    az = np.arctan2(north, east) % (2 * np.pi)
+    values = np.asarray(beam(za.ravel(), az.ravel())).real.reshape(za.shape)
+    coefficients = spline_filter(values, order=3)
+
+    def interpolate(directions: FloatArray) -> FloatArray:
+        onto = HALF_WIDTH / np.sqrt(1 + directions[2])
+        places = directions[:2] * onto + (HALF_WIDTH + margin)
+        return np.asarray(map_coordinates(coefficients, places, order=3, prefilter=False))
+
+    return interpolate

@@ -1,0 +1,40 @@
+"""Times that are off: the data were taken a little later, or earlier, than they say."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.effects.base import Columns, Parameters
+from hydrabeam_mpi.effects.displaced import TurningSky
+from hydrabeam_mpi.effects.scene import EARTH_RATE, Experiment, Scene
+
+
+class Timestamp(TurningSky):
+    """All data were taken by one number of seconds later than their timestamps.
+
+    The sky is turned about the celestial pole by the Earth's rate times the offset. Sources keep to the model when that
+    takes them below the horizon, and none rise (see `effects.displaced`): a rim of 15 arcsec per second.
+    """
+
+    kind = "timestamp"
+    title = "timestamp offset"
+
+    def parameters(self, experiment: Experiment) -> Parameters:
+        """Return the one offset."""
+        return Parameters.of(["time by which data are later than their timestamps"], "s", 1.0)
+
+    def rotations(self, scene: Scene, x: FloatArray) -> FloatArray:
+        """Return the same rotation for every time."""
+        return np.tile(x[0] * self._per_second(scene), (len(scene.times), 1))
+
+    def columns(self, scene: Scene, x: FloatArray) -> Columns:
+        """Return what turning on about the pole does; the axis does not depend on ``x``."""
+        values = self.rates(scene, x) @ self._per_second(scene)
+        return Columns(values[..., np.newaxis], 1, by_group=True)
+
+    @staticmethod
+    def _per_second(scene: Scene) -> FloatArray:
+        """Return the rotation vector of one second: about the celestial pole, opposite to the Earth."""
+        latitude = float(scene.experiment.observation.location.lat.rad)
+        return -EARTH_RATE * np.array([0.0, np.cos(latitude), np.sin(latitude)])

@@ -1,0 +1,258 @@
+"""Which effect the residual comes from: every effect's evidence with the beam and all that is free marginalised."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.base import Effect, ScannedEffect
+from hydrabeam_mpi.effects.scene import Scene
+from hydrabeam_mpi.loop.equations import JointSums, Part, SceneSums
+from hydrabeam_mpi.loop.evidence import Evidence, Likelihood, find_evidence
+from hydrabeam_mpi.loop.refit import Space, current
+from hydrabeam_mpi.loop.state import State
+from hydrabeam_mpi.mpi import allreduce_sum, bcast_object, together
+from hydrabeam_mpi.rows import Rows
+
+MAX_ELEMENTS = 700
+"""Elements of a scanned effect that are weighed together, the best of the scan."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """An effect and what the data say of it.
+
+    Attributes
+    ----------
+    effect : Effect
+        With its candidates picked, where it is scanned.
+    evidence : Evidence
+    """
+
+    effect: Effect
+    evidence: Evidence
+
+    @property
+    def kind(self) -> str:
+        """The effect's name."""
+        return self.effect.kind
+
+
+def attribute(space: Space, state: State, effects: Sequence[Effect]) -> list[Finding]:
+    """Weigh effects that are not part of the model, best first.
+
+    Collective: all ranks of the grid.
+
+    Parameters
+    ----------
+    space : Space
+    state : State
+        Fitted.
+    effects : list of Effect
+        Those that these data can carry.
+    """
+    with together(space.grid.world):
+        rows, added = space.train.calibrated(state)
+    picked = _pick(space, state, effects, rows, added)
+    picked = [effect for effect in picked if _has_more(space, state, effect)]
+    likelihoods: list[tuple[int, list[Likelihood]]] = []
+    for channel, number in enumerate(space.channels):
+        sums = _candidate_sums(space, state, picked, channel, rows, added)
+        if space.grid.is_group_root:
+            found = [sums.candidate(i, state.posteriors[channel]) for i in range(len(picked))]
+            likelihoods.append((number, found))
+    gathered = space.grid.world.gather(likelihoods)
+    findings = None
+    with together(space.grid.world):
+        if gathered is not None:
+            by_channel = dict(pair for part in gathered for pair in part)
+            ordered = [by_channel[number] for number in sorted(by_channel)]
+            findings = [
+                Finding(effect, _weigh(space, state, effect, [found[i] for found in ordered]))
+                for i, effect in enumerate(picked)
+            ]
+            findings.sort(key=lambda finding: -finding.evidence.log_bayes_factor)
+    result: list[Finding] = bcast_object(space.grid.world, findings)
+    return result
+
+
+def _taken(state: State, effect: Effect) -> IntArray:
+    """Return the parameters of an effect that are part of the model already."""
+    same = [one.used for one in state.active if one.kind == effect.kind and not isinstance(effect, ScannedEffect)]
+    return np.concatenate([np.zeros(0, dtype=int), *same])
+
+
+def _has_more(space: Space, state: State, effect: Effect) -> bool:
+    """Whether an effect has parameters that are not part of the model yet."""
+    return len(_taken(state, effect)) < len(effect.parameters(space.experiment))
+
+
+def _weigh(space: Space, state: State, effect: Effect, by_channel: list[Likelihood]) -> Evidence:
+    """Weigh one effect over all channels, with the active effects marginalised and without what is part of them."""
+    parameters = effect.parameters(space.experiment)
+    scale = parameters.scale.copy()
+    scale[_taken(state, effect)] = 0.0
+    blocks = _without_active(state, effect, by_channel) if state.active else by_channel
+    if effect.shared:
+        blocks = [sum(blocks[1:], start=blocks[0])] if len(blocks) > 1 else blocks
+    return find_evidence(blocks, replace(parameters, scale=scale), effect.undecidable(space.experiment))
+
+
+def _without_active(state: State, effect: Effect, by_channel: list[Likelihood]) -> list[Likelihood]:
+    """Marginalise the active effects, whose likelihood comes first, with their priors.
+
+    Those with parameters for each channel are marginalised in each. Those that channels share are, too, for an effect that
+    is each channel's own, where every channel counts its part of their prior; else after the sum over channels.
+    """
+    sizes = [len(one.used) for one in state.active]
+    shared = np.repeat([one.effect.shared for one in state.active], sizes)
+    x, n_freqs = current(state), len(by_channel)
+    part = np.where(shared, 1 / n_freqs, 1.0)
+    precision = part / state.prior_var
+    blocks = []
+    for likelihood, values in zip(by_channel, x, strict=True):
+        pull = np.concatenate([-precision * values, np.zeros(len(likelihood.score) - len(values))])
+        one = Likelihood(likelihood.information, likelihood.score + pull, likelihood.signal)
+        blocks.append(_marginalised(one, np.flatnonzero(~shared), precision[~shared]))
+    n_shared = int(shared.sum())
+    if effect.shared:
+        total = sum(blocks[1:], start=blocks[0])
+        return [_marginalised(total, np.arange(n_shared), n_freqs * precision[shared])]
+    return [_marginalised(block, np.arange(n_shared), precision[shared]) for block in blocks]
+
+
+def _marginalised(likelihood: Likelihood, which: IntArray, precision: FloatArray) -> Likelihood:
+    """Marginalise some parameters with a Gaussian prior of this precision, about where they are."""
+    if not len(which):
+        return likelihood
+    rest = np.delete(np.arange(len(likelihood.score)), which)
+    # In units of the prior's width, in which the matrix is never singular.
+    width = 1 / np.sqrt(precision)
+    corner = width[:, np.newaxis] * likelihood.information[np.ix_(which, which)] * width + np.eye(len(which))
+    across = width[:, np.newaxis] * likelihood.information[np.ix_(which, rest)]
+    solved = np.linalg.solve(corner, np.column_stack([across, width * likelihood.score[which]]))
+    information = likelihood.information[np.ix_(rest, rest)] - across.T @ solved[:, :-1]
+    score = likelihood.score[rest] - across.T @ solved[:, -1]
+    return Likelihood(0.5 * (information + information.T), score, likelihood.signal[np.ix_(rest, rest)])
+
+
+def reconsider(space: Space, state: State) -> Evidence:
+    """Weigh the last of the active effects again, linearised where it has been fitted.
+
+    Collective: all ranks of the grid. What the linear model expects of it is replaced by what the fit has gained, which
+    is `log_joint` beyond that of a state without it; see `Evidence.linear_gain`.
+    """
+    *others, last = state.active
+    with together(space.grid.world):
+        rows, added = space.train.calibrated(state)
+    rest = replace(state, active=others)
+    found = []
+    for channel, number in enumerate(space.channels):
+        sums = _candidate_sums(space, rest, [last.effect], channel, rows, added, last.x[number])
+        if space.grid.is_group_root:
+            one = sums.candidate(0, state.posteriors[channel])
+            n = len(rest.prior_var)
+            score = one.score + one.information[:, n:] @ last.x[number]
+            found.append((number, Likelihood(one.information, score, one.signal)))
+    gathered = space.grid.world.gather(found)
+    evidence = None
+    with together(space.grid.world):
+        if gathered is not None:
+            by_channel = dict(pair for part in gathered for pair in part)
+            ordered = [by_channel[number] for number in sorted(by_channel)]
+            evidence = _weigh(space, rest, last.effect, ordered)
+    result: Evidence = bcast_object(space.grid.world, evidence)
+    return result
+
+
+def _candidate_sums(
+    space: Space,
+    state: State,
+    picked: Sequence[Effect],
+    channel: int,
+    rows: Rows,
+    added: ComplexArray,
+    at: FloatArray | None = None,
+) -> JointSums:
+    """Sum one channel's columns of the active effects and of every candidate over the group.
+
+    Candidates are linearised at zero; a single one where ``at`` says.
+    """
+    basis, number = space.problem.basis, space.channels[channel]
+    zeros = [np.zeros(len(effect.parameters(space.experiment))) for effect in picked]
+    if at is not None:
+        zeros = [at]
+    total = JointSums.zeros(len(state.prior_var), [len(x) for x in zeros], basis.n_modes, basis.is_complex)
+    with together(space.grid.world):
+        for _, scene, design in space.train.scenes(channel, state, added[channel], rows):
+            active = _active_parts(scene, design, state, number, picked, total)
+            for i, (effect, x) in enumerate(zip(picked, zeros, strict=True)):
+                sums = active.sums
+                total.add(sums, active.parts, i, sums.part(effect.columns(scene, x)))
+    total.reduce(space.grid.group)
+    return total
+
+
+@dataclass(frozen=True)
+class _ActiveParts:
+    sums: SceneSums
+    parts: list[Part]
+
+
+def _active_parts(
+    scene: Scene, design: np.ndarray, state: State, number: int, picked: Sequence[Effect], total: JointSums
+) -> _ActiveParts:
+    """Make and add the active effects' columns; integrate the sky once for them and for all candidates."""
+    sums = SceneSums(scene, design)
+    scene.integrate_for([one.effect for one in state.active])
+    parts = [sums.part(one.effect.columns(scene, one.x[number]), one.used) for one in state.active]
+    total.add(sums, parts, None, None)
+    scene.integrals = {}
+    scene.integrate_for(list(picked))
+    return _ActiveParts(sums, parts)
+
+
+def _pick(space: Space, state: State, effects: Sequence[Effect], rows: Rows, added: ComplexArray) -> list[Effect]:
+    """Scan where there are too many candidates, and keep the best of them."""
+    scanned = [effect for effect in effects if isinstance(effect, ScannedEffect)]
+    scores = [_scan(space, state, effect, rows, added) for effect in scanned]
+    best = {
+        id(effect): effect.at(space.experiment, np.argsort(-score, kind="stable")[:MAX_ELEMENTS])
+        for effect, score in zip(scanned, scores, strict=True)
+    }
+    return [best.get(id(effect), effect) for effect in effects]
+
+
+def _scan(space: Space, state: State, effect: ScannedEffect, rows: Rows, added: ComplexArray) -> FloatArray:
+    """Return by how much each candidate alone would lower chi^2 with the beam as it is, (n_hypotheses,)."""
+    sums: list[FloatArray] = []
+    with together(space.grid.world):
+        for channel in range(len(space.channels)):
+            parts = [
+                np.stack(effect.scan(scene)) for _, scene, _ in space.train.scenes(channel, state, added[channel], rows)
+            ]
+            sums.append(np.sum(parts, axis=0))
+    shape = max(space.grid.world.allgather(np.shape(sums)))  # ranks without rows do not know it
+    found = np.array(sums) if np.shape(sums) == shape else np.zeros((len(sums), *shape[1:]))
+    allreduce_sum(space.grid.group, found)
+    if effect.shared:
+        if not space.grid.is_group_root:
+            found[:] = 0.0
+        total = np.ascontiguousarray(found.sum(axis=0))
+        allreduce_sum(space.grid.world, total)
+        return _chi2_drop(total)
+    drop = np.sum([_chi2_drop(one) for one in found], axis=0)
+    if not space.grid.is_group_root:
+        drop[:] = 0.0
+    allreduce_sum(space.grid.world, drop)
+    return np.asarray(drop)
+
+
+def _chi2_drop(sums: FloatArray) -> FloatArray:
+    """Return 2 (Re sum w s* r)^2 / sum w |s|^2, summed over a candidate's columns."""
+    score, power = sums
+    told = power > 0
+    return np.asarray(np.sum(np.where(told, 2 * score**2 / np.where(told, power, 1.0), 0.0), axis=-1))

@@ -1,0 +1,116 @@
+"""`hydrabeam loop`: infer, trace the residual to effects, add them, and write all of it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from hydrabeam_mpi.config import Job
+from hydrabeam_mpi.effects.base import Effect
+from hydrabeam_mpi.effects.catalogue import EFFECTS, REWEIGHTINGS, SEPARATE
+from hydrabeam_mpi.effects.reweighting import Reweighting
+from hydrabeam_mpi.effects.scene import Experiment
+from hydrabeam_mpi.inference import Clock, describe_channels
+from hydrabeam_mpi.io.provenance import provenance
+from hydrabeam_mpi.io.staging import writing
+from hydrabeam_mpi.loop.amendment import amended_job
+from hydrabeam_mpi.loop.joint import channel_results, find_experiment, read_space, restore
+from hydrabeam_mpi.loop.record import make_record
+from hydrabeam_mpi.loop.rounds import run_rounds
+from hydrabeam_mpi.mpi import (
+    Comm,
+    ProcessGrid,
+    bcast_object,
+    library_version,
+    peak_rss_mb,
+    together,
+)
+from hydrabeam_mpi.progress import say
+from hydrabeam_mpi.run import gather_records, input_files, load, prepare_shared, staged, write_result
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Which effects are looked for.
+
+    Attributes
+    ----------
+    effects : list of Effect
+    changes : list of Reweighting
+    skipped : list of (str, str)
+        Kinds that these data cannot carry, or that the job does not want, with the reason.
+    """
+
+    effects: list[Effect]
+    changes: list[Reweighting]
+    skipped: list[tuple[str, str]]
+
+
+def close_loop(world: Comm, job_path: Path, out: Path, overwrite: bool, threads: int) -> None:
+    """Trace the residual of a job and write the amended model into ``out``.
+
+    Collective: all ranks of `world`. Parameters and errors as of `hydrabeam_mpi.run.infer`.
+    """
+    job = load(world, job_path)
+    clock = Clock()
+    with staged(world, job_path, job, out, overwrite) as folder:
+        with clock.time("prepare"):
+            problem = prepare_shared(world, job, folder)
+            experiment = None
+            with together(world):
+                if world.rank == 0:
+                    experiment = find_experiment(problem)
+            experiment = bcast_object(world, experiment)
+        grid = ProcessGrid.split(world, problem.observation.Nfreqs)
+        space = read_space(grid, problem.of_channels(grid.channels), experiment, clock)
+        with together(world):
+            choice = choose(job, experiment)
+            state = restore(job, experiment)
+        course = run_rounds(space, state, choice.effects, choice.changes, clock)
+        with clock.time("describe"):
+            results = channel_results(space, course.last.state)
+            records = gather_records(grid, describe_channels(grid, space.problem, results))
+        record = make_record(space, course, choice.skipped)
+        memory = peak_rss_mb(world)
+        with together(world):
+            if world.rank == 0:
+                inputs = [path for path in input_files(job, problem) if path.parent != folder]
+                about = provenance(job, inputs, world.size, threads, library_version())
+                run = {"phases_s": clock.seconds, "peak_rss_mb": memory}
+                amended = amended_job(job, course.last.state, experiment)
+                with writing(folder):
+                    write_result(folder, job, problem, records, about, run)
+                    _write_loop(folder, {**record, "seconds": clock.seconds}, amended)
+    say(f"wrote {out}", world.rank == 0)
+
+
+def choose(job: Job, experiment: Experiment) -> Choice:
+    """Decide which effects to look for."""
+    wanted: Sequence[str] = job.loop.effects or (*EFFECTS, *REWEIGHTINGS, *SEPARATE)
+    present = {entry.kind for entry in job.effects}
+    choice = Choice([], [], [])
+    for kind in wanted:
+        if kind in job.loop.skip:
+            choice.skipped.append((kind, "the job says so ([loop] skip)"))
+        elif kind in EFFECTS:
+            effect = EFFECTS[kind]()
+            refusal = effect.refusal(experiment)
+            if refusal is None:
+                choice.effects.append(effect)
+            else:
+                choice.skipped.append((kind, refusal))
+        elif kind in REWEIGHTINGS and kind not in present:
+            choice.changes.append(REWEIGHTINGS[kind]())
+    return choice
+
+
+def _write_loop(folder: Path, record: dict[str, Any], amended: Job) -> None:
+    """Write what the loop found and the job that has it."""
+    (folder / "loop.json").write_text(json.dumps(record, indent=1, allow_nan=False) + "\n")
+    text = tomli_w.dumps(amended.model_dump(mode="json", exclude_none=True))
+    (folder / "amended.toml").write_text(text)

@@ -1,0 +1,238 @@
+"""Held-out rows under the posterior predictive of beams and effects, whitened, and whether they got better."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import issparse
+
+from hydrabeam_mpi.accumulate import predict
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.effects.scene import Scene
+from hydrabeam_mpi.loop.refit import Space, active_sums, current, place
+from hydrabeam_mpi.loop.state import State
+from hydrabeam_mpi.mpi import allreduce_sum, together
+
+LOCAL_STEPS = 4
+MAX_DENSE = 400
+"""With more parameters than this only their own variances count, not what they share nor the beam that follows."""
+
+
+@dataclass(frozen=True)
+class Whitened:
+    """A rank's held-out residuals over their predictive standard deviation.
+
+    Attributes
+    ----------
+    z : ndarray of complex, (Nlocal, Ntimes, Nbls)
+        Real and imaginary part each of variance one if the model is right; this rank group's channels.
+    used : ndarray of bool, same shape
+    share : ndarray, same shape
+        The model's share of the predictive variance, mean of the two parts.
+    n_shared : float
+        Twice the sum of that over all ranks: how many fitted parameters the predictions feel.
+    """
+
+    z: ComplexArray
+    used: NDArray[np.bool_]
+    share: FloatArray
+    n_shared: float = 0.0
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Sums of |z|^2 / 2 over blocks of held-out data, summed over ranks.
+
+    Attributes
+    ----------
+    times, groups : ndarray, (2, N)
+        Sum and number for each time and each redundant group.
+    """
+
+    times: FloatArray
+    groups: FloatArray
+
+    @property
+    def chi2(self) -> float:
+        """Reduced chi^2 of all."""
+        total, n = self.times.sum(axis=1)
+        return float(total / n) if n else float("nan")
+
+    @property
+    def n_data(self) -> int:
+        """Number of complex data."""
+        return round(float(self.times[1].sum()))
+
+
+def whiten(space: Space, state: State) -> Whitened:
+    """Predict the held-out rows. Collective: all ranks of the grid.
+
+    Parameters that belong to single times or baselines are not told by the fitted rows where those times or baselines
+    are held out. Then they are fitted on one half of the held-out rows and the other half is predicted, either way.
+    """
+    local = _untold(space, state)
+    if local is None:
+        return _with_total(space, _whiten(space, state))
+    folds = _fold(space, local)
+    result = None
+    for fold in (0, 1):
+        fitted = _fit_local(space, state, local, folds != fold)
+        part = _whiten(space, fitted)
+        if result is None:
+            result = part
+        chosen = np.broadcast_to(folds == fold, part.z.shape)
+        for name in ("z", "used", "share"):
+            getattr(result, name)[chosen] = getattr(part, name)[chosen]
+    assert result is not None
+    return _with_total(space, result)
+
+
+def _with_total(space: Space, whitened: Whitened) -> Whitened:
+    """Sum the model's share of the variance over ranks."""
+    mine = 2 * float(whitened.share[whitened.used].sum())
+    return replace(whitened, n_shared=float(sum(space.grid.world.allgather(mine))))
+
+
+def _untold(space: Space, state: State) -> str | None:
+    """Say which kind of held-out data active effects have parameters of their own for."""
+    by_baselines = space.problem.job.holdout.kind == "baselines"
+    kinds = {one.effect.local for one in state.active}
+    if by_baselines:
+        return "baselines" if "baselines" in kinds else None
+    return "times" if "times" in kinds else None
+
+
+def _fold(space: Space, local: str) -> NDArray[np.int64]:
+    """Return which half each held-out row belongs to, broadcastable to (Ntimes, Nbls)."""
+    if local == "times":
+        return (space.test.rows.groups[space.test.rows.member] % 2)[np.newaxis, :]
+    return (space.test.rows.tile.times % 2)[:, np.newaxis]
+
+
+def _fit_local(space: Space, state: State, local: str, kept: NDArray[np.bool_]) -> State:
+    """Fit the parameters that belong to held-out times or baselines, with all else as it is, on the rows ``kept``."""
+    state = replace(state, active=[replace(one) for one in state.active], covariances=list(state.covariances))
+    sizes = [len(one.used) for one in state.active]
+    mine = np.repeat([one.effect.local == local for one in state.active], sizes)
+    shared = np.repeat([one.effect.shared for one in state.active], sizes)
+    prior_var = state.prior_var
+    for _ in range(LOCAL_STEPS):
+        with together(space.grid.world):
+            rows, added = space.test.calibrated(state)
+        rows = replace(rows, inv_noise_var=rows.inv_noise_var * kept)
+        signals = np.zeros((state.active[0].x.shape[0], len(prior_var), len(prior_var)))
+        scores = np.zeros((len(signals), len(prior_var)))
+        for channel, number in enumerate(space.channels):
+            sums = active_sums(space, space.test, state, channel, rows, added).active
+            if space.grid.is_group_root:
+                signals[number], scores[number] = sums.signal, sums.score
+        allreduce_sum(space.grid.world, signals)
+        allreduce_sum(space.grid.world, scores)
+        x = current(state)
+        std = np.concatenate([one.std[:, one.used] for one in state.active], axis=1)
+        covariances = []
+        for f in range(len(x)):
+            own = mine & (np.diag(signals.sum(axis=0)) > 0)
+            signal = np.where(np.outer(shared, shared), signals.sum(axis=0), signals[f])[np.ix_(own, own)]
+            score = np.where(shared, scores.sum(axis=0), scores[f])[own] - x[f, own] / prior_var[own]
+            covariance = np.linalg.inv(signal + np.diag(1 / prior_var[own]))
+            x[f, own] += covariance @ score
+            covariances.append((own, covariance))
+        place(state, x, std)
+    for channel, number in enumerate(space.channels):
+        own, covariance = covariances[number]
+        state.covariances[channel] = state.covariances[channel].copy()
+        state.covariances[channel][own] = state.covariances[channel][:, own] = 0.0
+        state.covariances[channel][np.ix_(own, own)] = covariance
+    return state
+
+
+def _whiten(space: Space, state: State) -> Whitened:
+    """Whiten the rank's rows with the state's parameters."""
+    share = space.test
+    with together(space.grid.world):
+        rows, added = share.calibrated(state)
+        z, share_of_model = np.zeros_like(rows.data), np.zeros(rows.data.shape)
+        for channel in range(len(space.channels)):
+            for span, scene, design in share.scenes(channel, state, added[channel], rows):
+                variance = _variance(space, state, channel, scene, design)
+                used = scene.weights > 0
+                noise = 0.5 / np.where(used, scene.weights, 1.0)
+                parts = np.sqrt(noise + variance)
+                share_of_model[channel, span] = np.mean(variance / (noise + variance), axis=0)
+                z[channel, span] = np.where(
+                    used, scene.residual.real / parts[0] + 1j * scene.residual.imag / parts[1], 0.0
+                )
+    return Whitened(z, rows.inv_noise_var > 0, share_of_model)
+
+
+def _variance(space: Space, state: State, channel: int, scene: Scene, design: NDArray[Any]) -> FloatArray:
+    """Return the variance of the prediction's parts, (2, Ntimes, Nbls)."""
+    posterior = state.posteriors[channel]
+    by_group = np.array([predict(posterior, one)[1] for one in design])  # (Ntimes, 2, Ngroups)
+    variance = np.moveaxis(by_group, 1, 0)[:, :, scene.member]
+    if not state.active or not len(state.prior_var):
+        return variance
+    return variance + _effects_variance(space, state, channel, scene, design)
+
+
+def _effects_variance(space: Space, state: State, channel: int, scene: Scene, design: NDArray[Any]) -> FloatArray:
+    """Return the variance that uncertain effects add, (2, Ntimes, Nbls).
+
+    Where a parameter moves the beam follows; what is left is what the prediction feels.
+    """
+    number, covariance, follow = space.channels[channel], state.covariances[channel], state.follows[channel]
+    scene.integrate_for([one.effect for one in state.active])
+    n_times, n_bls = scene.shape
+    felt = np.zeros((n_times, n_bls, len(covariance)), dtype=complex)
+    start = 0
+    for one in state.active:
+        columns = one.effect.columns(scene, one.x[number])
+        matrix = columns.matrix()[:, one.used]
+        matrix = (matrix.toarray() if issparse(matrix) else matrix).reshape(n_times, -1, len(one.used))
+        felt[..., start : start + len(one.used)] = scene.spread(matrix) if columns.by_group else matrix
+        start += len(one.used)
+    if len(covariance) > MAX_DENSE:
+        widths = np.diag(covariance)
+        return np.stack([np.square(part) @ widths for part in (felt.real, felt.imag)])
+    followed = design @ follow
+    felt += scene.spread(followed if state.posteriors[channel].is_complex else followed[:, 0] + 1j * followed[:, 1])
+    # Of the form x^T C x with C = R R^T, so that it cannot be negative.
+    values, vectors = np.linalg.eigh(covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    return np.stack([np.sum((part @ root) ** 2, axis=-1) for part in (felt.real, felt.imag)])
+
+
+def blocks_of(space: Space, whitened: Whitened) -> Blocks:
+    """Sum |z|^2 / 2 by time and by redundant group. Collective: all ranks of the grid."""
+    observation, rows = space.experiment.observation, space.test.rows
+    power = np.where(whitened.used, 0.5 * np.abs(whitened.z) ** 2, 0.0).sum(axis=0)
+    count = whitened.used.sum(axis=0).astype(float)
+    times = np.zeros((2, observation.Ntimes))
+    groups = np.zeros((2, space.experiment.redundant.Ngroups))
+    for row, values in enumerate((power, count)):
+        np.add.at(times[row], rows.tile.times, values.sum(axis=1))
+        np.add.at(groups[row], rows.groups[rows.member], values.sum(axis=0))
+    allreduce_sum(space.grid.world, times)
+    allreduce_sum(space.grid.world, groups)
+    return Blocks(times, groups)
+
+
+def fall_significance(before: Blocks, after: Blocks) -> float:
+    """Return by how many standard errors chi^2 fell, over blocks of time or of redundant groups: the greater.
+
+    Each block's own fall is one draw of how much the change helps. What is wrong with few baselines helps few groups but
+    all times, what is wrong at few times all groups.
+    """
+    scores = []
+    for one, two in ((before.times, after.times), (before.groups, after.groups)):
+        has = (one[1] > 0) & (two[1] > 0)
+        if has.sum() < 4:
+            continue
+        fall = one[0, has] - two[0, has] * (one[1, has] / two[1, has])
+        spread = float(np.std(fall, ddof=1)) * np.sqrt(has.sum())
+        scores.append(float(fall.sum()) / spread if spread > 0 else 0.0)
+    return max(scores, default=0.0)

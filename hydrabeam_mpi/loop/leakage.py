@@ -1,0 +1,258 @@
+"""Whether cross-polarised visibilities show leakage between feeds: evidence, D-terms, and a check on held-out rows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.partition import Tile
+from hydrabeam_mpi.effects.leakage import LeakageCheck
+from hydrabeam_mpi.effects.scene import Experiment
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.loop.evidence import Evidence, Likelihood, find_evidence, solve
+from hydrabeam_mpi.loop.heldout import Blocks, fall_significance
+from hydrabeam_mpi.loop.sentences import say_parameter
+from hydrabeam_mpi.mpi import ProcessGrid, allreduce_sum, bcast_object, together
+from hydrabeam_mpi.problem import Problem
+from hydrabeam_mpi.rows import read_rows
+
+EXPLAINED = 0.5
+"""Part of the cross-polarised power beyond the noise that leakage must explain at least."""
+NAMED = 3
+
+
+@dataclass(frozen=True)
+class _Cross:
+    """Cross-polarised rows of one channel with their regressors, in the sense of the observation's antpairs.
+
+    Attributes
+    ----------
+    channel : int
+        Of all the job's channels.
+    pol : str
+    bls : ndarray of int, (Nbls,)
+        Indices into the observation's baselines.
+    data : ndarray of complex, (Ntimes, Nbls)
+    weights : ndarray, (Ntimes, Nbls)
+        Zero also where a co-polarised visibility is missing.
+    copols : dict of str to ndarray of complex, (Ntimes, Nbls)
+        Measured.
+    noise, power : float
+        Sums of the regressors' variance and of their power, both weighted.
+    """
+
+    channel: int
+    pol: str
+    bls: IntArray
+    data: ComplexArray
+    weights: FloatArray
+    copols: dict[str, ComplexArray]
+    noise: float
+    power: float
+
+
+@dataclass
+class _Sums:
+    """Normal equations of all channels, and scalars of each: number, sum w |d|^2, regressors' noise and power."""
+
+    information: FloatArray
+    score: FloatArray
+    scalars: FloatArray
+
+    @property
+    def blocks(self) -> list[Likelihood]:
+        """The likelihood of each channel's D-terms."""
+        pairs = zip(self.information, self.score, strict=True)
+        return [Likelihood(information, score, information) for information, score in pairs]
+
+
+def check_leakage(grid: ProcessGrid, problem: Problem, experiment: Experiment) -> dict[str, Any] | None:
+    """Look for leakage in the files' other polarisations. It changes nothing in the model of the co-polarised rows.
+
+    Collective: all ranks of `grid.world`.
+
+    Parameters
+    ----------
+    grid : ProcessGrid
+    problem : Problem
+        Of this group's channels.
+    experiment : Experiment
+        Of all channels.
+
+    Returns
+    -------
+    dict or None
+        None where there is no evidence of it. Where there is, an entry of the rounds. Otherwise ``effect`` and
+        ``reason``: why it cannot be looked for, or, with ``log_bayes_factor``, why it was not accepted.
+    """
+    check = LeakageCheck()
+    refusal = check.refusal(experiment)
+    if refusal is not None:
+        return {"effect": check.kind, "reason": refusal}
+    try:
+        with together(grid.world):
+            train, test = (
+                list(_read(check, grid, problem, experiment, rows)) for rows in (problem.train, problem.test)
+            )
+    except InputError as error:
+        return {"effect": check.kind, "reason": f"the other polarisations cannot be used: {error}"}
+    sums = _sum(grid, check, experiment, train)
+    evidence = None
+    with together(grid.world):
+        if grid.is_world_root:
+            evidence = find_evidence(sums.blocks, check.parameters(experiment))
+    evidence = bcast_object(grid.world, evidence)
+    settings = problem.job.loop
+    if evidence.log_bayes_factor < settings.min_log_bayes_factor:
+        return None
+    before, after = _heldout(grid, problem, experiment, test, evidence.x)
+    sigma = fall_significance(before, after) if before.n_data else 0.0
+    reason = _reason(before, after, sigma, settings.min_heldout_sigma)
+    if reason is not None:
+        return {"effect": check.kind, "log_bayes_factor": evidence.log_bayes_factor, "reason": reason}
+    return _entry(check, experiment, sums, evidence, (before.chi2, after.chi2, sigma))
+
+
+def _read(
+    check: LeakageCheck, grid: ProcessGrid, problem: Problem, experiment: Experiment, rows: Tile
+) -> Iterator[_Cross]:
+    """Read a rank's share of some rows in all polarisations.
+
+    Where the noise is estimated from differences, that of the job's polarisation stands for all.
+    """
+    feeds = check.feeds(experiment)
+    assert feeds is not None
+    tile = problem.tile_of(rows, grid.group.rank, grid.group.size)
+    as_stored = replace(problem.redundant, flipped=np.zeros_like(problem.redundant.flipped))
+    cross = check.cross_pols(experiment)
+    copols = tuple(2 * feed for feed in feeds)
+    parts = {}
+    for pol in (*copols, *cross):
+        observation = replace(problem.observation, pols=(pol,))
+        parts[pol] = read_rows(replace(problem, observation=observation, redundant=as_stored), tile)
+    for f, channel in enumerate(problem.channel_numbers.tolist()):
+        measured = {pol: parts[pol].data[f] for pol in copols}
+        known = [parts[pol].inv_noise_var[f] for pol in copols]
+        usable = (known[0] > 0) & (known[1] > 0)
+        variance = sum(np.where(usable, 1 / np.where(usable, weights, 1.0), 0.0) for weights in known)
+        power = sum(np.abs(vis) ** 2 for vis in measured.values())
+        for pol in cross:
+            weights = np.where(usable, parts[pol].inv_noise_var[f], 0.0)
+            sums = float(np.sum(weights * variance)), float(np.sum(weights * power))
+            yield _Cross(channel, pol, tile.bls, parts[pol].data[f], weights, measured, *sums)
+
+
+def _sum(grid: ProcessGrid, check: LeakageCheck, experiment: Experiment, rows: list[_Cross]) -> _Sums:
+    """Accumulate normal equations over rows, polarisations and ranks. Collective: all ranks of `grid.world`."""
+    n_freqs, n = experiment.observation.Nfreqs, len(check.parameters(experiment))
+    sums = _Sums(np.zeros((n_freqs, n, n)), np.zeros((n_freqs, n)), np.zeros((n_freqs, 4)))
+    with together(grid.world):
+        for part in rows:
+            matrix = check.columns(experiment, part.pol, part.bls, part.copols).matrix()
+            weights = part.weights.reshape(-1)
+            weighted = (matrix * weights[:, np.newaxis]).conj().T
+            sums.information[part.channel] += 2 * (weighted @ matrix).toarray().real
+            sums.score[part.channel] += 2 * (weighted @ part.data.reshape(-1)).real
+            power = float(np.sum(part.weights * np.abs(part.data) ** 2))
+            sums.scalars[part.channel] += np.count_nonzero(weights), power, part.noise, part.power
+    for array in (sums.information, sums.score, sums.scalars):
+        allreduce_sum(grid.world, array)
+    return sums
+
+
+def _heldout(
+    grid: ProcessGrid, problem: Problem, experiment: Experiment, rows: list[_Cross], x: FloatArray
+) -> tuple[Blocks, Blocks]:
+    """Sum w |r|^2 over held-out rows without and with leakage. Collective: all ranks of `grid.world`.
+
+    Blocks are times only: an antenna at fault concerns few redundant groups, but all times.
+    """
+    times = np.zeros((3, experiment.observation.Ntimes))
+    with together(grid.world):
+        tile = problem.tile_of(problem.test, grid.group.rank, grid.group.size)
+        for part in rows:
+            columns = LeakageCheck().columns(experiment, part.pol, part.bls, part.copols)
+            left = part.data - columns.apply(x[part.channel])
+            sums = part.weights * np.abs(part.data) ** 2, part.weights * np.abs(left) ** 2, part.weights > 0
+            for total, values in zip(times, sums, strict=True):
+                total[tile.times] += values.sum(axis=1)
+    allreduce_sum(grid.world, times)
+    before, after = (Blocks(times[[k, 2]], np.zeros((2, 0))) for k in (0, 1))
+    return before, after
+
+
+def _reason(before: Blocks, after: Blocks, sigma: float, min_sigma: float) -> str | None:
+    """Say why leakage is not accepted; None where it is."""
+    if not before.n_data:
+        return "no cross-polarised visibilities are held out that could confirm it"
+    change = f"held-out reduced chi^2 of the cross-polarisations {before.chi2:.4g} -> {after.chi2:.4g}"
+    if sigma < min_sigma:
+        return f"{change}, which is {sigma:.1f} sigma"
+    if after.chi2 - 1 > (1 - EXPLAINED) * (before.chi2 - 1):
+        return f"leakage explains too little of what they show: {change}"
+    return None
+
+
+def _entry(
+    check: LeakageCheck,
+    experiment: Experiment,
+    sums: _Sums,
+    evidence: Evidence,
+    heldout: tuple[float, float, float],
+) -> dict[str, Any]:
+    """Tell what was found, as an entry of the rounds."""
+    n_data, power, noise, regressors = sums.scalars.sum(axis=0).tolist()
+    told = _parameters(check, experiment, sums, evidence)
+    largest = sorted(told, key=lambda one: -abs(one["value"]) / one["std"])[:NAMED]
+    before, after, sigma = heldout
+    sentence = (
+        f"{check.title.capitalize()}: {'; '.join(map(say_parameter, largest))}; of {len(told)} in all "
+        f"(log Bayes factor {evidence.log_bayes_factor:,.0f}). It is seen in the cross-polarisations, whose held-out "
+        f"reduced chi^2 goes {before:.3g} -> {after:.3g}, and left out of the model of the co-polarised data."
+    )
+    return {
+        "effect": check.kind,
+        "title": check.title,
+        "sentence": sentence,
+        "parameters": told,
+        "log_bayes_factor": evidence.log_bayes_factor,
+        "absorbed_by_beam": 0.0,
+        "chi2_before": power / n_data,
+        "chi2_after": (power - 0.5 * evidence.chi2_drop) / n_data,
+        "heldout_before": before,
+        "heldout_after": after,
+        "heldout_sigma": sigma,
+        "runner_up": None,
+        "runner_up_log_bayes_factor": None,
+        "indistinguishable_from": [],
+        "beam_change_max": 0.0,
+        "n_parameters": evidence.n_parameters,
+        "effective_parameters": evidence.effective_parameters,
+        "chi2_drop": evidence.chi2_drop,
+        "rank": evidence.rank,
+        "prior_scale": float(np.sqrt(evidence.prior_var.max())),
+        "attenuation": noise / regressors,
+        "ranking": [],
+        "residual": None,
+    }
+
+
+def _parameters(check: LeakageCheck, experiment: Experiment, sums: _Sums, evidence: Evidence) -> list[dict[str, Any]]:
+    """Return the D-terms in use with their posterior standard deviations, channel by channel."""
+    names, used = check.parameters(experiment).names, np.flatnonzero(evidence.prior_var)
+    x, covariances = solve(sums.blocks, evidence.prior_var)
+    return [
+        {
+            "name": names[i],
+            "unit": "",
+            "value": float(x[f, i]),
+            "std": float(np.sqrt(covariances[f][i, i])),
+            "freq_hz": float(freq),
+        }
+        for f, freq in enumerate(experiment.observation.freqs)
+        for i in used
+    ]

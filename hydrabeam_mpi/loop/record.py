@@ -1,0 +1,159 @@
+"""What the loop found, as ``loop.json`` tells it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from hydrabeam_mpi.effects.scene import Experiment
+from hydrabeam_mpi.loop.refit import Space
+from hydrabeam_mpi.loop.remains import Remains, remains_of
+from hydrabeam_mpi.loop.rounds import Candidate, Checked, Course, Round, indistinguishable
+from hydrabeam_mpi.loop.sentences import say_round, say_verdict
+
+UNDECIDABLE = (
+    ("common flux scale", "all fluxes times a number are the same as the beam times that number"),
+    ("common gain amplitude", "all gains times a number are the same as the beam times its square"),
+    ("common pointing", "all antennas tilted alike are the same as another beam"),
+)
+
+
+def make_record(space: Space, course: Course, skipped: Sequence[tuple[str, str]]) -> dict[str, Any]:
+    """Put together ``loop.json``. Collective: all ranks of the grid.
+
+    Returns
+    -------
+    dict
+        JSON-able; the same on all ranks.
+    """
+    checks = [course.first, *(one.after for one in course.rounds)]
+    remains = [remains_of(space, checked.whitened) for checked in checks]
+    chi2 = [_train_chi2(space, checked) for checked in checks]
+    verdict = find_verdict(course, remains[-1])
+    rounds = [
+        _round(space.experiment, one, chi2[i : i + 2], remains[i], remains[i + 1])
+        for i, one in enumerate(course.rounds)
+    ]
+    return {
+        "name": space.problem.job.name,
+        "verdict": verdict,
+        "error_before": course.first.blocks.chi2,
+        "error_after": course.last.blocks.chi2,
+        "heldout_n": course.last.blocks.n_data,
+        "said": [*(one["sentence"] for one in rounds), say_verdict(verdict, course, remains[-1])],
+        "rounds": rounds,
+        "last_ranking": [_ranked(one) for one in course.ranking],
+        "tried": [
+            {"effect": one.kind, "log_bayes_factor": one.log_bayes_factor, "reason": reason}
+            for one, reason in course.tried
+        ],
+        "skipped": [{"effect": kind, "reason": reason} for kind, reason in skipped],
+        "undecidable": [{"what": what, "why": why} for what, why in UNDECIDABLE],
+        "where": remains[-1].where if verdict == "unexplained" else None,
+        "residual": remains[-1].statistics,
+        "structures": remains[-1].structures if verdict == "unexplained" else None,
+    }
+
+
+def find_verdict(course: Course, remains: Remains) -> str:
+    """Say whether anything significant is left, and whether anything was found."""
+    if not remains.consistent:
+        return "unexplained"
+    return "explained" if course.rounds else "consistent"
+
+
+def _train_chi2(space: Space, checked: Checked) -> float:
+    """Return the mean reduced chi^2 of the fitted rows over all channels. Collective: all ranks of the grid."""
+    mine = checked.state.train_chi2.tolist() if space.grid.is_group_root else []
+    return float(np.mean(np.concatenate(space.grid.world.allgather(mine))))
+
+
+def _round(experiment: Experiment, one: Round, chi2: list[float], before: Remains, after: Remains) -> dict[str, Any]:
+    """Tell one round."""
+    candidate = one.candidate
+    others = [other for other in one.ranking if other.kind != candidate.kind]
+    told = {
+        "effect": candidate.kind,
+        "title": candidate.title,
+        "parameters": parameters_of(experiment, one),
+        "log_bayes_factor": candidate.log_bayes_factor,
+        "absorbed_by_beam": candidate.finding.evidence.absorbed if candidate.finding else 0.0,
+        "chi2_before": chi2[0],
+        "chi2_after": chi2[1],
+        "heldout_before": one.before.blocks.chi2,
+        "heldout_after": one.after.blocks.chi2,
+        "heldout_sigma": one.sigma,
+        "runner_up": others[0].kind if others else None,
+        "runner_up_log_bayes_factor": others[0].log_bayes_factor if others else None,
+        "indistinguishable_from": indistinguishable(candidate, one.ranking),
+        "beam_change_max": one.beam_change,
+        "prior_scale": _prior_scale(one),
+        **_size(candidate),
+        "ranking": [_ranked(other) for other in one.ranking],
+        "residual": before.statistics,
+    }
+    return {"sentence": say_round(told), **told}
+
+
+def _size(candidate: Candidate) -> dict[str, Any]:
+    """Return how many parameters a candidate has."""
+    if candidate.finding is not None:
+        evidence = candidate.finding.evidence
+        return {
+            "n_parameters": evidence.n_parameters,
+            "effective_parameters": evidence.effective_parameters,
+            "chi2_drop": evidence.chi2_drop,
+            "rank": evidence.rank,
+        }
+    assert candidate.fit is not None
+    n = candidate.fit.n_parameters
+    return {
+        "n_parameters": n,
+        "effective_parameters": float(n),
+        "chi2_drop": candidate.fit.chi2_drop,
+        "rank": n,
+    }
+
+
+def _ranked(candidate: Candidate) -> dict[str, Any]:
+    """Return a candidate's line in the ranking."""
+    absorbed = candidate.finding.evidence.absorbed if candidate.finding else 0.0
+    line = {
+        "effect": candidate.kind,
+        "log_bayes_factor": candidate.log_bayes_factor,
+        "absorbed_by_beam": absorbed,
+        **_size(candidate),
+    }
+    if candidate.fit is not None and candidate.fit.reason:
+        line["reason"] = candidate.fit.reason
+    return line
+
+
+def _prior_scale(one: Round) -> float | None:
+    """Return the prior's width where it is one for all, in units of the effect's natural scale."""
+    if one.candidate.finding is None:
+        return None
+    widths = np.sqrt(one.candidate.finding.evidence.prior_var)
+    return float(widths.max()) if widths.size else None
+
+
+def parameters_of(experiment: Experiment, one: Round) -> list[dict[str, Any]]:
+    """Return the parameters in use with their posterior standard deviations, channel by channel where they differ."""
+    if one.candidate.change is not None:
+        assert one.candidate.fit is not None
+        fit, shared = one.candidate.fit, False
+        names, units, x, std = fit.names, fit.units, fit.x, fit.std
+    else:
+        active = one.after.state.active[-1]
+        parameters, used = active.effect.parameters(experiment), active.used
+        names = tuple(parameters.names[i] for i in used)
+        units = tuple(parameters.units[i] for i in used)
+        x, std, shared = active.x[:, used], active.std[:, used], active.effect.shared
+    freqs = [None] if shared else experiment.observation.freqs.tolist()
+    return [
+        {"name": name, "unit": unit, "value": float(x[f, i]), "std": float(std[f, i]), "freq_hz": freq}
+        for f, freq in enumerate(freqs)
+        for i, (name, unit) in enumerate(zip(names, units, strict=True))
+    ]

@@ -1,0 +1,243 @@
+"""The rounds: weigh all effects, try the best, keep it if held-out data agree, until nothing is left to find."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from hydrabeam_mpi.config.effects import Loop as LoopSettings
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.diagnose import evaluate_on_grid
+from hydrabeam_mpi.effects.base import Effect
+from hydrabeam_mpi.effects.reweighting import Reweighting, ReweightingFit
+from hydrabeam_mpi.inference import Clock
+from hydrabeam_mpi.loop.attribution import Finding, attribute, reconsider
+from hydrabeam_mpi.loop.heldout import Blocks, Whitened, blocks_of, fall_significance, whiten
+from hydrabeam_mpi.loop.refit import Space, refit
+from hydrabeam_mpi.loop.remains import Remains, remains_of
+from hydrabeam_mpi.loop.reweighting import fit_reweightings
+from hydrabeam_mpi.loop.state import Active, Reweighted, State
+from hydrabeam_mpi.progress import say
+
+MAX_TRIES = 4
+"""Effects that are fitted in one round at most."""
+NEAR = 0.3
+"""Effects with less than this part of the best one's evidence are not fitted."""
+UNDECIDED_NATS = 5.0
+"""Effects whose evidence is nearer than this to the best one's cannot be told from it."""
+
+
+@dataclass(frozen=True)
+class Checked:
+    """A fitted state and its held-out data."""
+
+    state: State
+    whitened: Whitened
+    blocks: Blocks
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Something to try: an effect or a change of weights."""
+
+    kind: str
+    title: str
+    log_bayes_factor: float
+    finding: Finding | None = None
+    change: Reweighting | None = None
+    fit: ReweightingFit | None = None
+
+
+@dataclass(frozen=True)
+class Round:
+    """An effect that was added, and what it changed."""
+
+    candidate: Candidate
+    ranking: tuple[Candidate, ...]
+    before: Checked
+    after: Checked
+    sigma: float
+    beam_change: float
+
+
+@dataclass
+class Course:
+    """How the loop went.
+
+    Attributes
+    ----------
+    first, last : Checked
+        Before the first and after the last round.
+    rounds : list of Round
+    tried : list of (Candidate, str)
+        What evidence wanted and held-out data refused, with the reason.
+    ranking : tuple of Candidate
+        Of the last search, in which nothing more was found.
+    """
+
+    first: Checked
+    last: Checked
+    rounds: list[Round] = field(default_factory=list)
+    tried: list[tuple[Candidate, str]] = field(default_factory=list)
+    ranking: tuple[Candidate, ...] = ()
+
+
+def run_rounds(
+    space: Space, state: State, effects: Sequence[Effect], changes: Sequence[Reweighting], clock: Clock
+) -> Course:
+    """Look for effects until there is none left that the data want.
+
+    Collective: all ranks of the grid.
+    """
+    settings = space.problem.job.loop
+    with clock.time("fit"):
+        checked = check(space, refit(space, state))
+    course = Course(checked, checked)
+    speaks = space.grid.is_world_root
+    for number in range(settings.max_rounds + 1):
+        say(f"round {number + 1}: held-out chi^2 {checked.blocks.chi2:.4g}; weighing effects", speaks)
+        with clock.time("attribution"):
+            ranking = rank(space, checked.state, effects, changes)
+        course.ranking = ranking
+        if number == settings.max_rounds:
+            break
+        with clock.time("trials"):
+            added = _try(space, checked, ranking, course)
+        if added is None:
+            break
+        course.rounds.append(added)
+        course.last = checked = added.after
+    return course
+
+
+def check(space: Space, state: State) -> Checked:
+    """Predict the held-out rows of a fitted state. Collective: all ranks of the grid."""
+    whitened = whiten(space, state)
+    return Checked(state, whitened, blocks_of(space, whitened))
+
+
+def rank(
+    space: Space, state: State, effects: Sequence[Effect], changes: Sequence[Reweighting]
+) -> tuple[Candidate, ...]:
+    """Order everything that may be tried by its evidence. Collective: all ranks of the grid."""
+    candidates = [
+        Candidate(finding.kind, finding.effect.title, finding.evidence.log_bayes_factor, finding)
+        for finding in attribute(space, state, effects)
+    ]
+    done = {one.change.kind for one in state.reweighted}
+    for change, fit in fit_reweightings(space, state, [one for one in changes if one.kind not in done]):
+        candidates.append(Candidate(change.kind, change.title, fit.log_bayes_factor, None, change, fit))
+    return tuple(sorted(candidates, key=lambda one: -one.log_bayes_factor))
+
+
+def _try(space: Space, checked: Checked, ranking: Sequence[Candidate], course: Course) -> Round | None:
+    """Fit the candidates that may be the best; return the best of those that held-out data confirm."""
+    settings = space.problem.job.loop
+    best: Round | None = None
+    wanted = [one for one in ranking if one.log_bayes_factor >= settings.min_log_bayes_factor]
+    for candidate in wanted[:MAX_TRIES]:
+        # What is linear is only roughly so: effects that come near are fitted too.
+        if best is not None and candidate.log_bayes_factor < NEAR * best.candidate.log_bayes_factor:
+            break
+        if best is not None and candidate.change is not None:
+            continue  # a structure that was found is no noise
+        say(f"  trying {candidate.title} (ln BF {candidate.log_bayes_factor:.4g})", space.grid.is_world_root)
+        fitted, after = _fit(space, checked, candidate)
+        sigma = _improvement(checked, after, fitted)
+        remains = remains_of(space, after.whitened)
+        reason = _refusal(checked, after, fitted, remains, sigma, settings)
+        say(
+            f"    held-out chi^2 {after.blocks.chi2:.4g} (ln BF {fitted.log_bayes_factor:.4g})"
+            + (f", refused: {reason}" if reason else ""),
+            space.grid.is_world_root,
+        )
+        if reason is not None:
+            course.tried.append((fitted, reason))
+        elif best is None or fitted.log_bayes_factor > best.candidate.log_bayes_factor:
+            change = _beam_change(space, checked.state, after.state)
+            best = Round(fitted, tuple(ranking), checked, after, sigma, change)
+    return best
+
+
+def _fit(space: Space, checked: Checked, candidate: Candidate) -> tuple[Candidate, Checked]:
+    """Fit a candidate and weigh it again where it has been fitted, as no effect is quite linear."""
+    state = checked.state
+    if candidate.finding is None:
+        assert candidate.change is not None
+        assert candidate.fit is not None
+        extended = replace(state, reweighted=[*state.reweighted, _reweighted(candidate)])
+        return candidate, check(space, refit(space, extended))
+    effect, evidence = candidate.finding.effect, candidate.finding.evidence
+    fitted = refit(space, state.extended(Active.start(effect, space.experiment, evidence.prior_var, evidence.x)))
+    again = reconsider(space, fitted)
+    if not np.allclose(again.prior_var, evidence.prior_var, rtol=1.0, atol=0.0):
+        start = np.where(again.prior_var > 0, fitted.active[-1].x, 0.0)
+        start = np.where(effect.parameters(space.experiment).refined, fitted.active[-1].x, start)
+        fitted = refit(space, state.extended(Active.start(effect, space.experiment, again.prior_var, start)))
+    gained = _gain(space, state, fitted)
+    log_bayes_factor = again.log_bayes_factor - again.linear_gain + gained
+    finding = Finding(effect, replace(again, log_bayes_factor=log_bayes_factor))
+    return replace(candidate, finding=finding, log_bayes_factor=log_bayes_factor), check(space, fitted)
+
+
+def _reweighted(candidate: Candidate) -> Reweighted:
+    assert candidate.change is not None
+    assert candidate.fit is not None
+    return Reweighted(candidate.change, candidate.fit.x, candidate.fit.std)
+
+
+def _gain(space: Space, before: State, after: State) -> float:
+    """Return by how much the last active effect raised ln(likelihood x prior), over all channels."""
+    last = after.active[-1]
+    used = last.used
+    rows = last.x[:1] if last.effect.shared else last.x
+    refined = last.effect.parameters(space.experiment).refined[used]
+    penalty = 0.5 * float(np.sum((rows[:, used] ** 2 / last.prior_var[used])[:, ~refined]))
+    mine = float(np.sum(after.log_joint - before.log_joint)) if space.grid.is_group_root else 0.0
+    return float(sum(space.grid.world.allgather(mine))) - penalty
+
+
+def _improvement(before: Checked, after: Checked, candidate: Candidate) -> float:
+    """Return the significance with which held-out data got better."""
+    if candidate.finding is not None:
+        return fall_significance(before.blocks, after.blocks)
+    return abs(before.blocks.chi2 - 1) * np.sqrt(before.blocks.n_data)
+
+
+def _refusal(
+    before: Checked, after: Checked, candidate: Candidate, remains: Remains, sigma: float, settings: LoopSettings
+) -> str | None:
+    """Say why a fitted candidate is not kept; None where it is."""
+    if not candidate.log_bayes_factor >= settings.min_log_bayes_factor:
+        return f"its log Bayes factor is {candidate.log_bayes_factor:.4g} once it is fitted"
+    if candidate.change is not None:
+        if abs(after.blocks.chi2 - 1) > abs(before.blocks.chi2 - 1):
+            return f"held-out chi^2 goes from {before.blocks.chi2:.4g} to {after.blocks.chi2:.4g}"
+        return None if remains.white else f"what is left is not white: {remains.why}"
+    if not after.blocks.chi2 < before.blocks.chi2:
+        return f"held-out chi^2 does not fall: {before.blocks.chi2:.4g} to {after.blocks.chi2:.4g}"
+    if sigma < settings.min_heldout_sigma:
+        return f"held-out chi^2 falls by {sigma:.1f} sigma only, {before.blocks.chi2:.4g} to {after.blocks.chi2:.4g}"
+    return None
+
+
+def _beam_change(space: Space, before: State, after: State) -> float:
+    """Return by how much the beam moved at most, on the one-degree grid and over channels."""
+    basis, largest = space.problem.basis, 0.0
+    for one, two in zip(before.posteriors, after.posteriors, strict=True):
+        moved: FloatArray = two.mean - one.mean
+
+        def change(za: FloatArray, az: FloatArray, moved: FloatArray = moved) -> Any:
+            return basis.synthesize(moved, za, az)
+
+        largest = max(largest, float(np.abs(evaluate_on_grid(change)).max()))
+    return float(max(space.grid.world.allgather(largest)))
+
+
+def indistinguishable(candidate: Candidate, ranking: Sequence[Candidate]) -> list[str]:
+    """Name the effects that explain the residual as well as the candidate, within the evidence's own reach."""
+    near = candidate.log_bayes_factor - UNDECIDED_NATS
+    return [one.kind for one in ranking if one.kind != candidate.kind and one.log_bayes_factor > near]

@@ -1,0 +1,43 @@
+"""What the loop found, in plain words."""
+
+from __future__ import annotations
+
+from typing import Any
+
+MOST_NAMED = 3
+
+
+def say_round(told: dict[str, Any]) -> str:
+    """Tell a round in a few sentences: what, how sure, and what it changed."""
+    parameters = sorted(told["parameters"], key=lambda one: -_sigmas(one))
+    named = [say_parameter(one) for one in parameters[:MOST_NAMED]]
+    more = len(parameters) - len(named)
+    what = f"{told['title'].capitalize()}: {'; '.join(named)}{f'; and {more} more' if more > 0 else ''}"
+    sure = f"log Bayes factor {told['log_bayes_factor']:,.0f}; the beam can absorb {told['absorbed_by_beam']:.0%} of it"
+    error = f"Held-out reduced chi^2 {told['heldout_before']:.3g} -> {told['heldout_after']:.3g}"
+    beam = f"the beam moves by up to {told['beam_change_max']:.1e}"
+    doubt = told["indistinguishable_from"]
+    unsure = f" These data do not tell it from {' or '.join(doubt)}." if doubt else ""
+    return f"{what} ({sure}). Added. {error}; {beam}.{unsure}"
+
+
+def say_parameter(one: dict[str, Any]) -> str:
+    """Write name, value and error."""
+    unit = f" {one['unit']}" if one["unit"] else ""
+    at = f" at {one['freq_hz'] / 1e6:.6g} MHz" if one["freq_hz"] is not None else ""
+    return f"{one['name']} {one['value']:.4g} +- {one['std']:.2g}{unit}{at}"
+
+
+def _sigmas(one: dict[str, Any]) -> float:
+    return abs(one["value"]) / one["std"] if one["std"] > 0 else float("inf")
+
+
+def say_verdict(verdict: str, course: Any, remains: Any) -> str:
+    """Tell how the loop ended."""
+    chi2 = f"held-out reduced chi^2 {course.last.blocks.chi2:.4g}"
+    if verdict == "consistent":
+        return f"Nothing is missing: the data agree with the model within the noise ({chi2})."
+    if verdict == "explained":
+        return f"Nothing significant is left ({chi2})."
+    where = remains.where.get("sentence", "") if remains.where else ""
+    return f"What is left ({chi2}) is explained by no effect in the catalogue. {where}".strip()

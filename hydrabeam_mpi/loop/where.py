@@ -1,0 +1,145 @@
+"""Where a residual lives: on every axis the fewest entries that carry most of the excess, and a sentence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.loop.axes import Axis, Freedom, all_axes
+from hydrabeam_mpi.loop.cube import Layout
+from hydrabeam_mpi.loop.residuals import ResidualSums
+from hydrabeam_mpi.loop.significance import log_p_two_sided
+from hydrabeam_mpi.loop.where_words import sentence
+
+CARRIED = 2 / 3
+SMALLEST_P = 1e-3
+COMPARABLE = 1 / 2
+CONCENTRATED = 1 / 4
+"""Fraction of an axis's entries, at most, that a concentrated excess lives in. Gaussian amplitudes everywhere would
+have two thirds of their power in a third of the entries."""
+MOST_LISTED = 64
+
+
+@dataclass(frozen=True)
+class Carriers:
+    """The fewest entries of an axis that hold `CARRIED` of the excess, and those about as strong as the last of them.
+
+    Attributes
+    ----------
+    entries : ndarray of int
+        Strongest first.
+    shares : ndarray
+        Fraction of the excess that each adds.
+    fewest : int
+        How many it takes; the others are as strong as `COMPARABLE` times the last of these.
+    """
+
+    entries: IntArray
+    shares: FloatArray
+    fewest: int
+
+    @classmethod
+    def of(cls, entries: IntArray, shares: FloatArray) -> Carriers:
+        """Choose from all entries, strongest first."""
+        reached = np.flatnonzero(np.cumsum(shares) >= CARRIED)
+        fewest = int(reached[0]) + 1 if len(reached) else len(shares)
+        weaker = np.flatnonzero(shares[fewest:] < COMPARABLE * shares[fewest - 1])
+        count = fewest + int(weaker[0]) if len(weaker) else len(shares)
+        return cls(entries[:count], shares[:count], fewest)
+
+
+def where(sums: ResidualSums, layout: Layout, n_shared: float = 0.0) -> dict[str, Any]:
+    """Tell where the excess of chi^2 over its expectation lives.
+
+    Parameters
+    ----------
+    sums : ResidualSums
+        Of all ranks.
+    layout : Layout
+    n_shared : float, optional
+        As in `statistics.statistics`.
+
+    Returns
+    -------
+    dict
+        ``sentence``, and for each axis {"state", "of", "count", "sigma", "entries"}: ``state`` is "concentrated" (few
+        of its ``of`` entries carry two thirds of the excess), "uneven" (they differ beyond chance, but it takes
+        many) or "even"; ``sigma`` the significance of their differing; ``count`` the number of entries that carry
+        two thirds. ``entries`` lists these and those about as strong as the weakest of them, up to 64, none if even,
+        each as {"what", "chi2", "share", "sigma"}. The share of an antenna is that of its baselines that no antenna
+        listed before it has.
+    """
+    freedom = Freedom.of(n_shared, sums.n)
+    axes = all_axes(sums, layout)
+    described: dict[str, Any] = {}
+    found: dict[str, Carriers] = {}
+    for name, axis in axes.items():
+        if len(axis) > 1:
+            carriers = _antenna_carriers(sums, layout, axis) if name == "antennas" else _carriers(axis, freedom)
+            described[name] = _describe(axis, carriers, freedom, freedom.heavier(sums))
+            found[name] = carriers
+    chosen = {name: carriers.entries for name, carriers in found.items() if described[name]["state"] != "even"}
+    return {"sentence": sentence(axes, described, chosen, _of_few_baselines(layout, axes, chosen)), **described}
+
+
+def _carriers(axis: Axis, freedom: Freedom) -> Carriers:
+    excess = axis.power - 2 * axis.n
+    order = np.argsort(-excess, kind="stable")
+    clear = axis.sigma(freedom) >= 3
+    total = max(float(excess.sum()), float(excess[clear].sum()), 1.0)
+    return Carriers.of(order, excess[order] / total)
+
+
+def _antenna_carriers(sums: ResidualSums, layout: Layout, axis: Axis) -> Carriers:
+    """Choose antennas one by one, each by the excess of those of its baselines that are not yet accounted for."""
+    excess = sums.by_baseline[1] - 2 * sums.by_baseline[0]
+    total = max(float(excess.sum()), float(np.max(axis.power - 2 * axis.n)), 1.0)
+    numbers = layout.observation.antenna_numbers[layout.antenna_index]
+    place = {what: k for k, what in enumerate(axis.what)}
+    index = np.array([[place.get(one, 0), place.get(two, 0)] for one, two in numbers.tolist()])
+    left = excess.copy()
+    entries: list[int] = []
+    shares: list[float] = []
+    for _ in range(len(axis)):
+        by_antenna = np.bincount(index[:, 0], left, len(axis)) + np.bincount(index[:, 1], left, len(axis))
+        by_antenna[entries] = -np.inf
+        best = int(np.argmax(by_antenna))
+        entries.append(best)
+        shares.append(float(by_antenna[best]) / total)
+        left[(index == best).any(axis=1)] = 0.0
+    return Carriers.of(np.array(entries, dtype=int), np.array(shares))
+
+
+def _describe(axis: Axis, carriers: Carriers, freedom: Freedom, heavier: Freedom) -> dict[str, Any]:
+    sigma = axis.unevenness(freedom)
+    state = "even"
+    if _beyond_chance(sigma) and carriers.fewest <= np.ceil(CONCENTRATED * len(axis)):
+        state = "concentrated"
+    elif _beyond_chance(axis.unevenness(heavier)):
+        # A large excess elsewhere scatters over this axis, too, by more than noise does.
+        state = "uneven"
+    entries = []
+    if state != "even":
+        chi2, sigmas = axis.chi2, axis.sigma(freedom)
+        entries = [
+            {"what": axis.what[k], "chi2": float(chi2[k]), "share": float(share), "sigma": float(sigmas[k])}
+            | (axis.extra[k] if axis.extra else {})
+            for k, share in zip(carriers.entries[:MOST_LISTED].tolist(), carriers.shares, strict=False)
+        ]
+    return {"state": state, "of": len(axis), "count": carriers.fewest, "sigma": sigma, "entries": entries}
+
+
+def _beyond_chance(sigma: float) -> bool:
+    return sigma > 0 and bool(log_p_two_sided(sigma) < np.log(SMALLEST_P))
+
+
+def _of_few_baselines(layout: Layout, axes: dict[str, Axis], chosen: dict[str, IntArray]) -> bool:
+    """Tell whether baselines say more than antennas: less than half of those that the chosen antennas have."""
+    if "baselines" not in chosen or "antennas" not in chosen:
+        return "baselines" in chosen
+    numbers = np.array(axes["antennas"].what)[chosen["antennas"]]
+    touched = np.isin(np.array(axes["baselines"].what), numbers).any(axis=1).sum()
+    return bool(len(chosen["baselines"]) < 0.5 * touched * CARRIED)

@@ -1,0 +1,167 @@
+"""A rank's rows, the design that belongs to them, and the scenes that effects see of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydrabeam_mpi.accumulate import designs
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.scene import Experiment, Scene
+from hydrabeam_mpi.infer.posterior import Posterior
+from hydrabeam_mpi.loop.state import State
+from hydrabeam_mpi.model.rime import Beam, ForwardModel
+from hydrabeam_mpi.problem import Problem
+from hydrabeam_mpi.rows import Rows
+
+KEPT_BYTES = 1_500_000_000
+"""Design rows are kept in memory up to this size a rank, and made anew each time beyond it."""
+ROWS_AT_ONCE = 60_000
+
+
+@dataclass
+class Share:
+    """A rank's fitted or held-out rows.
+
+    Attributes
+    ----------
+    problem : Problem
+        Of the rank group's channels.
+    experiment : Experiment
+        Of all channels.
+    rows : Rows
+        As read.
+    """
+
+    problem: Problem
+    experiment: Experiment
+    rows: Rows
+    _kept: list[NDArray[Any]] | None = None
+    _places: dict[int, tuple[IntArray, FloatArray, FloatArray]] = field(default_factory=dict)
+    _model: ForwardModel | None = None
+
+    @property
+    def model(self) -> ForwardModel:
+        """The forward model of the rows' groups, made once."""
+        if self._model is None:
+            self._model = self.problem.forward_model(self.rows.groups)
+        return self._model
+
+    def designs(self, show: bool = False) -> Iterator[NDArray[Any]]:
+        """Yield the design rows of each time, for all channels, as `hydrabeam_mpi.accumulate.designs` does."""
+        if self._kept is not None:
+            yield from self._kept
+            return
+        basis = self.problem.basis
+        n_rows = len(self.rows.groups) * len(self.rows.tile.times) * len(self.rows.data)
+        keep = n_rows * basis.n_modes * 16 <= KEPT_BYTES
+        made = []
+        for design in designs(self.rows, self.model, basis, "design matrix", show):
+            if keep:
+                made.append(design)
+            yield design
+        if keep:
+            self._kept = made
+
+    def scenes(
+        self, channel: int, state: State, added: ComplexArray, rows: Rows
+    ) -> Iterator[tuple[slice, Scene, NDArray[Any]]]:
+        """Yield blocks of times of one channel with the current model and its design rows.
+
+        Parameters
+        ----------
+        channel : int
+            Among those of the rank group.
+        state : State
+            Gives the beam.
+        added : ndarray of complex, (Ntimes, Nbls)
+            E of this channel.
+        rows : Rows
+            Calibrated; see `calibrated`.
+        """
+        posterior = state.posteriors[channel]
+        times = self.rows.tile.times
+        step = max(1, ROWS_AT_ONCE // max(len(self.rows.tile.bls), 1))
+        held: list[NDArray[Any]] = []
+        for t, design in enumerate(self.designs()):
+            held.append(design[channel])
+            if len(held) < step and t + 1 < len(times):
+                continue
+            span = slice(t + 1 - len(held), t + 1)
+            block = np.array(held)
+            held = []
+            scene = self.scene(channel, span, _beam_of(self.problem, posterior))
+            beam_alone = scene.spread(_visibilities(block, posterior))
+            scene.vis = beam_alone + added[span]
+            scene.weights = rows.inv_noise_var[channel, span]
+            scene.residual = rows.data[channel, span] - beam_alone
+            yield span, scene, block
+
+    def scene(self, channel: int, span: slice, beam: Beam) -> Scene:
+        """Return the scene of some of the rank's times, without data."""
+        room = self.experiment.sky.Nsrc * len(self.rows.tile.times) * 24 <= KEPT_BYTES / 4
+        return Scene(
+            experiment=self.experiment,
+            channel=int(self.problem.channel_numbers[channel]),
+            times=self.rows.tile.times[span],
+            bls=self.rows.tile.bls,
+            groups=self.rows.groups,
+            member=self.rows.member,
+            positions=self.model.positions,
+            beam=beam,
+            engine_kind=self.problem.job.solver.engine,
+            places=self._places if room else None,
+        )
+
+    def effects(self, state: State) -> tuple[ComplexArray, ComplexArray]:
+        """Return C and E of all rows, each (Nfreqs, Ntimes, Nbls)."""
+        factor = np.ones(self.rows.data.shape, dtype=complex)
+        added = np.zeros_like(factor)
+        adding = [one.effect for one in state.active if not one.effect.multiplies]
+        for channel, number in enumerate(self.problem.channel_numbers.tolist() if state.active else ()):
+            for span, scene, _ in self.scenes(channel, state, added[channel], self.rows):
+                scene.integrate_for(adding)
+                for one in state.active:
+                    if one.effect.multiplies:
+                        factor[channel, span] *= one.effect.factor(scene, one.x[number])
+                    else:
+                        added[channel, span] += one.effect.added(scene, one.x[number])
+        return factor, added
+
+    def calibrated(self, state: State) -> tuple[Rows, ComplexArray]:
+        """Return the rows as the beam alone would have given them, d/C - E with weights w |C|^2, and E."""
+        factor, added = self.effects(state)
+        power = np.abs(factor) ** 2
+        usable = power > 1e-12
+        data = np.where(usable, self.rows.data / np.where(usable, factor, 1.0), 0.0) - added
+        rows = replace(self.rows, data=data, inv_noise_var=np.where(usable, self.rows.inv_noise_var * power, 0.0))
+        if state.reweighted:
+            weights = rows.inv_noise_var.copy()
+            for channel, number in enumerate(self.problem.channel_numbers.tolist()):
+                for span, scene, _ in self.scenes(channel, state, added[channel], rows):
+                    for one in state.reweighted:
+                        weights[channel, span] *= one.change.weight_factor(scene, one.x[number])
+            rows = replace(rows, inv_noise_var=weights)
+        return rows, added
+
+
+def _beam_of(problem: Problem, posterior: Posterior) -> Beam:
+    """Return the posterior mean beam."""
+    basis, mean = problem.basis, posterior.mean
+
+    def beam(za: FloatArray, az: FloatArray) -> NDArray[Any]:
+        return np.asarray(basis.synthesize(mean, za, az))
+
+    return beam
+
+
+def _visibilities(block: NDArray[Any], posterior: Posterior) -> ComplexArray:
+    """Return A b, (Ntimes, Ngroups)."""
+    if posterior.is_complex:
+        return np.asarray(block @ posterior.mean)
+    parts = block @ posterior.mean
+    return np.asarray(parts[:, 0] + 1j * parts[:, 1])

@@ -1,0 +1,145 @@
+"""A small experiment to try effects on, and what every effect must satisfy."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hydrabeam_mpi.config.sections import Array, Simulate
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.data.redundancy import find_redundant_groups
+from hydrabeam_mpi.effects.base import Effect
+from hydrabeam_mpi.effects.scene import Experiment, Scene
+from hydrabeam_mpi.model.beam import analytic_beam
+from hydrabeam_mpi.model.fit import FourierBesselSpec, fit_beam
+from hydrabeam_mpi.model.positions import RotatedPositions
+from hydrabeam_mpi.model.sky import Sky, mock_sky
+from hydrabeam_mpi.random import complex_normal, generator
+from hydrabeam_mpi.simulate import mock_observation
+
+
+def small_experiment(
+    freqs: tuple[float, ...] = (131e6, 151e6), n_times: int = 6, n_sources: int = 60, pol: str = "ee"
+) -> Experiment:
+    """Seven antennas in a hexagon, sixty sources, six times over six hours, an Airy beam."""
+    settings = Simulate(array=Array(hex=(2, 3)), n_times=n_times, freqs=freqs)
+    observation = mock_observation(settings, pol)
+    sky = mock_sky(3, observation.freqs, n_sources=n_sources)
+    spec = FourierBesselSpec(n_modes=60, form="real", k_max=20, m_max=8, edge=np.deg2rad(92), boundary="neumann")
+    fits = [fit_beam(analytic_beam("airy", float(freq), pol, diameter=14.0), spec) for freq in freqs[:1]]
+    fits += [fit_beam(analytic_beam("airy", float(freq), pol, diameter=14.0), fits[0].basis) for freq in freqs[1:]]
+    return Experiment(
+        observation=observation,
+        redundant=find_redundant_groups(observation.bl_vectors, 1e-7),
+        sky=sky,
+        basis=fits[0].basis,
+        prior_mean=tuple(fit.coeffs for fit in fits),
+        file_pols=(pol,),
+        times=np.arange(observation.Ntimes),
+    )
+
+
+def small_scene(experiment: Experiment, channel: int = 0, sky: Sky | None = None) -> Scene:
+    """All rows of one channel, with the visibilities of the fitted beam, unit weights and no residual."""
+    observation = experiment.observation
+    groups, member = np.unique(experiment.redundant.group, return_inverse=True)
+    positions = RotatedPositions(sky or experiment.sky, observation)
+    coeffs = experiment.prior_mean[channel]
+
+    def beam(za: FloatArray, az: FloatArray) -> FloatArray:
+        return np.asarray(experiment.basis.synthesize(coeffs, za, az))
+
+    scene = Scene(
+        experiment=experiment if sky is None else replace(experiment, sky=sky),
+        channel=channel,
+        times=np.arange(observation.Ntimes),
+        bls=np.arange(observation.Nbls),
+        groups=groups,
+        member=member,
+        positions=positions,
+        beam=beam,
+    )
+    scene.vis = scene.spread(scene.integrate(lambda sources: sources.beam[np.newaxis])[..., 0])
+    scene.weights = np.ones(scene.shape)
+    scene.residual = np.zeros(scene.shape, dtype=complex)
+    return scene
+
+
+def with_effect(effect: Effect, scene: Scene, x: FloatArray) -> np.ndarray:
+    """Return the model of the data with the effect, C (A b + E), (Ntimes, Nbls); ``scene.vis`` is A b."""
+    return effect.factor(scene, x) * (scene.vis + effect.added(scene, x))
+
+
+def matrix_at(effect: Effect, scene: Scene, x: FloatArray) -> np.ndarray:
+    """Return the columns as a dense matrix over baselines, (Ntimes, Nbls, n_params), of the data as measured."""
+    at = replace(scene, vis=scene.vis + effect.added(scene, x), integrals={})
+    at.integrate_for([effect])
+    columns = effect.columns(at, x)
+    matrix = columns.matrix()
+    dense = matrix if columns.index is None else matrix.toarray()
+    dense = dense.reshape(*columns.values.shape[:2], -1)
+    dense = scene.spread(dense) if columns.by_group else dense
+    return dense * effect.factor(scene, x)[..., np.newaxis]
+
+
+def check_derivative(effect: Effect, scene: Scene, x: FloatArray, step: float = 1e-5, rtol: float = 1e-5) -> None:
+    """Compare every column with the central difference of the exact model."""
+    scene.integrate_for([effect])
+    parameters = effect.parameters(scene.experiment)
+    assert len(parameters) == len(x)
+    matrix = matrix_at(effect, scene, x)
+    assert matrix.shape[-1] == len(x)
+    for p, scale in enumerate(parameters.scale):
+        nudge = np.zeros(len(x))
+        nudge[p] = step * scale
+        numerical = (with_effect(effect, scene, x + nudge) - with_effect(effect, scene, x - nudge)) / (2 * step * scale)
+        largest = max(np.abs(numerical).max(), np.abs(matrix[..., p]).max(), 1e-300)
+        np.testing.assert_allclose(matrix[..., p], numerical, rtol=0, atol=rtol * largest, err_msg=parameters.names[p])
+
+
+def check_zero_is_nothing(effect: Effect, scene: Scene) -> None:
+    """Without strength the effect changes nothing."""
+    scene.integrate_for([effect])
+    nothing = np.zeros(len(effect.parameters(scene.experiment)))
+    np.testing.assert_allclose(
+        with_effect(effect, scene, nothing), scene.vis, rtol=0, atol=1e-12 * np.abs(scene.vis).max()
+    )
+
+
+def check_adjoint(effect: Effect, scene: Scene, x: FloatArray) -> None:
+    """<y, S p> = <S^T y, p> for the matrix of the columns and for `Columns.apply`."""
+    rng = generator(5, "adjoint", effect.kind)
+    at = replace(scene, vis=scene.vis + effect.added(scene, x), integrals={})
+    at.integrate_for([effect])
+    columns = effect.columns(at, x)
+    p = rng.standard_normal(len(x))
+    y = complex_normal(rng, columns.values.shape[:2])
+    forward = columns.apply(p)
+    back = (columns.matrix().conj().T @ y.reshape(-1)).real
+    np.testing.assert_allclose(np.vdot(forward, y).real, back @ p, rtol=1e-10)
+
+
+def check_recovery(
+    effect: Effect, scene: Scene, truth: FloatArray, sigma: float, start: FloatArray | None = None
+) -> None:
+    """Recover an injected truth within its error by Gauss-Newton steps, with the beam known.
+
+    Combinations of parameters that the data do not tell are left out by a pseudo-inverse, and not compared.
+    """
+    scene.integrate_for([effect])
+    rng = generator(7, "recovery", effect.kind)
+    data = with_effect(effect, scene, truth) + sigma * complex_normal(rng, scene.shape)
+    x = np.zeros(len(truth)) if start is None else start.copy()
+    scale = effect.parameters(scene.experiment).scale
+    for _ in range(12):
+        matrix = matrix_at(effect, scene, x).reshape(-1, len(truth)) * scale / sigma
+        residual = (data - with_effect(effect, scene, x)).reshape(-1) / sigma
+        fisher = 2 * (matrix.conj().T @ matrix).real
+        values, vectors = np.linalg.eigh(fisher)
+        told = values > 1e-9 * values.max()
+        step = (vectors[:, told] / values[told]) @ (vectors[:, told].T @ (2 * (matrix.conj().T @ residual).real))
+        x += scale * step
+    assert np.abs(step).max() < 1e-4 * max(np.abs(x / scale).max(), 1e-12), "Gauss-Newton does not converge"
+    error = vectors[:, told].T @ ((x - truth) / scale) * np.sqrt(values[told])
+    assert np.mean(error**2) < 1 + 5 * np.sqrt(2 / len(error)), f"errors of {np.abs(error).max():.1f} sigma"

@@ -1,0 +1,85 @@
+import numpy as np
+import pytest
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.effects.antenna_pointing import AntennaPointing
+from hydrabeam_mpi.random import generator
+from tests.effects.direct import assert_same, of_direction, visibilities
+from tests.effects.small import (
+    check_adjoint,
+    check_derivative,
+    check_recovery,
+    check_zero_is_nothing,
+    small_experiment,
+    small_scene,
+    with_effect,
+)
+
+
+def test_contract() -> None:
+    experiment = small_experiment()
+    scene = small_scene(experiment)
+    effect = AntennaPointing()
+    x = effect.draw(experiment, generator(1, "pointing"), 5.0)
+    x[2:4] = 0  # an antenna that points well among others
+    check_zero_is_nothing(effect, scene)
+    check_derivative(effect, scene, np.zeros(len(x)), step=1e-2)
+    check_derivative(effect, scene, x, step=1e-2)
+    check_derivative(effect, scene, 20 * x, step=1e-2)  # ten degrees
+    check_adjoint(effect, scene, x)
+    check_recovery(effect, scene, x, sigma=0.003 * float(np.abs(scene.vis).max()))
+
+
+@pytest.mark.parametrize("towards", [0, 1])
+def test_beams_are_half_the_sum_of_the_antennas(towards: int) -> None:
+    """Plane trigonometry in the vertical plane of the tilt."""
+    experiment = small_experiment()
+    scene = small_scene(experiment, channel=1)
+    effect = AntennaPointing()
+    scene.integrate_for([effect])
+    tilts = np.array([0.3, 0, -1.2, 0.4, 0.8, 0, 2.0])
+    x = np.zeros((7, 2))
+    x[:, towards] = tilts
+    straight = of_direction(scene)
+
+    def tilted(directions: FloatArray, antenna: int) -> FloatArray:
+        angle = np.deg2rad(tilts[antenna])
+        # The beam tilted one way sees what it would see of a sky turned the other way.
+        turned = directions.copy()
+        turned[towards] = np.cos(angle) * directions[towards] - np.sin(angle) * directions[2]
+        turned[2] = np.cos(angle) * directions[2] + np.sin(angle) * directions[towards]
+        return straight(turned)
+
+    def beam(directions: FloatArray, row: int) -> FloatArray:
+        return 0.5 * (tilted(directions, scene.ant1[row]) + tilted(directions, scene.ant2[row]))
+
+    assert_same(with_effect(effect, scene, x.ravel()), visibilities(scene, beam=beam), scene)
+
+
+def test_product_of_voltage_beams_agrees_at_small_tilts() -> None:
+    """sqrt(B_i B_j) of Gaussian beams is half their sum to second order in the tilts."""
+    scene = small_scene(small_experiment())
+    scene.beam = lambda za, az: np.exp(-((za / 0.3) ** 2))
+    scene.vis = visibilities(scene)
+    effect = AntennaPointing()
+    scene.integrate_for([effect])
+    straight = of_direction(scene)
+    direction = generator(3, "tilts").standard_normal((7, 2))
+    worst = []
+    for degrees in (0.05, 0.1):
+        tilts = np.deg2rad(degrees) * direction
+
+        def voltage(directions: FloatArray, antenna: int, tilts: FloatArray = tilts) -> FloatArray:
+            east, north = tilts[antenna]
+            seen = directions - np.array([[east], [north], [0]]) * directions[2]
+            seen = seen + np.array([0, 0, 1])[:, np.newaxis] * (east * directions[0] + north * directions[1])
+            return np.sqrt(straight(seen / np.linalg.norm(seen, axis=0)))
+
+        def beam(directions: FloatArray, row: int, voltage=voltage) -> FloatArray:
+            return voltage(directions, scene.ant1[row]) * voltage(directions, scene.ant2[row])
+
+        error = with_effect(effect, scene, degrees * direction.ravel()) - visibilities(scene, beam=beam)
+        worst.append(np.abs(error).max())
+    change = np.abs(effect.added(scene, 0.1 * direction.ravel())).max()
+    assert worst[1] < 0.05 * change
+    assert 3.5 < worst[1] / worst[0] < 4.5

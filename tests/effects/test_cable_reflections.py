@@ -1,0 +1,172 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hydrabeam_mpi.effects.base import Effect
+from hydrabeam_mpi.effects.cable_reflections import CableReflections, candidate_delays
+from hydrabeam_mpi.effects.scene import Experiment, Scene
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.random import complex_normal, generator
+from tests.effects.scanned import check_description, check_scan
+from tests.effects.small import (
+    check_adjoint,
+    check_derivative,
+    check_zero_is_nothing,
+    matrix_at,
+    small_experiment,
+    small_scene,
+    with_effect,
+)
+
+FREQS = tuple(float(freq) for freq in 140e6 + 1e6 * np.arange(6))
+
+
+@pytest.fixture(scope="module")
+def experiment() -> Experiment:
+    return small_experiment(freqs=FREQS, n_times=4)
+
+
+@pytest.fixture
+def scene(experiment: Experiment) -> Scene:
+    return small_scene(experiment, channel=1)
+
+
+def two_on_one_antenna(experiment: Experiment) -> CableReflections:
+    numbers = experiment.observation.antenna_numbers.tolist()
+    return CableReflections([(numbers[2], 250.0), (numbers[5], -310.0), (numbers[2], 420.0)])
+
+
+def test_contract(experiment: Experiment, scene: Scene) -> None:
+    """The derivative holds for echoes of any strength."""
+    effect = two_on_one_antenna(experiment)
+    x = np.array([0.2, -0.3, 7.0, 0.1, 0.4, -11.0, -0.3, 0.1, 5.0])
+    check_zero_is_nothing(effect, scene)
+    check_derivative(effect, scene, x)
+    check_adjoint(effect, scene, x)
+
+
+def test_known_truth(experiment: Experiment) -> None:
+    """The voltage of an echo: A of it again, tau later, turned by phi."""
+    numbers = experiment.observation.antenna_numbers.tolist()
+    strength, tau, phi = 0.25, 333e-9, 0.7
+    middle = float(np.mean(FREQS))
+    z = strength * np.exp(1j * (2 * np.pi * middle * tau + phi))
+    effect = CableReflections([(numbers[3], 330.0)])
+    for channel, freq in enumerate(FREQS):
+        scene = small_scene(experiment, channel)
+        factor = effect.factor(scene, np.array([z.real, z.imag, 3.0]))
+        for bl, (one, two) in enumerate(experiment.observation.antpairs.tolist()):
+            gains = [1 + strength * np.exp(2j * np.pi * freq * tau + 1j * phi) * (n == numbers[3]) for n in (one, two)]
+            expected = gains[0] * np.conj(gains[1])
+            got = factor[0, bl].conj() if experiment.redundant.flipped[bl] else factor[0, bl]
+            np.testing.assert_allclose(got, expected, rtol=1e-9)
+
+
+def test_candidates_are_told_apart(experiment: Experiment) -> None:
+    """Delays begin at 1/bandwidth, are told apart by the channels, and early ones differ from late ones."""
+    delays = candidate_delays(experiment)
+    resolution = 1e9 / 6e6
+    np.testing.assert_allclose(delays, resolution / 2 * np.array([-5, -4, -3, -2, 2, 3, 4, 5, 6]))
+    waves = np.exp(2j * np.pi * np.outer(np.array(FREQS), delays * 1e-9))
+    overlap = np.abs(waves.conj().T @ waves) / len(FREQS) - np.eye(len(delays))
+    assert overlap.max() < 0.7
+
+
+def test_candidates_of_uneven_channels(experiment: Experiment) -> None:
+    freqs = np.array([140e6, 140.5e6, 143e6, 144e6, 149.5e6])
+    uneven = replace(experiment, observation=replace(experiment.observation, freqs=freqs))
+    delays = candidate_delays(uneven)
+    np.testing.assert_allclose(delays.max(), 1000.0)
+    np.testing.assert_allclose(np.abs(delays).min(), 100.0)
+    assert len(delays) == 37
+
+
+def test_scan(experiment: Experiment, scene: Scene) -> None:
+    effect = CableReflections()
+    n = effect.n_hypotheses(experiment)
+    assert n == 7 * 9
+    check_scan(effect, scene, np.array([4, n - 1, 22, 23, 40]))
+    check_description(effect, scene, np.array([8, 0, 44]))
+
+
+def test_one_antenna_does_not_fill_all_places() -> None:
+    """Of each antenna the candidates that come first are kept, in their order."""
+    wide = small_experiment(n_times=1)
+    freqs = 140e6 + 1e6 * np.arange(30)
+    wide = replace(wide, observation=replace(wide.observation, freqs=freqs))
+    delays = candidate_delays(wide)
+    hypotheses = np.concatenate([5 + np.arange(20), len(delays) + np.arange(3)])
+    numbers = wide.observation.antenna_numbers.tolist()
+    expected = [(numbers[0], delay) for delay in delays[5:21]] + [(numbers[1], delay) for delay in delays[:3]]
+    assert CableReflections().at(wide, hypotheses).reflections == tuple(expected)
+    assert CableReflections().at(wide, hypotheses[::-1]).reflections[3:] == tuple(
+        (numbers[0], delay) for delay in delays[5:25][::-1][:16]
+    )
+
+
+def test_scan_of_some_baselines(experiment: Experiment, scene: Scene) -> None:
+    """Scans of parts of the rows add up."""
+    check_scan(CableReflections(), scene, np.array([1]))
+    whole = CableReflections().scan(scene)
+    halves = []
+    for bls in (np.arange(8), np.arange(8, experiment.observation.Nbls)):
+        part = replace(scene, bls=bls, member=scene.member[bls], integrals={})
+        part.vis, part.residual, part.weights = scene.vis[:, bls], scene.residual[:, bls], scene.weights[:, bls]
+        halves.append(CableReflections().scan(part))
+    for total, one, two in zip(whole, *halves, strict=True):
+        np.testing.assert_allclose(one + two, total, rtol=1e-10, atol=1e-12 * np.abs(total).max())
+
+
+def gauss_newton(effect: Effect, scenes: list[Scene], data: list[np.ndarray], sigma: float) -> tuple[np.ndarray, ...]:
+    """Fit parameters that all channels share, linear ones first, as delays have no derivative without amplitudes."""
+    parameters = effect.parameters(scenes[0].experiment)
+    n = len(parameters)
+    x = np.zeros(n)
+    for step in range(15):
+        free = np.flatnonzero(~parameters.refined) if step == 0 else np.arange(n)
+        design = np.concatenate([matrix_at(effect, scene, x).reshape(-1, n) for scene in scenes])[:, free]
+        left = np.concatenate([(d - with_effect(effect, s, x)).reshape(-1) for d, s in zip(data, scenes, strict=True)])
+        fisher = 2 * (design.conj().T @ design).real / sigma**2
+        change = np.linalg.solve(fisher, 2 * (design.conj().T @ left).real / sigma**2)
+        x[free] += change
+    assert np.all(np.abs(change) < 1e-3 / np.sqrt(np.diag(fisher)))
+    return x, fisher
+
+
+def test_scan_finds_and_fit_refines(experiment: Experiment) -> None:
+    """An echo between the candidates is found next to where it is and fitted within its error."""
+    numbers = experiment.observation.antenna_numbers.tolist()
+    scenes = [small_scene(experiment, channel) for channel in range(len(FREQS))]
+    sigma = 0.02 * float(np.abs(scenes[0].vis).max())
+    rng = generator(3, "echo")
+    truth = np.array([0.02, -0.05, 8.0])
+    echo = CableReflections([(numbers[4], -215.0)])
+    data = [with_effect(echo, scene, truth) + sigma * complex_normal(rng, scene.shape) for scene in scenes]
+    for scene, rows in zip(scenes, data, strict=True):
+        scene.residual, scene.weights = rows - scene.vis, np.full(scene.shape, sigma**-2)
+    sums, norms = (np.sum(parts, axis=0) for parts in zip(*(CableReflections().scan(s) for s in scenes), strict=True))
+    gain = np.sum(sums**2 / norms, axis=1)
+    found = CableReflections().at(experiment, np.array([gain.argmax()]))
+    number, delay = found.reflections[0]
+    assert number == numbers[4]
+    assert abs(delay + 207.0) < 1e9 / 6e6 / 2
+
+    x, fisher = gauss_newton(found, scenes, data, sigma)
+    error = x - np.array([0.02, -0.05, -207.0 - delay])
+    assert error @ fisher @ error < 16.3  # 99.9% of chi^2 with 3 degrees of freedom
+    assert abs(error[2]) < 20
+
+
+def test_refusal(experiment: Experiment) -> None:
+    assert CableReflections().refusal(experiment) is None
+    three = replace(experiment, observation=replace(experiment.observation, freqs=np.array(FREQS[:3])))
+    refusal = CableReflections().refusal(three)
+    assert refusal is not None
+    assert "4 channels" in refusal
+    assert CableReflections().n_hypotheses(three) == 0
+
+
+def test_unknown_antenna(experiment: Experiment) -> None:
+    with pytest.raises(InputError, match="no baseline has antenna 99"):
+        CableReflections([(99, 200.0)]).parameters(experiment)

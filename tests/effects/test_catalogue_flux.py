@@ -1,0 +1,125 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hydrabeam_mpi.effects.catalogue_flux import CatalogueFlux
+from hydrabeam_mpi.effects.point_sources import resolution
+from hydrabeam_mpi.effects.scene import Experiment
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.model.sky import Sky, separation
+from hydrabeam_mpi.random import complex_normal, generator
+from tests.effects.small import (
+    check_adjoint,
+    check_derivative,
+    check_recovery,
+    check_zero_is_nothing,
+    matrix_at,
+    small_experiment,
+    small_scene,
+)
+
+
+def pinned(experiment: Experiment, index: list[int]) -> CatalogueFlux:
+    sky = experiment.sky
+    return CatalogueFlux(np.rad2deg([sky.ra[index], sky.dec[index]]).T.tolist())
+
+
+def test_contract() -> None:
+    experiment = small_experiment()
+    scene = small_scene(experiment)
+    up = scene.sources(2).index[:5].tolist()
+    effect = pinned(experiment, up)
+    x = effect.draw(experiment, generator(1, "flux"), 2.0)
+    np.testing.assert_allclose(np.abs(x), 0.2)
+    check_zero_is_nothing(effect, scene)
+    check_derivative(effect, scene, x)
+    check_adjoint(effect, scene, x)
+    check_recovery(effect, scene, x, sigma=0.01 * float(np.abs(scene.vis).max()))
+
+
+def test_equals_another_catalogue() -> None:
+    experiment = small_experiment()
+    index = [4, 17, 42]
+    x = np.array([0.3, -0.2, 0.5])
+    flux = experiment.sky.flux.copy()
+    flux[:, index] *= 1 + x
+    for channel in (0, 1):
+        scene = small_scene(experiment, channel)
+        other = small_scene(experiment, channel, sky=replace(experiment.sky, flux=flux))
+        added = pinned(experiment, index).added(scene, x)
+        np.testing.assert_allclose(scene.vis + added, other.vis, rtol=0, atol=1e-11 * np.abs(scene.vis).max())
+
+
+def test_scan_is_the_adjoint_of_the_columns() -> None:
+    experiment = small_experiment()
+    scene = small_scene(experiment)
+    rng = generator(4, "weights")
+    scene.weights = rng.uniform(0.5, 2.0, scene.shape) * (rng.uniform(size=scene.shape) > 0.2)
+    scene.residual = complex_normal(rng, scene.shape)
+    projection, power = CatalogueFlux().scan(scene)
+    assert projection.shape == power.shape == (60, 1)
+    columns = matrix_at(pinned(experiment, list(range(60))), scene, np.zeros(60))
+    expected = np.einsum("tb,tbp,tb->p", scene.weights, columns.conj(), scene.residual).real
+    expected_power = np.einsum("tb,tbp->p", scene.weights, np.abs(columns) ** 2)
+    # The beam is interpolated in scans.
+    np.testing.assert_allclose(power[:, 0], expected_power, rtol=0, atol=2e-3 * power.max())
+    np.testing.assert_allclose(projection[:, 0], expected, rtol=0, atol=2e-3 * np.abs(projection).max())
+
+
+def test_scan_finds_the_source() -> None:
+    experiment = small_experiment()
+    scene = small_scene(experiment)
+    truth = CatalogueFlux().drawn(experiment, generator(2, "pick"))
+    scene.residual = truth.added(scene, truth.draw(experiment, generator(3, "draw"), 1.0))
+    effect = CatalogueFlux()
+    projection, power = effect.scan(scene)
+    score = projection[:, 0] ** 2 / np.maximum(power[:, 0], 1e-9 * power.max())
+    best_first = effect.at(experiment, np.argsort(-score))
+    np.testing.assert_allclose(best_first.sources[0], truth.sources[0], rtol=0, atol=1e-10)
+    assert len(best_first.sources) == 40
+    assert best_first.parameters(experiment).trials == 60
+
+
+def test_sources_too_close_to_tell_apart() -> None:
+    experiment = small_experiment()
+    sky = experiment.sky
+    close = Sky(
+        np.append(sky.ra, sky.ra[:2]),
+        np.append(sky.dec, sky.dec[:2] + np.array([0.05, 0.2]) * resolution(experiment)),
+        np.concatenate([sky.flux, sky.flux[:, :2]], axis=1),
+    )
+    effect = CatalogueFlux().at(replace(experiment, sky=close), np.array([60, 0, 61, 1]))
+    np.testing.assert_allclose(np.deg2rad(effect.sources), np.stack([close.ra, close.dec], 1)[[60, 61, 1]], rtol=1e-12)
+    ra, dec = np.deg2rad(effect.sources).T
+    assert separation(ra[0], dec[0], sky.ra[0], sky.dec[0]) > 0
+
+
+def test_only_the_brightest_of_many() -> None:
+    experiment = small_experiment()
+    rng = generator(11, "many")
+    n = 20_500
+    flux = np.exp(rng.standard_normal(n))
+    many = Sky(rng.uniform(0, 2 * np.pi, n), np.arcsin(rng.uniform(-1, 1, n)), np.stack([flux, flux]))
+    experiment = replace(experiment, sky=many)
+    effect = CatalogueFlux()
+    assert effect.n_hypotheses(experiment) == 20_000
+    everything = [effect.at(experiment, np.array([i])).sources[0] for i in (0, 19_999)]
+    kept = np.flatnonzero(flux >= np.sort(flux)[500])
+    np.testing.assert_allclose(np.deg2rad(everything), np.stack([many.ra, many.dec], 1)[kept[[0, -1]]], rtol=1e-12)
+
+
+def test_names_and_restored_sources() -> None:
+    experiment = small_experiment()
+    scene = small_scene(experiment)
+    named = replace(experiment, sky=replace(experiment.sky, names=("", "Fornax A", *("",) * 58)))
+    effect = CatalogueFlux(**pinned(experiment, [0, 1]).describe())
+    names = effect.parameters(named).names
+    assert names[1] == "Fornax A: relative flux error"
+    assert names[0].startswith(f"source ra={np.rad2deg(experiment.sky.ra[0]):.3f} dec=")
+    x = np.array([0.1, 0.2])
+    np.testing.assert_array_equal(effect.added(scene, x), pinned(experiment, [0, 1]).added(scene, x))
+    assert len(CatalogueFlux().parameters(experiment)) == 0
+    assert not CatalogueFlux().added(scene, np.zeros(0)).any()
+    with pytest.raises(InputError, match="no source at"):
+        CatalogueFlux([(1.0, 2.0)]).parameters(experiment)

@@ -1,0 +1,124 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.special import sph_harm_y
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.effects import diffuse
+from hydrabeam_mpi.effects.diffuse import Diffuse, harmonics
+from hydrabeam_mpi.effects.scene import Experiment, Scene
+from hydrabeam_mpi.model.fringes import C_M_PER_S
+from hydrabeam_mpi.model.positions import ApparentPositions, RotatedPositions
+from hydrabeam_mpi.model.sky import Sky
+from hydrabeam_mpi.random import generator
+from tests.effects.small import (
+    check_adjoint,
+    check_derivative,
+    check_recovery,
+    check_zero_is_nothing,
+    small_experiment,
+    small_scene,
+)
+
+
+def test_contract() -> None:
+    experiment = small_experiment()
+    scene = small_scene(experiment)
+    effect = Diffuse()
+    x = effect.draw(experiment, generator(1, "diffuse"), 1.0)
+    assert len(x) == 49
+    check_zero_is_nothing(effect, scene)
+    check_derivative(effect, scene, x)
+    check_adjoint(effect, scene, x)
+    sigma = 1e-3 * float(np.abs(effect.added(scene, x)).max())
+    check_recovery(effect, scene, x, sigma=sigma)
+
+
+def complex_harmonics(l_max: int, z: FloatArray, azimuth: FloatArray) -> FloatArray:
+    """Real orthonormal harmonics from scipy's complex ones."""
+    rows = []
+    for l in range(l_max + 1):
+        for m in range(-l, l + 1):
+            value = (-1) ** m * sph_harm_y(l, abs(m), np.arccos(z), azimuth)
+            rows.append(value.real if m == 0 else np.sqrt(2) * (value.imag if m < 0 else value.real))
+    return np.array(rows)
+
+
+def test_harmonics_are_scipys() -> None:
+    rng = generator(2, "points")
+    z, azimuth = rng.uniform(-1, 1, 50), rng.uniform(-np.pi, np.pi, 50)
+    expected = complex_harmonics(6, z, azimuth)
+    np.testing.assert_allclose(harmonics(6, z, azimuth), expected, rtol=0, atol=1e-13)
+    grid = harmonics(6, z[:, np.newaxis], azimuth)
+    np.testing.assert_allclose(np.diagonal(grid, axis1=1, axis2=2), expected, rtol=0, atol=1e-13)
+
+
+def uniform(scene: Scene, length: float, freq: float) -> Scene:
+    """The scene with a beam of one and all baselines of a length, at random directions in the plane."""
+    observation = replace(scene.experiment.observation, freqs=np.array([freq]))
+    angles = generator(3, "angles").uniform(0, 2 * np.pi, len(scene.groups))
+    vectors = length * np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=1)
+    redundant = replace(scene.experiment.redundant, vectors=vectors)
+    experiment = replace(scene.experiment, observation=observation, redundant=redundant)
+    return replace(scene, experiment=experiment, channel=0, beam=lambda za, az: np.ones(len(za)))
+
+
+@pytest.mark.parametrize("length", [3.0, 30.0, 149.0])
+def test_monopole_under_a_uniform_beam(length: float) -> None:
+    """1/2 a_00 Y_00 times a fringe's integral over the hemisphere, 2 pi sin(kb)/(kb) for baselines in its plane."""
+    scene = uniform(small_scene(small_experiment((131e6,))), length, 200e6)
+    phase = 2 * np.pi * 200e6 / C_M_PER_S * length
+    expected = 0.5 / np.sqrt(4 * np.pi) * 2 * np.pi * np.sin(phase) / phase
+    values = Diffuse().columns(scene, np.zeros(49)).values
+    np.testing.assert_allclose(values[..., 0].real, expected, rtol=0, atol=1e-10)
+
+
+def test_long_baselines_see_nothing() -> None:
+    scene = uniform(small_scene(small_experiment((131e6,))), 151.0, 200e6)
+    assert not Diffuse().columns(scene, np.zeros(49)).values.any()
+    reason = Diffuse().refusal(scene.experiment)
+    assert reason is not None
+    assert "baselines below 150 m" in reason
+    assert Diffuse().refusal(small_experiment()) is None
+
+
+def points_of(experiment: Experiment, x: FloatArray, n: int = 240) -> Sky:
+    """The diffuse sky as sources on rings of equal declination, with the weights of Gauss and Legendre as areas."""
+    nodes, weights = np.polynomial.legendre.leggauss(n)
+    z, ra = np.repeat(nodes, 2 * n), np.tile(np.pi / n * np.arange(2 * n), n)
+    flux = (x @ complex_harmonics(6, z, ra)) * np.repeat(weights, 2 * n) * np.pi / n
+    return Sky(ra, np.arcsin(z), np.stack([flux] * experiment.observation.Nfreqs))
+
+
+@pytest.mark.parametrize(("rule", "rtol"), [(RotatedPositions, 1e-8), (ApparentPositions, 3e-4)])
+def test_equals_a_sky_of_points(rule: type[RotatedPositions | ApparentPositions], rtol: float) -> None:
+    """With a beam that ends smoothly at the horizon, which cuts between points; aberration moves them by 1e-4 rad."""
+    experiment = small_experiment()
+    scene = small_scene(experiment, channel=1)
+    scene.positions = rule(experiment.sky, experiment.observation)
+    full = scene.beam
+    scene.beam = lambda za, az: full(za, az) * np.cos(za) ** 6
+    effect = Diffuse()
+    x = effect.draw(experiment, generator(4, "diffuse"), 1.0)
+    sky = points_of(experiment, x)
+    some = replace(scene, times=scene.times[[1, 4]], experiment=replace(experiment, sky=sky))
+    some.positions = rule(sky, experiment.observation)
+    expected = some.spread(some.integrate(lambda sources: sources.beam[np.newaxis])[..., 0])
+    added = effect.added(scene, x)[[1, 4]]
+    np.testing.assert_allclose(added, expected, rtol=0, atol=rtol * np.abs(expected).max())
+
+
+def test_quadrature_has_converged(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a real beam, up to the longest baselines: more points change nothing."""
+    experiment = small_experiment()
+    scene = small_scene(experiment, channel=1)
+    longest = np.linalg.norm(scene.vectors, axis=1).max()
+    stretched = replace(experiment.redundant, vectors=experiment.redundant.vectors * (198.0 / longest))
+    scene = replace(scene, experiment=replace(experiment, redundant=stretched))
+    values = Diffuse().columns(scene, np.zeros(49)).values
+    monkeypatch.setattr(diffuse, "BEAM_NODES", diffuse.BEAM_NODES + 60)
+    monkeypatch.setattr(diffuse, "BEAM_ORDERS", diffuse.BEAM_ORDERS + 60)
+    finer = Diffuse().columns(scene, np.zeros(49)).values
+    assert np.abs(finer - values).max() > 0
+    np.testing.assert_allclose(values, finer, rtol=0, atol=1e-6 * np.abs(finer).max())

@@ -1,0 +1,71 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.effects.ionosphere import Ionosphere
+from hydrabeam_mpi.random import generator
+from tests.effects.direct import assert_same, visibilities
+from tests.effects.small import (
+    check_adjoint,
+    check_derivative,
+    check_recovery,
+    check_zero_is_nothing,
+    small_experiment,
+    small_scene,
+    with_effect,
+)
+
+
+def test_contract() -> None:
+    experiment = small_experiment()
+    effect = Ionosphere()
+    x = effect.draw(experiment, generator(1, "ionosphere"), 3.0)
+    x[4:6] = 0  # a quiet time among others
+    # The slope of a beam is a central difference over 1e-4 rad, 1.5e-5 off at the higher frequency.
+    for channel, rtol in ((0, 1e-5), (1, 2e-5)):
+        scene = small_scene(experiment, channel)
+        check_zero_is_nothing(effect, scene)
+        for shifts in (np.zeros(len(x)), x, 60 * x):  # up to degrees
+            check_derivative(effect, scene, shifts, step=1e-2, rtol=rtol)
+        check_adjoint(effect, scene, x)
+        check_recovery(effect, scene, x, sigma=0.001 * float(np.abs(scene.vis).max()))
+
+
+@pytest.mark.parametrize("towards", [0, 1])
+def test_visibilities_are_those_of_a_shifted_sky(towards: int) -> None:
+    """Plane trigonometry in the vertical plane of the shift, which goes as the wavelength squared."""
+    experiment = small_experiment()
+    arcmin = 10.0 + np.arange(6)
+    x = np.zeros((6, 2))
+    x[:, towards] = arcmin
+    for channel, freq in enumerate((131e6, 151e6)):
+        scene = small_scene(experiment, channel)
+        effect = Ionosphere()
+        scene.integrate_for([effect])
+
+        def shift(directions: FloatArray, itime: int, freq: float = freq) -> FloatArray:
+            angle = np.deg2rad(arcmin[itime] / 60) * (141e6 / freq) ** 2
+            shifted = directions.copy()
+            shifted[towards] = np.cos(angle) * directions[towards] + np.sin(angle) * directions[2]
+            shifted[2] = np.cos(angle) * directions[2] - np.sin(angle) * directions[towards]
+            return shifted
+
+        assert_same(with_effect(effect, scene, x.ravel()), visibilities(scene, turn=shift), scene)
+
+
+def test_times_are_told_apart_in_any_order() -> None:
+    experiment = replace(small_experiment(), times=np.array([4, 0, 2]))
+    scene = replace(small_scene(experiment), times=np.array([0, 4]))
+    effect = Ionosphere()
+    scene.integrate_for([effect])
+    columns = effect.columns(scene, np.zeros(6))
+    assert columns.n_params == 6
+    assert columns.index is not None
+    assert columns.index[:, 0].tolist() == [[2, 3], [0, 1]]
+    names = effect.parameters(experiment).names
+    assert names[0].endswith(f"{experiment.observation.times[4]:.5f}")
+    change = effect.added(scene, np.array([0.0, 0.0, 1.0, 0.0, 5.0, 0.0]))
+    assert change[0].all()
+    assert not change[1].any()

@@ -1,0 +1,41 @@
+from dataclasses import replace
+
+import numpy as np
+
+from hydrabeam_mpi.effects.leakage import LeakageCheck
+from hydrabeam_mpi.random import complex_normal, generator
+from tests.effects.small import small_experiment
+
+ALL = replace(small_experiment(), file_pols=("ee", "nn", "en", "ne"))
+
+
+def test_what_files_lack_is_said() -> None:
+    check = LeakageCheck()
+    assert check.refusal(ALL) is None
+    assert check.refusal(replace(ALL, file_pols=("xx", "yy", "yx"))) is None
+    for pols in (("ee",), ("ee", "nn"), ("ee", "en", "ne"), ("xx", "nn", "en")):
+        refusal = check.refusal(replace(ALL, file_pols=pols))
+        assert refusal is not None
+        assert ", ".join(pols) in refusal
+
+
+def test_columns_are_those_of_leaking_feeds() -> None:
+    """Voltages of two feeds an antenna, leaked and multiplied: the part of first order."""
+    numbers = ALL.observation.antenna_numbers.tolist()
+    pairs = np.array([[numbers.index(ant) for ant in pair] for pair in ALL.observation.antpairs.tolist()])
+    rng = generator(1, "leakage")
+    n_times, n_ants = 3, len(numbers)
+    x = 1e-6 * rng.standard_normal(4 * n_ants)
+    d = (x[0::2] + 1j * x[1::2]).reshape(n_ants, 2)
+    ee, nn = complex_normal(rng, (n_times, len(pairs))), complex_normal(rng, (n_times, len(pairs)))
+    for pol, feed in (("en", 0), ("ne", 1)):
+        vis = np.empty((n_times, len(pairs)), dtype=complex)
+        for row, (i, j) in enumerate(pairs):
+            for t in range(n_times):
+                coherency = np.diag([ee[t, row], nn[t, row]])
+                jones = [np.array([[1, d[ant, 0]], [d[ant, 1], 1]]) for ant in (i, j)]
+                vis[t, row] = (jones[0] @ coherency @ jones[1].conj().T)[feed, 1 - feed]
+        columns = LeakageCheck().columns(ALL, pol, np.arange(len(pairs)), {"ee": ee, "nn": nn})
+        np.testing.assert_allclose(columns.apply(x), vis, rtol=0, atol=1e-10)
+    assert len(LeakageCheck().parameters(ALL)) == len(x)
+    assert LeakageCheck().parameters(ALL).names[2] == f"antenna {numbers[0]} feed n leakage, real part"

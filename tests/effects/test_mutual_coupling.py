@@ -1,0 +1,196 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.data.redundancy import find_redundant_groups
+from hydrabeam_mpi.effects.mutual_coupling import MutualCoupling, find_shells
+from hydrabeam_mpi.effects.scene import Experiment, Scene
+from hydrabeam_mpi.random import generator
+from tests.effects.small import (
+    check_adjoint,
+    check_derivative,
+    check_recovery,
+    check_zero_is_nothing,
+    small_experiment,
+    small_scene,
+)
+
+C = 299792458.0
+
+
+@pytest.fixture(scope="module")
+def experiment() -> Experiment:
+    return small_experiment(n_times=3)
+
+
+@pytest.fixture
+def scene(experiment: Experiment) -> Scene:
+    return small_scene(experiment)
+
+
+def voltages(scene: Scene, t: int) -> tuple[FloatArray, FloatArray]:
+    """Return the response of every antenna to every source, (Nants, Nsrc), and the sources' power."""
+    experiment = scene.experiment
+    index, za, az = scene.positions.above_horizon(t)
+    towards = np.stack([np.sin(za) * np.cos(az), np.sin(za) * np.sin(az), np.cos(za)])
+    early = experiment.observation.antpos @ towards / C
+    return np.exp(-2j * np.pi * scene.freq * early), 0.5 * experiment.sky.flux[scene.channel, index] * scene.beam(
+        za, az
+    )
+
+
+def coupled(scene: Scene, coupling: np.ndarray) -> np.ndarray:
+    """Return the change of all visibilities to first order in what the voltages hear of each other, (Ntimes, N, N)."""
+    changes = []
+    for t in range(len(scene.times)):
+        v, power = voltages(scene, t)
+        matrix = (v * power) @ v.conj().T
+        changes.append(coupling @ matrix + matrix @ coupling.conj().T)
+    return np.array(changes)
+
+
+def as_measured(scene: Scene, added: np.ndarray, changes: np.ndarray) -> None:
+    """Compare rows with matrices of visibilities, in the sense in which the data have the baselines."""
+    observation = scene.experiment.observation
+    numbers = observation.antenna_numbers.tolist()
+    added = np.where(scene.experiment.redundant.flipped[scene.bls], added.conj(), added)
+    scale = np.abs(changes).max()
+    for row, (one, two) in enumerate(observation.antpairs[scene.bls].tolist()):
+        expected = changes[:, numbers.index(one), numbers.index(two)]
+        np.testing.assert_allclose(added[:, row], expected, rtol=0, atol=1e-9 * scale)
+
+
+def couplings_by_hand(experiment: Experiment, freq: float, shells: dict[float, complex]) -> np.ndarray:
+    antpos = experiment.observation.antpos
+    matrix = np.zeros((len(antpos), len(antpos)), dtype=complex)
+    for i, here in enumerate(antpos):
+        for k, there in enumerate(antpos):
+            length = np.linalg.norm(there - here)
+            for shell, x in shells.items():
+                if abs(length - shell) < 0.01 * shell:
+                    matrix[i, k] = x * np.exp(2j * np.pi * freq * length / C)
+    return matrix
+
+
+SHELLS = {14.6: 1e-3 - 2e-3j, 14.6 * 3**0.5: 5e-4 + 1e-3j, 29.2: -7e-4j}
+X = np.array([1e-3, -2e-3, 5e-4, 1e-3, 0.0, -7e-4])
+
+
+def test_contract(experiment: Experiment, scene: Scene) -> None:
+    effect = MutualCoupling()
+    x = effect.draw(experiment, generator(1, "mutual"), 3.0)
+    check_zero_is_nothing(effect, scene)
+    check_derivative(effect, scene, x)
+    check_adjoint(effect, scene, x)
+    check_recovery(effect, scene, x, sigma=0.1 * float(np.abs(effect.added(scene, x)).max()))
+
+
+def test_known_truth(experiment: Experiment, scene: Scene) -> None:
+    """Voltages source by source, coupled pair by pair."""
+    effect = MutualCoupling()
+    names = effect.parameters(experiment).names
+    assert names[:4] == tuple(f"coupling at {d} m {part}" for d in ("14.6", "25.3") for part in ("real", "imaginary"))
+    assert len(names) == 6
+    changes = coupled(scene, couplings_by_hand(experiment, scene.freq, SHELLS))
+    as_measured(scene, effect.added(scene, X), changes)
+
+
+def test_some_baselines_of_the_scene(experiment: Experiment, scene: Scene) -> None:
+    """A few of the baselines have what they have among all."""
+    bls = np.array([3, 11, 17])
+    groups, member = np.unique(experiment.redundant.group[bls], return_inverse=True)
+    part = replace(scene, bls=bls, groups=groups, member=member, vis=scene.vis[:, bls])
+    np.testing.assert_allclose(MutualCoupling().added(part, X), MutualCoupling().added(scene, X)[:, bls], rtol=1e-9)
+
+
+def test_baselines_that_the_data_lack(experiment: Experiment) -> None:
+    """Visibilities couple in that no baseline of the data has measured, also where antennas are off their places."""
+    rng = generator(2, "positions")
+    observation = experiment.observation
+    antpos = observation.antpos + np.concatenate([rng.uniform(-0.02, 0.02, (7, 2)), np.zeros((7, 1))], axis=1)
+    lengths = np.linalg.norm(observation.bl_vectors, axis=1)
+    observation = replace(observation, antpos=antpos, antpairs=observation.antpairs[(lengths < 20) | (lengths > 28)])
+    fewer = replace(experiment, observation=observation, redundant=find_redundant_groups(observation.bl_vectors, 1e-7))
+    scene = small_scene(fewer)
+    shells = {14.6: SHELLS[14.6], 25.29: SHELLS[14.6 * 3**0.5], 29.2: SHELLS[29.2]}
+    as_measured(scene, MutualCoupling().added(scene, X), coupled(scene, couplings_by_hand(fewer, scene.freq, shells)))
+
+
+def test_groups_within_a_tolerance(experiment: Experiment) -> None:
+    """Where groups are redundant only nearly so, what couples is what the model has for the group."""
+    rng = generator(2, "positions")
+    observation = experiment.observation
+    antpos = observation.antpos + np.concatenate([rng.uniform(-2e-4, 2e-4, (7, 2)), np.zeros((7, 1))], axis=1)
+    observation = replace(observation, antpos=antpos)
+    redundant = find_redundant_groups(observation.bl_vectors, 0.1)
+    assert redundant.Ngroups == experiment.redundant.Ngroups
+    scene = small_scene(replace(experiment, observation=observation, redundant=redundant))
+    changes = coupled(scene, couplings_by_hand(scene.experiment, scene.freq, SHELLS))
+    added = MutualCoupling().added(scene, X)
+    numbers = observation.antenna_numbers.tolist()
+    one, two = np.array([[numbers.index(n) for n in pair] for pair in observation.antpairs.tolist()]).T
+    expected = np.where(redundant.flipped, changes[:, one, two].conj(), changes[:, one, two])
+    # Phases are off by 2 pi nu / c times 0.6 mm at most, two of them on each way.
+    np.testing.assert_allclose(added, expected, rtol=0, atol=5e-3 * np.abs(expected).max())
+
+
+def test_scattered_wave_runs_along_with_the_wave(experiment: Experiment) -> None:
+    """What an antenna scatters reaches those behind it in step with the wave that it comes from."""
+    scene = small_scene(experiment)
+    matrix = np.array([[0.0, 0.0, 0.0], [14.6, 0.0, 0.0]])
+    observation = replace(
+        experiment.observation,
+        antenna_numbers=np.array([0, 1]),
+        antenna_names=("0", "1"),
+        antpos=matrix,
+        antpairs=np.array([[0, 1]]),
+    )
+    pair = replace(experiment, observation=observation, redundant=find_redundant_groups(observation.bl_vectors, 1e-7))
+
+    class East:
+        """One source on the eastern horizon: it reaches antenna 1 first."""
+
+        def above_horizon(self, itime: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            return np.array([0]), np.array([np.pi / 2]), np.array([0.0])
+
+    scene = Scene(
+        experiment=pair,
+        channel=0,
+        times=np.arange(1),
+        bls=np.arange(1),
+        groups=np.arange(1),
+        member=np.zeros(1, dtype=int),
+        positions=East(),
+        beam=lambda za, az: np.ones_like(za),
+    )
+    coupling = 0.01 + 0.02j
+    flux = 0.5 * experiment.sky.flux[0, 0]
+    fringe = flux * np.exp(2j * np.pi * scene.freq * 14.6 / C)
+    # Antenna 0 hears (1 + x) of the wave; antenna 1 hears x of what antenna 0 heard, two ways late.
+    late = np.exp(2j * np.pi * scene.freq * 2 * 14.6 / C)
+    expected = fringe * coupling + fringe * np.conj(coupling * late)
+    added = MutualCoupling(1).added(scene, np.array([coupling.real, coupling.imag]))
+    np.testing.assert_allclose(added[0, 0], expected, rtol=1e-9)
+
+
+def test_shells() -> None:
+    """Distances within two percent are one shell, and there may be fewer than asked for."""
+    positions = np.array([[0.0, 0, 0], [10.0, 0, 0], [20.1, 0, 0]])
+    shells = find_shells(positions, 3)
+    assert [len(distances) for _, _, distances in shells] == [4, 2]
+    np.testing.assert_allclose(shells[0][2], [10.0, 10.0, 10.1, 10.1])
+
+
+def test_description(experiment: Experiment) -> None:
+    effect = MutualCoupling(**json.loads(json.dumps(MutualCoupling(2).describe())))
+    assert len(effect.parameters(experiment)) == 4
+
+
+def test_refusal(experiment: Experiment) -> None:
+    assert MutualCoupling().refusal(experiment) is None
+    refusal = MutualCoupling().refusal(replace(experiment, observation=replace(experiment.observation, pols=("en",))))
+    assert refusal is not None
+    assert "equal feeds" in refusal

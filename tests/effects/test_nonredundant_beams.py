@@ -1,0 +1,75 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.effects.nonredundant_beams import MODES, NonredundantBeams
+from hydrabeam_mpi.random import generator
+from tests.effects.direct import visibilities
+from tests.effects.small import (
+    check_adjoint,
+    check_derivative,
+    check_recovery,
+    check_zero_is_nothing,
+    small_experiment,
+    small_scene,
+    with_effect,
+)
+
+
+def test_contract() -> None:
+    experiment = small_experiment()
+    scene = small_scene(experiment)
+    effect = NonredundantBeams()
+    x = effect.draw(experiment, generator(1, "beams"), 1.0)
+    check_zero_is_nothing(effect, scene)
+    check_derivative(effect, scene, x, step=1e-3)
+    check_adjoint(effect, scene, x)
+    check_recovery(effect, scene, x, sigma=0.001 * float(np.abs(scene.vis).max()))
+
+
+def gaussian(directions: FloatArray, stretch: FloatArray | None = None) -> FloatArray:
+    """An elliptical Gaussian in the plane of radius sqrt(1 - cos za), of which x is stretched by a matrix."""
+    east, north, up = directions
+    plane = np.stack([east, north]) / np.sqrt(1 + up)
+    if stretch is not None:
+        plane = np.linalg.solve(np.eye(2) + stretch, plane)
+    return np.exp(-((plane[0] / 0.25) ** 2) - (plane[1] / 0.2) ** 2 - plane[0] * plane[1])
+
+
+def own_beam(mode: int, amount: float, directions: FloatArray) -> FloatArray:
+    """The Gaussian beam changed by one mode."""
+    stretch = np.zeros((2, 2))
+    if mode < 3:
+        stretch[[(0, 0), (1, 1), (0, 1)][mode]] = amount
+        if mode == 2:
+            stretch[1, 0] = amount
+        return gaussian(directions, stretch)
+    beam = gaussian(directions)
+    weight = [np.ones_like(beam), directions[0], directions[1]][mode - 3]
+    return beam + amount * beam * (1 - beam) * weight
+
+
+@pytest.mark.parametrize("mode", range(len(MODES)), ids=MODES)
+def test_modes_do_what_they_are_called(mode: int) -> None:
+    """Baselines see the mean of their antennas' beams, to first order for the stretches."""
+    scene = replace(
+        small_scene(small_experiment()),
+        beam=lambda za, az: gaussian(np.stack([np.sin(za) * np.cos(az), np.sin(za) * np.sin(az), np.cos(za)])),
+    )
+    scene.vis = visibilities(scene)
+    effect = NonredundantBeams()
+    scene.integrate_for([effect])
+    amounts = 1e-5 * generator(2, "amounts").standard_normal(7)
+    x = np.zeros((7, len(MODES)))
+    x[:, mode] = amounts
+
+    def beam(directions: FloatArray, row: int) -> FloatArray:
+        of_antennas = [own_beam(mode, amounts[ant[row]], directions) for ant in (scene.ant1, scene.ant2)]
+        return 0.5 * (of_antennas[0] + of_antennas[1])
+
+    change = visibilities(scene, beam=beam) - scene.vis
+    found = with_effect(effect, scene, x.ravel()) - scene.vis
+    assert np.abs(change).max() > 0
+    np.testing.assert_allclose(found, change, rtol=0, atol=1e-4 * np.abs(change).max())

@@ -1,0 +1,69 @@
+"""Whether data can show an effect at all, by what its maker knows of it."""
+
+from __future__ import annotations
+
+import numpy as np
+from astropy.constants import c as speed_of_light
+from numpy.typing import NDArray
+from scipy.special import j0, jn_zeros
+
+from tests.validation.undeclared.setting import Setting, altaz
+from tests.validation.undeclared.truth import ComplexArray
+
+LEAST_CHI2 = 50.0
+
+
+def shows(chi2: float, n_params: int) -> bool:
+    """Tell whether a chi^2 over all data is enough to notice an effect of so many parameters.
+
+    Half of the data are fitted. What is gained there must pay for each parameter, by the logarithm of how well it is
+    told, and for the choice of antennas, baselines or places.
+    """
+    return chi2 > LEAST_CHI2 + 2 * n_params * float(np.log1p(chi2 / (2 * n_params)))
+
+
+def beam_modes(setting: Setting, za: NDArray[np.float64], az: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Evaluate smooth functions on the hemisphere, flat at the horizon, as many as the job has modes, (n, Npoints)."""
+    zeros = np.concatenate([[0.0], jn_zeros(1, setting.k_max - 1)])
+    radial = j0(zeros[:, np.newaxis] * np.sqrt(2) * np.sin(za / 2))
+    azimuthal = [np.ones_like(az)]
+    for m in range(1, setting.m_max + 1):
+        azimuthal += [np.cos(m * az), np.sin(m * az)]
+    return (radial[:, np.newaxis] * np.array(azimuthal)).reshape(-1, len(za))
+
+
+def beam_design(setting: Setting, channel: int) -> ComplexArray:
+    """Return the visibilities of every beam mode on every baseline, (Ntimes x Nbls, n)."""
+    freq = float(setting.freqs[channel])
+    flux = setting.catalogue.at(freq)
+    rows = []
+    for time in setting.times.tolist():
+        za, az = altaz(setting.catalogue.ra, setting.catalogue.dec, time)
+        up = za <= np.pi / 2
+        za, az = za[up], az[up]
+        directions = np.stack([np.sin(za) * np.cos(az), np.sin(za) * np.sin(az), np.cos(za)])
+        fringes = np.exp(2j * np.pi * freq / speed_of_light.value * (setting.bl_vectors @ directions))
+        rows.append((0.5 * flux[up] * fringes) @ beam_modes(setting, za, az).T)
+    return np.concatenate(rows)
+
+
+def chi2_beyond_beam(setting: Setting, change: ComplexArray, sigma: float) -> tuple[float, float]:
+    """Return chi^2 of a change of the visibilities as it is, and of what no beam absorbs of it.
+
+    Parameters
+    ----------
+    setting : Setting
+    change : ndarray, (Nfreqs, Ntimes, Nbls)
+        Jy.
+    sigma : float
+        Jy.
+    """
+    total = left = 0.0
+    for channel, values in enumerate(change):
+        design = beam_design(setting, channel)
+        matrix = np.concatenate([design.real, design.imag])
+        vector = np.concatenate([values.reshape(-1).real, values.reshape(-1).imag])
+        coeffs, *_ = np.linalg.lstsq(matrix, vector, rcond=1e-10)
+        total += 2 * float(vector @ vector) / sigma**2
+        left += 2 * float(np.sum((vector - matrix @ coeffs) ** 2)) / sigma**2
+    return total, left

@@ -1,0 +1,159 @@
+"""Data with an undeclared effect: `generate`."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tests.validation.undeclared.answer import Drawn, Kind
+from tests.validation.undeclared.beams import drawn_shape
+from tests.validation.undeclared.cases import ALL, EFFECTS, merged
+from tests.validation.undeclared.detect import chi2_beyond_beam, shows
+from tests.validation.undeclared.files import write_all
+from tests.validation.undeclared.polarisation import polarised
+from tests.validation.undeclared.setting import Setting, draw_setting
+from tests.validation.undeclared.simulator import corrupted, correlations, on_baselines
+from tests.validation.undeclared.truth import ComplexArray, Truth
+
+GIVEN, SEALED = "given", "sealed"
+
+
+def stream(seed: int, what: str) -> np.random.Generator:
+    """Return random numbers of their own for each purpose."""
+    return np.random.default_rng([seed, zlib.crc32(what.encode())])
+
+
+@dataclass(frozen=True)
+class Made:
+    """What was made up: the truth, and each effect with its strength."""
+
+    truth: Truth
+    effects: list[tuple[Kind, float, Drawn]]
+
+
+def make(seed: int, kinds: list[Kind], present: list[Kind]) -> Made:
+    """Draw an experiment that serves ``kinds``, with those that are ``present`` in it."""
+    setting = draw_setting(stream(seed, "setting"), merged([kind.plan for kind in kinds]))
+    truth = Truth.of(setting, drawn_shape(stream(seed, "beam"), setting.model_shape))
+    effects = []
+    for kind in present:
+        rng = stream(seed, kind.name)
+        # Two at once are drawn strong enough to be seen, mostly.
+        low, high = np.log(kind.weakest), np.log(kind.strongest)
+        strength = float(np.exp(rng.uniform(low if len(kinds) == 1 else 0.5 * (low + high), high)))
+        effects.append((kind, strength, kind.apply(truth, rng, strength)))
+    return Made(truth, effects)
+
+
+def generate(seed: int, folder: Path, case: str | None = None) -> None:
+    """Write data, catalogue, beam and job to ``folder/given``, and what is wrong to ``folder/sealed/answer.json``.
+
+    Parameters
+    ----------
+    seed : int
+    folder : Path
+    case : str, optional
+        "null", a name of `cases.ALL`, or two with "+" between them; drawn from the effects that the loop knows where
+        it is not given.
+    """
+    if case is None:
+        case = str(stream(seed, "case").choice(list(EFFECTS)))
+    kinds = [] if case == "null" else [ALL[name] for name in case.split("+")]
+    clean = make(seed, kinds, []).truth
+    setting = clean.setting
+    reference = correlations(clean)
+    sigma = float(np.sqrt(np.mean(np.abs(on_baselines(clean, reference)) ** 2))) / setting.snr
+    made = make(seed, kinds, kinds)
+    measured = reference if not kinds else corrupted(made.truth)
+    by_pol = {pol: on_baselines(clean, vis) for pol, vis in polarised(made.truth, measured).items()}
+    data = {pol: _filed(made.truth, vis, sigma, stream(seed, f"noise {pol}")) for pol, vis in by_pol.items()}
+    autos = np.einsum("ftjj->ftj", measured)
+    write_all(folder / GIVEN, setting, sigma, data, autos, seed)
+    answer = {
+        "case": case,
+        "seed": seed,
+        "snr": setting.snr,
+        "times": setting.times.tolist(),
+        "freqs": setting.freqs.tolist(),
+        "effects": [_told(seed, kinds, one, reference, sigma) for one in made.effects],
+    }
+    (folder / SEALED).mkdir(parents=True, exist_ok=True)
+    (folder / SEALED / "answer.json").write_text(json.dumps(answer, indent=1) + "\n")
+
+
+def _filed(truth: Truth, vis: ComplexArray, sigma: float, rng: np.random.Generator) -> ComplexArray:
+    """Add noise and write down, with whatever goes wrong with either."""
+    noise = (rng.standard_normal(vis.shape) + 1j * rng.standard_normal(vis.shape)) / np.sqrt(2)
+    for change in truth.noise:
+        noise = change(noise, rng)
+    data = vis + sigma * noise
+    for change_of_all in truth.filed:
+        data = change_of_all(data)
+    return data
+
+
+def _told(
+    seed: int, kinds: list[Kind], effect: tuple[Kind, float, Drawn], reference: ComplexArray, sigma: float
+) -> dict[str, Any]:
+    """Describe one effect, and whether the data show it when it is alone."""
+    kind, strength, drawn = effect
+    alone = make(seed, kinds, [kind]).truth
+    total, left = _visible(alone, reference, sigma, seed)
+    return {
+        "kind": kind.name,
+        "known": kind.name in EFFECTS,
+        "strength": strength,
+        "strength_unit": kind.unit,
+        "parameters": [asdict(parameter) for parameter in drawn.parameters],
+        "where": asdict(drawn.where),
+        "n_params": drawn.n_params,
+        "chi2_total": total,
+        "chi2_left": left,
+        "detectable": shows(left, drawn.n_params),
+    }
+
+
+def _visible(truth: Truth, reference: ComplexArray, sigma: float, seed: int) -> tuple[float, float]:
+    """Return chi^2 of what an effect changes, and of what no beam absorbs of it.
+
+    Of noise it is twice the logarithm of the likelihood ratio of the noise as it is and as it is said to be.
+    """
+    setting: Setting = truth.setting
+    if truth.noise:
+        rng = stream(seed, "noise ee")
+        noise = _filed(truth, np.zeros(setting.shape, dtype=complex), 1.0, rng)
+        power = np.abs(noise) ** 2
+        excess = _noise_ratio(power)
+        return excess, excess
+    vis = corrupted(truth) if truth.leakage is None else reference
+    pols = polarised(truth, vis)
+    before = {"ee": reference, "nn": reference, "en": 0 * reference, "ne": 0 * reference}
+    total = left = 0.0
+    for pol, after in pols.items():
+        change = on_baselines(truth, after - before[pol])
+        for filed in truth.filed:
+            change = filed(on_baselines(truth, after)) - on_baselines(truth, before[pol])
+        if pol in ("en", "ne"):
+            # The job's beam has no say in these.
+            both = 2 * float(np.sum(np.abs(change) ** 2)) / sigma**2, 0.0
+            total, left = total + both[0], left + both[0]
+            continue
+        parts = chi2_beyond_beam(setting, change, sigma)
+        total, left = total + parts[0], left + parts[1]
+    return total, left
+
+
+def _noise_ratio(power: np.ndarray) -> float:
+    """Return how far |n|^2, (Nfreqs, Ntimes, Nbls), is from that of unit noise: by times, baselines, and tails."""
+    by_group = 0.0
+    for axes in ((0, 1, 2), (0, 2), (0, 1)):
+        mean = power.mean(axis=axes)
+        n = power.size / mean.size
+        by_group = max(by_group, float(np.sum(2 * n * (mean - 1 - np.log(mean)))) - 2 * mean.size)
+    tail = float(np.sum(np.where(power > 15, 2 * power, 0)))
+    return max(by_group, tail)

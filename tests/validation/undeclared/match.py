@@ -1,0 +1,210 @@
+"""The loop's parameters beside those of an answer."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+Found = dict[tuple[str, str], tuple[float, float]]
+"""(thing, quantity) -> value and standard deviation."""
+
+SIGMAS = 3.0
+ENOUGH = 0.95
+SAME_PLACE_DEG = 1.0
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Deviations in standard deviations, after combinations that no data tell are taken out."""
+
+    z: FloatArray
+
+    @property
+    def within(self) -> int:
+        """How many are within three sigma."""
+        return int(np.sum(np.abs(self.z) <= SIGMAS))
+
+    @property
+    def holds(self) -> bool | None:
+        """Whether at least 95% are within three sigma; None where nothing could be compared."""
+        return None if not len(self.z) else bool(self.within >= ENOUGH * len(self.z))
+
+
+# What antennas have in common and no data tell, by the end of the quantity's name.
+COMMON = {
+    "antenna_gains": ("ln amplitude", "phase"),
+    "antenna_delays": ("delay",),
+    "antenna_positions": ("displaced East", "displaced North", "displaced Up"),
+    "antenna_pointing": ("tilted towards East", "tilted towards North"),
+    "nonredundant_beams": ("width East-West", "width North-South"),
+}
+
+
+def compare(effect: dict[str, Any], found_round: dict[str, Any], answer: dict[str, Any]) -> Comparison:
+    """Compare an effect of an answer with the round of a loop that names it."""
+    kind = effect["kind"]
+    truth = {(p["thing"], p["quantity"]): p["value"] for p in effect["parameters"]}
+    found = READERS.get(kind, read_plain)(found_round["parameters"], truth, answer)
+    keys = [key for key in truth if key in found]
+    if not keys:
+        return Comparison(np.zeros(0))
+    value, std = np.array([found[key] for key in keys]).T
+    difference = value - np.array([truth[key] for key in keys])
+    usable = std > 0
+    difference, std = difference[usable], std[usable]
+    keys = [key for key, good in zip(keys, usable, strict=True) if good]
+    for quantity in COMMON.get(kind, ()):
+        same = np.array([key[1] == quantity and key[0].startswith("antenna") for key in keys])
+        n_all = sum(key[1] == quantity for key in truth)
+        if 2 * same.sum() > n_all:
+            weight = std[same] ** -2.0
+            difference[same] -= np.sum(weight * difference[same]) / weight.sum()
+    return Comparison(difference / std)
+
+
+def averaged(parameters: list[dict[str, Any]]) -> dict[str, tuple[float, float]]:
+    """Return every name's mean over channels, weighted, with its standard deviation."""
+    by_name: dict[str, list[tuple[float, float]]] = {}
+    for p in parameters:
+        by_name.setdefault(p["name"], []).append((p["value"], p["std"]))
+    out = {}
+    for name, pairs in by_name.items():
+        value, std = np.array(pairs).T
+        if not np.all(std > 0):
+            continue
+        weight = std**-2.0
+        out[name] = float(weight @ value / weight.sum()), float(weight.sum() ** -0.5)
+    return out
+
+
+def read_plain(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]) -> Found:
+    """Read names that are the thing followed by the quantity."""
+    found = averaged(parameters)
+    keys = {f"{thing} {quantity}": (thing, quantity) for thing, quantity in truth}
+    return {keys[name]: value for name, value in found.items() if name in keys}
+
+
+def read_baselines(
+    parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]
+) -> Found:
+    """Read "baseline 3-17 real"; where the loop has it the other way round, the imaginary part changes its sign."""
+    out: Found = {}
+    for name, (value, std) in averaged(parameters).items():
+        match = re.fullmatch(r"baseline (\d+)-(\d+) (real|imaginary)", name)
+        if match is None:
+            continue
+        one, two, part = match.groups()
+        for first, second, sign in ((one, two, 1), (two, one, -1)):
+            key = (f"baseline {first}-{second}", part)
+            if key in truth:
+                out[key] = (sign * value if part == "imaginary" else value), std
+    return out
+
+
+def read_reflections(
+    parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]
+) -> Found:
+    """Read "antenna 3 reflection at 93.2 ns real" and so on."""
+    out: Found = {}
+    for name, (value, std) in averaged(parameters).items():
+        match = re.fullmatch(r"(antenna \d+) reflection at (-?[\d.]+) ns (.*)", name)
+        if match is None:
+            continue
+        thing, delay, what = match.groups()
+        if what in ("real", "imaginary"):
+            out[thing, f"reflection {what}"] = value, std
+        else:
+            out[thing, "reflection delay"] = float(delay) + value, std
+    return out
+
+
+def read_sources(
+    parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]
+) -> Found:
+    """Read flux and offsets of sources, and give each to the true one that is within a degree."""
+    places: dict[tuple[float, float], dict[str, tuple[float, float]]] = {}
+    for name, pair in averaged(parameters).items():
+        match = re.fullmatch(r"source at ra=([-\d.]+) dec=([-\d.]+): (.*)", name)
+        if match is not None:
+            places.setdefault((float(match[1]), float(match[2])), {})[match[3]] = pair
+    out: Found = {}
+    for (ra, dec), told in places.items():
+        east, north = told.get("offset east", (0.0, 0.0)), told.get("offset north", (0.0, 0.0))
+        cosine = np.cos(np.deg2rad(dec))
+        found_ra, found_dec = ra + east[0] / cosine, dec + north[0]
+        for thing in {thing for thing, _ in truth}:
+            true_ra, true_dec = truth[thing, "right ascension"], truth[thing, "declination"]
+            apart = np.hypot(((true_ra - found_ra + 180) % 360 - 180) * cosine, true_dec - found_dec)
+            if apart < SAME_PLACE_DEG and "flux" in told:
+                # The names give the place to a thousandth of a degree.
+                rounding = 3e-4
+                out[thing, "flux"] = told["flux"]
+                turns = 360 * np.round((true_ra - found_ra) / 360)
+                out[thing, "right ascension"] = found_ra + turns, float(np.hypot(east[1], rounding) / cosine)
+                out[thing, "declination"] = found_dec, float(np.hypot(north[1], rounding))
+    return out
+
+
+def read_fluxes(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]) -> Found:
+    """Read "source 17: relative flux error"."""
+    tail = ": relative flux error"
+    return {
+        (name.removesuffix(tail), "relative change of flux"): pair
+        for name, pair in averaged(parameters).items()
+        if name.endswith(tail)
+    }
+
+
+def read_clock(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]) -> Found:
+    """Read the one offset."""
+    return {("clock", "later"): pair for name, pair in averaged(parameters).items() if "later" in name}
+
+
+def read_shifts(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]) -> Found:
+    """Read "shift towards East at JD 2459866.12345"."""
+    times = np.array(answer["times"])
+    out: Found = {}
+    for name, pair in averaged(parameters).items():
+        match = re.fullmatch(r"(shift towards (?:East|North)) at JD ([\d.]+)", name)
+        if match is not None:
+            out[f"time {np.argmin(np.abs(times - float(match[2])))}", match[1]] = pair
+    return out
+
+
+def read_harmonics(
+    parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]
+) -> Found:
+    """Read "harmonic l=1 m=-1"."""
+    return {("sky", name): pair for name, pair in averaged(parameters).items()}
+
+
+def read_noise(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]) -> Found:
+    """Read one scale for all, or one of all times one of each antenna, which is relative to the others."""
+    told = averaged(parameters)
+    if set(told) == {"noise scale"}:
+        return {("array", "noise scale"): told["noise scale"]}
+    overall = told.get("noise scale", (1.0, 0.0))[0]
+    out: Found = {}
+    for name, (value, std) in told.items():
+        if name.startswith("antenna"):
+            out[name.removesuffix(" noise scale"), "noise scale"] = overall * value, overall * std
+    return out
+
+
+READERS: dict[str, Callable[[list[dict[str, Any]], dict[tuple[str, str], float], dict[str, Any]], Found]] = {
+    "cross_coupling": read_baselines,
+    "auto_coupling": read_baselines,
+    "cable_reflections": read_reflections,
+    "missing_sources": read_sources,
+    "catalogue_flux": read_fluxes,
+    "timestamp": read_clock,
+    "ionosphere": read_shifts,
+    "diffuse": read_harmonics,
+    "noise_level": read_noise,
+}

@@ -1,0 +1,141 @@
+"""The sky: sources that no catalogue has, wrong fluxes, diffuse emission, refraction and a horizon that is not flat."""
+
+from __future__ import annotations
+
+import numpy as np
+from astropy_healpix import HEALPix
+from scipy.special import sph_harm_y
+
+from tests.validation.undeclared.answer import Drawn, Parameter
+from tests.validation.undeclared.beams import REFERENCE_FREQ, FloatArray
+from tests.validation.undeclared.setting import Catalogue, altaz, icrs
+from tests.validation.undeclared.truth import Truth
+
+LARGEST_DEGREE = 3
+DIFFUSE_INDEX = -2.5
+
+
+def _overhead(truth: Truth, rng: np.random.Generator) -> tuple[float, float]:
+    """Draw a direction that passes within 15 degrees of the zenith during the observation, (ra, dec)."""
+    time = truth.setting.times[0] + rng.uniform(0.2, 0.8) * np.ptp(truth.setting.times)
+    za, az = np.array([np.deg2rad(15) * np.sqrt(rng.random())]), np.array([rng.uniform(0, 2 * np.pi)])
+    ra, dec = icrs(za, az, time)
+    return float(ra[0]), float(dec[0])
+
+
+def missing_sources(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
+    """A source of ``strength`` Jy, or two, which the catalogue lacks."""
+    parameters = []
+    for number in range(int(rng.choice([1, 1, 2]))):
+        ra, dec = _overhead(truth, rng)
+        flux = strength * (1 if number == 0 else rng.uniform(0.5, 1.0))
+        new = Catalogue(np.array([ra]), np.array([dec]), np.array([flux]), np.array([-0.8]))
+        truth.catalogue = truth.catalogue.joined(new)
+        parameters += [
+            Parameter(f"source {number}", "right ascension", "deg", float(np.rad2deg(ra))),
+            Parameter(f"source {number}", "declination", "deg", float(np.rad2deg(dec))),
+            Parameter(f"source {number}", "flux", "Jy", float(flux * _mean_scale(truth))),
+        ]
+    return Drawn(parameters, n_params=len(parameters))
+
+
+def _mean_scale(truth: Truth) -> float:
+    """Return the flux at the mean channel over that at 150 MHz."""
+    return float((truth.setting.freqs.mean() / REFERENCE_FREQ) ** -0.8)
+
+
+def catalogue_flux(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
+    """Fluxes of one or three of the strongest sources overhead are wrong by the part ``strength``."""
+    catalogue = truth.catalogue
+    middle = truth.setting.times[len(truth.setting.times) // 2]
+    za, az = altaz(catalogue.ra, catalogue.dec, float(middle))
+    seen = catalogue.flux * truth.setting.model_shape.power(za, az, REFERENCE_FREQ) * (za < np.pi / 2)
+    bright = np.argsort(-seen)[:8]
+    chosen = rng.choice(bright, int(rng.choice([1, 3])), replace=False)
+    change = strength * rng.choice([-1, 1], len(chosen)) * rng.uniform(0.7, 1.0, len(chosen))
+    flux = catalogue.flux.copy()
+    flux[chosen] *= np.exp(change)
+    truth.catalogue = Catalogue(catalogue.ra, catalogue.dec, flux, catalogue.index)
+    parameters = [
+        Parameter(f"source {source}", "relative change of flux", "", float(np.expm1(value)))
+        for source, value in zip(chosen, change, strict=True)
+    ]
+    return Drawn(parameters, n_params=len(chosen))
+
+
+def diffuse(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
+    """Emission of low order in right ascension and declination, ``strength`` kJy/sr, nowhere negative."""
+    pixels = HEALPix(64, order="nested")
+    ra, dec = (np.asarray(angle) for angle in pixels.healpix_to_lonlat(np.arange(pixels.npix)))
+    colatitude = np.pi / 2 - dec
+    amplitudes = {(l, m): float(rng.standard_normal()) for l in range(1, LARGEST_DEGREE + 1) for m in range(-l, l + 1)}
+    values = sum(amplitude * real_harmonic(*lm, colatitude, ra) for lm, amplitude in amplitudes.items())
+    # As much of the monopole as it takes for nothing to be negative.
+    amplitudes[0, 0] = float(-values.min() * np.sqrt(4 * np.pi))
+    values = strength * 1e3 * (values - values.min())
+    flux = values * pixels.pixel_area.to_value("sr")
+    truth.catalogue = truth.catalogue.joined(Catalogue(ra, dec, flux, np.full(len(ra), DIFFUSE_INDEX)))
+    scale = strength * 1e3 * (truth.setting.freqs.mean() / REFERENCE_FREQ) ** DIFFUSE_INDEX
+    parameters = [
+        Parameter("sky", f"harmonic l={l} m={m}", "Jy/sr", float(scale * value))
+        for (l, m), value in sorted(amplitudes.items())
+    ]
+    return Drawn(parameters, n_params=(LARGEST_DEGREE + 1) ** 2)
+
+
+def real_harmonic(degree: int, order: int, colatitude: FloatArray, azimuth: FloatArray) -> FloatArray:
+    """Evaluate the orthonormal real spherical harmonic that goes as cos(m azimuth), or sin(|m| azimuth) if m < 0."""
+    # scipy's have the sign (-1)^m.
+    values = (-1.0) ** order * sph_harm_y(degree, abs(order), colatitude, azimuth)
+    if order == 0:
+        return np.asarray(values.real)
+    return np.asarray(np.sqrt(2) * (values.real if order > 0 else values.imag))
+
+
+def turned(catalogue: Catalogue, time: float, east: float, north: float) -> Catalogue:
+    """Turn the sky about a horizontal axis, so that the zenith moves by ``east``, ``north`` radians, at one time."""
+    za, az = altaz(catalogue.ra, catalogue.dec, time)
+    vectors = np.stack([np.sin(za) * np.cos(az), np.sin(za) * np.sin(az), np.cos(za)], axis=-1)
+    angle = float(np.hypot(east, north))
+    if angle == 0:
+        return catalogue
+    axis = np.array([-north, east, 0.0]) / angle
+    along = (vectors @ axis)[:, np.newaxis] * axis
+    vectors = along + np.cos(angle) * (vectors - along) + np.sin(angle) * np.cross(axis, vectors)
+    za, az = np.arctan2(np.hypot(*vectors.T[:2]), vectors[:, 2]), np.arctan2(vectors[:, 1], vectors[:, 0])
+    ra, dec = icrs(za, az, time)
+    return Catalogue(ra, dec, catalogue.flux, catalogue.index)
+
+
+def ionosphere(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
+    """The whole sky is turned by ``strength`` arcmin at the mean frequency, as lambda^2, anew at each time."""
+    n_times = len(truth.setting.times)
+    shifts = np.deg2rad(strength / 60) * rng.standard_normal((n_times, 2)) / np.sqrt(2)
+
+    def sky(channel: int, time: int, catalogue: Catalogue) -> Catalogue:
+        scale = (truth.setting.freqs.mean() / truth.setting.freqs[channel]) ** 2
+        return turned(catalogue, truth.time(time), *(scale * shifts[time]))
+
+    truth.sky_of.append(sky)
+    parameters = [
+        Parameter(f"time {time}", f"shift towards {direction}", "arcmin", float(np.rad2deg(shift) * 60))
+        for time in range(n_times)
+        for direction, shift in zip(("East", "North"), shifts[time], strict=True)
+    ]
+    return Drawn(parameters, n_params=2 * n_times)
+
+
+def horizon(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
+    """Hills hide the sky up to ``strength`` degrees in a sector of azimuth of 60 to 360 degrees."""
+    width = np.deg2rad(rng.choice([60.0, 120.0, 360.0]))
+    centre = rng.uniform(0, 2 * np.pi)
+
+    def sky(channel: int, time: int, catalogue: Catalogue) -> Catalogue:
+        za, az = altaz(catalogue.ra, catalogue.dec, truth.time(time))
+        inside = np.abs((az - centre + np.pi) % (2 * np.pi) - np.pi) <= width / 2
+        return catalogue.select(~(inside & (za > np.pi / 2 - np.deg2rad(strength))))
+
+    truth.sky_of.append(sky)
+    return Drawn([Parameter("ground", "elevation", "deg", strength)], n_params=4)
+
+

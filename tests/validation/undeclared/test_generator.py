@@ -1,0 +1,161 @@
+"""The generator by itself: that it shares nothing with the package, and is right where nothing is wrong."""
+
+import ast
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from astropy.constants import c as speed_of_light
+from mpi4py import MPI
+
+from hydrabeam_mpi.run import infer
+from tests.validation.undeclared import skies
+from tests.validation.undeclared.answer import Kind
+from tests.validation.undeclared.beams import drawn_shape
+from tests.validation.undeclared.cases import ALL, CONVENTIONS, EFFECTS
+from tests.validation.undeclared.detect import chi2_beyond_beam
+from tests.validation.undeclared.gains import antenna_gains
+from tests.validation.undeclared.generate import generate, make, stream
+from tests.validation.undeclared.setting import Plan, altaz, draw_setting, icrs
+from tests.validation.undeclared.simulator import corrupted, correlations, on_baselines
+from tests.validation.undeclared.truth import Truth
+
+SOURCES = sorted(Path(__file__).parent.glob("[!t]*.py"))
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.stem)
+def test_shares_nothing_with_the_package(path):
+    imported = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            imported |= {name.name for name in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            imported.add(node.module)
+    assert not {name for name in imported if name.startswith("hydrabeam_mpi")}
+    assert {name for name in imported if name.startswith("tests.")} <= {
+        f"tests.validation.undeclared{name}" for name in ["", *(f".{other.stem}" for other in SOURCES)]
+    }
+
+
+@pytest.fixture(scope="module")
+def nothing_wrong():
+    setting = draw_setting(np.random.default_rng(5), Plan(n_times=4, n_freqs=2))
+    truth = Truth.of(setting, drawn_shape(np.random.default_rng(6), setting.model_shape))
+    return truth, correlations(truth)
+
+
+def test_the_visibilities_are_the_sum_over_sources(nothing_wrong):
+    """Signs and the factor 1/2 once more, as a plain sum."""
+    truth, found = nothing_wrong
+    setting = truth.setting
+    for f, freq in enumerate(setting.freqs):
+        for t, time in enumerate(setting.times):
+            za, az = altaz(setting.catalogue.ra, setting.catalogue.dec, time)
+            directions = np.stack([np.sin(za) * np.cos(az), np.sin(za) * np.sin(az), np.cos(za)])
+            seen = 0.5 * setting.catalogue.at(freq) * truth.shapes[0].power(za, az, freq) * (za <= np.pi / 2)
+            expected = np.exp(2j * np.pi * freq / speed_of_light.value * (setting.bl_vectors @ directions)) @ seen
+            np.testing.assert_allclose(on_baselines(truth, found)[f, t], expected, rtol=0, atol=1e-9)
+
+
+def test_antennas_with_beams_of_their_own_see_products_of_fields(nothing_wrong):
+    truth, _ = nothing_wrong
+    shape = truth.shapes[0]
+    half = replace(shape, extra=lambda l, m: np.full_like(l, -0.5))
+    other = Truth.of(truth.setting, shape)
+    other.shapes = [half, *other.shapes[1:]]
+    before, after = nothing_wrong[1], correlations(other)
+    np.testing.assert_allclose(after[:, :, 0, 1:], 0.5 * before[:, :, 0, 1:], atol=1e-9)
+    np.testing.assert_allclose(after[:, :, 1:, 0], 0.5 * before[:, :, 1:, 0], atol=1e-9)
+    np.testing.assert_allclose(after[:, :, 1:, 1:], before[:, :, 1:, 1:], atol=1e-9)
+    np.testing.assert_allclose(after[:, :, 0, 0], 0.25 * before[:, :, 0, 0], atol=1e-9)
+
+
+def test_a_tilted_beam_points_where_it_is_tilted_to():
+    setting = draw_setting(np.random.default_rng(5), Plan())
+    tilt = np.deg2rad(20)
+    shape = replace(setting.model_shape, pointing=(np.sin(tilt), 0.0))
+    values = shape.power(np.array([tilt, tilt, 0.0]), np.array([0.0, np.pi, 0.0]), 150e6)
+    assert values[0] == pytest.approx(1.0)
+    assert values[1] < 0.2 * values[2] < 0.2
+
+
+def test_the_sky_is_turned_towards_where_it_should(nothing_wrong):
+    catalogue, time = nothing_wrong[0].setting.catalogue, nothing_wrong[0].setting.times[0]
+    ra, dec = icrs(np.array([1e-9]), np.array([0.0]), time)
+    zenith = replace(catalogue, ra=ra, dec=dec, flux=np.ones(1), index=np.zeros(1))
+    moved = skies.turned(zenith, time, 0.01, 0.02)
+    za, az = altaz(moved.ra, moved.dec, time)
+    np.testing.assert_allclose([np.sin(za) * np.cos(az), np.sin(za) * np.sin(az)], [[0.01], [0.02]], rtol=1e-4)
+
+
+def test_the_beam_absorbs_a_common_gain_and_not_that_of_one_antenna(nothing_wrong):
+    truth, vis = nothing_wrong
+    setting, shape = truth.setting, truth.setting.model_shape
+    clean = on_baselines(truth, correlations(Truth.of(setting, shape)))
+    total, left = chi2_beyond_beam(setting, 0.1 * clean, 0.1)
+    assert left < 1e-6 * total
+    one = Truth.of(setting, shape)
+    antenna_gains(one, np.random.default_rng(3), 0.1)
+    total, left = chi2_beyond_beam(setting, on_baselines(one, corrupted(one)) - clean, 0.1)
+    assert left > 0.3 * total
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_every_effect_is_one(name):
+    """It changes the data or their noise; drawn twice with one seed it is the same."""
+    kind: Kind = ALL[name]
+    made, again = (make(7, [kind], [kind]) for _ in range(2))
+    assert made.effects[0][1:] == again.effects[0][1:]
+    assert kind.weakest <= made.effects[0][1] <= kind.strongest
+    truth = made.truth
+    ones = np.ones(truth.setting.shape, dtype=complex)
+    if truth.noise:
+        assert not np.allclose(truth.noise[0](ones, stream(1, "noise")), ones)
+        return
+    if truth.leakage is not None:
+        assert np.abs(truth.leakage).max() > 0
+        return
+    if truth.filed:
+        assert not np.allclose(truth.filed[0](1j * ones), 1j * ones)
+        return
+    few = make(7, [kind], []).truth
+    assert np.abs(corrupted(truth) - correlations(few)).max() > 1e-6
+
+
+def infer_summary(folder):
+    infer(MPI.COMM_SELF, folder / "given" / "job.toml", folder / "out", overwrite=False, threads=1)
+    return json.loads((folder / "out" / "summary.json").read_text())
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_where_nothing_is_wrong_the_beam_explains_the_data(tmp_path, seed):
+    """The basis follows the true beam to below the noise: what the loop finds is not the basis's fault."""
+    generate(seed, tmp_path, "null")
+    summary = infer_summary(tmp_path)
+    assert summary["ppd_z_std"] == pytest.approx(1.0, abs=4 / np.sqrt(2 * 2 * summary["heldout_n"]))
+    assert summary["heldout_chi2_unperturbed"] > 3
+
+
+def test_a_gross_error_is_one_to_the_inference(tmp_path):
+    generate(3, tmp_path, "convention: conjugated")
+    assert infer_summary(tmp_path)["heldout_chi2"] > 100
+
+
+def test_the_answer_is_sealed_apart(tmp_path):
+    generate(4, tmp_path, "antenna_gains+outliers")
+    assert {path.name for path in (tmp_path / "given").iterdir()} == {
+        "data.uvh5",
+        "catalogue.skyh5",
+        "beam.beamfits",
+        "job.toml",
+    }
+    answer = json.loads((tmp_path / "sealed" / "answer.json").read_text())
+    assert [effect["kind"] for effect in answer["effects"]] == ["antenna_gains", "outliers"]
+    assert "antenna_gains" not in (tmp_path / "given" / "job.toml").read_text()
+
+
+def test_names_are_of_known_effects_and_of_mistakes():
+    assert len(EFFECTS) == 19
+    assert all(name.startswith("convention: ") for name in CONVENTIONS)
