@@ -69,9 +69,16 @@ def check_heldout(
     beams : list of callable
         The model beam of each channel, before the inference.
     """
-    statistics = [HeldoutStatistics() for _ in model.freqs]
     before = model.visibilities(beams, rows.tile.times)
-    for t, design in enumerate(designs(rows, model, basis, "held-out rows", show)):
+    return check_designs(rows, designs(rows, model, basis, "held-out rows", show), posteriors, before)
+
+
+def check_designs(
+    rows: Rows, by_time: Iterable[NDArray[Any]], posteriors: Sequence[Posterior], before: ComplexArray
+) -> list[HeldoutStatistics]:
+    """Do as `check_heldout` with the design of each time and the model beam's visibilities, (Nfreqs, Ntimes, Nlocal)."""
+    statistics = [HeldoutStatistics() for _ in rows.data]
+    for t, design in enumerate(by_time):
         for f, posterior in enumerate(posteriors):
             mean, variance = predict(posterior, design[f])
             statistics[f].add(

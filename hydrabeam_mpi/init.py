@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from hydrabeam_mpi.beams import SAME_FREQ
 from hydrabeam_mpi.config import Job, Section
+from hydrabeam_mpi.config.effects import Loop
 from hydrabeam_mpi.config.sections import Basis, Beam, Data, Holdout, Noise, Output, Prior, Sky, SkyColumns, Solver
 from hydrabeam_mpi.config.text import frequency_text, keys_text, table_text
 from hydrabeam_mpi.data.observation import FloatArray, IntArray, Observation
@@ -69,7 +70,7 @@ def job_from_data(paths: Sequence[Path]) -> str:
     return "\n".join(lines) + "\n"
 
 
-_OTHERS: dict[str, type[Section]] = {"basis": Basis, "prior": Prior, "solver": Solver, "output": Output}
+_OTHERS: dict[str, type[Section]] = {"basis": Basis, "prior": Prior, "solver": Solver, "output": Output, "loop": Loop}
 
 
 def _first_channels(summary: Summary) -> IntArray:

@@ -1,4 +1,4 @@
-"""The tables of a job file that are about effects: those in the model, those in a simulation, and how to look for more."""
+"""The tables of a job file that are about effects: in the model, in a simulation, and how to look for more."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ Kind = Literal[
 class Effect(Section):
     """An effect that is part of the model; `hydrabeam loop` writes these."""
 
-    kind: Kind
+    kind: Kind = key(..., "which effect")
     settings: dict[str, Any] = key({}, "which of several, such as the positions of sources")
     names: tuple[str, ...] = key((), "of the parameters in use")
     index: tuple[Annotated[int, Field(ge=0)], ...] = key((), "their numbers among all of the effect's parameters")
@@ -46,7 +46,7 @@ class Effect(Section):
 class Injected(Section):
     """An effect to simulate with: given parameters, or drawn at random."""
 
-    kind: Kind
+    kind: Kind = key(..., "which effect")
     settings: dict[str, Any] = key({}, "which of several, such as the positions of sources")
     strength: float = key(0.1, "rms of the parameters drawn, over their natural size", gt=0)
     parameters: dict[str, float] = key({}, "instead: values by name, the others zero")

@@ -5,9 +5,10 @@ from __future__ import annotations
 import difflib
 import json
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_origin
 
 from pydantic import BaseModel, ValidationError
 
@@ -24,6 +25,7 @@ SHOULD_BE: dict[str, Callable[[Details], str]] = {
     "finite_number": lambda _: "finite",
     "string_": lambda _: "text in quotes",
     "tuple_": lambda _: "a list in brackets",
+    "dict_": lambda _: "keys and values in braces",
     "model_": lambda _: "keys and values below a line with its name in brackets",
     "literal_error": lambda context: str(context["expected"]),
     "greater_than_equal": lambda context: f"at least {context['ge']:.10g}",
@@ -35,6 +37,41 @@ SHOULD_BE: dict[str, Callable[[Details], str]] = {
     "value_error": lambda context: str(context["error"]),
 }
 LONGEST_VALUE = 60
+
+
+@dataclass(frozen=True)
+class _Place:
+    """A place in a job: tables within tables, and what within the innermost.
+
+    Attributes
+    ----------
+    sections : list of str
+        Names of the tables.
+    inside : type
+        Model of the innermost table; the whole job where there is none.
+    names : list of str
+        Key and what follows it; empty for a table as a whole.
+    repeated : bool
+        Whether there may be several of the innermost table, below [[...]].
+    number : str
+        Which of them, from 1, in words.
+    """
+
+    sections: list[str]
+    inside: Model
+    names: list[str]
+    repeated: bool
+    number: str
+
+    @property
+    def table(self) -> str:
+        """The innermost table as the line above it names it."""
+        return _in_brackets(self.sections, self.repeated) if self.sections else ""
+
+    @property
+    def field(self) -> str:
+        """All of it in words."""
+        return " ".join([part for part in (self.table, self.number) if part] + self.names)
 
 
 def as_input_error(error: ValidationError, model: Model, path: Path) -> InputError:
@@ -50,32 +87,47 @@ def as_input_error(error: ValidationError, model: Model, path: Path) -> InputErr
         The job file.
     """
     first = min(error.errors(), key=lambda details: details["type"] != "extra_forbidden")
-    sections, names, inside = _locate(first["loc"], model)
-    field = " ".join([f"[{'.'.join(sections)}]"] * bool(sections) + names)
+    place = _locate(first["loc"], model)
+    field = place.field
     if first["type"] == "extra_forbidden":
         if isinstance(first["input"], dict):
-            field = f"[{'.'.join(sections + names)}]"
-        remedy = _suggestion(sections, inside, names[0], model)
-        return InputError("unknown key", file=path, field=field, remedy=remedy)
+            field = f"[{'.'.join(place.sections + place.names)}]"
+        return InputError("unknown key", file=path, field=field, remedy=_suggestion(place, model))
     if first["type"] == "missing" and isinstance(first["loc"][-1], str):
-        remedy = "add it; 'hydrabeam init' prints a whole job"
+        remedy = "add it" if place.repeated else "add it; 'hydrabeam init' prints a whole job"
         return InputError("is missing", file=path, field=field, remedy=remedy)
-    if first["type"] == "value_error" and not names:
+    if first["type"] == "value_error" and not place.names:
         # Keys that do not fit together; the sections' own words name them.
         message, _, remedy = _should_be(first).partition("; ")
         return InputError(message, file=path, field=field, remedy=remedy)
+    if first["type"] == "tuple_type" and not place.names:
+        remedy = f"write {place.table} above each"
+        return InputError("there may be several of these", file=path, field=field, remedy=remedy)
     remedy = f"it should be {_should_be(first)}"
     return InputError(f"is {_shown(first)}", file=path, field=field, remedy=remedy)
 
 
-def _locate(location: tuple[int | str, ...], model: Model) -> tuple[list[str], list[str], Model]:
-    """Divide a place in the job into tables and key, and return the model of the innermost table."""
-    sections: list[str] = []
-    names = [part for part in location if isinstance(part, str)]
-    while names and (inner := _table_of(model, names[0])):
-        sections.append(names.pop(0))
+def _locate(location: tuple[int | str, ...], model: Model) -> _Place:
+    """Divide a place in the job into tables and key."""
+    parts, sections, repeated, number = list(location), [], False, ""
+    while parts and isinstance(name := parts[0], str) and (inner := _table_of(model, name)):
+        repeated, number = _is_repeated(model, name), ""
+        sections.append(name)
+        del parts[0]
+        if repeated and parts:
+            number = f"number {int(parts.pop(0)) + 1}"
         model = inner
-    return sections, names, model
+    return _Place(sections, model, [part for part in parts if isinstance(part, str)], repeated, number)
+
+
+def _in_brackets(sections: Sequence[str], repeated: bool) -> str:
+    path = ".".join(sections)
+    return f"[[{path}]]" if repeated else f"[{path}]"
+
+
+def _is_repeated(model: Model, name: str) -> bool:
+    """Whether there may be several tables of this name."""
+    return get_origin(model.model_fields[name].annotation) is tuple
 
 
 def _table_of(model: Model, name: str) -> Model | None:
@@ -87,28 +139,30 @@ def _table_of(model: Model, name: str) -> Model | None:
     return next((item for item in candidates if isinstance(item, type) and issubclass(item, BaseModel)), None)
 
 
-def _suggestion(sections: list[str], inside: Model, key: str, job: Model) -> str:
+def _suggestion(place: _Place, job: Model) -> str:
     """Name the nearest key of the same table, or else the table where the key belongs."""
-    near = difflib.get_close_matches(key, inside.model_fields, n=1)
+    key, keys = place.names[0], place.inside.model_fields
+    near = difflib.get_close_matches(key, keys, n=1)
     if near:
         return f"did you mean '{near[0]}'?"
-    elsewhere = [place for place, name in _all_keys(job) if name == key]
+    elsewhere = [table for table, name in _all_keys(job) if name == key]
     if elsewhere:
         return f"it belongs in {' or '.join(elsewhere)}"
-    within = f"[{'.'.join(sections)}]" if sections else "a job"
-    return f"the keys of {within} are {', '.join(inside.model_fields)}"
+    return f"the keys of {place.table or 'a job'} are {', '.join(keys)}"
 
 
-def _all_keys(model: Model, sections: tuple[str, ...] = ()) -> Iterator[tuple[str, str]]:
-    """Yield every key of a job behind the table that it stands in."""
+def _all_keys(
+    model: Model, table: str = "the first lines", sections: tuple[str, ...] = ()
+) -> Iterator[tuple[str, str]]:
+    """Yield every key of a job behind the table that it stands in; a table as a key of its own."""
     for name in model.model_fields:
         inner = _table_of(model, name)
-        yield (
-            f"[{'.'.join((*sections, *[name] * bool(inner)))}]" if sections or inner else "the first lines",
-            name,
-        )
-        if inner:
-            yield from _all_keys(inner, (*sections, name))
+        if inner is None:
+            yield table, name
+            continue
+        within = (*sections, name)
+        yield (own := _in_brackets(within, _is_repeated(model, name))), name
+        yield from _all_keys(inner, own, within)
 
 
 def _should_be(details: Any) -> str:

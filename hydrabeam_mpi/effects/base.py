@@ -130,6 +130,8 @@ class Effect(ABC):
     """Name in sentences."""
     multiplies: ClassVar[bool] = False
     """Whether the effect multiplies (C) rather than adds (E)."""
+    changes_sky: ClassVar[bool] = False
+    """Whether the effect dims or brightens sources (see `sky_factor`), by which it changes A rather than E."""
     shared: ClassVar[bool] = False
     """Whether all channels have the same parameters, through a law in frequency."""
     local: ClassVar[Literal["times", "baselines"] | None] = None
@@ -157,9 +159,14 @@ class Effect(ABC):
 
             1/2 sum_s I_s column_k(s) exp(2 pi i nu b_g.s / c)
 
-        for every group g. One pass over the sky serves all effects. The beam must be part of the columns.
+        for every group g. One pass over the sky serves all effects. The beam must be part of the columns. The fluxes I_s
+        are those with all effects that change the sky but this one.
         """
         return None
+
+    def sky_factor(self, experiment: Experiment, sources: Sources, x: FloatArray) -> FloatArray:
+        """Return what multiplies each source's flux, (Nsrc,), for effects that change the sky."""
+        return np.ones(len(sources.za))
 
     @abstractmethod
     def columns(self, scene: Scene, x: FloatArray) -> Columns:

@@ -19,7 +19,7 @@ from hydrabeam_mpi.effects.point_sources import (
     resolution,
     responses,
 )
-from hydrabeam_mpi.effects.scene import Experiment, Scene
+from hydrabeam_mpi.effects.scene import Experiment, Scene, Sources
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.positions import RotatedPositions
 from hydrabeam_mpi.model.sky import Sky, separation
@@ -43,6 +43,7 @@ class CatalogueFlux(ScannedEffect):
 
     kind = "catalogue_flux"
     title = "fluxes of catalogue sources"
+    changes_sky = True
     shared = True
 
     def __init__(self, sources: Sequence[tuple[float, float]] = (), trials: int = 1) -> None:
@@ -61,6 +62,12 @@ class CatalogueFlux(ScannedEffect):
         names = [called[i] or f"source {place(*source)}" for i, source in zip(index, self.sources, strict=True)]
         trials = max(self.trials, n) if n else 0
         return Parameters.of([f"{name}: relative flux error" for name in names], "", 0.1, np.arange(n), trials=trials)
+
+    def sky_factor(self, experiment: Experiment, sources: Sources, x: FloatArray) -> FloatArray:
+        """Return one plus the relative error of those sources that are in error."""
+        factor = np.ones(experiment.sky.Nsrc)
+        np.add.at(factor, find(experiment.sky, self.sources), x)
+        return factor[sources.index]
 
     def columns(self, scene: Scene, x: FloatArray) -> Columns:
         """Return the sources' visibilities."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,11 +81,13 @@ class Sources:
     za, az : ndarray, (Nsrc,)
         Radians.
     flux : ndarray, (Nsrc,)
-        Jy at the scene's channel.
+        Jy at the scene's channel, as the sky model has them.
     beam_function : callable
         The current beam.
     latitude : float
         Radians.
+    factors : dict of str to ndarray, (Nsrc,)
+        What effects of each kind multiply the fluxes with.
     """
 
     index: IntArray
@@ -94,6 +96,15 @@ class Sources:
     flux: FloatArray
     beam_function: Beam
     latitude: float
+    factors: dict[str, FloatArray] = field(default_factory=dict)
+
+    def flux_without(self, kind: str = "") -> FloatArray:
+        """Return the fluxes with the factors of all effects that change the sky but those of one kind, (Nsrc,)."""
+        flux = self.flux
+        for other, factor in self.factors.items():
+            if other != kind:
+                flux = flux * factor
+        return flux
 
     @cached_property
     def enu(self) -> FloatArray:
@@ -169,6 +180,8 @@ class Scene:
         By kind of effect; see `Effect.sky_columns`.
     places : dict, optional
         Keeps what ``positions`` says of each time, for scenes to share where there is room for it.
+    sky_effects : sequence of (Effect, ndarray)
+        Effects in the model that change the sky, with their parameters.
     """
 
     experiment: Experiment
@@ -185,6 +198,7 @@ class Scene:
     vis: ComplexArray = field(default_factory=lambda: np.zeros((0, 0), dtype=complex))
     integrals: dict[str, ComplexArray] = field(default_factory=dict)
     places: dict[int, tuple[IntArray, FloatArray, FloatArray]] | None = None
+    sky_effects: Sequence[tuple[Any, FloatArray]] = ()
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -225,9 +239,18 @@ class Scene:
                 self.places[itime] = self.positions.above_horizon(itime)
             index, za, az = self.places[itime]
         flux = experiment.sky.flux[self.channel, index]
-        return Sources(index, za, az, flux, self.beam, float(experiment.observation.location.lat.rad))
+        sources = Sources(index, za, az, flux, self.beam, float(experiment.observation.location.lat.rad))
+        for effect, x in self.sky_effects:
+            factor = effect.sky_factor(experiment, sources, x)
+            sources.factors[effect.kind] = sources.factors.get(effect.kind, 1.0) * factor
+        return sources
 
-    def integrate(self, columns: Callable[[Sources], FloatArray], vectors: FloatArray | None = None) -> ComplexArray:
+    def integrate(
+        self,
+        columns: Callable[[Sources], FloatArray],
+        vectors: FloatArray | None = None,
+        flux: Literal["within columns"] | None = None,
+    ) -> ComplexArray:
         """Integrate real columns over the sky at every time of the scene.
 
         Parameters
@@ -236,6 +259,8 @@ class Scene:
             From `Sources` to an array (K, Nsrc).
         vectors : ndarray, (N, 3), optional
             Baseline vectors, metres ENU; the groups' own by default.
+        flux : "within columns", optional
+            Where the columns hold the fluxes already.
 
         Returns
         -------
@@ -247,8 +272,9 @@ class Scene:
         out = []
         for itime in self.times.tolist():
             sources = self.sources(itime)
+            weights = sources.flux_without() if flux is None else np.ones(len(sources.za))
             given = GivenColumns(columns(sources))
-            design = engine.design(given, sources.za, sources.az, sources.flux[np.newaxis], freqs)[0]
+            design = engine.design(given, sources.za, sources.az, weights[np.newaxis], freqs)[0]
             out.append(design[0] + 1j * design[1])
         return np.array(out)
 
@@ -263,11 +289,11 @@ class Scene:
         sizes: dict[str, int] = {}
 
         def columns(sources: Sources) -> FloatArray:
-            parts = {effect.kind: effect.sky_columns(sources) for effect in effects}
+            parts = {one.kind: one.sky_columns(sources) * sources.flux_without(one.kind) for one in effects}
             sizes.update({kind: len(part) for kind, part in parts.items()})
             return np.concatenate(list(parts.values()))
 
-        integrals = self.integrate(columns)
+        integrals = self.integrate(columns, flux="within columns")
         edges = np.cumsum([0, *sizes.values()])
         for kind, lo, hi in zip(sizes, edges[:-1], edges[1:], strict=True):
             self.integrals[kind] = integrals[..., lo:hi]

@@ -104,8 +104,8 @@ def _weigh(space: Space, state: State, effect: Effect, by_channel: list[Likeliho
 def _without_active(state: State, effect: Effect, by_channel: list[Likelihood]) -> list[Likelihood]:
     """Marginalise the active effects, whose likelihood comes first, with their priors.
 
-    Those with parameters for each channel are marginalised in each. Those that channels share are, too, for an effect that
-    is each channel's own, where every channel counts its part of their prior; else after the sum over channels.
+    Those with parameters for each channel are marginalised in each. So are those that channels share, for an effect
+    that is each channel's own, where every channel counts its part of their prior; else after the sum over channels.
     """
     sizes = [len(one.used) for one in state.active]
     shared = np.repeat([one.effect.shared for one in state.active], sizes)
@@ -151,7 +151,7 @@ def reconsider(space: Space, state: State) -> Evidence:
     rest = replace(state, active=others)
     found = []
     for channel, number in enumerate(space.channels):
-        sums = _candidate_sums(space, rest, [last.effect], channel, rows, added, last.x[number])
+        sums = _candidate_sums(space, rest, [last.effect], channel, rows, added, (state, last.x[number]))
         if space.grid.is_group_root:
             one = sums.candidate(0, state.posteriors[channel])
             n = len(rest.prior_var)
@@ -175,19 +175,20 @@ def _candidate_sums(
     channel: int,
     rows: Rows,
     added: ComplexArray,
-    at: FloatArray | None = None,
+    at: tuple[State, FloatArray] | None = None,
 ) -> JointSums:
     """Sum one channel's columns of the active effects and of every candidate over the group.
 
-    Candidates are linearised at zero; a single one where ``at`` says.
+    Candidates are linearised at zero; a single one where ``at`` says, in the state that has it.
     """
     basis, number = space.problem.basis, space.channels[channel]
     zeros = [np.zeros(len(effect.parameters(space.experiment))) for effect in picked]
+    whole = state
     if at is not None:
-        zeros = [at]
+        whole, zeros = at[0], [at[1]]
     total = JointSums.zeros(len(state.prior_var), [len(x) for x in zeros], basis.n_modes, basis.is_complex)
     with together(space.grid.world):
-        for _, scene, design in space.train.scenes(channel, state, added[channel], rows):
+        for _, scene, design in space.train.scenes(channel, whole, added[channel], rows):
             active = _active_parts(scene, design, state, number, picked, total)
             for i, (effect, x) in enumerate(zip(picked, zeros, strict=True)):
                 sums = active.sums

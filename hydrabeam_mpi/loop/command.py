@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,9 @@ from hydrabeam_mpi.inference import Clock, describe_channels
 from hydrabeam_mpi.io.provenance import provenance
 from hydrabeam_mpi.io.staging import writing
 from hydrabeam_mpi.loop.amendment import amended_job
+from hydrabeam_mpi.loop.conventions import check_conventions
 from hydrabeam_mpi.loop.joint import channel_results, find_experiment, read_space, restore
+from hydrabeam_mpi.loop.leakage import check_leakage
 from hydrabeam_mpi.loop.record import make_record
 from hydrabeam_mpi.loop.rounds import run_rounds
 from hydrabeam_mpi.mpi import (
@@ -44,11 +46,14 @@ class Choice:
     changes : list of Reweighting
     skipped : list of (str, str)
         Kinds that these data cannot carry, or that the job does not want, with the reason.
+    leakage : bool
+        Whether leakage is looked for in the other polarisations.
     """
 
     effects: list[Effect]
     changes: list[Reweighting]
     skipped: list[tuple[str, str]]
+    leakage: bool
 
 
 def close_loop(world: Comm, job_path: Path, out: Path, overwrite: bool, threads: int) -> None:
@@ -71,11 +76,16 @@ def close_loop(world: Comm, job_path: Path, out: Path, overwrite: bool, threads:
         with together(world):
             choice = choose(job, experiment)
             state = restore(job, experiment)
-        course = run_rounds(space, state, choice.effects, choice.changes, clock)
+        with clock.time("conventions"):
+            conventions = check_conventions(grid, space.problem, space.train.rows)
+        wanted = () if conventions["found"] else (choice.effects, choice.changes)
+        course = run_rounds(space, state, *(wanted or ([], [])), clock)
+        with clock.time("leakage"):
+            leakage = check_leakage(grid, space.problem, experiment) if choice.leakage else None
         with clock.time("describe"):
             results = channel_results(space, course.last.state)
             records = gather_records(grid, describe_channels(grid, space.problem, results))
-        record = make_record(space, course, choice.skipped)
+        record = make_record(space, course, choice.skipped, conventions, leakage)
         memory = peak_rss_mb(world)
         with together(world):
             if world.rank == 0:
@@ -93,7 +103,7 @@ def choose(job: Job, experiment: Experiment) -> Choice:
     """Decide which effects to look for."""
     wanted: Sequence[str] = job.loop.effects or (*EFFECTS, *REWEIGHTINGS, *SEPARATE)
     present = {entry.kind for entry in job.effects}
-    choice = Choice([], [], [])
+    choice = Choice([], [], [], leakage=False)
     for kind in wanted:
         if kind in job.loop.skip:
             choice.skipped.append((kind, "the job says so ([loop] skip)"))
@@ -104,6 +114,8 @@ def choose(job: Job, experiment: Experiment) -> Choice:
                 choice.effects.append(effect)
             else:
                 choice.skipped.append((kind, refusal))
+        elif kind in SEPARATE:
+            choice = replace(choice, leakage=True)
         elif kind in REWEIGHTINGS and kind not in present:
             choice.changes.append(REWEIGHTINGS[kind]())
     return choice

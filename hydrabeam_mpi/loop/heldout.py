@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import issparse
 
-from hydrabeam_mpi.accumulate import predict
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.effects.scene import Scene
+from hydrabeam_mpi.loop.predictive import whiten_time
 from hydrabeam_mpi.loop.refit import Space, active_sums, current, place
 from hydrabeam_mpi.loop.state import State
 from hydrabeam_mpi.mpi import allreduce_sum, together
@@ -158,25 +158,15 @@ def _whiten(space: Space, state: State) -> Whitened:
         z, share_of_model = np.zeros_like(rows.data), np.zeros(rows.data.shape)
         for channel in range(len(space.channels)):
             for span, scene, design in share.scenes(channel, state, added[channel], rows):
-                variance = _variance(space, state, channel, scene, design)
-                used = scene.weights > 0
-                noise = 0.5 / np.where(used, scene.weights, 1.0)
-                parts = np.sqrt(noise + variance)
-                share_of_model[channel, span] = np.mean(variance / (noise + variance), axis=0)
-                z[channel, span] = np.where(
-                    used, scene.residual.real / parts[0] + 1j * scene.residual.imag / parts[1], 0.0
-                )
+                weights = scene.weights
+                if state.active:
+                    more = _effects_variance(space, state, channel, scene, design).mean(axis=0)
+                    weights = weights / (1 + 2 * weights * more)
+                for t, row in enumerate(range(span.start, span.stop)):
+                    z[channel, row], share_of_model[channel, row] = whiten_time(
+                        scene.residual[t], weights[t], scene.member, design[t], state.posteriors[channel]
+                    )
     return Whitened(z, rows.inv_noise_var > 0, share_of_model)
-
-
-def _variance(space: Space, state: State, channel: int, scene: Scene, design: NDArray[Any]) -> FloatArray:
-    """Return the variance of the prediction's parts, (2, Ntimes, Nbls)."""
-    posterior = state.posteriors[channel]
-    by_group = np.array([predict(posterior, one)[1] for one in design])  # (Ntimes, 2, Ngroups)
-    variance = np.moveaxis(by_group, 1, 0)[:, :, scene.member]
-    if not state.active or not len(state.prior_var):
-        return variance
-    return variance + _effects_variance(space, state, channel, scene, design)
 
 
 def _effects_variance(space: Space, state: State, channel: int, scene: Scene, design: NDArray[Any]) -> FloatArray:
@@ -224,8 +214,8 @@ def blocks_of(space: Space, whitened: Whitened) -> Blocks:
 def fall_significance(before: Blocks, after: Blocks) -> float:
     """Return by how many standard errors chi^2 fell, over blocks of time or of redundant groups: the greater.
 
-    Each block's own fall is one draw of how much the change helps. What is wrong with few baselines helps few groups but
-    all times, what is wrong at few times all groups.
+    Each block's own fall is one draw of how much the change helps. What is wrong with few baselines shows in few groups
+    but at all times, what is wrong at few times in all groups.
     """
     scores = []
     for one, two in ((before.times, after.times), (before.groups, after.groups)):

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hydrabeam_mpi.accumulate import accumulate_designs, check_heldout
+from hydrabeam_mpi.accumulate import accumulate_designs, check_designs
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.data.selection import Selection
 from hydrabeam_mpi.effects.catalogue import EFFECTS, REWEIGHTINGS, make_effect
@@ -113,12 +113,13 @@ def channel_results(space: Space, state: State) -> list[ChannelResult]:
     grid, problem = space.grid, space.problem
     with together(grid.world):
         train, _ = space.train.calibrated(state)
-        normals = accumulate_designs(train, space.train.designs(), problem.basis)
+        normals = accumulate_designs(train, space.train.designs(state), problem.basis)
     normals = reduce_normals(grid, normals)
     posteriors = _marginal(state)
     with together(grid.world):
         test, _ = space.test.calibrated(state)
-        heldout = check_heldout(test, space.test.model, problem.basis, posteriors, problem.beams)
+        before = space.test.model.visibilities(problem.beams, test.tile.times)
+        heldout = check_designs(test, space.test.designs(state), posteriors, before)
     reduce_heldout(grid, heldout)
     return [ChannelResult(*parts) for parts in zip(normals, posteriors, heldout, strict=True)]
 
@@ -126,8 +127,8 @@ def channel_results(space: Space, state: State) -> list[ChannelResult]:
 def _marginal(state: State) -> Sequence[Posterior]:
     """Return the beams' posteriors with the effects marginalised.
 
-    The beam's covariance grows by M C M^T, with C that of the effects and M by how much the beam follows them. For complex
-    coefficients this is the part of it that a circular Gaussian can have.
+    The beam's covariance grows by M C M^T, with C that of the effects and M by how much the beam follows them. For
+    complex coefficients this is the part of it that a circular Gaussian can have.
     """
     if not state.active:
         return state.posteriors

@@ -20,8 +20,25 @@ UNDECIDABLE = (
 )
 
 
-def make_record(space: Space, course: Course, skipped: Sequence[tuple[str, str]]) -> dict[str, Any]:
+def make_record(
+    space: Space,
+    course: Course,
+    skipped: Sequence[tuple[str, str]],
+    conventions: dict[str, Any],
+    leakage: dict[str, Any] | None,
+) -> dict[str, Any]:
     """Put together ``loop.json``. Collective: all ranks of the grid.
+
+    Parameters
+    ----------
+    space : Space
+    course : Course
+    skipped : list of (str, str)
+        Kinds that were not looked for, and why.
+    conventions : dict
+        Of `hydrabeam_mpi.loop.conventions.check_conventions`.
+    leakage : dict, optional
+        Of `hydrabeam_mpi.loop.leakage.check_leakage`: a round, or why there is none.
 
     Returns
     -------
@@ -31,37 +48,82 @@ def make_record(space: Space, course: Course, skipped: Sequence[tuple[str, str]]
     checks = [course.first, *(one.after for one in course.rounds)]
     remains = [remains_of(space, checked.whitened) for checked in checks]
     chi2 = [_train_chi2(space, checked) for checked in checks]
-    verdict = find_verdict(course, remains[-1])
     rounds = [
         _round(space.experiment, one, chi2[i : i + 2], remains[i], remains[i + 1])
         for i, one in enumerate(course.rounds)
     ]
-    return {
+    tried = [
+        {"effect": one.kind, "log_bayes_factor": one.log_bayes_factor, "reason": reason} for one, reason in course.tried
+    ]
+    reasons = [{"effect": kind, "reason": reason} for kind, reason in skipped]
+    if leakage is not None:
+        kind_of_list = rounds if "parameters" in leakage else tried if "log_bayes_factor" in leakage else reasons
+        kind_of_list.append(leakage)
+    if conventions["found"]:
+        rounds = [_convention(course, conventions)]
+    verdict = "unexplained"
+    if remains[-1].consistent or conventions["found"]:
+        verdict = "explained" if rounds else "consistent"
+    record = {
         "name": space.problem.job.name,
         "verdict": verdict,
         "error_before": course.first.blocks.chi2,
         "error_after": course.last.blocks.chi2,
         "heldout_n": course.last.blocks.n_data,
-        "said": [*(one["sentence"] for one in rounds), say_verdict(verdict, course, remains[-1])],
+        "said": [
+            *(one["sentence"] for one in rounds),
+            say_verdict(verdict, course.last.blocks.chi2, remains[-1].where),
+        ],
         "rounds": rounds,
         "last_ranking": [_ranked(one) for one in course.ranking],
-        "tried": [
-            {"effect": one.kind, "log_bayes_factor": one.log_bayes_factor, "reason": reason}
-            for one, reason in course.tried
-        ],
-        "skipped": [{"effect": kind, "reason": reason} for kind, reason in skipped],
+        "tried": tried,
+        "skipped": reasons,
         "undecidable": [{"what": what, "why": why} for what, why in UNDECIDABLE],
+        "conventions": conventions,
         "where": remains[-1].where if verdict == "unexplained" else None,
         "residual": remains[-1].statistics,
         "structures": remains[-1].structures if verdict == "unexplained" else None,
     }
+    found: dict[str, Any] = _finite(record)
+    return found
 
 
-def find_verdict(course: Course, remains: Remains) -> str:
-    """Say whether anything significant is left, and whether anything was found."""
-    if not remains.consistent:
-        return "unexplained"
-    return "explained" if course.rounds else "consistent"
+def _finite(value: Any) -> Any:
+    """Replace numbers that JSON does not know by null, and NumPy's by Python's."""
+    if isinstance(value, dict):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def _convention(course: Course, conventions: dict[str, Any]) -> dict[str, Any]:
+    """Tell of a broken convention in a round's words; nothing is fitted to it."""
+    tested = {one["name"]: one for one in conventions["tested"]}
+    name = conventions["found"]
+    stated = next(iter(tested.values()))
+    right = tested.get(name, stated)
+    error = course.first.blocks.chi2
+    return {
+        "sentence": f"The data follow another convention: {name}. Nothing was fitted: {conventions['remedy']}, and run "
+        f"the loop again. The model beam's reduced chi^2 is {stated['chi2']:.4g} as stated and {right['chi2']:.4g} so.",
+        "effect": f"convention: {name}",
+        "title": f"convention: {name}",
+        "parameters": [],
+        "log_bayes_factor": None,
+        "absorbed_by_beam": 0.0,
+        "chi2_before": stated["chi2"],
+        "chi2_after": right["chi2"],
+        "heldout_before": error,
+        "heldout_after": error,
+        "heldout_sigma": None,
+        "runner_up": None,
+        "indistinguishable_from": [],
+        "ranking": [],
+        "residual": None,
+    }
 
 
 def _train_chi2(space: Space, checked: Checked) -> float:

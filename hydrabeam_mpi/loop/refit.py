@@ -69,7 +69,7 @@ def refit(space: Space, state: State) -> State:
         A new one.
     """
     state = replace(state, active=[replace(one) for one in state.active])
-    best, last = -np.inf, [one.x for one in state.active]
+    best, last, beams = -np.inf, [one.x for one in state.active], state.posteriors
     for _ in range(MAX_STEPS):
         before, previous = state.posteriors, [one.x for one in state.active]
         rows, added = _fit_beams(space, state)
@@ -80,8 +80,9 @@ def refit(space: Space, state: State) -> State:
             # Too far for a linear step: half of it, from where it was better.
             for one, start in zip(state.active, last, strict=True):
                 one.x = 0.5 * (one.x + start)
+            state.posteriors = beams
             continue
-        best, last = reached, previous
+        best, last, beams = reached, previous, state.posteriors
         moved = _step(space, state, rows, added) if state.active else 0.0
         moved = max(moved, _beam_moved(space, before, state.posteriors))
         if moved < STEP_SIGMAS:
@@ -106,7 +107,7 @@ def _fit_beams(space: Space, state: State) -> tuple[Rows, ComplexArray]:
     with together(grid.world):
         rows, added = share.calibrated(state) if state.posteriors else (share.rows, np.zeros_like(share.rows.data))
         show = grid.world.rank == 0 and not state.posteriors
-        normals = accumulate_designs(rows, share.designs(show), space.problem.basis)
+        normals = accumulate_designs(rows, share.designs(state, show), space.problem.basis)
     normals = reduce_normals(grid, normals)
     state.posteriors = solve_channels(grid, space.problem, normals)
     fitted = list(zip(normals, state.posteriors, space.problem.priors, strict=True))

@@ -22,9 +22,11 @@ from hydrabeam_mpi.loop.reweighting import fit_reweightings
 from hydrabeam_mpi.loop.state import Active, Reweighted, State
 from hydrabeam_mpi.progress import say
 
-MAX_TRIES = 4
+MAX_TRIES = 6
 """Effects that are fitted in one round at most."""
-NEAR = 0.3
+TOO_SMALL = 0.7
+"""Held-out reduced chi^2 below which predictions claim far less than they should."""
+NEAR = 0.1
 """Effects with less than this part of the best one's evidence are not fitted."""
 UNDECIDED_NATS = 5.0
 """Effects whose evidence is nearer than this to the best one's cannot be told from it."""
@@ -138,12 +140,10 @@ def _try(space: Space, checked: Checked, ranking: Sequence[Candidate], course: C
     settings = space.problem.job.loop
     best: Round | None = None
     wanted = [one for one in ranking if one.log_bayes_factor >= settings.min_log_bayes_factor]
+    enough = False
     for candidate in wanted[:MAX_TRIES]:
-        # What is linear is only roughly so: effects that come near are fitted too.
-        if best is not None and candidate.log_bayes_factor < NEAR * best.candidate.log_bayes_factor:
-            break
-        if best is not None and candidate.change is not None:
-            continue  # a structure that was found is no noise
+        if best is not None and not _may_be_better(candidate, best, enough):
+            continue
         say(f"  trying {candidate.title} (ln BF {candidate.log_bayes_factor:.4g})", space.grid.is_world_root)
         fitted, after = _fit(space, checked, candidate)
         sigma = _improvement(checked, after, fitted)
@@ -159,7 +159,23 @@ def _try(space: Space, checked: Checked, ranking: Sequence[Candidate], course: C
         elif best is None or fitted.log_bayes_factor > best.candidate.log_bayes_factor:
             change = _beam_change(space, checked.state, after.state)
             best = Round(fitted, tuple(ranking), checked, after, sigma, change)
+            enough = remains.consistent
     return best
+
+
+def _may_be_better(candidate: Candidate, best: Round, enough: bool) -> bool:
+    """Whether an effect with less evidence than the best one fitted so far may have more once it is fitted.
+
+    Effects are only roughly linear, so that what comes near is fitted too. Where the best one leaves nothing (``enough``)
+    another can only be simpler. A structure that was found is no noise.
+    """
+    if candidate.finding is None or candidate.log_bayes_factor < NEAR * best.candidate.log_bayes_factor:
+        return False
+    return not enough or _complexity(candidate) < _complexity(best.candidate)
+
+
+def _complexity(candidate: Candidate) -> float:
+    return candidate.finding.evidence.effective_parameters if candidate.finding else 0.0
 
 
 def _fit(space: Space, checked: Checked, candidate: Candidate) -> tuple[Candidate, Checked]:
@@ -217,6 +233,8 @@ def _refusal(
         if abs(after.blocks.chi2 - 1) > abs(before.blocks.chi2 - 1):
             return f"held-out chi^2 goes from {before.blocks.chi2:.4g} to {after.blocks.chi2:.4g}"
         return None if remains.white else f"what is left is not white: {remains.why}"
+    if after.blocks.chi2 < TOO_SMALL:
+        return f"it is so uncertain that it predicts nothing: held-out chi^2 {after.blocks.chi2:.4g}"
     if not after.blocks.chi2 < before.blocks.chi2:
         return f"held-out chi^2 does not fall: {before.blocks.chi2:.4g} to {after.blocks.chi2:.4g}"
     if sigma < settings.min_heldout_sigma:

@@ -29,15 +29,14 @@ def say_parameter(one: dict[str, Any]) -> str:
 
 
 def _sigmas(one: dict[str, Any]) -> float:
-    return abs(one["value"]) / one["std"] if one["std"] > 0 else float("inf")
+    return abs(one["value"]) / one["std"] if one["std"] else 0.0
 
 
-def say_verdict(verdict: str, course: Any, remains: Any) -> str:
+def say_verdict(verdict: str, chi2: float, where: dict[str, Any]) -> str:
     """Tell how the loop ended."""
-    chi2 = f"held-out reduced chi^2 {course.last.blocks.chi2:.4g}"
+    error = f"held-out reduced chi^2 {chi2:.4g}"
     if verdict == "consistent":
-        return f"Nothing is missing: the data agree with the model within the noise ({chi2})."
+        return f"Nothing is missing: the data agree with the model within the noise ({error})."
     if verdict == "explained":
-        return f"Nothing significant is left ({chi2})."
-    where = remains.where.get("sentence", "") if remains.where else ""
-    return f"What is left ({chi2}) is explained by no effect in the catalogue. {where}".strip()
+        return f"Nothing significant is left ({error})."
+    return f"What is left ({error}) is explained by no effect in the catalogue. {where['sentence']}"

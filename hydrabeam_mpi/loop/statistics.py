@@ -61,16 +61,18 @@ def statistics(sums: ResidualSums, layout: Layout, n_shared: float = 0.0) -> dic
         all entries up to 64, else the 32 most significant. ``entries``: the number of entries of each axis.
         ``unevenness``: for each axis the significance of its entries differing. ``redundancy``: chi^2 of what
         redundant baselines have in common and of what they have not. ``correlations``, ``tails``: of pairs of
-        visibilities; kurtosis and the largest |z|. ``looks``: their number. ``significance``: the most significant of
-        all, {"axis", "what", "sigma", "p", "log10_p", "corrected_sigma"} with p corrected for the looks: on its axis,
+        visibilities; kurtosis and the largest |z|. ``looks``: their number. ``significance``: the most
+        significant excess or structure of all, {"axis", "what", "sigma", "p", "log10_p", "corrected_sigma"} with p
+        corrected for the looks: on its axis,
         then for the number of axes. ``n`` and ``sigma`` count complex data and Gaussian standard deviations.
     """
     freedom = Freedom.of(n_shared, sums.n)
     axes = all_axes(sums, layout)
     overall = {"chi2": _reduced(sums.chi2, sums.n), "n": round(sums.n), "sigma": _sigma(sums.chi2, sums.n, freedom)}
     shape = shape_looks(sums, axes, freedom)
-    looks = [Look("overall", "all", overall["sigma"], 1), *shape]
-    looks += [most_significant(axis, freedom) for axis in axes.values() if len(axis) > 1]
+    # Predictions may well be better than they claim, where the prior is wide: that is nothing missing.
+    looks = [Look("overall", "all", max(overall["sigma"], 0.0), 1), *shape]
+    looks += [largest_excess(axis, freedom) for axis in axes.values() if len(axis) > 1]
     return {
         "overall": overall,
         "axes": {name: _listed(axis, freedom) for name, axis in axes.items()},
@@ -105,6 +107,13 @@ def most_significant(axis: Axis, freedom: Freedom, level: float = 1.0) -> Look:
     sigma = axis.sigma(freedom, level)
     k = int(np.argmax(np.abs(sigma)))
     return Look(axis.name, axis.what[k], float(sigma[k]), len(axis))
+
+
+def largest_excess(axis: Axis, freedom: Freedom) -> Look:
+    """Return the entry of an axis that exceeds the expected reduced chi^2 most."""
+    sigma = axis.sigma(freedom)
+    k = int(np.argmax(sigma))
+    return Look(axis.name, axis.what[k], max(float(sigma[k]), 0.0), len(axis))
 
 
 def shape_looks(sums: ResidualSums, axes: dict[str, Axis], freedom: Freedom) -> list[Look]:
@@ -174,7 +183,7 @@ def _correlations(sums: ResidualSums, freedom: Freedom) -> list[dict[str, Any]]:
         if n and level:
             correlation = product / level
             expected = float(np.clip(correlation, -freedom.share, freedom.share))
-            moved = (correlation - expected) / (1 - correlation * expected)  # difference of Fisher's z
+            moved = (correlation - expected) / max(1 - correlation * expected, 1e-12)  # difference of Fisher's z
             sigma = correlation_sigma(moved, n / freedom.scale) if kind else _common_sigma(sums, freedom)
             entries.append({"what": what, "correlation": correlation, "sigma": sigma, "n": round(n)})
     return entries

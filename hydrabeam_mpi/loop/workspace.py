@@ -41,6 +41,7 @@ class Share:
     experiment: Experiment
     rows: Rows
     _kept: list[NDArray[Any]] | None = None
+    _kept_for: bytes = b""
     _places: dict[int, tuple[IntArray, FloatArray, FloatArray]] = field(default_factory=dict)
     _model: ForwardModel | None = None
 
@@ -51,8 +52,14 @@ class Share:
             self._model = self.problem.forward_model(self.rows.groups)
         return self._model
 
-    def designs(self, show: bool = False) -> Iterator[NDArray[Any]]:
-        """Yield the design rows of each time, for all channels, as `hydrabeam_mpi.accumulate.designs` does."""
+    def designs(self, state: State, show: bool = False) -> Iterator[NDArray[Any]]:
+        """Yield the design rows of each time, for all channels, as `hydrabeam_mpi.accumulate.designs` does.
+
+        Effects of the state that change the sky are part of them.
+        """
+        key = b"".join(one.x.tobytes() for one in state.active if one.effect.changes_sky)
+        if key != self._kept_for:
+            self._kept, self._kept_for = None, key
         if self._kept is not None:
             yield from self._kept
             return
@@ -60,12 +67,28 @@ class Share:
         n_rows = len(self.rows.groups) * len(self.rows.tile.times) * len(self.rows.data)
         keep = n_rows * basis.n_modes * 16 <= KEPT_BYTES
         made = []
-        for design in designs(self.rows, self.model, basis, "design matrix", show):
+        made_now = (
+            self._weighted_designs(state) if key else designs(self.rows, self.model, basis, "design matrix", show)
+        )
+        for design in made_now:
             if keep:
                 made.append(design)
             yield design
         if keep:
             self._kept = made
+
+    def _weighted_designs(self, state: State) -> Iterator[NDArray[Any]]:
+        """Make the design rows with the sources' fluxes changed by the state's effects."""
+        basis, engine = self.problem.basis, self.model.engine
+        for t, time in enumerate(self.rows.tile.times.tolist()):
+            by_channel = []
+            for channel in range(len(self.rows.data)):
+                scene = self.scene(channel, slice(t, t + 1), _no_beam, state)
+                sources = scene.sources(time)
+                flux = sources.flux_without()[np.newaxis]
+                by_channel.append(engine.design(basis, sources.za, sources.az, flux, np.array([scene.freq]))[0])
+            mixed = basis.mix(np.array(by_channel))
+            yield mixed[:, 0] + 1j * mixed[:, 1] if basis.is_complex else mixed
 
     def scenes(
         self, channel: int, state: State, added: ComplexArray, rows: Rows
@@ -87,26 +110,27 @@ class Share:
         times = self.rows.tile.times
         step = max(1, ROWS_AT_ONCE // max(len(self.rows.tile.bls), 1))
         held: list[NDArray[Any]] = []
-        for t, design in enumerate(self.designs()):
+        for t, design in enumerate(self.designs(state)):
             held.append(design[channel])
             if len(held) < step and t + 1 < len(times):
                 continue
             span = slice(t + 1 - len(held), t + 1)
             block = np.array(held)
             held = []
-            scene = self.scene(channel, span, _beam_of(self.problem, posterior))
+            scene = self.scene(channel, span, _beam_of(self.problem, posterior), state)
             beam_alone = scene.spread(_visibilities(block, posterior))
             scene.vis = beam_alone + added[span]
             scene.weights = rows.inv_noise_var[channel, span]
             scene.residual = rows.data[channel, span] - beam_alone
             yield span, scene, block
 
-    def scene(self, channel: int, span: slice, beam: Beam) -> Scene:
+    def scene(self, channel: int, span: slice, beam: Beam, state: State) -> Scene:
         """Return the scene of some of the rank's times, without data."""
+        number = int(self.problem.channel_numbers[channel])
         room = self.experiment.sky.Nsrc * len(self.rows.tile.times) * 24 <= KEPT_BYTES / 4
         return Scene(
             experiment=self.experiment,
-            channel=int(self.problem.channel_numbers[channel]),
+            channel=number,
             times=self.rows.tile.times[span],
             bls=self.rows.tile.bls,
             groups=self.rows.groups,
@@ -115,17 +139,19 @@ class Share:
             beam=beam,
             engine_kind=self.problem.job.solver.engine,
             places=self._places if room else None,
+            sky_effects=[(one.effect, one.x[number]) for one in state.active if one.effect.changes_sky],
         )
 
     def effects(self, state: State) -> tuple[ComplexArray, ComplexArray]:
         """Return C and E of all rows, each (Nfreqs, Ntimes, Nbls)."""
         factor = np.ones(self.rows.data.shape, dtype=complex)
         added = np.zeros_like(factor)
-        adding = [one.effect for one in state.active if not one.effect.multiplies]
-        for channel, number in enumerate(self.problem.channel_numbers.tolist() if state.active else ()):
+        others = [one for one in state.active if not one.effect.changes_sky]
+        adding = [one.effect for one in others if not one.effect.multiplies]
+        for channel, number in enumerate(self.problem.channel_numbers.tolist() if others else ()):
             for span, scene, _ in self.scenes(channel, state, added[channel], self.rows):
                 scene.integrate_for(adding)
-                for one in state.active:
+                for one in others:
                     if one.effect.multiplies:
                         factor[channel, span] *= one.effect.factor(scene, one.x[number])
                     else:
@@ -144,9 +170,16 @@ class Share:
             for channel, number in enumerate(self.problem.channel_numbers.tolist()):
                 for span, scene, _ in self.scenes(channel, state, added[channel], rows):
                     for one in state.reweighted:
-                        weights[channel, span] *= one.change.weight_factor(scene, one.x[number])
+                        # One after the other: a threshold is about weights that the others have changed already.
+                        scene.weights = scene.weights * one.change.weight_factor(scene, one.x[number])
+                    weights[channel, span] = scene.weights
             rows = replace(rows, inv_noise_var=weights)
         return rows, added
+
+
+def _no_beam(za: FloatArray, az: FloatArray) -> FloatArray:
+    """Stand in for a beam that nobody asks for."""
+    return np.zeros(len(za))
 
 
 def _beam_of(problem: Problem, posterior: Posterior) -> Beam:

@@ -82,11 +82,10 @@ def _draw_round(axes: Axes, kinds: list[str], title: str, entry: Entry, scores: 
 
 def _short(value: float) -> str:
     """Write a ln Bayes factor in a few characters."""
-    if abs(value) < 100:
-        return f"{round(value, 1) + 0.0:.1f}".replace("-", "−")
-    return (
-        f"{value:,.0f}".replace("-", "−") if abs(value) < 1e6 else f"{value:.1e}".replace("e+0", "e").replace("e+", "e")
-    )
+    text = f"{round(value, 1) + 0.0:.1f}" if abs(value) < 100 else f"{value:,.0f}"
+    if abs(value) >= 1e6:
+        text = f"{value:.1e}".replace("e+0", "e").replace("e+", "e")
+    return text.replace("-", "−")
 
 
 def _scale(axes: Axes, lowest: float, highest: float, columns: int) -> None:

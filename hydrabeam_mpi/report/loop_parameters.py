@@ -73,12 +73,17 @@ def draw_parameters(entry: Entry, count: int) -> Drawing | None:
     return Drawing(
         f"loop_parameters_{count}",
         f"Round {count}: {title}",
-        f"The {n:,} parameters of the effect with their standard deviations, as fitted together with the beam."
-        if n > 1
-        else "The parameter of the effect with its standard deviation, as fitted together with the beam.",
+        _caption(n, any(len(family.freqs) > 1 and len(family.labels) > LINES for family in shown)),
         f"{len(shown)} panels with the parameters of {title}.",
         figure,
     )
+
+
+def _caption(n: int, in_grey: bool) -> str:
+    if n == 1:
+        return "The parameter of the effect with its standard deviation, as fitted together with the beam."
+    text = f"The {n:,} parameters of the effect with their standard deviations, as fitted together with the beam."
+    return text + (f" In colour the {LINES} farthest from zero, in grey the others." if in_grey else "")
 
 
 def _families(parameters: list[Entry]) -> list[_Family]:
@@ -176,8 +181,8 @@ def _draw_lines(axes: Axes, family: _Family) -> None:
             color=colour, label=label,
         )  # fmt: skip
     if len(family.labels) > 1:
-        above = {"loc": "lower left", "bbox_to_anchor": (0, 0.98), "borderpad": 0, "borderaxespad": 0}
+        above: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0, 0.98), "borderpad": 0, "borderaxespad": 0}
         axes.legend(fontsize=7, ncols=LINES, handlelength=1, columnspacing=0.8, handletextpad=0.3, **above)
     axes.set(xlabel="frequency (MHz)", ylabel=_label(family))
-    axes.set_title(family.title, fontsize=8.5, pad=18)
+    axes.set_title(family.title, fontsize=8.5, pad=14)
     axes.grid()

@@ -8,12 +8,16 @@ from hydrabeam_mpi.report.loop_record import Entry, effect_name, entries, joined
 
 
 def verdict_words(loop: Entry) -> str:
-    """Say in one sentence what the model lacked and what that did to the error on held-out data."""
+    """Say what the model lacked and what adding it did to the error on held-out data; broken conventions first."""
     broken = _broken_convention(loop)
-    if broken:
-        return broken
     names = joined([title_of(entry) for entry in entries(loop, "rounds")])
     fall = _fall(loop, bool(names))
+    if broken and not names:
+        return f"{broken}This is no error of the instrument or of the sky, and nothing was fitted to it: {fall}."
+    return broken + _what_it_lacked(loop, names, fall)
+
+
+def _what_it_lacked(loop: Entry, names: str, fall: str) -> str:
     if loop["verdict"] == "consistent" and not names:
         return f"The model explains the data to the noise; nothing significant is left: {fall}."
     if loop["verdict"] != "unexplained":
@@ -31,10 +35,7 @@ def _broken_convention(loop: Entry) -> str:
         return ""
     remedy = str(conventions.get("remedy") or "").strip().rstrip(".")
     advice = f"{remedy[:1].upper()}{remedy[1:]}. " if remedy else ""
-    return (
-        f"The data break a convention: {effect_name(str(found))}. {advice}This is no error of the instrument or of "
-        f"the sky, and nothing was fitted to it: {_fall(loop, False)}."
-    )
+    return f"The data break a convention: {effect_name(str(found))}. {advice}"
 
 
 def _fall(loop: Entry, amended: bool) -> str:

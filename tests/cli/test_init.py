@@ -16,6 +16,7 @@ from pyuvdata import UVData
 
 from hydrabeam_mpi.cli import main
 from hydrabeam_mpi.config import Job, load_job
+from hydrabeam_mpi.config.effects import Loop
 from hydrabeam_mpi.config.sections import (
     Basis,
     Beam,
@@ -88,7 +89,7 @@ def truth_to_catalogue(workspace: Workspace) -> None:
     ).write_skyh5(workspace.folder / "truth.skyh5")
 
 
-SECTIONS = (Data, Noise, Holdout, Sky, SkyColumns, Beam, Basis, Prior, Solver, Output)
+SECTIONS = (Data, Noise, Holdout, Sky, SkyColumns, Beam, Basis, Prior, Solver, Output, Loop)
 
 
 def test_keys_in_comments_are_at_their_defaults(write: Callable[..., Path], tmp_path: Path) -> None:

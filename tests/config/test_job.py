@@ -10,6 +10,8 @@ import tomli_w
 from pydantic import BaseModel, ValidationError
 
 from hydrabeam_mpi.config import Job, Section, load_job, named_files
+from hydrabeam_mpi.config.effects import Effect, Injected, Kind
+from hydrabeam_mpi.effects.catalogue import EFFECTS, REWEIGHTINGS, SEPARATE
 
 JOBS = sorted((Path(__file__).parents[2] / "jobs").glob("*/*.toml"))
 
@@ -96,6 +98,27 @@ compress = false
 
 [output]
 draws = 0
+
+[loop]
+effects = ["antenna_gains", "diffuse", "noise_level"]
+skip = ["diffuse"]
+max_rounds = 0
+min_log_bayes_factor = 12.5
+min_heldout_sigma = 4
+
+[[effects]]
+kind = "missing_sources"
+settings = { ra_deg = [30.5], dec_deg = [-30.0], n_candidates = 1 }
+names = ["flux", "east"]
+index = [0, 2]
+values = [[0.25, -1e-3], [0.5, -1e-3]]
+std = [[0.01, 1e-5], [0.01, 1e-5]]
+prior_std = [0.5, 0.01]
+
+[[effects]]
+kind = "noise_level"
+values = [[1.25], [1.5]]
+std = [[0.1], [0.1]]
 """
 SIMULATION = """
 [data.simulate]
@@ -112,6 +135,12 @@ nsamples = 2.5
 noise = false
 array = { hex = [2, 3], spacing = "10 m", file = "layout.csv" }
 perturb = { stretch = [1, 1.5], sidelobe = 0 }
+
+[[data.simulate.effects]]
+kind = "antenna_gains"
+settings = { of = "one" }
+strength = 0.5
+parameters = { "antenna 3 amplitude" = 0.04 }
 """
 
 
@@ -141,9 +170,10 @@ def test_resolved_job_is_the_same_job(text: str, tmp_path: Path) -> None:
 def test_no_key_of_these_jobs_is_at_its_default(text: str, tmp_path: Path) -> None:
     """So that the test above, of which they are the material, leaves nothing out."""
     job = load_job(write(text, tmp_path))
-    parts = [job.data.simulate, job.data.simulate.array, job.data.simulate.perturb] if job.data.simulate else [
+    simulate = job.data.simulate
+    parts = [simulate, simulate.array, simulate.perturb, *simulate.effects] if simulate else [
         job, job.data, job.noise, job.holdout, job.sky, job.sky.columns, job.beam, job.basis, job.prior, job.solver,
-        job.output,
+        job.output, job.loop, job.effects[0],
     ]  # fmt: skip
     exclusive = {"simulate", "jd_ranges", "antpairs", "file"}
     for part in parts:
@@ -216,9 +246,13 @@ def test_every_key_has_a_meaning() -> None:
                 tables += 1
             else:
                 assert field.description, f"{section.__name__}.{name}"
-                assert not field.is_required()
+                assert not field.is_required() or (section in (Effect, Injected) and name == "kind")
         assert section.__doc__
-    assert tables == 13
+    assert tables == 16
+
+
+def test_every_effect_has_a_name_in_the_job() -> None:
+    assert set(get_args(Kind)) == {*EFFECTS, *REWEIGHTINGS, *SEPARATE}
 
 
 def test_sections_do_not_change(tmp_path: Path) -> None:

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
 from hydrabeam_mpi.config import load_job
+from hydrabeam_mpi.config.effects import Kind
 from hydrabeam_mpi.errors import InputError
 
 DATA = "[data]\nfiles = ['a.uvh5']\n"
 SIMULATE = "[data.simulate]\n"
+EFFECT = DATA + "[[effects]]\nkind = 'diffuse'\n"
+INJECTED = "[[data.simulate.effects]]\nkind = 'diffuse'\n"
 TABLES = {
     "": "", "data": "", "data.simulate": "", "data.simulate.array": "", "data.simulate.perturb": "", "noise": "",
     "holdout": "", "sky": "", "sky.columns": "[sky]\nkind = 'catalogue'\nfile = 'a.skyh5'\n", "beam": "", "basis": "",
-    "prior": "", "solver": "", "output": "",
+    "prior": "", "solver": "", "output": "", "loop": "",
 }  # fmt: skip
 
 
@@ -43,7 +47,8 @@ def complaint(text: str, folder: Path) -> str:
         (DATA + "seed = 3", "[data] seed: unknown key; it belongs in the first lines"),
         (
             DATA + "kind = 'x'",
-            "[data] kind: unknown key; it belongs in [noise] or [holdout] or [sky] or [basis] or [prior]",
+            "[data] kind: unknown key; it belongs in [[data.simulate.effects]] or [noise] or [holdout] or [sky]"
+            " or [basis] or [prior] or [[effects]]",
         ),
         (
             DATA + "[solver]\nqwertz = 1",
@@ -71,6 +76,50 @@ def complaint(text: str, folder: Path) -> str:
         (DATA + "antpairs = [[1, 2, 3]]", "[data] antpairs: is [1, 2, 3]; it should be a list of 2"),
         (DATA + "antpairs = [[1, 'a']]", '[data] antpairs: is "a"; it should be a whole number'),
         (DATA + "lst_range = [1]", "[data] lst_range: is [1]; it should be a list of two"),
+        # Tables of which there may be several.
+        (
+            EFFECT + EFFECT.removeprefix(DATA) + "knd = 'x'",
+            "[[effects]] number 2 knd: unknown key; did you mean 'kind'?",
+        ),
+        (
+            EFFECT + "qwertz = 1",
+            "[[effects]] number 1 qwertz: unknown key; the keys of [[effects]] are kind, settings,",
+        ),
+        (
+            EFFECT + "strength = 1",
+            "[[effects]] number 1 strength: unknown key; it belongs in [[data.simulate.effects]]",
+        ),
+        (DATA + "prior_std = 1", "[data] prior_std: unknown key; it belongs in [[effects]]"),
+        (DATA + "[[effects]]", "[[effects]] number 1 kind: is missing; add it"),
+        (
+            EFFECT + "[[effects]]\nkind = 'diffus'",
+            "[[effects]] number 2 kind: is \"diffus\"; it should be 'antenna_gains', 'antenna_delays', ",
+        ),
+        (EFFECT + "values = [1]", "[[effects]] number 1 values: is 1; it should be a list in brackets"),
+        (EFFECT + "values = [[1, 'x']]", '[[effects]] number 1 values: is "x"; it should be a number'),
+        (EFFECT + "settings = 3", "[[effects]] number 1 settings: is 3; it should be keys and values in braces"),
+        (EFFECT + "index = [-1]", "[[effects]] number 1 index: is -1; it should be at least 0"),
+        ("effects = [3]\n" + DATA, "[[effects]] number 1: is not a table; it should be keys and values"),
+        (
+            DATA + "[effects]\nkind = 'diffuse'",
+            "[[effects]]: there may be several of these; write [[effects]] above each",
+        ),
+        (
+            SIMULATE + INJECTED + INJECTED + "strength = 0",
+            "[[data.simulate.effects]] number 2 strength: is 0; it should be more than 0",
+        ),
+        (
+            SIMULATE + INJECTED + "parameters = {'antenna 1 phase' = 'x'}",
+            '[[data.simulate.effects]] number 1 parameters antenna 1 phase: is "x"; it should be a number',
+        ),
+        (
+            SIMULATE + "[data.simulate.effects]\nkind = 'diffuse'",
+            "[[data.simulate.effects]]: there may be several of these; write [[data.simulate.effects]] above each",
+        ),
+        (
+            DATA + "[loop]\neffects = ['diffuse', 'antena_gains']",
+            "[loop] effects: is \"antena_gains\"; it should be 'antenna_gains', 'antenna_delays', ",
+        ),
         # Wrong units and values.
         (
             DATA + "[basis]\nedge = '92 m'",
@@ -158,6 +207,13 @@ def test_unknown_key_of_every_table(table: str, tmp_path: Path) -> None:
     assert complaint(text, tmp_path).startswith(
         f"{where}: unknown key; the keys of {f'[{table}]' if table else 'a job'}"
     )
+
+
+def test_unknown_effect_is_told_all_that_are_known(tmp_path: Path) -> None:
+    said = complaint(DATA + "[loop]\nskip = ['antena_gains']", tmp_path)
+    assert said.startswith('[loop] skip: is "antena_gains"; it should be ')
+    assert all(f"'{kind}'" in said for kind in get_args(Kind))
+    assert said.endswith("did you mean 'antenna_gains'?")
 
 
 def test_a_misspelt_key_comes_before_what_is_missing_for_it(tmp_path: Path) -> None:

@@ -1,9 +1,11 @@
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
+import pytest
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
-from hydrabeam_mpi.effects.horizon import Horizon
+from hydrabeam_mpi.effects.horizon import EDGES, RINGS, SECTORS, Horizon
 from hydrabeam_mpi.effects.scene import Experiment, Scene, Sources
 from hydrabeam_mpi.model.positions import SourcePositions
 from hydrabeam_mpi.random import generator
@@ -26,9 +28,7 @@ def wide_scene() -> tuple[Experiment, Scene]:
 def test_contract() -> None:
     experiment, scene = wide_scene()
     effect = Horizon()
-    x = effect.draw(experiment, generator(1, "horizon"), 1.0)
-    assert (x <= 0).all()
-    assert (x >= -1).all()
+    x = effect.draw(experiment, generator(1, "horizon"), 0.3)
     check_zero_is_nothing(effect, scene)
     check_derivative(effect, scene, x)
     check_adjoint(effect, scene, x)
@@ -36,46 +36,68 @@ def test_contract() -> None:
     check_recovery(effect, scene, x, sigma=sigma)
 
 
-class Behind:
-    """Positions from which a hill hides a stretch of the horizon."""
+def test_every_parameter_may_be_at_fault_by_itself() -> None:
+    parameters = Horizon().parameters(small_experiment())
+    assert len(parameters) == RINGS * (1 + SECTORS) == 78
+    assert len(set(parameters.names)) == 78
+    assert parameters.element.tolist() == list(range(78))
+    assert parameters.trials == 78
 
-    def __init__(self, positions: SourcePositions, above: float, az: tuple[float, float]) -> None:
-        self.positions, self.above, self.az = positions, np.deg2rad(above), np.deg2rad(az)
+
+def test_nothing_is_lost_twice() -> None:
+    experiment = small_experiment()
+    for strength in (0.1, 1.0, 10.0):
+        x = Horizon().draw(experiment, generator(2, "horizon"), strength)
+        assert (x <= 0).all()
+        assert (x < 0).any()
+        transmission = 1 + x[:RINGS, np.newaxis] + x[RINGS:].reshape(RINGS, SECTORS)
+        assert (transmission >= -1e-15).all()
+
+
+class Behind:
+    """Positions from which the ground hides all below an elevation in a stretch of azimuth, degrees."""
+
+    def __init__(self, positions: SourcePositions, below: float, az: tuple[float, float]) -> None:
+        self.positions, self.below, self.az = positions, np.deg2rad(below), np.deg2rad(az)
 
     def above_horizon(self, itime: int) -> tuple[IntArray, FloatArray, FloatArray]:
         index, za, az = self.positions.above_horizon(itime)
-        seen = (za < self.above) | (az < self.az[0]) | (az >= self.az[1])
+        seen = (np.pi / 2 - za >= self.below) | (az < self.az[0]) | (az >= self.az[1])
         return index[seen], za[seen], az[seen]
 
 
-def test_hidden_sectors_equal_fewer_sources() -> None:
+@pytest.mark.parametrize(
+    ("below", "az", "where"),
+    [
+        (10, (60, 120), ["az 60-90 deg", "az 90-120 deg"]),
+        (5, (330, 361), ["az 330-360 deg"]),
+        (10, (0, 361), ["all azimuths"]),
+        (2, (0, 361), ["all azimuths"]),
+    ],
+)
+def test_hidden_sky_equals_fewer_sources(below: float, az: tuple[float, float], where: list[str]) -> None:
     experiment, scene = wide_scene()
     effect = Horizon()
     scene.integrate_for([effect])
-    names = effect.parameters(experiment).names
-    for above, az, hidden in (
-        (80, (60, 120), ["za 80-85 deg, az 60-90", "za 80-85 deg, az 90-120", "za 85-90 deg, az 60-90"]),
-        (85, (330, 361), ["za 85-90 deg, az 330-360"]),
-    ):
-        if above == 80:
-            hidden = [*hidden, "za 85-90 deg, az 90-120"]
-        x = np.array([-1.0 if any(name.startswith(start) for start in hidden) else 0.0 for name in names])
-        assert -x.sum() == len(hidden)
-        behind = replace(scene, positions=Behind(scene.positions, above, az))
-        expected = scene.spread(behind.integrate(lambda sources: sources.beam[np.newaxis])[..., 0])
-        assert np.abs(expected - scene.vis).max() > 1e-4 * np.abs(scene.vis).max()
-        np.testing.assert_allclose(
-            scene.vis + effect.added(scene, x), expected, rtol=0, atol=1e-12 * np.abs(scene.vis).max()
-        )
+    rings = [f"elevation {lo:g}-{hi:g} deg" for lo, hi in pairwise(EDGES) if hi <= below]
+    hidden = {f"{ring}, {azimuth}" for ring in rings for azimuth in where}
+    x = np.array([-1.0 if name in hidden else 0.0 for name in effect.parameters(experiment).names])
+    assert -x.sum() == len(rings) * len(where) > 0
+    behind = replace(scene, positions=Behind(scene.positions, below, az))
+    expected = scene.spread(behind.integrate(lambda sources: sources.beam[np.newaxis])[..., 0])
+    largest = np.abs(scene.vis).max()
+    assert np.abs(expected - scene.vis).max() > 1e-4 * largest
+    np.testing.assert_allclose(scene.vis + effect.added(scene, x), expected, rtol=0, atol=1e-12 * largest)
 
 
 def test_edges() -> None:
-    za = np.deg2rad([79.999, 80.001, 85.001, 90.0, 84.999])
-    az = np.deg2rad([10.0, 359.999, 30.001, 360.0, 29.999])
+    za = np.deg2rad([79.999, 80.001, 85.001, 90.0, 84.999, 88.5])
+    az = np.deg2rad([10.0, 359.999, 30.001, 360.0, 29.999, 180.0])
     za[3], az[3] = np.pi / 2, 2 * np.pi
-    sources = Sources(np.arange(5), za, az, np.ones(5), lambda za, az: np.full(len(za), 2.0), 0.0)
+    sources = Sources(np.arange(6), za, az, np.ones(6), lambda za, az: np.full(len(za), 2.0), 0.0)
     columns = Horizon().sky_columns(sources)
-    assert columns.shape == (24, 5)
+    assert columns.shape == (72, 6)
     rows, which = np.nonzero(columns)
-    assert dict(zip(which.tolist(), rows.tolist(), strict=True)) == {1: 11, 2: 13, 3: 12, 4: 0}
+    found = dict(zip(which.tolist(), rows.tolist(), strict=True))
+    assert found == {1: 5 * 12 + 11, 2: 3 * 12 + 1, 3: 0, 4: 4 * 12, 5: 12 + 6}
     assert (columns[rows, which] == 2.0).all()

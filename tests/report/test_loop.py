@@ -109,6 +109,8 @@ def test_a_broken_convention_comes_first() -> None:
     loop = loops.unexplained() | {"rounds": []}
     loop["conventions"] |= {"found": "conjugated", "remedy": "set conjugate = true in [data]."}
     assert "break a convention: conjugated. Set conjugate = true in [data]. This is no error" in verdict_words(loop)
+    loop["rounds"] = [loops.gains_round()]
+    assert "in [data]. The model lacked antenna gains, and something else" in verdict_words(loop)
 
 
 def test_an_error_that_rises_is_called_so() -> None:

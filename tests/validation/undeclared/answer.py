@@ -56,11 +56,23 @@ class Where:
 
 @dataclass(frozen=True)
 class Drawn:
-    """What an effect turned out to be."""
+    """What an effect turned out to be.
+
+    Attributes
+    ----------
+    parameters : list of Parameter
+        What the loop should find.
+    where : Where
+    n_params : int
+        How many numbers it takes.
+    about : dict
+        What else there is to know of it.
+    """
 
     parameters: list[Parameter] = field(default_factory=list)
     where: Where = field(default_factory=Where)
     n_params: int = 1
+    about: dict[str, float] = field(default_factory=dict)
 
 
 Apply = Callable[[Truth, np.random.Generator, float], Drawn]

@@ -97,7 +97,7 @@ class Shape:
 
 
 def field_of(shape: Shape, za: FloatArray, az: FloatArray, freq: float) -> FloatArray:
-    """Return the field (component, feed, Npoints) of ideal feeds, East and North, which do not leak (Ludwig's third)."""
+    """Return the field (component, feed, Npoints) of ideal feeds, East and North: Ludwig's third, without leakage."""
     root = np.sqrt(shape.power(za, az, freq))
     cos, sin = np.cos(az), np.sin(az)
     return root * np.array([[-sin, cos], [cos, sin]])
@@ -125,10 +125,10 @@ def pyuvdata_beam(shape: Shape) -> ShapedBeam:
 
 def drawn_shape(rng: np.random.Generator, model: Shape, amount: float = 1.0) -> Shape:
     """Draw the sky's beam: widths off by 2%, sidelobes by 20%, and lopsided a little."""
-    width = tuple(s * (1 + 0.02 * amount * rng.standard_normal()) for s in model.width)
+    one, two = (s * (1 + 0.02 * amount * rng.standard_normal()) for s in model.width)
     return replace(
         model,
-        width=width,
+        width=(one, two),
         skew=tuple(0.05 * amount * rng.standard_normal(2)),
         pedestal=model.pedestal * np.exp(0.2 * amount * rng.standard_normal()),
         modulation=tuple(0.3 * amount * rng.standard_normal(4)),

@@ -65,7 +65,7 @@ def auto_coupling(truth: Truth, rng: np.random.Generator, strength: float) -> Dr
 
 
 def mutual_coupling(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
-    """Every element scatters part of what it receives to all others: V -> (1 + X) V (1 + X)^H.
+    """Every element scatters part of what it receives to all others, once: V -> V + X V + V X^H.
 
     X_jk = Gamma (14.6 m / d_jk)^2 exp(2 pi i nu d_jk / c): a wave that is lost along the ground, and comes later.
     """
@@ -75,10 +75,10 @@ def mutual_coupling(truth: Truth, rng: np.random.Generator, strength: float) -> 
     np.fill_diagonal(distance, np.inf)
     turns = truth.setting.freqs[:, np.newaxis, np.newaxis] * np.where(np.isinf(distance), 0, distance)
     spread = gamma * (SPACING / distance) ** 2 * np.exp(2j * np.pi * turns / speed_of_light.value)
-    mixing = (np.eye(len(positions)) + spread)[:, np.newaxis]
+    scattering = spread[:, np.newaxis]
 
     def corruption(vis: ComplexArray) -> ComplexArray:
-        return mixing @ vis @ mixing.conj().swapaxes(-1, -2)
+        return vis + scattering @ vis + vis @ scattering.conj().swapaxes(-1, -2)
 
     truth.corruptions.append(corruption)
     parameters = [

@@ -107,13 +107,12 @@ def write_visibilities(path: Path, setting: Setting, data: dict[str, ComplexArra
     )
     antpairs = np.concatenate([setting.numbers[setting.antpairs], np.repeat(setting.numbers[:, None], 2, axis=1)])
     numbers = {"ee": -5, "nn": -6, "en": -7, "ne": -8}
-    n_freqs, n_times, _ = setting.shape
 
     def rows(pol: str) -> NDArray[Any]:
         """Return (Ntimes x Nbls, Nfreqs) of one polarisation; cross-hand autocorrelations are left at zero."""
         own = autos.real if pol in ("ee", "nn") else np.zeros_like(autos)
         values = np.concatenate([data[pol], own], axis=2)
-        return values.transpose(1, 2, 0).reshape(-1, n_freqs)
+        return values.transpose(1, 2, 0).reshape(-1, len(setting.freqs))
 
     values = np.stack([rows(pol) for pol in data], axis=-1).astype(complex)
     uv = UVData.new(

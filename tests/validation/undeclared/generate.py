@@ -17,7 +17,7 @@ from tests.validation.undeclared.detect import chi2_beyond_beam, shows
 from tests.validation.undeclared.files import write_all
 from tests.validation.undeclared.polarisation import polarised
 from tests.validation.undeclared.setting import Setting, draw_setting
-from tests.validation.undeclared.simulator import corrupted, correlations, on_baselines
+from tests.validation.undeclared.simulator import correlations, corrupted, on_baselines
 from tests.validation.undeclared.truth import ComplexArray, Truth
 
 GIVEN, SEALED = "given", "sealed"
@@ -111,6 +111,7 @@ def _told(
         "strength_unit": kind.unit,
         "parameters": [asdict(parameter) for parameter in drawn.parameters],
         "where": asdict(drawn.where),
+        "about": drawn.about,
         "n_params": drawn.n_params,
         "chi2_total": total,
         "chi2_left": left,
@@ -121,14 +122,11 @@ def _told(
 def _visible(truth: Truth, reference: ComplexArray, sigma: float, seed: int) -> tuple[float, float]:
     """Return chi^2 of what an effect changes, and of what no beam absorbs of it.
 
-    Of noise it is twice the logarithm of the likelihood ratio of the noise as it is and as it is said to be.
+    Of noise it is twice the expected logarithm of the likelihood ratio.
     """
     setting: Setting = truth.setting
     if truth.noise:
-        rng = stream(seed, "noise ee")
-        noise = _filed(truth, np.zeros(setting.shape, dtype=complex), 1.0, rng)
-        power = np.abs(noise) ** 2
-        excess = _noise_ratio(power)
+        excess = _noise_ratio(truth, stream(seed, "noise ee"))
         return excess, excess
     vis = corrupted(truth) if truth.leakage is None else reference
     pols = polarised(truth, vis)
@@ -148,12 +146,10 @@ def _visible(truth: Truth, reference: ComplexArray, sigma: float, seed: int) -> 
     return total, left
 
 
-def _noise_ratio(power: np.ndarray) -> float:
-    """Return how far |n|^2, (Nfreqs, Ntimes, Nbls), is from that of unit noise: by times, baselines, and tails."""
-    by_group = 0.0
-    for axes in ((0, 1, 2), (0, 2), (0, 1)):
-        mean = power.mean(axis=axes)
-        n = power.size / mean.size
-        by_group = max(by_group, float(np.sum(2 * n * (mean - 1 - np.log(mean)))) - 2 * mean.size)
-    tail = float(np.sum(np.where(power > 15, 2 * power, 0)))
-    return max(by_group, tail)
+def _noise_ratio(truth: Truth, rng: np.random.Generator) -> float:
+    """Return 2 sum (v - 1 - ln v) over all data, with v by how much the variance of each is changed."""
+    noise = np.ones(truth.setting.shape, dtype=complex)
+    for change in truth.noise:
+        noise = change(noise, rng)
+    variance = np.maximum(np.abs(noise) ** 2, 0.1)
+    return 2 * float(np.sum(variance - 1 - np.log(variance)))

@@ -17,6 +17,8 @@ Found = dict[tuple[str, str], tuple[float, float]]
 SIGMAS = 3.0
 ENOUGH = 0.95
 SAME_PLACE_DEG = 1.0
+NOT_FOUND = 99.0
+"""Deviation that stands for a thing that is there and was not found."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,8 @@ def compare(effect: dict[str, Any], found_round: dict[str, Any], answer: dict[st
     truth = {(p["thing"], p["quantity"]): p["value"] for p in effect["parameters"]}
     found = READERS.get(kind, read_plain)(found_round["parameters"], truth, answer)
     keys = [key for key in truth if key in found]
+    if _lacks(kind, keys, truth):
+        return Comparison(np.array([NOT_FOUND]))
     if not keys:
         return Comparison(np.zeros(0))
     value, std = np.array([found[key] for key in keys]).T
@@ -66,6 +70,14 @@ def compare(effect: dict[str, Any], found_round: dict[str, Any], answer: dict[st
             weight = std[same] ** -2.0
             difference[same] -= np.sum(weight * difference[same]) / weight.sum()
     return Comparison(difference / std)
+
+
+def _lacks(kind: str, keys: list[tuple[str, str]], truth: dict[tuple[str, str], float]) -> bool:
+    """Tell whether nothing was found where something is; of missing sources the strongest must be found."""
+    if kind == "missing_sources":
+        strongest = max((value, thing) for (thing, quantity), value in truth.items() if quantity == "flux")[1]
+        return (strongest, "flux") not in keys
+    return bool(truth) and not keys
 
 
 def averaged(parameters: list[dict[str, Any]]) -> dict[str, tuple[float, float]]:
@@ -163,7 +175,8 @@ def read_fluxes(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], f
 
 def read_clock(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]) -> Found:
     """Read the one offset."""
-    return {("clock", "later"): pair for name, pair in averaged(parameters).items() if "later" in name}
+    pairs = [pair for name, pair in averaged(parameters).items() if "later" in name]
+    return {("clock", "later"): pairs[0]} if pairs else {}
 
 
 def read_shifts(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]) -> Found:

@@ -37,4 +37,4 @@ def outliers(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
         return noise + np.where(hit, strength * np.exp(draws.normal(0, 1, noise.shape)) * phase, 0)
 
     truth.noise.append(bursts)
-    return Drawn([Parameter("rows", "fraction hit", "", fraction)], n_params=2)
+    return Drawn(n_params=2, about={"fraction hit": fraction})

@@ -45,7 +45,8 @@ def score(answer: dict[str, Any], loop: dict[str, Any]) -> dict[str, Any]:
         "class" ("null", "single", "pair", "unknown" or "convention"); "first", what the loop names first, or "none";
         "named": "right", "equivalent" (`EQUIVALENT`), "indistinguishable" (the loop says that it may as well be the
         right one), "wrong" or "none"; "detectable"; "z", deviations of parameters in sigma; "parameters_hold";
-        "heldout_holds"; for pairs "both"; for unknown effects "kept_unknown" and "where_right"; for null draws
+        "heldout_holds"; for pairs "both", and "both_or_indistinguishable", where the loop says of a name that it may
+        as well be the right one; for unknown effects "kept_unknown" and "where_right"; for null draws
         "false_alarm".
     """
     effects = answer["effects"]
@@ -77,6 +78,8 @@ def score(answer: dict[str, Any], loop: dict[str, Any]) -> dict[str, Any]:
     if told["class"] == "pair":
         wanted = {effect["kind"] for effect in effects}
         told["both"] = all(any(_same(kind, name) for name in found) for kind in wanted)
+        allowed = {*found, *(other for one in loop["rounds"] for other in one["indistinguishable_from"])}
+        told["both_or_indistinguishable"] = all(any(_same(kind, name) for name in allowed) for kind in wanted)
     told["named"] = _named(effects, loop["rounds"])
     comparisons = _comparisons(effects, loop["rounds"], answer)
     told["z"] = [float(z) for one in comparisons for z in one.z]

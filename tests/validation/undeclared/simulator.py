@@ -33,9 +33,7 @@ def correlations(truth: Truth) -> ComplexArray:
     return out
 
 
-def _observe(
-    truth: Truth, catalogue: Catalogue, shapes: list[Shape], channel: int, times: np.ndarray
-) -> ComplexArray:
+def _observe(truth: Truth, catalogue: Catalogue, shapes: list[Shape], channel: int, times: np.ndarray) -> ComplexArray:
     """Return all correlations of one channel, (Ntimes, Nants, Nants)."""
     n = len(shapes)
     distinct: list[Shape] = []

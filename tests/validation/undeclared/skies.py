@@ -69,7 +69,7 @@ def diffuse(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
     ra, dec = (np.asarray(angle) for angle in pixels.healpix_to_lonlat(np.arange(pixels.npix)))
     colatitude = np.pi / 2 - dec
     amplitudes = {(l, m): float(rng.standard_normal()) for l in range(1, LARGEST_DEGREE + 1) for m in range(-l, l + 1)}
-    values = sum(amplitude * real_harmonic(*lm, colatitude, ra) for lm, amplitude in amplitudes.items())
+    values = np.sum([amplitude * real_harmonic(*lm, colatitude, ra) for lm, amplitude in amplitudes.items()], axis=0)
     # As much of the monopole as it takes for nothing to be negative.
     amplitudes[0, 0] = float(-values.min() * np.sqrt(4 * np.pi))
     values = strength * 1e3 * (values - values.min())
@@ -136,6 +136,4 @@ def horizon(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
         return catalogue.select(~(inside & (za > np.pi / 2 - np.deg2rad(strength))))
 
     truth.sky_of.append(sky)
-    return Drawn([Parameter("ground", "elevation", "deg", strength)], n_params=4)
-
-
+    return Drawn(n_params=4, about={"azimuth of the centre, rad": float(centre), "width, rad": float(width)})

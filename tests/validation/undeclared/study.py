@@ -101,6 +101,7 @@ def summarise(draws: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "parameters_within_3_sigma_each": _fraction((np.abs(z) <= 3).tolist()),
         "heldout_back": _fraction([one["heldout_holds"] for one in right if one["class"] == "single"]),
         "two_at_once": _fraction([one["both"] for one in pairs]),
+        "two_at_once_or_indistinguishable": _fraction([one["both_or_indistinguishable"] for one in pairs]),
         "unknown_kept_unknown": _fraction([one["kept_unknown"] and one["where_right"] for one in unknown]),
         "unknown_unexplained": _fraction([one["kept_unknown"] for one in unknown]),
         "false_alarms": _fraction([one["false_alarm"] for one in null]),
@@ -123,7 +124,7 @@ KEYS = (
 
 def table(draws: Sequence[dict[str, Any]]) -> str:
     """Return one line a case: draws, detectable ones, and how these went."""
-    head = f"{'case':40s} {'draws':>5s} {'seen':>4s} {'right':>5s} {'3 sig':>5s} {'chi2':>5s}  first named (where wrong)"
+    head = f"{'case':40s} {'draws':>5s} {'seen':>4s} {'right':>5s} {'3 sig':>5s} {'chi2':>5s}  wrong: first name"
     lines = [head]
     for case in sorted({one["case"] for one in draws}, key=lambda name: (class_of(name), name)):
         mine = [one for one in draws if one["case"] == case]
@@ -159,7 +160,7 @@ def confusion(draws: Sequence[dict[str, Any]]) -> tuple[list[str], list[str], np
     columns = [*EFFECTS, *sorted({one["first"] for one in fine} - {*EFFECTS, "none"}), "unexplained", "none"]
     counts = np.zeros((len(rows), len(columns)), dtype=int)
     for one in fine:
-        unexplained = one["class"] == "unknown" and one["kept_unknown"] or (
+        unexplained = (one["class"] == "unknown" and one["kept_unknown"]) or (
             one["first"] == "none" and one["verdict"] == "unexplained"
         )
         counts[rows.index(one["case"]), columns.index("unexplained" if unexplained else one["first"])] += 1

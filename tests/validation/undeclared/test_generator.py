@@ -19,10 +19,10 @@ from tests.validation.undeclared.detect import chi2_beyond_beam
 from tests.validation.undeclared.gains import antenna_gains
 from tests.validation.undeclared.generate import generate, make, stream
 from tests.validation.undeclared.setting import Plan, altaz, draw_setting, icrs
-from tests.validation.undeclared.simulator import corrupted, correlations, on_baselines
+from tests.validation.undeclared.simulator import correlations, corrupted, on_baselines
 from tests.validation.undeclared.truth import Truth
 
-SOURCES = sorted(Path(__file__).parent.glob("[!t]*.py"))
+SOURCES = sorted(path for path in Path(__file__).parent.glob("*.py") if not path.stem.startswith("test_"))
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.stem)
@@ -91,7 +91,7 @@ def test_the_sky_is_turned_towards_where_it_should(nothing_wrong):
 
 
 def test_the_beam_absorbs_a_common_gain_and_not_that_of_one_antenna(nothing_wrong):
-    truth, vis = nothing_wrong
+    truth, _ = nothing_wrong
     setting, shape = truth.setting, truth.setting.model_shape
     clean = on_baselines(truth, correlations(Truth.of(setting, shape)))
     total, left = chi2_beyond_beam(setting, 0.1 * clean, 0.1)

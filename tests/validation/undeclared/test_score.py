@@ -61,6 +61,9 @@ def test_two_at_once_need_both():
     both = answer("antenna_gains+timestamp")
     assert score(both, loop(a_round("antenna_gains"), a_round("timestamp")))["both"]
     assert not score(both, loop(a_round("antenna_gains")))["both"]
+    unsure = score(both, loop(a_round("antenna_gains"), a_round("horizon", indistinguishable=["timestamp"])))
+    assert not unsure["both"]
+    assert unsure["both_or_indistinguishable"]
 
 
 def test_conventions_by_name():
@@ -147,11 +150,17 @@ def test_sources_are_compared_where_they_are():
     assert abs(told["dec"]) < 0.1
     assert told["flux"] == pytest.approx(2.0)
     far = [(name.replace("-30.1", "-38.1") + what, value, std) for what, value, std in [("flux", 2.2, 0.1)]]
-    assert len(z_of("missing_sources", truth, far)) == 0
+    assert z_of("missing_sources", truth, far) == pytest.approx([99.0])
+
+
+def test_what_is_there_must_be_found():
+    truth = [("antenna 3", "reflection real", "", 0.1)]
+    assert z_of("cable_reflections", truth, [("antenna 4 reflection at 90.0 ns real", 0.1, 0.01)])[0] > 10
+    assert len(z_of("horizon", [], [("za 80-85 deg, az 0-30 deg: transmission less one", -1.0, 0.1)])) == 0
 
 
 def test_channels_are_averaged():
-    given = answer("antenna_gains", [("antenna 3", "phase", "rad", 0.0)])
+    given = answer("antenna_gains", [(f"antenna {n}", "phase", "rad", 0.0) for n in (3, 4)])
     told = a_round("antenna_gains", [("antenna 3 phase", 0.3, 0.1), ("antenna 3 phase", 0.1, 0.1)])
     assert compare(given["effects"][0], told, given).z == pytest.approx([0.2 / (0.1 / np.sqrt(2))])
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tests.validation.undeclared.answer import Drawn, Parameter, Where, antenna, numbers, pairs
+from tests.validation.undeclared.answer import Drawn, Where, numbers, pairs
 from tests.validation.undeclared.beams import Shape
 from tests.validation.undeclared.gains import multiplied
 from tests.validation.undeclared.setting import Catalogue, altaz, icrs
@@ -101,8 +101,7 @@ def gain_jump(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
     gains = np.ones((1, n_times, truth.setting.n_ants), dtype=complex)
     gains[0, jump:, index] += change
     truth.corruptions.append(multiplied(gains))
-    parameters = [Parameter(antenna(truth, index), "jump", "", float(abs(change)))]
-    return Drawn(parameters, Where(antennas=numbers(truth, [index])), 3)
+    return Drawn(where=Where(antennas=numbers(truth, [index])), n_params=3, about={"first time after it": jump})
 
 
 def correlated_noise(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:

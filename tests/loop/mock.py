@@ -1,0 +1,65 @@
+"""Small mock data with an effect in them, and the loop's view of these data."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import h5py
+import tomli_w
+from mpi4py import MPI
+
+from hydrabeam_mpi.inference import Clock
+from hydrabeam_mpi.loop.joint import find_experiment, read_space
+from hydrabeam_mpi.loop.refit import Space
+from hydrabeam_mpi.mpi import ProcessGrid
+from hydrabeam_mpi.run import load, prepare_shared
+
+FREQ = 131e6
+
+
+def mock_job(
+    *injected: dict[str, Any], freqs: tuple[float, ...] = (FREQ,), n_times: int = 12, **changes: dict[str, Any]
+) -> dict[str, Any]:
+    """Return a job: seven antennas, a hundred sources, and a beam of 24 modes that is not quite the model's."""
+    simulate = {
+        "array": {"hex": [2, 3]},
+        "n_times": n_times,
+        "freqs": list(freqs),
+        "perturb": {"stretch": [1.01, 1.02], "sidelobe": 0.0},
+        "effects": list(injected),
+    }
+    job: dict[str, Any] = {
+        "name": "mock",
+        "seed": 4,
+        "data": {"simulate": simulate},
+        "holdout": {"every": 3},
+        "sky": {"n_sources": 100},
+        "beam": {"source": "gaussian", "diameter": "14 m"},
+        "basis": {"n_modes": 24, "k_max": 12, "m_max": 2},
+        "output": {"draws": 2},
+    }
+    for table, keys in changes.items():
+        job[table] = {**job.get(table, {}), **keys}
+    return job
+
+
+def write_job(job: dict[str, Any], folder: Path, name: str = "job.toml") -> Path:
+    folder.mkdir(exist_ok=True, parents=True)
+    (folder / name).write_text(tomli_w.dumps(job))
+    return folder / name
+
+
+def space_of(job: dict[str, Any], folder: Path, world: MPI.Comm = MPI.COMM_SELF) -> Space:
+    """Simulate, and read the data as the loop does. Collective: all ranks of `world`."""
+    problem = prepare_shared(world, load(world, write_job(job, folder)), folder)
+    experiment = find_experiment(problem)
+    grid = ProcessGrid.split(world, problem.observation.Nfreqs)
+    return read_space(grid, problem.of_channels(grid.channels), experiment, Clock())
+
+
+def truth_of(folder: Path) -> list[dict[str, Any]]:
+    """Return what was injected."""
+    with h5py.File(folder / "truth.h5") as file:
+        return list(json.loads(file.attrs["effects"]))
