@@ -131,7 +131,7 @@ class Effect(ABC):
     multiplies: ClassVar[bool] = False
     """Whether the effect multiplies (C) rather than adds (E)."""
     changes_sky: ClassVar[bool] = False
-    """Whether the effect dims or brightens sources (see `sky_factor`), by which it changes A rather than E."""
+    """Whether the effect changes the sky (see `sky_factor`, `extra_sky`), by which it is part of A rather than of E."""
     shared: ClassVar[bool] = False
     """Whether all channels have the same parameters, through a law in frequency."""
     local: ClassVar[Literal["times", "baselines"] | None] = None
@@ -167,6 +167,10 @@ class Effect(ABC):
     def sky_factor(self, experiment: Experiment, sources: Sources, x: FloatArray) -> FloatArray:
         """Return what multiplies each source's flux, (Nsrc,), for effects that change the sky."""
         return np.ones(len(sources.za))
+
+    def extra_sky(self, scene: Scene, itime: int, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+        """Return further sources at one time, za, az (radians) and flux (Jy), for effects that change the sky."""
+        return None
 
     @abstractmethod
     def columns(self, scene: Scene, x: FloatArray) -> Columns:

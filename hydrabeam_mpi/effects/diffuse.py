@@ -8,6 +8,7 @@ to the horizon, and every time takes its own combinations of them.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import factorial
 from typing import Any
 
@@ -44,6 +45,7 @@ class Diffuse(Effect):
 
     kind = "diffuse"
     title = "diffuse emission"
+    changes_sky = True
 
     def __init__(self, l_max: int = 6) -> None:
         self.l_max = l_max
@@ -79,26 +81,24 @@ class Diffuse(Effect):
                 values[t, short] = horizontal @ turn.T
         return Columns(values, n, by_group=True)
 
+    def extra_sky(self, scene: Scene, itime: int, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the points of the quadrature with the flux that each stands for."""
+        up, az, area = _hemisphere(scene, scene.vectors)
+        turn = self._turns(replace(scene, times=np.array([itime])))[0]
+        return np.arccos(up), az, area * ((turn.T @ x) @ harmonics(self.l_max, up, az))
+
     def _horizontal(self, scene: Scene, groups: IntArray) -> ComplexArray:
         """Return the visibilities of harmonics of (90 deg - za, az), (len(groups), n)."""
         vectors = scene.vectors[groups]
-        largest = _wavenumber(scene) * float(np.linalg.norm(vectors, axis=1).max())
-        # A fringe of largest phase k b has azimuthal orders up to about k b, and degrees as high on a sphere of which
-        # this is half.
-        nodes, weights = np.polynomial.legendre.leggauss(int(0.35 * largest) + BEAM_NODES)
-        up, weights = (nodes + 1) / 2, weights / 2
-        n_az = int(largest) + BEAM_ORDERS
-        az = np.linspace(0, 2 * np.pi, n_az, endpoint=False)
+        up, az, area = _hemisphere(scene, vectors)
         engine = make_engine(scene.engine_kind, vectors)
         out = np.zeros((2, len(groups), (self.l_max + 1) ** 2))
-        n_rings = max(POINTS_AT_ONCE // n_az, 1)
-        for lo in range(0, len(up), n_rings):
-            ring = slice(lo, lo + n_rings)
-            columns = harmonics(self.l_max, up[ring, np.newaxis], az).reshape(out.shape[2], -1)
-            za_all, az_all = np.repeat(np.arccos(up[ring]), n_az), np.tile(az, len(up[ring]))
-            columns *= np.asarray(scene.beam(za_all, az_all)).real
-            area = np.repeat(weights[ring] * 2 * np.pi / n_az, n_az)[np.newaxis]
-            out += engine.design(GivenColumns(columns), za_all, az_all, area, np.array([scene.freq]))[0]
+        for lo in range(0, len(up), POINTS_AT_ONCE):
+            part = slice(lo, lo + POINTS_AT_ONCE)
+            za = np.arccos(up[part])
+            columns = harmonics(self.l_max, up[part], az[part]) * np.asarray(scene.beam(za, az[part])).real
+            freqs = np.array([scene.freq])
+            out += engine.design(GivenColumns(columns), za, az[part], area[np.newaxis, part], freqs)[0]
         return np.asarray(out[0] + 1j * out[1])
 
     def _turns(self, scene: Scene) -> FloatArray:
@@ -115,6 +115,20 @@ class Diffuse(Effect):
         turned = np.einsum("tij,ip->tjp", _frames(scene), points)
         equatorial = harmonics(self.l_max, turned[:, 2].clip(-1, 1), np.arctan2(turned[:, 1], turned[:, 0]))
         return np.einsum("atp,bp->tab", equatorial, projection)
+
+
+def _hemisphere(scene: Scene, vectors: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the points of the quadrature, cos za and azimuth, and their solid angles, (Npoints,) each.
+
+    A fringe of largest phase k b has azimuthal orders up to about k b, and degrees as high on a sphere of which this is
+    half.
+    """
+    largest = _wavenumber(scene) * float(np.linalg.norm(vectors, axis=1).max())
+    nodes, weights = np.polynomial.legendre.leggauss(int(0.35 * largest) + BEAM_NODES)
+    n_az = int(largest) + BEAM_ORDERS
+    az = np.linspace(0, 2 * np.pi, n_az, endpoint=False)
+    area = np.repeat(weights / 2 * 2 * np.pi / n_az, n_az)
+    return np.repeat((nodes + 1) / 2, n_az), np.tile(az, len(nodes)), area
 
 
 def harmonics(l_max: int, z: FloatArray, azimuth: FloatArray) -> FloatArray:

@@ -11,6 +11,7 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.base import Columns, Parameters, ScannedEffect
 from hydrabeam_mpi.effects.point_sources import (
     dirty_map,
+    follow,
     in_degrees,
     in_radians,
     keep_apart,
@@ -48,6 +49,7 @@ class MissingSources(ScannedEffect):
 
     kind = "missing_sources"
     title = "missing point sources"
+    changes_sky = True
     shared = True
 
     def __init__(self, sources: Sequence[tuple[float, float]] = (), trials: int = 1) -> None:
@@ -72,6 +74,13 @@ class MissingSources(ScannedEffect):
         element = np.repeat(np.arange(len(self.sources)), len(each))
         trials = max(self.trials, len(self.sources)) if rows else 0
         return Parameters.of(names, units, np.array(scale, dtype=float), element, refined, trials)
+
+    def extra_sky(self, scene: Scene, itime: int, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the sources that are up."""
+        part = x.reshape(-1, _n_each(scene.experiment))
+        flux = part[:, 0] * _spectrum(part, scene)
+        index, za, az = follow(scene, Sky(*self._places(part), np.ones((1, len(flux))))).above_horizon(itime)
+        return za, az, flux[index]
 
     def columns(self, scene: Scene, x: FloatArray) -> Columns:
         """Return derivatives: the source itself, its central difference by position, and its growth with ln nu."""

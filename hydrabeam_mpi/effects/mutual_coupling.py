@@ -48,7 +48,7 @@ class MutualCoupling(Effect):
     kind = "mutual_coupling"
     title = "mutual coupling"
 
-    def __init__(self, n_shells: int = 3) -> None:
+    def __init__(self, n_shells: int = 12) -> None:
         self.n_shells = n_shells
 
     def describe(self) -> dict[str, Any]:

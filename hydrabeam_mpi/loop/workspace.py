@@ -85,8 +85,10 @@ class Share:
             for channel in range(len(self.rows.data)):
                 scene = self.scene(channel, slice(t, t + 1), _no_beam, state)
                 sources = scene.sources(time)
-                flux = sources.flux_without()[np.newaxis]
-                by_channel.append(engine.design(basis, sources.za, sources.az, flux, np.array([scene.freq]))[0])
+                sky = [(sources.za, sources.az, sources.flux_without())]
+                sky += [more for one, x in scene.sky_effects if (more := one.extra_sky(scene, time, x)) is not None]
+                za, az, flux = (np.concatenate(parts) for parts in zip(*sky, strict=True))
+                by_channel.append(engine.design(basis, za, az, flux[np.newaxis], np.array([scene.freq]))[0])
             mixed = basis.mix(np.array(by_channel))
             yield mixed[:, 0] + 1j * mixed[:, 1] if basis.is_complex else mixed
 

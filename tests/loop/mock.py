@@ -22,12 +22,16 @@ FREQ = 131e6
 def mock_job(
     *injected: dict[str, Any], freqs: tuple[float, ...] = (FREQ,), n_times: int = 12, **changes: dict[str, Any]
 ) -> dict[str, Any]:
-    """Return a job: seven antennas, a hundred sources, and a beam of 24 modes that is not quite the model's."""
+    """Return a job: seven antennas, a hundred sources, and a round beam that is not quite the model's.
+
+    The basis can represent it far below the noise, of a thousandth of the autocorrelations.
+    """
     simulate = {
         "array": {"hex": [2, 3]},
         "n_times": n_times,
         "freqs": list(freqs),
-        "perturb": {"stretch": [1.01, 1.02], "sidelobe": 0.0},
+        "nsamples": 1.0,
+        "perturb": {"stretch": [1.02, 1.02], "sidelobe": 0.0},
         "effects": list(injected),
     }
     job: dict[str, Any] = {
@@ -36,8 +40,8 @@ def mock_job(
         "data": {"simulate": simulate},
         "holdout": {"every": 3},
         "sky": {"n_sources": 100},
-        "beam": {"source": "gaussian", "diameter": "14 m"},
-        "basis": {"n_modes": 24, "k_max": 12, "m_max": 2},
+        "beam": {"source": "airy", "diameter": "14 m"},
+        "basis": {"n_modes": 24, "k_max": 24, "m_max": 0},
         "output": {"draws": 2},
     }
     for table, keys in changes.items():
