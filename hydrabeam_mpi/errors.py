@@ -41,6 +41,11 @@ class InputError(Exception):
             self.file = str(file)
             self._compose()
 
+    def within(self, table: str) -> None:
+        """Name the table in which ``field`` is wrong."""
+        self.field = f"{table} {self.field}" if self.field else table
+        self._compose()
+
     def _compose(self) -> None:
         where = ": ".join(part for part in (self.file, self.field) if part)
         line = f"{where}: {self.message}" if where else self.message

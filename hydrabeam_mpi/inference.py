@@ -95,11 +95,14 @@ def infer_channels(grid: ProcessGrid, problem: Problem, clock: Clock) -> list[Ch
     return [ChannelResult(*parts) for parts in zip(normals, posteriors, heldout, strict=True)]
 
 
-def read_shares(grid: ProcessGrid, problem: Problem) -> tuple[Rows, Rows]:
-    """Read the rank's training and held-out rows. Collective: all ranks of `grid.world`."""
+def read_shares(grid: ProcessGrid, problem: Problem, whole_times: bool = False) -> tuple[Rows, Rows]:
+    """Read the rank's training and held-out rows; ``whole_times`` keeps held-out rows of the same time together.
+
+    Collective: all ranks of `grid.world`.
+    """
     with together(grid.world):
         train = read_rows(problem, problem.tile_of(problem.train, grid.group.rank, grid.group.size))
-        test = read_rows(problem, problem.tile_of(problem.test, grid.group.rank, grid.group.size))
+        test = read_rows(problem, problem.tile_of(problem.test, grid.group.rank, grid.group.size, whole_times))
     counts = np.array([train.n_unflagged, np.count_nonzero(train.inv_noise_var)])
     allreduce_sum(grid.world, counts)
     with together(grid.world):

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from hydrabeam_mpi.config.effects import Injected
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.redundancy import RedundantGroups
 from hydrabeam_mpi.effects.base import Effect
-from hydrabeam_mpi.effects.catalogue import EFFECTS, REWEIGHTINGS, make_effect
+from hydrabeam_mpi.effects.catalogue import EFFECTS, REWEIGHTINGS, make_effect, make_reweighting
 from hydrabeam_mpi.effects.scene import Experiment, Scene
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.basis import LinearBasis
@@ -63,8 +64,11 @@ class Injection:
     def before_noise(self, crosses: ComplexArray) -> tuple[ComplexArray, list[Truth]]:
         """Return C (V + E) and what was put in, (Nfreqs, Ntimes, Nbls)."""
         data = crosses.copy()
-        chosen = [self._draw(number, entry) for number, entry in enumerate(self.entries)]
-        ordinary = [(effect, x) for effect, x in chosen if isinstance(effect, Effect)]
+        ordinary: list[tuple[Effect, FloatArray]] = []
+        for number, entry in enumerate(self.entries):
+            if entry.kind not in REWEIGHTINGS:
+                with _told_of(number, entry):
+                    ordinary.append(self._draw(number, entry))
         for f in range(len(data)):
             scene = self._scene(f, crosses[f])
             added, factor = np.zeros(scene.shape, dtype=complex), np.ones(scene.shape, dtype=complex)
@@ -81,14 +85,18 @@ class Injection:
         for number, entry in enumerate(self.entries):
             if entry.kind not in REWEIGHTINGS:
                 continue
-            change = REWEIGHTINGS[entry.kind]()
-            for f in range(len(noisy)):
-                scene = self._scene(f, noisy[f])
-                scene.weights = np.broadcast_to(1 / variance[f][:, np.newaxis], scene.shape).copy()
-                rng = generator(self.job.seed, "injected", number, f)
-                x = change.draw(self.experiment, rng, entry.strength)
-                noisy[f] = self._as_measured(change.inject(scene.vis, scene, x, rng))
-                truths.append({"kind": change.kind, "channel": f, "values": x.tolist()})
+            with _told_of(number, entry):
+                change = make_reweighting(entry.kind, entry.settings)
+                for f in range(len(noisy)):
+                    scene = self._scene(f, noisy[f])
+                    scene.weights = np.broadcast_to(1 / variance[f][:, np.newaxis], scene.shape).copy()
+                    rng = generator(self.job.seed, "injected", number, f)
+                    if entry.parameters:
+                        x = _by_name(change.neutral(self.experiment), entry)
+                    else:
+                        x = change.draw(self.experiment, rng, entry.strength)
+                    noisy[f] = self._as_measured(change.inject(scene.vis, scene, x, rng))
+                    truths.append({"kind": change.kind, "channel": f, "values": x.tolist()})
         return noisy, truths
 
     def _scene(self, channel: int, crosses: ComplexArray) -> Scene:
@@ -114,25 +122,20 @@ class Injection:
         """Turn groups' sense back into the baselines' own."""
         return np.where(self.experiment.redundant.flipped, oriented.conj(), oriented)
 
-    def _draw(self, number: int, entry: Injected) -> tuple[Any, FloatArray]:
+    def _draw(self, number: int, entry: Injected) -> tuple[Effect, FloatArray]:
         """Make an effect and its parameters, (Nfreqs, n_params)."""
         n_freqs = self.experiment.observation.Nfreqs
         if entry.kind not in EFFECTS:
-            if entry.kind not in REWEIGHTINGS:
-                raise InputError(
-                    f"'{entry.kind}' cannot be simulated here",
-                    field="[[data.simulate.effects]] kind",
-                    remedy="remove it",
-                )
-            return None, np.zeros((n_freqs, 0))
+            raise InputError("cannot be simulated in one polarisation alone", remedy="remove it")
         effect = make_effect(entry.kind, entry.settings)
         if not entry.settings:
             effect = effect.drawn(self.experiment, generator(self.job.seed, "injected elements", number))
         refusal = effect.refusal(self.experiment)
         if refusal is not None:
-            raise InputError(f"{entry.kind}: {refusal}", field="[[data.simulate.effects]]", remedy="remove it")
+            raise InputError(refusal, remedy="remove it")
         if entry.parameters:
-            return effect, np.tile(_by_name(effect, self.experiment, entry), (n_freqs, 1))
+            nothing = dict.fromkeys(effect.parameters(self.experiment).names, 0.0)
+            return effect, np.tile(_by_name(nothing, entry), (n_freqs, 1))
         keys = [0] * n_freqs if effect.shared else list(range(n_freqs))
         draws = [
             effect.draw(self.experiment, generator(self.job.seed, "injected", number, key), entry.strength)
@@ -145,17 +148,21 @@ class Injection:
         return {"kind": effect.kind, "settings": effect.describe(), "names": list(names), "values": x.tolist()}
 
 
-def _by_name(effect: Effect, experiment: Experiment, entry: Injected) -> FloatArray:
-    """Return the parameters that an entry gives by name, the others zero."""
-    names = effect.parameters(experiment).names
-    x = np.zeros(len(names))
-    for name, value in entry.parameters.items():
-        if name not in names:
-            near = difflib.get_close_matches(name, names, n=3) or list(names[:3])
-            raise InputError(
-                f"{entry.kind} has no parameter '{name}'",
-                field="[[data.simulate.effects]] parameters",
-                remedy=f"such as {', '.join(repr(one) for one in near)}",
-            )
-        x[names.index(name)] = value
-    return x
+@contextmanager
+def _told_of(number: int, entry: Injected) -> Iterator[None]:
+    """Say in which table the input is wrong."""
+    try:
+        yield
+    except InputError as error:
+        error.within(f"[[data.simulate.effects]] number {number + 1} ({entry.kind})")
+        raise
+
+
+def _by_name(nothing: dict[str, float], entry: Injected) -> FloatArray:
+    """Return the parameters that an entry gives by name, the others as in ``nothing``."""
+    for name in entry.parameters:
+        if name not in nothing:
+            near = difflib.get_close_matches(name, nothing, n=3) or list(nothing)[:3]
+            remedy = f"there are {', '.join(map(repr, near))} ..." if near else "give those that it has in 'settings'"
+            raise InputError(f"no '{name}'", field="parameters", remedy=remedy)
+    return np.array(list({**nothing, **entry.parameters}.values()))

@@ -105,9 +105,11 @@ class Problem:
             channel_numbers=self.channel_numbers[index],
         )
 
-    def tile_of(self, rows: Tile, rank: int, size: int) -> Tile:
-        """Return a rank's share of some rows, among ``size`` ranks."""
+    def tile_of(self, rows: Tile, rank: int, size: int, whole_times: bool = False) -> Tile:
+        """Return a rank's share of some rows, among ``size`` ranks; ``whole_times`` keeps those of a time together."""
         costs, group = self.time_costs[rows.times], self.redundant.group[rows.bls]
+        if whole_times:
+            group = np.zeros_like(group)
         return make_tiles(rows.times, costs, rows.bls, group, size)[rank]
 
     @property

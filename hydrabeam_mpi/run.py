@@ -20,6 +20,7 @@ from hydrabeam_mpi.io.beamfits import write_power_beam
 from hydrabeam_mpi.io.posterior_file import ChannelRecord, PosteriorFile, write_posterior
 from hydrabeam_mpi.io.provenance import provenance
 from hydrabeam_mpi.io.staging import StagedDirectory, writing
+from hydrabeam_mpi.loop.joint import infer_with_effects
 from hydrabeam_mpi.mpi import (
     Comm,
     ProcessGrid,
@@ -80,7 +81,10 @@ def infer(world: Comm, job_path: Path, out: Path, overwrite: bool, threads: int)
             problem = prepare_shared(world, job, folder)
         grid = ProcessGrid.split(world, problem.observation.Nfreqs)
         mine = problem.of_channels(grid.channels)
-        results = infer_channels(grid, mine, clock)
+        if job.effects:
+            results = infer_with_effects(grid, problem, mine, clock)
+        else:
+            results = infer_channels(grid, mine, clock)
         with clock.time("describe"):
             records = gather_records(grid, describe_channels(grid, mine, results))
         memory = peak_rss_mb(world)

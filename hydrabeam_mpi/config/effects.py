@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from hydrabeam_mpi.config.base import Section, key
 
@@ -31,6 +31,10 @@ Kind = Literal[
 ]
 
 
+OF_WEIGHTS = ("outliers", "noise_level")
+"""Those whose parameters have neither names nor priors in a job."""
+
+
 class Effect(Section):
     """An effect that is part of the model; `hydrabeam loop` writes these."""
 
@@ -40,7 +44,19 @@ class Effect(Section):
     index: tuple[Annotated[int, Field(ge=0)], ...] = key((), "their numbers among all of the effect's parameters")
     values: tuple[tuple[float, ...], ...] = key((), "one list a channel, where `inference` starts")
     std: tuple[tuple[float, ...], ...] = key((), "posterior standard deviations, likewise")
-    prior_std: tuple[float, ...] = key((), "of the prior about zero")
+    prior_std: tuple[Annotated[float, Field(gt=0)], ...] = key((), "of the prior about zero")
+
+    @model_validator(mode="after")
+    def _belongs_together(self) -> Self:
+        lengths = {len(row) for row in (*self.values, *self.std)}
+        if self.kind not in OF_WEIGHTS:
+            lengths |= {len(self.names), len(set(self.index)), len(self.index), len(self.prior_std)}
+        if 0 in lengths or len(lengths) > 1 or len(self.std) not in (0, len(self.values)):
+            raise ValueError(
+                "names, index, prior_std and every list in values and std go together, one entry a parameter"
+                "; use the table as 'hydrabeam loop' wrote it"
+            )
+        return self
 
 
 class Injected(Section):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
@@ -27,6 +29,13 @@ class BasisTruncation(Effect):
     kind = "basis_truncation"
     title = "a basis that is too small"
 
+    def __init__(self, n_before: int = 0) -> None:
+        self.n_before = n_before
+
+    def describe(self) -> dict[str, Any]:
+        """Return how many of the next modes others have taken."""
+        return {"n_before": self.n_before}
+
     def refusal(self, experiment: Experiment) -> str | None:
         """Refuse complex beams, and bases of which it is not known what comes next."""
         if isinstance(experiment.basis, FourierBessel | Zernike):
@@ -35,7 +44,7 @@ class BasisTruncation(Effect):
 
     def parameters(self, experiment: Experiment) -> Parameters:
         """Return the coefficients of the next modes, expected to be as large as the smallest that there are."""
-        modes = next_modes(experiment)
+        modes = next_modes(experiment, self.n_before)
         names = [f"coefficient of mode ({a}, {b})" for a, b in modes]
         amplitudes = _amplitudes(experiment)
         told = np.sort(amplitudes[amplitudes > _NEGLIGIBLE * amplitudes.max()])
@@ -43,9 +52,10 @@ class BasisTruncation(Effect):
 
     def columns(self, scene: Scene, x: FloatArray) -> Columns:
         """Return the visibilities of the modes."""
-        if self.kind not in scene.integrals:
-            scene.integrals[self.kind] = scene.integrate(NextModes(scene.experiment))
-        values = scene.integrals[self.kind]
+        key = f"{self.kind} {self.n_before}"
+        if key not in scene.integrals:
+            scene.integrals[key] = scene.integrate(NextModes(scene.experiment, self.n_before))
+        values = scene.integrals[key]
         return Columns(values, values.shape[-1], by_group=True)
 
     def amended_basis_settings(self, experiment: Experiment) -> dict[str, int]:
@@ -53,11 +63,11 @@ class BasisTruncation(Effect):
 
         For a Fourier-Bessel basis the job then takes the largest modes of the model beam, so many as there are here.
         """
-        modes = next_modes(experiment)
+        modes = [mode for n in (0, self.n_before) for mode in next_modes(experiment, n)]
         if isinstance(experiment.basis, Zernike):
             return {"max_degree": modes[-1][0]}
         assert isinstance(experiment.basis, FourierBessel)
-        every = [*experiment.basis.modes, *modes]
+        every = list(dict.fromkeys([*experiment.basis.modes, *modes]))
         return {
             "n_modes": len(every),
             "k_max": max(k for k, _ in every),
@@ -68,8 +78,8 @@ class BasisTruncation(Effect):
 class NextModes:
     """The next modes of an experiment's basis as columns on the sky."""
 
-    def __init__(self, experiment: Experiment) -> None:
-        basis, modes = experiment.basis, next_modes(experiment)
+    def __init__(self, experiment: Experiment, n_before: int = 0) -> None:
+        basis, modes = experiment.basis, next_modes(experiment, n_before)
         if isinstance(basis, Zernike):
             self._basis: Zernike | FourierBessel = Zernike(modes[-1][0], basis.edge)
         else:
@@ -82,8 +92,14 @@ class NextModes:
         return self._basis.columns(sources.za, sources.az)[-self._n_modes :]
 
 
-def next_modes(experiment: Experiment) -> list[tuple[int, int]]:
+def next_modes(experiment: Experiment, n_before: int = 0) -> list[tuple[int, int]]:
     """Return the modes that a basis would have next: at most 128, and not more than it has.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    n_before : int
+        How many of them come before those that are wanted.
 
     Returns
     -------
@@ -93,12 +109,15 @@ def next_modes(experiment: Experiment) -> list[tuple[int, int]]:
     basis = experiment.basis
     most = min(MOST_MODES, basis.n_modes)
     if isinstance(basis, Zernike):
-        degree = basis.degree + 1
-        while sum(n + 1 for n in range(basis.degree + 1, degree + 2)) <= most:
+        first = basis.degree + 1
+        while sum(n + 1 for n in range(basis.degree + 1, first)) < n_before:
+            first += 1
+        degree = first
+        while sum(n + 1 for n in range(first, degree + 2)) <= most:
             degree += 1
-        return [(n, m) for n in range(basis.degree + 1, degree + 1) for m in range(-n, n + 1, 2)]
+        return [(n, m) for n in range(first, degree + 1) for m in range(-n, n + 1, 2)]
     assert isinstance(basis, FourierBessel)
-    return _next_fourier_bessel(basis, _amplitudes(experiment), most)
+    return _next_fourier_bessel(basis, _amplitudes(experiment), n_before + most)[n_before:]
 
 
 def _next_fourier_bessel(basis: FourierBessel, amplitudes: FloatArray, most: int) -> list[tuple[int, int]]:

@@ -16,6 +16,7 @@ from hydrabeam_mpi.errors import InputError
 
 MIN_CHANNELS = 4
 MAX_ECHOES = 16
+STEPS_APART = 2  # of the delays scanned: a resolution
 """Candidates of one antenna that are looked at together; one faulty antenna would otherwise fill all places."""
 
 
@@ -118,10 +119,19 @@ class CableReflections(ScannedEffect):
         return np.stack([products.real, products.imag], axis=-1), np.stack([power, power], axis=-1)
 
     def at(self, experiment: Experiment, hypotheses: IntArray) -> CableReflections:
-        """Return the effect with these echoes, of each antenna with the first few alone."""
+        """Return the effect with these echoes, of each antenna with the first few alone, none beside a better one.
+
+        Delays are refined later, so that echoes within a resolution of each other would become the same.
+        """
         delays = candidate_delays(experiment)
         numbers = experiment.observation.antenna_numbers[experiment.antennas_in_use]
         antenna, delay = np.divmod(np.asarray(hypotheses, dtype=int), len(delays))
+        kept_places: list[int] = []
+        for place in range(len(antenna)):
+            near = [other for other in kept_places if antenna[other] == antenna[place]]
+            if all(abs(int(delay[other]) - int(delay[place])) > STEPS_APART for other in near):
+                kept_places.append(place)
+        antenna, delay = antenna[kept_places], delay[kept_places]
         kept = _echoes_by_antenna(antenna, len(numbers))[:, :MAX_ECHOES]
         kept = np.sort(kept[kept >= 0])
         return CableReflections(list(zip(numbers[antenna[kept]].tolist(), delays[delay[kept]].tolist(), strict=True)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping
 from typing import Any
 
@@ -25,6 +26,7 @@ from hydrabeam_mpi.effects.nonredundant_beams import NonredundantBeams
 from hydrabeam_mpi.effects.outliers import Outliers
 from hydrabeam_mpi.effects.reweighting import Reweighting
 from hydrabeam_mpi.effects.timestamp import Timestamp
+from hydrabeam_mpi.errors import InputError
 
 EFFECTS: Mapping[str, type[Effect]] = {
     effect.kind: effect
@@ -57,5 +59,27 @@ SEPARATE = ("leakage",)
 
 
 def make_effect(kind: str, settings: Mapping[str, Any]) -> Effect:
-    """Restore an effect from its kind and what its `describe` returned."""
-    return EFFECTS[kind](**settings)
+    """Restore an effect from its kind and what its `describe` returned.
+
+    Raises
+    ------
+    InputError
+        If these are no settings of this kind.
+    """
+    effect: Effect = _make(EFFECTS[kind], settings)
+    return effect
+
+
+def make_reweighting(kind: str, settings: Mapping[str, Any]) -> Reweighting:
+    """Do the same for a change of the weights."""
+    change: Reweighting = _make(REWEIGHTINGS[kind], settings)
+    return change
+
+
+def _make(of_kind: Any, settings: Mapping[str, Any]) -> Any:
+    try:
+        return of_kind(**settings)
+    except (TypeError, ValueError) as error:
+        known = ", ".join(inspect.signature(of_kind).parameters)
+        remedy = f"there are {known}, as 'hydrabeam loop' writes them" if known else "leave them out"
+        raise InputError("are not understood", field="settings", remedy=remedy) from error

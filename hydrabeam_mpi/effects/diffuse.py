@@ -85,7 +85,9 @@ class Diffuse(Effect):
         """Return the points of the quadrature with the flux that each stands for."""
         up, az, area = _hemisphere(scene, scene.vectors)
         turn = self._turns(replace(scene, times=np.array([itime])))[0]
-        return np.arccos(up), az, area * ((turn.T @ x) @ harmonics(self.l_max, up, az))
+        flux = area * np.tensordot(turn.T @ x, harmonics(self.l_max, up, az), axes=1)
+        za, az, flux = np.broadcast_arrays(np.arccos(up), az, flux)
+        return za.ravel(), az.ravel(), flux.ravel()
 
     def _horizontal(self, scene: Scene, groups: IntArray) -> ComplexArray:
         """Return the visibilities of harmonics of (90 deg - za, az), (len(groups), n)."""
@@ -93,12 +95,14 @@ class Diffuse(Effect):
         up, az, area = _hemisphere(scene, vectors)
         engine = make_engine(scene.engine_kind, vectors)
         out = np.zeros((2, len(groups), (self.l_max + 1) ** 2))
-        for lo in range(0, len(up), POINTS_AT_ONCE):
-            part = slice(lo, lo + POINTS_AT_ONCE)
-            za = np.arccos(up[part])
-            columns = harmonics(self.l_max, up[part], az[part]) * np.asarray(scene.beam(za, az[part])).real
-            freqs = np.array([scene.freq])
-            out += engine.design(GivenColumns(columns), za, az[part], area[np.newaxis, part], freqs)[0]
+        freqs, step = np.array([scene.freq]), max(1, POINTS_AT_ONCE // az.size)
+        for lo in range(0, len(up), step):
+            part = up[lo : lo + step]
+            za, azimuth, flux = (
+                np.ravel(one) for one in np.broadcast_arrays(np.arccos(part), az, area[lo : lo + step])
+            )
+            columns = harmonics(self.l_max, part, az).reshape(-1, len(za)) * np.asarray(scene.beam(za, azimuth)).real
+            out += engine.design(GivenColumns(columns), za, azimuth, flux[np.newaxis], freqs)[0]
         return np.asarray(out[0] + 1j * out[1])
 
     def _turns(self, scene: Scene) -> FloatArray:
@@ -118,7 +122,7 @@ class Diffuse(Effect):
 
 
 def _hemisphere(scene: Scene, vectors: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the points of the quadrature, cos za and azimuth, and their solid angles, (Npoints,) each.
+    """Return the quadrature's cos za, (N, 1), azimuths, (1, M), and solid angles, (N, 1); its points are all N x M.
 
     A fringe of largest phase k b has azimuthal orders up to about k b, and degrees as high on a sphere of which this is
     half.
@@ -126,9 +130,8 @@ def _hemisphere(scene: Scene, vectors: FloatArray) -> tuple[FloatArray, FloatArr
     largest = _wavenumber(scene) * float(np.linalg.norm(vectors, axis=1).max())
     nodes, weights = np.polynomial.legendre.leggauss(int(0.35 * largest) + BEAM_NODES)
     n_az = int(largest) + BEAM_ORDERS
-    az = np.linspace(0, 2 * np.pi, n_az, endpoint=False)
-    area = np.repeat(weights / 2 * 2 * np.pi / n_az, n_az)
-    return np.repeat((nodes + 1) / 2, n_az), np.tile(az, len(nodes)), area
+    az = np.linspace(0, 2 * np.pi, n_az, endpoint=False)[np.newaxis]
+    return (nodes[:, np.newaxis] + 1) / 2, az, weights[:, np.newaxis] * np.pi / n_az
 
 
 def harmonics(l_max: int, z: FloatArray, azimuth: FloatArray) -> FloatArray:

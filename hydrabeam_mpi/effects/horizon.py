@@ -10,7 +10,9 @@ from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.effects.base import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.scene import Experiment, Scene, Sources
 
-EDGES = np.array([0.0, 1.0, 2.0, 3.0, 5.0, 7.0, 10.0])  # elevations between which a ring lies, degrees
+EDGES = np.array(
+    [0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 10.0]
+)  # elevations between which a ring lies, degrees
 RINGS = len(EDGES) - 1
 SECTORS = 12
 WIDTH = 360 // SECTORS  # degrees of azimuth

@@ -48,6 +48,15 @@ class NoiseLevel(Reweighting):
     kind = "noise_level"
     title = "noise level"
 
+    def sizes(self, experiment: Experiment) -> tuple[int, ...]:
+        """Return one, or one more than there are antennas in use."""
+        return 1, 1 + len(experiment.antennas_in_use)
+
+    def neutral(self, experiment: Experiment) -> dict[str, float]:
+        """Return ones."""
+        antennas = experiment.observation.antenna_numbers[experiment.antennas_in_use]
+        return dict.fromkeys(("noise scale", *(f"antenna {number} noise scale" for number in antennas)), 1.0)
+
     def n_sums(self, experiment: Experiment) -> int:
         """Return 5 Nbls + 2 Ntimes + 2; see `whiteness_sums`."""
         return 5 * experiment.observation.Nbls + 2 * experiment.observation.Ntimes + 2
@@ -69,8 +78,7 @@ class NoiseLevel(Reweighting):
         std = scales * np.sqrt([np.diag(one.covariance) for one in solutions])
         evidence = float(sum(one.log_bayes_factor for one in solutions))
         reason = self._reason(experiment, sums, expected, scales)
-        antennas = experiment.observation.antenna_numbers[experiment.antennas_in_use]
-        names = ("noise scale", *(f"antenna {number} noise scale" for number in antennas))[: scales.shape[1]]
+        names = tuple(self.neutral(experiment))[: scales.shape[1]]
         return ReweightingFit(
             log_bayes_factor=min(evidence, 0.0) if reason else evidence,
             x=scales,

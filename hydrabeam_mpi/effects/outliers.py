@@ -63,6 +63,14 @@ class Outliers(Reweighting):
     kind = "outliers"
     title = "outliers"
 
+    def sizes(self, experiment: Experiment) -> tuple[int, ...]:
+        """Return three: threshold, fraction and scale."""
+        return (3,)
+
+    def neutral(self, experiment: Experiment) -> dict[str, float]:
+        """Return no hits."""
+        return {"largest |z|^2 kept": HIT, "fraction of rows hit": 0.0, "scale of |z|^2 where hit": 1.0}
+
     def n_sums(self, experiment: Experiment) -> int:
         """Return the number of bins, of counts by time and by baseline, and of moments."""
         observation = experiment.observation
@@ -106,7 +114,7 @@ class Outliers(Reweighting):
             log_bayes_factor=min(evidence, 0.0) if refused else evidence,
             x=np.array([one.x for one in fits]),
             std=np.array([one.std for one in fits]),
-            names=("largest |z|^2 kept", "fraction of rows hit", "scale of |z|^2 where hit"),
+            names=tuple(self.neutral(experiment)),
             units=("", "", ""),
             chi2_drop=float(2 * sum(one.gain for one in fits)),
             n_parameters=2 * len(fits),

@@ -56,6 +56,14 @@ class Reweighting(ABC):
     """Name in sentences."""
 
     @abstractmethod
+    def sizes(self, experiment: Experiment) -> tuple[int, ...]:
+        """Return how many parameters a channel may have."""
+
+    @abstractmethod
+    def neutral(self, experiment: Experiment) -> dict[str, float]:
+        """Return the names of all parameters that a channel may have, and the values that change nothing."""
+
+    @abstractmethod
     def n_sums(self, experiment: Experiment) -> int:
         """Return the number of `sums`."""
 

@@ -199,6 +199,7 @@ class Scene:
     integrals: dict[str, ComplexArray] = field(default_factory=dict)
     places: dict[int, tuple[IntArray, FloatArray, FloatArray]] | None = None
     sky_effects: Sequence[tuple[Any, FloatArray]] = ()
+    _sources: dict[int, Sources] = field(default_factory=dict, init=False)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -231,6 +232,8 @@ class Scene:
 
     def sources(self, itime: int) -> Sources:
         """Return the sources above the horizon at an observation's time."""
+        if itime in self._sources:
+            return self._sources[itime]
         experiment = self.experiment
         if self.places is None:
             index, za, az = self.positions.above_horizon(itime)
@@ -243,6 +246,8 @@ class Scene:
         for effect, x in self.sky_effects:
             factor = effect.sky_factor(experiment, sources, x)
             sources.factors[effect.kind] = sources.factors.get(effect.kind, 1.0) * factor
+        if self.places is not None:
+            self._sources[itime] = sources
         return sources
 
     def integrate(

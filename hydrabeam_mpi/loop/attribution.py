@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.base import Effect, ScannedEffect
 from hydrabeam_mpi.effects.scene import Scene
-from hydrabeam_mpi.loop.equations import JointSums, Part, SceneSums
+from hydrabeam_mpi.loop.equations import JointSums, SceneSums
 from hydrabeam_mpi.loop.evidence import Evidence, Likelihood, find_evidence
 from hydrabeam_mpi.loop.refit import Space, current
 from hydrabeam_mpi.loop.state import State
 from hydrabeam_mpi.mpi import allreduce_sum, bcast_object, together
 from hydrabeam_mpi.rows import Rows
 
-MAX_ELEMENTS = 700
+MAX_ELEMENTS = 350
 """Elements of a scanned effect that are weighed together, the best of the scan."""
 
 
@@ -55,12 +57,13 @@ def attribute(space: Space, state: State, effects: Sequence[Effect]) -> list[Fin
         Those that these data can carry.
     """
     with together(space.grid.world):
-        rows, added = space.train.calibrated(state)
-    picked = _pick(space, state, effects, rows, added)
+        view = View.of(space, state)
+    picked = _pick(space, view, effects)
     picked = [effect for effect in picked if _has_more(space, state, effect)]
     likelihoods: list[tuple[int, list[Likelihood]]] = []
     for channel, number in enumerate(space.channels):
-        sums = _candidate_sums(space, state, picked, channel, rows, added)
+        zeros = [np.zeros(len(effect.parameters(space.experiment))) for effect in picked]
+        sums = _candidate_sums(space, state, view, channel, list(zip(picked, zeros, strict=True)))
         if space.grid.is_group_root:
             found = [sums.candidate(i, state.posteriors[channel]) for i in range(len(picked))]
             likelihoods.append((number, found))
@@ -81,7 +84,7 @@ def attribute(space: Space, state: State, effects: Sequence[Effect]) -> list[Fin
 
 def _taken(state: State, effect: Effect) -> IntArray:
     """Return the parameters of an effect that are part of the model already."""
-    same = [one.used for one in state.active if one.kind == effect.kind and not isinstance(effect, ScannedEffect)]
+    same = [one.used for one in state.active if one.kind == effect.kind and one.effect.describe() == effect.describe()]
     return np.concatenate([np.zeros(0, dtype=int), *same])
 
 
@@ -147,11 +150,11 @@ def reconsider(space: Space, state: State) -> Evidence:
     """
     *others, last = state.active
     with together(space.grid.world):
-        rows, added = space.train.calibrated(state)
+        view = View.of(space, state)
     rest = replace(state, active=others)
     found = []
     for channel, number in enumerate(space.channels):
-        sums = _candidate_sums(space, rest, [last.effect], channel, rows, added, (state, last.x[number]))
+        sums = _candidate_sums(space, rest, view, channel, [(last.effect, last.x[number])])
         if space.grid.is_group_root:
             one = sums.candidate(0, state.posteriors[channel])
             n = len(rest.prior_var)
@@ -169,80 +172,88 @@ def reconsider(space: Space, state: State) -> Evidence:
 
 
 def _candidate_sums(
-    space: Space,
-    state: State,
-    picked: Sequence[Effect],
-    channel: int,
-    rows: Rows,
-    added: ComplexArray,
-    at: tuple[State, FloatArray] | None = None,
+    space: Space, state: State, view: View, channel: int, candidates: Sequence[tuple[Effect, FloatArray]]
 ) -> JointSums:
-    """Sum one channel's columns of the active effects and of every candidate over the group.
-
-    Candidates are linearised at zero; a single one where ``at`` says, in the state that has it.
-    """
+    """Sum one channel's columns of the state's effects and of candidates, linearised where each says, over the group."""
     basis, number = space.problem.basis, space.channels[channel]
-    zeros = [np.zeros(len(effect.parameters(space.experiment))) for effect in picked]
-    whole = state
-    if at is not None:
-        whole, zeros = at[0], [at[1]]
-    total = JointSums.zeros(len(state.prior_var), [len(x) for x in zeros], basis.n_modes, basis.is_complex)
+    sizes = [len(x) for _, x in candidates]
+    total = JointSums.zeros(len(state.prior_var), sizes, basis.n_modes, basis.is_complex)
     with together(space.grid.world):
-        for _, scene, design in space.train.scenes(channel, whole, added[channel], rows):
-            active = _active_parts(scene, design, state, number, picked, total)
-            for i, (effect, x) in enumerate(zip(picked, zeros, strict=True)):
-                sums = active.sums
-                total.add(sums, active.parts, i, sums.part(effect.columns(scene, x)))
+        for scene, design in view.scenes(channel):
+            sums = SceneSums(scene, design)
+            scene.integrals = {}
+            scene.integrate_for([one.effect for one in state.active])
+            parts = [sums.part(one.effect.columns(scene, one.x[number]), one.used) for one in state.active]
+            total.add(sums, parts, None, None)
+            # One pass over the sky serves all candidates.
+            scene.integrals = {}
+            scene.integrate_for([effect for effect, _ in candidates])
+            for i, (effect, x) in enumerate(candidates):
+                total.add(sums, parts, i, sums.part(effect.columns(scene, x)))
     total.reduce(space.grid.group)
     return total
 
 
-@dataclass(frozen=True)
-class _ActiveParts:
-    sums: SceneSums
-    parts: list[Part]
+@dataclass
+class View:
+    """A rank's fitted rows with the current model of them, as scenes.
+
+    Where there is room for the design, the scenes stay, so that what effects have worked out of them serves again.
+    """
+
+    space: Space
+    state: State
+    rows: Rows
+    added: ComplexArray
+    kept: dict[int, list[tuple[Scene, NDArray[Any]]]]
+
+    @classmethod
+    def of(cls, space: Space, state: State) -> View:
+        """Calibrate the rank's rows by the state's effects."""
+        return cls(space, state, *space.train.calibrated(state), {})
+
+    def scenes(self, channel: int) -> Iterator[tuple[Scene, NDArray[Any]]]:
+        """Yield the scenes of one channel with their design rows."""
+        if channel in self.kept:
+            yield from self.kept[channel]
+            return
+        share, made = self.space.train, []
+        for _, scene, design in share.scenes(channel, self.state, self.added[channel], self.rows):
+            if share.keeps_designs:
+                made.append((scene, design))
+            yield scene, design
+        if share.keeps_designs:
+            self.kept = {channel: made}
 
 
-def _active_parts(
-    scene: Scene, design: np.ndarray, state: State, number: int, picked: Sequence[Effect], total: JointSums
-) -> _ActiveParts:
-    """Make and add the active effects' columns; integrate the sky once for them and for all candidates."""
-    sums = SceneSums(scene, design)
-    scene.integrate_for([one.effect for one in state.active])
-    parts = [sums.part(one.effect.columns(scene, one.x[number]), one.used) for one in state.active]
-    total.add(sums, parts, None, None)
-    scene.integrals = {}
-    scene.integrate_for(list(picked))
-    return _ActiveParts(sums, parts)
-
-
-def _pick(space: Space, state: State, effects: Sequence[Effect], rows: Rows, added: ComplexArray) -> list[Effect]:
+def _pick(space: Space, view: View, effects: Sequence[Effect]) -> list[Effect]:
     """Scan where there are too many candidates, and keep the best of them."""
     scanned = [effect for effect in effects if isinstance(effect, ScannedEffect)]
-    scores = [_scan(space, state, effect, rows, added) for effect in scanned]
     best = {
         id(effect): effect.at(space.experiment, np.argsort(-score, kind="stable")[:MAX_ELEMENTS])
-        for effect, score in zip(scanned, scores, strict=True)
+        for effect, score in zip(scanned, _scan(space, view, scanned), strict=True)
     }
     return [best.get(id(effect), effect) for effect in effects]
 
 
-def _scan(space: Space, state: State, effect: ScannedEffect, rows: Rows, added: ComplexArray) -> FloatArray:
-    """Return by how much each candidate alone would lower chi^2 with the beam as it is, (n_hypotheses,)."""
-    sums: list[FloatArray] = []
+def _scan(space: Space, view: View, effects: Sequence[ScannedEffect]) -> list[FloatArray]:
+    """Return by how much each candidate alone would lower chi^2 with the beam as it is, (n_hypotheses,) an effect."""
+    sums: list[list[Any]] = [[0.0] * len(space.channels) for _ in effects]
     with together(space.grid.world):
         for channel in range(len(space.channels)):
-            parts = [
-                np.stack(effect.scan(scene)) for _, scene, _ in space.train.scenes(channel, state, added[channel], rows)
-            ]
-            sums.append(np.sum(parts, axis=0))
-    shape = max(space.grid.world.allgather(np.shape(sums)))  # ranks without rows do not know it
-    found = np.array(sums) if np.shape(sums) == shape else np.zeros((len(sums), *shape[1:]))
+            for scene, _ in view.scenes(channel):
+                for effect, by_channel in zip(effects, sums, strict=True):
+                    by_channel[channel] = by_channel[channel] + np.stack(effect.scan(scene))
+    return [_drops(space, effect, np.array(by_channel)) for effect, by_channel in zip(effects, sums, strict=True)]
+
+
+def _drops(space: Space, effect: ScannedEffect, found: FloatArray) -> FloatArray:
+    """Add the sums of a scan over ranks and channels. Collective: all ranks of the grid."""
+    shape = max(space.grid.world.allgather(found.shape[1:]))  # ranks without rows do not know it
+    found = found if found.shape[1:] == shape else np.zeros((len(found), *shape))
     allreduce_sum(space.grid.group, found)
     if effect.shared:
-        if not space.grid.is_group_root:
-            found[:] = 0.0
-        total = np.ascontiguousarray(found.sum(axis=0))
+        total = found.sum(axis=0) if space.grid.is_group_root else np.zeros(shape)
         allreduce_sum(space.grid.world, total)
         return _chi2_drop(total)
     drop = np.sum([_chi2_drop(one) for one in found], axis=0)

@@ -62,7 +62,8 @@ class EffectSums:
     def without_beam(self, posterior: Posterior) -> Likelihood:
         """Marginalise the beam (the Schur complement)."""
         half = solve_triangular(posterior.factor, self.cross, lower=True, check_finite=False)
-        taken = (half.conj().T @ half).real
+        parts = np.concatenate([half.real, half.imag]) if np.iscomplexobj(half) else half
+        taken = parts.T @ parts
         return Likelihood(self.signal - taken, self.score, self.signal)
 
 

@@ -109,8 +109,9 @@ def find_evidence(
         blocks = [_freed(block, undecidable) for block in blocks]
     scale = np.where(parameters.refined, 0.0, parameters.scale)
     scaled = [(scale[:, np.newaxis] * block.information * scale, scale * block.score) for block in blocks]
-    rank = sum(_rank(information) for information, _ in scaled)
-    dense_log, tau = _dense(scaled)
+    spectra = [_spectrum(*block) for block in scaled]
+    rank = sum(int(np.count_nonzero(values)) for values, _ in spectra)
+    dense_log, tau = _dense(spectra)
     dense_var = np.where(scale > 0, (tau * scale) ** 2, 0.0)
     best = (dense_log, dense_var)
     if len(np.unique(parameters.element)) > 1 or parameters.trials > 1:
@@ -129,9 +130,11 @@ def _freed(block: Likelihood, combinations: FloatArray) -> Likelihood:
     return Likelihood(information, block.score - across @ inverse @ (combinations @ block.score), block.signal)
 
 
-def _rank(matrix: FloatArray) -> int:
-    values = np.linalg.eigvalsh(matrix)
-    return int(np.sum(values > RANK_RTOL * max(values[-1], 0.0))) if len(values) and values[-1] > 0 else 0
+def _spectrum(information: FloatArray, score: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the eigenvalues of K, zero where they count as that, and u along its eigenvectors."""
+    values, vectors = np.linalg.eigh(information)
+    values = np.where(values > RANK_RTOL * max(values[-1], 0.0), values, 0.0)
+    return values, np.where(values > 0, vectors.T @ score, 0.0)
 
 
 def _log_bayes_factors(values: FloatArray, projections: FloatArray) -> FloatArray:
@@ -141,14 +144,11 @@ def _log_bayes_factors(values: FloatArray, projections: FloatArray) -> FloatArra
     return np.sum(-0.5 * np.log(grown) + 0.5 * tau2 * projections**2 / grown, axis=-1)
 
 
-def _dense(scaled: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[float, float]:
+def _dense(spectra: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[float, float]:
     """Return ln BF and tau for the prior that is the same for all."""
     total = np.zeros(len(TAUS))
-    for information, score in scaled:
-        values, vectors = np.linalg.eigh(information)
-        values = np.where(values > RANK_RTOL * max(values[-1], 0.0), values, 0.0)
-        projections = np.where(values > 0, vectors.T @ score, 0.0)
-        total += _log_bayes_factors(values, projections)
+    for spectrum in spectra:
+        total += _log_bayes_factors(*spectrum)
     best = int(total.argmax())
     return float(total[best]) - 1.0, float(TAUS[best])
 

@@ -11,7 +11,7 @@ from scipy.sparse import issparse
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.effects.scene import Scene
-from hydrabeam_mpi.loop.predictive import whiten_time
+from hydrabeam_mpi.loop.predictive import SharedErrors, whiten_time
 from hydrabeam_mpi.loop.refit import Space, active_sums, current, place
 from hydrabeam_mpi.loop.state import State
 from hydrabeam_mpi.mpi import allreduce_sum, together
@@ -151,49 +151,64 @@ def _fit_local(space: Space, state: State, local: str, kept: NDArray[np.bool_]) 
 
 
 def _whiten(space: Space, state: State) -> Whitened:
-    """Whiten the rank's rows with the state's parameters."""
+    """Whiten the rank's rows with the state's parameters. Collective: all ranks of `grid.group`."""
     share = space.test
     with together(space.grid.world):
         rows, added = share.calibrated(state)
-        z, share_of_model = np.zeros_like(rows.data), np.zeros(rows.data.shape)
-        for channel in range(len(space.channels)):
+    z, share_of_model = np.zeros_like(rows.data), np.zeros(rows.data.shape)
+    for channel in range(len(space.channels)):
+        covariance = state.covariances[channel] if state.active else np.zeros((0, 0))
+        errors = SharedErrors(covariance) if 0 < len(covariance) <= MAX_DENSE else None
+        with together(space.grid.world):
             for span, scene, design in share.scenes(channel, state, added[channel], rows):
-                weights = scene.weights
-                if state.active:
-                    more = _effects_variance(space, state, channel, scene, design).mean(axis=0)
-                    weights = weights / (1 + 2 * weights * more)
+                columns, weights = _felt(space, state, channel, scene, design, errors is not None)
                 for t, row in enumerate(range(span.start, span.stop)):
-                    z[channel, row], share_of_model[channel, row] = whiten_time(
-                        scene.residual[t], weights[t], scene.member, design[t], state.posteriors[channel]
+                    stack = np.column_stack([scene.residual[t], columns[t]])
+                    posterior = state.posteriors[channel]
+                    white, share_of_model[channel, row] = whiten_time(
+                        stack, weights[t], scene.member, design[t], posterior
                     )
+                    z[channel, row] = white[:, 0]
+                    if errors is not None:
+                        errors.add(white[:, 0], white[:, 1:])
+        if errors is not None:
+            allreduce_sum(space.grid.group, errors.gram)
+            allreduce_sum(space.grid.group, errors.projection)
+            for row, change in enumerate(errors.changes()):
+                z[channel, row] += change
+            used = rows.inv_noise_var[channel] > 0
+            n_used = int(space.grid.group.allreduce(np.count_nonzero(used)))
+            share_of_model[channel] += errors.n_shared / (2 * max(n_used, 1))
     return Whitened(z, rows.inv_noise_var > 0, share_of_model)
 
 
-def _effects_variance(space: Space, state: State, channel: int, scene: Scene, design: NDArray[Any]) -> FloatArray:
-    """Return the variance that uncertain effects add, (2, Ntimes, Nbls).
+def _felt(
+    space: Space, state: State, channel: int, scene: Scene, design: NDArray[Any], keep: bool
+) -> tuple[ComplexArray, FloatArray]:
+    """Return how the prediction feels each parameter of the effects, and the weights of the rows.
 
-    Where a parameter moves the beam follows; what is left is what the prediction feels.
+    Where a parameter moves the beam follows; what is left is what the prediction feels. With too many parameters to
+    ``keep`` their columns, (Ntimes, Nbls, q), the weights count their variance row by row.
     """
-    number, covariance, follow = space.channels[channel], state.covariances[channel], state.follows[channel]
+    if not state.active:
+        return np.zeros((*scene.shape, 0), dtype=complex), scene.weights
+    number, covariance = space.channels[channel], state.covariances[channel]
     scene.integrate_for([one.effect for one in state.active])
     n_times, n_bls = scene.shape
-    felt = np.zeros((n_times, n_bls, len(covariance)), dtype=complex)
-    start = 0
+    parts = []
     for one in state.active:
         columns = one.effect.columns(scene, one.x[number])
         matrix = columns.matrix()[:, one.used]
         matrix = (matrix.toarray() if issparse(matrix) else matrix).reshape(n_times, -1, len(one.used))
-        felt[..., start : start + len(one.used)] = scene.spread(matrix) if columns.by_group else matrix
-        start += len(one.used)
-    if len(covariance) > MAX_DENSE:
+        parts.append(scene.spread(matrix) if columns.by_group else matrix)
+    felt = np.concatenate(parts, axis=-1)
+    if not keep:
         widths = np.diag(covariance)
-        return np.stack([np.square(part) @ widths for part in (felt.real, felt.imag)])
-    followed = design @ follow
+        variance = 0.5 * (np.square(felt.real) @ widths + np.square(felt.imag) @ widths)
+        return np.zeros((n_times, n_bls, 0), dtype=complex), scene.weights / (1 + 2 * scene.weights * variance)
+    followed = design @ state.follows[channel]
     felt += scene.spread(followed if state.posteriors[channel].is_complex else followed[:, 0] + 1j * followed[:, 1])
-    # Of the form x^T C x with C = R R^T, so that it cannot be negative.
-    values, vectors = np.linalg.eigh(covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    return np.stack([np.sum((part @ root) ** 2, axis=-1) for part in (felt.real, felt.imag)])
+    return felt, scene.weights
 
 
 def blocks_of(space: Space, whitened: Whitened) -> Blocks:

@@ -9,8 +9,9 @@ import numpy as np
 
 from hydrabeam_mpi.accumulate import accumulate_designs, check_designs
 from hydrabeam_mpi.config import Job
+from hydrabeam_mpi.config.effects import Effect as EffectEntry
 from hydrabeam_mpi.data.selection import Selection
-from hydrabeam_mpi.effects.catalogue import EFFECTS, REWEIGHTINGS, make_effect
+from hydrabeam_mpi.effects.catalogue import EFFECTS, REWEIGHTINGS, make_effect, make_reweighting
 from hydrabeam_mpi.effects.scene import Experiment
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.infer.posterior import Posterior
@@ -19,8 +20,10 @@ from hydrabeam_mpi.io.uvmeta import read_observation
 from hydrabeam_mpi.loop.refit import Space, refit
 from hydrabeam_mpi.loop.state import Active, Reweighted, State
 from hydrabeam_mpi.loop.workspace import Share
-from hydrabeam_mpi.mpi import ProcessGrid, together
+from hydrabeam_mpi.mpi import ProcessGrid, bcast_object, together
 from hydrabeam_mpi.problem import Problem
+
+AS_WRITTEN = "use the job as 'hydrabeam loop' wrote it, with the same data, or run the loop again"
 
 
 def find_experiment(problem: Problem) -> Experiment:
@@ -50,7 +53,8 @@ def read_space(grid: ProcessGrid, problem: Problem, experiment: Experiment, cloc
         Receives the phase "read".
     """
     with clock.time("read"):
-        train, test = read_shares(grid, problem)
+        # What the prediction of one time is uncertain of is whitened together.
+        train, test = read_shares(grid, problem, whole_times=True)
     return Space(grid, problem, experiment, Share(problem, experiment, train), Share(problem, experiment, test))
 
 
@@ -65,44 +69,70 @@ def restore(job: Job, experiment: Experiment) -> State:
     state = State()
     n_freqs = experiment.observation.Nfreqs
     for number, entry in enumerate(job.effects):
-        field = f"[[effects]] number {number + 1} ({entry.kind})"
-        if len(entry.values) != n_freqs:
-            raise InputError(
-                f"has values for {len(entry.values)} channels, the data have {n_freqs}",
-                field=field,
-                remedy="use the job as 'hydrabeam loop' wrote it, with the same channels",
-            )
-        if entry.kind in REWEIGHTINGS:
-            values = np.array(entry.values)
-            state.reweighted.append(Reweighted(REWEIGHTINGS[entry.kind](), values, np.array(entry.std)))
-            continue
-        if entry.kind not in EFFECTS:
-            raise InputError("cannot be part of the model", field=field, remedy="remove it")
-        effect = make_effect(entry.kind, entry.settings)
-        parameters = effect.parameters(experiment)
-        index = np.array(entry.index, dtype=int)
-        if [parameters.names[i] for i in index if i < len(parameters)] != list(entry.names):
-            raise InputError(
-                "is about other antennas, times or sources than the data have",
-                field=field,
-                remedy="use the job as 'hydrabeam loop' wrote it, with the same data, or run the loop again",
-            )
-        prior_var, x = np.zeros(len(parameters)), np.zeros((n_freqs, len(parameters)))
-        prior_var[index], x[:, index] = np.square(entry.prior_std), np.array(entry.values)
-        state.active.append(replace(Active.start(effect, experiment, prior_var, x), prior_var=prior_var))
+        try:
+            if len(entry.values) != n_freqs:
+                raise InputError(
+                    f"has values for {len(entry.values)} channels, the data have {n_freqs}",
+                    remedy="use the job as 'hydrabeam loop' wrote it, with the same channels",
+                )
+            if entry.kind in REWEIGHTINGS:
+                state.reweighted.append(_restore_reweighting(entry, experiment))
+            else:
+                state.active.append(_restore_effect(entry, experiment))
+        except InputError as error:
+            error.within(f"[[effects]] number {number + 1} ({entry.kind})")
+            raise
     return state
 
 
-def infer_jointly(space: Space, clock: Clock) -> tuple[State, list[ChannelResult]]:
-    """Fit beams and the job's effects jointly. Collective: all ranks of the grid."""
-    with together(space.grid.world):
-        state = restore(space.problem.job, space.experiment)
+def _restore_reweighting(entry: EffectEntry, experiment: Experiment) -> Reweighted:
+    change, values = make_reweighting(entry.kind, entry.settings), np.array(entry.values)
+    if values.shape[1] not in change.sizes(experiment) or values.min() <= 0:
+        raise InputError("are not what the data need", field="values", remedy=AS_WRITTEN)
+    return Reweighted(change, values, np.array(entry.std) if entry.std else np.zeros_like(values))
+
+
+def _restore_effect(entry: EffectEntry, experiment: Experiment) -> Active:
+    if entry.kind not in EFFECTS:
+        raise InputError("cannot be part of the model", remedy="remove it")
+    effect = make_effect(entry.kind, entry.settings)
+    refusal = effect.refusal(experiment)
+    if refusal is not None:
+        raise InputError(refusal, remedy="remove it")
+    parameters = effect.parameters(experiment)
+    index = np.array(entry.index, dtype=int)
+    if [parameters.names[i] for i in index if i < len(parameters)] != list(entry.names):
+        raise InputError("is about other antennas, times or sources than the data have", remedy=AS_WRITTEN)
+    prior_var, x = np.zeros(len(parameters)), np.zeros((len(entry.values), len(parameters)))
+    prior_var[index], x[:, index] = np.square(entry.prior_std), np.array(entry.values)
+    return replace(Active.start(effect, experiment, prior_var, x), prior_var=prior_var)
+
+
+def infer_with_effects(grid: ProcessGrid, problem: Problem, mine: Problem, clock: Clock) -> list[ChannelResult]:
+    """Fit beams and the job's effects jointly.
+
+    Collective: all ranks of the grid.
+
+    Parameters
+    ----------
+    grid : ProcessGrid
+    problem, mine : Problem
+        Of all channels, and of the rank group's.
+    clock : Clock
+        Receives the phases of `hydrabeam_mpi.inference.infer_channels`; each step of the fit solves, so that "design"
+        has all of it.
+    """
+    with together(grid.world):
+        experiment = find_experiment(problem) if grid.is_world_root else None
+    space = read_space(grid, mine, bcast_object(grid.world, experiment), clock)
+    with together(grid.world):
+        state = restore(problem.job, space.experiment)
     with clock.time("design"):
         state = refit(space, state)
     with clock.time("solve"):
-        pass  # part of every step of the fit
+        pass
     with clock.time("heldout"):
-        return state, channel_results(space, state)
+        return channel_results(space, state)
 
 
 def channel_results(space: Space, state: State) -> list[ChannelResult]:

@@ -1,10 +1,11 @@
 """Residuals whitened by their predictive distribution.
 
-What the model is uncertain of is the same for redundant baselines and alike for others, so that a prediction that is off
-is off for many rows at once. Dividing each row by its own standard deviation would leave that in, and chi^2 would be far
-more uncertain than that of independent data. Of the rows of one time the part that the members of each group have in
-common is therefore whitened together with that of the other groups, by the symmetric root, which changes a row as little
-as whitening can.
+What the model is uncertain of is the same for redundant baselines and alike for others, so that a prediction that is
+off is off for many rows at once. Dividing each row by its own standard deviation would leave that in, and chi^2 would
+be far more uncertain than that of independent data. Of the rows of one time the part that the members of each group
+have in common is therefore whitened together with that of the other groups. Errors of effects, which may be the same
+at all times, are whitened over all rows. Either takes the symmetric root, which changes a row as little as whitening
+can.
 """
 
 from __future__ import annotations
@@ -14,20 +15,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
+from scipy.sparse import csr_array
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.infer.posterior import Posterior
 
 
 def whiten_time(
-    residual: ComplexArray, weights: FloatArray, member: IntArray, design: NDArray[Any], posterior: Posterior
+    rows: ComplexArray, weights: FloatArray, member: IntArray, design: NDArray[Any], posterior: Posterior
 ) -> tuple[ComplexArray, FloatArray]:
     """Whiten the rows of one time.
 
     Parameters
     ----------
-    residual : ndarray of complex, (Nbls,)
-        Data minus prediction, Jy.
+    rows : ndarray of complex, (Nbls, k)
+        Residuals, data minus prediction, or anything else of the rows in Jy; each column by itself.
     weights : ndarray, (Nbls,)
         Inverse variance of all that is each row's own, Jy^-2; zero for rows that do not count.
     member : ndarray of int, (Nbls,)
@@ -39,30 +41,72 @@ def whiten_time(
 
     Returns
     -------
-    z : ndarray of complex, (Nbls,)
-        Real and imaginary parts of variance one.
+    z : ndarray of complex, (Nbls, k)
+        Of residuals, with real and imaginary parts of variance one.
     share : ndarray, (Nbls,)
         The model's share of the variance.
     """
     n_groups = design.shape[-2]
     group_weights = np.bincount(member, weights, n_groups)
     used = np.flatnonzero(group_weights)
-    root = np.sqrt(2 * group_weights[used])
-    # Unit vector of what a group's members have in common, and the residual's component along it.
+    root = np.tile(np.sqrt(2 * group_weights[used]), 2)
+    # Unit vectors of what a group's members have in common, and the components along them.
     own = np.sqrt(weights / np.where(group_weights > 0, group_weights, 1.0)[member])
-    plain = np.sqrt(2 * weights) * residual
-    common = np.bincount(member, own * plain.real, n_groups) + 1j * np.bincount(member, own * plain.imag, n_groups)
-    variance = np.tile(root, 2)[:, np.newaxis] * _model_variance(posterior, design, used) * np.tile(root, 2)
-    values, vectors = np.linalg.eigh(variance)
+    gather = csr_array((own, (member, np.arange(len(member)))), shape=(n_groups, len(member)))
+    plain = np.sqrt(2 * weights)[:, np.newaxis] * rows
+    common = (gather @ plain)[used]
+    values, vectors = np.linalg.eigh(root[:, np.newaxis] * _model_variance(posterior, design, used) * root)
     values = np.maximum(values, 0.0)
-    parts = np.concatenate([common[used].real, common[used].imag])
-    whitened = vectors @ ((vectors.T @ parts) / np.sqrt(1 + values))
-    change = np.zeros(n_groups, dtype=complex)
-    change[used] = whitened[: len(used)] + 1j * whitened[len(used) :] - common[used]
+    parts = np.concatenate([common.real, common.imag])
+    whitened = vectors @ ((vectors.T @ parts) / np.sqrt(1 + values)[:, np.newaxis])
+    change = np.zeros((n_groups, rows.shape[1]), dtype=complex)
+    change[used] = whitened[: len(used)] + 1j * whitened[len(used) :] - common
     shared = np.zeros(n_groups)
     by_part = np.square(vectors) @ (values / (1 + values))
     shared[used] = 0.5 * (by_part[: len(used)] + by_part[len(used) :])
-    return plain + own * change[member], own**2 * shared[member]
+    return plain + gather.T @ change, own**2 * shared[member]
+
+
+class SharedErrors:
+    """Whitens rows of many times by what they share of the errors of some parameters.
+
+    With the columns B of these parameters, in units of their posterior errors, the whitened residuals have covariance
+    1 + B B^T, whose root needs only B^T B and B^T z: sums over rows, hence over ranks.
+
+    Parameters
+    ----------
+    covariance : ndarray, (q, q)
+        Of the parameters.
+    """
+
+    def __init__(self, covariance: FloatArray) -> None:
+        values, vectors = np.linalg.eigh(covariance)
+        # Of the form R R^T, so that no variance is negative.
+        self._root = vectors * np.sqrt(np.maximum(values, 0.0))
+        self.gram = np.zeros((len(covariance), len(covariance)))
+        self.projection = np.zeros(len(covariance))
+        self._kept: list[ComplexArray] = []
+
+    def add(self, z: ComplexArray, columns: ComplexArray) -> None:
+        """Take the rows of one time, (Nbls,) and (Nbls, q), whitened by all else."""
+        scaled = columns @ self._root
+        self._kept.append(scaled)
+        self.gram += (scaled.conj().T @ scaled).real
+        self.projection += (scaled.conj().T @ z).real
+
+    def changes(self) -> list[ComplexArray]:
+        """Return what is to be added to the rows of each time, once the sums are complete."""
+        values, vectors = np.linalg.eigh(self.gram)
+        values = np.maximum(values, 1e-12 * max(float(values.max(initial=0.0)), 1e-300))
+        factor = (1 / np.sqrt(1 + values) - 1) / values
+        coefficients = vectors @ (factor * (vectors.T @ self.projection))
+        return [scaled @ coefficients for scaled in self._kept]
+
+    @property
+    def n_shared(self) -> float:
+        """How many parameters the predictions feel."""
+        values = np.maximum(np.linalg.eigvalsh(self.gram), 0.0)
+        return float(np.sum(values / (1 + values)))
 
 
 def _model_variance(posterior: Posterior, design: NDArray[Any], used: IntArray) -> FloatArray:

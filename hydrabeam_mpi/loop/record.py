@@ -57,8 +57,9 @@ def make_record(
     ]
     reasons = [{"effect": kind, "reason": reason} for kind, reason in skipped]
     if leakage is not None:
-        kind_of_list = rounds if "parameters" in leakage else tried if "log_bayes_factor" in leakage else reasons
-        kind_of_list.append(leakage)
+        # Leakage is seen in rows of its own; in those that are fitted it is of second order, and may look like others.
+        place = rounds if "parameters" in leakage else tried if "log_bayes_factor" in leakage else reasons
+        place.insert(0, leakage)
     if conventions["found"]:
         rounds = [_convention(course, conventions)]
     verdict = "unexplained"

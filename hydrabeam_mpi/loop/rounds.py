@@ -12,6 +12,7 @@ from hydrabeam_mpi.config.effects import Loop as LoopSettings
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.diagnose import evaluate_on_grid
 from hydrabeam_mpi.effects.base import Effect
+from hydrabeam_mpi.effects.basis_truncation import BasisTruncation
 from hydrabeam_mpi.effects.reweighting import Reweighting, ReweightingFit
 from hydrabeam_mpi.inference import Clock
 from hydrabeam_mpi.loop.attribution import Finding, attribute, reconsider
@@ -111,8 +112,17 @@ def run_rounds(
         if added is None:
             break
         course.rounds.append(added)
+        effects = [_next_of(space, effect, added.after.state) for effect in effects]
         course.last = checked = added.after
     return course
+
+
+def _next_of(space: Space, effect: Effect, state: State) -> Effect:
+    """Return the effect to look for after those of the state: more modes where all of the next ones are in use."""
+    last = state.active[-1].effect if state.active else None
+    if isinstance(effect, BasisTruncation) and isinstance(last, BasisTruncation):
+        return BasisTruncation(last.n_before + len(last.parameters(space.experiment)))
+    return effect
 
 
 def check(space: Space, state: State) -> Checked:

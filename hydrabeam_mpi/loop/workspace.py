@@ -52,6 +52,16 @@ class Share:
             self._model = self.problem.forward_model(self.rows.groups)
         return self._model
 
+    def forget(self) -> None:
+        """Drop what is kept, to begin anew."""
+        self._kept, self._kept_for, self._places, self._model = None, b"", {}, None
+
+    @property
+    def keeps_designs(self) -> bool:
+        """Whether there is room to keep the design rows."""
+        n_rows = len(self.rows.groups) * len(self.rows.tile.times) * len(self.rows.data)
+        return n_rows * self.problem.basis.n_modes * 16 <= KEPT_BYTES
+
     def designs(self, state: State, show: bool = False) -> Iterator[NDArray[Any]]:
         """Yield the design rows of each time, for all channels, as `hydrabeam_mpi.accumulate.designs` does.
 
@@ -63,9 +73,7 @@ class Share:
         if self._kept is not None:
             yield from self._kept
             return
-        basis = self.problem.basis
-        n_rows = len(self.rows.groups) * len(self.rows.tile.times) * len(self.rows.data)
-        keep = n_rows * basis.n_modes * 16 <= KEPT_BYTES
+        basis, keep = self.problem.basis, self.keeps_designs
         made = []
         made_now = (
             self._weighted_designs(state) if key else designs(self.rows, self.model, basis, "design matrix", show)

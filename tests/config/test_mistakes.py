@@ -14,6 +14,8 @@ from hydrabeam_mpi.errors import InputError
 DATA = "[data]\nfiles = ['a.uvh5']\n"
 SIMULATE = "[data.simulate]\n"
 EFFECT = DATA + "[[effects]]\nkind = 'diffuse'\n"
+COMPLETE = EFFECT + "names = ['x']\nindex = [0]\nvalues = [[1]]\nprior_std = [1]\n"
+TOGETHER = "[[effects]] number 1: names, index, prior_std and every list in values and std go together, one entry a "
 INJECTED = "[[data.simulate.effects]]\nkind = 'diffuse'\n"
 TABLES = {
     "": "", "data": "", "data.simulate": "", "data.simulate.array": "", "data.simulate.perturb": "", "noise": "",
@@ -92,13 +94,25 @@ def complaint(text: str, folder: Path) -> str:
         (DATA + "prior_std = 1", "[data] prior_std: unknown key; it belongs in [[effects]]"),
         (DATA + "[[effects]]", "[[effects]] number 1 kind: is missing; add it"),
         (
-            EFFECT + "[[effects]]\nkind = 'diffus'",
+            COMPLETE + "[[effects]]\nkind = 'diffus'",
             "[[effects]] number 2 kind: is \"diffus\"; it should be 'antenna_gains', 'antenna_delays', ",
         ),
         (EFFECT + "values = [1]", "[[effects]] number 1 values: is 1; it should be a list in brackets"),
         (EFFECT + "values = [[1, 'x']]", '[[effects]] number 1 values: is "x"; it should be a number'),
         (EFFECT + "settings = 3", "[[effects]] number 1 settings: is 3; it should be keys and values in braces"),
         (EFFECT + "index = [-1]", "[[effects]] number 1 index: is -1; it should be at least 0"),
+        (EFFECT + "prior_std = [0]", "[[effects]] number 1 prior_std: is 0; it should be more than 0"),
+        (EFFECT, TOGETHER + "parameter; use the table as 'hydrabeam loop' wrote it"),
+        (EFFECT + "values = [[]]", TOGETHER),
+        (COMPLETE.replace("[[1]]", "[[1], []]"), TOGETHER),
+        (COMPLETE.replace("[0]", "[0, 1]"), TOGETHER),
+        (COMPLETE.replace("[1]\n", "[1, 1]\n"), TOGETHER),
+        (COMPLETE + "std = [[1, 1]]", TOGETHER),
+        (COMPLETE + "std = [[1], [1]]", TOGETHER),
+        (
+            EFFECT + "names = ['x', 'x']\nindex = [0, 0]\nvalues = [[1, 1]]\nprior_std = [1, 1]",
+            TOGETHER,
+        ),
         ("effects = [3]\n" + DATA, "[[effects]] number 1: is not a table; it should be keys and values"),
         (
             DATA + "[effects]\nkind = 'diffuse'",

@@ -122,31 +122,37 @@ def read_baselines(
 def read_reflections(
     parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]
 ) -> Found:
-    """Read "antenna 3 reflection at 93.2 ns real" and so on."""
-    out: Found = {}
-    for name, (value, std) in averaged(parameters).items():
+    """Read "antenna 3 reflection at 93.2 ns real" and so on, of the strongest echo of each antenna."""
+    echoes: dict[tuple[str, float], dict[str, tuple[float, float]]] = {}
+    for name, pair in averaged(parameters).items():
         match = re.fullmatch(r"(antenna \d+) reflection at (-?[\d.]+) ns (.*)", name)
-        if match is None:
-            continue
-        thing, delay, what = match.groups()
-        if what in ("real", "imaginary"):
-            out[thing, f"reflection {what}"] = value, std
-        else:
-            out[thing, "reflection delay"] = float(delay) + value, std
+        if match is not None:
+            echoes.setdefault((match[1], float(match[2])), {})[match[3]] = pair
+    out: Found = {}
+    for (thing, delay), told in sorted(echoes.items(), key=lambda echo: _echo_power(echo[1])):
+        for what, (value, std) in told.items():
+            if what in ("real", "imaginary"):
+                out[thing, f"reflection {what}"] = value, std
+            else:
+                out[thing, "reflection delay"] = delay + value, std
     return out
+
+
+def _echo_power(told: dict[str, tuple[float, float]]) -> float:
+    return sum(told[part][0] ** 2 for part in ("real", "imaginary") if part in told)
 
 
 def read_sources(
     parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]
 ) -> Found:
-    """Read flux and offsets of sources, and give each to the true one that is within a degree."""
+    """Read flux and offsets of sources, and give to each true one the strongest within a degree."""
     places: dict[tuple[float, float], dict[str, tuple[float, float]]] = {}
     for name, pair in averaged(parameters).items():
         match = re.fullmatch(r"source at ra=([-\d.]+) dec=([-\d.]+): (.*)", name)
         if match is not None:
             places.setdefault((float(match[1]), float(match[2])), {})[match[3]] = pair
     out: Found = {}
-    for (ra, dec), told in places.items():
+    for (ra, dec), told in sorted(places.items(), key=lambda one: abs(one[1].get("flux", (0.0, 0.0))[0])):
         east, north = told.get("offset east", (0.0, 0.0)), told.get("offset north", (0.0, 0.0))
         cosine = np.cos(np.deg2rad(dec))
         found_ra, found_dec = ra + east[0] / cosine, dec + north[0]

@@ -162,7 +162,7 @@ def _share(name: str, entries: list[dict[str, Any]], wanted: list[Any], answer: 
     """Return what part of the excess that is listed belongs to what really carries it."""
     if name == "times":
         times = np.array(answer["times"])
-        places = [int(np.argmin(np.abs(times - entry["jd"]))) for entry in entries]
+        places = [int(np.argmin(np.abs(times - entry["what"]["jd"]))) for entry in entries]
         right = [place in wanted for place in places]
     elif name == "baselines":
         known = {tuple(sorted(pair)) for pair in wanted}

@@ -66,12 +66,16 @@ def run_draw(case: str, seed: int, keep: Path | None = None) -> dict[str, Any]:
         out = folder / "result"
         command = [sys.executable, "-m", "hydrabeam_mpi", "loop", str(folder / GIVEN / "job.toml"), "-o", str(out)]
         environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(REPOSITORY)}
-        done = subprocess.run(
-            command, capture_output=True, text=True, env=environment, timeout=LONGEST_S, cwd=folder, check=False
-        )
+        failed = {"case": case, "seed": seed, "class": class_of(case)}
+        try:
+            done = subprocess.run(
+                command, capture_output=True, text=True, env=environment, timeout=LONGEST_S, cwd=folder, check=False
+            )
+        except subprocess.TimeoutExpired:
+            return failed | {"failed": f"took more than {LONGEST_S} s"}
         if done.returncode:
             lines = (done.stderr.strip() or done.stdout.strip()).splitlines()
-            return {"case": case, "seed": seed, "class": class_of(case), "failed": "\n".join(lines[-15:])}
+            return failed | {"failed": "\n".join(lines[-15:])}
         told = score(answer, json.loads((out / "loop.json").read_text()))
         seconds = {"generate": made - started, "loop": time.perf_counter() - made}
         return told | {"seconds": seconds}

@@ -99,7 +99,7 @@ def test_unknown_effects_must_be_where_they_are():
 
 def test_what_all_have_alike_must_not_be_pinned_on_one_antenna():
     drift = answer("drifting_beam")
-    everywhere = {"antennas": EVEN, "baselines": EVEN, "times": axis("uneven", {"jd": 4.0, "share": 0.3})}
+    everywhere = {"antennas": EVEN, "baselines": EVEN, "times": axis("uneven", {"what": {"jd": 4.0}, "share": 0.3})}
     pinned = everywhere | {"antennas": axis("concentrated", {"what": 7, "share": 0.9})}
     assert score(drift, loop(verdict="unexplained", where=everywhere))["where_right"]
     assert not score(drift, loop(verdict="unexplained", where=pinned))["where_right"]
@@ -107,9 +107,9 @@ def test_what_all_have_alike_must_not_be_pinned_on_one_antenna():
 
 def test_times_are_found_by_their_dates():
     moving = answer("moving_source", where={"times": [2, 3]})
-    times = axis("concentrated", {"what": 5, "jd": 3.0, "share": 0.5}, {"what": 0, "jd": 1.0, "share": 0.2})
+    times = axis("concentrated", {"what": {"jd": 3.0}, "share": 0.5}, {"what": {"jd": 1.0}, "share": 0.2})
     assert score(moving, loop(verdict="unexplained", where={"times": times}))["where_right"]
-    earlier = axis("concentrated", {"what": 5, "jd": 1.0, "share": 0.5}, {"what": 0, "jd": 3.0, "share": 0.2})
+    earlier = axis("concentrated", {"what": {"jd": 1.0}, "share": 0.5}, {"what": {"jd": 3.0}, "share": 0.2})
     assert not score(moving, loop(verdict="unexplained", where={"times": earlier}))["where_right"]
 
 
@@ -157,6 +157,15 @@ def test_what_is_there_must_be_found():
     truth = [("antenna 3", "reflection real", "", 0.1)]
     assert z_of("cable_reflections", truth, [("antenna 4 reflection at 90.0 ns real", 0.1, 0.01)])[0] > 10
     assert len(z_of("horizon", [], [("za 80-85 deg, az 0-30 deg: transmission less one", -1.0, 0.1)])) == 0
+
+
+def test_of_several_echoes_the_strongest_counts():
+    truth = [("antenna 3", "reflection real", "", 0.1), ("antenna 3", "reflection delay", "ns", 96.0)]
+    strong = [("antenna 3 reflection at 93.8 ns real", 0.1, 0.01)]
+    strong += [("antenna 3 reflection at 93.8 ns delay beyond that", 2.2, 1.0)]
+    weak = [("antenna 3 reflection at 156.2 ns real", 0.001, 0.01)]
+    for found in (strong + weak, weak + strong):
+        np.testing.assert_allclose(z_of("cable_reflections", truth, found), 0, atol=1e-9)
 
 
 def test_channels_are_averaged():

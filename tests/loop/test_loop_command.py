@@ -1,0 +1,383 @@
+"""`hydrabeam loop` from the command line: what is written, what it says, and what it says on any number of ranks."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from mpi4py import MPI
+from pyuvdata import UVData
+
+from hydrabeam_mpi.cli import main
+from hydrabeam_mpi.config import load_job
+from hydrabeam_mpi.effects.catalogue import EFFECTS, REWEIGHTINGS
+from tests.cli.conftest import refusal
+from tests.loop.mock import FREQ, mock_job, truth_of, write_job
+
+GAIN = {"kind": "antenna_gains", "parameters": {"antenna 2 ln amplitude": 0.06, "antenna 2 phase": -0.05}}
+SHIFT = {"kind": "antenna_positions", "parameters": {"antenna 5 displaced East": 0.08, "antenna 5 displaced Up": 0.1}}
+TWO = (FREQ, FREQ + 8e6)
+ROUND = {
+    "effect", "parameters", "log_bayes_factor", "absorbed_by_beam", "chi2_before", "chi2_after", "heldout_before",
+    "heldout_after", "runner_up", "indistinguishable_from",
+}  # fmt: skip
+
+
+def run_loop(job: dict[str, Any], folder: Path) -> Path:
+    assert main(["loop", str(write_job(job, folder)), "-o", str(folder / "result")]) == 0
+    return folder / "result"
+
+
+def record_of(result: Path) -> dict[str, Any]:
+    return dict(json.loads((result / "loop.json").read_text()))
+
+
+def summary_of(result: Path) -> dict[str, Any]:
+    return dict(json.loads((result / "summary.json").read_text()))
+
+
+def channels_of(result: Path) -> list[dict[str, Any]]:
+    with h5py.File(result / "posterior.h5") as file:
+        return [{key: file[name][key][()] for key in file[name]} for name in file if name.startswith("channel")]
+
+
+@pytest.fixture(scope="module")
+def explained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One antenna's gain is off."""
+    return run_loop(mock_job(GAIN), tmp_path_factory.mktemp("explained"))
+
+
+@pytest.fixture(scope="module")
+def two_at_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One antenna's gain is off, and another one's place; two channels."""
+    return run_loop(mock_job(GAIN, SHIFT, freqs=TWO), tmp_path_factory.mktemp("two"))
+
+
+def test_all_is_written(explained: Path) -> None:
+    names = {path.name for path in explained.iterdir()}
+    assert {"loop.json", "amended.toml", "posterior.h5", "beam.beamfits", "summary.json", "job.toml"} <= names
+    record = record_of(explained)
+    assert {"rounds", "verdict", "error_before", "error_after", "where"} <= record.keys()
+    assert {"name", "said", "tried", "skipped", "undecidable", "conventions", "residual", "seconds"} <= record.keys()
+    (told,) = record["rounds"]
+    assert told.keys() >= ROUND
+    assert {"title", "sentence", "ranking", "residual", "heldout_sigma", "beam_change_max"} <= told.keys()
+    for parameter in told["parameters"]:
+        assert parameter.keys() == {"name", "unit", "value", "std", "freq_hz"}
+    for ranked in told["ranking"]:
+        assert {"effect", "log_bayes_factor", "chi2_drop", "effective_parameters", "n_parameters"} <= ranked.keys()
+        assert {"absorbed_by_beam", "rank"} <= ranked.keys()
+
+
+def test_what_is_wrong_is_named_and_added(explained: Path) -> None:
+    record = record_of(explained)
+    assert record["verdict"] == "explained"
+    assert record["where"] is None
+    assert record["error_before"] > 100
+    assert record["error_after"] == pytest.approx(1.0, abs=0.35)
+    (told,) = record["rounds"]
+    assert told["effect"] == "antenna_gains"
+    assert told["heldout_before"] == record["error_before"]
+    assert told["heldout_after"] == record["error_after"]
+    assert told["chi2_before"] > 10
+    assert told["chi2_after"] == pytest.approx(1.0, abs=0.3)
+    assert told["log_bayes_factor"] > 1000
+    assert 0 < told["absorbed_by_beam"] < 1
+    assert told["runner_up"] in {*EFFECTS, *REWEIGHTINGS} - {"antenna_gains"}
+    assert told["indistinguishable_from"] == []
+    assert told["sentence"] in record["said"]
+    assert "antenna 2" in told["sentence"]
+    # The one antenna, and no other.
+    assert {one["name"] for one in told["parameters"]} == set(GAIN["parameters"])
+    for one in told["parameters"]:
+        assert abs(one["value"] - GAIN["parameters"][one["name"]]) < 4 * one["std"]
+        assert one["freq_hz"] == FREQ
+    assert told["ranking"][0]["effect"] == "antenna_gains"
+    evidence = [one["log_bayes_factor"] for one in told["ranking"]]
+    assert evidence == sorted(evidence, reverse=True)
+
+
+def test_two_at_once(two_at_once: Path) -> None:
+    record = record_of(two_at_once)
+    assert record["verdict"] == "explained"
+    assert {one["effect"] for one in record["rounds"]} == {"antenna_gains", "antenna_positions"}
+    assert record["error_after"] == pytest.approx(1.0, abs=0.2)
+    errors = [record["error_before"], *(one["heldout_after"] for one in record["rounds"])]
+    assert errors == sorted(errors, reverse=True)
+    # What is written last has all of it; the effects are fitted jointly.
+    job = load_job(two_at_once / "amended.toml")
+    truth = {one["kind"]: dict(zip(one["names"], one["values"][0], strict=True)) for one in truth_of(two_at_once)}
+    assert {entry.kind for entry in job.effects} == set(truth)
+    for entry in job.effects:
+        assert len(entry.values) == 2
+        if entry.kind == "antenna_positions":
+            assert entry.values[0] == entry.values[1]
+        for values, std in zip(entry.values, entry.std, strict=True):
+            for name, value, sigma in zip(entry.names, values, std, strict=True):
+                assert abs(value - truth[entry.kind][name]) < 4.5 * sigma
+
+
+@pytest.mark.parametrize("which", ["explained", "two_at_once"])
+def test_infer_takes_the_amended_job(which: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+    """And comes to the same beam and the same error, without looking for anything."""
+    result = request.getfixturevalue(which)
+    assert main(["infer", str(result / "amended.toml"), "-o", str(tmp_path / "again")]) == 0
+    one, two = summary_of(result), summary_of(tmp_path / "again")
+    assert one["heldout_chi2"] == pytest.approx(two["heldout_chi2"], rel=0.01)
+    assert one["train_chi2"] == pytest.approx(two["train_chi2"], rel=0.01)
+    for first, second in zip(channels_of(result), channels_of(tmp_path / "again"), strict=True):
+        assert np.all(np.abs(first["mean"] - second["mean"]) < 0.05 * first["std"])
+        np.testing.assert_allclose(second["std"], first["std"], rtol=0.01)
+
+
+def test_the_loop_takes_the_amended_job(explained: Path, tmp_path: Path) -> None:
+    """There is nothing left to find."""
+    assert main(["loop", str(explained / "amended.toml"), "-o", str(tmp_path / "again")]) == 0
+    record = record_of(tmp_path / "again")
+    assert record["verdict"] == "consistent"
+    assert record["rounds"] == []
+    assert record["error_before"] == pytest.approx(record_of(explained)["error_after"], rel=0.01)
+    one, two = (load_job(folder / "amended.toml").effects for folder in (explained, tmp_path / "again"))
+    assert [entry.names for entry in one] == [entry.names for entry in two]
+
+
+def test_infer_is_wrong_without_the_amendment(explained: Path, tmp_path: Path) -> None:
+    """So that the tests above compare what can be otherwise."""
+    assert main(["infer", str(explained / "job.toml"), "-o", str(tmp_path / "plain")]) == 0
+    one, two = summary_of(explained), summary_of(tmp_path / "plain")
+    assert two["heldout_chi2"] > 100 * one["heldout_chi2"]
+    assert record_of(explained)["error_before"] == pytest.approx(two["heldout_chi2"], rel=0.5)
+
+
+def test_data_from_files(explained: Path, tmp_path: Path) -> None:
+    """The same data, read: the same answer, and the amended job knows the files from anywhere."""
+    job = mock_job()
+    job["data"] = {"files": [str(explained / "data.uvh5")]}
+    record = record_of(run_loop(job, tmp_path))
+    assert record["verdict"] == "explained"
+    assert record["error_after"] == pytest.approx(record_of(explained)["error_after"], rel=1e-6)
+    assert main(["infer", str(tmp_path / "result" / "amended.toml"), "-o", str(tmp_path / "again")]) == 0
+    assert summary_of(tmp_path / "again")["heldout_chi2"] < 1.5
+
+
+def test_the_report_is_drawn(explained: Path) -> None:
+    assert main(["report", str(explained)]) == 0
+    page = (explained / "report.html").read_text()
+    assert "antenna 2" in page.lower()
+
+
+def test_few_data_are_not_taken_for_noise(tmp_path: Path) -> None:
+    """Two times to fit: larger noise is simple, and one antenna's gain still the better explanation once fitted."""
+    record = record_of(run_loop(mock_job(GAIN, n_times=4, holdout={"every": 2}), tmp_path))
+    assert [one["effect"] for one in record["rounds"]] == ["antenna_gains"]
+    assert record["verdict"] == "explained"
+    noise = next(one for one in record["rounds"][0]["ranking"] if one["effect"] == "noise_level")
+    assert record["rounds"][0]["log_bayes_factor"] > noise["log_bayes_factor"]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_nothing_is_found_in_noise(seed: int, tmp_path: Path) -> None:
+    job = mock_job()
+    job["seed"] = 100 + seed
+    result = run_loop(job, tmp_path)
+    record = record_of(result)
+    assert record["verdict"] == "consistent"
+    assert record["rounds"] == []
+    assert record["where"] is None
+    assert record["error_before"] == record["error_after"] < 1.5
+    assert load_job(result / "amended.toml").effects == ()
+
+
+def test_what_is_not_explained_is_located(tmp_path: Path) -> None:
+    """The one effect that would do is not looked for."""
+    job = mock_job(GAIN, loop={"effects": ["timestamp", "antenna_delays", "leakage", "noise_level"]})
+    record = record_of(run_loop(job, tmp_path))
+    assert record["verdict"] == "unexplained"
+    assert record["where"]
+    assert record["structures"]
+    antennas = record["where"]["antennas"]
+    assert antennas["state"] == "concentrated"
+    assert [one["what"] for one in antennas["entries"]] == [2]
+    assert {one["effect"] for one in record["last_ranking"]} <= {"timestamp", "noise_level"}
+    reasons = {one["effect"]: one["reason"] for one in record["skipped"]}
+    assert set(reasons) == {"antenna_delays", "leakage"}
+    assert "several channels" in reasons["antenna_delays"]
+    assert "the files have ee" in reasons["leakage"]
+
+
+def test_no_round_is_allowed(tmp_path: Path) -> None:
+    record = record_of(run_loop(mock_job(GAIN, loop={"max_rounds": 0}), tmp_path))
+    assert record["verdict"] == "unexplained"
+    assert record["rounds"] == []
+    assert record["last_ranking"][0]["effect"] == "antenna_gains"
+
+
+def test_what_is_skipped_is_told(tmp_path: Path) -> None:
+    job = mock_job(loop={"skip": ["diffuse", "outliers"]})
+    record = record_of(run_loop(job, tmp_path))
+    reasons = {one["effect"]: one["reason"] for one in record["skipped"]}
+    assert reasons["diffuse"] == reasons["outliers"] == "the job says so ([loop] skip)"
+    assert reasons.keys() == {"diffuse", "outliers", "antenna_delays", "cable_reflections", "leakage"}
+    weighed = {one["effect"] for one in record["last_ranking"]}
+    assert weighed == {*EFFECTS, *REWEIGHTINGS} - reasons.keys()
+
+
+def test_a_broken_convention_is_named_and_nothing_fitted(explained: Path, tmp_path: Path) -> None:
+    uv = UVData.from_file(explained / "data.uvh5")
+    uv.data_array = uv.data_array.conj()
+    uv.write_uvh5(tmp_path / "conjugated.uvh5")
+    job = mock_job()
+    job["data"] = {"files": [str(tmp_path / "conjugated.uvh5")]}
+    record = record_of(run_loop(job, tmp_path))
+    (told,) = record["rounds"]
+    assert told["effect"] == "convention: conjugated"
+    assert told.keys() >= ROUND
+    assert told["parameters"] == []
+    assert record["conventions"]["found"] == "conjugated"
+    assert load_job(tmp_path / "result" / "amended.toml").effects == ()
+
+
+ENTRY = {
+    "kind": "antenna_gains",
+    "names": ["antenna 2 ln amplitude", "antenna 2 phase"],
+    "index": [4, 5],
+    "values": [[0.06, -0.05]],
+    "prior_std": [0.1, 0.1],
+}
+NOT_THE_DATA = "use the job as 'hydrabeam loop' wrote it, with the same data, or run the loop again"
+COUPLING = {"kind": "cross_coupling", "names": ["x"], "index": [0], "values": [[1.0]], "prior_std": [1.0]}
+
+
+@pytest.mark.parametrize("command", ["infer", "loop"])
+@pytest.mark.parametrize(
+    ("entry", "expected"),
+    [
+        (
+            {**ENTRY, "values": [[0.06, -0.05]] * 2},
+            "(antenna_gains): has values for 2 channels, the data have 1; use the job as 'hydrabeam loop' wrote it,"
+            " with the same channels",
+        ),
+        (
+            {**ENTRY, "names": ["antenna 77 ln amplitude", "antenna 2 phase"]},
+            f"(antenna_gains): is about other antennas, times or sources than the data have; {NOT_THE_DATA}",
+        ),
+        (
+            {**ENTRY, "index": [4, 500]},
+            f"(antenna_gains): is about other antennas, times or sources than the data have; {NOT_THE_DATA}",
+        ),
+        ({**ENTRY, "settings": {"x": 1}}, "(antenna_gains) settings: are not understood; leave them out"),
+        (
+            {**COUPLING, "settings": {"baseline": [[0, 1]]}},
+            "(cross_coupling) settings: are not understood; there are baselines, as 'hydrabeam loop' writes them",
+        ),
+        (
+            {**COUPLING, "settings": {"baselines": [[0, 77]]}},
+            "(cross_coupling) baselines: no baseline 0-77 in the data; name pairs of antennas that are",
+        ),
+        (
+            {**ENTRY, "kind": "antenna_delays"},
+            "(antenna_delays): a delay needs several channels; with one it is a gain phase; remove it",
+        ),
+        ({**ENTRY, "kind": "leakage"}, "(leakage): cannot be part of the model; remove it"),
+        ({"kind": "noise_level", "values": [[1.0, 2.0, 3.0]]}, "(noise_level) values: are not what the data need; "),
+        ({"kind": "noise_level", "values": [[-1.0]]}, "(noise_level) values: are not what the data need; "),
+        ({"kind": "outliers", "values": [[20.0]]}, "(outliers) values: are not what the data need; "),
+    ],
+)
+def test_effects_that_do_not_fit_the_data(
+    entry: dict[str, Any], expected: str, command: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    job = {**mock_job(), "effects": [ENTRY, entry]}
+    path = write_job(job, tmp_path)
+    assert main([command, str(path), "-o", str(tmp_path / "result")]) == 2
+    said = refusal(capfd, MPI.COMM_SELF)
+    assert said.startswith(f"hydrabeam: error: {path}: [[effects]] number 2 {expected}")
+    assert not (tmp_path / "result").exists()
+
+
+def test_an_unknown_effect_is_told_those_that_are_known(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path = write_job(mock_job(loop={"effects": ["antenna_gain"]}), tmp_path)
+    assert main(["loop", str(path), "-o", str(tmp_path / "result")]) == 2
+    said = refusal(capfd, MPI.COMM_SELF)
+    assert said.startswith(f'hydrabeam: error: {path}: [loop] effects: is "antenna_gain"; it should be ')
+    assert all(f"'{kind}'" in said for kind in (*EFFECTS, *REWEIGHTINGS, "leakage"))
+    assert said.endswith("did you mean 'antenna_gains'?")
+
+
+FEW = ["antenna_gains", "cross_coupling", "missing_sources", "timestamp", "outliers"]
+JOBS = {
+    "one channel": mock_job(GAIN, loop={"effects": [*FEW, "antenna_positions", "diffuse", "noise_level"]}),
+    "two channels": mock_job(GAIN, freqs=TWO, loop={"effects": FEW}),
+    "few times": mock_job(GAIN, n_times=4, holdout={"every": 2}, loop={"effects": FEW}),
+}
+RUN_ALL = """
+import sys
+from pathlib import Path
+from hydrabeam_mpi.cli import main
+for job in sorted(Path(sys.argv[1]).glob("*.toml")):
+    assert main(["loop", str(job), "-o", str(Path(sys.argv[2]) / job.stem)]) == 0
+"""
+
+
+@pytest.fixture(scope="module")
+def jobs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("jobs")
+    for name, job in JOBS.items():
+        write_job(job, folder, f"{name}.toml")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def on_one_rank(jobs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("one")
+    for name in JOBS:
+        assert main(["loop", str(jobs / f"{name}.toml"), "-o", str(folder / name)]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module", params=[2, 3, 5])
+def on_many_ranks(request: pytest.FixtureRequest, jobs: Path, tmp_path_factory: Any, mpiexec_python: Any) -> Path:
+    """Five ranks are more than there are times: baselines are shared out, or ranks have nothing to do."""
+    folder: Path = tmp_path_factory.mktemp(f"ranks{request.param}")
+    done = mpiexec_python(request.param, RUN_ALL, jobs, folder, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+def assert_alike(one: Any, other: Any, where: str) -> None:
+    """Compare records: words as they are, numbers but for rounding, which fits go on to magnify."""
+    if isinstance(one, dict):
+        assert one.keys() == other.keys(), where
+        for key in one.keys() - {"seconds"}:
+            assert_alike(one[key], other[key], f"{where}.{key}")
+    elif isinstance(one, list):
+        assert len(one) == len(other), where
+        for i, pair in enumerate(zip(one, other, strict=True)):
+            assert_alike(*pair, f"{where}[{i}]")
+    elif isinstance(one, float):
+        assert other == pytest.approx(one, rel=1e-4, abs=1e-5), where
+    else:
+        assert one == other, where
+
+
+@pytest.mark.parametrize("job", JOBS)
+def test_record_on_any_number_of_ranks(job: str, on_one_rank: Path, on_many_ranks: Path) -> None:
+    one, many = (record_of(folder / job) for folder in (on_one_rank, on_many_ranks))
+    assert one["verdict"] == "explained"
+    assert_alike(one, many, "")
+
+
+@pytest.mark.parametrize("job", JOBS)
+def test_posterior_and_amendment_on_any_number_of_ranks(job: str, on_one_rank: Path, on_many_ranks: Path) -> None:
+    for one, many in zip(channels_of(on_one_rank / job), channels_of(on_many_ranks / job), strict=True):
+        assert np.all(np.abs(many["mean"] - one["mean"]) < 1e-5 * one["std"])
+        np.testing.assert_allclose(many["std"], one["std"], rtol=1e-6)
+    one, many = (load_job(folder / job / "amended.toml") for folder in (on_one_rank, on_many_ranks))
+    for first, second in zip(one.effects, many.effects, strict=True):
+        assert (first.kind, first.names, first.index) == (second.kind, second.names, second.index)
+        shift = np.abs(np.array(first.values) - np.array(second.values))
+        assert np.all(shift < 1e-5 * np.array(first.std))
