@@ -76,7 +76,7 @@ def check_heldout(
 def check_designs(
     rows: Rows, by_time: Iterable[NDArray[Any]], posteriors: Sequence[Posterior], before: ComplexArray
 ) -> list[HeldoutStatistics]:
-    """Do as `check_heldout` with the design of each time and the model beam's visibilities, (Nfreqs, Ntimes, Nlocal)."""
+    """Do as `check_heldout` with each time's design and the model beam's visibilities, (Nfreqs, Ntimes, Nlocal)."""
     statistics = [HeldoutStatistics() for _ in rows.data]
     for t, design in enumerate(by_time):
         for f, posterior in enumerate(posteriors):

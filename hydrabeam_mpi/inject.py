@@ -15,7 +15,8 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray, O
 from hydrabeam_mpi.data.redundancy import RedundantGroups
 from hydrabeam_mpi.effects.base import Effect
 from hydrabeam_mpi.effects.catalogue import EFFECTS, REWEIGHTINGS, make_effect, make_reweighting
-from hydrabeam_mpi.effects.scene import Experiment, Scene
+from hydrabeam_mpi.effects.experiment import Experiment
+from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.basis import LinearBasis
 from hydrabeam_mpi.model.beam import Beam
@@ -128,11 +129,11 @@ class Injection:
         if entry.kind not in EFFECTS:
             raise InputError("cannot be simulated in one polarisation alone", remedy="remove it")
         effect = make_effect(entry.kind, entry.settings)
-        if not entry.settings:
-            effect = effect.drawn(self.experiment, generator(self.job.seed, "injected elements", number))
         refusal = effect.refusal(self.experiment)
         if refusal is not None:
             raise InputError(refusal, remedy="remove it")
+        if not entry.settings:
+            effect = effect.drawn(self.experiment, generator(self.job.seed, "injected elements", number))
         if entry.parameters:
             nothing = dict.fromkeys(effect.parameters(self.experiment).names, 0.0)
             return effect, np.tile(_by_name(nothing, entry), (n_freqs, 1))

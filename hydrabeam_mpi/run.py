@@ -81,10 +81,7 @@ def infer(world: Comm, job_path: Path, out: Path, overwrite: bool, threads: int)
             problem = prepare_shared(world, job, folder)
         grid = ProcessGrid.split(world, problem.observation.Nfreqs)
         mine = problem.of_channels(grid.channels)
-        if job.effects:
-            results = infer_with_effects(grid, problem, mine, clock)
-        else:
-            results = infer_channels(grid, mine, clock)
+        results = infer_with_effects(grid, problem, mine, clock) if job.effects else infer_channels(grid, mine, clock)
         with clock.time("describe"):
             records = gather_records(grid, describe_channels(grid, mine, results))
         memory = peak_rss_mb(world)

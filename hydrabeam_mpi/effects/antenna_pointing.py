@@ -10,8 +10,10 @@ import numpy as np
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.effects.base import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.displaced import TILTS, need_real_beam, rotate, rotation_rate, seen_at, torque
+from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.per_antenna import antenna_parameters, common_values, row_antennas, row_parameters
-from hydrabeam_mpi.effects.scene import Experiment, Scene, Sources
+from hydrabeam_mpi.effects.scene import Scene
+from hydrabeam_mpi.effects.sources import Sources
 
 DEGREE = np.pi / 180
 

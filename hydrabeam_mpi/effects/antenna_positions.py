@@ -9,8 +9,10 @@ import numpy as np
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.base import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.displaced import need_real_beam
+from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.per_antenna import antenna_parameters, common_values, row_antennas, row_parameters
-from hydrabeam_mpi.effects.scene import Experiment, Scene, Sources
+from hydrabeam_mpi.effects.scene import Scene
+from hydrabeam_mpi.effects.sources import Sources
 from hydrabeam_mpi.model.fringes import C_M_PER_S
 
 _VECTORS_AT_ONCE = 2048

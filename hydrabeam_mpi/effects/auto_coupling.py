@@ -6,8 +6,9 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.beam_visibilities import beam_visibilities, is_copolar
+from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.per_baseline import PerBaseline
-from hydrabeam_mpi.effects.scene import Experiment, Scene
+from hydrabeam_mpi.effects.scene import Scene
 
 
 class AutoCoupling(PerBaseline):

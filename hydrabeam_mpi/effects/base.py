@@ -4,10 +4,11 @@ The data are modelled as
 
     d = C (A b + E) + n
 
-with A b the visibilities that the beam sees, E what an effect adds and C what it multiplies each visibility with; both
-are functions of the effect's real parameters x. Effects that add are summed, effects that multiply are multiplied.
-Everything that follows works on the calibrated data d/C - E with weights w|C|^2, in which the derivative of the model is
-dE/dx for the one kind and d ln C/dx (A b + E) for the other: the *columns* of the effect.
+with A b the visibilities that the beam sees, E what an effect adds and C what it multiplies each visibility with; all
+but b are functions of the effects' real parameters x. Effects that add are summed, effects that multiply are
+multiplied, and effects that change the sky change A. Everything that follows works on the calibrated data d/C - E with
+weights w|C|^2, in which the derivative of the model is dE/dx, d ln C/dx (A b + E) or dA/dx b: the *columns* of the
+effect.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
-from hydrabeam_mpi.effects.scene import Experiment, Scene, Sources
+from hydrabeam_mpi.effects.experiment import Experiment
+from hydrabeam_mpi.effects.scene import Scene
+from hydrabeam_mpi.effects.sources import Sources
 
 
 @dataclass(frozen=True)
@@ -120,8 +123,8 @@ class Columns:
 class Effect(ABC):
     """Something that the instrument or the sky may do and that the model lacks.
 
-    An effect is a plain picklable object without data. It sees the data through a `Scene`: some rows of one channel. All
-    numbers that depend on ``x`` are for one channel's parameters, whether or not they are shared between channels.
+    An effect is a plain picklable object without data. It sees the data through a `Scene`: some rows of one channel.
+    All numbers that depend on ``x`` are for one channel's parameters, whether or not they are shared between channels.
     """
 
     kind: ClassVar[str]
@@ -159,8 +162,8 @@ class Effect(ABC):
 
             1/2 sum_s I_s column_k(s) exp(2 pi i nu b_g.s / c)
 
-        for every group g. One pass over the sky serves all effects. The beam must be part of the columns. The fluxes I_s
-        are those with all effects that change the sky but this one.
+        for every group g. One pass over the sky serves all effects. The beam must be part of the columns. The fluxes
+        I_s are those with all effects that change the sky but this one.
         """
         return None
 

@@ -10,8 +10,9 @@ import numpy as np
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.antenna_delays import NS
 from hydrabeam_mpi.effects.base import Columns, Parameters, ScannedEffect
+from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.per_antenna import row_antennas
-from hydrabeam_mpi.effects.scene import Experiment, Scene
+from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.errors import InputError
 
 MIN_CHANNELS = 4

@@ -10,6 +10,7 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.effects.base import Columns, Parameters, ScannedEffect
+from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.point_sources import (
     dirty_map,
     in_degrees,
@@ -19,7 +20,8 @@ from hydrabeam_mpi.effects.point_sources import (
     resolution,
     responses,
 )
-from hydrabeam_mpi.effects.scene import Experiment, Scene, Sources
+from hydrabeam_mpi.effects.scene import Scene
+from hydrabeam_mpi.effects.sources import Sources
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.positions import RotatedPositions
 from hydrabeam_mpi.model.sky import Sky, separation

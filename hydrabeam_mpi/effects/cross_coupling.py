@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.per_baseline import PerBaseline
-from hydrabeam_mpi.effects.scene import Experiment, Scene
+from hydrabeam_mpi.effects.scene import Scene
 
 
 class CrossCoupling(PerBaseline):

@@ -17,8 +17,9 @@ from scipy.special import lpmv
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.base import Columns, Effect, Parameters
+from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.point_sources import follow
-from hydrabeam_mpi.effects.scene import Experiment, GivenColumns, Scene
+from hydrabeam_mpi.effects.scene import GivenColumns, Scene
 from hydrabeam_mpi.model.engine import make_engine
 from hydrabeam_mpi.model.fringes import C_M_PER_S
 from hydrabeam_mpi.model.positions import enu

@@ -16,7 +16,9 @@ from scipy.spatial.transform import Rotation
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.base import Effect
 from hydrabeam_mpi.effects.beam_visibilities import is_copolar
-from hydrabeam_mpi.effects.scene import Experiment, Scene, Sources
+from hydrabeam_mpi.effects.experiment import Experiment
+from hydrabeam_mpi.effects.scene import Scene
+from hydrabeam_mpi.effects.sources import Sources
 from hydrabeam_mpi.model.basis import Array
 from hydrabeam_mpi.model.fringes import C_M_PER_S
 from hydrabeam_mpi.model.positions import SourcePositions, enu

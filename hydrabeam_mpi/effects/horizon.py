@@ -8,7 +8,9 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.effects.base import Columns, Effect, Parameters
-from hydrabeam_mpi.effects.scene import Experiment, Scene, Sources
+from hydrabeam_mpi.effects.experiment import Experiment
+from hydrabeam_mpi.effects.scene import Scene
+from hydrabeam_mpi.effects.sources import Sources
 
 EDGES = np.array(
     [0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 10.0]

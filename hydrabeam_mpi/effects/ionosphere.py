@@ -7,7 +7,8 @@ import numpy as np
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.base import Columns, Parameters
 from hydrabeam_mpi.effects.displaced import TILTS, TurningSky, rotation_rate
-from hydrabeam_mpi.effects.scene import Experiment, Scene
+from hydrabeam_mpi.effects.experiment import Experiment
+from hydrabeam_mpi.effects.scene import Scene
 
 ARCMIN = np.pi / 180 / 60
 

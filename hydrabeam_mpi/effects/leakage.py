@@ -19,7 +19,7 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, IntArray
 from hydrabeam_mpi.effects.base import Columns, Parameters
-from hydrabeam_mpi.effects.scene import Experiment
+from hydrabeam_mpi.effects.experiment import Experiment
 
 FEEDS = (("e", "n"), ("x", "y"), ("r", "l"))
 

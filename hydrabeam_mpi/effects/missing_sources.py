@@ -9,6 +9,7 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.base import Columns, Parameters, ScannedEffect
+from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.point_sources import (
     dirty_map,
     follow,
@@ -19,7 +20,7 @@ from hydrabeam_mpi.effects.point_sources import (
     resolution,
     responses,
 )
-from hydrabeam_mpi.effects.scene import Experiment, Scene
+from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.model.sky import Sky
 
 SPECTRAL_INDEX = -0.7  # of a source of which nothing is known

@@ -12,8 +12,9 @@ from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.data.redundancy import RedundantGroups, find_redundant_groups
 from hydrabeam_mpi.effects.base import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.beam_visibilities import beam_visibilities, is_copolar
+from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.per_antenna import row_antennas
-from hydrabeam_mpi.effects.scene import Experiment, Scene
+from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.model.fringes import C_M_PER_S
 
 SHELL_WIDTH = 0.02

@@ -17,8 +17,9 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_array
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.reweighting import Reweighting, ReweightingFit, fitted_counts
-from hydrabeam_mpi.effects.scene import Experiment, Scene
+from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.effects.whiteness import Structure, structure_of, whiteness_sums
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.random import complex_normal

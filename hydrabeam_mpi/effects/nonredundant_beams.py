@@ -7,8 +7,10 @@ import numpy as np
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.base import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.displaced import need_real_beam
+from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.per_antenna import antenna_parameters, common_values, row_parameters
-from hydrabeam_mpi.effects.scene import Experiment, Scene, Sources
+from hydrabeam_mpi.effects.scene import Scene
+from hydrabeam_mpi.effects.sources import Sources
 
 MODES = (
     "width East-West",

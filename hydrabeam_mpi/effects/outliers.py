@@ -19,8 +19,9 @@ from scipy.optimize import minimize
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.data.selection import BoolArray
+from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.reweighting import Reweighting, ReweightingFit, fitted_counts
-from hydrabeam_mpi.effects.scene import Experiment, Scene
+from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.random import complex_normal
 
 # Bins of |z|^2; the last has no end. Half of the good rows lie above 0.7, and one in 1e10 above 23.

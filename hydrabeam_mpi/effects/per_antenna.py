@@ -8,7 +8,8 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.effects.base import Parameters
-from hydrabeam_mpi.effects.scene import Experiment, Scene
+from hydrabeam_mpi.effects.experiment import Experiment
+from hydrabeam_mpi.effects.scene import Scene
 
 
 def antenna_parameters(experiment: Experiment, what: Sequence[str], unit: str, scale: float) -> Parameters:

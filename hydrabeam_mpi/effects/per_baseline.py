@@ -10,7 +10,8 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.base import Columns, Parameters, ScannedEffect
-from hydrabeam_mpi.effects.scene import Experiment, Scene
+from hydrabeam_mpi.effects.experiment import Experiment
+from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.errors import InputError
 
 

@@ -10,7 +10,8 @@ from scipy.ndimage import map_coordinates, spline_filter
 from scipy.sparse import csr_array
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
-from hydrabeam_mpi.effects.scene import Experiment, Scene
+from hydrabeam_mpi.effects.experiment import Experiment
+from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.model.fringes import C_M_PER_S, Fringes
 from hydrabeam_mpi.model.positions import SourcePositions, enu
 from hydrabeam_mpi.model.rime import Beam

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
-from hydrabeam_mpi.effects.scene import Experiment, Scene
+from hydrabeam_mpi.effects.experiment import Experiment
+from hydrabeam_mpi.effects.scene import Scene
 
 
 @dataclass(frozen=True)

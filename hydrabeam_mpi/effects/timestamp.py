@@ -7,7 +7,9 @@ import numpy as np
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.base import Columns, Parameters
 from hydrabeam_mpi.effects.displaced import TurningSky
-from hydrabeam_mpi.effects.scene import EARTH_RATE, Experiment, Scene
+from hydrabeam_mpi.effects.experiment import Experiment
+from hydrabeam_mpi.effects.scene import Scene
+from hydrabeam_mpi.effects.sources import EARTH_RATE
 
 
 class Timestamp(TurningSky):

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
-from hydrabeam_mpi.effects.scene import Experiment, Scene
+from hydrabeam_mpi.effects.experiment import Experiment
+from hydrabeam_mpi.effects.scene import Scene
 
 # A structure counts from this many standard deviations on ...
 MIN_SIGMA = 5.0

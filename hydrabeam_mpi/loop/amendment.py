@@ -8,7 +8,7 @@ from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.effects import Effect as EffectEntry
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.basis_truncation import BasisTruncation
-from hydrabeam_mpi.effects.scene import Experiment
+from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.loop.state import State
 
 

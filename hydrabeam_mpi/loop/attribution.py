@@ -174,7 +174,7 @@ def reconsider(space: Space, state: State) -> Evidence:
 def _candidate_sums(
     space: Space, state: State, view: View, channel: int, candidates: Sequence[tuple[Effect, FloatArray]]
 ) -> JointSums:
-    """Sum one channel's columns of the state's effects and of candidates, linearised where each says, over the group."""
+    """Sum one channel's columns of the state's effects and of candidates, each linearised at its x, over the group."""
     basis, number = space.problem.basis, space.channels[channel]
     sizes = [len(x) for _, x in candidates]
     total = JointSums.zeros(len(state.prior_var), sizes, basis.n_modes, basis.is_complex)

@@ -13,8 +13,8 @@ import tomli_w
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.effects.base import Effect
 from hydrabeam_mpi.effects.catalogue import EFFECTS, REWEIGHTINGS, SEPARATE
+from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.reweighting import Reweighting
-from hydrabeam_mpi.effects.scene import Experiment
 from hydrabeam_mpi.inference import Clock, describe_channels
 from hydrabeam_mpi.io.provenance import provenance
 from hydrabeam_mpi.io.staging import writing

@@ -12,7 +12,7 @@ from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.effects import Effect as EffectEntry
 from hydrabeam_mpi.data.selection import Selection
 from hydrabeam_mpi.effects.catalogue import EFFECTS, REWEIGHTINGS, make_effect, make_reweighting
-from hydrabeam_mpi.effects.scene import Experiment
+from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.infer.posterior import Posterior
 from hydrabeam_mpi.inference import ChannelResult, Clock, read_shares, reduce_heldout, reduce_normals

@@ -10,8 +10,8 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.data.partition import Tile
+from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.leakage import LeakageCheck
-from hydrabeam_mpi.effects.scene import Experiment
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.loop.evidence import Evidence, Likelihood, find_evidence, solve
 from hydrabeam_mpi.loop.heldout import Blocks, fall_significance

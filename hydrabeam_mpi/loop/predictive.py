@@ -49,6 +49,8 @@ def whiten_time(
     n_groups = design.shape[-2]
     group_weights = np.bincount(member, weights, n_groups)
     used = np.flatnonzero(group_weights)
+    if not len(used):  # a time that is wholly flagged
+        return np.zeros_like(rows), np.zeros(len(member))
     root = np.tile(np.sqrt(2 * group_weights[used]), 2)
     # Unit vectors of what a group's members have in common, and the components along them.
     own = np.sqrt(weights / np.where(group_weights > 0, group_weights, 1.0)[member])

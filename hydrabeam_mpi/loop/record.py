@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hydrabeam_mpi.effects.scene import Experiment
+from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.loop.refit import Space
 from hydrabeam_mpi.loop.remains import Remains, remains_of
 from hydrabeam_mpi.loop.rounds import Candidate, Checked, Course, Round, indistinguishable

@@ -8,7 +8,7 @@ import numpy as np
 
 from hydrabeam_mpi.accumulate import accumulate_designs
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
-from hydrabeam_mpi.effects.scene import Experiment
+from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.infer.normal import NormalEquations
 from hydrabeam_mpi.infer.posterior import Posterior
 from hydrabeam_mpi.infer.prior import Prior

@@ -176,8 +176,8 @@ def _try(space: Space, checked: Checked, ranking: Sequence[Candidate], course: C
 def _may_be_better(candidate: Candidate, best: Round, enough: bool) -> bool:
     """Whether an effect with less evidence than the best one fitted so far may have more once it is fitted.
 
-    Effects are only roughly linear, so that what comes near is fitted too. Where the best one leaves nothing (``enough``)
-    another can only be simpler. A structure that was found is no noise.
+    Effects are only roughly linear, so that what comes near is fitted too. Where the best one leaves nothing
+    (``enough``) another can only be simpler. A structure that was found is no noise.
     """
     if candidate.finding is None or candidate.log_bayes_factor < NEAR * best.candidate.log_bayes_factor:
         return False

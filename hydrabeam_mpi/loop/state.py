@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.base import Effect
-from hydrabeam_mpi.effects.scene import Experiment
+from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.infer.posterior import Posterior
 
 

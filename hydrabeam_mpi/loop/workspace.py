@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from hydrabeam_mpi.accumulate import designs
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
-from hydrabeam_mpi.effects.scene import Experiment, Scene
+from hydrabeam_mpi.effects.experiment import Experiment
+from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.infer.posterior import Posterior
 from hydrabeam_mpi.loop.state import State
 from hydrabeam_mpi.model.rime import Beam, ForwardModel

@@ -10,7 +10,8 @@ from hydrabeam_mpi.config.sections import Array, Simulate
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.data.redundancy import find_redundant_groups
 from hydrabeam_mpi.effects.base import Effect
-from hydrabeam_mpi.effects.scene import Experiment, Scene
+from hydrabeam_mpi.effects.experiment import Experiment
+from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.model.beam import analytic_beam
 from hydrabeam_mpi.model.fit import FourierBesselSpec, fit_beam
 from hydrabeam_mpi.model.positions import RotatedPositions

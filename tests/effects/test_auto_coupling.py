@@ -5,7 +5,8 @@ import pytest
 
 from hydrabeam_mpi.effects.auto_coupling import AutoCoupling
 from hydrabeam_mpi.effects.beam_visibilities import beam_visibilities
-from hydrabeam_mpi.effects.scene import Experiment, Scene
+from hydrabeam_mpi.effects.experiment import Experiment
+from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.random import complex_normal, generator
 from tests.effects.scanned import check_description, check_scan
 from tests.effects.small import (

@@ -5,7 +5,7 @@ import pytest
 
 from hydrabeam_mpi.config.sections import Basis
 from hydrabeam_mpi.effects.basis_truncation import MOST_MODES, BasisTruncation, next_modes
-from hydrabeam_mpi.effects.scene import Experiment
+from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.model.fit import beam_pixels, fit_basis, fit_beam, select_largest
 from hydrabeam_mpi.model.fourier_bessel import FourierBessel
 from hydrabeam_mpi.model.zernike import Zernike

@@ -5,7 +5,8 @@ import pytest
 
 from hydrabeam_mpi.effects.base import Effect
 from hydrabeam_mpi.effects.cable_reflections import CableReflections, candidate_delays
-from hydrabeam_mpi.effects.scene import Experiment, Scene
+from hydrabeam_mpi.effects.experiment import Experiment
+from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.random import complex_normal, generator
 from tests.effects.scanned import check_description, check_scan
@@ -86,23 +87,37 @@ def test_scan(experiment: Experiment, scene: Scene) -> None:
     effect = CableReflections()
     n = effect.n_hypotheses(experiment)
     assert n == 7 * 9
-    check_scan(effect, scene, np.array([4, n - 1, 22, 23, 40]))
+    check_scan(effect, scene, np.array([4, n - 1, 22, 26, 40]))
     check_description(effect, scene, np.array([8, 0, 44]))
 
 
 def test_one_antenna_does_not_fill_all_places() -> None:
     """Of each antenna the candidates that come first are kept, in their order."""
-    wide = small_experiment(n_times=1)
-    freqs = 140e6 + 1e6 * np.arange(30)
-    wide = replace(wide, observation=replace(wide.observation, freqs=freqs))
-    delays = candidate_delays(wide)
-    hypotheses = np.concatenate([5 + np.arange(20), len(delays) + np.arange(3)])
-    numbers = wide.observation.antenna_numbers.tolist()
-    expected = [(numbers[0], delay) for delay in delays[5:21]] + [(numbers[1], delay) for delay in delays[:3]]
-    assert CableReflections().at(wide, hypotheses).reflections == tuple(expected)
-    assert CableReflections().at(wide, hypotheses[::-1]).reflections[3:] == tuple(
-        (numbers[0], delay) for delay in delays[5:25][::-1][:16]
+    wide, delays, numbers = wide_band(60)
+    hypotheses = np.concatenate([5 + 3 * np.arange(20), len(delays) + 3 * np.arange(3)])
+    first = [(numbers[0], delay) for delay in delays[hypotheses[:20]]]
+    second = [(numbers[1], delay) for delay in delays[3 * np.arange(3)]]
+    assert CableReflections().at(wide, hypotheses).reflections == (*first[:16], *second)
+    assert CableReflections().at(wide, hypotheses[::-1]).reflections == (*second[::-1], *first[::-1][:16])
+
+
+def test_echoes_beside_a_better_one_are_left_out() -> None:
+    wide, delays, numbers = wide_band(60)
+    n = len(delays)
+    kept = CableReflections().at(wide, np.array([10, 11, 12, 13, 8, 7, n + 11])).reflections
+    assert kept == (
+        (numbers[0], delays[10]),
+        (numbers[0], delays[13]),
+        (numbers[0], delays[7]),
+        (numbers[1], delays[11]),
     )
+
+
+def wide_band(n_freqs: int) -> tuple[Experiment, np.ndarray, list[int]]:
+    """Return an experiment with many channels, the delays that are scanned, and the antennas' numbers."""
+    wide = small_experiment(n_times=1)
+    wide = replace(wide, observation=replace(wide.observation, freqs=140e6 + 1e6 * np.arange(n_freqs)))
+    return wide, candidate_delays(wide), wide.observation.antenna_numbers.tolist()
 
 
 def test_scan_of_some_baselines(experiment: Experiment, scene: Scene) -> None:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from hydrabeam_mpi.effects.catalogue_flux import CatalogueFlux
+from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.point_sources import resolution
-from hydrabeam_mpi.effects.scene import Experiment
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.sky import Sky, separation
 from hydrabeam_mpi.random import complex_normal, generator

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from hydrabeam_mpi.effects.cross_coupling import CrossCoupling
-from hydrabeam_mpi.effects.scene import Experiment, Scene
+from hydrabeam_mpi.effects.experiment import Experiment
+from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.random import generator
 from tests.effects.scanned import check_description, check_scan

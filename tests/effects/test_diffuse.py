@@ -7,7 +7,8 @@ from scipy.special import sph_harm_y
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects import diffuse
 from hydrabeam_mpi.effects.diffuse import Diffuse, harmonics
-from hydrabeam_mpi.effects.scene import Experiment, Scene
+from hydrabeam_mpi.effects.experiment import Experiment
+from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.model.fringes import C_M_PER_S
 from hydrabeam_mpi.model.positions import ApparentPositions, RotatedPositions
 from hydrabeam_mpi.model.sky import Sky

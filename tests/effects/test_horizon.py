@@ -5,8 +5,10 @@ import numpy as np
 import pytest
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.horizon import EDGES, RINGS, SECTORS, Horizon
-from hydrabeam_mpi.effects.scene import Experiment, Scene, Sources
+from hydrabeam_mpi.effects.scene import Scene
+from hydrabeam_mpi.effects.sources import Sources
 from hydrabeam_mpi.model.positions import SourcePositions
 from hydrabeam_mpi.random import generator
 from tests.effects.small import (
@@ -38,10 +40,10 @@ def test_contract() -> None:
 
 def test_every_parameter_may_be_at_fault_by_itself() -> None:
     parameters = Horizon().parameters(small_experiment())
-    assert len(parameters) == RINGS * (1 + SECTORS) == 78
-    assert len(set(parameters.names)) == 78
-    assert parameters.element.tolist() == list(range(78))
-    assert parameters.trials == 78
+    assert len(parameters) == RINGS * (1 + SECTORS) == 130
+    assert len(set(parameters.names)) == 130
+    assert parameters.element.tolist() == list(range(130))
+    assert parameters.trials == 130
 
 
 def test_nothing_is_lost_twice() -> None:
@@ -96,8 +98,8 @@ def test_edges() -> None:
     za[3], az[3] = np.pi / 2, 2 * np.pi
     sources = Sources(np.arange(6), za, az, np.ones(6), lambda za, az: np.full(len(za), 2.0), 0.0)
     columns = Horizon().sky_columns(sources)
-    assert columns.shape == (72, 6)
+    assert columns.shape == (120, 6)
     rows, which = np.nonzero(columns)
     found = dict(zip(which.tolist(), rows.tolist(), strict=True))
-    assert found == {1: 5 * 12 + 11, 2: 3 * 12 + 1, 3: 0, 4: 4 * 12, 5: 12 + 6}
+    assert found == {1: 9 * 12 + 11, 2: 7 * 12 + 1, 3: 0, 4: 8 * 12, 5: 3 * 12 + 6}
     assert (columns[rows, which] == 2.0).all()

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.missing_sources import MissingSources, candidates
 from hydrabeam_mpi.effects.point_sources import resolution
-from hydrabeam_mpi.effects.scene import Experiment, Scene
+from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.model.positions import ApparentPositions
 from hydrabeam_mpi.model.sky import Sky, concatenate, separation
 from hydrabeam_mpi.random import complex_normal, generator

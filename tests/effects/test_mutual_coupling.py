@@ -6,8 +6,9 @@ import pytest
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.data.redundancy import find_redundant_groups
+from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.mutual_coupling import MutualCoupling, find_shells
-from hydrabeam_mpi.effects.scene import Experiment, Scene
+from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.random import generator
 from tests.effects.small import (
     check_adjoint,

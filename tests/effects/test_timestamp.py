@@ -2,7 +2,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from hydrabeam_mpi.effects.scene import EARTH_RATE, Scene
+from hydrabeam_mpi.effects.scene import Scene
+from hydrabeam_mpi.effects.sources import EARTH_RATE
 from hydrabeam_mpi.effects.timestamp import Timestamp
 from hydrabeam_mpi.model.positions import ApparentPositions, RotatedPositions
 from tests.effects.direct import assert_same, visibilities

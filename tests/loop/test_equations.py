@@ -10,7 +10,8 @@ from mpi4py import MPI
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.effects.base import Columns
-from hydrabeam_mpi.effects.scene import Experiment, Scene
+from hydrabeam_mpi.effects.experiment import Experiment
+from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.infer.normal import NormalEquations
 from hydrabeam_mpi.infer.posterior import Posterior, solve_posterior
 from hydrabeam_mpi.infer.prior import DiagonalPrior

@@ -310,9 +310,8 @@ def test_an_unknown_effect_is_told_those_that_are_known(tmp_path: Path, capfd: p
 
 FEW = ["antenna_gains", "cross_coupling", "missing_sources", "timestamp", "outliers"]
 JOBS = {
-    "one channel": mock_job(GAIN, loop={"effects": [*FEW, "antenna_positions", "diffuse", "noise_level"]}),
     "two channels": mock_job(GAIN, freqs=TWO, loop={"effects": FEW}),
-    "few times": mock_job(GAIN, n_times=4, holdout={"every": 2}, loop={"effects": FEW}),
+    "one channel, few times": mock_job(GAIN, n_times=4, holdout={"every": 2}, loop={"effects": FEW}),
 }
 RUN_ALL = """
 import sys
