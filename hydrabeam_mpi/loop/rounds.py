@@ -25,6 +25,8 @@ from hydrabeam_mpi.progress import say
 
 MAX_TRIES = 6
 """Effects that are fitted in one round at most."""
+SAME = 0.01
+"""Relative difference of evidences that the approximations of strongly nonlinear effects do not resolve."""
 TOO_SMALL = 0.7
 """Held-out reduced chi^2 below which predictions claim far less than they should."""
 NEAR = 0.1
@@ -148,16 +150,16 @@ def rank(
 def _try(space: Space, checked: Checked, ranking: Sequence[Candidate], course: Course) -> Round | None:
     """Fit the candidates that may be the best; return the best of those that held-out data confirm."""
     settings = space.problem.job.loop
-    best: Round | None = None
     wanted = [one for one in ranking if one.log_bayes_factor >= settings.min_log_bayes_factor]
+    best: Round | None = None
     enough = False
-    for candidate in wanted[:MAX_TRIES]:
+    for candidate in _in_order(wanted)[:MAX_TRIES]:
         if best is not None and not _may_be_better(candidate, best, enough):
             continue
         say(f"  trying {candidate.title} (ln BF {candidate.log_bayes_factor:.4g})", space.grid.is_world_root)
         fitted, after = _fit(space, checked, candidate)
-        sigma = _improvement(checked, after, fitted)
         remains = remains_of(space, after.whitened)
+        sigma = _improvement(checked, after, fitted, remains)
         reason = _refusal(checked, after, fitted, remains, sigma, settings)
         say(
             f"    held-out chi^2 {after.blocks.chi2:.4g} (ln BF {fitted.log_bayes_factor:.4g})"
@@ -166,11 +168,36 @@ def _try(space: Space, checked: Checked, ranking: Sequence[Candidate], course: C
         )
         if reason is not None:
             course.tried.append((fitted, reason))
-        elif best is None or fitted.log_bayes_factor > best.candidate.log_bayes_factor:
+        elif best is None or _is_better(fitted, after, best):
             change = _beam_change(space, checked.state, after.state)
             best = Round(fitted, tuple(ranking), checked, after, sigma, change)
             enough = remains.consistent
     return best
+
+
+def _in_order(wanted: Sequence[Candidate]) -> list[Candidate]:
+    """Order candidates for trial: by evidence, but a change of the weights after all effects that come near it.
+
+    What has a structure is no noise, whereas a larger noise seems to explain anything.
+    """
+    top = max((one.log_bayes_factor for one in wanted), default=0.0)
+
+    def place(one: Candidate) -> int:
+        return 1 if one.finding is None else 0 if one.log_bayes_factor >= NEAR * top else 2
+
+    return sorted(wanted, key=place)
+
+
+def _is_better(fitted: Candidate, after: Checked, best: Round) -> bool:
+    """Whether a fitted effect is better than the best so far.
+
+    By evidence; where that is nearly the same, relative to how much of it the approximations are good for, by the error
+    on held-out data.
+    """
+    one, two = fitted.log_bayes_factor, best.candidate.log_bayes_factor
+    if abs(one - two) < SAME * max(one, two):
+        return after.blocks.chi2 < best.after.blocks.chi2
+    return one > two
 
 
 def _may_be_better(candidate: Candidate, best: Round, enough: bool) -> bool:
@@ -226,11 +253,16 @@ def _gain(space: Space, before: State, after: State) -> float:
     return float(sum(space.grid.world.allgather(mine))) - penalty
 
 
-def _improvement(before: Checked, after: Checked, candidate: Candidate) -> float:
-    """Return the significance with which held-out data got better."""
-    if candidate.finding is not None:
-        return fall_significance(before.blocks, after.blocks)
-    return abs(before.blocks.chi2 - 1) * np.sqrt(before.blocks.n_data)
+def _improvement(before: Checked, after: Checked, candidate: Candidate, remains: Remains) -> float:
+    """Return the significance with which held-out data got better.
+
+    From blocks, whose falls differ however large they are; where nothing is left but noise, from that.
+    """
+    fall = (before.blocks.chi2 - after.blocks.chi2) * np.sqrt(before.blocks.n_data)
+    if candidate.finding is None:
+        return float(abs(fall))
+    by_blocks = fall_significance(before.blocks, after.blocks)
+    return max(by_blocks, float(fall)) if remains.consistent else by_blocks
 
 
 def _refusal(
