@@ -25,8 +25,11 @@ MAX_STEPS = 15
 STEP_SIGMAS = 0.03
 """Converged when no parameter moves by more than this part of its standard deviation."""
 
-STEPS_BACK = 1e-6
-"""Relative loss of ln(likelihood x prior) that is put down to rounding."""
+STEPS_BACK = 0.5
+"""Relative loss of ln(likelihood x prior) with which a step counts as a step too far.
+
+A smaller loss is none: E is that of the beam before, so that the first steps seem better than they are.
+"""
 HELD = 1e10
 """Precision, in units of the prior's, with which undecidable combinations are held at zero."""
 
