@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 
 from hydrabeam_mpi.effects.experiment import Experiment
+from hydrabeam_mpi.loop.candidates import Candidate, Checked, Round, indistinguishable
 from hydrabeam_mpi.loop.refit import Space
 from hydrabeam_mpi.loop.remains import Remains, remains_of
-from hydrabeam_mpi.loop.rounds import Candidate, Checked, Course, Round, indistinguishable
+from hydrabeam_mpi.loop.rounds import Course
 from hydrabeam_mpi.loop.sentences import say_round, say_verdict
+from hydrabeam_mpi.loop.state import State
 
 UNDECIDABLE = (
     ("common flux scale", "all fluxes times a number are the same as the beam times that number"),
@@ -49,7 +51,7 @@ def make_record(
     remains = [remains_of(space, checked.whitened) for checked in checks]
     chi2 = [_train_chi2(space, checked) for checked in checks]
     rounds = [
-        _round(space.experiment, one, chi2[i : i + 2], remains[i], remains[i + 1])
+        _round(space.experiment, one, chi2[i : i + 2], remains[i], course.last.state)
         for i, one in enumerate(course.rounds)
     ]
     tried = [
@@ -133,14 +135,14 @@ def _train_chi2(space: Space, checked: Checked) -> float:
     return float(np.mean(np.concatenate(space.grid.world.allgather(mine))))
 
 
-def _round(experiment: Experiment, one: Round, chi2: list[float], before: Remains, after: Remains) -> dict[str, Any]:
+def _round(experiment: Experiment, one: Round, chi2: list[float], before: Remains, last: State) -> dict[str, Any]:
     """Tell one round."""
     candidate = one.candidate
     others = [other for other in one.ranking if other.kind != candidate.kind]
     told = {
         "effect": candidate.kind,
         "title": candidate.title,
-        "parameters": parameters_of(experiment, one),
+        "parameters": parameters_of(experiment, one, last),
         "log_bayes_factor": candidate.log_bayes_factor,
         "absorbed_by_beam": candidate.finding.evidence.absorbed if candidate.finding else 0.0,
         "chi2_before": chi2[0],
@@ -202,14 +204,17 @@ def _prior_scale(one: Round) -> float | None:
     return float(widths.max()) if widths.size else None
 
 
-def parameters_of(experiment: Experiment, one: Round) -> list[dict[str, Any]]:
-    """Return the parameters in use with their posterior standard deviations, channel by channel where they differ."""
+def parameters_of(experiment: Experiment, one: Round, last: State) -> list[dict[str, Any]]:
+    """Return the parameters in use with their posterior standard deviations, channel by channel where they differ.
+
+    They are those of the last state, in which all effects are fitted jointly.
+    """
     if one.candidate.change is not None:
         assert one.candidate.fit is not None
         fit, shared = one.candidate.fit, False
         names, units, x, std = fit.names, fit.units, fit.x, fit.std
     else:
-        active = one.after.state.active[-1]
+        active = last.active[len(one.after.state.active) - 1]
         parameters, used = active.effect.parameters(experiment), active.used
         names = tuple(parameters.names[i] for i in used)
         units = tuple(parameters.units[i] for i in used)

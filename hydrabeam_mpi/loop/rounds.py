@@ -8,64 +8,34 @@ from typing import Any
 
 import numpy as np
 
-from hydrabeam_mpi.config.effects import Loop as LoopSettings
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.diagnose import evaluate_on_grid
 from hydrabeam_mpi.effects.base import Effect
 from hydrabeam_mpi.effects.basis_truncation import BasisTruncation
-from hydrabeam_mpi.effects.reweighting import Reweighting, ReweightingFit
+from hydrabeam_mpi.effects.reweighting import Reweighting
 from hydrabeam_mpi.inference import Clock
 from hydrabeam_mpi.loop.attribution import Finding, attribute, reconsider
-from hydrabeam_mpi.loop.heldout import Blocks, Whitened, blocks_of, fall_significance, whiten
+from hydrabeam_mpi.loop.candidates import (
+    Candidate,
+    Checked,
+    Round,
+    absorbed_reason,
+    improvement,
+    in_order,
+    is_absorbed,
+    is_better,
+    may_be_better,
+    refusal_of,
+)
+from hydrabeam_mpi.loop.heldout import blocks_of, whiten
 from hydrabeam_mpi.loop.refit import Space, refit
-from hydrabeam_mpi.loop.remains import Remains, remains_of
+from hydrabeam_mpi.loop.remains import remains_of
 from hydrabeam_mpi.loop.reweighting import fit_reweightings
 from hydrabeam_mpi.loop.state import Active, Reweighted, State
 from hydrabeam_mpi.progress import say
 
 MAX_TRIES = 6
 """Effects that are fitted in one round at most."""
-SAME = 0.01
-"""Relative difference of evidences that the approximations of strongly nonlinear effects do not resolve."""
-TOO_SMALL = 0.7
-"""Held-out reduced chi^2 below which predictions claim far less than they should."""
-NEAR = 0.1
-"""Effects with less than this part of the best one's evidence are not fitted."""
-UNDECIDED_NATS = 5.0
-"""Effects whose evidence is nearer than this to the best one's cannot be told from it."""
-
-
-@dataclass(frozen=True)
-class Checked:
-    """A fitted state and its held-out data."""
-
-    state: State
-    whitened: Whitened
-    blocks: Blocks
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """Something to try: an effect or a change of weights."""
-
-    kind: str
-    title: str
-    log_bayes_factor: float
-    finding: Finding | None = None
-    change: Reweighting | None = None
-    fit: ReweightingFit | None = None
-
-
-@dataclass(frozen=True)
-class Round:
-    """An effect that was added, and what it changed."""
-
-    candidate: Candidate
-    ranking: tuple[Candidate, ...]
-    before: Checked
-    after: Checked
-    sigma: float
-    beam_change: float
 
 
 @dataclass
@@ -153,14 +123,17 @@ def _try(space: Space, checked: Checked, ranking: Sequence[Candidate], course: C
     wanted = [one for one in ranking if one.log_bayes_factor >= settings.min_log_bayes_factor]
     best: Round | None = None
     enough = False
-    for candidate in _in_order(wanted)[:MAX_TRIES]:
-        if best is not None and not _may_be_better(candidate, best, enough):
+    for candidate in wanted:
+        if is_absorbed(candidate):
+            course.tried.append((candidate, absorbed_reason(candidate)))
+    for candidate in in_order([one for one in wanted if not is_absorbed(one)])[:MAX_TRIES]:
+        if best is not None and not may_be_better(candidate, best, enough):
             continue
         say(f"  trying {candidate.title} (ln BF {candidate.log_bayes_factor:.4g})", space.grid.is_world_root)
         fitted, after = _fit(space, checked, candidate)
         remains = remains_of(space, after.whitened)
-        sigma = _improvement(checked, after, fitted, remains)
-        reason = _refusal(checked, after, fitted, remains, sigma, settings)
+        sigma = improvement(checked, after, fitted, remains)
+        reason = refusal_of(checked, after, fitted, remains, sigma, settings)
         say(
             f"    held-out chi^2 {after.blocks.chi2:.4g} (ln BF {fitted.log_bayes_factor:.4g})"
             + (f", refused: {reason}" if reason else ""),
@@ -168,51 +141,11 @@ def _try(space: Space, checked: Checked, ranking: Sequence[Candidate], course: C
         )
         if reason is not None:
             course.tried.append((fitted, reason))
-        elif best is None or _is_better(fitted, after, best):
+        elif best is None or is_better(fitted, after, best):
             change = _beam_change(space, checked.state, after.state)
             best = Round(fitted, tuple(ranking), checked, after, sigma, change)
             enough = remains.consistent
     return best
-
-
-def _in_order(wanted: Sequence[Candidate]) -> list[Candidate]:
-    """Order candidates for trial: by evidence, but a change of the weights after all effects that come near it.
-
-    What has a structure is no noise, whereas a larger noise seems to explain anything.
-    """
-    top = max((one.log_bayes_factor for one in wanted), default=0.0)
-
-    def place(one: Candidate) -> int:
-        return 1 if one.finding is None else 0 if one.log_bayes_factor >= NEAR * top else 2
-
-    return sorted(wanted, key=place)
-
-
-def _is_better(fitted: Candidate, after: Checked, best: Round) -> bool:
-    """Whether a fitted effect is better than the best so far.
-
-    By evidence; where that is nearly the same, relative to how much of it the approximations are good for, by the error
-    on held-out data.
-    """
-    one, two = fitted.log_bayes_factor, best.candidate.log_bayes_factor
-    if abs(one - two) < SAME * max(one, two):
-        return after.blocks.chi2 < best.after.blocks.chi2
-    return one > two
-
-
-def _may_be_better(candidate: Candidate, best: Round, enough: bool) -> bool:
-    """Whether an effect with less evidence than the best one fitted so far may have more once it is fitted.
-
-    Effects are only roughly linear, so that what comes near is fitted too. Where the best one leaves nothing
-    (``enough``) another can only be simpler. A structure that was found is no noise.
-    """
-    if candidate.finding is None or candidate.log_bayes_factor < NEAR * best.candidate.log_bayes_factor:
-        return False
-    return not enough or _complexity(candidate) < _complexity(best.candidate)
-
-
-def _complexity(candidate: Candidate) -> float:
-    return candidate.finding.evidence.effective_parameters if candidate.finding else 0.0
 
 
 def _fit(space: Space, checked: Checked, candidate: Candidate) -> tuple[Candidate, Checked]:
@@ -253,37 +186,6 @@ def _gain(space: Space, before: State, after: State) -> float:
     return float(sum(space.grid.world.allgather(mine))) - penalty
 
 
-def _improvement(before: Checked, after: Checked, candidate: Candidate, remains: Remains) -> float:
-    """Return the significance with which held-out data got better.
-
-    From blocks, whose falls differ however large they are; where nothing is left but noise, from that.
-    """
-    fall = (before.blocks.chi2 - after.blocks.chi2) * np.sqrt(before.blocks.n_data)
-    if candidate.finding is None:
-        return float(abs(fall))
-    by_blocks = fall_significance(before.blocks, after.blocks)
-    return max(by_blocks, float(fall)) if remains.consistent else by_blocks
-
-
-def _refusal(
-    before: Checked, after: Checked, candidate: Candidate, remains: Remains, sigma: float, settings: LoopSettings
-) -> str | None:
-    """Say why a fitted candidate is not kept; None where it is."""
-    if not candidate.log_bayes_factor >= settings.min_log_bayes_factor:
-        return f"its log Bayes factor is {candidate.log_bayes_factor:.4g} once it is fitted"
-    if candidate.change is not None:
-        if abs(after.blocks.chi2 - 1) > abs(before.blocks.chi2 - 1):
-            return f"held-out chi^2 goes from {before.blocks.chi2:.4g} to {after.blocks.chi2:.4g}"
-        return None if remains.white else f"what is left is not white: {remains.why}"
-    if after.blocks.chi2 < TOO_SMALL:
-        return f"it is so uncertain that it predicts nothing: held-out chi^2 {after.blocks.chi2:.4g}"
-    if not after.blocks.chi2 < before.blocks.chi2:
-        return f"held-out chi^2 does not fall: {before.blocks.chi2:.4g} to {after.blocks.chi2:.4g}"
-    if sigma < settings.min_heldout_sigma:
-        return f"held-out chi^2 falls by {sigma:.1f} sigma only, {before.blocks.chi2:.4g} to {after.blocks.chi2:.4g}"
-    return None
-
-
 def _beam_change(space: Space, before: State, after: State) -> float:
     """Return by how much the beam moved at most, on the one-degree grid and over channels."""
     basis, largest = space.problem.basis, 0.0
@@ -295,9 +197,3 @@ def _beam_change(space: Space, before: State, after: State) -> float:
 
         largest = max(largest, float(np.abs(evaluate_on_grid(change)).max()))
     return float(max(space.grid.world.allgather(largest)))
-
-
-def indistinguishable(candidate: Candidate, ranking: Sequence[Candidate]) -> list[str]:
-    """Name the effects that explain the residual as well as the candidate, within the evidence's own reach."""
-    near = candidate.log_bayes_factor - UNDECIDED_NATS
-    return [one.kind for one in ranking if one.kind != candidate.kind and one.log_bayes_factor > near]

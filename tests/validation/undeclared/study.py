@@ -91,7 +91,8 @@ def summarise(draws: Sequence[dict[str, Any]]) -> dict[str, Any]:
     fine = [one for one in draws if "failed" not in one]
     singles = [one for one in fine if one["class"] in ("single", "convention") and one["detectable"]]
     right = [one for one in singles if one["named"] in ("right", "equivalent", "indistinguishable")]
-    broken = [False for one in failed if one["class"] in ("single", "convention")]
+    broken = {sort: [False for one in failed if one["class"] == sort] for sort in (*A_PASS, "single")}
+    names = broken["single"] + broken["convention"]
     compared = [one["parameters_hold"] for one in right if one.get("parameters_hold") is not None]
     z = np.array([z for one in right for z in one.get("z", [])])
     pairs = [one for one in fine if one["class"] == "pair" and one["detectable"]]
@@ -99,16 +100,20 @@ def summarise(draws: Sequence[dict[str, Any]]) -> dict[str, Any]:
     null = [one for one in fine if one["class"] == "null"]
     faint = [one for one in fine if one["class"] == "single" and not one["detectable"]]
     return {
-        "named_right": _fraction([one in right for one in singles] + broken),
-        "named_right_alone": _fraction([one["named"] == "right" for one in singles] + broken),
+        "named_right": _fraction([one in right for one in singles] + names),
+        "named_right_alone": _fraction([one["named"] == "right" for one in singles] + names),
         "parameters_within_3_sigma": _fraction(compared),
         "parameters_within_3_sigma_each": _fraction((np.abs(z) <= 3).tolist()),
         "heldout_back": _fraction([one["heldout_holds"] for one in right if one["class"] == "single"]),
-        "two_at_once": _fraction([one["both"] for one in pairs]),
-        "two_at_once_or_indistinguishable": _fraction([one["both_or_indistinguishable"] for one in pairs]),
-        "unknown_kept_unknown": _fraction([one["kept_unknown"] and one["where_right"] for one in unknown]),
-        "unknown_unexplained": _fraction([one["kept_unknown"] for one in unknown]),
-        "false_alarms": _fraction([one["false_alarm"] for one in null]),
+        "two_at_once": _fraction([one["both"] for one in pairs] + broken["pair"]),
+        "two_at_once_or_indistinguishable": _fraction(
+            [one["both_or_indistinguishable"] for one in pairs] + broken["pair"]
+        ),
+        "unknown_kept_unknown": _fraction(
+            [one["kept_unknown"] and one["where_right"] for one in unknown] + broken["unknown"]
+        ),
+        "unknown_unexplained": _fraction([one["kept_unknown"] for one in unknown] + broken["unknown"]),
+        "false_alarms": _fraction([one["false_alarm"] for one in null] + [not one for one in broken["null"]]),
         "faint_misnamed": _fraction([one["named"] == "wrong" for one in faint]),
         "failed": len(failed),
         "draws": len(draws),

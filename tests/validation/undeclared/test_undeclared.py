@@ -73,6 +73,7 @@ DRAWS = [
     draw("null", "null", false_alarm=False),
     draw("null", "null", false_alarm=True, first="diffuse"),
     {"case": "horizon", "seed": 2, "class": "single", "failed": "reason"},
+    {"case": "antenna_gains+timestamp", "seed": 3, "class": "pair", "failed": "reason"},
 ]
 
 
@@ -81,10 +82,11 @@ def test_fractions():
     assert told["named_right"] == pytest.approx(1 / 3, abs=1e-4)  # one right, one wrong, one that failed
     assert told["parameters_within_3_sigma"] == 0.0
     assert told["parameters_within_3_sigma_each"] == 0.5
-    assert told["two_at_once"] == 1.0
+    assert told["two_at_once"] == 0.5  # one that failed
     assert told["unknown_kept_unknown"] == 0.0
     assert told["false_alarms"] == 0.5
-    assert told["draws"] == 8
+    assert told["draws"] == 9
+    assert told["failed"] == 2
     assert set(KEYS) <= set(told)
 
 

@@ -1,0 +1,155 @@
+"""What may be tried in a round, and by what rules it is preferred, accepted or refused."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydrabeam_mpi.config.effects import Loop as LoopSettings
+from hydrabeam_mpi.effects.basis_truncation import BasisTruncation
+from hydrabeam_mpi.effects.reweighting import Reweighting, ReweightingFit
+from hydrabeam_mpi.loop.attribution import Finding
+from hydrabeam_mpi.loop.heldout import Blocks, Whitened, fall_significance
+from hydrabeam_mpi.loop.remains import Remains
+from hydrabeam_mpi.loop.state import State
+
+DOUBT = 0.2
+"""Part of what an effect's nonlinearity changed of its evidence by which that may be wrong."""
+MAX_ABSORBED = 0.97
+"""Fraction of an effect's signature within the beam's own freedom above which it is not claimed."""
+TOO_SMALL = 0.7
+"""Held-out reduced chi^2 below which predictions claim far less than they should."""
+NEAR = 0.1
+"""Effects with less than this part of the best one's evidence are not fitted."""
+UNDECIDED_NATS = 5.0
+"""Effects whose evidence is nearer than this to the best one's cannot be told from it."""
+
+
+@dataclass(frozen=True)
+class Checked:
+    """A fitted state and its held-out data."""
+
+    state: State
+    whitened: Whitened
+    blocks: Blocks
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Something to try: an effect or a change of weights."""
+
+    kind: str
+    title: str
+    log_bayes_factor: float
+    finding: Finding | None = None
+    change: Reweighting | None = None
+    fit: ReweightingFit | None = None
+
+
+@dataclass(frozen=True)
+class Round:
+    """An effect that was added, and what it changed."""
+
+    candidate: Candidate
+    ranking: tuple[Candidate, ...]
+    before: Checked
+    after: Checked
+    sigma: float
+    beam_change: float
+
+
+def is_absorbed(candidate: Candidate) -> bool:
+    """Whether nearly all of an effect's signature is what another beam would do, so that the data cannot tell it.
+
+    Not of a basis that is too small, which is about the beam itself.
+    """
+    if candidate.finding is None or isinstance(candidate.finding.effect, BasisTruncation):
+        return False
+    return candidate.finding.evidence.absorbed > MAX_ABSORBED
+
+
+def absorbed_reason(candidate: Candidate) -> str:
+    """Say why an effect that the beam can absorb is not claimed."""
+    assert candidate.finding is not None
+    share = candidate.finding.evidence.absorbed
+    return f"the beam can absorb {share:.1%} of it, so that these data cannot tell it from another beam"
+
+
+def in_order(wanted: Sequence[Candidate]) -> list[Candidate]:
+    """Order candidates for trial: by evidence, but a change of the weights after all effects that come near it.
+
+    What has a structure is no noise, whereas a larger noise seems to explain anything.
+    """
+    top = max((one.log_bayes_factor for one in wanted), default=0.0)
+
+    def place(one: Candidate) -> int:
+        return 1 if one.finding is None else 0 if one.log_bayes_factor >= NEAR * top else 2
+
+    return sorted(wanted, key=place)
+
+
+def is_better(fitted: Candidate, after: Checked, best: Round) -> bool:
+    """Whether a fitted effect is better than the best so far.
+
+    By evidence; where strongly nonlinear effects have nearly the same, by the error on held-out data.
+    """
+    ahead = fitted.log_bayes_factor - best.candidate.log_bayes_factor
+    linear = {one.kind: one.log_bayes_factor for one in best.ranking}
+    changes = [abs(one.log_bayes_factor - linear[one.kind]) for one in (fitted, best.candidate)]
+    if abs(ahead) < DOUBT * max(changes):
+        return after.blocks.chi2 < best.after.blocks.chi2
+    return ahead > 0
+
+
+def may_be_better(candidate: Candidate, best: Round, enough: bool) -> bool:
+    """Whether an effect with less evidence than the best one fitted so far may have more once it is fitted.
+
+    Effects are only roughly linear, so that what comes near is fitted too. Where the best one leaves nothing
+    (``enough``) another can only be simpler. A structure that was found is no noise.
+    """
+    if candidate.finding is None or candidate.log_bayes_factor < NEAR * best.candidate.log_bayes_factor:
+        return False
+    return not enough or _complexity(candidate) < _complexity(best.candidate)
+
+
+def _complexity(candidate: Candidate) -> float:
+    return candidate.finding.evidence.effective_parameters if candidate.finding else 0.0
+
+
+def improvement(before: Checked, after: Checked, candidate: Candidate, remains: Remains) -> float:
+    """Return the significance with which held-out data got better.
+
+    From blocks, whose falls differ however large they are; where nothing is left but noise, from that.
+    """
+    fall = (before.blocks.chi2 - after.blocks.chi2) * np.sqrt(before.blocks.n_data)
+    if candidate.finding is None:
+        return float(abs(fall))
+    by_blocks = fall_significance(before.blocks, after.blocks)
+    return max(by_blocks, float(fall)) if remains.consistent else by_blocks
+
+
+def refusal_of(
+    before: Checked, after: Checked, candidate: Candidate, remains: Remains, sigma: float, settings: LoopSettings
+) -> str | None:
+    """Say why a fitted candidate is not kept; None where it is."""
+    if not candidate.log_bayes_factor >= settings.min_log_bayes_factor:
+        return f"its log Bayes factor is {candidate.log_bayes_factor:.4g} once it is fitted"
+    if candidate.change is not None:
+        if abs(after.blocks.chi2 - 1) > abs(before.blocks.chi2 - 1):
+            return f"held-out chi^2 goes from {before.blocks.chi2:.4g} to {after.blocks.chi2:.4g}"
+        return None if remains.white else f"what is left is not white: {remains.why}"
+    if after.blocks.chi2 < TOO_SMALL:
+        return f"it is so uncertain that it predicts nothing: held-out chi^2 {after.blocks.chi2:.4g}"
+    if not after.blocks.chi2 < before.blocks.chi2:
+        return f"held-out chi^2 does not fall: {before.blocks.chi2:.4g} to {after.blocks.chi2:.4g}"
+    if sigma < settings.min_heldout_sigma:
+        return f"held-out chi^2 falls by {sigma:.1f} sigma only, {before.blocks.chi2:.4g} to {after.blocks.chi2:.4g}"
+    return None
+
+
+def indistinguishable(candidate: Candidate, ranking: Sequence[Candidate]) -> list[str]:
+    """Name the effects that explain the residual as well as the candidate, within the evidence's own reach."""
+    near = candidate.log_bayes_factor - UNDECIDED_NATS
+    return [one.kind for one in ranking if one.kind != candidate.kind and one.log_bayes_factor > near]
