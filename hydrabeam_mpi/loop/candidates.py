@@ -17,7 +17,7 @@ from hydrabeam_mpi.loop.state import State
 
 DOUBT = 0.2
 """Part of what an effect's nonlinearity changed of its evidence by which that may be wrong."""
-MAX_ABSORBED = 0.97
+MAX_ABSORBED = 0.95
 """Fraction of an effect's signature within the beam's own freedom above which it is not claimed."""
 TOO_SMALL = 0.7
 """Held-out reduced chi^2 below which predictions claim far less than they should."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Iterator
 
 import numpy as np
@@ -146,4 +147,4 @@ def _stages(loop: Entry) -> Iterator[tuple[str, float]]:
         after = number(entry, "heldout_after")
         if math.isfinite(after):
             name = title_of(entry)
-            yield (f"{count}: + {name}" if len(name) < 30 else f"{count}: + {name[:28]}…"), after
+            yield "\n".join(textwrap.wrap(f"{count}: + {name}", 18)), after

@@ -10,7 +10,7 @@ from hydrabeam_mpi.report.loop_record import Entry, effect_name, entries, joined
 def verdict_words(loop: Entry) -> str:
     """Say what the model lacked and what adding it did to the error on held-out data; broken conventions first."""
     broken = _broken_convention(loop)
-    names = joined([title_of(entry) for entry in entries(loop, "rounds")])
+    names = joined(list(dict.fromkeys(title_of(entry) for entry in entries(loop, "rounds"))))
     fall = _fall(loop, bool(names))
     if broken and not names:
         return f"{broken}This is no error of the instrument or of the sky, and nothing was fitted to it: {fall}."
