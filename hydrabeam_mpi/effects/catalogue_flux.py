@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
-from hydrabeam_mpi.effects.base import Columns, Parameters, ScannedEffect
+from hydrabeam_mpi.effects.base import Columns, Parameters
 from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.point_sources import (
+    PointSources,
     dirty_map,
     in_degrees,
     in_radians,
@@ -32,7 +32,7 @@ APART = 0.1  # resolutions between two sources that the data could tell apart
 SAME = 1e-6  # rad, within which a direction is that of a catalogue source
 
 
-class CatalogueFlux(ScannedEffect):
+class CatalogueFlux(PointSources):
     """Relative errors of single sources' fluxes, the same in all channels.
 
     Parameters
@@ -45,16 +45,6 @@ class CatalogueFlux(ScannedEffect):
 
     kind = "catalogue_flux"
     title = "fluxes of catalogue sources"
-    changes_sky = True
-    shared = True
-
-    def __init__(self, sources: Sequence[tuple[float, float]] = (), trials: int = 1) -> None:
-        self.sources = tuple((float(ra), float(dec)) for ra, dec in sources)
-        self.trials = trials
-
-    def describe(self) -> dict[str, Any]:
-        """Return which sources."""
-        return {"sources": [list(source) for source in self.sources], "trials": self.trials}
 
     def parameters(self, experiment: Experiment) -> Parameters:
         """Return the relative error of every source's flux."""

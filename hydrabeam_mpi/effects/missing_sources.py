@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
-
 import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
-from hydrabeam_mpi.effects.base import Columns, Parameters, ScannedEffect
+from hydrabeam_mpi.effects.base import Columns, Parameters
 from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.point_sources import (
+    PointSources,
     dirty_map,
     follow,
     in_degrees,
@@ -33,7 +31,7 @@ MIN_TRIALS = 10
 STEP = 2e-4  # of derivatives by position, in resolutions
 
 
-class MissingSources(ScannedEffect):
+class MissingSources(PointSources):
     """Sources at unknown places, each with a flux, a position and, given several channels, a spectral index.
 
     Candidates lie on a grid in the sky's own frame. What is reported of a source is relative to the point where it was
@@ -50,16 +48,6 @@ class MissingSources(ScannedEffect):
 
     kind = "missing_sources"
     title = "missing point sources"
-    changes_sky = True
-    shared = True
-
-    def __init__(self, sources: Sequence[tuple[float, float]] = (), trials: int = 1) -> None:
-        self.sources = tuple((float(ra), float(dec)) for ra, dec in sources)
-        self.trials = trials
-
-    def describe(self) -> dict[str, Any]:
-        """Return where the sources are."""
-        return {"sources": [list(source) for source in self.sources], "trials": self.trials}
 
     def parameters(self, experiment: Experiment) -> Parameters:
         """Return flux, offsets east and north, and the change of spectral index of every source."""

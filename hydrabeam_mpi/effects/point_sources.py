@@ -10,6 +10,7 @@ from scipy.ndimage import map_coordinates, spline_filter
 from scipy.sparse import csr_array
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.base import ScannedEffect
 from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.model.fringes import C_M_PER_S, Fringes
@@ -19,6 +20,29 @@ from hydrabeam_mpi.model.sky import Sky, separation
 
 CHUNK = 1024  # directions whose fringes are in cache together
 HALF_WIDTH = 64  # samples of the beam from the zenith to the horizon, where a map does with an interpolated one
+
+
+class PointSources(ScannedEffect):
+    """An effect whose elements are single sources, the same in all channels.
+
+    Parameters
+    ----------
+    sources : sequence of (float, float)
+        Right ascension and declination, degrees.
+    trials : int
+        Number of candidates from which these were picked.
+    """
+
+    changes_sky = True
+    shared = True
+
+    def __init__(self, sources: Sequence[tuple[float, float]] = (), trials: int = 1) -> None:
+        self.sources = tuple((float(ra), float(dec)) for ra, dec in sources)
+        self.trials = trials
+
+    def describe(self) -> dict[str, Any]:
+        """Return which sources, and from how many they were picked."""
+        return {"sources": [list(source) for source in self.sources], "trials": self.trials}
 
 
 def resolution(experiment: Experiment) -> float:

@@ -34,6 +34,7 @@ class Checked:
     state: State
     whitened: Whitened
     blocks: Blocks
+    remains: Remains
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,7 @@ def _complexity(candidate: Candidate) -> float:
     return candidate.finding.evidence.effective_parameters if candidate.finding else 0.0
 
 
-def improvement(before: Checked, after: Checked, candidate: Candidate, remains: Remains) -> float:
+def improvement(before: Checked, after: Checked, candidate: Candidate) -> float:
     """Return the significance with which held-out data got better.
 
     From blocks, whose falls differ however large they are; where nothing is left but noise, from that.
@@ -127,11 +128,11 @@ def improvement(before: Checked, after: Checked, candidate: Candidate, remains: 
     if candidate.finding is None:
         return float(abs(fall))
     by_blocks = fall_significance(before.blocks, after.blocks)
-    return max(by_blocks, float(fall)) if remains.consistent else by_blocks
+    return max(by_blocks, float(fall)) if after.remains.consistent else by_blocks
 
 
 def refusal_of(
-    before: Checked, after: Checked, candidate: Candidate, remains: Remains, sigma: float, settings: LoopSettings
+    before: Checked, after: Checked, candidate: Candidate, sigma: float, settings: LoopSettings
 ) -> str | None:
     """Say why a fitted candidate is not kept; None where it is."""
     if not candidate.log_bayes_factor >= settings.min_log_bayes_factor:
@@ -139,7 +140,7 @@ def refusal_of(
     if candidate.change is not None:
         if abs(after.blocks.chi2 - 1) > abs(before.blocks.chi2 - 1):
             return f"held-out chi^2 goes from {before.blocks.chi2:.4g} to {after.blocks.chi2:.4g}"
-        return None if remains.white else f"what is left is not white: {remains.why}"
+        return None if after.remains.white else f"what is left is not white: {after.remains.why}"
     if after.blocks.chi2 < TOO_SMALL:
         return f"it is so uncertain that it predicts nothing: held-out chi^2 {after.blocks.chi2:.4g}"
     if not after.blocks.chi2 < before.blocks.chi2:

@@ -10,7 +10,7 @@ import numpy as np
 from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.loop.candidates import Candidate, Checked, Round, indistinguishable
 from hydrabeam_mpi.loop.refit import Space
-from hydrabeam_mpi.loop.remains import Remains, remains_of
+from hydrabeam_mpi.loop.remains import Remains
 from hydrabeam_mpi.loop.rounds import Course
 from hydrabeam_mpi.loop.sentences import say_round, say_verdict
 from hydrabeam_mpi.loop.state import State
@@ -48,7 +48,7 @@ def make_record(
         JSON-able; the same on all ranks.
     """
     checks = [course.first, *(one.after for one in course.rounds)]
-    remains = [remains_of(space, checked.whitened) for checked in checks]
+    remains = [checked.remains for checked in checks]
     chi2 = [_train_chi2(space, checked) for checked in checks]
     rounds = [
         _round(space.experiment, one, chi2[i : i + 2], remains[i], course.last.state)

@@ -59,6 +59,11 @@ class Space:
         """The numbers of this rank group's channels."""
         return [int(number) for number in self.problem.channel_numbers]
 
+    def over_channels(self, values: FloatArray) -> float:
+        """Add up what each group has of its channels, (Nlocal,). Collective: all ranks of the grid."""
+        mine = float(np.sum(values)) if self.grid.is_group_root else 0.0
+        return float(sum(self.grid.world.allgather(mine)))
+
 
 def refit(space: Space, state: State) -> State:
     """Fit beams and effects jointly, from the values that the state has.
@@ -100,8 +105,7 @@ def _objective(space: Space, state: State) -> float:
         float(np.sum((one.x[:1] if one.effect.shared else one.x)[:, one.used] ** 2 / one.prior_var[one.used]))
         for one in state.active
     )
-    mine = float(np.sum(state.log_joint)) if space.grid.is_group_root else 0.0
-    return float(sum(space.grid.world.allgather(mine))) - 0.5 * penalty
+    return space.over_channels(state.log_joint) - 0.5 * penalty
 
 
 def _fit_beams(space: Space, state: State) -> tuple[Rows, ComplexArray]:

@@ -100,7 +100,7 @@ def _next_of(space: Space, effect: Effect, state: State) -> Effect:
 def check(space: Space, state: State) -> Checked:
     """Predict the held-out rows of a fitted state. Collective: all ranks of the grid."""
     whitened = whiten(space, state)
-    return Checked(state, whitened, blocks_of(space, whitened))
+    return Checked(state, whitened, blocks_of(space, whitened), remains_of(space, whitened))
 
 
 def rank(
@@ -131,9 +131,8 @@ def _try(space: Space, checked: Checked, ranking: Sequence[Candidate], course: C
             continue
         say(f"  trying {candidate.title} (ln BF {candidate.log_bayes_factor:.4g})", space.grid.is_world_root)
         fitted, after = _fit(space, checked, candidate)
-        remains = remains_of(space, after.whitened)
-        sigma = improvement(checked, after, fitted, remains)
-        reason = refusal_of(checked, after, fitted, remains, sigma, settings)
+        sigma = improvement(checked, after, fitted)
+        reason = refusal_of(checked, after, fitted, sigma, settings)
         say(
             f"    held-out chi^2 {after.blocks.chi2:.4g} (ln BF {fitted.log_bayes_factor:.4g})"
             + (f", refused: {reason}" if reason else ""),
@@ -144,7 +143,7 @@ def _try(space: Space, checked: Checked, ranking: Sequence[Candidate], course: C
         elif best is None or is_better(fitted, after, best):
             change = _beam_change(space, checked.state, after.state)
             best = Round(fitted, tuple(ranking), checked, after, sigma, change)
-            enough = remains.consistent
+            enough = after.remains.consistent
     return best
 
 
@@ -182,8 +181,7 @@ def _gain(space: Space, before: State, after: State) -> float:
     rows = last.x[:1] if last.effect.shared else last.x
     refined = last.effect.parameters(space.experiment).refined[used]
     penalty = 0.5 * float(np.sum((rows[:, used] ** 2 / last.prior_var[used])[:, ~refined]))
-    mine = float(np.sum(after.log_joint - before.log_joint)) if space.grid.is_group_root else 0.0
-    return float(sum(space.grid.world.allgather(mine))) - penalty
+    return space.over_channels(after.log_joint - before.log_joint) - penalty
 
 
 def _beam_change(space: Space, before: State, after: State) -> float:
