@@ -57,7 +57,10 @@ def write_job(job: dict[str, Any], folder: Path, name: str = "job.toml") -> Path
 
 def space_of(job: dict[str, Any], folder: Path, world: MPI.Comm = MPI.COMM_SELF) -> Space:
     """Simulate, and read the data as the loop does. Collective: all ranks of `world`."""
-    problem = prepare_shared(world, load(world, write_job(job, folder)), folder)
+    if world.rank == 0:
+        write_job(job, folder)
+    world.Barrier()
+    problem = prepare_shared(world, load(world, folder / "job.toml"), folder)
     experiment = find_experiment(problem)
     grid = ProcessGrid.split(world, problem.observation.Nfreqs)
     return read_space(grid, problem.of_channels(grid.channels), experiment, Clock())
