@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.effects.antenna_beams import added_by_beams
 from hydrabeam_mpi.effects.base import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.displaced import TILTS, need_real_beam, rotate, rotation_rate, seen_at, torque
 from hydrabeam_mpi.effects.experiment import Experiment
@@ -21,12 +22,8 @@ DEGREE = np.pi / 180
 class AntennaPointing(Effect):
     """Each antenna's beam is tilted towards East and North, the same at all times and frequencies.
 
-    The power beam of a baseline is the product of its antennas' voltage beams. For small tilts that is half the sum of
-    the two antennas' power beams,
-
-        E_ij = 1/2 (V(tilt_i) - V) + 1/2 (V(tilt_j) - V)
-
-    with V(tilt) what an array would see all of whose beams are tilted; tilts themselves are exact rotations of the beam
+    The power beam of a baseline is the product of its antennas' voltage beams (`antenna_beams`). It is linearised as
+    half the sum of the two antennas' power beams, which for small tilts it is; tilts are exact rotations of the beam
     about a horizontal axis. A tilt that all antennas have in common is a beam that points elsewhere, which the beam's
     own freedom takes up.
     """
@@ -64,14 +61,14 @@ class AntennaPointing(Effect):
         return Columns(values, 2 * len(scene.experiment.antennas_in_use), row_parameters(scene, 2))
 
     def added(self, scene: Scene, x: FloatArray) -> ComplexArray:
-        """Return half the sum of what the two antennas' tilts change, (Ntimes, Nbls)."""
-        changes = np.zeros((*scene.shape, 2, 1), dtype=complex)
+        """Return what the antennas' tilts change, (Ntimes, Nbls)."""
+        rotations = _rotations(x)
+        tilted = np.flatnonzero(rotations.any(axis=1))
 
-        def change(sources: Sources, rotation: FloatArray) -> FloatArray:
-            return (seen_at(sources, rotate(sources.enu, -rotation)).beam - sources.beam)[np.newaxis]
+        def beams(sources: Sources) -> FloatArray:
+            return np.array([seen_at(sources, rotate(sources.enu, -rotation)).beam for rotation in rotations[tilted]])
 
-        self._tilt(scene, x, change, changes)
-        return np.asarray(0.5 * changes.sum(axis=(2, 3)))
+        return added_by_beams(scene, tilted, beams)
 
     @staticmethod
     def _tilt(
@@ -81,7 +78,7 @@ class AntennaPointing(Effect):
 
         ``out``, (Ntimes, Nbls, 2, p), receives them at the rows of tilted antennas, first or second.
         """
-        rotations = DEGREE * x.reshape(-1, 2) @ TILTS.T
+        rotations = _rotations(x)
         tilted = np.flatnonzero(rotations.any(axis=1))
         if not len(tilted):
             return
@@ -97,3 +94,8 @@ class AntennaPointing(Effect):
             integrals = replace(scene, times=scene.times[t : t + 1]).integrate(stacked)[0]
             integrals = integrals.reshape(len(scene.groups), len(tilted), -1)
             out[t, rows, side] = integrals[scene.member[rows], of_row[rows, side]]
+
+
+def _rotations(x: FloatArray) -> FloatArray:
+    """Return the antennas' rotation vectors, (Nants, 3)."""
+    return np.asarray(DEGREE * x.reshape(-1, 2) @ TILTS.T)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.effects.antenna_beams import added_by_beams
 from hydrabeam_mpi.effects.base import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.displaced import need_real_beam
 from hydrabeam_mpi.effects.experiment import Experiment
@@ -25,11 +28,12 @@ MODES = (
 class NonredundantBeams(Effect):
     """Each antenna's power beam differs from the common one in a few low modes, each channel its own.
 
-    The power beam of a baseline is the product of its antennas' voltage beams, so for small differences
+    The power beam of a baseline is the product of its antennas' voltage beams (`antenna_beams`), for small differences
 
         E_ij = 1/2 sum_n (c_i + c_j)_n D_n
 
-    with D_n the visibilities of mode n. The modes come from the current beam itself, whatever its basis:
+    with D_n the visibilities of mode n, as which it is linearised. The modes come from the current beam itself,
+    whatever its basis:
 
     - three widths: fractional stretches of the disc of radius sqrt(1 - cos za), along East-West, along North-South,
       and along one diagonal at the expense of the other. They do what a reflector's size, its astigmatism and
@@ -66,6 +70,31 @@ class NonredundantBeams(Effect):
         values = scene.spread(0.5 * np.tile(scene.integrals[self.kind], 2))
         n_params = len(MODES) * len(scene.experiment.antennas_in_use)
         return Columns(values, n_params, row_parameters(scene, len(MODES)))
+
+    def added(self, scene: Scene, x: FloatArray) -> ComplexArray:
+        """Return what the antennas' shapes change, (Ntimes, Nbls)."""
+        shapes = x.reshape(-1, len(MODES))
+        shaped = np.flatnonzero(shapes.any(axis=1))
+
+        def beams(sources: Sources) -> FloatArray:
+            return np.array([reshaped(sources, shape) for shape in shapes[shaped]])
+
+        return added_by_beams(scene, shaped, beams)
+
+
+def reshaped(sources: Sources, shape: FloatArray) -> FloatArray:
+    """Return the beam of an antenna with these amplitudes of the modes, (Nsrc,): stretched, sidelobes raised."""
+    east_west, north_south, diagonal, *levels = shape
+    # In the plane of radius sqrt(1 - cos za).
+    radius = np.sqrt(1 - np.cos(sources.za))
+    plane = radius * np.stack([np.cos(sources.az), np.sin(sources.az)])
+    stretch = np.array([[1 + east_west, diagonal], [diagonal, 1 + north_south]])
+    x, y = np.linalg.solve(stretch, plane)
+    za, az = np.arccos(np.maximum(1 - x**2 - y**2, 0.0)), np.arctan2(y, x) % (2 * np.pi)
+    moved = replace(sources, za=za, az=az)
+    # Sidelobes belong to the sky's directions, as columns do.
+    east, north, _ = sources.enu
+    return moved.beam + moved.beam * (1 - moved.beam) * (levels[0] + levels[1] * east + levels[2] * north)
 
 
 def stretches(sources: Sources) -> FloatArray:

@@ -9,10 +9,11 @@ import numpy as np
 
 from hydrabeam_mpi.config.effects import Loop as LoopSettings
 from hydrabeam_mpi.effects.basis_truncation import BasisTruncation
-from hydrabeam_mpi.effects.reweighting import Reweighting, ReweightingFit
 from hydrabeam_mpi.loop.attribution import Finding
 from hydrabeam_mpi.loop.heldout import Blocks, Whitened, fall_significance
 from hydrabeam_mpi.loop.remains import Remains
+from hydrabeam_mpi.loop.reweighting import WeightsFound
+from hydrabeam_mpi.loop.significance import sigma_of_log_p
 from hydrabeam_mpi.loop.state import State
 
 DOUBT = 0.2
@@ -23,6 +24,8 @@ TOO_SMALL = 0.7
 """Held-out reduced chi^2 below which predictions claim far less than they should."""
 NEAR = 0.1
 """Effects with less than this part of the best one's evidence are not fitted."""
+NEARLY_NOISE = 1.1
+"""Held-out reduced chi^2 up to which the noise that the weights state is all that matters."""
 UNDECIDED_NATS = 5.0
 """Effects whose evidence is nearer than this to the best one's cannot be told from it."""
 
@@ -45,8 +48,7 @@ class Candidate:
     title: str
     log_bayes_factor: float
     finding: Finding | None = None
-    change: Reweighting | None = None
-    fit: ReweightingFit | None = None
+    weights: WeightsFound | None = None
 
 
 @dataclass(frozen=True)
@@ -78,30 +80,35 @@ def absorbed_reason(candidate: Candidate) -> str:
     return f"the beam can absorb {share:.1%} of it, so that these data cannot tell it from another beam"
 
 
-def in_order(wanted: Sequence[Candidate]) -> list[Candidate]:
+def in_order(wanted: Sequence[Candidate], most: int) -> list[Candidate]:
     """Order candidates for trial: by evidence, but a change of the weights after all effects that come near it.
 
-    What has a structure is no noise, whereas a larger noise seems to explain anything.
+    What has a structure is no noise, whereas a larger noise seems to explain anything. Of the effects there are the
+    ``most`` likely ones.
     """
     top = max((one.log_bayes_factor for one in wanted), default=0.0)
 
     def place(one: Candidate) -> int:
         return 1 if one.finding is None else 0 if one.log_bayes_factor >= NEAR * top else 2
 
-    return sorted(wanted, key=place)
+    tried = {id(one) for one in [one for one in wanted if one.finding is not None][:most]}
+    return [one for one in sorted(wanted, key=place) if one.finding is None or id(one) in tried]
 
 
 def is_better(fitted: Candidate, after: Checked, best: Round) -> bool:
     """Whether a fitted effect is better than the best so far.
 
-    By evidence; where strongly nonlinear effects have nearly the same, by the error on held-out data.
+    By the evidence of the fitted data and the predictive density of the others, together the evidence of all. While
+    something is left, what strongly nonlinear effects have is not known as well: where it is nearly the same, the error
+    on held-out data decides.
     """
     ahead = fitted.log_bayes_factor - best.candidate.log_bayes_factor
     linear = {one.kind: one.log_bayes_factor for one in best.ranking}
     changes = [abs(one.log_bayes_factor - linear[one.kind]) for one in (fitted, best.candidate)]
-    if abs(ahead) < DOUBT * max(changes):
+    nothing_left = after.remains.consistent and best.after.remains.consistent
+    if not nothing_left and abs(ahead) < DOUBT * max(changes):
         return after.blocks.chi2 < best.after.blocks.chi2
-    return ahead > 0
+    return ahead + after.blocks.log_density - best.after.blocks.log_density > 0
 
 
 def may_be_better(candidate: Candidate, best: Round, enough: bool) -> bool:
@@ -122,13 +129,17 @@ def _complexity(candidate: Candidate) -> float:
 def improvement(before: Checked, after: Checked, candidate: Candidate) -> float:
     """Return the significance with which held-out data got better.
 
-    From blocks, whose falls differ however large they are; where nothing is left but noise, from that.
+    From blocks, whose falls differ however large they are. Where little but noise is left the predictive densities
+    tell more: a ratio of these of e^k has a probability of e^-k at most if the effect is not there, however it was
+    fitted.
     """
-    fall = (before.blocks.chi2 - after.blocks.chi2) * np.sqrt(before.blocks.n_data)
     if candidate.finding is None:
-        return float(abs(fall))
+        return float(abs(before.blocks.chi2 - after.blocks.chi2) * np.sqrt(before.blocks.n_data))
     by_blocks = fall_significance(before.blocks, after.blocks)
-    return max(by_blocks, float(fall)) if after.remains.consistent else by_blocks
+    ratio = after.blocks.log_density - before.blocks.log_density
+    if ratio <= 0 or after.blocks.chi2 > NEARLY_NOISE:
+        return by_blocks
+    return max(by_blocks, sigma_of_log_p(-ratio))
 
 
 def refusal_of(
@@ -137,7 +148,7 @@ def refusal_of(
     """Say why a fitted candidate is not kept; None where it is."""
     if not candidate.log_bayes_factor >= settings.min_log_bayes_factor:
         return f"its log Bayes factor is {candidate.log_bayes_factor:.4g} once it is fitted"
-    if candidate.change is not None:
+    if candidate.weights is not None:
         if abs(after.blocks.chi2 - 1) > abs(before.blocks.chi2 - 1):
             return f"held-out chi^2 goes from {before.blocks.chi2:.4g} to {after.blocks.chi2:.4g}"
         return None if after.remains.white else f"what is left is not white: {after.remains.why}"

@@ -32,13 +32,22 @@ class Whitened:
     used : ndarray of bool, same shape
     share : ndarray, same shape
         The model's share of the predictive variance, mean of the two parts.
+    model : ndarray of complex, same shape
+        The prediction over the standard deviation of the noise of its parts; zero where there are no data.
+    root : ndarray, same shape
+        One over that standard deviation.
+    log_spread : float
+        Sum over all ranks of ln |1 + M| / 2, with M the predictions' covariance in units of the noise.
     n_shared : float
-        Twice the sum of that over all ranks: how many fitted parameters the predictions feel.
+        Twice the sum of ``share`` over all ranks: how many fitted parameters the predictions feel.
     """
 
     z: ComplexArray
     used: NDArray[np.bool_]
     share: FloatArray
+    model: ComplexArray
+    root: FloatArray
+    log_spread: float
     n_shared: float = 0.0
 
 
@@ -50,10 +59,18 @@ class Blocks:
     ----------
     times, groups : ndarray, (2, N)
         Sum and number for each time and each redundant group.
+    log_spread : float
+        See `Whitened`.
     """
 
     times: FloatArray
     groups: FloatArray
+    log_spread: float = 0.0
+
+    @property
+    def log_density(self) -> float:
+        """Logarithm of the predictive density of all, up to a constant of the noise."""
+        return -float(self.times[0].sum()) - self.log_spread
 
     @property
     def chi2(self) -> float:
@@ -77,23 +94,25 @@ def whiten(space: Space, state: State) -> Whitened:
     if local is None:
         return _with_total(space, _whiten(space, state))
     folds = _fold(space, local)
-    result = None
+    result, spread = None, 0.0
     for fold in (0, 1):
         fitted = _fit_local(space, state, local, folds != fold)
         part = _whiten(space, fitted)
         if result is None:
             result = part
         chosen = np.broadcast_to(folds == fold, part.z.shape)
-        for name in ("z", "used", "share"):
+        for name in ("z", "used", "share", "model", "root"):
             getattr(result, name)[chosen] = getattr(part, name)[chosen]
+        spread += 0.5 * part.log_spread
     assert result is not None
-    return _with_total(space, result)
+    return _with_total(space, replace(result, log_spread=spread))
 
 
 def _with_total(space: Space, whitened: Whitened) -> Whitened:
-    """Sum the model's share of the variance over ranks."""
-    mine = 2 * float(whitened.share[whitened.used].sum())
-    return replace(whitened, n_shared=float(sum(space.grid.world.allgather(mine))))
+    """Sum over ranks."""
+    mine = np.array([2 * float(whitened.share[whitened.used].sum()), whitened.log_spread])
+    allreduce_sum(space.grid.world, mine)
+    return replace(whitened, n_shared=float(mine[0]), log_spread=float(mine[1]))
 
 
 def _untold(space: Space, state: State) -> str | None:
@@ -155,19 +174,23 @@ def _whiten(space: Space, state: State) -> Whitened:
     share = space.test
     with together(space.grid.world):
         rows, added = share.calibrated(state)
-    z, share_of_model = np.zeros_like(rows.data), np.zeros(rows.data.shape)
+    z, model, share_of_model = np.zeros_like(rows.data), np.zeros_like(rows.data), np.zeros(rows.data.shape)
+    root = np.sqrt(2 * rows.inv_noise_var)
+    log_spread = 0.0
     for channel in range(len(space.channels)):
         covariance = state.covariances[channel] if state.active else np.zeros((0, 0))
         errors = SharedErrors(covariance) if 0 < len(covariance) <= MAX_DENSE else None
         with together(space.grid.world):
             for span, scene, design in share.scenes(channel, state, added[channel], rows):
                 columns, weights = _felt(space, state, channel, scene, design, errors is not None)
+                model[channel, span] = root[channel, span] * scene.vis
                 for t, row in enumerate(range(span.start, span.stop)):
                     stack = np.column_stack([scene.residual[t], columns[t]])
                     posterior = state.posteriors[channel]
-                    white, share_of_model[channel, row] = whiten_time(
+                    white, share_of_model[channel, row], spread = whiten_time(
                         stack, weights[t], scene.member, design[t], posterior
                     )
+                    log_spread += spread
                     z[channel, row] = white[:, 0]
                     if errors is not None:
                         errors.add(white[:, 0], white[:, 1:])
@@ -179,7 +202,8 @@ def _whiten(space: Space, state: State) -> Whitened:
             used = rows.inv_noise_var[channel] > 0
             n_used = int(space.grid.group.allreduce(np.count_nonzero(used)))
             share_of_model[channel] += errors.n_shared / (2 * max(n_used, 1))
-    return Whitened(z, rows.inv_noise_var > 0, share_of_model)
+            log_spread += errors.log_spread if space.grid.is_group_root else 0.0
+    return Whitened(z, rows.inv_noise_var > 0, share_of_model, model, root, log_spread)
 
 
 def _felt(
@@ -223,7 +247,7 @@ def blocks_of(space: Space, whitened: Whitened) -> Blocks:
         np.add.at(groups[row], rows.groups[rows.member], values.sum(axis=0))
     allreduce_sum(space.grid.world, times)
     allreduce_sum(space.grid.world, groups)
-    return Blocks(times, groups)
+    return Blocks(times, groups, whitened.log_spread)
 
 
 def fall_significance(before: Blocks, after: Blocks) -> float:

@@ -23,7 +23,7 @@ from hydrabeam_mpi.infer.posterior import Posterior
 
 def whiten_time(
     rows: ComplexArray, weights: FloatArray, member: IntArray, design: NDArray[Any], posterior: Posterior
-) -> tuple[ComplexArray, FloatArray]:
+) -> tuple[ComplexArray, FloatArray, float]:
     """Whiten the rows of one time.
 
     Parameters
@@ -45,12 +45,14 @@ def whiten_time(
         Of residuals, with real and imaginary parts of variance one.
     share : ndarray, (Nbls,)
         The model's share of the variance.
+    log_spread : float
+        Half of the logarithm of the covariance's determinant, in units of the noise.
     """
     n_groups = design.shape[-2]
     group_weights = np.bincount(member, weights, n_groups)
     used = np.flatnonzero(group_weights)
     if not len(used):  # a time that is wholly flagged
-        return np.zeros_like(rows), np.zeros(len(member))
+        return np.zeros_like(rows), np.zeros(len(member)), 0.0
     root = np.tile(np.sqrt(2 * group_weights[used]), 2)
     # Unit vectors of what a group's members have in common, and the components along them.
     own = np.sqrt(weights / np.where(group_weights > 0, group_weights, 1.0)[member])
@@ -66,7 +68,7 @@ def whiten_time(
     shared = np.zeros(n_groups)
     by_part = np.square(vectors) @ (values / (1 + values))
     shared[used] = 0.5 * (by_part[: len(used)] + by_part[len(used) :])
-    return plain + gather.T @ change, own**2 * shared[member]
+    return plain + gather.T @ change, own**2 * shared[member], 0.5 * float(np.log1p(values).sum())
 
 
 class SharedErrors:
@@ -109,6 +111,11 @@ class SharedErrors:
         """How many parameters the predictions feel."""
         values = np.maximum(np.linalg.eigvalsh(self.gram), 0.0)
         return float(np.sum(values / (1 + values)))
+
+    @property
+    def log_spread(self) -> float:
+        """Half of the logarithm of the covariance's determinant."""
+        return 0.5 * float(np.log1p(np.maximum(np.linalg.eigvalsh(self.gram), 0.0)).sum())
 
 
 def _model_variance(posterior: Posterior, design: NDArray[Any], used: IntArray) -> FloatArray:

@@ -9,6 +9,7 @@ import numpy as np
 
 from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.loop.candidates import Candidate, Checked, Round, indistinguishable
+from hydrabeam_mpi.loop.drift import BeamDrift
 from hydrabeam_mpi.loop.refit import Space
 from hydrabeam_mpi.loop.remains import Remains
 from hydrabeam_mpi.loop.rounds import Course
@@ -55,7 +56,9 @@ def make_record(
         for i, one in enumerate(course.rounds)
     ]
     tried = [
-        {"effect": one.kind, "log_bayes_factor": one.log_bayes_factor, "reason": reason} for one, reason in course.tried
+        {"effect": one.kind, "log_bayes_factor": one.log_bayes_factor, "reason": reason}
+        for one, reason in course.tried
+        if one.kind != BeamDrift.kind
     ]
     reasons = [{"effect": kind, "reason": reason} for kind, reason in skipped]
     if leakage is not None:
@@ -65,8 +68,9 @@ def make_record(
     if conventions["found"]:
         rounds = [_convention(course, conventions)]
     verdict = "unexplained"
-    if remains[-1].consistent or conventions["found"]:
+    if (remains[-1].consistent and course.foreign is None) or conventions["found"]:
         verdict = "explained" if rounds else "consistent"
+    foreign = _foreign(course)
     record = {
         "name": space.problem.job.name,
         "verdict": verdict,
@@ -75,10 +79,11 @@ def make_record(
         "heldout_n": course.last.blocks.n_data,
         "said": [
             *(one["sentence"] for one in rounds),
-            say_verdict(verdict, course.last.blocks.chi2, remains[-1].where),
+            say_verdict(verdict, course.last.blocks.chi2, remains[-1].where, foreign),
         ],
+        "foreign": foreign,
         "rounds": rounds,
-        "last_ranking": [_ranked(one) for one in course.ranking],
+        "last_ranking": [_ranked(one) for one in known_effects(course.ranking)],
         "tried": tried,
         "skipped": reasons,
         "undecidable": [{"what": what, "why": why} for what, why in UNDECIDABLE],
@@ -89,6 +94,15 @@ def make_record(
     }
     found: dict[str, Any] = _finite(record)
     return found
+
+
+def _foreign(course: Course) -> dict[str, Any] | None:
+    """Tell what explains more than any effect and is none."""
+    if course.foreign is None:
+        return None
+    candidate = course.foreign.candidate
+    told = {"title": candidate.title, "heldout_after": course.foreign.after.blocks.chi2}
+    return _ranked(candidate) | told
 
 
 def _finite(value: Any) -> Any:
@@ -138,7 +152,8 @@ def _train_chi2(space: Space, checked: Checked) -> float:
 def _round(experiment: Experiment, one: Round, chi2: list[float], before: Remains, last: State) -> dict[str, Any]:
     """Tell one round."""
     candidate = one.candidate
-    others = [other for other in one.ranking if other.kind != candidate.kind]
+    ranking = known_effects(one.ranking)
+    others = [other for other in ranking if other.kind != candidate.kind]
     told = {
         "effect": candidate.kind,
         "title": candidate.title,
@@ -152,11 +167,11 @@ def _round(experiment: Experiment, one: Round, chi2: list[float], before: Remain
         "heldout_sigma": one.sigma,
         "runner_up": others[0].kind if others else None,
         "runner_up_log_bayes_factor": others[0].log_bayes_factor if others else None,
-        "indistinguishable_from": indistinguishable(candidate, one.ranking),
+        "indistinguishable_from": indistinguishable(candidate, ranking),
         "beam_change_max": one.beam_change,
         "prior_scale": _prior_scale(one),
         **_size(candidate),
-        "ranking": [_ranked(other) for other in one.ranking],
+        "ranking": [_ranked(other) for other in ranking],
         "residual": before.statistics,
     }
     return {"sentence": say_round(told), **told}
@@ -172,14 +187,20 @@ def _size(candidate: Candidate) -> dict[str, Any]:
             "chi2_drop": evidence.chi2_drop,
             "rank": evidence.rank,
         }
-    assert candidate.fit is not None
-    n = candidate.fit.n_parameters
+    assert candidate.weights is not None
+    fit = candidate.weights.fit
+    n = fit.n_parameters
     return {
         "n_parameters": n,
         "effective_parameters": float(n),
-        "chi2_drop": candidate.fit.chi2_drop,
+        "chi2_drop": fit.chi2_drop,
         "rank": n,
     }
+
+
+def known_effects(ranking: Sequence[Candidate]) -> list[Candidate]:
+    """Leave out what is weighed beside the effects and is none."""
+    return [one for one in ranking if one.kind != BeamDrift.kind]
 
 
 def _ranked(candidate: Candidate) -> dict[str, Any]:
@@ -191,8 +212,8 @@ def _ranked(candidate: Candidate) -> dict[str, Any]:
         "absorbed_by_beam": absorbed,
         **_size(candidate),
     }
-    if candidate.fit is not None and candidate.fit.reason:
-        line["reason"] = candidate.fit.reason
+    if candidate.weights is not None and candidate.weights.fit.reason:
+        line["reason"] = candidate.weights.fit.reason
     return line
 
 
@@ -209,9 +230,8 @@ def parameters_of(experiment: Experiment, one: Round, last: State) -> list[dict[
 
     They are those of the last state, in which all effects are fitted jointly.
     """
-    if one.candidate.change is not None:
-        assert one.candidate.fit is not None
-        fit, shared = one.candidate.fit, False
+    if one.candidate.weights is not None:
+        fit, shared = one.candidate.weights.fit, False
         names, units, x, std = fit.names, fit.units, fit.x, fit.std
     else:
         active = last.active[len(one.after.state.active) - 1]

@@ -5,14 +5,22 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.loop.coherent import Coherence, CoherentRows, CoherentSums, coherences
 from hydrabeam_mpi.loop.cube import Layout, Residuals, whole_baselines
 from hydrabeam_mpi.loop.heldout import Whitened
 from hydrabeam_mpi.loop.refit import Space
 from hydrabeam_mpi.loop.residuals import ResidualSums
+from hydrabeam_mpi.loop.spots import SpotSums, spots
+from hydrabeam_mpi.loop.state import State
 from hydrabeam_mpi.loop.statistics import statistics
 from hydrabeam_mpi.loop.structures import structures
 from hydrabeam_mpi.loop.where import where
 from hydrabeam_mpi.loop.whiteness import is_white
+from hydrabeam_mpi.loop.workspace import Share
+from hydrabeam_mpi.mpi import together
 
 MIN_P = 1e-3
 """Look-corrected probability below which something is left."""
@@ -42,20 +50,50 @@ class Remains:
     structures: dict[str, Any] | None
 
 
-def remains_of(space: Space, whitened: Whitened) -> Remains:
+def remains_of(space: Space, state: State, whitened: Whitened) -> Remains:
     """Describe the held-out residuals. Collective: all ranks of the grid."""
     world, experiment, tile = space.grid.world, space.experiment, space.test.rows.tile
     layout = Layout(experiment.observation, experiment.redundant, space.problem.test.times)
     residuals = Residuals(whitened.z, whitened.used, space.problem.channel_numbers, tile.times, tile.bls)
     cube = whole_baselines(world, residuals, layout)
     sums = ResidualSums.of(cube).reduce(world)
-    told = statistics(sums, layout, whitened.n_shared)
-    white, why = is_white(sums, layout, whitened.n_shared)
+    coherent = _coherent(space, state, whitened)
+    told = statistics(sums, layout, whitened.n_shared, coherent)
+    white, why = is_white(sums, layout, whitened.n_shared, coherent)
     return Remains(
         consistent=told["significance"]["p"] >= MIN_P,
         white=white,
         why=why,
         statistics=told,
-        where=where(sums, layout, whitened.n_shared),
+        where=where(sums, layout, whitened.n_shared, coherent),
         structures=structures(world, cube),
     )
+
+
+def _coherent(space: Space, state: State, whitened: Whitened) -> tuple[Coherence, ...]:
+    """Look for what residuals have in common with the model or the sky. Collective: all ranks of the grid.
+
+    In fitted rows as well: there the part that redundant baselines do not share is no less noise, as the beam has not
+    been fitted to it, and of the rest there is less than there would be of noise.
+    """
+    observation, antennas = space.experiment.observation, space.experiment.antenna_index
+    vectors = space.experiment.redundant.vectors
+    like_model = CoherentSums.zeros(observation.Nfreqs, observation.Nants, observation.Ntimes, observation.Nbls)
+    like_sky = SpotSums.zeros(observation.Ntimes, vectors, float(observation.freqs.max()))
+
+    def add(share: Share, number: int, times: IntArray, z: ComplexArray, model: ComplexArray, root: FloatArray) -> None:
+        tile, member = share.rows.tile, share.rows.member
+        like_model.add(number, times, z, model, CoherentRows(tile.bls, antennas[tile.bls], member))
+        like_sky.add(times, z, root, vectors[share.rows.groups], member, float(observation.freqs[number]))
+
+    with together(space.grid.world):
+        rows, added = space.train.calibrated(state)
+        for channel, number in enumerate(space.channels):
+            used = whitened.used[channel]
+            held = (np.where(used, one[channel], 0.0) for one in (whitened.z, whitened.model, whitened.root))
+            add(space.test, number, space.test.rows.tile.times, *held)
+            for _, scene, _ in space.train.scenes(channel, state, added[channel], rows):
+                root = np.sqrt(2 * scene.weights)
+                add(space.train, number, scene.times, root * scene.residual, root * scene.vis, root)
+    world = space.grid.world
+    return (*coherences(like_model.reduce(world)), *spots(like_sky.reduce(world)))

@@ -27,6 +27,7 @@ from hydrabeam_mpi.loop.candidates import (
     may_be_better,
     refusal_of,
 )
+from hydrabeam_mpi.loop.drift import BeamDrift
 from hydrabeam_mpi.loop.heldout import blocks_of, whiten
 from hydrabeam_mpi.loop.refit import Space, refit
 from hydrabeam_mpi.loop.remains import remains_of
@@ -51,6 +52,8 @@ class Course:
         What evidence wanted and held-out data refused, with the reason.
     ranking : tuple of Candidate
         Of the last search, in which nothing more was found.
+    foreign : Round, optional
+        What explained the data better than any effect in the last search, and is none of them; not added.
     """
 
     first: Checked
@@ -58,6 +61,7 @@ class Course:
     rounds: list[Round] = field(default_factory=list)
     tried: list[tuple[Candidate, str]] = field(default_factory=list)
     ranking: tuple[Candidate, ...] = ()
+    foreign: Round | None = None
 
 
 def run_rounds(
@@ -81,6 +85,10 @@ def run_rounds(
             break
         with clock.time("trials"):
             added = _try(space, checked, ranking, course)
+        if added is not None and added.candidate.kind == BeamDrift.kind:
+            course.foreign = added
+            say("  nothing is added: no effect comes near a beam that changes in time", speaks)
+            break
         if added is None:
             break
         course.rounds.append(added)
@@ -100,7 +108,7 @@ def _next_of(space: Space, effect: Effect, state: State) -> Effect:
 def check(space: Space, state: State) -> Checked:
     """Predict the held-out rows of a fitted state. Collective: all ranks of the grid."""
     whitened = whiten(space, state)
-    return Checked(state, whitened, blocks_of(space, whitened), remains_of(space, whitened))
+    return Checked(state, whitened, blocks_of(space, whitened), remains_of(space, state, whitened))
 
 
 def rank(
@@ -112,8 +120,10 @@ def rank(
         for finding in attribute(space, state, effects)
     ]
     done = {one.change.kind for one in state.reweighted}
-    for change, fit in fit_reweightings(space, state, [one for one in changes if one.kind not in done]):
-        candidates.append(Candidate(change.kind, change.title, fit.log_bayes_factor, None, change, fit))
+    candidates += [
+        Candidate(found.change.kind, found.change.title, found.fit.log_bayes_factor, weights=found)
+        for found in fit_reweightings(space, state, [one for one in changes if one.kind not in done])
+    ]
     return tuple(sorted(candidates, key=lambda one: -one.log_bayes_factor))
 
 
@@ -126,7 +136,7 @@ def _try(space: Space, checked: Checked, ranking: Sequence[Candidate], course: C
     for candidate in wanted:
         if is_absorbed(candidate):
             course.tried.append((candidate, absorbed_reason(candidate)))
-    for candidate in in_order([one for one in wanted if not is_absorbed(one)])[:MAX_TRIES]:
+    for candidate in in_order([one for one in wanted if not is_absorbed(one)], MAX_TRIES):
         if best is not None and not may_be_better(candidate, best, enough):
             continue
         say(f"  trying {candidate.title} (ln BF {candidate.log_bayes_factor:.4g})", space.grid.is_world_root)
@@ -151,10 +161,10 @@ def _fit(space: Space, checked: Checked, candidate: Candidate) -> tuple[Candidat
     """Fit a candidate and weigh it again where it has been fitted, as no effect is quite linear."""
     state = checked.state
     if candidate.finding is None:
-        assert candidate.change is not None
-        assert candidate.fit is not None
-        extended = replace(state, reweighted=[*state.reweighted, _reweighted(candidate)])
-        return candidate, check(space, refit(space, extended))
+        assert candidate.weights is not None
+        found = candidate.weights
+        added = Reweighted(found.change, found.fit.x, found.fit.std)
+        return candidate, check(space, refit(space, replace(found.start, reweighted=[*state.reweighted, added])))
     effect, evidence = candidate.finding.effect, candidate.finding.evidence
     fitted = refit(space, state.extended(Active.start(effect, space.experiment, evidence.prior_var, evidence.x)))
     again = reconsider(space, fitted)
@@ -166,12 +176,6 @@ def _fit(space: Space, checked: Checked, candidate: Candidate) -> tuple[Candidat
     log_bayes_factor = again.log_bayes_factor - again.linear_gain + gained
     finding = Finding(effect, replace(again, log_bayes_factor=log_bayes_factor))
     return replace(candidate, finding=finding, log_bayes_factor=log_bayes_factor), check(space, fitted)
-
-
-def _reweighted(candidate: Candidate) -> Reweighted:
-    assert candidate.change is not None
-    assert candidate.fit is not None
-    return Reweighted(candidate.change, candidate.fit.x, candidate.fit.std)
 
 
 def _gain(space: Space, before: State, after: State) -> float:

@@ -32,11 +32,17 @@ def _sigmas(one: dict[str, Any]) -> float:
     return abs(one["value"]) / one["std"] if one["std"] else 0.0
 
 
-def say_verdict(verdict: str, chi2: float, where: dict[str, Any]) -> str:
-    """Tell how the loop ended."""
+def say_verdict(verdict: str, chi2: float, where: dict[str, Any], foreign: dict[str, Any] | None = None) -> str:
+    """Tell how the loop ended; ``foreign`` is what explains more than any effect and is none."""
     error = f"held-out reduced chi^2 {chi2:.4g}"
     if verdict == "consistent":
         return f"Nothing is missing: the data agree with the model within the noise ({error})."
     if verdict == "explained":
         return f"Nothing significant is left ({error})."
-    return f"What is left ({error}) is explained by no effect in the catalogue. {where['sentence']}"
+    better = ""
+    if foreign is not None:
+        better = (
+            f"{foreign['title'].capitalize()} would explain more than any of them (log Bayes factor "
+            f"{foreign['log_bayes_factor']:,.0f}, held-out reduced chi^2 {foreign['heldout_after']:.4g}). "
+        )
+    return f"What is left ({error}) is explained by no effect in the catalogue. {better}{where['sentence']}"

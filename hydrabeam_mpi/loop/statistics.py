@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from hydrabeam_mpi.loop.axes import Axis, Freedom, all_axes
+from hydrabeam_mpi.loop.coherent import Coherence
 from hydrabeam_mpi.loop.cube import Layout
 from hydrabeam_mpi.loop.residuals import ResidualSums
 from hydrabeam_mpi.loop.significance import (
@@ -42,7 +44,9 @@ class Look:
         return log_p_of_looks(float(log_p_two_sided(self.sigma)), self.n_looks)
 
 
-def statistics(sums: ResidualSums, layout: Layout, n_shared: float = 0.0) -> dict[str, Any]:
+def statistics(
+    sums: ResidualSums, layout: Layout, n_shared: float = 0.0, coherent: Sequence[Coherence] = ()
+) -> dict[str, Any]:
     """Return the statistics of whitened residuals, JSON-able.
 
     Parameters
@@ -53,6 +57,8 @@ def statistics(sums: ResidualSums, layout: Layout, n_shared: float = 0.0) -> dic
     n_shared : float, optional
         Number of fitted parameters that held-out rows share, or better the sum over their parts of the model's share
         of the predictive variance; see `axes.Freedom`.
+    coherent : sequence of Coherence, optional
+        What residuals have in common with the model.
 
     Returns
     -------
@@ -61,7 +67,8 @@ def statistics(sums: ResidualSums, layout: Layout, n_shared: float = 0.0) -> dic
         all entries up to 64, else the 32 most significant. ``entries``: the number of entries of each axis.
         ``unevenness``: for each axis the significance of its entries differing. ``redundancy``: chi^2 of what
         redundant baselines have in common and of what they have not. ``correlations``, ``tails``: of pairs of
-        visibilities; kurtosis and the largest |z|. ``looks``: their number. ``significance``: the most
+        visibilities; kurtosis and the largest |z|. ``coherent``: of each kind the most significant {"kind", "what",
+        "sigma", "n"} among n looks. ``looks``: their number. ``significance``: the most
         significant excess or structure of all, {"axis", "what", "sigma", "p", "log10_p", "corrected_sigma"} with p
         corrected for the looks: on its axis,
         then for the number of axes. ``n`` and ``sigma`` count complex data and Gaussian standard deviations.
@@ -73,6 +80,7 @@ def statistics(sums: ResidualSums, layout: Layout, n_shared: float = 0.0) -> dic
     # Predictions may well be better than they claim, where the prior is wide: that is nothing missing.
     looks = [Look("overall", "all", max(overall["sigma"], 0.0), 1), *shape]
     looks += [largest_excess(axis, freedom) for axis in axes.values() if len(axis) > 1]
+    looks += (like_model := [coherent_look(one, layout) for one in coherent])
     return {
         "overall": overall,
         "axes": {name: _listed(axis, freedom) for name, axis in axes.items()},
@@ -81,6 +89,7 @@ def statistics(sums: ResidualSums, layout: Layout, n_shared: float = 0.0) -> dic
         "redundancy": _redundancy(sums, freedom),
         "correlations": _correlations(sums, freedom),
         "tails": _tails(sums, layout, freedom),
+        "coherent": [{"kind": one.axis, "what": one.what, "sigma": one.sigma, "n": one.n_looks} for one in like_model],
         "looks": sum(look.n_looks for look in looks),
         "significance": significance(looks),
         "n_shared": float(n_shared),
@@ -114,6 +123,13 @@ def largest_excess(axis: Axis, freedom: Freedom) -> Look:
     sigma = axis.sigma(freedom)
     k = int(np.argmax(sigma))
     return Look(axis.name, axis.what[k], max(float(sigma[k]), 0.0), len(axis))
+
+
+def coherent_look(coherence: Coherence, layout: Layout, level: float = 1.0) -> Look:
+    """Return what is most coherent with the model, where noise has variance ``level``."""
+    sigma = coherence.sigma(level)
+    k = int(np.argmax(sigma))
+    return Look(coherence.name, coherence.words(k, layout.observation), max(float(sigma[k]), 0.0), len(sigma))
 
 
 def shape_looks(sums: ResidualSums, axes: dict[str, Axis], freedom: Freedom) -> list[Look]:

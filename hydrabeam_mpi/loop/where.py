@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,9 +10,11 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.loop.axes import Axis, Freedom, all_axes
+from hydrabeam_mpi.loop.coherent import OF_BASELINES, OF_TIMES, SPOTS, Coherence
 from hydrabeam_mpi.loop.cube import Layout
 from hydrabeam_mpi.loop.residuals import ResidualSums
 from hydrabeam_mpi.loop.significance import log_p_two_sided
+from hydrabeam_mpi.loop.statistics import Look, coherent_look
 from hydrabeam_mpi.loop.where_words import sentence
 
 CARRIED = 2 / 3
@@ -21,6 +24,8 @@ CONCENTRATED = 1 / 4
 """Fraction of an axis's entries, at most, that a concentrated excess lives in. Gaussian amplitudes everywhere would
 have two thirds of their power in a third of the entries."""
 MOST_LISTED = 64
+CLEAR = 3.0
+"""Significance from which on what follows the model is counted."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +56,9 @@ class Carriers:
         return cls(entries[:count], shares[:count], fewest)
 
 
-def where(sums: ResidualSums, layout: Layout, n_shared: float = 0.0) -> dict[str, Any]:
+def where(
+    sums: ResidualSums, layout: Layout, n_shared: float = 0.0, coherent: Sequence[Coherence] = ()
+) -> dict[str, Any]:
     """Tell where the excess of chi^2 over its expectation lives.
 
     Parameters
@@ -59,8 +66,8 @@ def where(sums: ResidualSums, layout: Layout, n_shared: float = 0.0) -> dict[str
     sums : ResidualSums
         Of all ranks.
     layout : Layout
-    n_shared : float, optional
-        As in `statistics.statistics`.
+    n_shared, coherent : optional
+        As in `statistics.statistics`. What follows the model tells antennas or baselines where chi^2 alone does not.
 
     Returns
     -------
@@ -70,7 +77,8 @@ def where(sums: ResidualSums, layout: Layout, n_shared: float = 0.0) -> dict[str
         many) or "even"; ``sigma`` the significance of their differing; ``count`` the number of entries that carry
         two thirds. ``entries`` lists these and those about as strong as the weakest of them, up to 64, none if even,
         each as {"what", "chi2", "share", "sigma"}. The share of an antenna is that of its baselines that no antenna
-        listed before it has.
+        listed before it has. An axis told only by what follows the model has ``by``, the kind and the most
+        significant one, and shares and significances of that.
     """
     freedom = Freedom.of(n_shared, sums.n)
     axes = all_axes(sums, layout)
@@ -81,8 +89,17 @@ def where(sums: ResidualSums, layout: Layout, n_shared: float = 0.0) -> dict[str
             carriers = _antenna_carriers(sums, layout, axis) if name == "antennas" else _carriers(axis, freedom)
             described[name] = _describe(axis, carriers, freedom, freedom.heavier(sums))
             found[name] = carriers
+    for one in sorted(coherent, key=lambda one: coherent_look(one, layout).log_p):
+        name = "baselines" if one.name in OF_BASELINES else "times" if one.name in OF_TIMES else "antennas"
+        look = coherent_look(one, layout)
+        if look.log_p < np.log(SMALLEST_P) and name in described and described[name]["state"] == "even":
+            # Spots of all times are told by the single ones.
+            single = next((two for two in coherent if two.name == SPOTS), one) if name == "times" else one
+            _tell_coherent(single, look, layout, axes[name], described, found)
     chosen = {name: carriers.entries for name, carriers in found.items() if described[name]["state"] != "even"}
-    return {"sentence": sentence(axes, described, chosen, _of_few_baselines(layout, axes, chosen)), **described}
+    words = sentence(axes, described, chosen, _of_few_baselines(layout, axes, chosen))
+    words += "".join(f" It shows in {one['by']}." for one in described.values() if "by" in one)
+    return {"sentence": words, **described}
 
 
 def _carriers(axis: Axis, freedom: Freedom) -> Carriers:
@@ -111,6 +128,43 @@ def _antenna_carriers(sums: ResidualSums, layout: Layout, axis: Axis) -> Carrier
         shares.append(float(by_antenna[best]) / total)
         left[(index == best).any(axis=1)] = 0.0
     return Carriers.of(np.array(entries, dtype=int), np.array(shares))
+
+
+def _tell_coherent(
+    coherence: Coherence,
+    look: Look,
+    layout: Layout,
+    axis: Axis,
+    described: dict[str, Any],
+    found: dict[str, Carriers],
+) -> None:
+    """Describe an axis by what of the residual follows the model or the sky."""
+    observation = layout.observation
+    names = {
+        "antennas": observation.antenna_numbers.tolist(),
+        "baselines": observation.antpairs.tolist(),
+        "times": observation.times.tolist(),
+    }[axis.name]
+    place = {str(what["jd"] if axis.name == "times" else what): k for k, what in enumerate(axis.what)}
+    excess, sigma = np.zeros(len(axis)), np.zeros(len(axis))
+    for index, over, significance in zip(
+        coherence.index, coherence.chi2 - coherence.dof, coherence.sigma(), strict=True
+    ):
+        k = place.get(str(names[index]))
+        if k is None:  # a time that is fitted
+            continue
+        excess[k], sigma[k] = max(excess[k], over), max(sigma[k], significance)
+    order = np.argsort(-excess, kind="stable")
+    shares = excess[order] / max(float(excess[sigma >= CLEAR].sum()), float(excess.max()), 1e-300)
+    carriers = Carriers.of(order, np.where(sigma[order] >= CLEAR, shares, 0.0))
+    few = carriers.fewest <= np.ceil(CONCENTRATED * len(axis))
+    entries = [
+        {"what": axis.what[k], "chi2": float(axis.chi2[k]), "share": float(share), "sigma": float(sigma[k])}
+        for k, share in zip(carriers.entries[:MOST_LISTED].tolist(), carriers.shares, strict=False)
+    ]
+    described[axis.name] |= {"state": "concentrated" if few else "uneven", "count": carriers.fewest}
+    described[axis.name] |= {"sigma": look.sigma, "entries": entries, "by": f"{look.axis}, {look.what}"}
+    found[axis.name] = carriers
 
 
 def _describe(axis: Axis, carriers: Carriers, freedom: Freedom, heavier: Freedom) -> dict[str, Any]:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.loop.axes import Freedom, all_axes
+from hydrabeam_mpi.loop.coherent import KINDS, Coherence
 from hydrabeam_mpi.loop.cube import Layout
 from hydrabeam_mpi.loop.residuals import ResidualSums
-from hydrabeam_mpi.loop.statistics import most_significant, shape_looks, significance
+from hydrabeam_mpi.loop.statistics import coherent_look, most_significant, shape_looks, significance
 
 SMALLEST_P = 1e-3
 WORDS = {
@@ -24,7 +27,9 @@ PLACES = {
 }
 
 
-def is_white(sums: ResidualSums, layout: Layout, n_shared: float = 0.0) -> tuple[bool, str]:
+def is_white(
+    sums: ResidualSums, layout: Layout, n_shared: float = 0.0, coherent: Sequence[Coherence] = ()
+) -> tuple[bool, str]:
     """Tell whether residuals are white noise of any one scale.
 
     Divide them by the scales of `antenna_scales` before to ask whether they are white noise of one scale an antenna.
@@ -34,7 +39,7 @@ def is_white(sums: ResidualSums, layout: Layout, n_shared: float = 0.0) -> tuple
     sums : ResidualSums
         Of all ranks.
     layout : Layout
-    n_shared : float, optional
+    n_shared, coherent : optional
         As in `statistics.statistics`.
 
     Returns
@@ -48,6 +53,7 @@ def is_white(sums: ResidualSums, layout: Layout, n_shared: float = 0.0) -> tuple
     axes = all_axes(sums, layout)
     looks = shape_looks(sums, axes, freedom)
     looks += [most_significant(axis, freedom, axis.level) for axis in axes.values() if len(axis) > 1]
+    looks += [coherent_look(one, layout, sums.chi2 / max(2 * sums.n, 1.0)) for one in coherent]
     if not looks:
         return True, "there is too little to tell"
     found = significance(looks)
@@ -56,6 +62,8 @@ def is_white(sums: ResidualSums, layout: Layout, n_shared: float = 0.0) -> tuple
     what = str(found["what"])
     where = PLACES.get(what, f"between {what}" if what.startswith("neighbouring") else what)
     words = WORDS.get(found["axis"], f"its {PLACES.get(found['axis'], found['axis'])} differ")
+    if found["axis"] in KINDS:
+        words = f"there are {found['axis']}, {what}"
     return False, f"{words.format(where)} ({abs(found['corrected_sigma']):.1f} sigma)"
 
 

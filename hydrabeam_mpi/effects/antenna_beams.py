@@ -1,0 +1,66 @@
+"""What baselines see whose antennas do not have the same beam.
+
+The power beam of a baseline is the product of its antennas' voltage beams. With their phases alike that of i and j is
+
+    sqrt(B_i B_j) = (B_i + B_j) / 2 - (sqrt B_i - sqrt B_j)^2 / 2.
+
+With D_i = sqrt B_i - sqrt B, the second part has a D_i^2 for each antenna, and D_i D_j for pairs of antennas that both
+differ. The former are integrated for redundant groups; the latter, small of second order, as the products of antennas
+that they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.per_antenna import row_antennas
+from hydrabeam_mpi.effects.scene import Scene
+from hydrabeam_mpi.effects.sources import Sources
+from hydrabeam_mpi.model.fringes import C_M_PER_S
+
+
+def added_by_beams(scene: Scene, antennas: IntArray, beams: Callable[[Sources], FloatArray]) -> ComplexArray:
+    """Return what is added by antennas whose beams are not the common one, (Ntimes, Nbls), Jy.
+
+    Parameters
+    ----------
+    scene : Scene
+    antennas : ndarray of int, (n,)
+        Which of the antennas in use have beams of their own.
+    beams : callable
+        From `Sources` to the power beams of these, (n, Nsrc). Where beams are negative they count as zero in products.
+    """
+    experiment = scene.experiment
+    out = np.zeros(scene.shape, dtype=complex)
+    if not len(antennas):
+        return out
+    place = np.full(len(experiment.antennas_in_use), -1)
+    place[antennas] = np.arange(len(antennas))
+    of_row = place[row_antennas(scene)]
+    both = np.flatnonzero((of_row >= 0).all(axis=1))
+    positions = experiment.observation.antpos[experiment.antennas_in_use[antennas]]
+    wavenumber = 2 * np.pi * scene.freq / C_M_PER_S
+    for t, time in enumerate(scene.times.tolist()):
+        sources = scene.sources(time)
+        own = beams(sources)
+        roots = np.sqrt(np.maximum(own, 0.0)) - np.sqrt(np.maximum(sources.beam, 0.0))
+        single = (own - sources.beam) - roots**2
+        one_time = replace(scene, times=scene.times[t : t + 1])
+        changes = one_time.integrate(_given(single))[0, scene.member]
+        for side in range(2):
+            rows = np.flatnonzero(of_row[:, side] >= 0)
+            out[t, rows] += 0.5 * changes[rows, of_row[rows, side]]
+        if len(both):
+            turned = roots * np.exp(-1j * wavenumber * (positions @ sources.enu))
+            pairs = (turned * (0.5 * sources.flux_without())) @ turned.conj().T
+            out[t, both] += pairs[of_row[both, 0], of_row[both, 1]]
+    return out
+
+
+def _given(columns: FloatArray) -> Callable[[Sources], FloatArray]:
+    """Return columns that are known already as a function of their sources."""
+    return lambda _: columns

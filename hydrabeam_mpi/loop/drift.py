@@ -1,0 +1,59 @@
+"""A beam that changes in time: no effect that is ever claimed, but one that others must beat.
+
+All effects are constant, or follow the sky. A beam that changes does neither; sources' fluxes, or more of them, take up
+much of it. If its change, linear in time, explains data better than any effect does, then none of these is the cause.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.effects.base import Columns, Effect, Parameters
+from hydrabeam_mpi.effects.experiment import Experiment
+from hydrabeam_mpi.effects.scene import Scene
+
+MOST_MODES = 64
+LEAST_TIMES = 4
+FLOOR = 1e-3
+"""Expected change of a mode at least, relative to the largest one."""
+
+
+class BeamDrift(Effect):
+    """Change of the beam's largest modes from the middle to the end of the times, each channel its own."""
+
+    kind = "beam_drift"
+    title = "a beam that changes in time"
+
+    def refusal(self, experiment: Experiment) -> str | None:
+        """Refuse where there are too few times."""
+        if experiment.observation.Ntimes >= LEAST_TIMES:
+            return None
+        return f"a change in time needs {LEAST_TIMES} times or more"
+
+    def parameters(self, experiment: Experiment) -> Parameters:
+        """Return the change of each of the largest modes, expected in proportion to these."""
+        amplitudes, modes = _largest(experiment)
+        scale = np.maximum(amplitudes[modes], FLOOR * amplitudes.max())
+        names = [f"change of mode {mode}" for mode in modes.tolist()]
+        if experiment.basis.is_complex:
+            names, scale = [f"{name} {part}" for part in ("real", "imaginary") for name in names], np.tile(scale, 2)
+        return Parameters.of(names, "", scale)
+
+    def columns(self, scene: Scene, x: FloatArray) -> Columns:
+        """Return the design's columns times the time, from -1 to 1."""
+        modes = _largest(scene.experiment)[1]
+        jd = scene.experiment.observation.times
+        time = 2 * (jd[scene.times] - jd.min()) / max(float(np.ptp(jd)), 1e-9) - 1
+        columns = scene.design[..., modes]
+        if np.iscomplexobj(columns):
+            columns = np.concatenate([columns, 1j * columns], axis=-1)
+        else:
+            columns = columns[:, 0] + 1j * columns[:, 1]
+        return Columns(columns * time[:, np.newaxis, np.newaxis], columns.shape[-1], by_group=True)
+
+
+def _largest(experiment: Experiment) -> tuple[FloatArray, IntArray]:
+    """Return how large the model beam's coefficients are over all channels, and which of them are largest."""
+    amplitudes = np.sqrt(np.mean(np.square(np.abs(experiment.prior_mean)), axis=0))
+    return amplitudes, np.sort(np.argsort(-amplitudes, kind="stable")[:MOST_MODES])
