@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -59,7 +60,8 @@ class Injection:
         self.entries = job.data.simulate.effects
         times: IntArray = np.arange(observation.Ntimes)
         pols = observation.pols
-        self.experiment = Experiment(observation, redundant, sky, basis, tuple(prior_mean), pols, times)
+        positions = partial(source_positions, job)
+        self.experiment = Experiment(observation, redundant, sky, basis, tuple(prior_mean), pols, times, positions)
         self.groups, self.member = np.unique(redundant.group, return_inverse=True)
 
     def before_noise(self, crosses: ComplexArray) -> tuple[ComplexArray, list[Truth]]:

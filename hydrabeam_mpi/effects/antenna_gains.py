@@ -20,6 +20,7 @@ class AntennaGains(Effect):
 
     kind = "antenna_gains"
     title = "antenna gains"
+    linear = True
     multiplies = True
 
     def parameters(self, experiment: Experiment) -> Parameters:

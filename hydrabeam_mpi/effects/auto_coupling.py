@@ -24,6 +24,7 @@ class AutoCoupling(PerBaseline):
 
     kind = "auto_coupling"
     title = "coupling of autocorrelations"
+    linear = True
     unit = ""
     scale = 1e-3
 

@@ -135,6 +135,8 @@ class Effect(ABC):
     """Whether the effect multiplies (C) rather than adds (E)."""
     changes_sky: ClassVar[bool] = False
     """Whether the effect changes the sky (see `sky_factor`, `extra_sky`), by which it is part of A rather than of E."""
+    linear: ClassVar[bool] = False
+    """Whether the data are so nearly linear in the parameters that a fit gains about what the columns promise."""
     shared: ClassVar[bool] = False
     """Whether all channels have the same parameters, through a law in frequency."""
     local: ClassVar[Literal["times", "baselines"] | None] = None

@@ -30,6 +30,7 @@ class BasisTruncation(Effect):
 
     kind = "basis_truncation"
     title = "a basis that is too small"
+    linear = True
 
     def __init__(self, n_before: int = 0) -> None:
         self.n_before = n_before

@@ -45,6 +45,7 @@ class CatalogueFlux(PointSources):
 
     kind = "catalogue_flux"
     title = "fluxes of catalogue sources"
+    linear = True
 
     def parameters(self, experiment: Experiment) -> Parameters:
         """Return the relative error of every source's flux."""
@@ -62,10 +63,14 @@ class CatalogueFlux(PointSources):
         return factor[sources.index]
 
     def columns(self, scene: Scene, x: FloatArray) -> Columns:
-        """Return the sources' visibilities."""
+        """Return the sources' visibilities, less what other effects take of their fluxes."""
         sky = scene.experiment.sky
         index = find(sky, self.sources)
-        values = responses(scene, sky.ra[index], sky.dec[index]) * sky.flux[scene.channel, index]
+        values = responses(scene, sky.ra[index], sky.dec[index])
+        for seen, itime in zip(values, scene.times.tolist(), strict=True):
+            sources, flux = scene.sources(itime), np.zeros(sky.Nsrc)
+            flux[sources.index] = sources.flux_without(self.kind)
+            seen *= flux[index]
         return Columns(values, len(index), by_group=True)
 
     def n_hypotheses(self, experiment: Experiment) -> int:

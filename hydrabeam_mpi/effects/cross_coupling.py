@@ -20,6 +20,7 @@ class CrossCoupling(PerBaseline):
 
     kind = "cross_coupling"
     title = "constant cross-coupling"
+    linear = True
     unit = "Jy"
     scale = 1.0
 

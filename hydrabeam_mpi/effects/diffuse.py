@@ -28,6 +28,8 @@ from hydrabeam_mpi.model.sky import Sky
 MAX_LENGTH = 100.0  # wavelengths
 BEAM_NODES, BEAM_ORDERS = 60, 110  # what a beam's own structure adds to the quadrature in cos za and az
 POINTS_AT_ONCE = 16384
+GALACTIC_SLOPE = -1.25  # of a_lm with l: the power of the Galaxy's emission falls as l^-2.5
+MONOPOLE = 4.5  # relative to l = 1: no emission is negative, so that the mean is twice the rms about it, or more
 
 
 class Diffuse(Effect):
@@ -35,7 +37,8 @@ class Diffuse(Effect):
 
     Baselines of a few wavelengths see such scales directly, longer ones through the sidelobes of their beam and its
     edge at the horizon, ever less; those beyond 100 wavelengths are taken to see nothing. All degrees up to ``l_max``
-    are kept: the prior keeps those down that an array hardly sees. The Y_lm are orthonormal; m < 0 goes with
+    are kept: the prior, which falls with l as the Galaxy's emission does, keeps those down that an array hardly sees.
+    The Y_lm are orthonormal; m < 0 goes with
     sin(|m| ra), m > 0 with cos(m ra). Aberration, 20 arcseconds, is left out.
 
     Parameters
@@ -46,6 +49,7 @@ class Diffuse(Effect):
 
     kind = "diffuse"
     title = "diffuse emission"
+    linear = True
     changes_sky = True
 
     def __init__(self, l_max: int = 6) -> None:
@@ -69,7 +73,10 @@ class Diffuse(Effect):
     def parameters(self, experiment: Experiment) -> Parameters:
         """Return the coefficients a_lm."""
         names = [f"harmonic l={l} m={m}" for l, m in _degrees(self.l_max)]
-        return Parameters.of(names, "Jy/sr", 1e4)
+        degree = np.array([l for l, _ in _degrees(self.l_max)])
+        sizes = np.where(degree > 0, np.maximum(degree, 1) ** GALACTIC_SLOPE, MONOPOLE)
+        # A sky may well have nothing beyond some degree, whatever the others have.
+        return Parameters.of(names, "Jy/sr", 1e4 * sizes, degree)
 
     def columns(self, scene: Scene, x: FloatArray) -> Columns:
         """Return the visibilities of every harmonic."""

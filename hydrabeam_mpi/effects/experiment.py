@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from hydrabeam_mpi.data.observation import IntArray, Observation
 from hydrabeam_mpi.data.redundancy import RedundantGroups
 from hydrabeam_mpi.model.basis import LinearBasis
+from hydrabeam_mpi.model.positions import ApparentPositions, SourcePositions
 from hydrabeam_mpi.model.sky import Sky
 
 
@@ -35,6 +37,8 @@ class Experiment:
         All polarisations that the data files have.
     times : ndarray of int
         Indices of the times in use, for fitting or held out.
+    positions : callable
+        From a sky and the observation to the `SourcePositions` by the job's rule.
     """
 
     observation: Observation
@@ -44,6 +48,7 @@ class Experiment:
     prior_mean: tuple[NDArray[Any], ...]
     file_pols: tuple[str, ...]
     times: IntArray
+    positions: Callable[[Sky, Observation], SourcePositions] = ApparentPositions
 
     @property
     def reference_freq(self) -> float:

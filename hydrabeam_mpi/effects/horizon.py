@@ -1,78 +1,228 @@
-"""Obstruction near the horizon: sources low in the sky are seen through a transmission 1 + x of their direction."""
+"""Obstruction near the horizon: what lies below a skyline is seen through a transmission 1 + x."""
 
 from __future__ import annotations
 
-from itertools import pairwise
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from scipy.sparse import csr_array
 
-from hydrabeam_mpi.data.observation import FloatArray, IntArray
-from hydrabeam_mpi.effects.base import Columns, Effect, Parameters
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.base import Columns, Parameters, ScannedEffect
 from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.effects.sources import Sources
+from hydrabeam_mpi.model.fringes import C_M_PER_S
 
-EDGES = np.array(
-    [0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 10.0]
-)  # elevations between which a ring lies, degrees
-RINGS = len(EDGES) - 1
-SECTORS = 12
-WIDTH = 360 // SECTORS  # degrees of azimuth
+HIGHEST = 10.0  # elevation up to which something may stand, degrees
+HEIGHTS = 40
+SECTORS = 72
+RING, WIDTH = HIGHEST / HEIGHTS, 360.0 / SECTORS  # degrees
+STARTS: IntArray = np.append(np.tile(np.arange(SECTORS), SECTORS - 1), 0)
+LENGTHS: IntArray = np.append(np.repeat(np.arange(1, SECTORS), SECTORS), SECTORS)
+"""First sector and number of sectors of every wall; one stands all around."""
+AT_MOST = 8
+SAME = 0.6  # part of their joint area that two walls share beyond which they are taken as one
+STRIPS = 10  # on either side of an edge
+UNKNOWN = 0.33  # natural size of what a strip transmits otherwise than its wall has it
+
+Box = tuple[float, float, float, float]
+"""First and last azimuth, lowest and highest elevation, degrees."""
 
 
-class Horizon(Effect):
-    """Transmission of the last ten degrees above the horizon, less one; each channel its own.
+class Horizon(ScannedEffect):
+    """Transmission of walls that stand on the horizon, less one; each channel its own.
 
-    Rings of elevation with edges at 0, 1, 2, 3, 5, 7 and 10 degrees have a parameter for all azimuths, and one more for
-    each of twelve sectors of azimuth (from East through North). Both add up: a sector transmits 1 + x_ring + x_sector.
-    A ridge all around takes few of the first kind, a hill a few of the second, and what it hides has x = -1.
+    A wall hides everything below a height of at most ten degrees from one azimuth to another (from East through North).
+    Walls add up, so that any skyline is a sum of them, and one that is opaque has x = -1.
+
+    Where a wall ends is told by sources that are seen beside it and others that are not, and unknown in between. So its
+    rim is cut into strips that have few sources each, with a transmission of their own beside that of the wall: data
+    that have a source there refine the skyline, and for others it stays unknown whether it is seen.
+
+    Parameters
+    ----------
+    walls : sequence of (float, float, float, float)
+        First and last azimuth, lowest and highest elevation, degrees.
+    strips : sequence of (int, (float, float, float, float))
+        Number of a wall, and such limits of a piece of its rim.
+    trials : int
+        Number of walls from which these were picked.
     """
 
     kind = "horizon"
     title = "obstruction near the horizon"
     changes_sky = True
 
-    def parameters(self, experiment: Experiment) -> Parameters:
-        """Return the rings' transmissions less one, then those of their sectors; each may be at fault by itself."""
-        azimuths = ["all azimuths", *(f"az {az}-{az + WIDTH} deg" for az in range(0, 360, WIDTH))]
-        rings = [f"elevation {lo:g}-{hi:g} deg" for lo, hi in pairwise(EDGES)]
-        names = [f"{ring}, {azimuths[0]}" for ring in rings]
-        names += [f"{ring}, {azimuth}" for ring in rings for azimuth in azimuths[1:]]
-        return Parameters.of(names, "", 1.0, np.arange(len(names)))
+    def __init__(self, walls: Sequence[Box] = (), strips: Sequence[tuple[int, Box]] = (), trials: int = 1) -> None:
+        self.walls = [_box(wall) for wall in walls]
+        self.strips = [(int(wall), _box(strip)) for wall, strip in strips]
+        self.trials = trials
 
-    def sky_columns(self, sources: Sources) -> FloatArray:
-        """Return the beam in each sector of each ring, zero elsewhere."""
-        low, sector = _sectors(sources)
-        columns = np.zeros((RINGS * SECTORS, len(sources.az)))
-        columns[sector, low] = sources.beam[low]
-        return columns
+    def describe(self) -> dict[str, Any]:
+        """Return which walls with which strips, and from how many they were picked."""
+        strips = [[wall, list(strip)] for wall, strip in self.strips]
+        return {"walls": [list(wall) for wall in self.walls], "strips": strips, "trials": self.trials}
+
+    def parameters(self, experiment: Experiment) -> Parameters:
+        """Return the walls' transmissions less one, each of which may stand by itself, and what strips have more."""
+        n, more = len(self.walls), len(self.strips)
+        names = [_called(wall) for wall in self.walls]
+        names += [f"rim of {names[wall]}: {_called(strip)}" for wall, strip in self.strips]
+        element = np.append(np.arange(n), [wall for wall, _ in self.strips]).astype(int)
+        scale = np.repeat([1.0, UNKNOWN], [n, more])
+        refined = [False] * n + [True] * more
+        return Parameters.of(names, "", scale, element, refined, max(self.trials, n) if n else 0)
 
     def sky_factor(self, experiment: Experiment, sources: Sources, x: FloatArray) -> FloatArray:
         """Return each source's transmission."""
-        low, sector = _sectors(sources)
-        factor = np.ones(len(sources.az))
-        factor[low] += x[sector // SECTORS] + x[RINGS + sector]
+        factor = np.ones(len(sources.za))
+        low, inside = self._inside(sources)
+        factor[low] += inside.T @ x
         return factor
 
     def columns(self, scene: Scene, x: FloatArray) -> Columns:
-        """Return the visibilities of each ring's and each sector's sources."""
-        sectors = scene.integrals[self.kind]
-        rings = sectors.reshape(*sectors.shape[:2], RINGS, SECTORS).sum(axis=-1)
-        values = np.concatenate([rings, sectors], axis=-1)
-        return Columns(values, values.shape[-1], by_group=True)
+        """Return the visibilities of what is in each wall and strip."""
+        values = np.zeros((len(scene.times), len(scene.groups), len(x)), dtype=complex)
+        for t, itime in enumerate(scene.times.tolist()):
+            sources = scene.sources(itime)
+            low, inside = self._inside(sources)
+            values[t] = (inside @ _seen(scene, sources, low)).T
+        return Columns(values, len(x), by_group=True)
+
+    def _inside(self, sources: Sources) -> tuple[IntArray, Any]:
+        """Return which sources are low, and which of those are in each wall and strip, (n, Nlow), sparse."""
+        boxes = [*self.walls, *(strip for _, strip in self.strips)]
+        first, last, lowest, highest = np.reshape(np.array(boxes), (-1, 4)).T[:, :, np.newaxis]
+        low = _below(sources, float(highest.max(initial=0.0)))
+        elevation, az = 90 - np.rad2deg(sources.za[low]), np.rad2deg(sources.az[low])
+        inside = ((az - first) % 360 < last - first) & (elevation >= lowest) & (elevation < highest)
+        return low, csr_array(inside.astype(float))
+
+    def n_hypotheses(self, experiment: Experiment) -> int:
+        """Return the number of walls that are looked at."""
+        return len(STARTS) * HEIGHTS
+
+    def scan(self, scene: Scene) -> tuple[FloatArray, FloatArray]:
+        """Correlate the residual with every wall, its sources taken as orthogonal."""
+        n_bls = len(scene.bls)
+        members = csr_array((np.ones(n_bls), (scene.member, np.arange(n_bls))), (len(scene.groups), n_bls))
+        residual = (members @ (scene.weights * scene.residual).T).T
+        weights = (members @ scene.weights.T).T
+        cells = np.zeros((2, SECTORS * HEIGHTS))
+        for t in np.flatnonzero(weights.any(axis=1)).tolist():
+            sources = scene.sources(int(scene.times[t]))
+            low = _below(sources, HIGHEST)
+            seen = _seen(scene, sources, low)
+            ring = np.clip(((90 - np.rad2deg(sources.za[low])) / RING).astype(int), 0, HEIGHTS - 1)
+            sector = (np.rad2deg(sources.az[low]) / WIDTH).astype(int) % SECTORS
+            cell = sector * HEIGHTS + ring
+            np.add.at(cells[0], cell, (seen.conj() @ residual[t]).real)
+            np.add.at(cells[1], cell, np.abs(seen) ** 2 @ weights[t])
+        below = np.cumsum(cells.reshape(2, SECTORS, HEIGHTS), axis=2)
+        # All sectors from the first, twice around, to take differences of.
+        around = np.cumsum(np.concatenate([np.zeros((2, 1, HEIGHTS)), below, below], axis=1), axis=1)
+        projection, power = (around[:, STARTS + LENGTHS] - around[:, STARTS]).reshape(2, -1, 1)
+        return projection, power
+
+    def at(self, experiment: Experiment, hypotheses: IntArray) -> Horizon:
+        """Take these walls, the best first, leaving out those that are much the same as better ones."""
+        window, height = np.divmod(hypotheses, HEIGHTS)
+        chosen: list[int] = []
+        for one in range(len(hypotheses)):
+            overlaps = [_overlap(window[[one, two]], height[[one, two]] + 1) for two in chosen]
+            if max(overlaps, default=0.0) < SAME and len(chosen) < AT_MOST:
+                chosen.append(one)
+        first, last = WIDTH * STARTS[window], WIDTH * (STARTS + LENGTHS)[window]
+        top = RING * (height + 1)
+        walls = [(float(first[i]), float(last[i]), 0.0, float(top[i])) for i in chosen]
+        elevation, az = _places(experiment)
+        strips = [(i, strip) for i, wall in enumerate(walls) for strip in _rim(wall, elevation, az)]
+        return Horizon(walls, strips, self.n_hypotheses(experiment))
+
+    def drawn(self, experiment: Experiment, rng: np.random.Generator) -> Horizon:
+        """Put up a wall at random, as wide as a quarter of the horizon or wider."""
+        quarter = np.flatnonzero(np.repeat(LENGTHS >= SECTORS // 4, HEIGHTS))
+        return self.at(experiment, rng.choice(quarter, size=1))
 
     def draw(self, experiment: Experiment, rng: np.random.Generator, strength: float) -> FloatArray:
-        """Draw losses of rms ``strength`` x scale; nothing is lost twice."""
-        scale = self.parameters(experiment).scale
-        losses = strength * scale * np.abs(rng.standard_normal(len(scale)))
-        rings = np.minimum(losses[:RINGS], 1.0)
-        sectors = np.minimum(losses[RINGS:], np.repeat(1 - rings, SECTORS))
-        return -np.concatenate([rings, sectors])
+        """Draw losses of rms ``strength`` x scale behind walls, at most all; their rims are as they are."""
+        parameters = self.parameters(experiment)
+        losses = np.minimum(strength * np.abs(rng.standard_normal(len(parameters))), 1.0)
+        return np.where(parameters.refined, 0.0, -losses)
 
 
-def _sectors(sources: Sources) -> tuple[IntArray, IntArray]:
-    """Return the sources that are low in the sky, and of each its ring times the number of sectors plus its sector."""
-    elevation, az = 90 - np.rad2deg(sources.za), np.rad2deg(sources.az)
-    low = np.flatnonzero(elevation < EDGES[-1])
-    ring = np.maximum(np.searchsorted(EDGES, elevation[low], side="right") - 1, 0)
-    return low, ring * SECTORS + (az[low] // WIDTH).astype(int) % SECTORS
+def _below(sources: Sources, elevation: float) -> IntArray:
+    """Return which sources are below an elevation, degrees."""
+    return np.flatnonzero(sources.za > np.deg2rad(90 - elevation))
+
+
+def _seen(scene: Scene, sources: Sources, which: IntArray) -> ComplexArray:
+    """Return the visibilities of some sources with nothing before them, (N, Ngroups)."""
+    strength = 0.5 * sources.flux_without(Horizon.kind)[which] * sources.beam[which]
+    wavevectors = 2 * np.pi * scene.freq / C_M_PER_S * scene.vectors
+    return np.asarray(strength[:, np.newaxis] * np.exp(1j * (sources.enu[:, which].T @ wavevectors.T)))
+
+
+def _box(limits: Sequence[float]) -> Box:
+    first, last, lowest, highest = (float(limit) for limit in limits)
+    return first, last, lowest, highest
+
+
+def _called(box: Box) -> str:
+    first, last, lowest, highest = box
+    where = f"az {first:.4g}-{last:.4g} deg" if last - first < 360 else "all azimuths"
+    return f"elevation {lowest:.4g}-{highest:.4g} deg, {where}"
+
+
+def _overlap(windows: IntArray, heights: IntArray) -> float:
+    """Return which part of the area of two walls together is in both."""
+    sectors = np.zeros((2, SECTORS), dtype=bool)
+    for row, window in zip(sectors, windows.tolist(), strict=True):
+        row[(STARTS[window] + np.arange(LENGTHS[window])) % SECTORS] = True
+    both = float(np.sum(sectors[0] & sectors[1]) * heights.min())
+    return both / (float(sectors.sum(axis=1) @ heights) - both)
+
+
+def _places(experiment: Experiment) -> tuple[FloatArray, FloatArray]:
+    """Return elevation and azimuth of sources near or below the highest walls, at all times in use, degrees."""
+    positions = experiment.positions(experiment.sky, experiment.observation)
+    parts = []
+    for itime in experiment.times.tolist():
+        _, za, az = positions.above_horizon(itime)
+        parts.append(np.rad2deg([np.pi / 2 - za, az])[:, za > np.deg2rad(90 - 2 * HIGHEST)])
+    elevation, az = np.concatenate([np.zeros((2, 0)), *parts], axis=1)
+    return elevation, az
+
+
+def _rim(wall: Box, elevation: FloatArray, az: FloatArray) -> list[Box]:
+    """Return the strips along a wall's edges, given where sources are.
+
+    They reach as far as the next wall that is looked at, and farther where there are few sources.
+    """
+    first, last, _, top = wall
+    after = (az - first) % 360
+    within = after < last - first
+    rim = [(first, last, max(lo, 0.0), hi) for lo, hi in _strips(elevation[within] - top, RING, top)]
+    if last - first < 360:
+        below = elevation < top
+        for edge in (first, last):
+            beyond = (az[below] - edge + 180) % 360 - 180
+            rim += [(lo, hi, 0.0, top) for lo, hi in _strips(beyond, WIDTH, edge)]
+    return rim
+
+
+def _strips(distance: FloatArray, reach: float, edge: float) -> list[tuple[float, float]]:
+    """Cut both sides of an edge into strips with as many sources each, one or more."""
+    strips = []
+    for sign in (-1, 1):
+        beyond = np.sort(sign * distance[sign * distance >= 0])
+        n = min(max(STRIPS, int(np.searchsorted(beyond, reach))), len(beyond))
+        if n == 0:
+            continue
+        cuts = np.unique(np.round(np.linspace(0, n, STRIPS + 1)).astype(int))[1:]
+        ends = 0.5 * (beyond[cuts - 1] + np.append(beyond, beyond[-1] + reach)[cuts])
+        limits = edge + sign * np.append(0.0, ends)
+        strips += [(min(pair), max(pair)) for pair in zip(limits[:-1].tolist(), limits[1:].tolist(), strict=True)]
+    return strips

@@ -45,6 +45,8 @@ class Scene:
         Calibrated data minus A b, Jy, in the sense of the groups.
     vis : ndarray of complex, (Ntimes, Nbls)
         The model A b + E of each baseline, Jy.
+    design : ndarray
+        Design rows of the groups, (Ntimes, 2, Ngroups, n) or complex (Ntimes, Ngroups, n).
     integrals : dict of str to ndarray of complex, (Ntimes, Ngroups, K)
         By kind of effect; see `Effect.sky_columns`.
     places : dict, optional
@@ -65,6 +67,7 @@ class Scene:
     weights: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     residual: ComplexArray = field(default_factory=lambda: np.zeros((0, 0), dtype=complex))
     vis: ComplexArray = field(default_factory=lambda: np.zeros((0, 0), dtype=complex))
+    design: NDArray[Any] = field(default_factory=lambda: np.zeros((0, 0, 0)))
     integrals: dict[str, ComplexArray] = field(default_factory=dict)
     places: dict[int, tuple[IntArray, FloatArray, FloatArray]] | None = None
     sky_effects: Sequence[tuple[Any, FloatArray]] = ()
@@ -113,8 +116,9 @@ class Scene:
         flux = experiment.sky.flux[self.channel, index]
         sources = Sources(index, za, az, flux, self.beam, float(experiment.observation.location.lat.rad))
         for effect, x in self.sky_effects:
-            factor = effect.sky_factor(experiment, sources, x)
-            sources.factors[effect.kind] = sources.factors.get(effect.kind, 1.0) * factor
+            change = effect.sky_factor(experiment, sources, x) - 1
+            # Two of a kind add up, as more parameters of one do.
+            sources.factors[effect.kind] = sources.factors.get(effect.kind, 1.0) + change
         if self.places is not None:
             self._sources[itime] = sources
         return sources

@@ -101,7 +101,21 @@ def _weigh(space: Space, state: State, effect: Effect, by_channel: list[Likeliho
     blocks = _without_active(state, effect, by_channel) if state.active else by_channel
     if effect.shared:
         blocks = [sum(blocks[1:], start=blocks[0])] if len(blocks) > 1 else blocks
-    return find_evidence(blocks, replace(parameters, scale=scale), effect.undecidable(space.experiment))
+    evidence = find_evidence(blocks, replace(parameters, scale=scale), effect.undecidable(space.experiment))
+    return replace(evidence, absorbed=_absorbed(evidence, by_channel)) if state.active else evidence
+
+
+def _absorbed(evidence: Evidence, by_channel: list[Likelihood]) -> float:
+    """Return how much of an effect's signature the beam takes up, whatever the active effects take besides."""
+    n_channels, n_params = len(by_channel), evidence.x.shape[1]
+    signature = np.broadcast_to(evidence.x, (n_channels, n_params))
+    seen = sum(
+        float(x @ one.information[-n_params:, -n_params:] @ x) for one, x in zip(by_channel, signature, strict=True)
+    )
+    present = sum(
+        float(x @ one.signal[-n_params:, -n_params:] @ x) for one, x in zip(by_channel, signature, strict=True)
+    )
+    return float(np.clip(1 - seen / present, 0.0, 1.0)) if present > 0 else 0.0
 
 
 def _without_active(state: State, effect: Effect, by_channel: list[Likelihood]) -> list[Likelihood]:

@@ -24,6 +24,8 @@ TOO_SMALL = 0.7
 """Held-out reduced chi^2 below which predictions claim far less than they should."""
 NEAR = 0.1
 """Effects with less than this part of the best one's evidence are not fitted."""
+NEAR_IF_LINEAR = 0.7
+"""The same for those whose evidence a fit does not change much."""
 NEARLY_NOISE = 1.1
 """Held-out reduced chi^2 up to which the noise that the weights state is all that matters."""
 UNDECIDED_NATS = 5.0
@@ -114,10 +116,13 @@ def is_better(fitted: Candidate, after: Checked, best: Round) -> bool:
 def may_be_better(candidate: Candidate, best: Round, enough: bool) -> bool:
     """Whether an effect with less evidence than the best one fitted so far may have more once it is fitted.
 
-    Effects are only roughly linear, so that what comes near is fitted too. Where the best one leaves nothing
+    Most effects are only roughly linear, so that what comes near is fitted too. Where the best one leaves nothing
     (``enough``) another can only be simpler. A structure that was found is no noise.
     """
-    if candidate.finding is None or candidate.log_bayes_factor < NEAR * best.candidate.log_bayes_factor:
+    if candidate.finding is None:
+        return False
+    near = NEAR_IF_LINEAR if candidate.finding.effect.linear else NEAR
+    if candidate.log_bayes_factor < near * best.candidate.log_bayes_factor:
         return False
     return not enough or _complexity(candidate) < _complexity(best.candidate)
 
@@ -152,6 +157,8 @@ def refusal_of(
         if abs(after.blocks.chi2 - 1) > abs(before.blocks.chi2 - 1):
             return f"held-out chi^2 goes from {before.blocks.chi2:.4g} to {after.blocks.chi2:.4g}"
         return None if after.remains.white else f"what is left is not white: {after.remains.why}"
+    if is_absorbed(candidate):
+        return absorbed_reason(candidate)
     if after.blocks.chi2 < TOO_SMALL:
         return f"it is so uncertain that it predicts nothing: held-out chi^2 {after.blocks.chi2:.4g}"
     if not after.blocks.chi2 < before.blocks.chi2:

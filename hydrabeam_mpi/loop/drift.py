@@ -24,6 +24,7 @@ class BeamDrift(Effect):
 
     kind = "beam_drift"
     title = "a beam that changes in time"
+    linear = True
 
     def refusal(self, experiment: Experiment) -> str | None:
         """Refuse where there are too few times."""

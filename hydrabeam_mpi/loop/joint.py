@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from hydrabeam_mpi.loop.state import Active, Reweighted, State
 from hydrabeam_mpi.loop.workspace import Share
 from hydrabeam_mpi.mpi import ProcessGrid, bcast_object, together
 from hydrabeam_mpi.problem import Problem
+from hydrabeam_mpi.skies import source_positions
 
 AS_WRITTEN = "use the job as 'hydrabeam loop' wrote it, with the same data, or run the loop again"
 
@@ -36,6 +38,7 @@ def find_experiment(problem: Problem) -> Experiment:
         prior_mean=tuple(prior.mean for prior in problem.priors),
         file_pols=read_observation(problem.files, Selection()).pols,
         times=np.union1d(problem.train.times, problem.test.times),
+        positions=partial(source_positions, problem.job),
     )
 
 

@@ -16,6 +16,8 @@ from hydrabeam_mpi.loop.rounds import Course
 from hydrabeam_mpi.loop.sentences import say_round, say_verdict
 from hydrabeam_mpi.loop.state import State
 
+LEAST_TOLD = 0.5
+"""Part of the prior's variance up to which a parameter is told by the data."""
 UNDECIDABLE = (
     ("common flux scale", "all fluxes times a number are the same as the beam times that number"),
     ("common gain amplitude", "all gains times a number are the same as the beam times its square"),
@@ -154,10 +156,12 @@ def _round(experiment: Experiment, one: Round, chi2: list[float], before: Remain
     candidate = one.candidate
     ranking = known_effects(one.ranking)
     others = [other for other in ranking if other.kind != candidate.kind]
+    parameters, not_told = parameters_of(experiment, one, last)
     told = {
         "effect": candidate.kind,
         "title": candidate.title,
-        "parameters": parameters_of(experiment, one, last),
+        "parameters": parameters,
+        "parameters_not_told": not_told,
         "log_bayes_factor": candidate.log_bayes_factor,
         "absorbed_by_beam": candidate.finding.evidence.absorbed if candidate.finding else 0.0,
         "chi2_before": chi2[0],
@@ -225,23 +229,28 @@ def _prior_scale(one: Round) -> float | None:
     return float(widths.max()) if widths.size else None
 
 
-def parameters_of(experiment: Experiment, one: Round, last: State) -> list[dict[str, Any]]:
+def parameters_of(experiment: Experiment, one: Round, last: State) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Return the parameters in use with their posterior standard deviations, channel by channel where they differ.
 
-    They are those of the last state, in which all effects are fitted jointly.
+    They are those of the last state, in which all effects are fitted jointly. Those whose variance is more than half of
+    the prior's come apart: they are no measurements, as what is said of them depends on the prior. Where all are such,
+    all are returned as parameters.
     """
     if one.candidate.weights is not None:
         fit, shared = one.candidate.weights.fit, False
         names, units, x, std = fit.names, fit.units, fit.x, fit.std
+        prior_var = np.full(len(names), np.inf)
     else:
         active = last.active[len(one.after.state.active) - 1]
         parameters, used = active.effect.parameters(experiment), active.used
         names = tuple(parameters.names[i] for i in used)
         units = tuple(parameters.units[i] for i in used)
         x, std, shared = active.x[:, used], active.std[:, used], active.effect.shared
-    freqs = [None] if shared else experiment.observation.freqs.tolist()
-    return [
-        {"name": name, "unit": unit, "value": float(x[f, i]), "std": float(std[f, i]), "freq_hz": freq}
-        for f, freq in enumerate(freqs)
-        for i, (name, unit) in enumerate(zip(names, units, strict=True))
-    ]
+        prior_var = active.prior_var[used]
+    told: list[dict[str, Any]] = []
+    not_told: list[dict[str, Any]] = []
+    for f, freq in enumerate([None] if shared else experiment.observation.freqs.tolist()):
+        for i, (name, unit) in enumerate(zip(names, units, strict=True)):
+            entry = {"name": name, "unit": unit, "value": float(x[f, i]), "std": float(std[f, i]), "freq_hz": freq}
+            (told if std[f, i] ** 2 <= LEAST_TOLD * prior_var[i] else not_told).append(entry)
+    return (told, not_told) if told else (not_told, [])

@@ -14,24 +14,31 @@ from hydrabeam_mpi.infer.posterior import Posterior
 from hydrabeam_mpi.infer.prior import Prior
 from hydrabeam_mpi.inference import reduce_normals, reduced_chi2, solve_channels
 from hydrabeam_mpi.loop.equations import JointSums, SceneSums, beam_change
-from hydrabeam_mpi.loop.evidence import Likelihood
-from hydrabeam_mpi.loop.state import State
+from hydrabeam_mpi.loop.newton import solve_jointly
+from hydrabeam_mpi.loop.state import Active, State
 from hydrabeam_mpi.loop.workspace import Share
 from hydrabeam_mpi.mpi import ProcessGrid, together
 from hydrabeam_mpi.problem import Problem
 from hydrabeam_mpi.rows import Rows
 
 MAX_STEPS = 15
+MAX_HALVED = 5
+"""Times that a step is halved before the fit ends where it was best."""
 STEP_SIGMAS = 0.03
-"""Converged when no parameter moves by more than this part of its standard deviation."""
+"""Converged when no parameter moves by more than this part of its standard deviation.
 
-STEPS_BACK = 0.5
-"""Relative loss of ln(likelihood x prior) with which a step counts as a step too far.
-
-A smaller loss is none: E is that of the beam before, so that the first steps seem better than they are.
+Standard deviations are those of the noise; where the model leaves a reduced chi^2 above one, all that can be known is
+worse by its root, and so is what counts as a move.
 """
-HELD = 1e10
-"""Precision, in units of the prior's, with which undecidable combinations are held at zero."""
+FLAT_NATS = 0.01
+"""Rise of ln(likelihood x prior), over reduced chi^2 where that is above one, that is none.
+
+Parameters that still move by then drift where the data do not tell.
+"""
+FLAT_STEPS = 2
+"""Steps in a row without a rise after which the fit has ended."""
+STEPS_BACK = 0.5
+"""Relative loss of ln(likelihood x prior) with which a step counts as a step too far where weights are fitted too."""
 
 
 @dataclass(frozen=True)
@@ -69,60 +76,111 @@ def refit(space: Space, state: State) -> State:
     """Fit beams and effects jointly, from the values that the state has.
 
     Collective: all ranks of the grid. Given the effects the beams are solved for exactly; given the beams, the effects
-    take a Gauss-Newton step in which the beams follow (the Schur complement).
+    take a Gauss-Newton step in which the beams follow (the Schur complement). That step does not know how E changes
+    with the beams, which may be a lot; so E is computed with the beams as they have followed, and the step is shortened
+    until beams and effects together are likelier than before. Where no part of it is, the fit ends where it was best.
 
     Returns
     -------
     State
         A new one.
     """
-    state = replace(state, active=[replace(one) for one in state.active])
-    best, last, beams = -np.inf, [one.x for one in state.active], state.posteriors
+    state = replace(state, active=[_at_start(one) for one in state.active])
+    best: tuple[float, list[FloatArray], list[Posterior]] | None = None
+    flat = halved = 0
+    length = 1.0
     for _ in range(MAX_STEPS):
-        before, previous = state.posteriors, [one.x for one in state.active]
-        rows, added = _fit_beams(space, state)
+        here, seen = [one.x for one in state.active], state.posteriors
+        rows, added, reached = _fit_beams(space, state)
         if not state.active and not state.reweighted:
             return state
-        reached = _objective(space, state)
-        if not reached > best - STEPS_BACK * abs(best) and np.isfinite(best):
-            # Too far for a linear step: half of it, from where it was better.
-            for one, start in zip(state.active, last, strict=True):
-                one.x = 0.5 * (one.x + start)
-            state.posteriors = beams
+        if not seen:
+            continue  # there were no beams to see E by
+        misfit = max(1.0, space.over_channels(state.train_chi2) / space.experiment.observation.Nfreqs)
+        rise = np.inf if best is None else reached - best[0]
+        # As weights change so does what is compared, and only a great loss is one.
+        least = -STEPS_BACK * abs(best[0]) if best is not None and state.reweighted else -FLAT_NATS * misfit
+        if best is not None and rise < least:
+            if halved == MAX_HALVED:
+                break
+            halved, length = halved + 1, 0.5 * length
+            state.posteriors = seen
+            _shorten(state, best[1], best[2], 0.5)
             continue
-        best, last, beams = reached, previous, state.posteriors
+        flat = flat + 1 if rise < FLAT_NATS * misfit else 0
+        best, halved = (reached, here, seen if _adds(state) else state.posteriors), 0
+        beam_moved = _beam_moved(space, seen, state.posteriors)
         moved = _step(space, state, rows, added) if state.active else 0.0
-        moved = max(moved, _beam_moved(space, before, state.posteriors))
-        if moved < STEP_SIGMAS:
+        if max(moved, beam_moved) < STEP_SIGMAS * np.sqrt(misfit) or flat == FLAT_STEPS:
+            best = None
             break
-    _fit_beams(space, state)
+        # What was too long once is begun with again at twice the length at which it was not.
+        length = min(1.0, 2 * length)
+        _shorten(state, best[1], best[2], length)
+    if best is not None:
+        # Not converged: to where it was best, and not where the last attempt led.
+        for one, x in zip(state.active, best[1], strict=True):
+            one.x = x
+        state.posteriors = best[2]
+    _fit_beams(space, state, keep=best is not None and _adds(state))
     return state
 
 
-def _objective(space: Space, state: State) -> float:
+def _adds(state: State) -> bool:
+    """Whether E may depend on the beams."""
+    return any(not one.effect.multiplies and not one.effect.changes_sky for one in state.active)
+
+
+def _at_start(one: Active) -> Active:
+    """Return a copy, from zero where E was never fitted: how large it may be depends on how the beams give way."""
+    adds = not one.effect.multiplies and not one.effect.changes_sky
+    return replace(one, x=np.zeros_like(one.x)) if adds and not one.std.any() else replace(one)
+
+
+def _shorten(state: State, x: list[FloatArray], beams: list[Posterior], length: float) -> None:
+    """Take only part of a step from ``x`` and ``beams``, of the effects and of the beams that see E."""
+    if length == 1.0:
+        return
+    for one, start in zip(state.active, x, strict=True):
+        one.x = start + length * (one.x - start)
+    pairs = zip(beams, state.posteriors, strict=True)
+    state.posteriors = [replace(two, mean=one.mean + length * (two.mean - one.mean)) for one, two in pairs]
+
+
+def _objective(space: Space, state: State, of_beams: FloatArray) -> float:
     """Return ln(likelihood x prior) of beams and effects, over all channels."""
     penalty = sum(
         float(np.sum((one.x[:1] if one.effect.shared else one.x)[:, one.used] ** 2 / one.prior_var[one.used]))
         for one in state.active
     )
-    return space.over_channels(state.log_joint) - 0.5 * penalty
+    return space.over_channels(of_beams) - 0.5 * penalty
 
 
-def _fit_beams(space: Space, state: State) -> tuple[Rows, ComplexArray]:
-    """Solve for the beams given the effects; return the calibrated rows and E."""
+def _fit_beams(space: Space, state: State, keep: bool = False) -> tuple[Rows, ComplexArray, float]:
+    """Solve for the beams given the effects; return the calibrated rows, E, and what was reached before solving.
+
+    The last is ln(likelihood x prior) of the effects with the beams that E is seen by, or the best ones if there is
+    no E. With ``keep`` the beams that E is seen by stay: E may be another one with those solved for.
+    """
     grid, share = space.grid, space.train
     with together(grid.world):
         rows, added = share.calibrated(state) if state.posteriors else (share.rows, np.zeros_like(share.rows.data))
         show = grid.world.rank == 0 and not state.posteriors
         normals = accumulate_designs(rows, share.designs(state, show), space.problem.basis)
     normals = reduce_normals(grid, normals)
-    state.posteriors = solve_channels(grid, space.problem, normals)
+    seen, state.posteriors = state.posteriors, solve_channels(grid, space.problem, normals)
+    if keep:
+        pairs = zip(state.posteriors, seen, strict=True)
+        state.posteriors = [replace(solved, mean=one.mean) for solved, one in pairs]
     fitted = list(zip(normals, state.posteriors, space.problem.priors, strict=True))
     state.train_chi2 = np.array([reduced_chi2(normal, posterior) for normal, posterior, _ in fitted])
     state.log_joint = np.array([_log_joint(*one) for one in fitted])
     if grid.is_group_root:
         state.effective_parameters = np.array([_effective(normal, posterior) for normal, posterior, _ in fitted])
-    return rows, added
+    # E is that of the beams before, so that only those tell what beams and effects reach together.
+    together_with = seen if seen and _adds(state) else state.posteriors
+    reached = np.array([_log_joint(*one) for one in zip(normals, together_with, space.problem.priors, strict=True)])
+    return rows, added, _objective(space, state, reached)
 
 
 def _log_joint(normal: NormalEquations, posterior: Posterior, prior: Prior) -> float:
@@ -153,10 +211,14 @@ def _step(space: Space, state: State, rows: Rows, added: ComplexArray) -> float:
     with together(space.grid.world):
         if gathered is not None:
             by_channel = dict(pair for part in gathered for pair in part)
-            answer = solve_jointly(state, [by_channel[f] for f in sorted(by_channel)])
+            answer = solve_jointly(state, current(state), [by_channel[f] for f in sorted(by_channel)])
     x, std, covariances, moved = space.grid.world.bcast(answer)
+    change = x - current(state)
     place(state, x, std)
     state.covariances = [covariances[f] for f in space.channels]
+    # E of the next step is seen by the beams that belong to these parameters, not by those before.
+    followed = zip(state.posteriors, state.follows, space.channels, strict=True)
+    state.posteriors = [replace(one, mean=one.mean + follows @ change[f]) for one, follows, f in followed]
     return float(moved)
 
 
@@ -173,71 +235,6 @@ def active_sums(space: Space, share: Share, state: State, channel: int, rows: Ro
             total.add(sums, parts, None, None)
     total.reduce(space.grid.group)
     return total
-
-
-def solve_jointly(
-    state: State, likelihoods: list[Likelihood]
-) -> tuple[FloatArray, FloatArray, list[FloatArray], float]:
-    """Take the Newton step of all active parameters in use.
-
-    Parameters that channels share are solved for together, the others channel by channel given those.
-
-    Returns
-    -------
-    x, std : ndarray, (Nfreqs, q)
-    covariances : list of ndarray, (q, q)
-    moved : float
-        Largest step in standard deviations.
-    """
-    prior_var, x = state.prior_var, current(state)
-    width = np.sqrt(prior_var)
-    sizes = [len(one.used) for one in state.active]
-    shared = np.repeat([one.effect.shared for one in state.active], sizes)
-    s, p = np.flatnonzero(shared), np.flatnonzero(~shared)
-    prior = _prior_precision(state, width)
-    top, gradient = prior[np.ix_(s, s)].copy(), -prior[np.ix_(s, s)] @ (x[0, s] / width[s])
-    channels = []
-    for likelihood, values in zip(likelihoods, x, strict=True):
-        matrix = width[:, np.newaxis] * likelihood.information * width
-        score = width * likelihood.score
-        own = np.linalg.inv(matrix[np.ix_(p, p)] + prior[np.ix_(p, p)])
-        across = matrix[np.ix_(s, p)] @ own
-        own_score = score[p] - prior[np.ix_(p, p)] @ (values[p] / width[p])
-        top += matrix[np.ix_(s, s)] - across @ matrix[np.ix_(p, s)]
-        gradient += score[s] - across @ own_score
-        channels.append((own, across, own_score))
-    common = np.linalg.inv(top)
-    common_step = common @ gradient
-    new, std, covariances = x.copy(), np.zeros_like(x), []
-    for f, (own, across, own_score) in enumerate(channels):
-        step, covariance = np.zeros(len(width)), np.zeros((len(width), len(width)))
-        step[s], step[p] = common_step, own @ own_score - across.T @ common_step
-        covariance[np.ix_(s, s)] = common
-        covariance[np.ix_(p, s)] = -across.T @ common
-        covariance[np.ix_(s, p)] = covariance[np.ix_(p, s)].T
-        covariance[np.ix_(p, p)] = own + across.T @ common @ across
-        covariances.append(width[:, np.newaxis] * covariance * width)
-        std[f] = np.sqrt(np.diag(covariances[-1]))
-        new[f] += _limited(state, width * step)
-    return new, std, covariances, float(np.max(np.abs(new - x) / std, initial=0.0))
-
-
-def _prior_precision(state: State, width: FloatArray) -> FloatArray:
-    """Return the precision of the prior in units of its widths, with what is undecidable held at zero."""
-    precision = np.eye(len(width))
-    start = 0
-    for one in state.active:
-        span = slice(start, start + len(one.used))
-        for combination in one.undecidable[:, one.used] * width[span]:
-            precision[span, span] += HELD * np.outer(combination, combination) / np.vdot(combination, combination)
-        start = span.stop
-    return precision
-
-
-def _limited(state: State, step: FloatArray) -> FloatArray:
-    """Keep steps of strongly nonlinear parameters, such as positions, within their natural size."""
-    limits = np.concatenate([np.zeros(0), *(one.step_limit[one.used] for one in state.active)])
-    return np.clip(step, -limits, limits)
 
 
 def current(state: State) -> FloatArray:

@@ -168,7 +168,8 @@ def _fit(space: Space, checked: Checked, candidate: Candidate) -> tuple[Candidat
     effect, evidence = candidate.finding.effect, candidate.finding.evidence
     fitted = refit(space, state.extended(Active.start(effect, space.experiment, evidence.prior_var, evidence.x)))
     again = reconsider(space, fitted)
-    if not np.allclose(again.prior_var, evidence.prior_var, rtol=1.0, atol=0.0):
+    same = np.array_equal(again.prior_var > 0, evidence.prior_var > 0)
+    if not (same and np.allclose(again.prior_var, evidence.prior_var, rtol=1.0, atol=0.0)):
         start = np.where(again.prior_var > 0, fitted.active[-1].x, 0.0)
         start = np.where(effect.parameters(space.experiment).refined, fitted.active[-1].x, start)
         fitted = refit(space, state.extended(Active.start(effect, space.experiment, again.prior_var, start)))

@@ -11,7 +11,7 @@ def say_round(told: dict[str, Any]) -> str:
     """Tell a round in a few sentences: what, how sure, and what it changed."""
     parameters = sorted(told["parameters"], key=lambda one: -_sigmas(one))
     named = [say_parameter(one) for one in parameters[:MOST_NAMED]]
-    more = len(parameters) - len(named)
+    more = len(parameters) - len(named) + len(told["parameters_not_told"])
     what = f"{told['title'].capitalize()}: {'; '.join(named)}{f'; and {more} more' if more > 0 else ''}"
     sure = f"log Bayes factor {told['log_bayes_factor']:,.0f}; the beam can absorb {told['absorbed_by_beam']:.0%} of it"
     error = f"Held-out reduced chi^2 {told['heldout_before']:.3g} -> {told['heldout_after']:.3g}"

@@ -133,6 +133,7 @@ class Share:
             scene.vis = beam_alone + added[span]
             scene.weights = rows.inv_noise_var[channel, span]
             scene.residual = rows.data[channel, span] - beam_alone
+            scene.design = block
             yield span, scene, block
 
     def scene(self, channel: int, span: slice, beam: Beam, state: State) -> Scene:

@@ -5,6 +5,7 @@ import pytest
 
 from hydrabeam_mpi.effects.catalogue_flux import CatalogueFlux
 from hydrabeam_mpi.effects.experiment import Experiment
+from hydrabeam_mpi.effects.horizon import Horizon
 from hydrabeam_mpi.effects.point_sources import resolution
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.sky import Sky, separation
@@ -123,3 +124,16 @@ def test_names_and_restored_sources() -> None:
     assert not CatalogueFlux().added(scene, np.zeros(0)).any()
     with pytest.raises(InputError, match="no source at"):
         CatalogueFlux([(1.0, 2.0)]).parameters(experiment)
+
+
+def test_sources_behind_a_wall() -> None:
+    """What is hidden has no flux to be wrong about."""
+    experiment = small_experiment()
+    scene = small_scene(experiment)
+    effect = pinned(experiment, list(range(experiment.sky.Nsrc)))
+    x = np.full(experiment.sky.Nsrc, 0.1)
+    behind = replace(scene, sky_effects=[(Horizon([(0, 360, 0, 10)]), np.array([-0.4]))])
+    expected = 0.1 * behind.spread(behind.integrate(lambda sources: sources.beam[np.newaxis])[..., 0])
+    largest = np.abs(scene.vis).max()
+    np.testing.assert_allclose(effect.added(behind, x), expected, rtol=0, atol=1e-12 * largest)
+    assert np.abs(effect.added(scene, x) - expected).max() > 1e-6 * largest

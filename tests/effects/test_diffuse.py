@@ -123,3 +123,13 @@ def test_quadrature_has_converged(monkeypatch: pytest.MonkeyPatch) -> None:
     finer = Diffuse().columns(scene, np.zeros(49)).values
     assert np.abs(finer - values).max() > 0
     np.testing.assert_allclose(values, finer, rtol=0, atol=1e-6 * np.abs(finer).max())
+
+
+def test_the_prior_is_of_galactic_emission() -> None:
+    """Power falls as l^-2.5, and two rms below the mean nothing is negative."""
+    scale = Diffuse(6).parameters(small_experiment()).scale
+    by_degree = np.split(scale, np.arange(1, 7) ** 2)
+    for l, sizes in enumerate(by_degree[1:], start=1):
+        np.testing.assert_allclose(sizes**2, by_degree[1][0] ** 2 * l**-2.5, rtol=1e-12)
+    assert len(by_degree[0]) == 1
+    np.testing.assert_allclose(scale[0], 2 * np.sqrt(np.sum(scale[1:] ** 2)), rtol=0.05)

@@ -1,16 +1,15 @@
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.effects.catalogue import make_effect
 from hydrabeam_mpi.effects.experiment import Experiment
-from hydrabeam_mpi.effects.horizon import EDGES, RINGS, SECTORS, Horizon
+from hydrabeam_mpi.effects.horizon import AT_MOST, HEIGHTS, LENGTHS, SECTORS, STARTS, STRIPS, Horizon
 from hydrabeam_mpi.effects.scene import Scene
-from hydrabeam_mpi.effects.sources import Sources
-from hydrabeam_mpi.model.positions import SourcePositions
-from hydrabeam_mpi.random import generator
+from hydrabeam_mpi.model.positions import RotatedPositions, SourcePositions
+from hydrabeam_mpi.random import complex_normal, generator
 from tests.effects.small import (
     check_adjoint,
     check_derivative,
@@ -21,85 +20,163 @@ from tests.effects.small import (
 )
 
 
-def wide_scene() -> tuple[Experiment, Scene]:
-    """Many sources, so that every sector has some."""
-    experiment = small_experiment(n_sources=4000)
+def wide_scene(n_sources: int = 1000) -> tuple[Experiment, Scene]:
+    """Many sources, so that there are some near the horizon, where the beam is told from that of the sky."""
+    experiment = replace(small_experiment(n_sources=n_sources), positions=RotatedPositions)
     return experiment, small_scene(experiment)
+
+
+def number_of(first: float, last: float, height: float) -> int:
+    """Return the hypothesis of a wall."""
+    start, length = round(first / 360 * SECTORS) % SECTORS, round((last - first) / 360 * SECTORS)
+    window = np.flatnonzero((start == STARTS) & (length == LENGTHS))[0]
+    return int(window) * HEIGHTS + round(height / 10 * HEIGHTS) - 1
+
+
+def opaque(effect: Horizon, experiment: Experiment) -> FloatArray:
+    """Return parameters with which the walls let nothing through, right up to their edges."""
+    return np.where(effect.parameters(experiment).refined, 0.0, -1.0)
 
 
 def test_contract() -> None:
     experiment, scene = wide_scene()
-    effect = Horizon()
-    x = effect.draw(experiment, generator(1, "horizon"), 0.3)
+    walls = [number_of(60, 120, 6), number_of(300, 390, 3), number_of(180, 270, 9)]
+    effect = Horizon().at(experiment, np.array(walls))
+    assert len(effect.walls) == 3
+    rng = generator(1, "horizon")
+    x = effect.draw(experiment, rng, 0.3) + 0.1 * rng.standard_normal(len(effect.parameters(experiment)))
     check_zero_is_nothing(effect, scene)
-    check_derivative(effect, scene, x)
+    # Linear, so that no step is too long, and faint strips need long ones.
+    check_derivative(effect, scene, x, step=1e-2)
     check_adjoint(effect, scene, x)
-    sigma = 0.01 * float(np.abs(effect.added(scene, x)).max())
-    check_recovery(effect, scene, x, sigma=sigma)
+    one = Horizon().at(experiment, np.array(walls[:1]))
+    x = one.draw(experiment, rng, 0.7)
+    check_recovery(one, scene, x, sigma=0.01 * float(np.abs(one.added(scene, x)).max()))
 
 
-def test_every_parameter_may_be_at_fault_by_itself() -> None:
-    parameters = Horizon().parameters(small_experiment())
-    assert len(parameters) == RINGS * (1 + SECTORS) == 130
-    assert len(set(parameters.names)) == 130
-    assert parameters.element.tolist() == list(range(130))
-    assert parameters.trials == 130
+def test_walls_are_elements_and_bring_their_rims() -> None:
+    experiment, _ = wide_scene()
+    effect = Horizon().at(experiment, np.array([number_of(60, 120, 6), number_of(0, 360, 2)]))
+    parameters = effect.parameters(experiment)
+    assert parameters.names[:2] == ("elevation 0-6 deg, az 60-120 deg", "elevation 0-2 deg, all azimuths")
+    assert len(set(parameters.names)) == len(parameters)
+    # Up and down, and at both ends of what does not stand all around.
+    assert np.bincount(parameters.element).tolist() == [1 + 6 * STRIPS, 1 + 2 * STRIPS]
+    assert parameters.refined.tolist() == [False] * 2 + [True] * (8 * STRIPS)
+    assert parameters.trials == effect.n_hypotheses(experiment) == (SECTORS * (SECTORS - 1) + 1) * HEIGHTS
+    again = make_effect("horizon", effect.describe())
+    assert again.parameters(experiment).names == parameters.names
+    assert len(Horizon().parameters(experiment)) == 0
 
 
-def test_nothing_is_lost_twice() -> None:
-    experiment = small_experiment()
+def test_no_more_is_lost_than_there_is() -> None:
+    experiment, _ = wide_scene()
+    effect = Horizon().at(experiment, np.array([number_of(60, 120, 6), number_of(200, 300, 2)]))
     for strength in (0.1, 1.0, 10.0):
-        x = Horizon().draw(experiment, generator(2, "horizon"), strength)
-        assert (x <= 0).all()
-        assert (x < 0).any()
-        transmission = 1 + x[:RINGS, np.newaxis] + x[RINGS:].reshape(RINGS, SECTORS)
-        assert (transmission >= -1e-15).all()
+        x = effect.draw(experiment, generator(2, "horizon"), strength)
+        assert (x[:2] < 0).all()
+        assert (x >= -1).all()
+        assert not x[2:].any()
+
+
+def test_strips_have_few_sources_and_lie_along_the_edges() -> None:
+    experiment, scene = wide_scene()
+    effect = Horizon().at(experiment, np.array([number_of(330, 390, 5)]))
+    strips = np.array([strip for _, strip in effect.strips])
+    upward = strips[(strips[:, 0] == 330) & (strips[:, 1] == 390)]
+    assert len(upward) == 2 * STRIPS
+    beyond = upward[upward[:, 2] >= 5]
+    np.testing.assert_array_equal(beyond[1:, 2], beyond[:-1, 3])
+    assert beyond[0, 2] == 5
+    places = [np.rad2deg(scene.positions.above_horizon(t)[1:]) for t in range(6)]
+    za, az = np.concatenate(places, axis=1)
+    within = (az >= 330) | (az < 30)
+    for _, _, lo, hi in beyond:
+        assert 1 <= np.sum(within & (90 - za >= lo) & (90 - za < hi)) <= 2
+    sideways = strips[strips[:, 2] == 0]
+    assert (sideways[:, 3] == 5).sum() == 4 * STRIPS
+    assert {330.0, 390.0} <= set(sideways[:, :2].ravel())
 
 
 class Behind:
     """Positions from which the ground hides all below an elevation in a stretch of azimuth, degrees."""
 
-    def __init__(self, positions: SourcePositions, below: float, az: tuple[float, float]) -> None:
-        self.positions, self.below, self.az = positions, np.deg2rad(below), np.deg2rad(az)
+    def __init__(self, positions: SourcePositions, wall: tuple[float, float, float]) -> None:
+        self.positions, (self.first, self.last, self.height) = positions, wall
 
     def above_horizon(self, itime: int) -> tuple[IntArray, FloatArray, FloatArray]:
         index, za, az = self.positions.above_horizon(itime)
-        seen = (np.pi / 2 - za >= self.below) | (az < self.az[0]) | (az >= self.az[1])
+        turns = np.rad2deg(az) + 360 * np.arange(-1, 2)[:, np.newaxis]
+        inside = ((turns >= self.first) & (turns < self.last)).any(axis=0)
+        seen = ~inside | (90 - np.rad2deg(za) >= self.height)
         return index[seen], za[seen], az[seen]
 
 
-@pytest.mark.parametrize(
-    ("below", "az", "where"),
-    [
-        (10, (60, 120), ["az 60-90 deg", "az 90-120 deg"]),
-        (5, (330, 361), ["az 330-360 deg"]),
-        (10, (0, 361), ["all azimuths"]),
-        (2, (0, 361), ["all azimuths"]),
-    ],
-)
-def test_hidden_sky_equals_fewer_sources(below: float, az: tuple[float, float], where: list[str]) -> None:
-    experiment, scene = wide_scene()
-    effect = Horizon()
-    scene.integrate_for([effect])
-    rings = [f"elevation {lo:g}-{hi:g} deg" for lo, hi in pairwise(EDGES) if hi <= below]
-    hidden = {f"{ring}, {azimuth}" for ring in rings for azimuth in where}
-    x = np.array([-1.0 if name in hidden else 0.0 for name in effect.parameters(experiment).names])
-    assert -x.sum() == len(rings) * len(where) > 0
-    behind = replace(scene, positions=Behind(scene.positions, below, az))
+@pytest.mark.parametrize("wall", [(60, 120, 10), (330, 405, 5), (0, 360, 10), (0, 360, 2.25), (300, 305, 8.5)])
+def test_hidden_sky_equals_fewer_sources(wall: tuple[float, float, float]) -> None:
+    experiment, scene = wide_scene(4000)
+    effect = Horizon().at(experiment, np.array([number_of(*wall)]))
+    x = opaque(effect, experiment)
+    behind = replace(scene, positions=Behind(scene.positions, wall))
     expected = scene.spread(behind.integrate(lambda sources: sources.beam[np.newaxis])[..., 0])
     largest = np.abs(scene.vis).max()
-    assert np.abs(expected - scene.vis).max() > 1e-4 * largest
+    assert np.abs(expected - scene.vis).max() > 1e-6 * largest
     np.testing.assert_allclose(scene.vis + effect.added(scene, x), expected, rtol=0, atol=1e-12 * largest)
+    factored = replace(scene, sky_effects=[(effect, x)])
+    seen = factored.spread(factored.integrate(lambda sources: sources.beam[np.newaxis])[..., 0])
+    np.testing.assert_allclose(seen, expected, rtol=0, atol=1e-12 * largest)
 
 
-def test_edges() -> None:
-    za = np.deg2rad([79.999, 80.001, 85.001, 90.0, 84.999, 88.5])
-    az = np.deg2rad([10.0, 359.999, 30.001, 360.0, 29.999, 180.0])
-    za[3], az[3] = np.pi / 2, 2 * np.pi
-    sources = Sources(np.arange(6), za, az, np.ones(6), lambda za, az: np.full(len(za), 2.0), 0.0)
-    columns = Horizon().sky_columns(sources)
-    assert columns.shape == (120, 6)
-    rows, which = np.nonzero(columns)
-    found = dict(zip(which.tolist(), rows.tolist(), strict=True))
-    assert found == {1: 9 * 12 + 11, 2: 7 * 12 + 1, 3: 0, 4: 8 * 12, 5: 3 * 12 + 6}
-    assert (columns[rows, which] == 2.0).all()
+def test_walls_of_two_rounds_add_up() -> None:
+    """Together they transmit what one effect with both would, also where they overlap."""
+    experiment, scene = wide_scene()
+    walls = [number_of(60, 120, 6), number_of(90, 180, 4)]
+    both = Horizon().at(experiment, np.array(walls))
+    n_strips = len(both.strips)
+    one, two = (Horizon(both.walls[i : i + 1], [(0, box) for k, box in both.strips if k == i]) for i in (0, 1))
+    x = np.concatenate([[-0.6, -0.3], np.zeros(n_strips)])
+    together = replace(scene, sky_effects=[(both, x)])
+    apart = replace(
+        scene,
+        sky_effects=[
+            (effect, np.append(value, np.zeros(len(effect.strips)))) for effect, value in ((one, -0.6), (two, -0.3))
+        ],
+    )
+    for t in range(6):
+        np.testing.assert_allclose(apart.sources(t).flux_without(), together.sources(t).flux_without(), rtol=1e-14)
+        np.testing.assert_array_equal(apart.sources(t).flux_without("horizon"), scene.sources(t).flux)
+
+
+def test_scan_finds_the_wall() -> None:
+    experiment, scene = wide_scene()
+    wall = (60.0, 150.0, 6.0)
+    truth = Horizon().at(experiment, np.array([number_of(*wall)]))
+    change = truth.added(scene, opaque(truth, experiment))
+    sigma = 0.1 * float(np.abs(change).max())
+    noise = sigma * complex_normal(generator(4, "noise"), change.shape)
+    seen = replace(scene, residual=change + noise, weights=np.full(scene.shape, sigma**-2.0))
+    projection, power = Horizon().scan(seen)
+    assert projection.shape == power.shape == (Horizon().n_hypotheses(experiment), 1)
+    drop = np.where(power > 0, 2 * projection**2 / np.where(power > 0, power, 1), 0)[:, 0]
+    order = np.argsort(-drop, kind="stable")[:350]
+    assert projection[order[0]] < 0
+    found = Horizon().at(experiment, order)
+    assert 1 <= len(found.walls) <= AT_MOST
+    first, last, lowest, height = found.walls[0]
+    assert lowest == 0
+    np.testing.assert_allclose([first, last], wall[:2], atol=15)
+    np.testing.assert_allclose(height, wall[2], atol=1)
+
+
+def test_much_the_same_walls_are_one() -> None:
+    experiment, _ = wide_scene()
+    walls: list[tuple[float, float, float]] = [
+        (60, 120, 6),
+        (65, 120, 6),
+        (60, 120, 5.75),
+        (330, 390, 6),
+        (60, 180, 6),
+        (90, 120, 6),
+    ]
+    found = Horizon().at(experiment, np.array([number_of(*wall) for wall in walls]))
+    assert [(first, last, top) for first, last, _, top in found.walls] == [walls[i] for i in (0, 3, 4, 5)]

@@ -24,6 +24,7 @@ from hydrabeam_mpi.effects.catalogue import make_effect
 from hydrabeam_mpi.effects.cross_coupling import CrossCoupling
 from hydrabeam_mpi.effects.missing_sources import MissingSources
 from hydrabeam_mpi.effects.noise_level import NoiseLevel
+from hydrabeam_mpi.effects.nonredundant_beams import NonredundantBeams
 from hydrabeam_mpi.inference import Clock, infer_channels
 from hydrabeam_mpi.loop.heldout import blocks_of, whiten
 from hydrabeam_mpi.loop.joint import channel_results
@@ -309,6 +310,24 @@ def test_it_comes_back_from_afar(tmp_path: Path) -> None:
     assert used.tolist() == [4, 5, 10, 11]
     assert np.all(np.abs(active.x - truth)[:, used] < 4 * active.std[:, used])
     assert heldout_chi2(space, state) < 1.4
+
+
+def fitted_chi2(space: Space, state: State) -> float:
+    """Return chi^2 of the fitted rows of the first channel, with E as the state's own beam sees it."""
+    rows, added = space.train.calibrated(state)
+    scenes = [scene for _, scene, _ in space.train.scenes(0, state, added[0], rows)]
+    return float(sum(np.sum(scene.weights * np.abs(scene.residual) ** 2) for scene in scenes))
+
+
+@pytest.mark.parametrize("effect", [NonredundantBeams(), AntennaPositions()], ids=lambda effect: effect.kind)
+def test_what_cannot_explain_the_data_makes_them_no_worse(effect: Effect, tmp_path: Path) -> None:
+    """Gains that are badly wrong, and a beam that gives way: what is added changes as much as the beam does."""
+    amplitudes = {f"antenna {i} ln amplitude": 0.5 * (-1) ** i for i in range(7)}
+    injected = {"kind": "antenna_gains", "parameters": amplitudes | {"antenna 3 phase": 1.0}}
+    space = space_of(mock_job(injected, prior={"kind": "fraction", "fraction": 1.0}), tmp_path)
+    without = refit(space, State())
+    state = refit(space, without.extended(free(space, effect, 10.0)))
+    assert fitted_chi2(space, state) < fitted_chi2(space, without)
 
 
 def test_a_fit_leaves_the_state_before_as_it_was(tmp_path: Path) -> None:
