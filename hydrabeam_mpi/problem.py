@@ -158,6 +158,7 @@ def select(job: Job) -> Selection:
         freq_range=data.freq_range,
         time_range=data.time_range,
         lst_range=None if data.lst_range is None else _radians(data.lst_range),
+        every_time=data.every_time,
     )
 
 

@@ -97,6 +97,7 @@ class Data(Section):
     antpairs: tuple[AntennaPair, ...] | None = key(None, "keep only these baselines, [[ant1, ant2], ...]")
     lst_range: LstRange | None = key(None, "h, [from, to]; may wrap through 24 h")
     time_range: JdRange | None = key(None, "JD, [from, to]")
+    every_time: int = key(1, "keep one in so many of the integrations that are left", ge=1)
     freq_range: FreqRange | None = key(None, "Hz, [from, to]")
     freqs: Freqs | None = key(None, "Hz, the nearest channels")
     channels: tuple[Annotated[int, Field(ge=0)], ...] | None = key(None, "by number, from 0")

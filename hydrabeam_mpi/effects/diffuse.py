@@ -49,7 +49,6 @@ class Diffuse(Effect):
 
     kind = "diffuse"
     title = "diffuse emission"
-    linear = True
     changes_sky = True
 
     def __init__(self, l_max: int = 6) -> None:

@@ -16,10 +16,13 @@ from hydrabeam_mpi.loop.reweighting import WeightsFound
 from hydrabeam_mpi.loop.significance import sigma_of_log_p
 from hydrabeam_mpi.loop.state import State
 
-DOUBT = 0.2
-"""Part of what an effect's nonlinearity changed of its evidence by which that may be wrong."""
 MAX_ABSORBED = 0.95
 """Fraction of an effect's signature within the beam's own freedom above which it is not claimed."""
+NEARLY_ABSORBED = 0.9
+"""Such a fraction before an effect is fitted from which on it is asked again afterwards.
+
+A strong one that changes the sky then is what the beam sees, and has much in common with it in any case.
+"""
 TOO_SMALL = 0.7
 """Held-out reduced chi^2 below which predictions claim far less than they should."""
 NEAR = 0.1
@@ -65,14 +68,14 @@ class Round:
     beam_change: float
 
 
-def is_absorbed(candidate: Candidate) -> bool:
+def is_absorbed(candidate: Candidate, limit: float = MAX_ABSORBED) -> bool:
     """Whether nearly all of an effect's signature is what another beam would do, so that the data cannot tell it.
 
     Not of a basis that is too small, which is about the beam itself.
     """
     if candidate.finding is None or isinstance(candidate.finding.effect, BasisTruncation):
         return False
-    return candidate.finding.evidence.absorbed > MAX_ABSORBED
+    return candidate.finding.evidence.absorbed > limit
 
 
 def absorbed_reason(candidate: Candidate) -> str:
@@ -100,16 +103,9 @@ def in_order(wanted: Sequence[Candidate], most: int) -> list[Candidate]:
 def is_better(fitted: Candidate, after: Checked, best: Round) -> bool:
     """Whether a fitted effect is better than the best so far.
 
-    By the evidence of the fitted data and the predictive density of the others, together the evidence of all. While
-    something is left, what strongly nonlinear effects have is not known as well: where it is nearly the same, the error
-    on held-out data decides.
+    By the evidence of the fitted data and the predictive density of the others, which together are the evidence of all.
     """
     ahead = fitted.log_bayes_factor - best.candidate.log_bayes_factor
-    linear = {one.kind: one.log_bayes_factor for one in best.ranking}
-    changes = [abs(one.log_bayes_factor - linear[one.kind]) for one in (fitted, best.candidate)]
-    nothing_left = after.remains.consistent and best.after.remains.consistent
-    if not nothing_left and abs(ahead) < DOUBT * max(changes):
-        return after.blocks.chi2 < best.after.blocks.chi2
     return ahead + after.blocks.log_density - best.after.blocks.log_density > 0
 
 
@@ -148,16 +144,16 @@ def improvement(before: Checked, after: Checked, candidate: Candidate) -> float:
 
 
 def refusal_of(
-    before: Checked, after: Checked, candidate: Candidate, sigma: float, settings: LoopSettings
+    before: Checked, after: Checked, tried: Candidate, candidate: Candidate, sigma: float, settings: LoopSettings
 ) -> str | None:
-    """Say why a fitted candidate is not kept; None where it is."""
+    """Say why a candidate, as ``tried`` and as it has been fitted, is not kept; None where it is."""
     if not candidate.log_bayes_factor >= settings.min_log_bayes_factor:
         return f"its log Bayes factor is {candidate.log_bayes_factor:.4g} once it is fitted"
     if candidate.weights is not None:
         if abs(after.blocks.chi2 - 1) > abs(before.blocks.chi2 - 1):
             return f"held-out chi^2 goes from {before.blocks.chi2:.4g} to {after.blocks.chi2:.4g}"
         return None if after.remains.white else f"what is left is not white: {after.remains.why}"
-    if is_absorbed(candidate):
+    if is_absorbed(tried, NEARLY_ABSORBED) and is_absorbed(candidate):
         return absorbed_reason(candidate)
     if after.blocks.chi2 < TOO_SMALL:
         return f"it is so uncertain that it predicts nothing: held-out chi^2 {after.blocks.chi2:.4g}"

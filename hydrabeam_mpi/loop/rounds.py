@@ -37,6 +37,10 @@ from hydrabeam_mpi.progress import say
 
 MAX_TRIES = 6
 """Effects that are fitted in one round at most."""
+MAX_PRUNED = 3
+"""Times at most that an effect is fitted again with another prior, or with fewer elements."""
+WEAK_SIGMA = 4.0
+"""Significance below which an element with a place is given up; among so many places noise has this now and then."""
 
 
 @dataclass
@@ -142,7 +146,7 @@ def _try(space: Space, checked: Checked, ranking: Sequence[Candidate], course: C
         say(f"  trying {candidate.title} (ln BF {candidate.log_bayes_factor:.4g})", space.grid.is_world_root)
         fitted, after = _fit(space, checked, candidate)
         sigma = improvement(checked, after, fitted)
-        reason = refusal_of(checked, after, fitted, sigma, settings)
+        reason = refusal_of(checked, after, candidate, fitted, sigma, settings)
         say(
             f"    held-out chi^2 {after.blocks.chi2:.4g} (ln BF {fitted.log_bayes_factor:.4g})"
             + (f", refused: {reason}" if reason else ""),
@@ -168,15 +172,41 @@ def _fit(space: Space, checked: Checked, candidate: Candidate) -> tuple[Candidat
     effect, evidence = candidate.finding.effect, candidate.finding.evidence
     fitted = refit(space, state.extended(Active.start(effect, space.experiment, evidence.prior_var, evidence.x)))
     again = reconsider(space, fitted)
-    same = np.array_equal(again.prior_var > 0, evidence.prior_var > 0)
-    if not (same and np.allclose(again.prior_var, evidence.prior_var, rtol=1.0, atol=0.0)):
-        start = np.where(again.prior_var > 0, fitted.active[-1].x, 0.0)
-        start = np.where(effect.parameters(space.experiment).refined, fitted.active[-1].x, start)
-        fitted = refit(space, state.extended(Active.start(effect, space.experiment, again.prior_var, start)))
+    for _ in range(MAX_PRUNED):
+        prior_var = _without_weak(space, fitted.active[-1], again.prior_var)
+        same = np.array_equal(prior_var > 0, evidence.prior_var > 0)
+        if same and np.allclose(prior_var, evidence.prior_var, rtol=1.0, atol=0.0):
+            break
+        evidence = replace(again, prior_var=prior_var)
+        fitted = refit(space, state.extended(_restarted(space, fitted.active[-1], prior_var)))
+        again = reconsider(space, fitted)
     gained = _gain(space, state, fitted)
     log_bayes_factor = again.log_bayes_factor - again.linear_gain + gained
     finding = Finding(effect, replace(again, log_bayes_factor=log_bayes_factor))
     return replace(candidate, finding=finding, log_bayes_factor=log_bayes_factor), check(space, fitted)
+
+
+def _without_weak(space: Space, active: Active, prior_var: FloatArray) -> FloatArray:
+    """Take the prior from elements with a place or the like that have nothing there once they have been fitted to it.
+
+    Such are the ghosts of a source in the lobes of an array, which stand in for an error of its first position.
+    """
+    parameters = active.effect.parameters(space.experiment)
+    told = (active.std > 0) & ~parameters.refined
+    sigmas = np.where(told, np.abs(active.x) / np.where(told, active.std, 1.0), 0.0).max(axis=0)
+    n_elements = int(parameters.element.max(initial=-1)) + 1
+    best, placed = np.zeros(n_elements), np.zeros(n_elements, dtype=bool)
+    np.maximum.at(best, parameters.element, sigmas)
+    np.logical_or.at(placed, parameters.element, parameters.refined)
+    weak = (placed & (best < WEAK_SIGMA))[parameters.element]
+    return np.where(weak, 0.0, prior_var) if np.any(prior_var[~weak] > 0) else prior_var
+
+
+def _restarted(space: Space, active: Active, prior_var: FloatArray) -> Active:
+    """Begin again with another prior from where the effect has been fitted."""
+    refined = active.effect.parameters(space.experiment).refined
+    start = np.where((prior_var > 0) | refined, active.x, 0.0)
+    return Active.start(active.effect, space.experiment, prior_var, start)
 
 
 def _gain(space: Space, before: State, after: State) -> float:

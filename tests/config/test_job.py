@@ -30,6 +30,7 @@ exclude_antennas = [4]
 antpairs = [[1, 2], [2, 3]]
 lst_range = ["23 h", "30 deg"]
 time_range = [2459866.25, 2459867.5]
+every_time = 2
 freq_range = ["100 MHz", "200 MHz"]
 freqs = ["131.25 MHz", "129.6875 MHz"]
 channels = [3, 1]

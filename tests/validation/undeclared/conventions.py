@@ -44,4 +44,4 @@ def antennas_sorted_by_name(truth: Truth, rng: np.random.Generator, strength: fl
     """Positions stand in the order of the names as text, "A10" before "A2"."""
     order = np.argsort([f"A{number}" for number in truth.setting.numbers])
     truth.antpos = truth.antpos[np.argsort(order)]
-    return Drawn()
+    return Drawn(about={"antennas that moved": float(np.sum(order != np.arange(len(order))))})

@@ -59,7 +59,7 @@ def score(answer: dict[str, Any], loop: dict[str, Any]) -> dict[str, Any]:
         "class": class_of(answer["case"]),
         "strength": [effect["strength"] for effect in effects],
         "chi2_left": [effect["chi2_left"] for effect in effects],
-        "detectable": all(effect["detectable"] or effect["kind"] in CONVENTIONS for effect in effects),
+        "detectable": all(effect["detectable"] or _is_mistake(effect) for effect in effects),
         "first": first,
         "found": found,
         "verdict": loop["verdict"],
@@ -86,6 +86,11 @@ def score(answer: dict[str, Any], loop: dict[str, Any]) -> dict[str, Any]:
     holds = [one.holds for one in comparisons if one.holds is not None]
     told["parameters_hold"] = all(holds) if holds else None
     return told
+
+
+def _is_mistake(effect: dict[str, Any]) -> bool:
+    """Tell whether an effect is a convention that is not kept; numbers may be in the order of their names already."""
+    return effect["kind"] in CONVENTIONS and effect["about"].get("antennas that moved") != 0
 
 
 def class_of(case: str) -> str:
