@@ -34,6 +34,9 @@ def _rows(state: Entry) -> Iterator[tuple[str, tuple[str, str]]]:
     yield from _known("reduced χ² of how redundant baselines differ", redundancy.get("scatter"), "chi2")
     for pair in entries(state, "correlations"):
         yield from _known(f"correlation, {pair.get('what', '')}", pair, "correlation")
+    for look in entries(state, "coherent"):
+        name = f"{look.get('kind', '')}, the most significant of {format_value(number(look, 'n'), 'count')}"
+        yield name, (str(look.get("what") or "–"), sigmas(number(look, "sigma")))
     tails = state.get("tails") or {}
     yield from _known("excess kurtosis, 0 for Gaussian noise", tails.get("kurtosis"), "excess")
     largest = tails.get("largest") or {}

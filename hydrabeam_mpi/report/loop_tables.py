@@ -91,6 +91,8 @@ def parameters_table(entry: Entry) -> str:
     what = f"{len(largest)} of {len(parameters):,} values, the farthest from zero in their standard deviations"
     if len(largest) == len(parameters):
         what = "The values"
+    if not_told := len(entries(entry, "parameters_not_told")):
+        what += f" ({not_told:,} more that the data do not tell)"
     return f"<details><summary>{what}</summary>\n{set_table('', head, lines_of(rows, values), 'channels')}</details>\n"
 
 

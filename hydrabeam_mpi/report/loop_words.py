@@ -22,9 +22,20 @@ def _what_it_lacked(loop: Entry, names: str, fall: str) -> str:
         return f"The model explains the data to the noise; nothing significant is left: {fall}."
     if loop["verdict"] != "unexplained":
         return f"The model lacked {names or 'something'}, and with that added nothing significant is left: {fall}."
+    better = _foreign(loop)
     if names:
-        return f"The model lacked {names}, and something else that no known effect explains: {fall}."
-    return f"The data show something that is not in the model and that no known effect explains: {fall}."
+        return f"The model lacked {names}, and something else that no known effect explains: {fall}.{better}"
+    return f"The data show something that is not in the model and that no known effect explains: {fall}.{better}"
+
+
+def _foreign(loop: Entry) -> str:
+    """Tell what would explain more than any effect and is none of them; empty where nothing would."""
+    foreign = loop.get("foreign")
+    if not isinstance(foreign, dict):
+        return ""
+    title, after = str(foreign.get("title", "")), number(foreign, "heldout_after")
+    to = f", with a held-out reduced χ² of {written(after)}" if math.isfinite(after) else ""
+    return f" {title[:1].upper()}{title[1:]} would explain more than any of them{to}."
 
 
 def _broken_convention(loop: Entry) -> str:

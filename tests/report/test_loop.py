@@ -216,3 +216,28 @@ def test_a_loop_that_is_none(text: str, paper: Path, edited: Edit) -> None:
     (folder / "loop.json").write_text(text)
     with pytest.raises(InputError, match=r"loop\.json"):
         write_report(folder)
+
+
+def test_what_explains_more_than_any_effect_is_told() -> None:
+    loop = loops.unexplained()
+    assert "would explain more" not in verdict_words(loop)
+    loop["foreign"] = {"title": "a beam that changes in time", "effect": "beam_drift", "heldout_after": 1.004}
+    assert "A beam that changes in time would explain more than any of them, with a held-out" in verdict_words(loop)
+    loop["foreign"] = {"title": "a beam that changes in time"}
+    assert verdict_words(loop).endswith("would explain more than any of them.")
+
+
+def test_what_follows_the_model_is_listed() -> None:
+    loop = loops.unexplained()
+    loop["residual"]["coherent"] = [
+        {"kind": "changes of gains", "what": "antenna 8 after LST 3.21 h", "sigma": 7.3, "n": 437}
+    ]
+    html, _ = section(loop)
+    assert "changes of gains, the most significant of 437" in html
+    assert "antenna 8 after LST 3.21 h" in html
+
+
+def test_parameters_that_are_not_told_are_counted() -> None:
+    loop = loops.explained()
+    loop["rounds"][0]["parameters_not_told"] = [{"name": "a"}, {"name": "b"}]
+    assert "2 more that the data do not tell" in section(loop)[0]
