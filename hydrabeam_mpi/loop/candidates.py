@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydrabeam_mpi.config.effects import Loop as LoopSettings
+from hydrabeam_mpi.effects.base import ScannedEffect
 from hydrabeam_mpi.effects.basis_truncation import BasisTruncation
 from hydrabeam_mpi.loop.attribution import Finding
 from hydrabeam_mpi.loop.heldout import Blocks, Whitened, fall_significance
@@ -113,14 +114,18 @@ def may_be_better(candidate: Candidate, best: Round, enough: bool) -> bool:
     """Whether an effect with less evidence than the best one fitted so far may have more once it is fitted.
 
     Most effects are only roughly linear, so that what comes near is fitted too. Where the best one leaves nothing
-    (``enough``) another can only be simpler. A structure that was found is no noise.
+    (``enough``) another can only be simpler, as may be what needs several elements until places or delays are refined.
+    A structure that was found is no noise.
     """
     if candidate.finding is None:
         return False
     near = NEAR_IF_LINEAR if candidate.finding.effect.linear else NEAR
     if candidate.log_bayes_factor < near * best.candidate.log_bayes_factor:
         return False
-    return not enough or _complexity(candidate) < _complexity(best.candidate)
+    if not enough or _complexity(candidate) < _complexity(best.candidate):
+        return True
+    refined = isinstance(candidate.finding.effect, ScannedEffect) and not candidate.finding.effect.linear
+    return refined and candidate.log_bayes_factor > NEAR_IF_LINEAR * best.candidate.log_bayes_factor
 
 
 def _complexity(candidate: Candidate) -> float:

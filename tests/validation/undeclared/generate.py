@@ -22,6 +22,8 @@ from tests.validation.undeclared.truth import ComplexArray, Truth
 
 GIVEN, SEALED = "given", "sealed"
 
+RECEIVERS = ("antenna_gains", "antenna_delays", "cable_reflections")
+
 
 def stream(seed: int, what: str) -> np.random.Generator:
     """Return random numbers of their own for each purpose."""
@@ -41,7 +43,8 @@ def make(seed: int, kinds: list[Kind], present: list[Kind]) -> Made:
     setting = draw_setting(stream(seed, "setting"), merged([kind.plan for kind in kinds]))
     truth = Truth.of(setting, drawn_shape(stream(seed, "beam"), setting.model_shape))
     effects = []
-    for kind in present:
+    # What receivers and cables do comes after all else, and multiplies that, too.
+    for kind in sorted(present, key=lambda one: one.name in RECEIVERS):
         rng = stream(seed, kind.name)
         # Two at once are drawn strong enough to be seen, mostly.
         low, high = np.log(kind.weakest), np.log(kind.strongest)
