@@ -20,7 +20,7 @@ from hydrabeam_mpi.io.provenance import provenance
 from hydrabeam_mpi.io.staging import writing
 from hydrabeam_mpi.loop.amendment import amended_job
 from hydrabeam_mpi.loop.conventions import check_conventions
-from hydrabeam_mpi.loop.drift import BeamDrift
+from hydrabeam_mpi.loop.drift import drifts
 from hydrabeam_mpi.loop.joint import channel_results, find_experiment, read_space, restore
 from hydrabeam_mpi.loop.leakage import check_leakage
 from hydrabeam_mpi.loop.record import make_record
@@ -79,8 +79,7 @@ def close_loop(world: Comm, job_path: Path, out: Path, overwrite: bool, threads:
             state = restore(job, experiment)
         with clock.time("conventions"):
             conventions = check_conventions(grid, space.problem, space.train.rows)
-        foreign = [BeamDrift()] if BeamDrift().refusal(experiment) is None else []
-        wanted = () if conventions["found"] else ([*choice.effects, *foreign], choice.changes)
+        wanted = () if conventions["found"] else ([*choice.effects, *drifts(experiment)], choice.changes)
         course = run_rounds(space, state, *(wanted or ([], [])), clock)
         with clock.time("leakage"):
             leakage = check_leakage(grid, space.problem, experiment) if choice.leakage else None

@@ -10,11 +10,16 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.effects.base import Columns, Effect, Parameters
+from hydrabeam_mpi.effects.displaced import TILTS, need_real_beam, torque
 from hydrabeam_mpi.effects.experiment import Experiment
+from hydrabeam_mpi.effects.nonredundant_beams import MODES, sidelobes, stretches
 from hydrabeam_mpi.effects.scene import Scene
+from hydrabeam_mpi.effects.sources import Sources
 
 MOST_MODES = 64
 LEAST_TIMES = 4
+SHAPE = ("level", "tilt towards East", "tilt towards North", *MODES)
+CHANGE = 0.05
 FLOOR = 1e-3
 """Expected change of a mode at least, relative to the largest one."""
 
@@ -44,17 +49,53 @@ class BeamDrift(Effect):
     def columns(self, scene: Scene, x: FloatArray) -> Columns:
         """Return the design's columns times the time, from -1 to 1."""
         modes = _largest(scene.experiment)[1]
-        jd = scene.experiment.observation.times
-        time = 2 * (jd[scene.times] - jd.min()) / max(float(np.ptp(jd)), 1e-9) - 1
         columns = scene.design[..., modes]
         if np.iscomplexobj(columns):
             columns = np.concatenate([columns, 1j * columns], axis=-1)
         else:
             columns = columns[:, 0] + 1j * columns[:, 1]
-        return Columns(columns * time[:, np.newaxis, np.newaxis], columns.shape[-1], by_group=True)
+        values = (columns * _time(scene)[:, np.newaxis, np.newaxis]).astype(complex)
+        return Columns(values, columns.shape[-1], by_group=True)
+
+
+class ShapeDrift(BeamDrift):
+    """Change of the beam's level, pointing, widths and sidelobes from the middle to the end of the times.
+
+    Few numbers tell what the modes of a basis need many for; each may change by itself.
+    """
+
+    def refusal(self, experiment: Experiment) -> str | None:
+        """Refuse complex beams, and too few times."""
+        return need_real_beam(experiment) or super().refusal(experiment)
+
+    def parameters(self, experiment: Experiment) -> Parameters:
+        """Return the changes: relative ones, and tilts in radians."""
+        scale = [CHANGE, *[CHANGE / 5] * len(TILTS.T), *[CHANGE] * len(MODES)]
+        return Parameters.of([f"change of {name}" for name in SHAPE], "", np.array(scale), np.arange(len(SHAPE)))
+
+    def sky_columns(self, sources: Sources) -> FloatArray:
+        """Return the beam, and how it changes with tilts, widths and sidelobes, (9, Nsrc)."""
+        tilts = -TILTS.T @ torque(sources)
+        return np.concatenate([sources.beam[np.newaxis], tilts, stretches(sources), sidelobes(sources)])
+
+    def columns(self, scene: Scene, x: FloatArray) -> Columns:
+        """Return these columns' visibilities times the time, from -1 to 1."""
+        values = scene.integrals[self.kind] * _time(scene)[:, np.newaxis, np.newaxis]
+        return Columns(values, len(SHAPE), by_group=True)
+
+
+def _time(scene: Scene) -> FloatArray:
+    """Return the times of a scene, from -1 to 1 over all of the observation's."""
+    jd = scene.experiment.observation.times
+    return np.asarray(2 * (jd[scene.times] - jd.min()) / max(float(np.ptp(jd)), 1e-9) - 1)
 
 
 def _largest(experiment: Experiment) -> tuple[FloatArray, IntArray]:
     """Return how large the model beam's coefficients are over all channels, and which of them are largest."""
     amplitudes = np.sqrt(np.mean(np.square(np.abs(experiment.prior_mean)), axis=0))
     return amplitudes, np.sort(np.argsort(-amplitudes, kind="stable")[:MOST_MODES])
+
+
+def drifts(experiment: Experiment) -> list[BeamDrift]:
+    """Return the ways in which these data can tell a beam that changes."""
+    return [one for one in (BeamDrift(), ShapeDrift()) if one.refusal(experiment) is None]

@@ -6,11 +6,12 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from hydrabeam_mpi.cli import main
 from hydrabeam_mpi.effects.catalogue import EFFECTS
 from hydrabeam_mpi.loop.attribution import attribute
-from hydrabeam_mpi.loop.drift import BeamDrift
+from hydrabeam_mpi.loop.drift import SHAPE, BeamDrift, ShapeDrift
 from hydrabeam_mpi.loop.refit import refit
 from hydrabeam_mpi.loop.state import Active, State
 from tests.loop.mock import mock_job, space_of, write_job
@@ -73,3 +74,24 @@ def test_a_drifting_beam_is_given_no_other_name(tmp_path: Path) -> None:
 def test_few_times_cannot_tell(tmp_path: Path) -> None:
     job = write_job(mock_job(n_times=3), tmp_path)
     assert main(["loop", str(job), "-o", str(tmp_path / "out")]) == 0
+
+
+def test_a_shape_that_changes_is_told_by_few_numbers(tmp_path: Path) -> None:
+    """A main lobe that grows wider by a hundredth, of a beam whose modes would all have to change."""
+    space = space_of(mock_job(), tmp_path)
+    effect = ShapeDrift()
+    state = refit(space, State())
+    rows, added = space.train.calibrated(state)
+    truth = np.zeros(len(SHAPE))
+    truth[SHAPE.index("width East-West")] = 0.01
+    for span, scene, _ in space.train.scenes(0, state, added[0], rows):
+        scene.integrate_for([effect])
+        space.train.rows.data[0, span] += effect.added(scene, truth)
+    shape, modes = sorted(
+        attribute(space, refit(space, State()), [effect, BeamDrift()]),
+        key=lambda one: -one.evidence.log_bayes_factor,
+    )
+    assert isinstance(shape.effect, ShapeDrift)
+    assert shape.evidence.log_bayes_factor > modes.evidence.log_bayes_factor + 10
+    assert np.argmax(np.abs(shape.evidence.x[0])) == SHAPE.index("width East-West")
+    assert shape.evidence.x[0].max() == pytest.approx(0.01, rel=0.1)
