@@ -19,7 +19,7 @@ from hydrabeam_mpi.model.rime import Beam, ForwardModel
 from hydrabeam_mpi.problem import Problem
 from hydrabeam_mpi.rows import Rows
 
-KEPT_BYTES = 1_500_000_000
+KEPT_BYTES = 2_000_000_000
 """Design rows are kept in memory up to this size a rank, and made anew each time beyond it."""
 ROWS_AT_ONCE = 60_000
 
@@ -41,6 +41,7 @@ class Share:
     problem: Problem
     experiment: Experiment
     rows: Rows
+    _plain: list[NDArray[Any]] | None = None
     _kept: list[NDArray[Any]] | None = None
     _kept_for: bytes = b""
     _places: dict[int, tuple[IntArray, FloatArray, FloatArray]] = field(default_factory=dict)
@@ -55,13 +56,14 @@ class Share:
 
     def forget(self) -> None:
         """Drop what is kept, to begin anew."""
-        self._kept, self._kept_for, self._places, self._model = None, b"", {}, None
+        self._plain, self._kept, self._kept_for, self._places, self._model = None, None, b"", {}, None
 
     @property
     def keeps_designs(self) -> bool:
         """Whether there is room to keep the design rows."""
         n_rows = len(self.rows.groups) * len(self.rows.tile.times) * len(self.rows.data)
-        return n_rows * self.problem.basis.n_modes * 16 <= KEPT_BYTES
+        # Those of the sky as it is, and as it is with effects.
+        return 2 * n_rows * self.problem.basis.n_modes * 16 <= KEPT_BYTES
 
     def designs(self, state: State, show: bool = False) -> Iterator[NDArray[Any]]:
         """Yield the design rows of each time, for all channels, as `hydrabeam_mpi.accumulate.designs` does.
@@ -69,32 +71,47 @@ class Share:
         Effects of the state that change the sky are part of them.
         """
         key = b"".join(one.x.tobytes() for one in state.active if one.effect.changes_sky)
+        if not key:
+            yield from self._plain_designs(show)
+            return
         if key != self._kept_for:
             self._kept, self._kept_for = None, key
         if self._kept is not None:
             yield from self._kept
             return
-        basis, keep = self.problem.basis, self.keeps_designs
         made = []
-        made_now = (
-            self._weighted_designs(state) if key else designs(self.rows, self.model, basis, "design matrix", show)
-        )
-        for design in made_now:
-            if keep:
+        for plain, change in zip(self._plain_designs(), self._changes(state), strict=True):
+            design = plain + change
+            if self.keeps_designs:
                 made.append(design)
             yield design
-        if keep:
+        if self.keeps_designs:
             self._kept = made
 
-    def _weighted_designs(self, state: State) -> Iterator[NDArray[Any]]:
-        """Make the design rows with the sources' fluxes changed by the state's effects."""
+    def _plain_designs(self, show: bool = False) -> Iterator[NDArray[Any]]:
+        """Yield the design rows of the sky as it is, which are made once where there is room to keep them."""
+        if self._plain is not None:
+            yield from self._plain
+            return
+        made = []
+        for design in designs(self.rows, self.model, self.problem.basis, "design matrix", show):
+            if self.keeps_designs:
+                made.append(design)
+            yield design
+        if self.keeps_designs:
+            self._plain = made
+
+    def _changes(self, state: State) -> Iterator[NDArray[Any]]:
+        """Yield what effects change of the design rows: of sources whose flux they change, and of further ones."""
         basis, engine = self.problem.basis, self.model.engine
         for t, time in enumerate(self.rows.tile.times.tolist()):
             by_channel = []
             for channel in range(len(self.rows.data)):
                 scene = self.scene(channel, slice(t, t + 1), _no_beam, state)
                 sources = scene.sources(time)
-                sky = [(sources.za, sources.az, sources.flux_without())]
+                change = sources.flux_without() - sources.flux
+                changed = np.flatnonzero(change)
+                sky = [(sources.za[changed], sources.az[changed], change[changed])]
                 sky += [more for one, x in scene.sky_effects if (more := one.extra_sky(scene, time, x)) is not None]
                 za, az, flux = (np.concatenate(parts) for parts in zip(*sky, strict=True))
                 by_channel.append(engine.design(basis, za, az, flux[np.newaxis], np.array([scene.freq]))[0])
