@@ -50,7 +50,7 @@ def make(seed: int, kinds: list[Kind], present: list[Kind]) -> Made:
         low, high = np.log(kind.weakest), np.log(kind.strongest)
         strength = float(np.exp(rng.uniform(low if len(kinds) == 1 else 0.5 * (low + high), high)))
         effects.append((kind, strength, kind.apply(truth, rng, strength)))
-    return Made(truth, effects)
+    return Made(truth, sorted(effects, key=lambda one: present.index(one[0])))
 
 
 def generate(seed: int, folder: Path, case: str | None = None) -> None:
