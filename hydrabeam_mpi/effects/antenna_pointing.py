@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -51,14 +50,22 @@ class AntennaPointing(Effect):
     def columns(self, scene: Scene, x: FloatArray) -> Columns:
         """Return half of what tilting further does, for a row's first and second antenna."""
         values: ComplexArray = np.repeat(scene.spread(scene.integrals[self.kind])[:, :, np.newaxis], 2, axis=2)
+        rotations = _rotations(x)
+        tilted = np.flatnonzero(rotations.any(axis=1))
+        place = np.full(len(rotations), -1)
+        place[tilted] = np.arange(len(tilted))
+        of_row = place[row_antennas(scene)]
+        rows, side = np.nonzero(of_row >= 0)
 
-        def rates(sources: Sources, rotation: FloatArray) -> FloatArray:
-            tilted = seen_at(sources, rotate(sources.enu, -rotation))
-            return -(rotation_rate(-rotation) @ TILTS).T @ torque(tilted)
+        def rates(sources: Sources) -> FloatArray:
+            return np.concatenate([_rates(sources, rotation) for rotation in rotations[tilted]])
 
-        self._tilt(scene, x, rates, values)
+        for t in range(len(scene.times) if len(tilted) else 0):
+            integrals = replace(scene, times=scene.times[t : t + 1]).integrate(rates)[0]
+            integrals = integrals.reshape(len(scene.groups), len(tilted), 2)
+            values[t, rows, side] = integrals[scene.member[rows], of_row[rows, side]]
         values = (0.5 * DEGREE * values).reshape(*scene.shape, 4)
-        return Columns(values, 2 * len(scene.experiment.antennas_in_use), row_parameters(scene, 2))
+        return Columns(values, 2 * len(rotations), row_parameters(scene, 2))
 
     def added(self, scene: Scene, x: FloatArray) -> ComplexArray:
         """Return what the antennas' tilts change, (Ntimes, Nbls)."""
@@ -70,32 +77,13 @@ class AntennaPointing(Effect):
 
         return added_by_beams(scene, tilted, beams)
 
-    @staticmethod
-    def _tilt(
-        scene: Scene, x: FloatArray, columns: Callable[[Sources, FloatArray], FloatArray], out: ComplexArray
-    ) -> None:
-        """Integrate ``columns`` of the sources and of an antenna's rotation, (p, Nsrc), wherever an antenna is tilted.
-
-        ``out``, (Ntimes, Nbls, 2, p), receives them at the rows of tilted antennas, first or second.
-        """
-        rotations = _rotations(x)
-        tilted = np.flatnonzero(rotations.any(axis=1))
-        if not len(tilted):
-            return
-        place = np.full(len(rotations), -1)
-        place[tilted] = np.arange(len(tilted))
-        of_row = place[row_antennas(scene)]
-        rows, side = np.nonzero(of_row >= 0)
-
-        def stacked(sources: Sources) -> FloatArray:
-            return np.concatenate([columns(sources, rotation) for rotation in rotations[tilted]])
-
-        for t in range(len(scene.times)):
-            integrals = replace(scene, times=scene.times[t : t + 1]).integrate(stacked)[0]
-            integrals = integrals.reshape(len(scene.groups), len(tilted), -1)
-            out[t, rows, side] = integrals[scene.member[rows], of_row[rows, side]]
-
 
 def _rotations(x: FloatArray) -> FloatArray:
     """Return the antennas' rotation vectors, (Nants, 3)."""
     return np.asarray(DEGREE * x.reshape(-1, 2) @ TILTS.T)
+
+
+def _rates(sources: Sources, rotation: FloatArray) -> FloatArray:
+    """Return how the beam of a tilted antenna changes as it is tilted further, (2, Nsrc) per radian."""
+    tilted = seen_at(sources, rotate(sources.enu, -rotation))
+    return -(rotation_rate(-rotation) @ TILTS).T @ torque(tilted)

@@ -107,14 +107,11 @@ def _weigh(space: Space, state: State, effect: Effect, by_channel: list[Likeliho
 
 def _absorbed(evidence: Evidence, by_channel: list[Likelihood]) -> float:
     """Return how much of an effect's signature the beam takes up, whatever the active effects take besides."""
-    n_channels, n_params = len(by_channel), evidence.x.shape[1]
-    signature = np.broadcast_to(evidence.x, (n_channels, n_params))
-    seen = sum(
-        float(x @ one.information[-n_params:, -n_params:] @ x) for one, x in zip(by_channel, signature, strict=True)
-    )
-    present = sum(
-        float(x @ one.signal[-n_params:, -n_params:] @ x) for one, x in zip(by_channel, signature, strict=True)
-    )
+    own = slice(-evidence.x.shape[1], None)
+    seen = present = 0.0
+    for one, x in zip(by_channel, np.broadcast_to(evidence.x, (len(by_channel), evidence.x.shape[1])), strict=True):
+        seen += float(x @ one.information[own, own] @ x)
+        present += float(x @ one.signal[own, own] @ x)
     return float(np.clip(1 - seen / present, 0.0, 1.0)) if present > 0 else 0.0
 
 
@@ -124,9 +121,7 @@ def _without_active(state: State, effect: Effect, by_channel: list[Likelihood]) 
     Those with parameters for each channel are marginalised in each. So are those that channels share, for an effect
     that is each channel's own, where every channel counts its part of their prior; else after the sum over channels.
     """
-    sizes = [len(one.used) for one in state.active]
-    shared = np.repeat([one.effect.shared for one in state.active], sizes)
-    x, n_freqs = current(state), len(by_channel)
+    shared, x, n_freqs = state.shared, current(state), len(by_channel)
     part = np.where(shared, 1 / n_freqs, 1.0)
     precision = part / state.prior_var
     blocks = []

@@ -11,6 +11,7 @@ from hydrabeam_mpi.config.effects import Loop as LoopSettings
 from hydrabeam_mpi.effects.base import ScannedEffect
 from hydrabeam_mpi.effects.basis_truncation import BasisTruncation
 from hydrabeam_mpi.loop.attribution import Finding
+from hydrabeam_mpi.loop.drift import BeamDrift
 from hydrabeam_mpi.loop.heldout import Blocks, Whitened, fall_significance
 from hydrabeam_mpi.loop.remains import Remains
 from hydrabeam_mpi.loop.reweighting import WeightsFound
@@ -55,6 +56,11 @@ class Candidate:
     log_bayes_factor: float
     finding: Finding | None = None
     weights: WeightsFound | None = None
+
+    @property
+    def is_foreign(self) -> bool:
+        """Whether it is weighed beside the effects without being one, so that it is never claimed."""
+        return self.finding is not None and isinstance(self.finding.effect, BeamDrift)
 
 
 @dataclass(frozen=True)

@@ -136,8 +136,7 @@ def _fit_local(space: Space, state: State, local: str, kept: NDArray[np.bool_]) 
     state = replace(state, active=[replace(one) for one in state.active], covariances=list(state.covariances))
     sizes = [len(one.used) for one in state.active]
     mine = np.repeat([one.effect.local == local for one in state.active], sizes)
-    shared = np.repeat([one.effect.shared for one in state.active], sizes)
-    prior_var = state.prior_var
+    shared, prior_var = state.shared, state.prior_var
     for _ in range(LOCAL_STEPS):
         with together(space.grid.world):
             rows, added = space.test.calibrated(state)

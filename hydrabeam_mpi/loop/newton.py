@@ -36,9 +36,7 @@ def solve_jointly(
     """
     prior_var = state.prior_var
     width = np.sqrt(prior_var)
-    sizes = [len(one.used) for one in state.active]
-    shared = np.repeat([one.effect.shared for one in state.active], sizes)
-    s, p = np.flatnonzero(shared), np.flatnonzero(~shared)
+    s, p = np.flatnonzero(state.shared), np.flatnonzero(~state.shared)
     prior = _prior_precision(state, width)
     top, gradient = prior[np.ix_(s, s)].copy(), -prior[np.ix_(s, s)] @ (x[0, s] / width[s])
     channels = []

@@ -9,7 +9,6 @@ import numpy as np
 
 from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.loop.candidates import Candidate, Checked, Round, indistinguishable
-from hydrabeam_mpi.loop.drift import BeamDrift
 from hydrabeam_mpi.loop.refit import Space
 from hydrabeam_mpi.loop.remains import Remains
 from hydrabeam_mpi.loop.rounds import Course
@@ -57,11 +56,7 @@ def make_record(
         _round(space.experiment, one, chi2[i : i + 2], remains[i], course.last.state)
         for i, one in enumerate(course.rounds)
     ]
-    tried = [
-        {"effect": one.kind, "log_bayes_factor": one.log_bayes_factor, "reason": reason}
-        for one, reason in course.tried
-        if one.kind != BeamDrift.kind
-    ]
+    tried = [_refused(one, reason) for one, reason in course.tried if not one.is_foreign]
     reasons = [{"effect": kind, "reason": reason} for kind, reason in skipped]
     if leakage is not None:
         # Leakage is seen in rows of its own; in those that are fitted it is of second order, and may look like others.
@@ -69,11 +64,12 @@ def make_record(
         place.insert(0, leakage)
     if conventions["found"]:
         rounds = [_convention(course, conventions)]
+    last, foreign = remains[-1], _foreign(course)
     verdict = "unexplained"
-    if (remains[-1].consistent and course.foreign is None) or conventions["found"]:
+    if (last.consistent and foreign is None) or conventions["found"]:
         verdict = "explained" if rounds else "consistent"
-    foreign = _foreign(course)
-    record = {
+    unexplained = verdict == "unexplained"
+    record: dict[str, Any] = {
         "name": space.problem.job.name,
         "verdict": verdict,
         "error_before": course.first.blocks.chi2,
@@ -81,7 +77,7 @@ def make_record(
         "heldout_n": course.last.blocks.n_data,
         "said": [
             *(one["sentence"] for one in rounds),
-            say_verdict(verdict, course.last.blocks.chi2, remains[-1].where, foreign),
+            say_verdict(verdict, course.last.blocks.chi2, last.where, foreign),
         ],
         "foreign": foreign,
         "rounds": rounds,
@@ -90,12 +86,16 @@ def make_record(
         "skipped": reasons,
         "undecidable": [{"what": what, "why": why} for what, why in UNDECIDABLE],
         "conventions": conventions,
-        "where": remains[-1].where if verdict == "unexplained" else None,
-        "residual": remains[-1].statistics,
-        "structures": remains[-1].structures if verdict == "unexplained" else None,
+        "where": last.where if unexplained else None,
+        "residual": last.statistics,
+        "structures": last.structures if unexplained else None,
     }
-    found: dict[str, Any] = _finite(record)
-    return found
+    return {key: _finite(value) for key, value in record.items()}
+
+
+def _refused(candidate: Candidate, reason: str) -> dict[str, Any]:
+    """Tell what was tried in vain."""
+    return {"effect": candidate.kind, "log_bayes_factor": candidate.log_bayes_factor, "reason": reason}
 
 
 def _foreign(course: Course) -> dict[str, Any] | None:
@@ -204,7 +204,7 @@ def _size(candidate: Candidate) -> dict[str, Any]:
 
 def known_effects(ranking: Sequence[Candidate]) -> list[Candidate]:
     """Leave out what is weighed beside the effects and is none."""
-    return [one for one in ranking if one.kind != BeamDrift.kind]
+    return [one for one in ranking if not one.is_foreign]
 
 
 def _ranked(candidate: Candidate) -> dict[str, Any]:

@@ -27,7 +27,6 @@ from hydrabeam_mpi.loop.candidates import (
     may_be_better,
     refusal_of,
 )
-from hydrabeam_mpi.loop.drift import BeamDrift
 from hydrabeam_mpi.loop.heldout import blocks_of, whiten
 from hydrabeam_mpi.loop.refit import Space, refit
 from hydrabeam_mpi.loop.remains import remains_of
@@ -89,9 +88,9 @@ def run_rounds(
             break
         with clock.time("trials"):
             added = _try(space, checked, ranking, course)
-        if added is not None and added.candidate.kind == BeamDrift.kind:
+        if added is not None and added.candidate.is_foreign:
             course.foreign = added
-            say("  nothing is added: no effect comes near a beam that changes in time", speaks)
+            say(f"  nothing is added: no effect comes near {added.candidate.title}", speaks)
             break
         if added is None:
             break

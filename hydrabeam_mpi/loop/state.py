@@ -118,6 +118,11 @@ class State:
         return State([*self.active, active], list(self.reweighted), list(self.posteriors))
 
     @property
+    def shared(self) -> NDArray[np.bool_]:
+        """Whether channels share each of the active parameters in use, side by side."""
+        return np.repeat([one.effect.shared for one in self.active], [len(one.used) for one in self.active])
+
+    @property
     def prior_var(self) -> FloatArray:
         """Prior variances of all active parameters in use, side by side."""
         return np.concatenate([np.zeros(0), *(one.prior_var[one.used] for one in self.active)])

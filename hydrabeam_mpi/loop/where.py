@@ -89,9 +89,9 @@ def where(
             carriers = _antenna_carriers(sums, layout, axis) if name == "antennas" else _carriers(axis, freedom)
             described[name] = _describe(axis, carriers, freedom, freedom.heavier(sums))
             found[name] = carriers
-    for one in sorted(coherent, key=lambda one: coherent_look(one, layout).log_p):
+    looks = [(coherent_look(one, layout), one) for one in coherent]
+    for look, one in sorted(looks, key=lambda pair: pair[0].log_p):
         name = "baselines" if one.name in OF_BASELINES else "times" if one.name in OF_TIMES else "antennas"
-        look = coherent_look(one, layout)
         if look.log_p < np.log(SMALLEST_P) and name in described and described[name]["state"] == "even":
             # Spots of all times are told by the single ones.
             single = next((two for two in coherent if two.name == SPOTS), one) if name == "times" else one
@@ -158,12 +158,9 @@ def _tell_coherent(
     shares = excess[order] / max(float(excess[sigma >= CLEAR].sum()), float(excess.max()), 1e-300)
     carriers = Carriers.of(order, np.where(sigma[order] >= CLEAR, shares, 0.0))
     few = carriers.fewest <= np.ceil(CONCENTRATED * len(axis))
-    entries = [
-        {"what": axis.what[k], "chi2": float(axis.chi2[k]), "share": float(share), "sigma": float(sigma[k])}
-        for k, share in zip(carriers.entries[:MOST_LISTED].tolist(), carriers.shares, strict=False)
-    ]
     described[axis.name] |= {"state": "concentrated" if few else "uneven", "count": carriers.fewest}
-    described[axis.name] |= {"sigma": look.sigma, "entries": entries, "by": f"{look.axis}, {look.what}"}
+    described[axis.name] |= {"sigma": look.sigma, "entries": _listed(axis, carriers, sigma)}
+    described[axis.name]["by"] = f"{look.axis}, {look.what}"
     found[axis.name] = carriers
 
 
@@ -175,15 +172,18 @@ def _describe(axis: Axis, carriers: Carriers, freedom: Freedom, heavier: Freedom
     elif _beyond_chance(axis.unevenness(heavier)):
         # A large excess elsewhere scatters over this axis, too, by more than noise does.
         state = "uneven"
-    entries = []
-    if state != "even":
-        chi2, sigmas = axis.chi2, axis.sigma(freedom)
-        entries = [
-            {"what": axis.what[k], "chi2": float(chi2[k]), "share": float(share), "sigma": float(sigmas[k])}
-            | (axis.extra[k] if axis.extra else {})
-            for k, share in zip(carriers.entries[:MOST_LISTED].tolist(), carriers.shares, strict=False)
-        ]
+    entries = _listed(axis, carriers, axis.sigma(freedom)) if state != "even" else []
     return {"state": state, "of": len(axis), "count": carriers.fewest, "sigma": sigma, "entries": entries}
+
+
+def _listed(axis: Axis, carriers: Carriers, sigma: FloatArray) -> list[dict[str, Any]]:
+    """Return the entries that carry most, strongest first."""
+    chi2 = axis.chi2
+    return [
+        {"what": axis.what[k], "chi2": float(chi2[k]), "share": float(share), "sigma": float(sigma[k])}
+        | (axis.extra[k] if axis.extra else {})
+        for k, share in zip(carriers.entries[:MOST_LISTED].tolist(), carriers.shares, strict=False)
+    ]
 
 
 def _beyond_chance(sigma: float) -> bool:

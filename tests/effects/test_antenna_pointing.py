@@ -24,6 +24,9 @@ def test_contract() -> None:
     x[2:4] = 0  # an antenna that points well among others
     check_zero_is_nothing(effect, scene)
     check_derivative(effect, scene, np.zeros(len(x)), step=1e-2)
+    # The mean of two power beams moves as their product does where both are tilted alike.
+    check_derivative(effect, scene, np.tile([0.5, -0.3], 7), step=1e-2)
+    check_derivative(effect, scene, np.tile([10.0, 4.0], 7), step=1e-2)
     check_adjoint(effect, scene, x)
     check_recovery(effect, scene, x, sigma=0.003 * float(np.abs(scene.vis).max()))
 
