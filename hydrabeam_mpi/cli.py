@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import signal
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
@@ -15,6 +13,7 @@ from mpi4py import MPI
 from hydrabeam_mpi import __version__
 from hydrabeam_mpi.console import console
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.interrupt import interruptible
 from hydrabeam_mpi.mpi import install_abort_hook, limit_blas_threads, refuse, together
 from hydrabeam_mpi.progress import say
 
@@ -42,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options = _parser().parse_args(arguments)
         install_abort_hook(world)
         try:
-            with _interrupted_by_sigterm():
+            with interruptible():
                 _run(world, options)
         except InputError as error:
             return refuse(world, error)
@@ -52,16 +51,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
             say("interrupted")
             return INTERRUPTED_STATUS
     return 0
-
-
-@contextmanager
-def _interrupted_by_sigterm() -> Iterator[None]:
-    """Take what a batch system sends to a job that it ends as Ctrl-C: neither leaves anything half-written."""
-    previous = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, previous)
 
 
 class _Parser(argparse.ArgumentParser):
