@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from astropy.coordinates import EarthLocation
@@ -55,6 +56,11 @@ class Observation:
     integration_time: FloatArray
     pols: tuple[str, ...]
     pol_convention: str | None = None
+
+    @cached_property
+    def latitude(self) -> float:
+        """Radians, geodetic."""
+        return float(self.location.lat.rad)
 
     @property
     def Nants(self) -> int:

@@ -18,7 +18,6 @@ from scipy.special import lpmv
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.base import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.experiment import Experiment
-from hydrabeam_mpi.effects.point_sources import follow
 from hydrabeam_mpi.effects.scene import GivenColumns, Scene
 from hydrabeam_mpi.model.engine import make_engine
 from hydrabeam_mpi.model.fringes import C_M_PER_S
@@ -185,7 +184,7 @@ def _frames(scene: Scene) -> FloatArray:
     ra = np.arange(n) * np.pi * (3 - np.sqrt(5)) % (2 * np.pi)
     sky = Sky(ra, np.arcsin(z), np.ones((1, n)))
     vectors = enu(np.arccos(z), ra)
-    positions = follow(scene, sky)
+    positions = scene.positions.follow(sky)
     frames = np.empty((len(scene.times), 3, 3))
     for t, itime in enumerate(scene.times.tolist()):
         index, za, az = positions.above_horizon(itime)

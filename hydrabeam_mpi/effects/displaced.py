@@ -23,6 +23,7 @@ from hydrabeam_mpi.model.basis import Array
 from hydrabeam_mpi.model.fringes import C_M_PER_S
 from hydrabeam_mpi.model.positions import SourcePositions, enu
 from hydrabeam_mpi.model.rime import Beam
+from hydrabeam_mpi.model.sky import Sky
 
 TILTS: FloatArray = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 0.0]])
 """Rotation vectors that take the zenith towards East and towards North, (3, 2)."""
@@ -91,6 +92,10 @@ class TurnedPositions:
         """Find the sources that are above the horizon without the rotation; za may exceed 90 deg."""
         index, za, az = self.positions.above_horizon(itime)
         return index, *angles(rotate(enu(za, az), self.rotations[itime]))
+
+    def follow(self, sky: Sky) -> TurnedPositions:
+        """Follow another sky, turned alike."""
+        return replace(self, positions=self.positions.follow(sky))
 
 
 def turned_sky(scene: Scene, rotations: FloatArray) -> Scene:

@@ -10,7 +10,6 @@ from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.point_sources import (
     PointSources,
     dirty_map,
-    follow,
     in_degrees,
     in_radians,
     keep_apart,
@@ -68,7 +67,8 @@ class MissingSources(PointSources):
         """Return the sources that are up."""
         part = x.reshape(-1, _n_each(scene.experiment))
         flux = part[:, 0] * _spectrum(part, scene)
-        index, za, az = follow(scene, Sky(*self._places(part), np.ones((1, len(flux))))).above_horizon(itime)
+        sky = Sky(*self._places(part), np.ones((1, len(flux))))
+        index, za, az = scene.positions.follow(sky).above_horizon(itime)
         return za, az, flux[index]
 
     def columns(self, scene: Scene, x: FloatArray) -> Columns:
@@ -144,7 +144,7 @@ def candidates(experiment: Experiment, altitude: float = MIN_ALTITUDE) -> tuple[
     """Return right ascension and declination of the grid points that rise to ``altitude`` in the times in use."""
     ra, dec = _grid(_spacing(experiment))
     observation = experiment.observation
-    zenith = float(observation.location.lat.rad)
+    zenith = observation.latitude
     # Culmination alone rules many out, and leaves the fewer to be turned.
     can = np.abs(dec - zenith) <= np.pi / 2 - altitude
     ra, dec = ra[can], dec[can]

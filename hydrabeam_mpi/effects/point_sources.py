@@ -14,7 +14,7 @@ from hydrabeam_mpi.effects.base import ScannedEffect
 from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.model.fringes import C_M_PER_S, Fringes
-from hydrabeam_mpi.model.positions import SourcePositions, enu
+from hydrabeam_mpi.model.positions import enu
 from hydrabeam_mpi.model.rime import Beam
 from hydrabeam_mpi.model.sky import Sky, separation
 
@@ -78,12 +78,6 @@ def place(ra: float, dec: float) -> str:
     return f"ra={ra:.3f} dec={dec:.3f}"
 
 
-def follow(scene: Scene, sky: Sky) -> SourcePositions:
-    """Follow other sources by the rule of the scene's."""
-    rule: Any = type(scene.positions)
-    return rule(sky, scene.experiment.observation)
-
-
 def responses(scene: Scene, ra: FloatArray, dec: FloatArray) -> ComplexArray:
     """Return the visibilities of sources of 1 Jy, (Ntimes, Ngroups, N); zero while below the horizon.
 
@@ -92,7 +86,7 @@ def responses(scene: Scene, ra: FloatArray, dec: FloatArray) -> ComplexArray:
     out = np.zeros((len(scene.times), len(scene.groups), len(ra)), dtype=complex)
     if not len(ra):
         return out
-    positions = follow(scene, Sky(ra, dec, np.ones((1, len(ra)))))
+    positions = scene.positions.follow(Sky(ra, dec, np.ones((1, len(ra)))))
     wavevectors = 2 * np.pi * scene.freq / C_M_PER_S * scene.vectors
     for t, itime in enumerate(scene.times.tolist()):
         index, za, az = positions.above_horizon(itime)
@@ -125,7 +119,7 @@ def dirty_map(scene: Scene, sky: Sky) -> tuple[FloatArray, FloatArray]:
     weights = scene.weights.sum(axis=1)
     if not weights.any():
         return projection, power
-    fringes, beam, positions = Fringes(scene.vectors), _sampled(scene.beam), follow(scene, sky)
+    fringes, beam, positions = Fringes(scene.vectors), _sampled(scene.beam), scene.positions.follow(sky)
     for t in np.flatnonzero(weights).tolist():
         index, za, az = positions.above_horizon(int(scene.times[t]))
         directions = enu(za, az)

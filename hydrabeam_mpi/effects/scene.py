@@ -114,7 +114,7 @@ class Scene:
                 self.places[itime] = self.positions.above_horizon(itime)
             index, za, az = self.places[itime]
         flux = experiment.sky.flux[self.channel, index]
-        sources = Sources(index, za, az, flux, self.beam, float(experiment.observation.location.lat.rad))
+        sources = Sources(index, za, az, flux, self.beam, experiment.observation.latitude)
         for effect, x in self.sky_effects:
             change = effect.sky_factor(experiment, sources, x) - 1
             # Two of a kind add up, as more parameters of one do.

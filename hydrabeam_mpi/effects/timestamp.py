@@ -38,5 +38,5 @@ class Timestamp(TurningSky):
     @staticmethod
     def _per_second(scene: Scene) -> FloatArray:
         """Return the rotation vector of one second: about the celestial pole, opposite to the Earth."""
-        latitude = float(scene.experiment.observation.location.lat.rad)
+        latitude = scene.experiment.observation.latitude
         return -EARTH_RATE * np.array([0.0, np.cos(latitude), np.sin(latitude)])

@@ -6,6 +6,7 @@ sources x times is kept.
 
 from __future__ import annotations
 
+from copy import copy
 from typing import Protocol
 
 import erfa
@@ -38,11 +39,14 @@ class SourcePositions(Protocol):
             Zenith angle, at most 90 deg, and azimuth from East through North in [0, 2 pi], radians.
         """
 
+    def follow(self, sky: Sky) -> SourcePositions:
+        """Follow another sky through the same times by the same rule."""
+
 
 class ApparentPositions:
     """Catalogue places (ICRS) as seen from the observatory: precession, nutation, aberration, polar motion.
 
-    One ERFA context per time serves all sources. The atmosphere does not refract.
+    One ERFA context per time serves all sources of all skies that are followed. The atmosphere does not refract.
     """
 
     def __init__(self, sky: Sky, observation: Observation) -> None:
@@ -57,14 +61,21 @@ class ApparentPositions:
         index = np.flatnonzero(za <= np.pi / 2)
         return index, za[index], (np.pi / 2 - az_from_north[index]) % (2 * np.pi)
 
+    def follow(self, sky: Sky) -> ApparentPositions:
+        """Follow another sky; see `SourcePositions.follow`."""
+        other = copy(self)
+        other._ra, other._dec = sky.ra, sky.dec
+        return other
+
 
 class RotatedPositions:
     """Places of date turned by the local sidereal time alone, hour angle = LST - RA: for mocks."""
 
     def __init__(self, sky: Sky, observation: Observation) -> None:
+        self._observation = observation
         self._ra = sky.ra
         self._sin_dec, self._cos_dec = np.sin(sky.dec), np.cos(sky.dec)
-        self._lat = float(observation.location.lat.rad)
+        self._lat = observation.latitude
         self._lsts = observation.lsts
 
     def above_horizon(self, itime: int) -> tuple[IntArray, FloatArray, FloatArray]:
@@ -78,6 +89,10 @@ class RotatedPositions:
         # arctan2 keeps full precision at the zenith, where an arccos of `up` would lose half of the digits.
         za = np.arctan2(np.hypot(east, north), up[index])
         return index, za, np.arctan2(north, east) % (2 * np.pi)
+
+    def follow(self, sky: Sky) -> RotatedPositions:
+        """Follow another sky; see `SourcePositions.follow`."""
+        return RotatedPositions(sky, self._observation)
 
 
 def enu(za: FloatArray, az: FloatArray) -> FloatArray:
@@ -99,7 +114,7 @@ def count_above_horizon(sky: Sky, observation: Observation, max_sample: int = 20
     sample = np.arange(sky.Nsrc)
     if sky.Nsrc > max_sample:
         sample = generator(0, "count_above_horizon").integers(sky.Nsrc, size=max_sample)
-    lat = float(observation.location.lat.rad)
+    lat = observation.latitude
     cos_hour_angle = np.cos(observation.lsts[:, np.newaxis] - sky.ra[sample])
     up = np.sin(lat) * np.sin(sky.dec[sample]) + np.cos(lat) * np.cos(sky.dec[sample]) * cos_hour_angle
     return (up >= 0).sum(axis=1) * (sky.Nsrc / max(len(sample), 1))

@@ -121,6 +121,16 @@ def test_a_sky_that_never_rises_gives_no_sources():
         assert len(index) == len(za) == len(az) == 0
 
 
+@pytest.mark.parametrize("rule", [ApparentPositions, RotatedPositions])
+def test_another_sky_is_followed_by_the_same_rule(rule):
+    one, two = mock_sky(1, FREQS, n_sources=50), mock_sky(2, FREQS, n_sources=70)
+    observed = observation([JD_2017, JD_2017 + 0.3])
+    followed, direct = rule(one, observed).follow(two), rule(two, observed)
+    for time in range(2):
+        for a, b in zip(followed.above_horizon(time), direct.above_horizon(time), strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
 def test_count_above_horizon_follows_the_true_counts():
     times = JD_2017 + np.linspace(0, 1, 8)
     dense_south = mock_sky(7, FREQS, n_sources=20_000)
