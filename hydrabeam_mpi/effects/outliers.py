@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
+from scipy.stats import binom
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.data.selection import BoolArray
@@ -26,8 +27,13 @@ from hydrabeam_mpi.random import complex_normal
 
 # Bins of |z|^2; the last has no end. Half of the good rows lie above 0.7, and one in 1e10 above 23.
 EDGES: FloatArray = np.concatenate([[0.0], np.geomspace(0.05, 1e12, 241)])
-# Rows beyond this are counted by time and baseline; noise has 1.4e-11 of its rows there.
+# Rows beyond this stand out; noise has 1.4e-11 of its rows there.
 HIT = 25.0
+# Rows beyond this are counted by baseline; noise has 3e-7 of its rows there.
+LARGE = 15.0
+# Large rows of one baseline, that many at least, gather if they are no likelier than this by chance.
+GATHERED = 3
+GATHERED_P = 1e-6
 MAX_FRACTION = 0.05
 MIN_SCALE, MAX_SCALE = 4.0, 1e9
 # Good rows that masking may cost, of all rows of a channel.
@@ -75,13 +81,13 @@ class Outliers(Reweighting):
     def n_sums(self, experiment: Experiment) -> int:
         """Return the number of bins, of counts by time and by baseline, and of moments."""
         observation = experiment.observation
-        return len(EDGES) - 1 + 2 * observation.Ntimes + 2 * observation.Nbls + N_MOMENTS
+        return len(EDGES) - 1 + 2 * (observation.Ntimes + observation.Nbls) + N_MOMENTS
 
     def sums(self, scene: Scene, z: ComplexArray) -> FloatArray:
-        """Return the histogram of |z|^2; rows and hits by time; the same by baseline; moments of model and hits.
+        """Return the histogram of |z|^2; rows and hits by time; rows and large ones by baseline; moments.
 
-        The moments: sums of 1, a and a^2 with a = ln |m|^2 w over all rows, and of 1, a, a^2, b, b^2 and a b with
-        b = ln |z|^2 over those that are hit.
+        The moments: sums of 1, a and a^2 with a = ln |m|^2 w, the model's, over all rows, and of 1, a, a^2, b, b^2 and
+        a b with b = ln |z|^2 over those that are hit.
         """
         observation = scene.experiment.observation
         used = scene.weights > 0
@@ -90,7 +96,7 @@ class Outliers(Reweighting):
         counts = np.histogram(np.minimum(u[used], EDGES[-2]), EDGES)[0]
         by_time, by_bl = np.zeros((2, observation.Ntimes)), np.zeros((2, observation.Nbls))
         by_time[:, scene.times] = used.sum(axis=1), hit.sum(axis=1)
-        by_bl[:, scene.bls] = used.sum(axis=0), hit.sum(axis=0)
+        by_bl[:, scene.bls] = used.sum(axis=0), (used & (u > LARGE)).sum(axis=0)
         bright = used & (scene.vis != 0)
         model = np.log(np.abs(scene.vis[bright]) ** 2 * scene.weights[bright])
         of_hits, size = model[hit[bright]], np.log(u[bright & hit])
@@ -231,15 +237,13 @@ def _not_bursts(experiment: Experiment, counts: FloatArray) -> str | None:
     """Say why rows that stand out are not bursts, from the counts behind the histogram; None where they may be."""
     n_times, n_bls = experiment.observation.Ntimes, experiment.observation.Nbls
     time_rows, time_hits = counts[: 2 * n_times].reshape(2, n_times)
-    rows, hits = counts[2 * n_times : -N_MOMENTS].reshape(2, n_bls)
-    total = hits.sum()
-    if total < MIN_HITS:
-        return None
-    lasting = mostly(hits, rows)
-    if 2 * hits[lasting].sum() > total:
-        return f"they last: {lasting.sum()} baseline(s) stand out most of the time"
+    rows, large = counts[2 * n_times : -N_MOMENTS].reshape(2, n_bls)
+    by_chance = binom.sf(large - 1, large.sum(), rows / max(rows.sum(), 1.0)) * n_bls
+    gathered = (large >= GATHERED) & (by_chance < GATHERED_P)
+    if 2 * large[gathered].sum() > large.sum():
+        return f"they gather on {gathered.sum()} baseline(s)"
     whole_times = time_hits[mostly(time_hits, time_rows)].sum()
-    if _follow_model(counts[-N_MOMENTS:], scattered=bool(2 * whole_times < total)):
+    if _follow_model(counts[-N_MOMENTS:], scattered=bool(2 * whole_times < time_hits.sum())):
         return "they are where the model is bright, as errors of the model are"
     return None
 

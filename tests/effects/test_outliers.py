@@ -100,6 +100,11 @@ def lasting(scene: Scene) -> np.ndarray:
     return np.where(np.arange(scene.shape[1]) == 4, 20, 1) * scene.residual
 
 
+def gathered(scene: Scene) -> np.ndarray:
+    baseline, time = np.arange(scene.shape[1]) == 4, np.arange(scene.shape[0]) % 7 == 0
+    return np.where(baseline & time[:, np.newaxis], 20, 1) * scene.residual
+
+
 def bright(scene: Scene) -> np.ndarray:
     return scene.residual + np.where(np.abs(scene.vis) > np.quantile(np.abs(scene.vis), 0.97), 0.3, 0) * scene.vis
 
@@ -113,7 +118,8 @@ def loud(scene: Scene) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("what", "words"), [(lasting, "last"), (bright, "bright"), (many, "not a few"), (loud, "not a few")]
+    ("what", "words"),
+    [(lasting, "gather"), (gathered, "gather"), (bright, "bright"), (many, "not a few"), (loud, "not a few")],
 )
 def test_other_errors_are_refused(what, words: str) -> None:
     made = scenes()
