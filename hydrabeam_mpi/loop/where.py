@@ -89,13 +89,15 @@ def where(
             carriers = _antenna_carriers(sums, layout, axis) if name == "antennas" else _carriers(axis, freedom)
             described[name] = _describe(axis, carriers, freedom, freedom.heavier(sums))
             found[name] = carriers
-    looks = [(coherent_look(one, layout), one) for one in coherent]
+    # A noise that is larger at some times has more in common with anything there; so these times set the level.
+    level = max(1.0, float(axes["times"].chi2.max(initial=1.0)))
+    looks = [(coherent_look(one, layout, 1.0 if one.name in OF_TIMES else level), one) for one in coherent]
     for look, one in sorted(looks, key=lambda pair: pair[0].log_p):
         name = "baselines" if one.name in OF_BASELINES else "times" if one.name in OF_TIMES else "antennas"
         if look.log_p < np.log(SMALLEST_P) and name in described and described[name]["state"] == "even":
             # Spots of all times are told by the single ones.
             single = next((two for two in coherent if two.name == SPOTS), one) if name == "times" else one
-            _tell_coherent(single, look, layout, axes[name], described, found)
+            _tell_coherent(single, look, layout, axes[name], described, found, 1.0 if name == "times" else level)
     chosen = {name: carriers.entries for name, carriers in found.items() if described[name]["state"] != "even"}
     words = sentence(axes, described, chosen, _of_few_baselines(layout, axes, chosen))
     words += "".join(f" It shows in {one['by']}." for one in described.values() if "by" in one)
@@ -137,8 +139,9 @@ def _tell_coherent(
     axis: Axis,
     described: dict[str, Any],
     found: dict[str, Carriers],
+    level: float,
 ) -> None:
-    """Describe an axis by what of the residual follows the model or the sky."""
+    """Describe an axis by what of the residual follows the model or the sky, with noise of variance ``level``."""
     observation = layout.observation
     names = {
         "antennas": observation.antenna_numbers.tolist(),
@@ -148,7 +151,7 @@ def _tell_coherent(
     place = {str(what["jd"] if axis.name == "times" else what): k for k, what in enumerate(axis.what)}
     excess, sigma = np.zeros(len(axis)), np.zeros(len(axis))
     for index, over, significance in zip(
-        coherence.index, coherence.chi2 - coherence.dof, coherence.sigma(), strict=True
+        coherence.index, coherence.chi2 - level * coherence.dof, coherence.sigma(level), strict=True
     ):
         k = place.get(str(names[index]))
         if k is None:  # a time that is fitted

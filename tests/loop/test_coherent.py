@@ -107,6 +107,16 @@ def test_the_place_is_told_where_chi2_tells_none() -> None:
     assert statistics(sums, LAYOUT, 0.0, looks)["significance"]["p"] < 1e-6
 
 
+def test_noise_that_grows_is_of_no_antenna() -> None:
+    """What is larger at some times has more in common with anything then."""
+    growth = np.where(np.arange(SHAPE[1]) < 2 * SHAPE[1] // 3, 1.0, 4.0)[:, np.newaxis]
+    for seed in range(5):
+        z = growth * white(seed)
+        told = where(sums_of(LAYOUT, z[:, LAYOUT.times]), LAYOUT, 0.0, tuple(looks_of(z, model()).values()))
+        assert told["times"]["state"] != "even"
+        assert told["antennas"]["state"] == told["baselines"]["state"] == "even"
+
+
 @pytest.mark.parametrize(("kind", "amount"), [(FACTORS, 0.01), (CONSTANTS, 1.5j)])
 def test_a_baseline_is_found(kind: str, amount: complex) -> None:
     z = white(2)
