@@ -13,7 +13,7 @@ from hydrabeam_mpi.loop.axes import Axis, Freedom, all_axes
 from hydrabeam_mpi.loop.coherent import OF_BASELINES, OF_TIMES, SPOTS, Coherence
 from hydrabeam_mpi.loop.cube import Layout
 from hydrabeam_mpi.loop.residuals import ResidualSums
-from hydrabeam_mpi.loop.significance import log_p_two_sided
+from hydrabeam_mpi.loop.significance import chi2_sigma, log_p_two_sided, sigma_of_log_p
 from hydrabeam_mpi.loop.statistics import Look, coherent_look
 from hydrabeam_mpi.loop.where_words import sentence
 
@@ -25,7 +25,7 @@ CONCENTRATED = 1 / 4
 have two thirds of their power in a third of the entries."""
 MOST_LISTED = 64
 CLEAR = 3.0
-"""Significance from which on what follows the model is counted."""
+"""Significance from which on an entry has more than noise."""
 
 
 @dataclass(frozen=True)
@@ -105,10 +105,15 @@ def where(
 
 
 def _carriers(axis: Axis, freedom: Freedom) -> Carriers:
+    """Choose among all entries, or among the clear ones where the others have together what noise has."""
     excess = axis.power - 2 * axis.n
     order = np.argsort(-excess, kind="stable")
-    clear = axis.sigma(freedom) >= 3
-    total = max(float(excess.sum()), float(excess[clear].sum()), 1.0)
+    clear = axis.sigma(freedom) >= CLEAR
+    if clear.any():
+        power, n = float(axis.power[~clear].sum()), max(float(axis.n[~clear].sum()), 1.0)
+        if chi2_sigma(power / freedom.scale, 2 * n / freedom.scale) < CLEAR:
+            order = order[clear[order]]
+    total = max(float(excess[order].sum()), float(excess[clear].sum()), 1.0)
     return Carriers.of(order, excess[order] / total)
 
 
@@ -168,15 +173,24 @@ def _tell_coherent(
 
 
 def _describe(axis: Axis, carriers: Carriers, freedom: Freedom, heavier: Freedom) -> dict[str, Any]:
-    sigma = axis.unevenness(freedom)
+    sigma = _differing(axis, freedom)
     state = "even"
     if _beyond_chance(sigma) and carriers.fewest <= np.ceil(CONCENTRATED * len(axis)):
         state = "concentrated"
-    elif _beyond_chance(axis.unevenness(heavier)):
+    elif _beyond_chance(_differing(axis, heavier)):
         # A large excess elsewhere scatters over this axis, too, by more than noise does.
         state = "uneven"
     entries = _listed(axis, carriers, axis.sigma(freedom)) if state != "even" else []
     return {"state": state, "of": len(axis), "count": carriers.fewest, "sigma": sigma, "entries": entries}
+
+
+def _differing(axis: Axis, freedom: Freedom) -> float:
+    """Return the significance of entries differing: of all together, or of the largest among so many."""
+    if len(axis) < 2:
+        return 0.0
+    largest = float(np.max(axis.sigma(freedom, axis.level)))
+    log_p = min(float(log_p_two_sided(max(largest, 0.0))) + np.log(len(axis)), 0.0)
+    return max(axis.unevenness(freedom), sigma_of_log_p(log_p))
 
 
 def _listed(axis: Axis, carriers: Carriers, sigma: FloatArray) -> list[dict[str, Any]]:

@@ -121,6 +121,16 @@ def test_a_baseline() -> None:
     assert "on 1 of 21 baselines" in found["sentence"]
 
 
+def test_a_baseline_that_noise_hides_from_the_sum() -> None:
+    """Many baselines, one of them with an excess that is less than the scatter of all together."""
+    layout = make_layout(n_freqs=1, hexagon=(3, 5))
+    z = noise(layout, 3)
+    baseline = 50
+    z[:, :, baseline] *= 2
+    found = where(sums_of(layout, z), layout)
+    assert whats(found, "baselines") == [layout.observation.antpairs[baseline].tolist()]
+
+
 def test_a_length() -> None:
     longest = np.linalg.norm(OBSERVATION.bl_vectors, axis=1)
     z = noise(LAYOUT)
