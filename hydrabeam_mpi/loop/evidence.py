@@ -234,6 +234,18 @@ def solve(blocks: Sequence[Likelihood], prior_var: FloatArray) -> tuple[FloatArr
     return means, covariances
 
 
+def log_evidence(blocks: Sequence[Likelihood], prior_var: FloatArray) -> float:
+    """Return ln of the marginal likelihood with a prior that was not chosen by it, over that without the effect."""
+    width = np.sqrt(prior_var[prior_var > 0])
+    total = 0.0
+    for block in blocks:
+        used = np.flatnonzero(prior_var)
+        matrix = width[:, np.newaxis] * block.information[np.ix_(used, used)] * width + np.eye(len(used))
+        pulled = width * block.score[used]
+        total += 0.5 * float(pulled @ np.linalg.solve(matrix, pulled)) - 0.5 * float(np.linalg.slogdet(matrix)[1])
+    return total
+
+
 def _describe(blocks: Sequence[Likelihood], log_bayes_factor: float, prior_var: FloatArray, rank: int) -> Evidence:
     """Work out what follows from the chosen prior."""
     x, covariances = solve(blocks, prior_var)

@@ -13,15 +13,19 @@ from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.leakage import LeakageCheck
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.loop.evidence import Evidence, Likelihood, find_evidence, solve
+from hydrabeam_mpi.loop.candidates import NEARLY_NOISE
+from hydrabeam_mpi.loop.evidence import Evidence, Likelihood, find_evidence, log_evidence, solve
 from hydrabeam_mpi.loop.heldout import Blocks, fall_significance
 from hydrabeam_mpi.loop.sentences import say_parameter
+from hydrabeam_mpi.loop.significance import sigma_of_log_p
 from hydrabeam_mpi.mpi import ProcessGrid, allreduce_sum, bcast_object, together
 from hydrabeam_mpi.problem import Problem
 from hydrabeam_mpi.rows import read_rows
 
 EXPLAINED = 0.5
-"""Part of the cross-polarised power beyond the noise that leakage must explain at least."""
+"""Part of the cross-polarised power beyond the noise that leakage must explain at least ..."""
+CLEAR = 3.0
+"""... where what it leaves is more than noise, by so many standard deviations."""
 NAMED = 3
 
 
@@ -111,6 +115,9 @@ def check_leakage(grid: ProcessGrid, problem: Problem, experiment: Experiment) -
         return None
     before, after = _heldout(grid, problem, experiment, test, evidence.x)
     sigma = fall_significance(before, after) if before.n_data else 0.0
+    if after.chi2 <= NEARLY_NOISE:
+        held = _sum(grid, check, experiment, test)
+        sigma = max(sigma, _density_significance(sums.blocks, held.blocks, evidence.prior_var))
     reason = _reason(before, after, sigma, settings.min_heldout_sigma)
     if reason is not None:
         return {"effect": check.kind, "log_bayes_factor": evidence.log_bayes_factor, "reason": reason}
@@ -185,6 +192,16 @@ def _heldout(
     return before, after
 
 
+def _density_significance(fitted: list[Likelihood], held: list[Likelihood], prior_var: FloatArray) -> float:
+    """Return how significantly the predictive density of held-out rows is larger with leakage.
+
+    It is the evidence of all rows over that of the fitted ones; see `hydrabeam_mpi.loop.candidates.improvement`.
+    """
+    both = [one + two for one, two in zip(fitted, held, strict=True)]
+    ratio = log_evidence(both, prior_var) - log_evidence(fitted, prior_var)
+    return sigma_of_log_p(-ratio) if ratio > 0 else 0.0
+
+
 def _reason(before: Blocks, after: Blocks, sigma: float, min_sigma: float) -> str | None:
     """Say why leakage is not accepted; None where it is."""
     if not before.n_data:
@@ -192,7 +209,8 @@ def _reason(before: Blocks, after: Blocks, sigma: float, min_sigma: float) -> st
     change = f"held-out reduced chi^2 of the cross-polarisations {before.chi2:.4g} -> {after.chi2:.4g}"
     if sigma < min_sigma:
         return f"{change}, which is {sigma:.1f} sigma"
-    if after.chi2 - 1 > (1 - EXPLAINED) * (before.chi2 - 1):
+    excess = after.chi2 - 1
+    if excess * np.sqrt(after.n_data) > CLEAR and excess > (1 - EXPLAINED) * (before.chi2 - 1):
         return f"leakage explains too little of what they show: {change}"
     return None
 
