@@ -39,23 +39,11 @@ UNDECIDED_NATS = 5.0
 
 @dataclass(frozen=True)
 class Checked:
-    """A fitted state and its held-out data.
-
-    Attributes
-    ----------
-    state : State
-    whitened : Whitened
-    blocks : Blocks
-        Of what is held out, over its predictive standard deviation.
-    of_means : Blocks
-        The same over the standard deviation of the noise alone.
-    remains : Remains
-    """
+    """A fitted state and its held-out data."""
 
     state: State
     whitened: Whitened
     blocks: Blocks
-    of_means: Blocks
     remains: Remains
 
 
@@ -153,14 +141,13 @@ def _complexity(candidate: Candidate) -> float:
 def improvement(before: Checked, after: Checked, candidate: Candidate) -> float:
     """Return the significance with which held-out data got better.
 
-    From blocks, whose falls differ however large they are; and not because predictions got wider, which lowers chi^2
-    wherever it is too large, but because they got nearer. Where little but noise is left the predictive densities tell
-    more: a ratio of these of e^k has a probability of e^-k at most if the effect is not there, however it was
+    From blocks, whose falls differ however large they are. Where little but noise is left the predictive densities
+    tell more: a ratio of these of e^k has a probability of e^-k at most if the effect is not there, however it was
     fitted.
     """
     if candidate.finding is None:
         return float(abs(before.blocks.chi2 - after.blocks.chi2) * np.sqrt(before.blocks.n_data))
-    by_blocks = min(fall_significance(before.blocks, after.blocks), fall_significance(before.of_means, after.of_means))
+    by_blocks = fall_significance(before.blocks, after.blocks)
     ratio = after.blocks.log_density - before.blocks.log_density
     if ratio <= 0 or after.blocks.chi2 > NEARLY_NOISE:
         return by_blocks
@@ -181,13 +168,13 @@ def refusal_of(
         return absorbed_reason(candidate)
     if after.blocks.chi2 < TOO_SMALL:
         return f"it is so uncertain that it predicts nothing: held-out chi^2 {after.blocks.chi2:.4g}"
+    change = f"{before.blocks.chi2:.4g} to {after.blocks.chi2:.4g}"
     if not after.blocks.chi2 < before.blocks.chi2:
-        return f"held-out chi^2 does not fall: {before.blocks.chi2:.4g} to {after.blocks.chi2:.4g}"
+        return f"held-out chi^2 does not fall: {change}"
+    if not after.blocks.log_density_at_own_level > before.blocks.log_density_at_own_level:
+        return f"held-out chi^2 goes from {change} by predictions that get wider rather than nearer"
     if sigma < settings.min_heldout_sigma:
-        one, two = before.of_means.chi2, after.of_means.chi2
-        if not two < one:
-            return f"predictions get wider, not nearer: held-out chi^2 over the noise alone {one:.4g} to {two:.4g}"
-        return f"held-out chi^2 falls by {sigma:.1f} sigma only, {before.blocks.chi2:.4g} to {after.blocks.chi2:.4g}"
+        return f"held-out chi^2 falls by {sigma:.1f} sigma only, {change}"
     return None
 
 

@@ -32,9 +32,8 @@ class Whitened:
     used : ndarray of bool, same shape
     share : ndarray, same shape
         The model's share of the predictive variance, mean of the two parts.
-    model, residual : ndarray of complex, same shape
-        The prediction, and the data minus it, over the standard deviation of the noise of their parts; zero where
-        there are no data.
+    model : ndarray of complex, same shape
+        The prediction over the standard deviation of the noise of its parts; zero where there are no data.
     root : ndarray, same shape
         One over that standard deviation.
     log_spread : float
@@ -47,7 +46,6 @@ class Whitened:
     used: NDArray[np.bool_]
     share: FloatArray
     model: ComplexArray
-    residual: ComplexArray
     root: FloatArray
     log_spread: float
     n_shared: float = 0.0
@@ -81,6 +79,11 @@ class Blocks:
         return float(total / n) if n else float("nan")
 
     @property
+    def log_density_at_own_level(self) -> float:
+        """The same with all variances times the reduced chi^2, so that wider predictions gain nothing by that."""
+        return -self.n_data * float(np.log(self.chi2)) - self.log_spread if self.chi2 > 0 else -np.inf
+
+    @property
     def n_data(self) -> int:
         """Number of complex data."""
         return round(float(self.times[1].sum()))
@@ -103,7 +106,7 @@ def whiten(space: Space, state: State) -> Whitened:
         if result is None:
             result = part
         chosen = np.broadcast_to(folds == fold, part.z.shape)
-        for name in ("z", "used", "share", "model", "residual", "root"):
+        for name in ("z", "used", "share", "model", "root"):
             getattr(result, name)[chosen] = getattr(part, name)[chosen]
         spread += 0.5 * part.log_spread
     assert result is not None
@@ -175,8 +178,7 @@ def _whiten(space: Space, state: State) -> Whitened:
     share = space.test
     with together(space.grid.world):
         rows, added = share.calibrated(state)
-    z, model, residual = (np.zeros_like(rows.data) for _ in range(3))
-    share_of_model = np.zeros(rows.data.shape)
+    z, model, share_of_model = np.zeros_like(rows.data), np.zeros_like(rows.data), np.zeros(rows.data.shape)
     root = np.sqrt(2 * rows.inv_noise_var)
     log_spread = 0.0
     for channel in range(len(space.channels)):
@@ -186,7 +188,6 @@ def _whiten(space: Space, state: State) -> Whitened:
             for span, scene, design in share.scenes(channel, state, added[channel], rows):
                 columns, weights = _felt(space, state, channel, scene, design, errors is not None)
                 model[channel, span] = root[channel, span] * scene.vis
-                residual[channel, span] = root[channel, span] * scene.residual
                 for t, row in enumerate(range(span.start, span.stop)):
                     stack = np.column_stack([scene.residual[t], columns[t]])
                     posterior = state.posteriors[channel]
@@ -206,7 +207,7 @@ def _whiten(space: Space, state: State) -> Whitened:
             n_used = int(space.grid.group.allreduce(np.count_nonzero(used)))
             share_of_model[channel] += errors.n_shared / (2 * max(n_used, 1))
             log_spread += errors.log_spread if space.grid.is_group_root else 0.0
-    return Whitened(z, rows.inv_noise_var > 0, share_of_model, model, residual, root, log_spread)
+    return Whitened(z, rows.inv_noise_var > 0, share_of_model, model, root, log_spread)
 
 
 def _felt(
@@ -238,10 +239,10 @@ def _felt(
     return felt, scene.weights
 
 
-def blocks_of(space: Space, whitened: Whitened, z: ComplexArray) -> Blocks:
-    """Sum |z|^2 / 2 of the rank's rows by time and by redundant group. Collective: all ranks of the grid."""
+def blocks_of(space: Space, whitened: Whitened) -> Blocks:
+    """Sum |z|^2 / 2 by time and by redundant group. Collective: all ranks of the grid."""
     observation, rows = space.experiment.observation, space.test.rows
-    power = np.where(whitened.used, 0.5 * np.abs(z) ** 2, 0.0).sum(axis=0)
+    power = np.where(whitened.used, 0.5 * np.abs(whitened.z) ** 2, 0.0).sum(axis=0)
     count = whitened.used.sum(axis=0).astype(float)
     times = np.zeros((2, observation.Ntimes))
     groups = np.zeros((2, space.experiment.redundant.Ngroups))

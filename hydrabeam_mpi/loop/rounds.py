@@ -111,8 +111,7 @@ def _next_of(space: Space, effect: Effect, state: State) -> Effect:
 def check(space: Space, state: State) -> Checked:
     """Predict the held-out rows of a fitted state. Collective: all ranks of the grid."""
     whitened = whiten(space, state)
-    blocks, of_means = (blocks_of(space, whitened, z) for z in (whitened.z, whitened.residual))
-    return Checked(state, whitened, blocks, of_means, remains_of(space, state, whitened))
+    return Checked(state, whitened, blocks_of(space, whitened), remains_of(space, state, whitened))
 
 
 def rank(
