@@ -57,7 +57,7 @@ class BasisTruncation(Effect):
         """Return the visibilities of the modes."""
         key = f"{self.kind} {self.n_before}"
         if key not in scene.integrals:
-            scene.integrals[key] = scene.integrate(NextModes(scene.experiment, self.n_before))
+            scene.integrals[key] = scene.fixed_integral(key, NextModes(scene.experiment, self.n_before))
         values = scene.integrals[key]
         return Columns(values, values.shape[-1], by_group=True)
 

@@ -2,12 +2,36 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.scene import Scene
+from hydrabeam_mpi.model.basis import Array, LinearBasis
 from hydrabeam_mpi.model.rime import Beam
+
+FEW = 4
+"""Vectors up to which the visibilities of all modes, which serve any beam, are worth their making and their room."""
+
+
+@dataclass(frozen=True)
+class InferredBeam:
+    """A beam by its coefficients in the basis.
+
+    Attributes
+    ----------
+    basis : LinearBasis
+    coeffs : ndarray, (n_modes,)
+    """
+
+    basis: LinearBasis
+    coeffs: Array
+
+    def __call__(self, za: FloatArray, az: FloatArray) -> Array:
+        """Evaluate it, (Npoints,)."""
+        return np.asarray(self.basis.synthesize(self.coeffs, za, az))
 
 
 def beam_visibilities(scene: Scene, vectors: FloatArray) -> ComplexArray:
@@ -31,7 +55,12 @@ def beam_visibilities(scene: Scene, vectors: FloatArray) -> ComplexArray:
         beam, times, values = kept[key]
         if beam is scene.beam and times is scene.times:
             return values
-    integrals = scene.integrate(lambda sources: sources.beam[np.newaxis], vectors)
+    if scene.memo is not None and isinstance(scene.beam, InferredBeam) and len(vectors) <= FEW:
+        basis = scene.beam.basis
+        modes = scene.fixed_integral(f"modes on {key!r}", lambda at: basis.columns(at.za, at.az), vectors)
+        integrals = modes @ basis.column_coeffs(scene.beam.coeffs).real
+    else:
+        integrals = scene.integrate(lambda sources: sources.beam[np.newaxis], vectors)
     # Without times `integrals` has lost its axes.
     values = integrals.reshape(len(scene.times), len(vectors)).astype(complex)
     kept[key] = scene.beam, scene.times, values

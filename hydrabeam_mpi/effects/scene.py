@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -53,6 +53,8 @@ class Scene:
         Keeps what ``positions`` says of each time, for scenes to share where there is room for it.
     sky_effects : sequence of (Effect, ndarray)
         Effects in the model that change the sky, with their parameters.
+    memo : dict, optional
+        Keeps what `fixed_integral` has found, for scenes to share where there is room for it.
     """
 
     experiment: Experiment
@@ -71,6 +73,7 @@ class Scene:
     integrals: dict[str, ComplexArray] = field(default_factory=dict)
     places: dict[int, tuple[IntArray, FloatArray, FloatArray]] | None = None
     sky_effects: Sequence[tuple[Any, FloatArray]] = ()
+    memo: dict[tuple[int, str], tuple[bytes, dict[int, ComplexArray]]] | None = None
     _sources: dict[int, Sources] = field(default_factory=dict, init=False)
 
     @property
@@ -155,6 +158,31 @@ class Scene:
             design = engine.design(given, sources.za, sources.az, weights[np.newaxis], freqs)[0]
             out.append(design[0] + 1j * design[1])
         return np.array(out)
+
+    def fixed_integral(
+        self, name: str, columns: Callable[[Sources], FloatArray], vectors: FloatArray | None = None
+    ) -> ComplexArray:
+        """Integrate columns that do not depend on the beam: once for each sky, where there is room to keep it.
+
+        Parameters
+        ----------
+        name : str
+            Of these columns and vectors.
+        columns, vectors : optional
+            As for `integrate`.
+        """
+        if self.memo is None or not len(self.times):
+            return self.integrate(columns, vectors)
+        sky = b"".join(x.tobytes() for effect, x in self.sky_effects)
+        kept_for, kept = self.memo.get((self.channel, name), (b"", {}))
+        if kept_for != sky:
+            kept = {}
+        self.memo[self.channel, name] = sky, kept
+        new = np.array([time for time in self.times.tolist() if time not in kept], dtype=int)
+        if len(new):
+            integrals = replace(self, times=new).integrate(columns, vectors)
+            kept.update(zip(new.tolist(), integrals, strict=True))
+        return np.array([kept[time] for time in self.times.tolist()])
 
     def integrate_for(self, effects: Sequence[Any]) -> None:
         """Fill ``integrals`` for these effects in one pass over the sky."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from hydrabeam_mpi.accumulate import designs
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.beam_visibilities import InferredBeam
 from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.infer.posterior import Posterior
@@ -45,6 +46,7 @@ class Share:
     _kept: list[NDArray[Any]] | None = None
     _kept_for: bytes = b""
     _places: dict[int, tuple[IntArray, FloatArray, FloatArray]] = field(default_factory=dict)
+    _memo: dict[tuple[int, str], Any] = field(default_factory=dict)
     _model: ForwardModel | None = None
 
     @property
@@ -57,6 +59,7 @@ class Share:
     def forget(self) -> None:
         """Drop what is kept, to begin anew."""
         self._plain, self._kept, self._kept_for, self._places, self._model = None, None, b"", {}, None
+        self._memo = {}
 
     @property
     def keeps_designs(self) -> bool:
@@ -145,7 +148,7 @@ class Share:
             span = slice(t + 1 - len(held), t + 1)
             block = np.array(held)
             held = []
-            scene = self.scene(channel, span, _beam_of(self.problem, posterior), state)
+            scene = self.scene(channel, span, InferredBeam(self.problem.basis, posterior.mean), state)
             beam_alone = scene.spread(_visibilities(block, posterior))
             scene.vis = beam_alone + added[span]
             scene.weights = rows.inv_noise_var[channel, span]
@@ -169,6 +172,7 @@ class Share:
             engine_kind=self.problem.job.solver.engine,
             places=self._places if room else None,
             sky_effects=[(one.effect, one.x[number]) for one in state.active if one.effect.changes_sky],
+            memo=self._memo if self.keeps_designs else None,
         )
 
     def effects(self, state: State) -> tuple[ComplexArray, ComplexArray]:
@@ -209,16 +213,6 @@ class Share:
 def _no_beam(za: FloatArray, az: FloatArray) -> FloatArray:
     """Stand in for a beam that nobody asks for."""
     return np.zeros(len(za))
-
-
-def _beam_of(problem: Problem, posterior: Posterior) -> Beam:
-    """Return the posterior mean beam."""
-    basis, mean = problem.basis, posterior.mean
-
-    def beam(za: FloatArray, az: FloatArray) -> NDArray[Any]:
-        return np.asarray(basis.synthesize(mean, za, az))
-
-    return beam
 
 
 def _visibilities(block: NDArray[Any], posterior: Posterior) -> ComplexArray:
