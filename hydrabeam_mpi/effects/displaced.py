@@ -1,8 +1,8 @@
 """Skies and beams that are turned: exact rotations, and what they do to the visibilities.
 
 A rotation is given by its vector r, ENU: about the axis r by |r| radians, counterclockwise as seen from its tip.
-Sources above the horizon stay in the model when they are turned below it, where they see the beam at the horizon, and
-none rise: so the model is a smooth function of the rotation. What that leaves out is a rim as wide as the rotation is.
+In a sky that is turned some sources rise and others set; the rates at which visibilities change leave out these jumps.
+A beam that is turned sees the same sources as before; those below its own horizon it sees as if they were at that.
 """
 
 from __future__ import annotations
@@ -88,10 +88,13 @@ class TurnedPositions:
     positions: SourcePositions
     rotations: dict[int, FloatArray]
 
-    def above_horizon(self, itime: int) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Find the sources that are above the horizon without the rotation; za may exceed 90 deg."""
-        index, za, az = self.positions.above_horizon(itime)
-        return index, *angles(rotate(enu(za, az), self.rotations[itime]))
+    def above_horizon(self, itime: int, below: float = 0.0) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Find the sources that are above the horizon once they are turned; see `SourcePositions.above_horizon`."""
+        rotation = self.rotations[itime]
+        index, za, az = self.positions.above_horizon(itime, below + float(np.linalg.norm(rotation)))
+        za, az = angles(rotate(enu(za, az), rotation))
+        up = za <= np.pi / 2 + below
+        return index[up], za[up], az[up]
 
     def follow(self, sky: Sky) -> TurnedPositions:
         """Follow another sky, turned alike."""
@@ -106,7 +109,7 @@ def turned_sky(scene: Scene, rotations: FloatArray) -> Scene:
     turned = rotations.any(axis=1)
     times = scene.times[turned]
     positions = TurnedPositions(scene.positions, dict(zip(times.tolist(), rotations[turned], strict=True)))
-    return replace(scene, times=times, positions=positions, places=None, beam=BeamToHorizon(scene.beam))
+    return replace(scene, times=times, positions=positions, places=None)
 
 
 def need_real_beam(experiment: Experiment) -> str | None:

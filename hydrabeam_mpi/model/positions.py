@@ -23,20 +23,22 @@ from hydrabeam_mpi.random import generator
 class SourcePositions(Protocol):
     """The apparent places of a sky's sources during an observation."""
 
-    def above_horizon(self, itime: int) -> tuple[IntArray, FloatArray, FloatArray]:
+    def above_horizon(self, itime: int, below: float = 0.0) -> tuple[IntArray, FloatArray, FloatArray]:
         """Find the sources above the horizon at one time.
 
         Parameters
         ----------
         itime : int
             Index into the observation's times.
+        below : float
+            How far below the horizon they may be, radians.
 
         Returns
         -------
         index : ndarray of int, (Nabove,)
             Which of the sky's sources they are, ascending.
         za, az : ndarray, (Nabove,)
-            Zenith angle, at most 90 deg, and azimuth from East through North in [0, 2 pi], radians.
+            Zenith angle, at most 90 deg and ``below``, and azimuth from East through North in [0, 2 pi], radians.
         """
 
     def follow(self, sky: Sky) -> SourcePositions:
@@ -54,11 +56,11 @@ class ApparentPositions:
         times = Time(observation.times, format="jd", scale="utc")
         self._contexts = erfa_astrom.get().apco(AltAz(obstime=times, location=observation.location))
 
-    def above_horizon(self, itime: int) -> tuple[IntArray, FloatArray, FloatArray]:
+    def above_horizon(self, itime: int, below: float = 0.0) -> tuple[IntArray, FloatArray, FloatArray]:
         """Find the sources above the horizon; see `SourcePositions.above_horizon`."""
         context = self._contexts[itime]
         az_from_north, za, *_ = erfa.atioq(*erfa.atciqz(self._ra, self._dec, context), context)
-        index = np.flatnonzero(za <= np.pi / 2)
+        index = np.flatnonzero(za <= np.pi / 2 + below)
         return index, za[index], (np.pi / 2 - az_from_north[index]) % (2 * np.pi)
 
     def follow(self, sky: Sky) -> ApparentPositions:
@@ -78,12 +80,12 @@ class RotatedPositions:
         self._lat = observation.latitude
         self._lsts = observation.lsts
 
-    def above_horizon(self, itime: int) -> tuple[IntArray, FloatArray, FloatArray]:
+    def above_horizon(self, itime: int, below: float = 0.0) -> tuple[IntArray, FloatArray, FloatArray]:
         """Find the sources above the horizon; see `SourcePositions.above_horizon`."""
         hour_angle = self._lsts[itime] - self._ra
         to_meridian = self._cos_dec * np.cos(hour_angle)
         up = np.sin(self._lat) * self._sin_dec + np.cos(self._lat) * to_meridian
-        index = np.flatnonzero(up >= 0)
+        index = np.flatnonzero(up >= -np.sin(below))
         east = -self._cos_dec[index] * np.sin(hour_angle[index])
         north = np.cos(self._lat) * self._sin_dec[index] - np.sin(self._lat) * to_meridian[index]
         # arctan2 keeps full precision at the zenith, where an arccos of `up` would lose half of the digits.

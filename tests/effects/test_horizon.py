@@ -104,7 +104,7 @@ class Behind:
     def __init__(self, positions: SourcePositions, wall: tuple[float, float, float]) -> None:
         self.positions, (self.first, self.last, self.height) = positions, wall
 
-    def above_horizon(self, itime: int) -> tuple[IntArray, FloatArray, FloatArray]:
+    def above_horizon(self, itime: int, below: float = 0.0) -> tuple[IntArray, FloatArray, FloatArray]:
         index, za, az = self.positions.above_horizon(itime)
         turns = np.rad2deg(az) + 360 * np.arange(-1, 2)[:, np.newaxis]
         inside = ((turns >= self.first) & (turns < self.last)).any(axis=0)

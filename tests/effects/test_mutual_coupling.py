@@ -154,7 +154,7 @@ def test_scattered_wave_runs_along_with_the_wave(experiment: Experiment) -> None
     class East:
         """One source on the eastern horizon: it reaches antenna 1 first."""
 
-        def above_horizon(self, itime: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        def above_horizon(self, itime: int, below: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             return np.array([0]), np.array([np.pi / 2]), np.array([0.0])
 
     scene = Scene(

@@ -35,15 +35,16 @@ def up(scene: Scene, itime: int) -> list[int]:
 
 
 def test_visibilities_are_those_of_later_times() -> None:
-    """Sources where a sidereal clock that is 20 s ahead puts them, on data where none rises or sets meanwhile."""
-    experiment = small_experiment()
+    """Sources where a sidereal clock that is ahead puts them, with those that rise and without those that set."""
+    experiment = small_experiment(n_sources=2000)
     scene = small_scene(experiment)
     effect = Timestamp()
     scene.integrate_for([effect])
-    for seconds in (20.0, -20.0):
+    for seconds in (100.0, -200.0):
         observation = replace(experiment.observation, lsts=experiment.observation.lsts + EARTH_RATE * seconds)
         later = replace(scene, positions=RotatedPositions(experiment.sky, observation))
-        assert all(up(later, t) == up(scene, t) for t in scene.times.tolist())
+        changes = [(set(up(later, t)) - set(up(scene, t)), set(up(scene, t)) - set(up(later, t))) for t in scene.times]
+        assert all(any(kind) for kind in zip(*changes, strict=True))
         assert_same(with_effect(effect, scene, np.array([seconds])), visibilities(later), scene)
 
 
@@ -57,13 +58,9 @@ def test_apparent_places_turn_alike() -> None:
     scene.integrate_for([effect])
     later = replace(observation, times=observation.times + 30.0 / 86400)
     scene_later = replace(scene, positions=ApparentPositions(experiment.sky, later))
-    kept = [t for t in scene.times.tolist() if up(scene_later, t) == up(scene, t)]
-    assert len(kept) > 2
     truth = visibilities(scene_later)
-    change = np.abs(truth - scene.vis)[kept].max()
-    np.testing.assert_allclose(
-        with_effect(effect, scene, np.array([30.0]))[kept], truth[kept], rtol=0, atol=1e-4 * change
-    )
+    change = np.abs(truth - scene.vis).max()
+    np.testing.assert_allclose(with_effect(effect, scene, np.array([30.0])), truth, rtol=0, atol=1e-4 * change)
 
 
 def test_places_that_are_kept_are_not_mistaken_for_turned_ones() -> None:
@@ -76,19 +73,3 @@ def test_places_that_are_kept_are_not_mistaken_for_turned_ones() -> None:
     assert len(scene.places) == len(scene.times)
     assert_same(effect.added(scene, np.array([60.0])), change, scene, rtol=1e-12)
     assert_same(scene.spread(scene.integrals["timestamp"])[..., 0], scene.vis, scene)
-
-
-def test_sources_that_set_stay() -> None:
-    """The model has no jump, as large as a source, where one crosses the horizon of a beam that sees it there."""
-    scene = replace(small_scene(small_experiment()), times=np.array([0]), beam=lambda za, az: np.ones_like(za))
-    effect = Timestamp()
-    scene.integrate_for([effect])
-    seconds = np.arange(100.0)
-    observation = scene.experiment.observation
-    lsts = observation.lsts + EARTH_RATE * seconds[-1]
-    later = replace(scene, positions=RotatedPositions(scene.experiment.sky, replace(observation, lsts=lsts)))
-    gone = sorted(set(up(scene, 0)) - set(up(later, 0)))
-    assert gone
-    changes = np.array([effect.added(scene, np.array([second])) for second in seconds])
-    bend = np.abs(np.diff(changes, n=2, axis=0)).max()
-    assert bend < 1e-3 * 0.5 * scene.experiment.sky.flux[0, gone].max()
