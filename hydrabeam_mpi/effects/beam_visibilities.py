@@ -55,7 +55,8 @@ def beam_visibilities(scene: Scene, vectors: FloatArray) -> ComplexArray:
         beam, times, values = kept[key]
         if beam is scene.beam and times is scene.times:
             return values
-    if scene.memo is not None and isinstance(scene.beam, InferredBeam) and len(vectors) <= FEW:
+    lasts = scene.memo is not None and not scene.sky_effects
+    if lasts and isinstance(scene.beam, InferredBeam) and len(vectors) <= FEW:
         basis = scene.beam.basis
         modes = scene.fixed_integral(f"modes on {key!r}", lambda at: basis.columns(at.za, at.az), vectors)
         integrals = modes @ basis.column_coeffs(scene.beam.coeffs).real

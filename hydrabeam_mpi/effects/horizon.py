@@ -94,11 +94,19 @@ class Horizon(ScannedEffect):
     def _inside(self, sources: Sources) -> tuple[IntArray, Any]:
         """Return which sources are low, and which of those are in each wall and strip, (n, Nlow), sparse."""
         boxes = [*self.walls, *(strip for _, strip in self.strips)]
-        first, last, lowest, highest = np.reshape(np.array(boxes), (-1, 4)).T[:, :, np.newaxis]
+        first, last, lowest, highest = np.reshape(np.array(boxes), (-1, 4)).T
         low = _below(sources, float(highest.max(initial=0.0)))
-        elevation, az = 90 - np.rad2deg(sources.za[low]), np.rad2deg(sources.az[low])
-        inside = ((az - first) % 360 < last - first) & (elevation >= lowest) & (elevation < highest)
-        return low, csr_array(inside.astype(float))
+        elevation, az = 90 - np.rad2deg(sources.za[low]), np.rad2deg(sources.az[low]) % 360
+        # Boxes are stretches of the sources in the order of azimuth, twice around.
+        order = np.argsort(az)
+        order = np.concatenate([order, order])
+        around = az[order] + np.repeat([0, 360], len(low))
+        start, end = (np.searchsorted(around, first % 360 + more) for more in (0, last - first))
+        box = np.repeat(np.arange(len(boxes)), end - start)
+        source = order[np.arange(len(box)) - np.repeat(np.cumsum(end - start) - end, end - start)]
+        inside = (elevation[source] >= lowest[box]) & (elevation[source] < highest[box])
+        entries = np.ones(inside.sum()), (box[inside], source[inside])
+        return low, csr_array(entries, shape=(len(boxes), len(low)))
 
     def n_hypotheses(self, experiment: Experiment) -> int:
         """Return the number of walls that are looked at."""
