@@ -19,7 +19,9 @@ from hydrabeam_mpi.loop.significance import sigma_of_log_p
 from hydrabeam_mpi.loop.state import State
 
 MAX_ABSORBED = 0.95
-"""Fraction of an effect's signature within the beam's own freedom above which it is not claimed."""
+"""Fraction of an effect's signature within the beam's own freedom above which it is claimed only if it explains all."""
+HOPELESS = 0.99
+"""Such a fraction above which it is not even fitted."""
 NEARLY_ABSORBED = 0.9
 """Such a fraction before an effect is fitted from which on it is asked again afterwards.
 
@@ -83,6 +85,15 @@ def is_absorbed(candidate: Candidate, limit: float = MAX_ABSORBED) -> bool:
     if candidate.finding is None or isinstance(candidate.finding.effect, BasisTruncation):
         return False
     return candidate.finding.evidence.absorbed > limit
+
+
+def is_hopeless(candidate: Candidate, wanted: Sequence[Candidate]) -> bool:
+    """Whether what the beam can absorb of an effect is too much for it to be fitted.
+
+    That is worth while for what has the most evidence all the same and might explain everything.
+    """
+    best = max(one.log_bayes_factor for one in wanted)
+    return is_absorbed(candidate, HOPELESS) or (is_absorbed(candidate) and candidate.log_bayes_factor < best)
 
 
 def absorbed_reason(candidate: Candidate) -> str:
@@ -164,8 +175,9 @@ def refusal_of(
         if abs(after.blocks.chi2 - 1) > abs(before.blocks.chi2 - 1):
             return f"held-out chi^2 goes from {before.blocks.chi2:.4g} to {after.blocks.chi2:.4g}"
         return None if after.remains.white else f"what is left is not white: {after.remains.why}"
-    if is_absorbed(tried, NEARLY_ABSORBED) and is_absorbed(candidate):
-        return absorbed_reason(candidate)
+    absorbed = is_absorbed(tried) or (is_absorbed(tried, NEARLY_ABSORBED) and is_absorbed(candidate))
+    if absorbed and not after.remains.consistent:
+        return absorbed_reason(candidate if is_absorbed(candidate) else tried)
     if after.blocks.chi2 < TOO_SMALL:
         return f"it is so uncertain that it predicts nothing: held-out chi^2 {after.blocks.chi2:.4g}"
     change = f"{before.blocks.chi2:.4g} to {after.blocks.chi2:.4g}"

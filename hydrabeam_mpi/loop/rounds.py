@@ -22,8 +22,8 @@ from hydrabeam_mpi.loop.candidates import (
     absorbed_reason,
     improvement,
     in_order,
-    is_absorbed,
     is_better,
+    is_hopeless,
     may_be_better,
     refusal_of,
 )
@@ -136,10 +136,8 @@ def _try(space: Space, checked: Checked, ranking: Sequence[Candidate], course: C
     wanted = [one for one in ranking if one.log_bayes_factor >= settings.min_log_bayes_factor]
     best: Round | None = None
     enough = False
-    for candidate in wanted:
-        if is_absorbed(candidate):
-            course.tried.append((candidate, absorbed_reason(candidate)))
-    for candidate in in_order([one for one in wanted if not is_absorbed(one)], MAX_TRIES):
+    course.tried += [(one, absorbed_reason(one)) for one in wanted if is_hopeless(one, wanted)]
+    for candidate in in_order([one for one in wanted if not is_hopeless(one, wanted)], MAX_TRIES):
         if best is not None and not may_be_better(candidate, best, enough):
             continue
         say(f"  trying {candidate.title} (ln BF {candidate.log_bayes_factor:.4g})", space.grid.is_world_root)
