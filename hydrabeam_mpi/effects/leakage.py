@@ -17,7 +17,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import ComplexArray, IntArray
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.base import Columns, Parameters
 from hydrabeam_mpi.effects.experiment import Experiment
 
@@ -68,6 +68,14 @@ class LeakageCheck:
         ]
         return Parameters.of(names, "", 1.0, np.arange(len(names)) // 2)
 
+    def undecidable(self, experiment: Experiment) -> FloatArray:
+        """Return what all antennas have in common, c in d_e + c and d_n - c*, (2, n_params).
+
+        The sky being unpolarised, that shows by the difference of the feeds' beams alone.
+        """
+        n_ants = len(experiment.antennas_in_use)
+        return np.stack([np.tile([1.0, 0.0, -1.0, 0.0], n_ants), np.tile([0.0, 1.0, 0.0, 1.0], n_ants)])
+
     def columns(self, experiment: Experiment, pol: str, bls: IntArray, copols: Mapping[str, ComplexArray]) -> Columns:
         """Return the derivatives of cross-polarised visibilities by the D-terms.
 
@@ -83,9 +91,7 @@ class LeakageCheck:
         """
         feeds = self.feeds(experiment)
         assert feeds is not None
-        index = experiment.antenna_index[bls]
-        stored = np.where(experiment.redundant.flipped[bls, np.newaxis], index[:, ::-1], index)
-        first, second = np.searchsorted(experiment.antennas_in_use, stored).T
+        first, second = _stored_antennas(experiment, bls)
         mine, theirs = (4 * ant + 2 * feeds.index(feed) for ant, feed in zip((first, second), pol, strict=True))
         by_first, by_second = copols[2 * pol[1]], copols[2 * pol[0]]
         values = np.stack([by_first, 1j * by_first, by_second, -1j * by_second], axis=-1)
@@ -94,3 +100,33 @@ class LeakageCheck:
             4 * len(experiment.antennas_in_use),
             np.stack([mine, mine + 1, theirs, theirs + 1], axis=-1),
         )
+
+    def without(
+        self, experiment: Experiment, bls: IntArray, copols: Mapping[str, ComplexArray], x: FloatArray
+    ) -> dict[str, ComplexArray]:
+        """Return co-polarised visibilities as they were before the leakage, for an unpolarised sky.
+
+        With ee' = ee + d_e1 d_e2* nn and nn' = nn + d_n1 d_n2* ee, where a prime is for what is measured.
+
+        Parameters
+        ----------
+        experiment, bls, copols
+            As for `columns`.
+        x : ndarray, (n_params,)
+            D-terms.
+        """
+        feeds = self.feeds(experiment)
+        assert feeds is not None
+        first, second = _stored_antennas(experiment, bls)
+        terms = x.reshape(-1, 2, 2) @ np.array([1, 1j])
+        into_one, into_other = (terms[first, feed] * terms[second, feed].conj() for feed in (0, 1))
+        one, other = (copols[2 * feed] for feed in feeds)
+        scale = 1 / (1 - into_one * into_other)
+        return {2 * feeds[0]: scale * (one - into_one * other), 2 * feeds[1]: scale * (other - into_other * one)}
+
+
+def _stored_antennas(experiment: Experiment, bls: IntArray) -> IntArray:
+    """Return the first and the second antenna of baselines as stored, among those in use, (2, Nbls)."""
+    index = experiment.antenna_index[bls]
+    stored = np.where(experiment.redundant.flipped[bls, np.newaxis], index[:, ::-1], index)
+    return np.searchsorted(experiment.antennas_in_use, stored).T

@@ -106,7 +106,7 @@ def find_evidence(
         Combinations of parameters that are free whatever the prior, so that nothing is concluded from them.
     """
     if undecidable is not None and len(undecidable):
-        blocks = [_freed(block, undecidable) for block in blocks]
+        blocks = [freed(block, undecidable) for block in blocks]
     scale = np.where(parameters.refined, 0.0, parameters.scale)
     scaled = [(scale[:, np.newaxis] * block.information * scale, scale * block.score) for block in blocks]
     spectra = [_spectrum(*block) for block in scaled]
@@ -122,7 +122,7 @@ def find_evidence(
     return _describe(blocks, log_bayes_factor, prior_var, rank)
 
 
-def _freed(block: Likelihood, combinations: FloatArray) -> Likelihood:
+def freed(block: Likelihood, combinations: FloatArray) -> Likelihood:
     """Marginalise combinations of the parameters without a prior."""
     across = block.information @ combinations.T
     inverse = np.linalg.pinv(combinations @ across, rcond=RANK_RTOL, hermitian=True)

@@ -14,7 +14,7 @@ from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.leakage import LeakageCheck
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.loop.candidates import NEARLY_NOISE
-from hydrabeam_mpi.loop.evidence import Evidence, Likelihood, find_evidence, log_evidence, solve
+from hydrabeam_mpi.loop.evidence import Evidence, Likelihood, find_evidence, freed, log_evidence, solve
 from hydrabeam_mpi.loop.heldout import Blocks, fall_significance
 from hydrabeam_mpi.loop.sentences import say_parameter
 from hydrabeam_mpi.loop.significance import sigma_of_log_p
@@ -27,6 +27,10 @@ EXPLAINED = 0.5
 CLEAR = 3.0
 """... where what it leaves is more than noise, by so many standard deviations."""
 NAMED = 3
+MAX_NOISE = 0.05
+"""Share of the regressors' noise in what is known of the leakage common to all antennas up to which it is believed."""
+REFINED = 2
+"""Times that co-polarised visibilities are freed from what has leaked into them, for D-terms of all orders."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +47,8 @@ class _Cross:
     data : ndarray of complex, (Ntimes, Nbls)
     weights : ndarray, (Ntimes, Nbls)
         Zero also where a co-polarised visibility is missing.
-    copols : dict of str to ndarray of complex, (Ntimes, Nbls)
-        Measured.
+    measured, copols : dict of str to ndarray of complex, (Ntimes, Nbls)
+        Co-polarised visibilities, and what is left of them without what has leaked into them.
     noise, power : float
         Sums of the regressors' variance and of their power, both weighted.
     """
@@ -54,9 +58,14 @@ class _Cross:
     bls: IntArray
     data: ComplexArray
     weights: FloatArray
+    measured: dict[str, ComplexArray]
     copols: dict[str, ComplexArray]
     noise: float
     power: float
+
+    def without(self, check: LeakageCheck, experiment: Experiment, x: FloatArray) -> _Cross:
+        """Return the rows with regressors from which D-terms have been taken."""
+        return replace(self, copols=check.without(experiment, self.bls, self.measured, x))
 
 
 @dataclass
@@ -104,15 +113,14 @@ def check_leakage(grid: ProcessGrid, problem: Problem, experiment: Experiment) -
             )
     except InputError as error:
         return {"effect": check.kind, "reason": f"the other polarisations cannot be used: {error}"}
-    sums = _sum(grid, check, experiment, train)
-    evidence = None
-    with together(grid.world):
-        if grid.is_world_root:
-            evidence = find_evidence(sums.blocks, check.parameters(experiment))
-    evidence = bcast_object(grid.world, evidence)
     settings = problem.job.loop
-    if evidence.log_bayes_factor < settings.min_log_bayes_factor:
-        return None
+    for _ in range(1 + REFINED):
+        sums, evidence = _weigh(grid, check, experiment, train)
+        if evidence.log_bayes_factor < settings.min_log_bayes_factor:
+            return None
+        train, test = (
+            [one.without(check, experiment, evidence.x[one.channel]) for one in rows] for rows in (train, test)
+        )
     before, after = _heldout(grid, problem, experiment, test, evidence.x)
     sigma = fall_significance(before, after) if before.n_data else 0.0
     if after.chi2 <= NEARLY_NOISE:
@@ -122,6 +130,19 @@ def check_leakage(grid: ProcessGrid, problem: Problem, experiment: Experiment) -
     if reason is not None:
         return {"effect": check.kind, "log_bayes_factor": evidence.log_bayes_factor, "reason": reason}
     return _entry(check, experiment, sums, evidence, (before.chi2, after.chi2, sigma))
+
+
+def _weigh(
+    grid: ProcessGrid, check: LeakageCheck, experiment: Experiment, rows: list[_Cross]
+) -> tuple[_Sums, Evidence]:
+    """Return the normal equations and what they say, on all ranks. Collective: all ranks of `grid.world`."""
+    sums = _sum(grid, check, experiment, rows)
+    evidence = None
+    with together(grid.world):
+        if grid.is_world_root:
+            evidence = find_evidence(sums.blocks, check.parameters(experiment))
+    told: Evidence = bcast_object(grid.world, evidence)
+    return sums, told
 
 
 def _read(
@@ -150,11 +171,14 @@ def _read(
         for pol in cross:
             weights = np.where(usable, parts[pol].inv_noise_var[f], 0.0)
             sums = float(np.sum(weights * variance)), float(np.sum(weights * power))
-            yield _Cross(channel, pol, tile.bls, parts[pol].data[f], weights, measured, *sums)
+            yield _Cross(channel, pol, tile.bls, parts[pol].data[f], weights, measured, measured, *sums)
 
 
 def _sum(grid: ProcessGrid, check: LeakageCheck, experiment: Experiment, rows: list[_Cross]) -> _Sums:
-    """Accumulate normal equations over rows, polarisations and ranks. Collective: all ranks of `grid.world`."""
+    """Accumulate normal equations over rows, polarisations and ranks. Collective: all ranks of `grid.world`.
+
+    Without what they say of the common leakage where that is the regressors' noise, as for feeds with equal beams.
+    """
     n_freqs, n = experiment.observation.Nfreqs, len(check.parameters(experiment))
     sums = _Sums(np.zeros((n_freqs, n, n)), np.zeros((n_freqs, n)), np.zeros((n_freqs, 4)))
     with together(grid.world):
@@ -168,6 +192,12 @@ def _sum(grid: ProcessGrid, check: LeakageCheck, experiment: Experiment, rows: l
             sums.scalars[part.channel] += np.count_nonzero(weights), power, part.noise, part.power
     for array in (sums.information, sums.score, sums.scalars):
         allreduce_sum(grid.world, array)
+    common = check.undecidable(experiment)
+    for f, block in enumerate(sums.blocks):
+        told = np.trace(common @ block.information @ common.T)
+        if 4 * sums.scalars[f, 2] > MAX_NOISE * told:
+            known = freed(block, common)
+            sums.information[f], sums.score[f] = known.information, known.score
     return sums
 
 

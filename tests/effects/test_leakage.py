@@ -39,3 +39,40 @@ def test_columns_are_those_of_leaking_feeds() -> None:
         np.testing.assert_allclose(columns.apply(x), vis, rtol=0, atol=1e-10)
     assert len(LeakageCheck().parameters(ALL)) == len(x)
     assert LeakageCheck().parameters(ALL).names[2] == f"antenna {numbers[0]} feed n leakage, real part"
+
+
+def leaked(d: np.ndarray, ee: np.ndarray, nn: np.ndarray) -> dict[str, np.ndarray]:
+    """Return all products of D-terms (Nants, 2) and visibilities (Ntimes, Nbls) of an unpolarised sky."""
+    i, j = ALL.antenna_index.T
+    flipped = ALL.redundant.flipped
+    i, j = np.where(flipped, j, i), np.where(flipped, i, j)
+    return {
+        "ee": ee + d[i, 0] * d[j, 0].conj() * nn,
+        "nn": nn + d[i, 1] * d[j, 1].conj() * ee,
+        "en": d[i, 0] * nn + d[j, 1].conj() * ee,
+        "ne": d[i, 1] * ee + d[j, 0].conj() * nn,
+    }
+
+
+def test_strong_leakage_is_exact_once_it_is_taken_from_the_copols() -> None:
+    rng = generator(2, "leakage")
+    n_ants, n_bls = ALL.observation.Nants, ALL.observation.Nbls
+    x = 0.2 * rng.standard_normal(4 * n_ants)
+    ee, nn = complex_normal(rng, (3, n_bls)), complex_normal(rng, (3, n_bls))
+    found = leaked((x[0::2] + 1j * x[1::2]).reshape(n_ants, 2), ee, nn)
+    check, bls = LeakageCheck(), np.arange(n_bls)
+    copols = check.without(ALL, bls, found, x)
+    np.testing.assert_allclose(copols["ee"], ee, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(copols["nn"], nn, rtol=0, atol=1e-12)
+    for pol in ("en", "ne"):
+        np.testing.assert_allclose(check.columns(ALL, pol, bls, copols).apply(x), found[pol], rtol=0, atol=1e-12)
+
+
+def test_equal_feeds_do_not_tell_what_antennas_have_in_common() -> None:
+    rng = generator(3, "leakage")
+    vis = complex_normal(rng, (3, ALL.observation.Nbls))
+    check = LeakageCheck()
+    for x in check.undecidable(ALL):
+        for pol in ("en", "ne"):
+            columns = check.columns(ALL, pol, np.arange(ALL.observation.Nbls), {"ee": vis, "nn": vis})
+            np.testing.assert_allclose(columns.apply(x), 0, atol=1e-14)
