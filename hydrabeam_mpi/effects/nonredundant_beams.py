@@ -15,6 +15,8 @@ from hydrabeam_mpi.effects.per_antenna import antenna_parameters, common_values,
 from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.effects.sources import Sources
 
+SHARPNESS = 8
+"""Sidelobes are where the beam B is small: as (1 - B)^8, which is a half at -11 dB."""
 MODES = (
     "width East-West",
     "width North-South",
@@ -38,9 +40,9 @@ class NonredundantBeams(Effect):
     - three widths: fractional stretches of the disc of radius sqrt(1 - cos za), along East-West, along North-South,
       and along one diagonal at the expense of the other. They do what a reflector's size, its astigmatism and
       a turned feed do;
-    - three sidelobe levels: B (1 - B) times 1, e and n (the direction cosines). Where the peak is one they vanish at
-      the zenith as the square and the cube of the distance, so they are no gain and no pointing. They do what
-      illumination, blockage and a feed off its axis (coma) do.
+    - three sidelobe levels: B (1 - B)^8 times 1, e and n (the direction cosines). They leave the main lobe as it is, so
+      that they are no gain, no pointing and no width. They do what illumination, blockage and a feed off its axis
+      (coma) do.
 
     A change by a constant is a gain, and a gradient of the beam is a pointing error: those are other effects. What all
     antennas have in common is a beam of another shape, which the beam's own freedom takes up.
@@ -94,7 +96,7 @@ def reshaped(sources: Sources, shape: FloatArray) -> FloatArray:
     moved = replace(sources, za=za, az=az)
     # Sidelobes belong to the sky's directions, as columns do.
     east, north, _ = sources.enu
-    return moved.beam + moved.beam * (1 - moved.beam) * (levels[0] + levels[1] * east + levels[2] * north)
+    return moved.beam + moved.beam * (1 - moved.beam) ** SHARPNESS * (levels[0] + levels[1] * east + levels[2] * north)
 
 
 def stretches(sources: Sources) -> FloatArray:
@@ -121,7 +123,7 @@ def stretches(sources: Sources) -> FloatArray:
 
 
 def sidelobes(sources: Sources) -> FloatArray:
-    """Return B (1 - B) and its products with the direction cosines towards East and North, (3, Nsrc)."""
-    level = sources.beam * (1 - sources.beam)
+    """Return B (1 - B)^8 and its products with the direction cosines towards East and North, (3, Nsrc)."""
+    level = sources.beam * (1 - sources.beam) ** SHARPNESS
     east, north, _ = sources.enu
     return np.stack([level, level * east, level * north])

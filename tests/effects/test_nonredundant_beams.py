@@ -49,7 +49,7 @@ def own_beam(mode: int, amount: float, directions: FloatArray) -> FloatArray:
         return gaussian(directions, stretch)
     beam = gaussian(directions)
     weight = [np.ones_like(beam), directions[0], directions[1]][mode - 3]
-    return beam + amount * beam * (1 - beam) * weight
+    return beam + amount * beam * (1 - beam) ** 8 * weight
 
 
 @pytest.mark.parametrize("mode", range(len(MODES)), ids=MODES)
