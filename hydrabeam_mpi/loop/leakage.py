@@ -2,85 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
-from hydrabeam_mpi.data.partition import Tile
+from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.leakage import LeakageCheck
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.loop.candidates import NEARLY_NOISE
-from hydrabeam_mpi.loop.evidence import Evidence, Likelihood, find_evidence, freed, log_evidence, solve
+from hydrabeam_mpi.loop.evidence import Evidence, Likelihood, find_evidence, log_evidence, solve
 from hydrabeam_mpi.loop.heldout import Blocks, fall_significance
+from hydrabeam_mpi.loop.leakage_rows import CrossRows, LeakageSums, read_cross, sum_cross
 from hydrabeam_mpi.loop.sentences import say_parameter
 from hydrabeam_mpi.loop.significance import sigma_of_log_p
 from hydrabeam_mpi.mpi import ProcessGrid, allreduce_sum, bcast_object, together
 from hydrabeam_mpi.problem import Problem
-from hydrabeam_mpi.rows import read_rows
 
 EXPLAINED = 0.5
 """Part of the cross-polarised power beyond the noise that leakage must explain at least ..."""
 CLEAR = 3.0
 """... where what it leaves is more than noise, by so many standard deviations."""
 NAMED = 3
-MAX_NOISE = 0.05
-"""Share of the regressors' noise in what is known of the leakage common to all antennas up to which it is believed."""
 REFINED = 2
 """Times that co-polarised visibilities are freed from what has leaked into them, for D-terms of all orders."""
-
-
-@dataclass(frozen=True)
-class _Cross:
-    """Cross-polarised rows of one channel with their regressors, in the sense of the observation's antpairs.
-
-    Attributes
-    ----------
-    channel : int
-        Of all the job's channels.
-    pol : str
-    bls : ndarray of int, (Nbls,)
-        Indices into the observation's baselines.
-    data : ndarray of complex, (Ntimes, Nbls)
-    weights : ndarray, (Ntimes, Nbls)
-        Zero also where a co-polarised visibility is missing.
-    measured, copols : dict of str to ndarray of complex, (Ntimes, Nbls)
-        Co-polarised visibilities, and what is left of them without what has leaked into them.
-    noise, power : float
-        Sums of the regressors' variance and of their power, both weighted.
-    """
-
-    channel: int
-    pol: str
-    bls: IntArray
-    data: ComplexArray
-    weights: FloatArray
-    measured: dict[str, ComplexArray]
-    copols: dict[str, ComplexArray]
-    noise: float
-    power: float
-
-    def without(self, check: LeakageCheck, experiment: Experiment, x: FloatArray) -> _Cross:
-        """Return the rows with regressors from which D-terms have been taken."""
-        return replace(self, copols=check.without(experiment, self.bls, self.measured, x))
-
-
-@dataclass
-class _Sums:
-    """Normal equations of all channels, and scalars of each: number, sum w |d|^2, regressors' noise and power."""
-
-    information: FloatArray
-    score: FloatArray
-    scalars: FloatArray
-
-    @property
-    def blocks(self) -> list[Likelihood]:
-        """The likelihood of each channel's D-terms."""
-        pairs = zip(self.information, self.score, strict=True)
-        return [Likelihood(information, score, information) for information, score in pairs]
 
 
 def check_leakage(grid: ProcessGrid, problem: Problem, experiment: Experiment) -> dict[str, Any] | None:
@@ -109,7 +54,7 @@ def check_leakage(grid: ProcessGrid, problem: Problem, experiment: Experiment) -
     try:
         with together(grid.world):
             train, test = (
-                list(_read(check, grid, problem, experiment, rows)) for rows in (problem.train, problem.test)
+                list(read_cross(check, grid, problem, experiment, rows)) for rows in (problem.train, problem.test)
             )
     except InputError as error:
         return {"effect": check.kind, "reason": f"the other polarisations cannot be used: {error}"}
@@ -124,7 +69,7 @@ def check_leakage(grid: ProcessGrid, problem: Problem, experiment: Experiment) -
     before, after = _heldout(grid, problem, experiment, test, evidence.x)
     sigma = fall_significance(before, after) if before.n_data else 0.0
     if after.chi2 <= NEARLY_NOISE:
-        held = _sum(grid, check, experiment, test)
+        held = sum_cross(grid, check, experiment, test)
         sigma = max(sigma, _density_significance(sums.blocks, held.blocks, evidence.prior_var))
     reason = _reason(before, after, sigma, settings.min_heldout_sigma)
     if reason is not None:
@@ -133,10 +78,10 @@ def check_leakage(grid: ProcessGrid, problem: Problem, experiment: Experiment) -
 
 
 def _weigh(
-    grid: ProcessGrid, check: LeakageCheck, experiment: Experiment, rows: list[_Cross]
-) -> tuple[_Sums, Evidence]:
+    grid: ProcessGrid, check: LeakageCheck, experiment: Experiment, rows: list[CrossRows]
+) -> tuple[LeakageSums, Evidence]:
     """Return the normal equations and what they say, on all ranks. Collective: all ranks of `grid.world`."""
-    sums = _sum(grid, check, experiment, rows)
+    sums = sum_cross(grid, check, experiment, rows)
     evidence = None
     with together(grid.world):
         if grid.is_world_root:
@@ -145,64 +90,8 @@ def _weigh(
     return sums, told
 
 
-def _read(
-    check: LeakageCheck, grid: ProcessGrid, problem: Problem, experiment: Experiment, rows: Tile
-) -> Iterator[_Cross]:
-    """Read a rank's share of some rows in all polarisations.
-
-    Where the noise is estimated from differences, that of the job's polarisation stands for all.
-    """
-    feeds = check.feeds(experiment)
-    assert feeds is not None
-    tile = problem.tile_of(rows, grid.group.rank, grid.group.size)
-    as_stored = replace(problem.redundant, flipped=np.zeros_like(problem.redundant.flipped))
-    cross = check.cross_pols(experiment)
-    copols = tuple(2 * feed for feed in feeds)
-    parts = {}
-    for pol in (*copols, *cross):
-        observation = replace(problem.observation, pols=(pol,))
-        parts[pol] = read_rows(replace(problem, observation=observation, redundant=as_stored), tile)
-    for f, channel in enumerate(problem.channel_numbers.tolist()):
-        measured = {pol: parts[pol].data[f] for pol in copols}
-        known = [parts[pol].inv_noise_var[f] for pol in copols]
-        usable = (known[0] > 0) & (known[1] > 0)
-        variance = sum(np.where(usable, 1 / np.where(usable, weights, 1.0), 0.0) for weights in known)
-        power = sum(np.abs(vis) ** 2 for vis in measured.values())
-        for pol in cross:
-            weights = np.where(usable, parts[pol].inv_noise_var[f], 0.0)
-            sums = float(np.sum(weights * variance)), float(np.sum(weights * power))
-            yield _Cross(channel, pol, tile.bls, parts[pol].data[f], weights, measured, measured, *sums)
-
-
-def _sum(grid: ProcessGrid, check: LeakageCheck, experiment: Experiment, rows: list[_Cross]) -> _Sums:
-    """Accumulate normal equations over rows, polarisations and ranks. Collective: all ranks of `grid.world`.
-
-    Without what they say of the common leakage where that is the regressors' noise, as for feeds with equal beams.
-    """
-    n_freqs, n = experiment.observation.Nfreqs, len(check.parameters(experiment))
-    sums = _Sums(np.zeros((n_freqs, n, n)), np.zeros((n_freqs, n)), np.zeros((n_freqs, 4)))
-    with together(grid.world):
-        for part in rows:
-            matrix = check.columns(experiment, part.pol, part.bls, part.copols).matrix()
-            weights = part.weights.reshape(-1)
-            weighted = (matrix * weights[:, np.newaxis]).conj().T
-            sums.information[part.channel] += 2 * (weighted @ matrix).toarray().real
-            sums.score[part.channel] += 2 * (weighted @ part.data.reshape(-1)).real
-            power = float(np.sum(part.weights * np.abs(part.data) ** 2))
-            sums.scalars[part.channel] += np.count_nonzero(weights), power, part.noise, part.power
-    for array in (sums.information, sums.score, sums.scalars):
-        allreduce_sum(grid.world, array)
-    common = check.undecidable(experiment)
-    for f, block in enumerate(sums.blocks):
-        told = np.trace(common @ block.information @ common.T)
-        if 4 * sums.scalars[f, 2] > MAX_NOISE * told:
-            known = freed(block, common)
-            sums.information[f], sums.score[f] = known.information, known.score
-    return sums
-
-
 def _heldout(
-    grid: ProcessGrid, problem: Problem, experiment: Experiment, rows: list[_Cross], x: FloatArray
+    grid: ProcessGrid, problem: Problem, experiment: Experiment, rows: list[CrossRows], x: FloatArray
 ) -> tuple[Blocks, Blocks]:
     """Sum w |r|^2 over held-out rows without and with leakage. Collective: all ranks of `grid.world`.
 
@@ -248,7 +137,7 @@ def _reason(before: Blocks, after: Blocks, sigma: float, min_sigma: float) -> st
 def _entry(
     check: LeakageCheck,
     experiment: Experiment,
-    sums: _Sums,
+    sums: LeakageSums,
     evidence: Evidence,
     heldout: tuple[float, float, float],
 ) -> dict[str, Any]:
@@ -289,7 +178,9 @@ def _entry(
     }
 
 
-def _parameters(check: LeakageCheck, experiment: Experiment, sums: _Sums, evidence: Evidence) -> list[dict[str, Any]]:
+def _parameters(
+    check: LeakageCheck, experiment: Experiment, sums: LeakageSums, evidence: Evidence
+) -> list[dict[str, Any]]:
     """Return the D-terms in use with their posterior standard deviations, channel by channel."""
     names, used = check.parameters(experiment).names, np.flatnonzero(evidence.prior_var)
     x, covariances = solve(sums.blocks, evidence.prior_var)

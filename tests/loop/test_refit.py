@@ -1,9 +1,8 @@
-"""The joint fit of beams and effects: what was injected comes back, and the answer is that of dense least squares."""
+"""The joint fit of beams and effects: what was injected comes back."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +10,8 @@ import h5py
 import numpy as np
 import pytest
 from mpi4py import MPI
-from scipy.optimize import least_squares
 
-from hydrabeam_mpi.accumulate import designs
-from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.diagnose import evaluate_on_grid
-from hydrabeam_mpi.effects.antenna_delays import AntennaDelays
 from hydrabeam_mpi.effects.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.antenna_positions import AntennaPositions
 from hydrabeam_mpi.effects.base import Effect
@@ -124,166 +119,6 @@ def test_a_missing_source_is_found_where_it_is(freqs: tuple[float, ...], tmp_pat
     assert np.all(active.std[0, 1:3] < 0.2)
     assert heldout_chi2(space, without) > 1.5
     assert heldout_chi2(space, state) < 1.4
-
-
-@dataclass
-class Dense:
-    """Least squares of all beams and parameters at once, on the data as they were read.
-
-    ``model(f, x)`` gives C and E of channel f at the parameters in use of that channel.
-    """
-
-    space: Space
-    state: State
-    model: Callable[[int, FloatArray], tuple[Any, Any]]
-
-    def __post_init__(self) -> None:
-        rows, problem = self.space.train.rows, self.space.problem
-        model = problem.forward_model(rows.groups)
-        by_time = np.array(list(designs(rows, model, problem.basis, "", show=False)))  # (Ntimes, Nfreqs, 2, Ngroups, n)
-        self.design = np.moveaxis(by_time[:, :, 0] + 1j * by_time[:, :, 1], 1, 0)[:, :, rows.member]
-        self.data, self.root = rows.data, np.sqrt(2 * rows.inv_noise_var)
-        self.shared = np.concatenate([[one.effect.shared] * len(one.used) for one in self.state.active]).astype(bool)
-        self.n_freqs, self.n_modes = len(self.data), self.design.shape[-1]
-
-    def split(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return beams (Nfreqs, n) and parameters (Nfreqs, q) from all unknowns, in units of their priors."""
-        beams, rest = np.split(p, [self.n_freqs * self.n_modes])
-        common, own = np.split(rest, [int(self.shared.sum())])
-        x = np.empty((self.n_freqs, len(self.shared)))
-        x[:, self.shared], x[:, ~self.shared] = common, own.reshape(self.n_freqs, -1)
-        mean = np.array([prior.mean for prior in self.space.problem.priors])
-        std = np.array([prior.std() for prior in self.space.problem.priors])
-        return mean + std * beams.reshape(self.n_freqs, -1), np.sqrt(self.state.prior_var) * x
-
-    def residuals(self, p: FloatArray) -> FloatArray:
-        """Return whitened residuals, those of the priors, and what is held at zero."""
-        beams, x = self.split(p)
-        parts = []
-        for f in range(self.n_freqs):
-            factor, added = self.model(f, x[f])
-            left = self.root[f] * (self.data[f] - factor * (self.design[f] @ beams[f] + added))
-            parts += [left.real.ravel(), left.imag.ravel()]
-        start = 0
-        for one in self.state.active:
-            span = slice(start, start + len(one.used))
-            parts.append(1e5 * (x[:, span] / np.sqrt(one.prior_var[one.used]) @ one.undecidable[:, one.used].T).ravel())
-            start = span.stop
-        return np.concatenate([*parts, p])
-
-    def solve(self) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
-        """Return beams, parameters, and the covariance of each channel's beam and parameters."""
-        n_own = int(np.sum(~self.shared))
-        n = self.n_freqs * (self.n_modes + n_own) + int(self.shared.sum())
-        found = least_squares(self.residuals, np.zeros(n), method="lm", xtol=1e-14, ftol=1e-14)
-        covariance = np.linalg.inv(found.jac.T @ found.jac)
-        # The unknowns are linear in what they are made of.
-        origin = np.concatenate([np.ravel(part) for part in self.split(np.zeros(n))])
-        made = [np.concatenate([np.ravel(part) for part in self.split(unit)]) - origin for unit in np.eye(n)]
-        to_all = np.array(made).T
-        everything = to_all @ covariance @ to_all.T
-        beams, x = self.split(found.x)
-        q, edge = len(self.shared), self.n_freqs * self.n_modes
-        channels = []
-        for f in range(self.n_freqs):
-            own = np.r_[f * self.n_modes : (f + 1) * self.n_modes, edge + f * q : edge + (f + 1) * q]
-            channels.append(everything[np.ix_(own, own)])
-        return beams, x, channels
-
-
-def gain_factor(space: Space, amplitude: FloatArray, phase: FloatArray) -> Any:
-    """Return g_j g_k* of each row."""
-    one, two = antennas(space).T
-    return np.exp(amplitude[one] + amplitude[two] + 1j * (phase[one] - phase[two]))
-
-
-def antennas(space: Space) -> IntArray:
-    """Return the antennas of each row in the sense of its group, (Nbls, 2)."""
-    return space.experiment.antenna_index[space.train.rows.tile.bls]
-
-
-def all_gains(space: Space) -> tuple[list[Active], Callable[[int, FloatArray], tuple[Any, Any]]]:
-    return [free(space, AntennaGains(), 0.1)], lambda f, x: (gain_factor(space, x[::2], x[1::2]), 0.0)
-
-
-def couplings(space: Space) -> tuple[list[Active], Callable[[int, FloatArray], tuple[Any, Any]]]:
-    pairs = [[1, 4], [0, 6]]
-    rows = [_row(space, *pair) for pair in pairs]
-
-    def model(f: int, x: FloatArray) -> tuple[Any, Any]:
-        added = np.zeros(space.train.rows.data.shape[2], dtype=complex)
-        added[rows] = x[::2] + 1j * x[1::2]
-        return 1.0, added
-
-    return [free(space, CrossCoupling(pairs), 1.0)], model
-
-
-def several(space: Space) -> tuple[list[Active], Callable[[int, FloatArray], tuple[Any, Any]]]:
-    """Gains of each channel, delays that channels share, and a coupling."""
-    active = [
-        free(space, AntennaGains(), 0.1, [0, 2, 9]),
-        free(space, AntennaDelays(), 1.0, [2, 3]),
-        free(space, CrossCoupling([[2, 6]]), 1.0),
-    ]
-    names = active[1].effect.parameters(space.experiment).names
-    assert all(f"antenna {i}" in names[i] for i in (2, 3))
-    row = _row(space, 2, 6)
-
-    def model(f: int, x: FloatArray) -> tuple[Any, Any]:
-        amplitude, phase, added = np.zeros(7), np.zeros(7), np.zeros(21, dtype=complex)
-        amplitude[:2], phase[4], added[row] = x[:2], x[2], x[5] + 1j * x[6]
-        turns = space.experiment.observation.freqs[f] * x[3:5] * 1e-9
-        phase[[2, 3]] = 2 * np.pi * turns
-        return gain_factor(space, amplitude, phase), added
-
-    return active, model
-
-
-def _row(space: Space, one: int, two: int) -> int:
-    (row,) = np.flatnonzero(np.all(np.sort(antennas(space), axis=1) == [one, two], axis=1))
-    return int(row)
-
-
-SEVERAL = [
-    {"kind": "antenna_gains", "parameters": {"antenna 0 ln amplitude": 0.1, "antenna 4 phase": -0.1}},
-    {"kind": "antenna_delays", "parameters": {"antenna 2 delay": 0.2, "antenna 3 delay": -0.1}},
-    {"kind": "cross_coupling", "settings": {"baselines": [[2, 6]]}, "parameters": {"baseline 2-6 real": 0.4}},
-]
-
-
-@pytest.mark.parametrize(
-    ("make", "injected", "freqs"),
-    [
-        (all_gains, [CASES["antenna_gains"][0]], (FREQ,)),
-        (couplings, [CASES["cross_coupling"][0]], (FREQ,)),
-        (several, SEVERAL, TWO),
-    ],
-    ids=["nonlinear, something held", "linear", "several effects and channels"],
-)
-def test_the_fit_is_dense_least_squares(
-    make: Any, injected: list[dict[str, Any]], freqs: tuple[float, ...], tmp_path: Path
-) -> None:
-    """Means and covariances of beams and effects, in whatever blocks they are solved for."""
-    space = space_of(mock_job(*injected, freqs=freqs), tmp_path)
-    active, model = make(space)
-    state = refit(space, State(active=active))
-    beams, x, covariances = Dense(space, state, model).solve()
-    found = np.concatenate([one.x[:, one.used] for one in state.active], axis=1)
-    std = np.concatenate([one.std[:, one.used] for one in state.active], axis=1)
-    n = beams.shape[1]
-    results = channel_results(space, state)
-    for f, covariance in enumerate(covariances):
-        expected = np.sqrt(np.diag(covariance))
-        np.testing.assert_allclose(found[f], x[f], atol=0.01 * expected[n:].min(), rtol=0)
-        np.testing.assert_allclose(std[f], expected[n:], rtol=2e-3)
-        scaled = np.outer(expected[n:], expected[n:])
-        np.testing.assert_allclose(state.covariances[f] / scaled, covariance[n:, n:] / scaled, atol=2e-3)
-        posterior = state.posteriors[f]
-        assert np.all(np.abs(posterior.mean - beams[f]) < 0.01 * expected[:n])
-        # Given the effects the beam is known better than with them free, which is what `infer` tells.
-        assert np.all(posterior.std < expected[:n] * (1 + 1e-6))
-        scaled = np.outer(expected[:n], expected[:n])
-        np.testing.assert_allclose(results[f].posterior.covariance / scaled, covariance[:n, :n] / scaled, atol=2e-3)
 
 
 def test_without_effects_it_is_plain_inference(tmp_path: Path) -> None:

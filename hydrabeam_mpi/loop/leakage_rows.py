@@ -1,0 +1,126 @@
+"""Cross-polarised rows, and what they say of the leakage between feeds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.partition import Tile
+from hydrabeam_mpi.effects.experiment import Experiment
+from hydrabeam_mpi.effects.leakage import LeakageCheck
+from hydrabeam_mpi.loop.evidence import Likelihood, freed
+from hydrabeam_mpi.mpi import ProcessGrid, allreduce_sum, together
+from hydrabeam_mpi.problem import Problem
+from hydrabeam_mpi.rows import read_rows
+
+MAX_NOISE = 0.05
+"""Share of the regressors' noise in what is known of the leakage common to all antennas up to which it is believed."""
+
+
+@dataclass(frozen=True)
+class CrossRows:
+    """Cross-polarised rows of one channel with their regressors, in the sense of the observation's antpairs.
+
+    Attributes
+    ----------
+    channel : int
+        Of all the job's channels.
+    pol : str
+    bls : ndarray of int, (Nbls,)
+        Indices into the observation's baselines.
+    data : ndarray of complex, (Ntimes, Nbls)
+    weights : ndarray, (Ntimes, Nbls)
+        Zero also where a co-polarised visibility is missing.
+    measured, copols : dict of str to ndarray of complex, (Ntimes, Nbls)
+        Co-polarised visibilities, and what is left of them without what has leaked into them.
+    noise, power : float
+        Sums of the regressors' variance and of their power, both weighted.
+    """
+
+    channel: int
+    pol: str
+    bls: IntArray
+    data: ComplexArray
+    weights: FloatArray
+    measured: dict[str, ComplexArray]
+    copols: dict[str, ComplexArray]
+    noise: float
+    power: float
+
+    def without(self, check: LeakageCheck, experiment: Experiment, x: FloatArray) -> CrossRows:
+        """Return the rows with regressors from which D-terms have been taken."""
+        return replace(self, copols=check.without(experiment, self.bls, self.measured, x))
+
+
+@dataclass
+class LeakageSums:
+    """Normal equations of all channels, and scalars of each: number, sum w |d|^2, regressors' noise and power."""
+
+    information: FloatArray
+    score: FloatArray
+    scalars: FloatArray
+
+    @property
+    def blocks(self) -> list[Likelihood]:
+        """The likelihood of each channel's D-terms."""
+        pairs = zip(self.information, self.score, strict=True)
+        return [Likelihood(information, score, information) for information, score in pairs]
+
+
+def read_cross(
+    check: LeakageCheck, grid: ProcessGrid, problem: Problem, experiment: Experiment, rows: Tile
+) -> Iterator[CrossRows]:
+    """Read a rank's share of some rows in all polarisations.
+
+    Where the noise is estimated from differences, that of the job's polarisation stands for all.
+    """
+    feeds = check.feeds(experiment)
+    assert feeds is not None
+    tile = problem.tile_of(rows, grid.group.rank, grid.group.size)
+    as_stored = replace(problem.redundant, flipped=np.zeros_like(problem.redundant.flipped))
+    cross = check.cross_pols(experiment)
+    copols = tuple(2 * feed for feed in feeds)
+    parts = {}
+    for pol in (*copols, *cross):
+        observation = replace(problem.observation, pols=(pol,))
+        parts[pol] = read_rows(replace(problem, observation=observation, redundant=as_stored), tile)
+    for f, channel in enumerate(problem.channel_numbers.tolist()):
+        measured = {pol: parts[pol].data[f] for pol in copols}
+        known = [parts[pol].inv_noise_var[f] for pol in copols]
+        usable = (known[0] > 0) & (known[1] > 0)
+        variance = sum(np.where(usable, 1 / np.where(usable, weights, 1.0), 0.0) for weights in known)
+        power = sum(np.abs(vis) ** 2 for vis in measured.values())
+        for pol in cross:
+            weights = np.where(usable, parts[pol].inv_noise_var[f], 0.0)
+            sums = float(np.sum(weights * variance)), float(np.sum(weights * power))
+            yield CrossRows(channel, pol, tile.bls, parts[pol].data[f], weights, measured, measured, *sums)
+
+
+def sum_cross(grid: ProcessGrid, check: LeakageCheck, experiment: Experiment, rows: list[CrossRows]) -> LeakageSums:
+    """Accumulate normal equations over rows, polarisations and ranks. Collective: all ranks of `grid.world`.
+
+    Without what they say of the common leakage where that is the regressors' noise, as for feeds with equal beams.
+    """
+    n_freqs, n = experiment.observation.Nfreqs, len(check.parameters(experiment))
+    sums = LeakageSums(np.zeros((n_freqs, n, n)), np.zeros((n_freqs, n)), np.zeros((n_freqs, 4)))
+    with together(grid.world):
+        for part in rows:
+            matrix = check.columns(experiment, part.pol, part.bls, part.copols).matrix()
+            weights = part.weights.reshape(-1)
+            weighted = (matrix * weights[:, np.newaxis]).conj().T
+            sums.information[part.channel] += 2 * (weighted @ matrix).toarray().real
+            sums.score[part.channel] += 2 * (weighted @ part.data.reshape(-1)).real
+            power = float(np.sum(part.weights * np.abs(part.data) ** 2))
+            sums.scalars[part.channel] += np.count_nonzero(weights), power, part.noise, part.power
+    for array in (sums.information, sums.score, sums.scalars):
+        allreduce_sum(grid.world, array)
+    common = check.undecidable(experiment)
+    for f, block in enumerate(sums.blocks):
+        told = np.trace(common @ block.information @ common.T)
+        if 4 * sums.scalars[f, 2] > MAX_NOISE * told:
+            known = freed(block, common)
+            sums.information[f], sums.score[f] = known.information, known.score
+    return sums
