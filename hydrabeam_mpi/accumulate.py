@@ -74,20 +74,25 @@ def check_heldout(
 
 
 def check_designs(
-    rows: Rows, by_time: Iterable[NDArray[Any]], posteriors: Sequence[Posterior], before: ComplexArray
+    rows: Rows,
+    by_time: Iterable[NDArray[Any]],
+    posteriors: Sequence[Posterior],
+    before: ComplexArray,
+    more_variance: FloatArray | None = None,
 ) -> list[HeldoutStatistics]:
-    """Do as `check_heldout` with each time's design and the model beam's visibilities, (Nfreqs, Ntimes, Nlocal)."""
+    """Do as `check_heldout` with each time's design and the model beam's visibilities, (Nfreqs, Ntimes, Nlocal).
+
+    ``more_variance`` of the predictions' parts, (Nfreqs, 2, Ntimes, Nbls), Jy^2, is that by anything but the beam.
+    """
     statistics = [HeldoutStatistics() for _ in rows.data]
     for t, design in enumerate(by_time):
         for f, posterior in enumerate(posteriors):
-            mean, variance = predict(posterior, design[f])
-            statistics[f].add(
-                rows.data[f, t],
-                rows.inv_noise_var[f, t],
-                mean[rows.member],
-                variance[:, rows.member],
-                before[f, t][rows.member],
-            )
+            mean, of_groups = predict(posterior, design[f])
+            variance = of_groups[:, rows.member]
+            if more_variance is not None:
+                variance = variance + more_variance[f, :, t]
+            before_of_rows = before[f, t][rows.member]
+            statistics[f].add(rows.data[f, t], rows.inv_noise_var[f, t], mean[rows.member], variance, before_of_rows)
     return statistics
 
 

@@ -15,6 +15,7 @@ from hydrabeam_mpi.loop.predictive import SharedErrors, whiten_time
 from hydrabeam_mpi.loop.refit import Space, active_sums, current, place
 from hydrabeam_mpi.loop.state import State
 from hydrabeam_mpi.mpi import allreduce_sum, together
+from hydrabeam_mpi.rows import Rows
 
 LOCAL_STEPS = 4
 MAX_DENSE = 400
@@ -186,7 +187,8 @@ def _whiten(space: Space, state: State) -> Whitened:
         errors = SharedErrors(covariance) if 0 < len(covariance) <= MAX_DENSE else None
         with together(space.grid.world):
             for span, scene, design in share.scenes(channel, state, added[channel], rows):
-                columns, weights = _felt(space, state, channel, scene, design, errors is not None)
+                columns, variance = _felt(space, state, channel, scene, design, errors is not None)
+                weights = scene.weights / (1 + 2 * scene.weights * variance)
                 model[channel, span] = root[channel, span] * scene.vis
                 for t, row in enumerate(range(span.start, span.stop)):
                     stack = np.column_stack([scene.residual[t], columns[t]])
@@ -213,13 +215,13 @@ def _whiten(space: Space, state: State) -> Whitened:
 def _felt(
     space: Space, state: State, channel: int, scene: Scene, design: NDArray[Any], keep: bool
 ) -> tuple[ComplexArray, FloatArray]:
-    """Return how the prediction feels each parameter of the effects, and the weights of the rows.
+    """Return how the prediction feels each parameter of the effects, (Ntimes, Nbls, q), and other variance of rows.
 
     Where a parameter moves the beam follows; what is left is what the prediction feels. With too many parameters to
-    ``keep`` their columns, (Ntimes, Nbls, q), the weights count their variance row by row.
+    ``keep`` their columns, each row has their own variance, that of its real or its imaginary part.
     """
     if not state.active:
-        return np.zeros((*scene.shape, 0), dtype=complex), scene.weights
+        return np.zeros((*scene.shape, 0), dtype=complex), np.zeros(scene.shape)
     number, covariance = space.channels[channel], state.covariances[channel]
     scene.integrate_for([one.effect for one in state.active])
     n_times, n_bls = scene.shape
@@ -233,10 +235,43 @@ def _felt(
     if not keep:
         widths = np.diag(covariance)
         variance = 0.5 * (np.square(felt.real) @ widths + np.square(felt.imag) @ widths)
-        return np.zeros((n_times, n_bls, 0), dtype=complex), scene.weights / (1 + 2 * scene.weights * variance)
+        return np.zeros((n_times, n_bls, 0), dtype=complex), variance
     followed = design @ state.follows[channel]
     felt += scene.spread(followed if state.posteriors[channel].is_complex else followed[:, 0] + 1j * followed[:, 1])
-    return felt, scene.weights
+    return felt, np.zeros(scene.shape)
+
+
+def variance_by_effects(space: Space, state: State, rows: Rows, added: ComplexArray) -> tuple[FloatArray, bool]:
+    """Return what the effects' uncertainty adds to the variance of predictions of single held-out rows.
+
+    Serial.
+
+    Parameters
+    ----------
+    space : Space
+    state : State
+        Fitted.
+    rows, added
+        The rank's held-out rows as calibrated, and E.
+
+    Returns
+    -------
+    variance : ndarray, (Nlocal, 2, Ntimes, Nbls)
+        Of real and imaginary parts, Jy^2.
+    with_beam : bool
+        Whether that is with beams that follow the effects, so that it adds to the variance by beams that do not.
+    """
+    variance = np.zeros((len(space.channels), 2, *rows.data.shape[1:]))
+    dense = len(state.prior_var) <= MAX_DENSE
+    for channel in range(len(space.channels) if state.active else 0):
+        values, vectors = np.linalg.eigh(state.covariances[channel])
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        for span, scene, design in space.test.scenes(channel, state, added[channel], rows):
+            felt, own = _felt(space, state, channel, scene, design, dense)
+            half = felt @ root if dense else np.zeros((*scene.shape, 0))
+            for part, values_of in enumerate((half.real, half.imag)):
+                variance[channel, part, span] = np.sum(values_of**2, axis=-1) + own
+    return variance, dense
 
 
 def blocks_of(space: Space, whitened: Whitened) -> Blocks:

@@ -18,6 +18,7 @@ from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.infer.posterior import Posterior
 from hydrabeam_mpi.inference import ChannelResult, Clock, read_shares, reduce_heldout, reduce_normals
 from hydrabeam_mpi.io.uvmeta import read_observation
+from hydrabeam_mpi.loop.heldout import variance_by_effects
 from hydrabeam_mpi.loop.refit import Space, refit
 from hydrabeam_mpi.loop.state import Active, Reweighted, State
 from hydrabeam_mpi.loop.workspace import Share
@@ -150,9 +151,11 @@ def channel_results(space: Space, state: State) -> list[ChannelResult]:
     normals = reduce_normals(grid, normals)
     posteriors = _marginal(state)
     with together(grid.world):
-        test, _ = space.test.calibrated(state)
+        test, added = space.test.calibrated(state)
         before = space.test.model.visibilities(problem.beams, test.tile.times)
-        heldout = check_designs(test, space.test.designs(state), posteriors, before)
+        variance, with_beam = variance_by_effects(space, state, test, added)
+        predicting = state.posteriors if with_beam else posteriors
+        heldout = check_designs(test, space.test.designs(state), predicting, before, variance)
     reduce_heldout(grid, heldout)
     return [ChannelResult(*parts) for parts in zip(normals, posteriors, heldout, strict=True)]
 
