@@ -12,15 +12,24 @@ import pytest
 from scipy.optimize import least_squares
 
 from hydrabeam_mpi.accumulate import designs
-from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.antenna_delays import AntennaDelays
 from hydrabeam_mpi.effects.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.cross_coupling import CrossCoupling
+from hydrabeam_mpi.loop.heldout import variance_by_effects
 from hydrabeam_mpi.loop.joint import channel_results
 from hydrabeam_mpi.loop.refit import Space, refit
 from hydrabeam_mpi.loop.state import Active, State
+from hydrabeam_mpi.loop.workspace import Share
 from tests.loop.mock import FREQ, mock_job, space_of
 from tests.loop.test_refit import CASES, TWO, free
+
+
+def design_of(share: Share) -> ComplexArray:
+    """Return the design of every row, (Nfreqs, Ntimes, Nbls, n)."""
+    model = share.problem.forward_model(share.rows.groups)
+    by_time = np.array(list(designs(share.rows, model, share.problem.basis, "", show=False)))
+    return np.moveaxis(by_time[:, :, 0] + 1j * by_time[:, :, 1], 1, 0)[:, :, share.rows.member]
 
 
 @dataclass
@@ -35,10 +44,8 @@ class Dense:
     model: Callable[[int, FloatArray], tuple[Any, Any]]
 
     def __post_init__(self) -> None:
-        rows, problem = self.space.train.rows, self.space.problem
-        model = problem.forward_model(rows.groups)
-        by_time = np.array(list(designs(rows, model, problem.basis, "", show=False)))  # (Ntimes, Nfreqs, 2, Ngroups, n)
-        self.design = np.moveaxis(by_time[:, :, 0] + 1j * by_time[:, :, 1], 1, 0)[:, :, rows.member]
+        rows = self.space.train.rows
+        self.design = design_of(self.space.train)
         self.data, self.root = rows.data, np.sqrt(2 * rows.inv_noise_var)
         self.shared = np.concatenate([[one.effect.shared] * len(one.used) for one in self.state.active]).astype(bool)
         self.n_freqs, self.n_modes = len(self.data), self.design.shape[-1]
@@ -86,6 +93,20 @@ class Dense:
             own = np.r_[f * self.n_modes : (f + 1) * self.n_modes, edge + f * q : edge + (f + 1) * q]
             channels.append(everything[np.ix_(own, own)])
         return beams, x, channels
+
+    def predictive_variance(self, f: int, x: FloatArray, beam: FloatArray, covariance: FloatArray) -> FloatArray:
+        """Return the variance by beam and parameters of real and imaginary parts of held-out rows without C."""
+        design = design_of(self.space.test)[f]
+        factor, _ = self.model(f, x)
+
+        def predict(step: FloatArray) -> ComplexArray:
+            its_factor, added = self.model(f, x + step)
+            return np.asarray(its_factor / factor * (design @ beam + added))
+
+        steps = 1e-5 * np.diag(np.sqrt(np.diag(covariance)[len(beam) :]))
+        by_x = [(predict(step) - predict(-step)) / (2 * step.sum()) for step in steps]
+        jacobian = np.concatenate([design, np.moveaxis(by_x, 0, -1)], axis=-1)
+        return np.array([np.sum((part @ covariance) * part, axis=-1) for part in (jacobian.real, jacobian.imag)])
 
 
 def gain_factor(space: Space, amplitude: FloatArray, phase: FloatArray) -> Any:
@@ -164,7 +185,8 @@ def test_the_fit_is_dense_least_squares(
     space = space_of(mock_job(*injected, freqs=freqs), tmp_path)
     active, model = make(space)
     state = refit(space, State(active=active))
-    beams, x, covariances = Dense(space, state, model).solve()
+    dense = Dense(space, state, model)
+    beams, x, covariances = dense.solve()
     found = np.concatenate([one.x[:, one.used] for one in state.active], axis=1)
     std = np.concatenate([one.std[:, one.used] for one in state.active], axis=1)
     n = beams.shape[1]
@@ -181,3 +203,10 @@ def test_the_fit_is_dense_least_squares(
         assert np.all(posterior.std < expected[:n] * (1 + 1e-6))
         scaled = np.outer(expected[:n], expected[:n])
         np.testing.assert_allclose(results[f].posterior.covariance / scaled, covariance[:n, :n] / scaled, atol=2e-3)
+        rows, added = space.test.calibrated(state)
+        more, with_beam = variance_by_effects(space, state, rows, added)
+        assert with_beam
+        design = design_of(space.test)[f]
+        by_beam = [np.sum((part @ posterior.covariance) * part, axis=-1) for part in (design.real, design.imag)]
+        variance = dense.predictive_variance(f, x[f], beams[f], covariance)
+        np.testing.assert_allclose(by_beam + more[f], variance, rtol=5e-3)
