@@ -26,8 +26,14 @@ from hydrabeam_mpi.random import complex_normal
 
 # Widths of the prior on logarithms of scales among which the evidence decides.
 WIDTHS: FloatArray = np.geomspace(0.003, 3.0, 13)
-# By how much the log evidence must rise before every antenna gets a scale of its own.
+# Width of that of single antennas' scales.
+WIDTH_OF_FEW = 1.0
+# Width that holds a logarithm at zero.
+HELD = 1e-6
+# By how much the log evidence must rise before antennas get scales of their own.
 MIN_GAIN = 5.0
+# By how much it must rise for one more antenna.
+MIN_MORE = 3.0
 
 
 @dataclass(frozen=True)
@@ -41,7 +47,7 @@ class _Solution:
 
 
 class NoiseLevel(Reweighting):
-    """Scales of the noise: one of all data, and one of each antenna where the evidence wants it.
+    """Scales of the noise: one of all data, and of all or of few antennas where the evidence wants them.
 
     The parameters of a channel are s, or s followed by s_j of all antennas in use, the mean of ln s_j being zero.
     """
@@ -72,12 +78,14 @@ class NoiseLevel(Reweighting):
         power = sums[:, n_bls : 2 * n_bls]
         expected = np.array([fitted_counts(*pair) for pair in zip(sums[:, :n_bls], effective_parameters, strict=True)])
         single, width = _best(experiment, expected, power, None)
-        by_antenna, _ = _best(experiment, expected, power, width)
-        gain = sum(one.log_bayes_factor for one in by_antenna) - sum(one.log_bayes_factor for one in single)
+        all_antennas, _ = _best(experiment, expected, power, width)
+        few, choice = _few_antennas(experiment, expected, power, width)
+        by_antenna = few if _evidence(few) - choice > _evidence(all_antennas) else all_antennas
+        gain = max(_evidence(few) - choice, _evidence(all_antennas)) - _evidence(single)
         solutions = by_antenna if gain > MIN_GAIN else single
         scales = np.exp([one.x for one in solutions])
         std = scales * np.sqrt([np.diag(one.covariance) for one in solutions])
-        evidence = float(sum(one.log_bayes_factor for one in solutions))
+        evidence = _evidence(solutions) - (choice if solutions is few else 0.0)
         reason = self._reason(experiment, sums, expected, scales)
         names = tuple(self.neutral(experiment))[: scales.shape[1]]
         return ReweightingFit(
@@ -157,11 +165,47 @@ def _best(
         prior = np.full(design.shape[1], trial)
         prior[0] = trial if width is None else width
         solutions = [_solve(design, *pair, prior) for pair in zip(expected, power, strict=True)]
-        evidence = sum(one.log_bayes_factor for one in solutions)
+        evidence = _evidence(solutions)
         if best is None or evidence > best[0]:
             best = evidence, solutions, trial
     assert best is not None
     return best[1], best[2]
+
+
+def _few_antennas(
+    experiment: Experiment, expected: FloatArray, power: FloatArray, width: float
+) -> tuple[list[_Solution], float]:
+    """Return the solutions with scales of those antennas that want one, taken one by one, and what the choice costs.
+
+    One antenna at least; the cost is the logarithm of how many such choices there are.
+    """
+    design = _design(experiment, antennas=True)
+    n_ants = design.shape[1] - 1
+    prior = np.full(1 + n_ants, HELD)
+    prior[0] = width
+    solutions = [_solve(design, *pair, prior) for pair in zip(expected, power, strict=True)]
+    best, choice = solutions, 0.0
+    for taken in range(n_ants // 2):
+        gains = np.sum([_gains(design, *one) for one in zip(expected, power, solutions, strict=True)], axis=0)
+        prior[1 + np.argmax(np.where(prior[1:] > HELD, -1.0, gains))] = WIDTH_OF_FEW
+        solutions = [_solve(design, *pair, prior) for pair in zip(expected, power, strict=True)]
+        cost = choice + np.log((n_ants - taken) / (taken + 1))
+        if taken and _evidence(solutions) - cost <= _evidence(best) - choice + MIN_MORE:
+            break
+        best, choice = solutions, cost
+    return best, choice
+
+
+def _gains(design: csr_array, expected: FloatArray, power: FloatArray, solution: _Solution) -> FloatArray:
+    """Return by how much ln L would rise if each antenna's scale were free, to second order, (Nants,)."""
+    scaled = power * np.exp(-(design @ solution.x))
+    slope, curvature = design.T @ (scaled - expected), (design**2).T @ scaled
+    return np.asarray(slope**2 / np.maximum(2 * curvature, 1e-300))[1:]
+
+
+def _evidence(solutions: list[_Solution]) -> float:
+    """Return the log Bayes factor of all channels."""
+    return float(sum(one.log_bayes_factor for one in solutions))
 
 
 def _solve(design: csr_array, expected: FloatArray, power: FloatArray, width: FloatArray) -> _Solution:

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.outliers import Outliers
 from hydrabeam_mpi.effects.reweighting import Reweighting, ReweightingFit
 from hydrabeam_mpi.effects.scene import Scene
+from hydrabeam_mpi.infer.posterior import Posterior
 from hydrabeam_mpi.loop.refit import Space, refit
 from hydrabeam_mpi.loop.state import Reweighted, State
 from hydrabeam_mpi.mpi import allreduce_sum, bcast_object, together
@@ -53,13 +56,49 @@ def fit_reweightings(space: Space, state: State, changes: Sequence[Reweighting])
     return found
 
 
-def _fit_all(space: Space, state: State, changes: Sequence[Reweighting]) -> list[WeightsFound]:
+def refit_reweighting(space: Space, state: State, change: Reweighting) -> ReweightingFit:
+    """Fit a change of the weights again, to the residuals of a fit with these weights.
+
+    What the beam has taken from each baseline is counted exactly, which is too long a sum for what is only weighed.
+    Collective: all ranks of the grid.
+
+    Parameters
+    ----------
+    space : Space
+    state : State
+        Fitted with the weights that the change makes; these are taken from it again.
+    change : Reweighting
+    """
+    observation = space.experiment.observation
+    effective = np.zeros((observation.Nfreqs, observation.Nbls))
+    with together(space.grid.world):
+        rows, added = space.train.calibrated(state)
+        for channel, number in enumerate(space.channels):
+            for _, scene, design in space.train.scenes(channel, state, added[channel], rows):
+                variance = _variance(state.posteriors[channel], design)
+                effective[number, scene.bls] += 2 * np.sum(scene.weights * variance[:, scene.member], axis=0)
+    allreduce_sum(space.grid.world, effective)
+    others = [one for one in state.reweighted if one.change is not change]
+    return _fit_all(space, replace(state, reweighted=others), [change], effective)[0].fit
+
+
+def _variance(posterior: Posterior, design: NDArray[Any]) -> FloatArray:
+    """Return the beam's part of the variance of predictions, real and imaginary parts together, (Ntimes, Ngroups)."""
+    n_modes = design.shape[-1]
+    variance = posterior.predictive_variance(design.reshape(-1, n_modes)).reshape(design.shape[:-1])
+    return variance if posterior.is_complex else variance.sum(axis=1)
+
+
+def _fit_all(
+    space: Space, state: State, changes: Sequence[Reweighting], effective: FloatArray | None = None
+) -> list[WeightsFound]:
     """Fit changes of the weights to the residuals of a state. Collective: all ranks of the grid."""
     n_freqs = space.experiment.observation.Nfreqs
-    effective = np.zeros(n_freqs)
-    if space.grid.is_group_root:
-        effective[space.channels] = state.effective_parameters
-    allreduce_sum(space.grid.world, effective)
+    if effective is None:
+        effective = np.zeros(n_freqs)
+        if space.grid.is_group_root:
+            effective[space.channels] = state.effective_parameters
+        allreduce_sum(space.grid.world, effective)
     sums = [np.zeros((n_freqs, change.n_sums(space.experiment))) for change in changes]
     with together(space.grid.world):
         rows, added = space.train.calibrated(state)

@@ -12,6 +12,7 @@ from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.diagnose import evaluate_on_grid
 from hydrabeam_mpi.effects.base import Effect
 from hydrabeam_mpi.effects.basis_truncation import BasisTruncation
+from hydrabeam_mpi.effects.noise_level import NoiseLevel
 from hydrabeam_mpi.effects.reweighting import Reweighting
 from hydrabeam_mpi.inference import Clock
 from hydrabeam_mpi.loop.attribution import Finding, attribute, reconsider
@@ -30,12 +31,14 @@ from hydrabeam_mpi.loop.candidates import (
 from hydrabeam_mpi.loop.heldout import blocks_of, whiten
 from hydrabeam_mpi.loop.refit import Space, refit
 from hydrabeam_mpi.loop.remains import remains_of
-from hydrabeam_mpi.loop.reweighting import fit_reweightings
+from hydrabeam_mpi.loop.reweighting import WeightsFound, fit_reweightings, refit_reweighting
 from hydrabeam_mpi.loop.state import Active, Reweighted, State
 from hydrabeam_mpi.progress import say
 
 MAX_TRIES = 6
 """Effects that are fitted in one round at most."""
+TIMES_SCALED = 2
+"""Times that scales of the noise are fitted again to the residuals of a fit with them."""
 MAX_PRUNED = 3
 """Times at most that an effect is fitted again with another prior, or with fewer elements."""
 WEAK_SIGMA = 4.0
@@ -163,9 +166,7 @@ def _fit(space: Space, checked: Checked, candidate: Candidate) -> tuple[Candidat
     state = checked.state
     if candidate.finding is None:
         assert candidate.weights is not None
-        found = candidate.weights
-        added = Reweighted(found.change, found.fit.x, found.fit.std)
-        return candidate, check(space, refit(space, replace(found.start, reweighted=[*state.reweighted, added])))
+        return _fit_weights(space, state, candidate, candidate.weights)
     effect, evidence = candidate.finding.effect, candidate.finding.evidence
     fitted = refit(space, state.extended(Active.start(effect, space.experiment, evidence.prior_var, evidence.x)))
     again = reconsider(space, fitted)
@@ -181,6 +182,18 @@ def _fit(space: Space, checked: Checked, candidate: Candidate) -> tuple[Candidat
     log_bayes_factor = again.log_bayes_factor - again.linear_gain + gained
     finding = Finding(effect, replace(again, log_bayes_factor=log_bayes_factor))
     return replace(candidate, finding=finding, log_bayes_factor=log_bayes_factor), check(space, fitted)
+
+
+def _fit_weights(space: Space, state: State, candidate: Candidate, found: WeightsFound) -> tuple[Candidate, Checked]:
+    """Fit with other weights, and scales of the noise again to what that leaves."""
+    start, fit = found.start, found.fit
+    for remaining in reversed(range(1 + TIMES_SCALED if isinstance(found.change, NoiseLevel) else 1)):
+        added = Reweighted(found.change, fit.x, fit.std)
+        start = refit(space, replace(start, reweighted=[*state.reweighted, added]))
+        if remaining:
+            fit = refit_reweighting(space, start, found.change)
+    weights = replace(found, fit=replace(fit, log_bayes_factor=found.fit.log_bayes_factor))
+    return replace(candidate, weights=weights), check(space, start)
 
 
 def _without_weak(space: Space, active: Active, prior_var: FloatArray) -> FloatArray:
