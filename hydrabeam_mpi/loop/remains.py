@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.noise_level import NoiseLevel
 from hydrabeam_mpi.loop.coherent import Coherence, CoherentRows, CoherentSums, coherences
 from hydrabeam_mpi.loop.cube import Layout, Residuals, whole_baselines
 from hydrabeam_mpi.loop.heldout import Whitened
@@ -18,7 +19,7 @@ from hydrabeam_mpi.loop.state import State
 from hydrabeam_mpi.loop.statistics import statistics
 from hydrabeam_mpi.loop.structures import structures
 from hydrabeam_mpi.loop.where import where
-from hydrabeam_mpi.loop.whiteness import is_white
+from hydrabeam_mpi.loop.whiteness import antenna_scales, is_white
 from hydrabeam_mpi.loop.workspace import Share
 from hydrabeam_mpi.mpi import together
 
@@ -35,7 +36,8 @@ class Remains:
     consistent : bool
         Whether it may be noise alone.
     white : bool
-        Whether it may be noise alone at another level than the data's weights say.
+        Whether it may be noise alone at another level than the data's weights say, or at other levels of antennas
+        where the model has such.
     why : str
         If not, why not.
     statistics, where, structures : dict
@@ -59,7 +61,12 @@ def remains_of(space: Space, state: State, whitened: Whitened) -> Remains:
     sums = ResidualSums.of(cube).reduce(world)
     coherent = _coherent(space, state, whitened)
     told = statistics(sums, layout, whitened.n_shared, coherent)
-    white, why = is_white(sums, layout, whitened.n_shared, coherent)
+    own_level = sums
+    if any(isinstance(one.change, NoiseLevel) and one.x.shape[1] > 1 for one in state.reweighted):
+        # Scales that the fitted rows have told are not exactly those of the others.
+        divided = residuals.divided(antenna_scales(sums, layout), layout)
+        own_level = ResidualSums.of(whole_baselines(world, divided, layout)).reduce(world)
+    white, why = is_white(own_level, layout, whitened.n_shared, coherent)
     return Remains(
         consistent=told["significance"]["p"] >= MIN_P,
         white=white,
