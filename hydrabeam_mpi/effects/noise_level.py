@@ -80,12 +80,12 @@ class NoiseLevel(Reweighting):
         single, width = _best(experiment, expected, power, None)
         all_antennas, _ = _best(experiment, expected, power, width)
         few, choice = _few_antennas(experiment, expected, power, width)
-        by_antenna = few if _evidence(few) - choice > _evidence(all_antennas) else all_antennas
-        gain = max(_evidence(few) - choice, _evidence(all_antennas)) - _evidence(single)
-        solutions = by_antenna if gain > MIN_GAIN else single
+        by_antenna = (_evidence(few) - choice, few), (_evidence(all_antennas), all_antennas)
+        evidence, solutions = max(by_antenna, key=lambda one: one[0])
+        if evidence - _evidence(single) <= MIN_GAIN:
+            evidence, solutions = _evidence(single), single
         scales = np.exp([one.x for one in solutions])
         std = scales * np.sqrt([np.diag(one.covariance) for one in solutions])
-        evidence = _evidence(solutions) - (choice if solutions is few else 0.0)
         reason = self._reason(experiment, sums, expected, scales)
         names = tuple(self.neutral(experiment))[: scales.shape[1]]
         return ReweightingFit(

@@ -11,8 +11,9 @@ from hydrabeam_mpi.config.effects import Loop as LoopSettings
 from hydrabeam_mpi.effects.base import ScannedEffect
 from hydrabeam_mpi.effects.basis_truncation import BasisTruncation
 from hydrabeam_mpi.loop.attribution import Finding
+from hydrabeam_mpi.loop.blocks import Blocks, fall_significance
 from hydrabeam_mpi.loop.drift import BeamDrift
-from hydrabeam_mpi.loop.heldout import Blocks, Whitened, fall_significance
+from hydrabeam_mpi.loop.heldout import Whitened
 from hydrabeam_mpi.loop.remains import Remains
 from hydrabeam_mpi.loop.reweighting import WeightsFound
 from hydrabeam_mpi.loop.significance import sigma_of_log_p

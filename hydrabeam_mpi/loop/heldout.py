@@ -1,4 +1,4 @@
-"""Held-out rows under the posterior predictive of beams and effects, whitened, and whether they got better."""
+"""Held-out rows under the posterior predictive of beams and effects, whitened."""
 
 from __future__ import annotations
 
@@ -50,44 +50,6 @@ class Whitened:
     root: FloatArray
     log_spread: float
     n_shared: float = 0.0
-
-
-@dataclass(frozen=True)
-class Blocks:
-    """Sums of |z|^2 / 2 over blocks of held-out data, summed over ranks.
-
-    Attributes
-    ----------
-    times, groups : ndarray, (2, N)
-        Sum and number for each time and each redundant group.
-    log_spread : float
-        See `Whitened`.
-    """
-
-    times: FloatArray
-    groups: FloatArray
-    log_spread: float = 0.0
-
-    @property
-    def log_density(self) -> float:
-        """Logarithm of the predictive density of all, up to a constant of the noise."""
-        return -float(self.times[0].sum()) - self.log_spread
-
-    @property
-    def chi2(self) -> float:
-        """Reduced chi^2 of all."""
-        total, n = self.times.sum(axis=1)
-        return float(total / n) if n else float("nan")
-
-    @property
-    def log_density_at_own_level(self) -> float:
-        """The same with all variances times the reduced chi^2, so that wider predictions gain nothing by that."""
-        return -self.n_data * float(np.log(self.chi2)) - self.log_spread if self.chi2 > 0 else -np.inf
-
-    @property
-    def n_data(self) -> int:
-        """Number of complex data."""
-        return round(float(self.times[1].sum()))
 
 
 def whiten(space: Space, state: State) -> Whitened:
@@ -272,35 +234,3 @@ def variance_by_effects(space: Space, state: State, rows: Rows, added: ComplexAr
             for part, values_of in enumerate((half.real, half.imag)):
                 variance[channel, part, span] = np.sum(values_of**2, axis=-1) + own
     return variance, dense
-
-
-def blocks_of(space: Space, whitened: Whitened) -> Blocks:
-    """Sum |z|^2 / 2 by time and by redundant group. Collective: all ranks of the grid."""
-    observation, rows = space.experiment.observation, space.test.rows
-    power = np.where(whitened.used, 0.5 * np.abs(whitened.z) ** 2, 0.0).sum(axis=0)
-    count = whitened.used.sum(axis=0).astype(float)
-    times = np.zeros((2, observation.Ntimes))
-    groups = np.zeros((2, space.experiment.redundant.Ngroups))
-    for row, values in enumerate((power, count)):
-        np.add.at(times[row], rows.tile.times, values.sum(axis=1))
-        np.add.at(groups[row], rows.groups[rows.member], values.sum(axis=0))
-    allreduce_sum(space.grid.world, times)
-    allreduce_sum(space.grid.world, groups)
-    return Blocks(times, groups, whitened.log_spread)
-
-
-def fall_significance(before: Blocks, after: Blocks) -> float:
-    """Return by how many standard errors chi^2 fell, over blocks of time or of redundant groups: the greater.
-
-    Each block's own fall is one draw of how much the change helps. What is wrong with few baselines shows in few groups
-    but at all times, what is wrong at few times in all groups.
-    """
-    scores = []
-    for one, two in ((before.times, after.times), (before.groups, after.groups)):
-        has = (one[1] > 0) & (two[1] > 0)
-        if has.sum() < 4:
-            continue
-        fall = one[0, has] - two[0, has] * (one[1, has] / two[1, has])
-        spread = float(np.std(fall, ddof=1)) * np.sqrt(has.sum())
-        scores.append(float(fall.sum()) / spread if spread > 0 else 0.0)
-    return max(scores, default=0.0)

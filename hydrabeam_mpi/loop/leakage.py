@@ -10,9 +10,9 @@ from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.leakage import LeakageCheck
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.loop.blocks import Blocks, fall_significance
 from hydrabeam_mpi.loop.candidates import NEARLY_NOISE
 from hydrabeam_mpi.loop.evidence import Evidence, Likelihood, find_evidence, log_evidence, solve
-from hydrabeam_mpi.loop.heldout import Blocks, fall_significance
 from hydrabeam_mpi.loop.leakage_rows import CrossRows, LeakageSums, read_cross, sum_cross
 from hydrabeam_mpi.loop.sentences import say_parameter
 from hydrabeam_mpi.loop.significance import sigma_of_log_p

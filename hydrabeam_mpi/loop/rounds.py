@@ -16,6 +16,7 @@ from hydrabeam_mpi.effects.noise_level import NoiseLevel
 from hydrabeam_mpi.effects.reweighting import Reweighting
 from hydrabeam_mpi.inference import Clock
 from hydrabeam_mpi.loop.attribution import Finding, attribute, reconsider
+from hydrabeam_mpi.loop.blocks import blocks_of
 from hydrabeam_mpi.loop.candidates import (
     Candidate,
     Checked,
@@ -28,7 +29,7 @@ from hydrabeam_mpi.loop.candidates import (
     may_be_better,
     refusal_of,
 )
-from hydrabeam_mpi.loop.heldout import blocks_of, whiten
+from hydrabeam_mpi.loop.heldout import whiten
 from hydrabeam_mpi.loop.refit import Space, refit
 from hydrabeam_mpi.loop.remains import remains_of
 from hydrabeam_mpi.loop.reweighting import WeightsFound, fit_reweightings, refit_reweighting

@@ -21,7 +21,8 @@ from hydrabeam_mpi.effects.missing_sources import MissingSources
 from hydrabeam_mpi.effects.noise_level import NoiseLevel
 from hydrabeam_mpi.effects.nonredundant_beams import NonredundantBeams
 from hydrabeam_mpi.inference import Clock, infer_channels
-from hydrabeam_mpi.loop.heldout import blocks_of, whiten
+from hydrabeam_mpi.loop.blocks import blocks_of
+from hydrabeam_mpi.loop.heldout import whiten
 from hydrabeam_mpi.loop.joint import channel_results
 from hydrabeam_mpi.loop.refit import Space, refit
 from hydrabeam_mpi.loop.state import Active, Reweighted, State
