@@ -65,6 +65,23 @@ def test_a_common_scale() -> None:
     assert 0.7 < np.std(errors) < 1.3
 
 
+def test_one_noisy_antenna_leaves_the_others_alike() -> None:
+    """Their scales are not fitted to their own scatter; all that is uncertain of them is what is common."""
+    x = np.ones(1 + N_ANTENNAS)
+    x[3] = 2.5
+    mean = np.exp(np.log(x[1:]).mean())
+    truth = np.array([mean, *(x[1:] / mean)])
+    errors = []
+    for seed in range(10):
+        found = fit(noisier(scenes(seed), x, seed))
+        assert found.x.shape == (2, 1 + N_ANTENNAS)
+        others = np.delete(found.x, [0, 3], axis=1)
+        np.testing.assert_allclose(others, others[:, :1] * np.ones(N_ANTENNAS - 1), rtol=1e-4)
+        errors.append((found.x[:, 3] - truth[3]) / found.std[:, 3])
+    assert abs(np.mean(errors)) < 0.7
+    assert 0.6 < np.std(errors) < 1.4
+
+
 def test_noisy_antennas() -> None:
     x = np.ones(1 + N_ANTENNAS)
     x[[2, 5]] = 2.0, 1.5
