@@ -18,6 +18,7 @@ from hydrabeam_mpi.report.style import INFERRED, MODEL, REFERENCE, Drawing, new_
 Array = NDArray[Any]
 SIGNIFICANT = 5.0  # standard deviations above which a marker is filled
 ONE_NIGHT = 0.9  # days
+DAYLIGHT = 0.25  # days without data beyond which markers are not joined
 SIDEREAL_HOURS = 24 * 1.00273791  # in a day
 BEFORE, AFTER = "before the first round", "after the last round"
 
@@ -133,7 +134,10 @@ def _draw_panel(axes: Axes, name: str, curves: dict[str, _Curve]) -> None:
     for label, curve in curves.items():
         colour = _colour(label)
         if curve.complete and name != "antennas":
-            axes.plot(curve.place - start, curve.chi2, color=colour, linewidth=0.7, alpha=0.6)
+            gap = DAYLIGHT if name == "times" else np.inf
+            nights = np.flatnonzero(np.diff(curve.place) > gap) + 1
+            for night in np.split(np.arange(len(curve.place)), nights):
+                axes.plot(curve.place[night] - start, curve.chi2[night], color=colour, linewidth=0.7, alpha=0.6)
         faces = [colour if abs(sigma) > SIGNIFICANT else "white" for sigma in curve.sigma]
         size = 14 if len(curve.place) <= 40 else 7
         axes.scatter(curve.place - start, curve.chi2, s=size, c=faces, edgecolors=colour, linewidths=0.8, zorder=3)
