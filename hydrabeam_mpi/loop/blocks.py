@@ -9,7 +9,11 @@ import numpy as np
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.loop.heldout import Whitened
 from hydrabeam_mpi.loop.refit import Space
+from hydrabeam_mpi.loop.significance import sigma_of_log_p
 from hydrabeam_mpi.mpi import allreduce_sum
+
+NEARLY_NOISE = 1.1
+"""Held-out reduced chi^2 up to which the noise that the weights state is all that matters."""
 
 
 @dataclass(frozen=True)
@@ -80,3 +84,16 @@ def fall_significance(before: Blocks, after: Blocks) -> float:
         spread = float(np.std(fall, ddof=1)) * np.sqrt(has.sum())
         scores.append(float(fall.sum()) / spread if spread > 0 else 0.0)
     return max(scores, default=0.0)
+
+
+def gain_significance(before: Blocks, after: Blocks, log_ratio: float) -> float:
+    """Return the significance with which held-out data got better.
+
+    From blocks, whose falls differ however large they are. Where little but noise is left the predictive densities
+    tell more: a ratio of these of e^k, ``log_ratio`` being k, has a probability of e^-k at most if the effect is not
+    there, however it was fitted.
+    """
+    by_blocks = fall_significance(before, after)
+    if log_ratio > 0 and after.chi2 <= NEARLY_NOISE:
+        return max(by_blocks, sigma_of_log_p(-log_ratio))
+    return by_blocks

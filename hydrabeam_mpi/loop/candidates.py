@@ -11,12 +11,11 @@ from hydrabeam_mpi.config.effects import Loop as LoopSettings
 from hydrabeam_mpi.effects.base import ScannedEffect
 from hydrabeam_mpi.effects.basis_truncation import BasisTruncation
 from hydrabeam_mpi.loop.attribution import Finding
-from hydrabeam_mpi.loop.blocks import Blocks, fall_significance
+from hydrabeam_mpi.loop.blocks import Blocks, gain_significance
 from hydrabeam_mpi.loop.drift import BeamDrift
 from hydrabeam_mpi.loop.heldout import Whitened
 from hydrabeam_mpi.loop.remains import Remains
 from hydrabeam_mpi.loop.reweighting import WeightsFound
-from hydrabeam_mpi.loop.significance import sigma_of_log_p
 from hydrabeam_mpi.loop.state import State
 
 MAX_ABSORBED = 0.95
@@ -34,8 +33,6 @@ NEAR = 0.1
 """Effects with less than this part of the best one's evidence are not fitted."""
 NEAR_IF_LINEAR = 0.7
 """The same for those whose evidence a fit does not change much."""
-NEARLY_NOISE = 1.1
-"""Held-out reduced chi^2 up to which the noise that the weights state is all that matters."""
 UNDECIDED_NATS = 5.0
 """Effects whose evidence is nearer than this to the best one's cannot be told from it."""
 
@@ -151,19 +148,10 @@ def _complexity(candidate: Candidate) -> float:
 
 
 def improvement(before: Checked, after: Checked, candidate: Candidate) -> float:
-    """Return the significance with which held-out data got better.
-
-    From blocks, whose falls differ however large they are. Where little but noise is left the predictive densities
-    tell more: a ratio of these of e^k has a probability of e^-k at most if the effect is not there, however it was
-    fitted.
-    """
+    """Return the significance with which held-out data got better."""
     if candidate.finding is None:
         return float(abs(before.blocks.chi2 - after.blocks.chi2) * np.sqrt(before.blocks.n_data))
-    by_blocks = fall_significance(before.blocks, after.blocks)
-    ratio = after.blocks.log_density - before.blocks.log_density
-    if ratio <= 0 or after.blocks.chi2 > NEARLY_NOISE:
-        return by_blocks
-    return max(by_blocks, sigma_of_log_p(-ratio))
+    return gain_significance(before.blocks, after.blocks, after.blocks.log_density - before.blocks.log_density)
 
 
 def refusal_of(

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.effects.base import Parameters
 
 TAUS: FloatArray = np.exp(np.linspace(np.log(1e-7), np.log(1e4), 160))
@@ -224,8 +224,7 @@ def solve(blocks: Sequence[Likelihood], prior_var: FloatArray) -> tuple[FloatArr
     means, covariances = np.zeros((len(blocks), q)), []
     width = np.sqrt(prior_var[used])
     for mean, block in zip(means, blocks, strict=True):
-        # In units of the prior's width, in which the matrix is never singular.
-        matrix = width[:, np.newaxis] * block.information[np.ix_(used, used)] * width + np.eye(len(used))
+        matrix = _precision(block, used, width)
         inverse = np.linalg.inv(0.5 * (matrix + matrix.T))
         covariance = np.zeros((q, q))
         covariance[np.ix_(used, used)] = width[:, np.newaxis] * inverse * width
@@ -234,13 +233,18 @@ def solve(blocks: Sequence[Likelihood], prior_var: FloatArray) -> tuple[FloatArr
     return means, covariances
 
 
+def _precision(block: Likelihood, used: IntArray, width: FloatArray) -> FloatArray:
+    """Return the posterior precision in units of the prior's width, in which it is never singular."""
+    return np.asarray(width[:, np.newaxis] * block.information[np.ix_(used, used)] * width + np.eye(len(used)))
+
+
 def log_evidence(blocks: Sequence[Likelihood], prior_var: FloatArray) -> float:
     """Return ln of the marginal likelihood with a prior that was not chosen by it, over that without the effect."""
-    width = np.sqrt(prior_var[prior_var > 0])
+    used = np.flatnonzero(prior_var)
+    width = np.sqrt(prior_var[used])
     total = 0.0
     for block in blocks:
-        used = np.flatnonzero(prior_var)
-        matrix = width[:, np.newaxis] * block.information[np.ix_(used, used)] * width + np.eye(len(used))
+        matrix = _precision(block, used, width)
         pulled = width * block.score[used]
         total += 0.5 * float(pulled @ np.linalg.solve(matrix, pulled)) - 0.5 * float(np.linalg.slogdet(matrix)[1])
     return total

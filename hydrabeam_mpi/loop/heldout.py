@@ -11,7 +11,7 @@ from scipy.sparse import issparse
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.effects.scene import Scene
-from hydrabeam_mpi.loop.predictive import SharedErrors, whiten_time
+from hydrabeam_mpi.loop.predictive import SharedErrors, root_of, whiten_time
 from hydrabeam_mpi.loop.refit import Space, active_sums, current, place
 from hydrabeam_mpi.loop.state import State
 from hydrabeam_mpi.mpi import allreduce_sum, together
@@ -226,11 +226,10 @@ def variance_by_effects(space: Space, state: State, rows: Rows, added: ComplexAr
     variance = np.zeros((len(space.channels), 2, *rows.data.shape[1:]))
     dense = len(state.prior_var) <= MAX_DENSE
     for channel in range(len(space.channels) if state.active else 0):
-        values, vectors = np.linalg.eigh(state.covariances[channel])
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        root = root_of(state.covariances[channel])
         for span, scene, design in space.test.scenes(channel, state, added[channel], rows):
             felt, own = _felt(space, state, channel, scene, design, dense)
             half = felt @ root if dense else np.zeros((*scene.shape, 0))
-            for part, values_of in enumerate((half.real, half.imag)):
-                variance[channel, part, span] = np.sum(values_of**2, axis=-1) + own
+            for part, values in enumerate((half.real, half.imag)):
+                variance[channel, part, span] = np.sum(values**2, axis=-1) + own
     return variance, dense

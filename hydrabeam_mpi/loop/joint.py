@@ -19,6 +19,7 @@ from hydrabeam_mpi.infer.posterior import Posterior
 from hydrabeam_mpi.inference import ChannelResult, Clock, read_shares, reduce_heldout, reduce_normals
 from hydrabeam_mpi.io.uvmeta import read_observation
 from hydrabeam_mpi.loop.heldout import variance_by_effects
+from hydrabeam_mpi.loop.predictive import root_of
 from hydrabeam_mpi.loop.refit import Space, refit
 from hydrabeam_mpi.loop.state import Active, Reweighted, State
 from hydrabeam_mpi.loop.workspace import Share
@@ -170,8 +171,7 @@ def _marginal(state: State) -> Sequence[Posterior]:
         return state.posteriors
     wider = []
     for posterior, follow, covariance in zip(state.posteriors, state.follows, state.covariances, strict=True):
-        values, vectors = np.linalg.eigh(covariance)
-        spread = follow @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+        spread = follow @ root_of(covariance)
         # (P^-1 + Z Z^H)^-1 = P - P Z (1 + Z^H P Z)^-1 Z^H P, and P = L L^H.
         half = posterior.factor.conj().T @ spread
         inner = np.linalg.cholesky(np.eye(half.shape[1]) + half.conj().T @ half)

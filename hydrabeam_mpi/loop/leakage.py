@@ -10,12 +10,10 @@ from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.leakage import LeakageCheck
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.loop.blocks import Blocks, fall_significance
-from hydrabeam_mpi.loop.candidates import NEARLY_NOISE
-from hydrabeam_mpi.loop.evidence import Evidence, Likelihood, find_evidence, log_evidence, solve
+from hydrabeam_mpi.loop.blocks import Blocks, gain_significance
+from hydrabeam_mpi.loop.evidence import Evidence, find_evidence, log_evidence, solve
 from hydrabeam_mpi.loop.leakage_rows import CrossRows, LeakageSums, read_cross, sum_cross
 from hydrabeam_mpi.loop.sentences import say_parameter
-from hydrabeam_mpi.loop.significance import sigma_of_log_p
 from hydrabeam_mpi.mpi import ProcessGrid, allreduce_sum, bcast_object, together
 from hydrabeam_mpi.problem import Problem
 
@@ -67,10 +65,11 @@ def check_leakage(grid: ProcessGrid, problem: Problem, experiment: Experiment) -
             [one.without(check, experiment, evidence.x[one.channel]) for one in rows] for rows in (train, test)
         )
     before, after = _heldout(grid, problem, experiment, test, evidence.x)
-    sigma = fall_significance(before, after) if before.n_data else 0.0
-    if after.chi2 <= NEARLY_NOISE:
-        held = sum_cross(grid, check, experiment, test)
-        sigma = max(sigma, _density_significance(sums.blocks, held.blocks, evidence.prior_var))
+    held = sum_cross(grid, check, experiment, test)
+    # The predictive density of held-out rows is the evidence of all rows over that of the fitted ones.
+    both = [one + two for one, two in zip(sums.blocks, held.blocks, strict=True)]
+    ratio = log_evidence(both, evidence.prior_var) - log_evidence(sums.blocks, evidence.prior_var)
+    sigma = gain_significance(before, after, ratio)
     reason = _reason(before, after, sigma, settings.min_heldout_sigma)
     if reason is not None:
         return {"effect": check.kind, "log_bayes_factor": evidence.log_bayes_factor, "reason": reason}
@@ -109,16 +108,6 @@ def _heldout(
     allreduce_sum(grid.world, times)
     before, after = (Blocks(times[[k, 2]], np.zeros((2, 0))) for k in (0, 1))
     return before, after
-
-
-def _density_significance(fitted: list[Likelihood], held: list[Likelihood], prior_var: FloatArray) -> float:
-    """Return how significantly the predictive density of held-out rows is larger with leakage.
-
-    It is the evidence of all rows over that of the fitted ones; see `hydrabeam_mpi.loop.candidates.improvement`.
-    """
-    both = [one + two for one, two in zip(fitted, held, strict=True)]
-    ratio = log_evidence(both, prior_var) - log_evidence(fitted, prior_var)
-    return sigma_of_log_p(-ratio) if ratio > 0 else 0.0
 
 
 def _reason(before: Blocks, after: Blocks, sigma: float, min_sigma: float) -> str | None:

@@ -71,6 +71,12 @@ def whiten_time(
     return plain + gather.T @ change, own**2 * shared[member], 0.5 * float(np.log1p(values).sum())
 
 
+def root_of(covariance: FloatArray) -> FloatArray:
+    """Return R with R R^T the covariance, (q, q), so that no variance of what is made with it is negative."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
 class SharedErrors:
     """Whitens rows of many times by what they share of the errors of some parameters.
 
@@ -84,9 +90,7 @@ class SharedErrors:
     """
 
     def __init__(self, covariance: FloatArray) -> None:
-        values, vectors = np.linalg.eigh(covariance)
-        # Of the form R R^T, so that no variance is negative.
-        self._root = vectors * np.sqrt(np.maximum(values, 0.0))
+        self._root = root_of(covariance)
         self.gram = np.zeros((len(covariance), len(covariance)))
         self.projection = np.zeros(len(covariance))
         self._kept: list[ComplexArray] = []

@@ -13,7 +13,7 @@ from hydrabeam_mpi.diagnose import evaluate_on_grid
 from hydrabeam_mpi.effects.base import Effect
 from hydrabeam_mpi.effects.basis_truncation import BasisTruncation
 from hydrabeam_mpi.effects.noise_level import NoiseLevel
-from hydrabeam_mpi.effects.reweighting import Reweighting
+from hydrabeam_mpi.effects.reweighting import Reweighting, ReweightingFit
 from hydrabeam_mpi.inference import Clock
 from hydrabeam_mpi.loop.attribution import Finding, attribute, reconsider
 from hydrabeam_mpi.loop.blocks import blocks_of
@@ -187,14 +187,18 @@ def _fit(space: Space, checked: Checked, candidate: Candidate) -> tuple[Candidat
 
 def _fit_weights(space: Space, state: State, candidate: Candidate, found: WeightsFound) -> tuple[Candidate, Checked]:
     """Fit with other weights, and scales of the noise again to what that leaves."""
-    start, fit = found.start, found.fit
-    for remaining in reversed(range(1 + TIMES_SCALED if isinstance(found.change, NoiseLevel) else 1)):
+
+    def weighted(start: State, fit: ReweightingFit) -> State:
         added = Reweighted(found.change, fit.x, fit.std)
-        start = refit(space, replace(start, reweighted=[*state.reweighted, added]))
-        if remaining:
-            fit = refit_reweighting(space, start, found.change)
+        return refit(space, replace(start, reweighted=[*state.reweighted, added]))
+
+    fit = found.fit
+    fitted = weighted(found.start, fit)
+    for _ in range(TIMES_SCALED if isinstance(found.change, NoiseLevel) else 0):
+        fit = refit_reweighting(space, fitted, found.change)
+        fitted = weighted(fitted, fit)
     weights = replace(found, fit=replace(fit, log_bayes_factor=found.fit.log_bayes_factor))
-    return replace(candidate, weights=weights), check(space, start)
+    return replace(candidate, weights=weights), check(space, fitted)
 
 
 def _without_weak(space: Space, active: Active, prior_var: FloatArray) -> FloatArray:

@@ -118,9 +118,9 @@ def most_significant(axis: Axis, freedom: Freedom, level: float = 1.0) -> Look:
     return Look(axis.name, axis.what[k], float(sigma[k]), len(axis))
 
 
-def largest_excess(axis: Axis, freedom: Freedom) -> Look:
-    """Return the entry of an axis that exceeds the expected reduced chi^2 most."""
-    sigma = axis.sigma(freedom)
+def largest_excess(axis: Axis, freedom: Freedom, level: float = 1.0) -> Look:
+    """Return the entry of an axis that exceeds a reduced chi^2 most."""
+    sigma = axis.sigma(freedom, level)
     k = int(np.argmax(sigma))
     return Look(axis.name, axis.what[k], max(float(sigma[k]), 0.0), len(axis))
 

@@ -14,7 +14,7 @@ from hydrabeam_mpi.loop.coherent import OF_BASELINES, OF_TIMES, SPOTS, Coherence
 from hydrabeam_mpi.loop.cube import Layout
 from hydrabeam_mpi.loop.residuals import ResidualSums
 from hydrabeam_mpi.loop.significance import chi2_sigma, log_p_two_sided, sigma_of_log_p
-from hydrabeam_mpi.loop.statistics import Look, coherent_look
+from hydrabeam_mpi.loop.statistics import Look, coherent_look, largest_excess
 from hydrabeam_mpi.loop.where_words import sentence
 
 CARRIED = 2 / 3
@@ -188,9 +188,7 @@ def _differing(axis: Axis, freedom: Freedom) -> float:
     """Return the significance of entries differing: of all together, or of the largest among so many."""
     if len(axis) < 2:
         return 0.0
-    largest = float(np.max(axis.sigma(freedom, axis.level)))
-    log_p = min(float(log_p_two_sided(max(largest, 0.0))) + np.log(len(axis)), 0.0)
-    return max(axis.unevenness(freedom), sigma_of_log_p(log_p))
+    return max(axis.unevenness(freedom), sigma_of_log_p(largest_excess(axis, freedom, axis.level).log_p))
 
 
 def _listed(axis: Axis, carriers: Carriers, sigma: FloatArray) -> list[dict[str, Any]]:
