@@ -46,6 +46,8 @@ def _warnings_as_lines() -> Iterator[None]:
             # Those are for developers, and the tests show them.
             warnings.simplefilter("ignore", DeprecationWarning)
             warnings.simplefilter("ignore", PendingDeprecationWarning)
+            # Of files that a run left open as it was interrupted.
+            warnings.simplefilter("ignore", ResourceWarning)
             warnings.showwarning = lambda message, *_, **__: say(f"warning: {_in_one_line(message)}")
         yield
 

@@ -20,6 +20,7 @@ import logging, warnings
 def speak():
     warnings.warn("two\\nlines")
     warnings.warn("old", DeprecationWarning)
+    warnings.warn("unclosed", ResourceWarning)
     logging.getLogger(__name__).warning("%d sources left out", 3)
     logging.getLogger(__name__).info("noted")
     logging.getLogger(__name__).debug("unheard")
