@@ -22,6 +22,10 @@ UNDECIDABLE = (
     ("common gain amplitude", "all gains times a number are the same as the beam times its square"),
     ("common pointing", "all antennas tilted alike are the same as another beam"),
 )
+UNDECIDABLE_LEAKAGE = (
+    "common leakage, c in d_e + c and d_n - c*",
+    "of a sky that is not polarised, only a difference of the two feeds' beams shows it",
+)
 
 
 def make_record(
@@ -62,6 +66,7 @@ def make_record(
         # Leakage is seen in rows of its own; in those that are fitted it is of second order, and may look like others.
         place = rounds if "parameters" in leakage else tried if "log_bayes_factor" in leakage else reasons
         place.insert(0, leakage)
+    undecidable = [*UNDECIDABLE, *([UNDECIDABLE_LEAKAGE] if "parameters" in (leakage or {}) else [])]
     if conventions["found"]:
         rounds = [_convention(course, conventions)]
     last, foreign = remains[-1], _foreign(course)
@@ -84,7 +89,7 @@ def make_record(
         "last_ranking": [_ranked(one) for one in known_effects(course.ranking)],
         "tried": tried,
         "skipped": reasons,
-        "undecidable": [{"what": what, "why": why} for what, why in UNDECIDABLE],
+        "undecidable": [{"what": what, "why": why} for what, why in undecidable],
         "conventions": conventions,
         "where": last.where if unexplained else None,
         "residual": last.statistics,

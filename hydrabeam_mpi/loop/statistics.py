@@ -139,7 +139,8 @@ def shape_looks(sums: ResidualSums, axes: dict[str, Axis], freedom: Freedom) -> 
     pairs = {entry["what"]: entry["sigma"] for entry in _correlations(sums, freedom)}
     found = [_best("unevenness", uneven), _best("correlations", pairs)]
     if sums.n > 1:
-        found.append(Look("kurtosis", "all", _kurtosis(sums, freedom)[1], 1))
+        # Tails that are too light are nothing missing.
+        found.append(Look("kurtosis", "all", max(_kurtosis(sums, freedom)[1], 0.0), 1))
         scaled = sums.largest[0] / max(_reduced(sums.chi2, sums.n), 1e-300)
         found.append(Look("largest", "one visibility", sigma_of_log_p(-scaled / 2), max(round(sums.n), 1)))
     return [look for look in found if look is not None]
