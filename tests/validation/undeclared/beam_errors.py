@@ -29,7 +29,7 @@ def antenna_pointing(truth: Truth, rng: np.random.Generator, strength: float) ->
 def nonredundant_beams(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
     """Main lobes of one, three or all antennas are wider or narrower by ``strength`` along either axis.
 
-    Their sidelobes differ by three times as much.
+    Their sidelobes differ by three times as much. At the zenith all are one: anything else there is a gain.
     """
     chosen = some_antennas(truth, rng)
     stretches = np.zeros((truth.setting.n_ants, 2))
@@ -38,7 +38,7 @@ def nonredundant_beams(truth: Truth, rng: np.random.Generator, strength: float) 
         shape = truth.shapes[index]
         width = tuple((np.array(shape.width) * np.exp(stretches[index])).tolist())
         level = shape.pedestal * np.exp(3 * strength * rng.standard_normal())
-        truth.shapes[index] = replace(shape, width=width, pedestal=level, peak=shape.peak or 1 + shape.pedestal)
+        truth.shapes[index] = replace(shape, width=width, pedestal=level)
     parameters = [
         Parameter(antenna(truth, index), f"width {direction}", "", float(np.expm1(stretch)))
         for index in range(truth.setting.n_ants)

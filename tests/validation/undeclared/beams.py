@@ -46,8 +46,6 @@ class Shape:
         Amplitude, radial frequency (cycles per direction cosine), azimuthal order and phase of a fine structure.
     extra : callable, optional
         (l, m) -> a relative change of the field, for single antennas.
-    peak : float, optional
-        By which all is divided; 1 + p by default.
     pointing : (float, float)
         Direction cosines (l, m) to which the beam's centre is moved.
     """
@@ -60,7 +58,6 @@ class Shape:
     ripple: tuple[float, float, float, float] = (0.0, 6.0, 0.0, 0.0)
     extra: Callable[[FloatArray, FloatArray], FloatArray] | None = field(default=None, compare=False)
     pointing: tuple[float, float] = (0.0, 0.0)
-    peak: float | None = None
 
     def power(self, za: FloatArray, az: FloatArray, freq: float) -> FloatArray:
         """Return B, (Npoints,)."""
@@ -79,7 +76,7 @@ class Shape:
             values = values * np.exp(height * fine * r2 / (r2 + 0.1**2))
         if self.extra is not None:
             values = values * (1 + self.extra(l, m)) ** 2
-        return np.asarray(values / (self.peak or 1 + self.pedestal))
+        return np.asarray(values / (1 + self.pedestal))
 
     def _pointed(self, za: FloatArray, az: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return direction cosines about the beam's own axis, after a rotation that takes it to the zenith."""

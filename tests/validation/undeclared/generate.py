@@ -22,6 +22,8 @@ from tests.validation.undeclared.truth import ComplexArray, Truth
 
 GIVEN, SEALED = "given", "sealed"
 
+MOST_BEYOND_BASIS = 20.0
+"""chi^2 of what the job's basis lacks of the beam: data without an effect must have none."""
 RECEIVERS = ("antenna_gains", "antenna_delays", "cable_reflections")
 
 
@@ -70,7 +72,7 @@ def generate(seed: int, folder: Path, case: str | None = None) -> None:
     clean = make(seed, kinds, []).truth
     setting = clean.setting
     reference = correlations(clean)
-    sigma = float(np.sqrt(np.mean(np.abs(on_baselines(clean, reference)) ** 2))) / setting.snr
+    sigma = _noise_level(setting, on_baselines(clean, reference))
     made = make(seed, kinds, kinds)
     measured = reference if not kinds else corrupted(made.truth)
     by_pol = {pol: on_baselines(clean, vis) for pol, vis in polarised(made.truth, measured).items()}
@@ -80,13 +82,20 @@ def generate(seed: int, folder: Path, case: str | None = None) -> None:
     answer = {
         "case": case,
         "seed": seed,
-        "snr": setting.snr,
+        "sigma": sigma,
         "times": setting.times.tolist(),
         "freqs": setting.freqs.tolist(),
         "effects": [_told(seed, kinds, one, reference, sigma) for one in made.effects],
     }
     (folder / SEALED).mkdir(parents=True, exist_ok=True)
     (folder / SEALED / "answer.json").write_text(json.dumps(answer, indent=1) + "\n")
+
+
+def _noise_level(setting: Setting, reference: ComplexArray) -> float:
+    """Return the noise's standard deviation, Jy: as drawn, or enough to hide what the job's basis lacks of the beam."""
+    drawn = float(np.sqrt(np.mean(np.abs(reference) ** 2))) / setting.snr
+    beyond = chi2_beyond_beam(setting, reference, drawn)[1]
+    return drawn * max(float(np.sqrt(beyond / MOST_BEYOND_BASIS)), 1.0)
 
 
 def _filed(truth: Truth, vis: ComplexArray, sigma: float, rng: np.random.Generator) -> ComplexArray:

@@ -38,13 +38,18 @@ class Comparison:
         return None if not len(self.z) else bool(self.within >= ENOUGH * len(self.z))
 
 
-# What antennas have in common and no data tell, by the end of the quantity's name.
-COMMON = {
-    "antenna_gains": ("ln amplitude", "phase"),
-    "antenna_delays": ("delay",),
-    "antenna_positions": ("displaced East", "displaced North", "displaced Up"),
-    "antenna_pointing": ("tilted towards East", "tilted towards North"),
-    "nonredundant_beams": ("width East-West", "width North-South"),
+# What antennas have in common and no data tell: with which sign it is in which quantities of an antenna.
+COMMON: dict[str, tuple[dict[str, float], ...]] = {
+    "antenna_gains": ({"ln amplitude": 1}, {"phase": 1}),
+    "antenna_delays": ({"delay": 1},),
+    "antenna_positions": ({"displaced East": 1}, {"displaced North": 1}, {"displaced Up": 1}),
+    "antenna_pointing": ({"tilted towards East": 1}, {"tilted towards North": 1}),
+    "nonredundant_beams": ({"width East-West": 1}, {"width North-South": 1}),
+    # d_e + c with d_n - c*: feeds with equal beams see the same part of an unpolarised sky.
+    "leakage": (
+        {"feed e leakage, real part": 1, "feed n leakage, real part": -1},
+        {"feed e leakage, imaginary part": 1, "feed n leakage, imaginary part": 1},
+    ),
 }
 
 
@@ -63,12 +68,11 @@ def compare(effect: dict[str, Any], found_round: dict[str, Any], answer: dict[st
     usable = std > 0
     difference, std = difference[usable], std[usable]
     keys = [key for key, good in zip(keys, usable, strict=True) if good]
-    for quantity in COMMON.get(kind, ()):
-        same = np.array([key[1] == quantity and key[0].startswith("antenna") for key in keys])
-        n_all = sum(key[1] == quantity for key in truth)
-        if 2 * same.sum() > n_all:
-            weight = std[same] ** -2.0
-            difference[same] -= np.sum(weight * difference[same]) / weight.sum()
+    for signs in COMMON.get(kind, ()):
+        sign = np.array([signs.get(quantity, 0) if thing.startswith("antenna") else 0 for thing, quantity in keys])
+        if 2 * np.count_nonzero(sign) > sum(quantity in signs for _, quantity in truth):
+            weight = sign / std**2
+            difference -= sign * (weight @ difference) / (weight @ sign)
     return Comparison(difference / std)
 
 

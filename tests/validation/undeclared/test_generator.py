@@ -17,7 +17,7 @@ from tests.validation.undeclared.beams import drawn_shape
 from tests.validation.undeclared.cases import ALL, CONVENTIONS, EFFECTS
 from tests.validation.undeclared.detect import chi2_beyond_beam
 from tests.validation.undeclared.gains import antenna_gains
-from tests.validation.undeclared.generate import generate, make, stream
+from tests.validation.undeclared.generate import MOST_BEYOND_BASIS, generate, make, stream
 from tests.validation.undeclared.setting import Plan, altaz, draw_setting, icrs
 from tests.validation.undeclared.simulator import correlations, corrupted, on_baselines
 from tests.validation.undeclared.truth import Truth
@@ -136,6 +136,16 @@ def test_where_nothing_is_wrong_the_beam_explains_the_data(tmp_path, seed):
     summary = infer_summary(tmp_path)
     assert summary["ppd_z_std"] == pytest.approx(1.0, abs=4 / np.sqrt(2 * 2 * summary["heldout_n"]))
     assert summary["heldout_chi2_unperturbed"] > 3
+
+
+def test_what_the_basis_lacks_of_the_beam_is_below_the_noise(tmp_path):
+    """Of this seed the beam was too fine for the basis at the noise drawn first: that would be an effect."""
+    generate(9008, tmp_path, "null")
+    clean = make(9008, [], []).truth
+    told = json.loads((tmp_path / "sealed" / "answer.json").read_text())
+    beyond = chi2_beyond_beam(clean.setting, on_baselines(clean, correlations(clean)), told["sigma"])[1]
+    assert beyond == pytest.approx(MOST_BEYOND_BASIS)
+    assert f'sigma = "{told["sigma"]:.17g} Jy"' in (tmp_path / "given" / "job.toml").read_text()
 
 
 def test_a_gross_error_is_one_to_the_inference(tmp_path):

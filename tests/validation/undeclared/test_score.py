@@ -131,6 +131,22 @@ def test_what_antennas_have_in_common_does_not_count():
     assert np.abs(z_of("antenna_delays", truth, found)).max() == pytest.approx(8.0)
 
 
+def test_what_feeds_have_in_common_does_not_count():
+    """The same c in all d_e and -c* in all d_n."""
+    parts = {"e": {"real": 7.0, "imaginary": 3.0}, "n": {"real": -7.0, "imaginary": 3.0}}
+    names = [
+        (f"antenna {ant}", f"feed {feed} leakage, {part} part", common)
+        for ant in range(5)
+        for feed, commons in parts.items()
+        for part, common in commons.items()
+    ]
+    truth = [(thing, quantity, "", 0.1) for thing, quantity, _ in names]
+    found = [(f"{thing} {quantity}", 0.1 + common, 0.01) for thing, quantity, common in names]
+    np.testing.assert_allclose(z_of("leakage", truth, found), 0, atol=1e-9)
+    alike = [(f"{thing} {quantity}", 0.1 + abs(common), 0.01) for thing, quantity, common in names]
+    assert np.abs(z_of("leakage", truth, alike)).max() == pytest.approx(700.0)
+
+
 def test_a_baseline_may_be_named_the_other_way_round():
     truth = [("baseline 3-17", "real", "Jy", 1.0), ("baseline 3-17", "imaginary", "Jy", 2.0)]
     found = [("baseline 17-3 real", 1.1, 0.1), ("baseline 17-3 imaginary", -2.1, 0.1)]
