@@ -49,6 +49,23 @@ class ScaledBeam:
         return self.base(np.minimum(za * (self.freq / self.base.info.freq), self.za_max), az)
 
 
+@dataclass(frozen=True)
+class TurnedBeam:
+    """The beam of an element's other feed, where both are alike and at right angles: B(za, az - 90 deg)."""
+
+    base: Beam
+    pol: str
+
+    @property
+    def info(self) -> BeamInfo:
+        """The base's, of the other feed."""
+        return replace(self.base.info, name=f"{self.base.info.name} turned", pol=self.pol)
+
+    def __call__(self, za: FloatArray, az: FloatArray) -> Array:
+        """Evaluate the base a quarter turn back, (Npoints,)."""
+        return self.base(za, (az - np.pi / 2) % (2 * np.pi))
+
+
 def load_beams(job: Job, freqs: FloatArray, pol: str) -> tuple[Beam, ...]:
     """Return the model beam of each channel.
 

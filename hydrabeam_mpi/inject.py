@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -14,9 +15,10 @@ from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.effects import Injected
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.redundancy import RedundantGroups
-from hydrabeam_mpi.effects.base import Effect
-from hydrabeam_mpi.effects.catalogue import EFFECTS, REWEIGHTINGS, make_effect, make_reweighting
+from hydrabeam_mpi.effects.base import Cause, Effect
+from hydrabeam_mpi.effects.catalogue import REWEIGHTINGS, make_cause, make_reweighting
 from hydrabeam_mpi.effects.experiment import Experiment
+from hydrabeam_mpi.effects.leakage import Leakage
 from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.basis import LinearBasis
@@ -26,6 +28,8 @@ from hydrabeam_mpi.random import generator
 from hydrabeam_mpi.skies import source_positions
 
 Truth = dict[str, Any]
+Visibilities = Mapping[str, ComplexArray]
+"""By polarisation."""
 
 
 class Injection:
@@ -36,10 +40,11 @@ class Injection:
     job : Job
         With ``[[data.simulate.effects]]``.
     observation : Observation
+        With all polarisations that are simulated.
     redundant : RedundantGroups
     sky : Sky
-    beams : sequence of callable
-        The beam of each channel that the array has.
+    beams : mapping of str to sequence of callable
+        By polarisation the beam of each channel that the array has; the job's own polarisation comes first.
     basis : LinearBasis
         Of the job, and its fits, for effects that speak of them.
     prior_mean : sequence of ndarray
@@ -51,58 +56,84 @@ class Injection:
         observation: Observation,
         redundant: RedundantGroups,
         sky: Sky,
-        beams: Sequence[Beam],
+        beams: Mapping[str, Sequence[Beam]],
         basis: LinearBasis,
         prior_mean: Sequence[Any],
     ) -> None:
-        self.job, self.beams = job, beams
+        self.job, self.beams, self.pol = job, beams, next(iter(beams))
         assert job.data.simulate is not None
         self.entries = job.data.simulate.effects
         times: IntArray = np.arange(observation.Ntimes)
-        pols = observation.pols
         positions = partial(source_positions, job)
-        self.experiment = Experiment(observation, redundant, sky, basis, tuple(prior_mean), pols, times, positions)
+        own = replace(observation, pols=(self.pol,))
+        self.experiment = Experiment(own, redundant, sky, basis, tuple(prior_mean), observation.pols, times, positions)
         self.groups, self.member = np.unique(redundant.group, return_inverse=True)
 
-    def before_noise(self, crosses: ComplexArray) -> tuple[ComplexArray, list[Truth]]:
-        """Return C (V + E) and what was put in, (Nfreqs, Ntimes, Nbls)."""
-        data = crosses.copy()
-        ordinary: list[tuple[Effect, FloatArray]] = []
+    def before_noise(self, crosses: Visibilities) -> tuple[dict[str, ComplexArray], list[Truth]]:
+        """Return what is measured of visibilities by polarisation, each (Nfreqs, Ntimes, Nbls), and what was put in.
+
+        Both feeds have the same effects; what is so measured leaks.
+        """
+        causes: list[tuple[Cause, FloatArray]] = []
         for number, entry in enumerate(self.entries):
             if entry.kind not in REWEIGHTINGS:
                 with _told_of(number, entry):
-                    ordinary.append(self._draw(number, entry))
+                    causes.append(self._draw(number, entry))
+        ordinary = [(cause, x) for cause, x in causes if isinstance(cause, Effect)]
+        data = {pol: self._with_effects(pol, vis, ordinary) for pol, vis in crosses.items()}
+        leaks = [x for cause, x in causes if isinstance(cause, Leakage)]
+        if leaks:
+            data = self._leaked(data, np.sum(leaks, axis=0))
+        return data, [self._truth(cause, x) for cause, x in causes]
+
+    def _with_effects(self, pol: str, crosses: ComplexArray, effects: list[tuple[Effect, FloatArray]]) -> ComplexArray:
+        """Return C (V + E), (Nfreqs, Ntimes, Nbls)."""
+        data = crosses.copy()
         for f in range(len(data)):
-            scene = self._scene(f, crosses[f])
+            scene = self._scene(pol, f, crosses[f])
             added, factor = np.zeros(scene.shape, dtype=complex), np.ones(scene.shape, dtype=complex)
-            scene.integrate_for([effect for effect, _ in ordinary])
-            for effect, x in ordinary:
+            scene.integrate_for([effect for effect, _ in effects])
+            for effect, x in effects:
                 added += effect.added(scene, x[f])
                 factor *= effect.factor(scene, x[f])
             data[f] = self._as_measured(factor * (scene.vis + added))
-        return data, [self._truth(effect, x) for effect, x in ordinary]
+        return data
 
-    def after_noise(self, data: ComplexArray, variance: FloatArray) -> tuple[ComplexArray, list[Truth]]:
-        """Return data with what their weights do not tell; ``variance`` is that of a visibility, (Nfreqs, Ntimes)."""
-        noisy, truths = data.copy(), []
+    def _leaked(self, copols: Visibilities, x: FloatArray) -> dict[str, ComplexArray]:
+        """Return all polarisations, with D-terms (Nfreqs, n_params)."""
+        channels = [
+            Leakage().leaked(self.experiment, {pol: vis[f] for pol, vis in copols.items()}, terms)
+            for f, terms in enumerate(x)
+        ]
+        return {pol: np.array([channel[pol] for channel in channels]) for pol in channels[0]}
+
+    def after_noise(self, data: Visibilities, variance: Mapping[str, FloatArray]) -> tuple[Visibilities, list[Truth]]:
+        """Return data with what their weights do not tell; ``variance`` is that of visibilities, (Nfreqs, Ntimes)."""
+        noisy, truths = {pol: vis.copy() for pol, vis in data.items()}, []
         for number, entry in enumerate(self.entries):
             if entry.kind not in REWEIGHTINGS:
                 continue
             with _told_of(number, entry):
+                if not variance:
+                    raise InputError(
+                        f"'{self.pol}' has no noise here that could differ", remedy="simulate 'ee' or 'nn'"
+                    )
                 change = make_reweighting(entry.kind, entry.settings)
-                for f in range(len(noisy)):
-                    scene = self._scene(f, noisy[f])
-                    scene.weights = np.broadcast_to(1 / variance[f][:, np.newaxis], scene.shape).copy()
+                for f in range(len(noisy[self.pol])):
                     rng = generator(self.job.seed, "injected", number, f)
                     if entry.parameters:
                         x = _by_name(change.neutral(self.experiment), entry)
                     else:
                         x = change.draw(self.experiment, rng, entry.strength)
-                    noisy[f] = self._as_measured(change.inject(scene.vis, scene, x, rng))
+                    for pol, vis in noisy.items():
+                        scene = self._scene(pol, f, vis[f])
+                        scene.weights = np.broadcast_to(1 / variance[pol][f][:, np.newaxis], scene.shape).copy()
+                        own = rng if pol == self.pol else generator(self.job.seed, "injected", number, f, pol)
+                        vis[f] = self._as_measured(change.inject(scene.vis, scene, x, own))
                     truths.append({"kind": change.kind, "channel": f, "values": x.tolist()})
         return noisy, truths
 
-    def _scene(self, channel: int, crosses: ComplexArray) -> Scene:
+    def _scene(self, pol: str, channel: int, crosses: ComplexArray) -> Scene:
         experiment = self.experiment
         flipped = experiment.redundant.flipped
         scene = Scene(
@@ -113,7 +144,7 @@ class Injection:
             groups=self.groups,
             member=self.member,
             positions=source_positions(self.job, experiment.sky, experiment.observation),
-            beam=self.beams[channel],
+            beam=self.beams.get(pol, self.beams[self.pol])[channel],
             engine_kind=self.job.solver.engine,
             vis=np.where(flipped, crosses.conj(), crosses),
         )
@@ -125,30 +156,28 @@ class Injection:
         """Turn groups' sense back into the baselines' own."""
         return np.where(self.experiment.redundant.flipped, oriented.conj(), oriented)
 
-    def _draw(self, number: int, entry: Injected) -> tuple[Effect, FloatArray]:
+    def _draw(self, number: int, entry: Injected) -> tuple[Cause, FloatArray]:
         """Make an effect and its parameters, (Nfreqs, n_params)."""
         n_freqs = self.experiment.observation.Nfreqs
-        if entry.kind not in EFFECTS:
-            raise InputError("cannot be simulated in one polarisation alone", remedy="remove it")
-        effect = make_effect(entry.kind, entry.settings)
-        refusal = effect.refusal(self.experiment)
+        cause = make_cause(entry.kind, entry.settings)
+        refusal = cause.refusal(self.experiment)
         if refusal is not None:
             raise InputError(refusal, remedy="remove it")
-        if not entry.settings:
-            effect = effect.drawn(self.experiment, generator(self.job.seed, "injected elements", number))
+        if isinstance(cause, Effect) and not entry.settings:
+            cause = cause.drawn(self.experiment, generator(self.job.seed, "injected elements", number))
         if entry.parameters:
-            nothing = dict.fromkeys(effect.parameters(self.experiment).names, 0.0)
-            return effect, np.tile(_by_name(nothing, entry), (n_freqs, 1))
-        keys = [0] * n_freqs if effect.shared else list(range(n_freqs))
+            nothing = dict.fromkeys(cause.parameters(self.experiment).names, 0.0)
+            return cause, np.tile(_by_name(nothing, entry), (n_freqs, 1))
+        keys = [0] * n_freqs if cause.shared else list(range(n_freqs))
         draws = [
-            effect.draw(self.experiment, generator(self.job.seed, "injected", number, key), entry.strength)
+            cause.draw(self.experiment, generator(self.job.seed, "injected", number, key), entry.strength)
             for key in keys
         ]
-        return effect, np.array(draws)
+        return cause, np.array(draws)
 
-    def _truth(self, effect: Effect, x: FloatArray) -> Truth:
-        names = effect.parameters(self.experiment).names
-        return {"kind": effect.kind, "settings": effect.describe(), "names": list(names), "values": x.tolist()}
+    def _truth(self, cause: Cause, x: FloatArray) -> Truth:
+        names = cause.parameters(self.experiment).names
+        return {"kind": cause.kind, "settings": cause.describe(), "names": list(names), "values": x.tolist()}
 
 
 @contextmanager

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -11,15 +13,18 @@ from astropy import units
 from astropy.coordinates import EarthLocation
 from astropy.time import Time
 
-from hydrabeam_mpi.beams import fit_model_beams, load_beams, perturb
+from hydrabeam_mpi.beams import TurnedBeam, fit_model_beams, load_beams, perturb
 from hydrabeam_mpi.config import Job, Simulate
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, Observation
 from hydrabeam_mpi.data.partition import make_tiles
 from hydrabeam_mpi.data.redundancy import RedundantGroups, find_redundant_groups
 from hydrabeam_mpi.diagnose import GRID_AZ, GRID_ZA, evaluate_on_grid
+from hydrabeam_mpi.effects.catalogue import SEPARATE
+from hydrabeam_mpi.effects.leakage import FEEDS
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.inject import Injection, Truth
+from hydrabeam_mpi.inject import Injection, Truth, Visibilities
 from hydrabeam_mpi.io.staging import writing
+from hydrabeam_mpi.io.uvdata import feeds_of
 from hydrabeam_mpi.io.uvwrite import write_uvh5
 from hydrabeam_mpi.model.arrays import hexagon, read_layout
 from hydrabeam_mpi.model.beam import Beam
@@ -61,16 +66,14 @@ def simulate_to(world: Comm, job: Job, folder: Path) -> tuple[Beam, ...]:
         alone = np.zeros(1, dtype=int)
         costs = count_sources(sky, observation)
         tiles = make_tiles(np.arange(observation.Ntimes), costs, alone, alone, world.size)
-        part = model.visibilities(beams, tiles[world.rank].times)
+        part = {pol: model.visibilities(own, tiles[world.rank].times) for pol, own in beams.items()}
     parts = world.gather(part)
     with together(world):
         if parts is not None:
-            unique = np.concatenate(parts, axis=1)
-            crosses = unique[:, :, redundant.group]
-            crosses = np.where(redundant.flipped, crosses.conj(), crosses)
+            unique = {pol: np.concatenate([of_rank[pol] for of_rank in parts], axis=1) for pol in beams}
             with writing(folder):
-                _write(folder, job, observation, redundant, sky, beams, crosses, unique[:, :, -1].real)
-    return beams
+                _write(folder, job, observation, redundant, sky, beams, unique)
+    return beams[job.data.polarization]
 
 
 def _is_copol(observation: Observation) -> bool:
@@ -78,18 +81,25 @@ def _is_copol(observation: Observation) -> bool:
     return observation.pols[0][0] == observation.pols[0][1]
 
 
-def _set_scene(job: Job, settings: Simulate) -> tuple[Observation, Sky, tuple[Beam, ...]]:
-    """Lay out what is observed, with which sky and which beams."""
-    observation = mock_observation(settings, job.data.polarization)
+def _set_scene(job: Job, settings: Simulate) -> tuple[Observation, Sky, dict[str, tuple[Beam, ...]]]:
+    """Lay out what is observed, with which sky, and with which beams in which polarisations."""
+    pol: str = job.data.polarization
+    observation = mock_observation(settings, pol)
     if not _is_copol(observation) and settings.noise:
         raise InputError(
             f"'{observation.pols[0]}' has no autocorrelations from which to draw noise",
             field="[data] polarization",
             remedy="simulate 'ee' or 'nn', or set noise = false in [data.simulate]",
         )
-    beams = load_beams(job, observation.freqs, observation.pols[0])
+    own = load_beams(job, observation.freqs, pol)
     if settings.perturb is not None:
-        beams = tuple(perturb(job, beam, settings.perturb) for beam in beams)
+        own = tuple(perturb(job, beam, settings.perturb) for beam in own)
+    beams = {pol: own}
+    if _is_copol(observation) and any(entry.kind in SEPARATE for entry in settings.effects):
+        one, other = next(feeds for feeds in FEEDS if pol[0] in feeds)
+        observation = replace(observation, pols=(2 * one, 2 * other, one + other, other + one))
+        second = 2 * (other if pol[0] == one else one)
+        beams[second] = tuple(TurnedBeam(beam, second) for beam in own)
     return observation, load_sky(job, observation.freqs), beams
 
 
@@ -128,17 +138,19 @@ def _lst_hours(times: FloatArray | float, location: EarthLocation) -> FloatArray
     return np.asarray(Time(times, format="jd", location=location).sidereal_time("apparent").hour)
 
 
-def radiometer_variance(autos: FloatArray, observation: Observation, nsamples: float) -> FloatArray:
-    """sigma^2 = V_jj V_kk / (dt dnu) of identical antennas (HDBI II, eq. 22), (Nfreqs, Ntimes)."""
+def radiometer_variance(
+    autos: Mapping[str, FloatArray], observation: Observation, nsamples: float
+) -> dict[str, FloatArray]:
+    """sigma^2 = V_jj V_kk / (dt dnu) of identical antennas (HDBI II, eq. 22), (Nfreqs, Ntimes) by polarisation."""
     samples = nsamples * observation.channel_width[:, np.newaxis] * observation.integration_time
-    return autos**2 / samples
+    return {pol: autos[2 * pol[0]] * autos[2 * pol[1]] / samples for pol in observation.pols}
 
 
-def add_noise(data: ComplexArray, variance: FloatArray, seed: int) -> ComplexArray:
+def add_noise(data: ComplexArray, variance: FloatArray, seed: int, *key: str) -> ComplexArray:
     """Add circular Gaussian noise, drawn by channel and time so that no rank count changes it."""
     noisy = data.copy()
     for f, t in np.ndindex(variance.shape):
-        noise = complex_normal(generator(seed, "noise", f, t), (data.shape[2],))
+        noise = complex_normal(generator(seed, "noise", f, t, *key), (data.shape[2],))
         noisy[f, t] += noise * np.sqrt(variance[f, t])
     return noisy
 
@@ -149,40 +161,56 @@ def _write(
     observation: Observation,
     redundant: RedundantGroups,
     sky: Sky,
-    beams: tuple[Beam, ...],
-    crosses: ComplexArray,
-    autos: FloatArray,
+    beams: Mapping[str, tuple[Beam, ...]],
+    unique: Mapping[str, ComplexArray],
 ) -> None:
-    """Add noise and write the data and the truth."""
+    """Add noise and write the data and the truth. The last of the unique baselines is an antenna with itself."""
     settings = job.data.simulate
     assert settings is not None
-    variance = radiometer_variance(autos, observation, settings.nsamples)
+    crosses = {pol: vis[:, :, redundant.group] for pol, vis in unique.items()}
+    data: Visibilities = {pol: np.where(redundant.flipped, vis.conj(), vis) for pol, vis in crosses.items()}
+    autos = {pol: vis[:, :, -1].real for pol, vis in unique.items() if pol[0] == pol[1]}
+    variance = radiometer_variance(autos, observation, settings.nsamples) if autos else {}
     injection = _injection(job, observation, redundant, sky, beams) if settings.effects else None
     truths: list[Truth] = []
     if injection:
-        crosses, truths = injection.before_noise(crosses)
+        data, truths = injection.before_noise(data)
     if settings.noise:
-        crosses = add_noise(crosses, variance, job.seed)
+        own = job.data.polarization
+        data = {pol: add_noise(vis, variance[pol], job.seed, *[pol] * (pol != own)) for pol, vis in data.items()}
     if injection:
-        crosses, more = injection.after_noise(crosses, variance)
+        data, more = injection.after_noise(data, variance)
         truths += more
-    data = crosses[..., np.newaxis]
-    nsamples = np.full(data.shape, settings.nsamples)
-    shared = np.repeat(autos[..., np.newaxis], observation.Nants, axis=2)[..., np.newaxis]
-    flags = np.zeros(data.shape, dtype=bool)
-    write_uvh5(folder / "data.uvh5", observation, data, flags, nsamples, shared if _is_copol(observation) else None)
+    _write_data(folder / "data.uvh5", observation, data, autos, settings.nsamples)
     with h5py.File(folder / "truth.h5", "w") as file:
+        own_beams = beams[job.data.polarization]
         file["freqs"], file["grid_za"], file["grid_az"] = observation.freqs, GRID_ZA, GRID_AZ
-        file["beam"] = np.array([evaluate_on_grid(beam) for beam in beams])
+        file["beam"] = np.array([evaluate_on_grid(beam) for beam in own_beams])
         file["ra"], file["dec"], file["flux"] = sky.ra, sky.dec, sky.flux
-        file.attrs["beam_names"] = [beam.info.name for beam in beams]
-        file.attrs["polarization"] = observation.pols[0]
+        file.attrs["beam_names"] = [beam.info.name for beam in own_beams]
+        file.attrs["polarization"] = job.data.polarization
         file.attrs["effects"] = json.dumps(truths)
 
 
+def _write_data(
+    path: Path, observation: Observation, data: Visibilities, autos: Mapping[str, FloatArray], nsamples: float
+) -> None:
+    """Write visibilities, and the autocorrelations that all antennas have alike."""
+    values = np.stack([data[pol] for pol in observation.pols], axis=-1)
+    shared = None
+    if autos:
+        of_feeds = np.stack([autos[2 * feed] for feed in feeds_of(observation.pols)], axis=-1)
+        shared = np.repeat(of_feeds[:, :, np.newaxis], observation.Nants, axis=2)
+    write_uvh5(path, observation, values, np.zeros(values.shape, bool), np.full(values.shape, nsamples), shared)
+
+
 def _injection(
-    job: Job, observation: Observation, redundant: RedundantGroups, sky: Sky, beams: tuple[Beam, ...]
+    job: Job,
+    observation: Observation,
+    redundant: RedundantGroups,
+    sky: Sky,
+    beams: Mapping[str, tuple[Beam, ...]],
 ) -> Injection:
     """Prepare the effects that the job wants in its data."""
-    basis, fits = fit_model_beams(job, load_beams(job, observation.freqs, observation.pols[0]))
+    basis, fits = fit_model_beams(job, load_beams(job, observation.freqs, job.data.polarization))
     return Injection(job, observation, redundant, sky, beams, basis, [fit.coeffs for fit in fits])

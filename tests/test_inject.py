@@ -21,6 +21,7 @@ from tests.cli.conftest import refusal
 from tests.loop.mock import mock_job, write_job
 
 FREQS = (127e6, 131e6, 135e6, 139e6)
+PAIRS = np.array([(one, two) for one in range(7) for two in range(one + 1, 7)])
 
 
 def job_with(*injected: dict[str, Any], noise: bool = False, freqs: tuple[float, ...] = FREQS) -> dict[str, Any]:
@@ -85,11 +86,65 @@ def test_noise_is_scaled_as_named(tmp_path: Path, clean: np.ndarray) -> None:
     named = {"noise scale": 2.0, "antenna 3 noise scale": 3.0}
     noisy, truths = simulated(job_with({"kind": "noise_level", "parameters": named}, noise=True), tmp_path)
     assert [truth["values"][:5] for truth in truths] == [[2.0, 1.0, 1.0, 1.0, 3.0]] * 4
-    with_3 = np.array([3 in (one, two) for one in range(7) for two in range(one + 1, 7)])
+    with_3 = (PAIRS == 3).any(axis=1)
     for rows, power in ((~with_3, 4.0), (with_3, 12.0)):
         expected = power * np.mean(np.abs(plain - clean)[:, rows] ** 2)
         found = np.mean(np.abs(noisy - clean)[:, rows] ** 2)
         assert found == pytest.approx(expected, rel=0.5)
+
+
+def polarised(*injected: dict[str, Any], folder: Path, noise: bool = False) -> dict[str, np.ndarray]:
+    """Return cross-correlations by polarisation, (Nfreqs, Ntimes, Nbls), and their autocorrelations."""
+    simulated(job_with(*injected, noise=noise), folder)
+    uv = UVData.from_file(folder / "result" / "data.uvh5")
+    assert uv.get_pols() == ["ee", "nn", "en", "ne"]
+    pairs = [pair for pair in uv.get_antpairs() if pair[0] != pair[1]]
+    crosses = {pol: np.array([uv.get_data(*pair, pol).T for pair in pairs]) for pol in uv.get_pols()}
+    autos = {f"{pol} auto": uv.get_data(0, 0, pol).T for pol in ("ee", "nn")}
+    return {pol: np.moveaxis(vis, 0, 2) for pol, vis in crosses.items()} | autos
+
+
+def test_leakage_mixes_the_feeds(clean: np.ndarray, tmp_path: Path) -> None:
+    """V' = J V J^H with J = [[1, d_e], [d_n, 1]], the job's feed as it is without leakage, the other one turned."""
+    named = {f"antenna 3 feed {feed} leakage, {part} part": value for feed, part, value in TERMS}
+    before = polarised({"kind": "leakage", "parameters": {"antenna 3 feed e leakage, real part": 0}}, folder=tmp_path)
+    after = polarised({"kind": "leakage", "parameters": named}, folder=tmp_path)
+    np.testing.assert_allclose(np.moveaxis(before["ee"], 0, 2), clean, rtol=0, atol=1e-12 * np.abs(clean).max())
+    # Turned by 90 degrees an Airy beam stretched alike along both axes is the same, ...
+    np.testing.assert_allclose(before["nn"], before["ee"], rtol=0, atol=1e-9 * np.abs(clean).max())
+    assert not np.any(before["en"])
+    assert not np.any(before["ne"])
+    d = np.zeros((7, 2), dtype=complex)
+    d[3] = 0.1 - 0.2j, 0.05j
+    jones = np.array([[[1, into_e], [into_n, 1]] for into_e, into_n in d])
+    coherency = np.array([[before["ee"], before["en"]], [before["ne"], before["nn"]]])
+    one, two = jones[PAIRS].transpose(1, 0, 2, 3)
+    expected = np.einsum("bij,jkftb,blk->ilftb", one, coherency, two.conj())
+    for pol in ("ee", "nn", "en", "ne"):
+        found = after[pol]
+        np.testing.assert_allclose(found, expected["en".index(pol[0]), "en".index(pol[1])], rtol=0, atol=1e-12)
+
+
+TERMS = [("e", "real", 0.1), ("e", "imaginary", -0.2), ("n", "imaginary", 0.05)]
+
+
+def test_both_feeds_have_the_same_effects_and_noise_of_their_own(tmp_path: Path) -> None:
+    gain = {"kind": "antenna_gains", "parameters": {"antenna 2 ln amplitude": 0.5}}
+    leak = {"kind": "leakage", "strength": 0.1}
+    plain, louder = (polarised(*effects, folder=tmp_path) for effects in ([leak], [leak, gain]))
+    factor = np.where((PAIRS == 2).any(axis=1), np.exp(0.5), 1.0)
+    for pol in ("ee", "nn", "en", "ne"):
+        assert np.abs(plain[pol]).max() > 0
+        np.testing.assert_allclose(louder[pol], factor * plain[pol], rtol=0, atol=1e-12)
+    noisy = polarised(leak, folder=tmp_path, noise=True)
+    noise = {pol: noisy[pol] - plain[pol] for pol in ("ee", "nn", "en", "ne")}
+    samples = 100e3 * 10.0
+    for pol, values in noise.items():
+        variance = noisy[f"{2 * pol[0]} auto"].real * noisy[f"{2 * pol[1]} auto"].real / samples
+        values /= np.sqrt(variance[..., np.newaxis])
+        assert np.mean(np.abs(values) ** 2) == pytest.approx(1, abs=5 / np.sqrt(values.size))
+    alike = np.corrcoef([values.ravel() for values in noise.values()]) - np.eye(4)
+    assert np.abs(alike).max() < 5 / np.sqrt(values.size)
 
 
 def test_parameters_by_name(clean: np.ndarray, tmp_path: Path) -> None:
@@ -106,8 +161,7 @@ def test_parameters_by_name(clean: np.ndarray, tmp_path: Path) -> None:
     assert [one["kind"] for one in truth] == ["antenna_gains", "cross_coupling"]
     assert np.count_nonzero(truth[0]["values"]) == 2 * 4
     gain = np.exp(0.1 + 0.3j)
-    pairs = [(one, two) for one in range(7) for two in range(one + 1, 7)]
-    for row, (one, two) in enumerate(pairs):
+    for row, (one, two) in enumerate(PAIRS.tolist()):
         expected = clean[:, row] * (gain if one == 2 else 1) * (np.conj(gain) if two == 2 else 1)
         if (one, two) == (1, 4):
             expected = expected + 0.25
@@ -193,7 +247,11 @@ DRAWN = [150.37974683544303, -21.97674418604651]  # degrees
             "(antenna_delays): a delay needs several channels; with one it is a gain phase; remove it",
         ),
         ({"kind": "cable_reflections"}, FREQS[:2], "(cable_reflections): a reflection is a ripple of the gain"),
-        ({"kind": "leakage"}, FREQS, "(leakage): cannot be simulated in one polarisation alone; remove it"),
+        (
+            {"kind": "leakage", "settings": {"feeds": "en"}},
+            FREQS,
+            "(leakage) settings: are not understood; leave them out",
+        ),
     ],
 )
 def test_what_cannot_be_simulated(
@@ -212,6 +270,6 @@ def test_what_cannot_be_simulated(
 
 def test_every_kind_is_either_simulated_or_refused() -> None:
     """So that the tests above leave none out."""
-    assert SEPARATE == ("leakage",)
+    assert {*SEPARATE} == {"leakage"}
     assert not set(EFFECTS) & set(REWEIGHTINGS)
     assert all(EFFECTS[cls.kind] is cls for cls in (AntennaGains, AntennaDelays, CrossCoupling))

@@ -120,27 +120,18 @@ class Columns:
         return np.asarray(self.matrix() @ x).reshape(self.values.shape[:2])
 
 
-class Effect(ABC):
-    """Something that the instrument or the sky may do and that the model lacks.
+class Cause(ABC):
+    """Something that the instrument or the sky may do and that the model lacks: what it is called, and its parameters.
 
-    An effect is a plain picklable object without data. It sees the data through a `Scene`: some rows of one channel.
-    All numbers that depend on ``x`` are for one channel's parameters, whether or not they are shared between channels.
+    A plain picklable object without data.
     """
 
     kind: ClassVar[str]
     """Name in job files and in ``loop.json``."""
     title: ClassVar[str]
     """Name in sentences."""
-    multiplies: ClassVar[bool] = False
-    """Whether the effect multiplies (C) rather than adds (E)."""
-    changes_sky: ClassVar[bool] = False
-    """Whether the effect changes the sky (see `sky_factor`, `extra_sky`), by which it is part of A rather than of E."""
-    linear: ClassVar[bool] = False
-    """Whether the data are so nearly linear in the parameters that a fit gains about what the columns promise."""
     shared: ClassVar[bool] = False
     """Whether all channels have the same parameters, through a law in frequency."""
-    local: ClassVar[Literal["times", "baselines"] | None] = None
-    """Whether the parameters belong to single times or baselines, so that other rows do not tell them."""
 
     def refusal(self, experiment: Experiment) -> str | None:
         """Say why these data cannot carry the effect, and which would; None where they can."""
@@ -156,6 +147,32 @@ class Effect(ABC):
         They are held at zero where all of their parameters are free.
         """
         return np.zeros((0, len(self.parameters(experiment))))
+
+    def draw(self, experiment: Experiment, rng: np.random.Generator, strength: float) -> FloatArray:
+        """Draw parameters to simulate with, of rms ``strength`` x scale, (n_params,)."""
+        parameters = self.parameters(experiment)
+        return strength * parameters.scale * rng.standard_normal(len(parameters))
+
+    def describe(self) -> dict[str, Any]:
+        """Return what, besides its kind, makes this effect: keyword arguments of its class, JSON-able."""
+        return {}
+
+
+class Effect(Cause):
+    """A cause that changes what the rows of the job's polarisation are expected to be.
+
+    It sees the data through a `Scene`: some rows of one channel. All numbers that depend on ``x`` are for one channel's
+    parameters, whether or not they are shared between channels.
+    """
+
+    multiplies: ClassVar[bool] = False
+    """Whether the effect multiplies (C) rather than adds (E)."""
+    changes_sky: ClassVar[bool] = False
+    """Whether the effect changes the sky (see `sky_factor`, `extra_sky`), by which it is part of A rather than of E."""
+    linear: ClassVar[bool] = False
+    """Whether the data are so nearly linear in the parameters that a fit gains about what the columns promise."""
+    local: ClassVar[Literal["times", "baselines"] | None] = None
+    """Whether the parameters belong to single times or baselines, so that other rows do not tell them."""
 
     def sky_columns(self, sources: Sources) -> FloatArray | None:
         """Return what the effect needs integrated over the sky at one time, (K, Nsrc) real.
@@ -193,18 +210,9 @@ class Effect(ABC):
         """Return C at ``x``, (Ntimes, Nbls); one for effects that add."""
         return np.ones(scene.shape, dtype=complex)
 
-    def draw(self, experiment: Experiment, rng: np.random.Generator, strength: float) -> FloatArray:
-        """Draw parameters to simulate with, of rms ``strength`` x scale, (n_params,)."""
-        parameters = self.parameters(experiment)
-        return strength * parameters.scale * rng.standard_normal(len(parameters))
-
     def drawn(self, experiment: Experiment, rng: np.random.Generator) -> Effect:
         """Return the effect to simulate: itself, or where there are candidates, one of them at random."""
         return self
-
-    def describe(self) -> dict[str, Any]:
-        """Return what, besides its kind, makes this effect: keyword arguments of its class, JSON-able."""
-        return {}
 
 
 class ScannedEffect(Effect):

@@ -11,7 +11,7 @@ from hydrabeam_mpi.effects.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.antenna_pointing import AntennaPointing
 from hydrabeam_mpi.effects.antenna_positions import AntennaPositions
 from hydrabeam_mpi.effects.auto_coupling import AutoCoupling
-from hydrabeam_mpi.effects.base import Effect
+from hydrabeam_mpi.effects.base import Cause, Effect
 from hydrabeam_mpi.effects.basis_truncation import BasisTruncation
 from hydrabeam_mpi.effects.cable_reflections import CableReflections
 from hydrabeam_mpi.effects.catalogue_flux import CatalogueFlux
@@ -19,6 +19,7 @@ from hydrabeam_mpi.effects.cross_coupling import CrossCoupling
 from hydrabeam_mpi.effects.diffuse import Diffuse
 from hydrabeam_mpi.effects.horizon import Horizon
 from hydrabeam_mpi.effects.ionosphere import Ionosphere
+from hydrabeam_mpi.effects.leakage import Leakage
 from hydrabeam_mpi.effects.missing_sources import MissingSources
 from hydrabeam_mpi.effects.mutual_coupling import MutualCoupling
 from hydrabeam_mpi.effects.noise_level import NoiseLevel
@@ -54,8 +55,8 @@ EFFECTS: Mapping[str, type[Effect]] = {
 REWEIGHTINGS: Mapping[str, type[Reweighting]] = {change.kind: change for change in (NoiseLevel, Outliers)}
 """Changes of how much the data weigh."""
 
-SEPARATE = ("leakage",)
-"""Effects that are seen in other rows than those of the job's polarisation."""
+SEPARATE: Mapping[str, type[Leakage]] = {Leakage.kind: Leakage}
+"""Causes that are seen in other rows than those of the job's polarisation."""
 
 
 def make_effect(kind: str, settings: Mapping[str, Any]) -> Effect:
@@ -68,6 +69,12 @@ def make_effect(kind: str, settings: Mapping[str, Any]) -> Effect:
     """
     effect: Effect = _make(EFFECTS[kind], settings)
     return effect
+
+
+def make_cause(kind: str, settings: Mapping[str, Any]) -> Cause:
+    """Do the same for an effect or one that is `SEPARATE`."""
+    cause: Cause = _make({**EFFECTS, **SEPARATE}[kind], settings)
+    return cause
 
 
 def make_reweighting(kind: str, settings: Mapping[str, Any]) -> Reweighting:

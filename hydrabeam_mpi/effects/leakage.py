@@ -13,25 +13,24 @@ V_nn are nearly proportional, a common d^e_i + c with d^n_j - c* is hardly decid
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar
 
 import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
-from hydrabeam_mpi.effects.base import Columns, Parameters
+from hydrabeam_mpi.effects.base import Cause, Columns, Parameters
 from hydrabeam_mpi.effects.experiment import Experiment
 
 FEEDS = (("e", "n"), ("x", "y"), ("r", "l"))
 
 
-class LeakageCheck:
+class Leakage(Cause):
     """D-terms of all antennas and both feeds, constant in time, each channel its own.
 
     Not an `Effect`, as its rows are of other polarisations than those from which the beam is inferred.
     """
 
-    kind: ClassVar[str] = "leakage"
-    title: ClassVar[str] = "polarisation leakage"
+    kind = "leakage"
+    title = "polarisation leakage"
 
     def refusal(self, experiment: Experiment) -> str | None:
         """Say what polarisations the files lack; None where they have what it takes."""
@@ -50,6 +49,12 @@ class LeakageCheck:
                 return one, other
         return None
 
+    def copols(self, experiment: Experiment) -> tuple[str, str]:
+        """Return the co-polarisations, that of the first feed first."""
+        feeds = self.feeds(experiment)
+        assert feeds is not None
+        return 2 * feeds[0], 2 * feeds[1]
+
     def cross_pols(self, experiment: Experiment) -> tuple[str, ...]:
         """Return the cross-polarisations that the files have."""
         feeds = self.feeds(experiment)
@@ -66,7 +71,7 @@ class LeakageCheck:
             for feed in feeds
             for part in ("real", "imaginary")
         ]
-        return Parameters.of(names, "", 1.0, np.arange(len(names)) // 2)
+        return Parameters.of(names, "", 0.05, np.arange(len(names)) // 2)
 
     def undecidable(self, experiment: Experiment) -> FloatArray:
         """Return what all antennas have in common, c in d_e + c and d_n - c*, (2, n_params).
@@ -115,14 +120,42 @@ class LeakageCheck:
         x : ndarray, (n_params,)
             D-terms.
         """
-        feeds = self.feeds(experiment)
-        assert feeds is not None
+        into_one, into_other = self._from_copols(experiment, bls, x)
+        one, other = self.copols(experiment)
+        scale = 1 / (1 - into_one * into_other)
+        return {
+            one: scale * (copols[one] - into_one * copols[other]),
+            other: scale * (copols[other] - into_other * copols[one]),
+        }
+
+    def leaked(
+        self, experiment: Experiment, copols: Mapping[str, ComplexArray], x: FloatArray
+    ) -> dict[str, ComplexArray]:
+        """Return what is measured of an unpolarised sky in all four polarisations, exact.
+
+        Parameters
+        ----------
+        experiment : Experiment
+        copols : mapping of str to ndarray of complex, (Ntimes, Nbls)
+            Visibilities without leakage, such as of "ee" and "nn", Jy, in the sense of the observation's antpairs.
+        x : ndarray, (n_params,)
+            D-terms.
+        """
+        bls = np.arange(experiment.observation.Nbls)
+        into_one, into_other = self._from_copols(experiment, bls, x)
+        one, other = self.copols(experiment)
+        cross = {pol: self.columns(experiment, pol, bls, copols).apply(x) for pol in self.cross_pols(experiment)}
+        return {
+            one: copols[one] + into_one * copols[other],
+            other: copols[other] + into_other * copols[one],
+        } | cross
+
+    def _from_copols(self, experiment: Experiment, bls: IntArray, x: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """Return d_1 d_2* of either feed, the parts of the other one's visibilities that are added to its own."""
         first, second = _stored_antennas(experiment, bls)
         terms = x.reshape(-1, 2, 2) @ np.array([1, 1j])
         into_one, into_other = (terms[first, feed] * terms[second, feed].conj() for feed in (0, 1))
-        one, other = (copols[2 * feed] for feed in feeds)
-        scale = 1 / (1 - into_one * into_other)
-        return {2 * feeds[0]: scale * (one - into_one * other), 2 * feeds[1]: scale * (other - into_other * one)}
+        return into_one, into_other
 
 
 def _stored_antennas(experiment: Experiment, bls: IntArray) -> IntArray:

@@ -8,7 +8,7 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.experiment import Experiment
-from hydrabeam_mpi.effects.leakage import LeakageCheck
+from hydrabeam_mpi.effects.leakage import Leakage
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.loop.blocks import Blocks, gain_significance
 from hydrabeam_mpi.loop.evidence import Evidence, find_evidence, log_evidence, solve
@@ -45,7 +45,7 @@ def check_leakage(grid: ProcessGrid, problem: Problem, experiment: Experiment) -
         None where there is no evidence of it. Where there is, an entry of the rounds. Otherwise ``effect`` and
         ``reason``: why it cannot be looked for, or, with ``log_bayes_factor``, why it was not accepted.
     """
-    check = LeakageCheck()
+    check = Leakage()
     refusal = check.refusal(experiment)
     if refusal is not None:
         return {"effect": check.kind, "reason": refusal}
@@ -77,7 +77,7 @@ def check_leakage(grid: ProcessGrid, problem: Problem, experiment: Experiment) -
 
 
 def _weigh(
-    grid: ProcessGrid, check: LeakageCheck, experiment: Experiment, rows: list[CrossRows]
+    grid: ProcessGrid, check: Leakage, experiment: Experiment, rows: list[CrossRows]
 ) -> tuple[LeakageSums, Evidence]:
     """Return the normal equations and what they say, on all ranks. Collective: all ranks of `grid.world`."""
     sums = sum_cross(grid, check, experiment, rows)
@@ -100,7 +100,7 @@ def _heldout(
     with together(grid.world):
         tile = problem.tile_of(problem.test, grid.group.rank, grid.group.size)
         for part in rows:
-            columns = LeakageCheck().columns(experiment, part.pol, part.bls, part.copols)
+            columns = Leakage().columns(experiment, part.pol, part.bls, part.copols)
             left = part.data - columns.apply(x[part.channel])
             sums = part.weights * np.abs(part.data) ** 2, part.weights * np.abs(left) ** 2, part.weights > 0
             for total, values in zip(times, sums, strict=True):
@@ -124,7 +124,7 @@ def _reason(before: Blocks, after: Blocks, sigma: float, min_sigma: float) -> st
 
 
 def _entry(
-    check: LeakageCheck,
+    check: Leakage,
     experiment: Experiment,
     sums: LeakageSums,
     evidence: Evidence,
@@ -167,9 +167,7 @@ def _entry(
     }
 
 
-def _parameters(
-    check: LeakageCheck, experiment: Experiment, sums: LeakageSums, evidence: Evidence
-) -> list[dict[str, Any]]:
+def _parameters(check: Leakage, experiment: Experiment, sums: LeakageSums, evidence: Evidence) -> list[dict[str, Any]]:
     """Return the D-terms in use with their posterior standard deviations, channel by channel."""
     names, used = check.parameters(experiment).names, np.flatnonzero(evidence.prior_var)
     x, covariances = solve(sums.blocks, evidence.prior_var)

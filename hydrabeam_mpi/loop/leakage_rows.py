@@ -10,7 +10,7 @@ import numpy as np
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.effects.experiment import Experiment
-from hydrabeam_mpi.effects.leakage import LeakageCheck
+from hydrabeam_mpi.effects.leakage import Leakage
 from hydrabeam_mpi.loop.evidence import Likelihood, freed
 from hydrabeam_mpi.mpi import ProcessGrid, allreduce_sum, together
 from hydrabeam_mpi.problem import Problem
@@ -50,7 +50,7 @@ class CrossRows:
     noise: float
     power: float
 
-    def without(self, check: LeakageCheck, experiment: Experiment, x: FloatArray) -> CrossRows:
+    def without(self, check: Leakage, experiment: Experiment, x: FloatArray) -> CrossRows:
         """Return the rows with regressors from which D-terms have been taken."""
         return replace(self, copols=check.without(experiment, self.bls, self.measured, x))
 
@@ -71,18 +71,16 @@ class LeakageSums:
 
 
 def read_cross(
-    check: LeakageCheck, grid: ProcessGrid, problem: Problem, experiment: Experiment, rows: Tile
+    check: Leakage, grid: ProcessGrid, problem: Problem, experiment: Experiment, rows: Tile
 ) -> Iterator[CrossRows]:
     """Read a rank's share of some rows in all polarisations.
 
     Where the noise is estimated from differences, that of the job's polarisation stands for all.
     """
-    feeds = check.feeds(experiment)
-    assert feeds is not None
     tile = problem.tile_of(rows, grid.group.rank, grid.group.size)
     as_stored = replace(problem.redundant, flipped=np.zeros_like(problem.redundant.flipped))
     cross = check.cross_pols(experiment)
-    copols = tuple(2 * feed for feed in feeds)
+    copols = check.copols(experiment)
     parts = {}
     for pol in (*copols, *cross):
         observation = replace(problem.observation, pols=(pol,))
@@ -99,7 +97,7 @@ def read_cross(
             yield CrossRows(channel, pol, tile.bls, parts[pol].data[f], weights, measured, measured, *sums)
 
 
-def sum_cross(grid: ProcessGrid, check: LeakageCheck, experiment: Experiment, rows: list[CrossRows]) -> LeakageSums:
+def sum_cross(grid: ProcessGrid, check: Leakage, experiment: Experiment, rows: list[CrossRows]) -> LeakageSums:
     """Accumulate normal equations over rows, polarisations and ranks. Collective: all ranks of `grid.world`.
 
     Without what they say of the common leakage where that is the regressors' noise, as for feeds with equal beams.

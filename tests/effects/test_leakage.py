@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hydrabeam_mpi.effects.leakage import LeakageCheck
+from hydrabeam_mpi.effects.leakage import Leakage
 from hydrabeam_mpi.random import complex_normal, generator
 from tests.effects.small import small_experiment
 
@@ -10,7 +10,7 @@ ALL = replace(small_experiment(), file_pols=("ee", "nn", "en", "ne"))
 
 
 def test_what_files_lack_is_said() -> None:
-    check = LeakageCheck()
+    check = Leakage()
     assert check.refusal(ALL) is None
     assert check.refusal(replace(ALL, file_pols=("xx", "yy", "yx"))) is None
     for pols in (("ee",), ("ee", "nn"), ("ee", "en", "ne"), ("xx", "nn", "en")):
@@ -35,10 +35,10 @@ def test_columns_are_those_of_leaking_feeds() -> None:
                 coherency = np.diag([ee[t, row], nn[t, row]])
                 jones = [np.array([[1, d[ant, 0]], [d[ant, 1], 1]]) for ant in (i, j)]
                 vis[t, row] = (jones[0] @ coherency @ jones[1].conj().T)[feed, 1 - feed]
-        columns = LeakageCheck().columns(ALL, pol, np.arange(len(pairs)), {"ee": ee, "nn": nn})
+        columns = Leakage().columns(ALL, pol, np.arange(len(pairs)), {"ee": ee, "nn": nn})
         np.testing.assert_allclose(columns.apply(x), vis, rtol=0, atol=1e-10)
-    assert len(LeakageCheck().parameters(ALL)) == len(x)
-    assert LeakageCheck().parameters(ALL).names[2] == f"antenna {numbers[0]} feed n leakage, real part"
+    assert len(Leakage().parameters(ALL)) == len(x)
+    assert Leakage().parameters(ALL).names[2] == f"antenna {numbers[0]} feed n leakage, real part"
 
 
 def leaked(d: np.ndarray, ee: np.ndarray, nn: np.ndarray) -> dict[str, np.ndarray]:
@@ -60,7 +60,7 @@ def test_strong_leakage_is_exact_once_it_is_taken_from_the_copols() -> None:
     x = 0.2 * rng.standard_normal(4 * n_ants)
     ee, nn = complex_normal(rng, (3, n_bls)), complex_normal(rng, (3, n_bls))
     found = leaked((x[0::2] + 1j * x[1::2]).reshape(n_ants, 2), ee, nn)
-    check, bls = LeakageCheck(), np.arange(n_bls)
+    check, bls = Leakage(), np.arange(n_bls)
     copols = check.without(ALL, bls, found, x)
     np.testing.assert_allclose(copols["ee"], ee, rtol=0, atol=1e-12)
     np.testing.assert_allclose(copols["nn"], nn, rtol=0, atol=1e-12)
@@ -71,7 +71,7 @@ def test_strong_leakage_is_exact_once_it_is_taken_from_the_copols() -> None:
 def test_equal_feeds_do_not_tell_what_antennas_have_in_common() -> None:
     rng = generator(3, "leakage")
     vis = complex_normal(rng, (3, ALL.observation.Nbls))
-    check = LeakageCheck()
+    check = Leakage()
     for x in check.undecidable(ALL):
         for pol in ("en", "ne"):
             columns = check.columns(ALL, pol, np.arange(ALL.observation.Nbls), {"ee": vis, "nn": vis})

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from mpi4py import MPI
 
+from hydrabeam_mpi.cli import main
 from hydrabeam_mpi.config import load_job
 from hydrabeam_mpi.io.uvfile import quiet
 from hydrabeam_mpi.loop.joint import find_experiment
 from hydrabeam_mpi.loop.leakage import check_leakage
 from hydrabeam_mpi.mpi import ProcessGrid
 from hydrabeam_mpi.problem import prepare
+from tests.loop.mock import mock_job, write_job
 from tests.visibilities import NUMBERS, SECOND, make_uvdata
 
 SIGMA = 0.05
@@ -135,3 +139,23 @@ def test_missing_polarisations(tmp_path: Path) -> None:
     assert found is not None
     assert set(found) == {"effect", "reason"}
     assert "ee, nn" in found["reason"]
+
+
+@pytest.mark.parametrize("pol", ["ee", "nn"])
+def test_simulated_leakage_is_found_by_the_loop(pol: str, tmp_path: Path) -> None:
+    """Whichever feed the beam is inferred of; here no antenna's gain is off and no cross-polarisation is polarised."""
+    leak = {"kind": "leakage", "strength": 0.5}
+    job = mock_job(leak, loop={"effects": ["leakage", "antenna_gains"]})
+    job["data"]["polarization"] = pol
+    out = tmp_path / "result"
+    assert main(["loop", str(write_job(job, tmp_path)), "-o", str(out)]) == 0
+    told = json.loads((out / "loop.json").read_text())
+    assert [one["effect"] for one in told["rounds"]] == ["leakage"]
+    with h5py.File(out / "truth.h5") as file:
+        (truth,) = json.loads(file.attrs["effects"])
+    found = {one["name"]: one for one in told["rounds"][0]["parameters"]}
+    assert found.keys() == set(truth["names"])
+    values = dict(zip(truth["names"], truth["values"][0], strict=True))
+    errors = [(one["value"] - values[name]) / one["std"] for name, one in found.items()]
+    assert np.abs(errors).max() < 4
+    assert "common leakage, c in d_e + c and d_n - c*" in [one["what"] for one in told["undecidable"]]
