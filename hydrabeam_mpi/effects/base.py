@@ -210,6 +210,10 @@ class Effect(Cause):
         """Return C at ``x``, (Ntimes, Nbls); one for effects that add."""
         return np.ones(scene.shape, dtype=complex)
 
+    def objection(self, x: FloatArray, std: FloatArray) -> str | None:
+        """Say why fitted parameters, (Nfreqs, n_params), cannot be this effect's; None where they can."""
+        return None
+
     def drawn(self, experiment: Experiment, rng: np.random.Generator) -> Effect:
         """Return the effect to simulate: itself, or where there are candidates, one of them at random."""
         return self

@@ -16,6 +16,8 @@ from hydrabeam_mpi.model.fourier_bessel import FourierBessel
 from hydrabeam_mpi.model.zernike import Zernike
 
 MOST_MODES = 128
+AT_EDGE = 0
+"""Number k of the radial function that is constant, and so not zero at the edge."""
 _NEGLIGIBLE = 1e-9  # of the largest coefficient: rounding errors
 _MARGIN = 4  # orders beyond those of a basis that has all of its own; enough for as many modes again
 
@@ -24,6 +26,8 @@ class BasisTruncation(Effect):
     """The beam has modes that the basis lacks: the next ones, each channel its own.
 
     They are real functions whatever the form of the basis. As redundant baselines share the beam, they share these.
+    Fourier-Bessel functions with the Dirichlet condition are all zero at the edge, so that those of constant radius,
+    which are not, come first: it would take very many others to follow a beam that is not.
     The modes do not depend on the beam, so they are integrated where they are first needed, by `columns`, and kept with
     the scene.
     """
@@ -61,17 +65,19 @@ class BasisTruncation(Effect):
         values = scene.integrals[key]
         return Columns(values, values.shape[-1], by_group=True)
 
-    def amended_basis_settings(self, experiment: Experiment) -> dict[str, int]:
-        """Return the keys of the job's ``[basis]`` table that must be at least so large for a basis with more modes.
+    def amended_basis_settings(self, experiment: Experiment) -> dict[str, Any]:
+        """Return the keys of the job's ``[basis]`` table for a basis with more modes; numbers may be larger.
 
-        For a Fourier-Bessel basis the job then takes the largest modes of the model beam, so many as there are here.
+        For a Fourier-Bessel basis the job then takes the largest modes of the model beam, so many as there are here. If
+        it has to be free at the edge it has the Neumann condition there.
         """
         modes = [mode for n in (0, self.n_before) for mode in next_modes(experiment, n)]
         if isinstance(experiment.basis, Zernike):
             return {"max_degree": modes[-1][0]}
         assert isinstance(experiment.basis, FourierBessel)
         every = list(dict.fromkeys([*experiment.basis.modes, *modes]))
-        return {
+        free = {"boundary": "neumann"} if any(k == AT_EDGE for k, _ in every) else {}
+        return free | {
             "n_modes": len(every),
             "k_max": max(k for k, _ in every),
             "m_max": max(abs(m) for _, m in every),
@@ -83,16 +89,20 @@ class NextModes:
 
     def __init__(self, experiment: Experiment, n_before: int = 0) -> None:
         basis, modes = experiment.basis, next_modes(experiment, n_before)
-        if isinstance(basis, Zernike):
-            self._basis: Zernike | FourierBessel = Zernike(modes[-1][0], basis.edge)
-        else:
-            assert isinstance(basis, FourierBessel)
-            self._basis = basis.with_modes(modes, form="real")
         self._n_modes = len(modes)
+        self._parts: list[Zernike | FourierBessel] = []
+        if isinstance(basis, Zernike):
+            self._parts = [Zernike(modes[-1][0], basis.edge)]
+            return
+        assert isinstance(basis, FourierBessel)
+        if constant := [(1, m) for k, m in modes if k == AT_EDGE]:
+            self._parts.append(FourierBessel(constant, "real", basis.edge, "neumann", basis.n_az))
+        if others := [(k, m) for k, m in modes if k != AT_EDGE]:
+            self._parts.append(basis.with_modes(others, form="real"))
 
     def __call__(self, sources: Sources) -> FloatArray:
         """Evaluate them, (n_modes, Nsrc)."""
-        return self._basis.columns(sources.za, sources.az)[-self._n_modes :]
+        return np.concatenate([part.columns(sources.za, sources.az) for part in self._parts])[-self._n_modes :]
 
 
 def next_modes(experiment: Experiment, n_before: int = 0) -> list[tuple[int, int]]:
@@ -107,7 +117,8 @@ def next_modes(experiment: Experiment, n_before: int = 0) -> list[tuple[int, int
     Returns
     -------
     list of (int, int)
-        (k, m) of Fourier-Bessel functions in real form, or (n, m) of whole degrees of Zernike polynomials, one or more.
+        (k, m) of Fourier-Bessel functions in real form, with k = 0 for those that have the value one at all radii; or
+        (n, m) of whole degrees of Zernike polynomials, one or more.
     """
     basis = experiment.basis
     most = min(MOST_MODES, basis.n_modes)
@@ -120,7 +131,12 @@ def next_modes(experiment: Experiment, n_before: int = 0) -> list[tuple[int, int
             degree += 1
         return [(n, m) for n in range(first, degree + 1) for m in range(-n, n + 1, 2)]
     assert isinstance(basis, FourierBessel)
-    return _next_fourier_bessel(basis, _amplitudes(experiment), n_before + most)[n_before:]
+    at_edge: list[tuple[int, int]] = []
+    if basis.boundary == "dirichlet":
+        largest = max(abs(m) for _, m in basis.modes)
+        at_edge = [(AT_EDGE, m) for order in range(largest + 1) for m in dict.fromkeys([order, -order])]
+    others = max(n_before + most - len(at_edge), 0)
+    return (at_edge + _next_fourier_bessel(basis, _amplitudes(experiment), others))[n_before : n_before + most]
 
 
 def _next_fourier_bessel(basis: FourierBessel, amplitudes: FloatArray, most: int) -> list[tuple[int, int]]:

@@ -91,6 +91,20 @@ class Horizon(ScannedEffect):
             values[t] = (inside @ _seen(scene, sources, low)).T
         return Columns(values, len(x), by_group=True)
 
+    def objection(self, x: FloatArray, std: FloatArray) -> str | None:
+        """Object to what mostly makes sources brighter: nothing that stands there does, but another beam may."""
+        boxes = np.array([*self.walls, *(strip for _, strip in self.strips)])
+        middle = 0.5 * (boxes[:, ::2] + boxes[:, 1::2])
+        # What is seen in the middle of each box is changed by all boxes that hold it.
+        after = (middle[:, 0] - boxes[:, :1]) % 360
+        holds = (after < (boxes[:, 1] - boxes[:, 0])[:, np.newaxis]) & (middle[:, 1] >= boxes[:, 2:3])
+        holds &= middle[:, 1] < boxes[:, 3:]
+        change, error = x @ holds, np.sqrt(std**2 @ holds)
+        sigmas = np.divide(change, error, out=np.zeros_like(change), where=error > 0)
+        if np.sum(sigmas[sigmas > 0] ** 2) <= np.sum(sigmas[sigmas < 0] ** 2):
+            return None
+        return f"sources behind it would be brighter, by up to {change.max():.0%}, as with a beam of another shape"
+
     def _inside(self, sources: Sources) -> tuple[IntArray, Any]:
         """Return which sources are low, and which of those are in each wall and strip, (n, Nlow), sparse."""
         boxes = [*self.walls, *(strip for _, strip in self.strips)]

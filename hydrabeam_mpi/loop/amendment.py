@@ -18,8 +18,9 @@ def amended_job(job: Job, state: State, experiment: Experiment) -> Job:
     basis = job.basis
     for one in state.active:
         if isinstance(one.effect, BasisTruncation):
-            least = one.effect.amended_basis_settings(experiment)
-            basis = basis.model_copy(update={key: max(value, getattr(basis, key)) for key, value in least.items()})
+            wanted = one.effect.amended_basis_settings(experiment)
+            larger = {key: max(value, getattr(basis, key)) for key, value in wanted.items() if key != "boundary"}
+            basis = basis.model_copy(update=wanted | larger)
             continue
         used, parameters = one.used, one.effect.parameters(experiment)
         entries.append(

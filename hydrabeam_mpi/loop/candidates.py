@@ -167,6 +167,11 @@ def refusal_of(
     absorbed = is_absorbed(tried) or (is_absorbed(tried, NEARLY_ABSORBED) and is_absorbed(candidate))
     if absorbed and not after.remains.consistent:
         return absorbed_reason(candidate if is_absorbed(candidate) else tried)
+    if candidate.finding is not None:
+        active = after.state.active[-1]
+        objection = active.effect.objection(active.x, active.std)
+        if objection is not None:
+            return objection
     if after.blocks.chi2 < TOO_SMALL:
         return f"it is so uncertain that it predicts nothing: held-out chi^2 {after.blocks.chi2:.4g}"
     change = f"{before.blocks.chi2:.4g} to {after.blocks.chi2:.4g}"

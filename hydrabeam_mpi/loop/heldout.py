@@ -14,12 +14,18 @@ from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.loop.predictive import SharedErrors, root_of, whiten_time
 from hydrabeam_mpi.loop.refit import Space, active_sums, current, place
 from hydrabeam_mpi.loop.state import State
+from hydrabeam_mpi.loop.workspace import KEPT_BYTES
 from hydrabeam_mpi.mpi import allreduce_sum, together
 from hydrabeam_mpi.rows import Rows
 
 LOCAL_STEPS = 4
-MAX_DENSE = 400
-"""With more parameters than this only their own variances count, not what they share nor the beam that follows."""
+MAX_FOLLOWED = 2000
+"""With more parameters than this only their own variances count, not how they vary together nor the beam that follows.
+
+Without the beam predictions are the wider the more of an effect it absorbs.
+"""
+SHARED_BYTES = KEPT_BYTES / 4
+"""Of the columns of all held-out rows of a rank, up to which what rows share of the effects' errors is whitened."""
 
 
 @dataclass(frozen=True)
@@ -146,7 +152,7 @@ def _whiten(space: Space, state: State) -> Whitened:
     log_spread = 0.0
     for channel in range(len(space.channels)):
         covariance = state.covariances[channel] if state.active else np.zeros((0, 0))
-        errors = SharedErrors(covariance) if 0 < len(covariance) <= MAX_DENSE else None
+        errors = SharedErrors(covariance) if _is_shared(space, len(covariance)) else None
         with together(space.grid.world):
             for span, scene, design in share.scenes(channel, state, added[channel], rows):
                 columns, variance = _felt(space, state, channel, scene, design, errors is not None)
@@ -174,13 +180,20 @@ def _whiten(space: Space, state: State) -> Whitened:
     return Whitened(z, rows.inv_noise_var > 0, share_of_model, model, root, log_spread)
 
 
+def _is_shared(space: Space, n_params: int) -> bool:
+    """Whether rows are whitened by what they share of the effects' errors; the same on all ranks of `grid.group`."""
+    rows = space.problem.test
+    n_rows = len(rows.times) * len(rows.bls) / space.grid.group.size
+    return 0 < n_params <= MAX_FOLLOWED and 16 * n_rows * n_params <= SHARED_BYTES
+
+
 def _felt(
     space: Space, state: State, channel: int, scene: Scene, design: NDArray[Any], keep: bool
 ) -> tuple[ComplexArray, FloatArray]:
     """Return how the prediction feels each parameter of the effects, (Ntimes, Nbls, q), and other variance of rows.
 
-    Where a parameter moves the beam follows; what is left is what the prediction feels. With too many parameters to
-    ``keep`` their columns, each row has their own variance, that of its real or its imaginary part.
+    Where a parameter moves the beam follows; what is left is what the prediction feels. Where columns are not to be
+    kept, there are none, but the variance that they give each row, that of its real or its imaginary part.
     """
     if not state.active:
         return np.zeros((*scene.shape, 0), dtype=complex), np.zeros(scene.shape)
@@ -194,13 +207,15 @@ def _felt(
         matrix = (matrix.toarray() if issparse(matrix) else matrix).reshape(n_times, -1, len(one.used))
         parts.append(scene.spread(matrix) if columns.by_group else matrix)
     felt = np.concatenate(parts, axis=-1)
-    if not keep:
-        widths = np.diag(covariance)
-        variance = 0.5 * (np.square(felt.real) @ widths + np.square(felt.imag) @ widths)
-        return np.zeros((n_times, n_bls, 0), dtype=complex), variance
+    nothing = np.zeros((n_times, n_bls, 0), dtype=complex)
+    if len(covariance) > MAX_FOLLOWED:
+        return nothing, 0.5 * (np.square(np.abs(felt)) @ np.diag(covariance))
     followed = design @ state.follows[channel]
     felt += scene.spread(followed if state.posteriors[channel].is_complex else followed[:, 0] + 1j * followed[:, 1])
-    return felt, np.zeros(scene.shape)
+    if keep:
+        return felt, np.zeros(scene.shape)
+    power = np.sum(felt.conj() * (felt @ covariance), axis=-1).real
+    return nothing, 0.5 * np.maximum(power, 0.0)
 
 
 def variance_by_effects(space: Space, state: State, rows: Rows, added: ComplexArray) -> tuple[FloatArray, bool]:
@@ -224,12 +239,12 @@ def variance_by_effects(space: Space, state: State, rows: Rows, added: ComplexAr
         Whether that is with beams that follow the effects, so that it adds to the variance by beams that do not.
     """
     variance = np.zeros((len(space.channels), 2, *rows.data.shape[1:]))
-    dense = len(state.prior_var) <= MAX_DENSE
+    with_beam = len(state.prior_var) <= MAX_FOLLOWED
     for channel in range(len(space.channels) if state.active else 0):
         root = root_of(state.covariances[channel])
         for span, scene, design in space.test.scenes(channel, state, added[channel], rows):
-            felt, own = _felt(space, state, channel, scene, design, dense)
-            half = felt @ root if dense else np.zeros((*scene.shape, 0))
+            felt, own = _felt(space, state, channel, scene, design, with_beam)
+            half = felt @ root if with_beam else np.zeros((*scene.shape, 0))
             for part, values in enumerate((half.real, half.imag)):
                 variance[channel, part, span] = np.sum(values**2, axis=-1) + own
-    return variance, dense
+    return variance, with_beam

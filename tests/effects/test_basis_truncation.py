@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from hydrabeam_mpi.config.sections import Basis
+from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.basis_truncation import MOST_MODES, BasisTruncation, next_modes
 from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.model.fit import beam_pixels, fit_basis, fit_beam, select_largest
@@ -60,15 +61,21 @@ def test_beam_of_a_larger_basis_is_whole(basis) -> None:
     assert not set(modes) & set(basis.modes)
     assert 0 < len(modes) <= basis.n_modes
     x = effect.draw(experiment, generator(2, "truncation"), 1.0)
+    at_edge = [m for k, m in modes if k == 0]
     if isinstance(basis, Zernike):
         extra = Zernike(max(n for n, _ in modes), EDGE)
         coeffs = np.concatenate([np.zeros(basis.n_modes), x])
     else:
-        extra, coeffs = basis.with_modes(modes, form="real"), x
+        extra, coeffs = basis.with_modes(modes[len(at_edge) :], form="real"), x[len(at_edge) :]
 
     def beam(directions, row: int):
         za, az = np.arccos(directions[2]), np.arctan2(directions[1], directions[0])
-        return np.asarray(scene.beam(za, az)).real + extra.synthesize(coeffs, za, az)
+        # Constant in radius with unit norm on the disc, as are cosine and sine of 360 azimuths.
+        constant = [
+            np.sqrt(2 * (2 - (m == 0)) / 360) * (np.cos(m * az) if m >= 0 else np.sin(-m * az)) for m in at_edge
+        ]
+        known = np.asarray(scene.beam(za, az)).real + extra.synthesize(coeffs, za, az)
+        return known + sum(value * row for value, row in zip(x, constant, strict=False))
 
     assert_same(with_effect(effect, scene, x), visibilities(scene, beam=beam), scene)
 
@@ -83,6 +90,24 @@ def test_amended_settings_hold_all_modes(basis) -> None:
         assert Basis(kind="zernike", **settings).max_degree > basis.degree
     else:
         assert Basis(**settings).n_modes == n_modes
+        if basis.boundary == "dirichlet":
+            assert settings["boundary"] == "neumann"
+
+
+def test_a_beam_that_is_not_zero_at_the_edge_needs_few_more_modes() -> None:
+    basis = FourierBessel.full(20, 4, edge=EDGE, boundary="dirichlet")
+    modes = next_modes(with_basis(basis))
+    assert modes[:9] == [(0, 0), *[(0, sign * m) for m in range(1, 5) for sign in (1, -1)]]
+    za, az = generator(3, "directions").uniform(0, 1, (2, 4000)) * np.array([[EDGE], [2 * np.pi]])
+    beam = np.exp(-((za / 0.5) ** 2)) + 0.01 * (1 + 0.5 * np.cos(2 * az)) * np.cos(za / 4)
+
+    def left(columns: FloatArray) -> float:
+        return float(np.std(beam - columns.T @ np.linalg.lstsq(columns.T, beam, rcond=None)[0]))
+
+    constant = FourierBessel([(1, m) for _, m in modes[:9]], "real", EDGE, "neumann").columns(za, az)
+    known = basis.columns(za, az)
+    more = FourierBessel.full(40, 4, edge=EDGE, boundary="dirichlet").columns(za, az)
+    assert left(np.concatenate([known, constant])) < 0.1 * left(more) < 0.1 * left(known)
 
 
 def test_next_modes_are_the_largest_that_are_missing() -> None:

@@ -147,6 +147,23 @@ def test_walls_of_two_rounds_add_up() -> None:
         np.testing.assert_array_equal(apart.sources(t).flux_without("horizon"), scene.sources(t).flux)
 
 
+def test_nothing_that_stands_there_makes_sources_brighter() -> None:
+    experiment, _ = wide_scene()
+    effect = Horizon().at(experiment, np.array([number_of(60, 120, 6), number_of(300, 390, 3)]))
+    hidden = np.array([opaque(effect, experiment)] * 2)
+    std = np.full(hidden.shape, 0.1)
+    assert effect.objection(hidden, std) is None
+    # Parts of the rim beyond the wall that seem a little brighter, and strips within that undo the wall.
+    brighter = hidden + np.where(np.arange(hidden.shape[1]) < 2, 0.0, generator(1, "rim").choice([0.0, 0.1, 1.0]))
+    assert effect.objection(brighter, std) is None
+    said = effect.objection(-0.2 * hidden, std)
+    assert said is not None
+    assert "brighter, by up to 20%" in said
+    unused = np.where(np.arange(hidden.shape[1]) < 1, 0.3, 0.0)[np.newaxis]
+    assert effect.objection(unused, np.where(unused, 0.1, 0.0)) is not None
+    assert effect.objection(-unused, np.where(unused, 0.1, 0.0)) is None
+
+
 def test_scan_finds_the_wall() -> None:
     experiment, scene = wide_scene()
     wall = (60.0, 150.0, 6.0)
