@@ -47,6 +47,8 @@ class Parameters:
         out of the search and fitted once the effect is part of the model.
     trials : int
         Number of elements from which these were picked; the number of elements where there was no scan.
+    nested : bool
+        Whether elements are in an order in which none is zero if a later one is not.
     """
 
     names: tuple[str, ...]
@@ -55,6 +57,7 @@ class Parameters:
     element: IntArray
     refined: np.ndarray[Any, np.dtype[np.bool_]]
     trials: int
+    nested: bool = False
 
     @classmethod
     def of(

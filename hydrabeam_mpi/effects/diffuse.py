@@ -74,7 +74,7 @@ class Diffuse(Effect):
         degree = np.array([l for l, _ in _degrees(self.l_max)])
         sizes = np.where(degree > 0, np.maximum(degree, 1) ** GALACTIC_SLOPE, MONOPOLE)
         # A sky may well have nothing beyond some degree, whatever the others have.
-        return Parameters.of(names, "Jy/sr", 1e4 * sizes, degree)
+        return replace(Parameters.of(names, "Jy/sr", 1e4 * sizes, degree), nested=True)
 
     def columns(self, scene: Scene, x: FloatArray) -> Columns:
         """Return the visibilities of every harmonic."""

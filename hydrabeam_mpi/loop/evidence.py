@@ -7,7 +7,8 @@ effect. With the prior x ~ N(0, T), T diagonal, the logarithm of the Bayes facto
 
 Two priors are tried. In the *dense* one every parameter has the width tau times its natural scale. In the *sparse* one
 only some elements (an antenna, a source) are at fault; they are taken one by one while the evidence grows, each with a
-width of its own and at the price of ln(trials). Widths maximise the evidence, which overrates it by about one nat each;
+width of its own and at the price of ln(trials); where elements are nested, those before the last one are then in use
+as well. Widths maximise the evidence, which overrates it by about one nat each;
 that is taken off.
 """
 
@@ -116,6 +117,10 @@ def find_evidence(
     best = (dense_log, dense_var)
     if len(np.unique(parameters.element)) > 1 or parameters.trials > 1:
         sparse_log, widths = _sparse(scaled, parameters)
+        if parameters.nested and widths.any():
+            taken, widths = widths, _filled(widths)
+            old, new = ((one[parameters.element] * scale) ** 2 for one in (taken, widths))
+            sparse_log += log_evidence(blocks, new) - log_evidence(blocks, old)
         if sparse_log > dense_log or len(np.unique(parameters.element)) < parameters.trials:
             best = (sparse_log, (widths[parameters.element] * scale) ** 2)
     log_bayes_factor, prior_var = best
@@ -176,6 +181,12 @@ def _sparse(scaled: Sequence[tuple[FloatArray, FloatArray]], parameters: Paramet
         chosen = members[best][members[best] >= 0]
         working = [_condition(*block, chosen, taus[best]) for block in working]
     return log_bayes_factor, widths
+
+
+def _filled(widths: FloatArray) -> FloatArray:
+    """Give elements before the last one that was taken, and were not, widths as their neighbours have."""
+    taken, place = np.flatnonzero(widths), np.arange(len(widths))
+    return np.where(place > taken[-1], 0.0, np.exp(np.interp(place, taken, np.log(widths[taken]))))
 
 
 def _members(parameters: Parameters) -> np.ndarray:
