@@ -15,6 +15,8 @@ from hydrabeam_mpi.effects.per_antenna import antenna_parameters, common_values,
 from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.effects.sources import Sources
 
+NEARLY = 0.9
+"""Beams scale with the aperture in direction cosines, of radius sin za; sin(0.9 za) is regular at the horizon."""
 SHARPNESS = 8
 """Sidelobes are where the beam B is small: as (1 - B)^8, which is a half at -11 dB."""
 MODES = (
@@ -37,7 +39,7 @@ class NonredundantBeams(Effect):
     with D_n the visibilities of mode n, as which it is linearised. The modes come from the current beam itself,
     whatever its basis:
 
-    - three widths: fractional stretches of the disc of radius sqrt(1 - cos za), along East-West, along North-South,
+    - three widths: fractional stretches of the disc of direction cosines (nearly), along East-West, along North-South,
       and along one diagonal at the expense of the other. They do what a reflector's size, its astigmatism and
       a turned feed do;
     - three sidelobe levels: B (1 - B)^8 times 1, e and n (the direction cosines). They leave the main lobe as it is, so
@@ -87,13 +89,11 @@ class NonredundantBeams(Effect):
 def reshaped(sources: Sources, shape: FloatArray) -> FloatArray:
     """Return the beam of an antenna with these amplitudes of the modes, (Nsrc,): stretched, sidelobes raised."""
     east_west, north_south, diagonal, *levels = shape
-    # In the plane of radius sqrt(1 - cos za).
-    radius = np.sqrt(1 - np.cos(sources.za))
-    plane = radius * np.stack([np.cos(sources.az), np.sin(sources.az)])
+    plane = np.sin(NEARLY * sources.za) * np.stack([np.cos(sources.az), np.sin(sources.az)])
     stretch = np.array([[1 + east_west, diagonal], [diagonal, 1 + north_south]])
     x, y = np.linalg.solve(stretch, plane)
-    za, az = np.arccos(np.maximum(1 - x**2 - y**2, 0.0)), np.arctan2(y, x) % (2 * np.pi)
-    moved = replace(sources, za=za, az=az)
+    za = np.arcsin(np.minimum(np.hypot(x, y), 1.0)) / NEARLY
+    moved = replace(sources, za=np.minimum(za, np.pi / 2), az=np.arctan2(y, x) % (2 * np.pi))
     # Sidelobes belong to the sky's directions, as columns do.
     east, north, _ = sources.enu
     return moved.beam + moved.beam * (1 - moved.beam) ** SHARPNESS * (levels[0] + levels[1] * east + levels[2] * north)
@@ -102,15 +102,15 @@ def reshaped(sources: Sources, shape: FloatArray) -> FloatArray:
 def stretches(sources: Sources) -> FloatArray:
     """Return how the beam changes as it is stretched in the plane, (3, Nsrc) per unit of relative stretch.
 
-    The plane has radius sqrt(1 - cos za), on which the Fourier-Bessel functions live; there a stretch by 1 + c along x
+    The plane has radius sin(0.9 za), nearly that of direction cosines; there a stretch by 1 + c along x
     looks up the beam at x - c x, y. The rows are for East-West, for North-South, and for both diagonals, the one
     towards North-East by c and the other by -c.
     """
     cos_az, sin_az = np.cos(sources.az), np.sin(sources.az)
     down = np.stack([np.cos(sources.za) * cos_az, np.cos(sources.za) * sin_az, -np.sin(sources.za)])
     around = np.stack([-sin_az, cos_az, np.zeros_like(cos_az)])
-    # By relative radius and by azimuth: d za = 2 tan(za/2) d ln(radius).
-    by_radius = 2 * np.tan(0.5 * sources.za) * (sources.slope * down).sum(axis=0)
+    # By relative radius and by azimuth: d za = tan(0.9 za)/0.9 d ln(radius).
+    by_radius = np.tan(NEARLY * sources.za) / NEARLY * (sources.slope * down).sum(axis=0)
     by_azimuth = np.sin(sources.za) * (sources.slope * around).sum(axis=0)
     shear = cos_az * sin_az
     return np.stack(

@@ -31,9 +31,9 @@ def test_contract() -> None:
 
 
 def gaussian(directions: FloatArray, stretch: FloatArray | None = None) -> FloatArray:
-    """An elliptical Gaussian in the plane of radius sqrt(1 - cos za), of which x is stretched by a matrix."""
+    """An elliptical Gaussian in the plane of radius sin(0.9 za), of which x is stretched by a matrix."""
     east, north, up = directions
-    plane = np.stack([east, north]) / np.sqrt(1 + up)
+    plane = np.stack([east, north]) * (np.sin(0.9 * np.arccos(up)) / np.maximum(np.hypot(east, north), 1e-12))
     if stretch is not None:
         plane = np.linalg.solve(np.eye(2) + stretch, plane)
     return np.exp(-((plane[0] / 0.25) ** 2) - (plane[1] / 0.2) ** 2 - plane[0] * plane[1])
