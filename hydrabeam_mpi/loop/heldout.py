@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import issparse
+from scipy.sparse import csr_array, hstack
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.effects.scene import Scene
@@ -155,14 +156,19 @@ def _whiten(space: Space, state: State) -> Whitened:
         errors = SharedErrors(covariance) if _is_shared(space, len(covariance)) else None
         with together(space.grid.world):
             for span, scene, design in share.scenes(channel, state, added[channel], rows):
-                columns, variance = _felt(space, state, channel, scene, design, errors is not None)
-                weights = scene.weights / (1 + 2 * scene.weights * variance)
                 model[channel, span] = root[channel, span] * scene.vis
+                felt = _felt(space, state, channel, scene, design) if state.active else None
                 for t, row in enumerate(range(span.start, span.stop)):
-                    stack = np.column_stack([scene.residual[t], columns[t]])
-                    posterior = state.posteriors[channel]
+                    stack, weights = scene.residual[t][:, np.newaxis], scene.weights[t]
+                    if felt is not None:
+                        columns, own = next(felt)
+                        if errors is not None:
+                            stack = np.column_stack([stack, columns])
+                        else:
+                            variance = _variance(columns, covariance) if own is None else own
+                            weights = weights / (1 + 2 * weights * variance)
                     white, share_of_model[channel, row], spread = whiten_time(
-                        stack, weights[t], scene.member, design[t], posterior
+                        stack, weights, scene.member, design[t], state.posteriors[channel]
                     )
                     log_spread += spread
                     z[channel, row] = white[:, 0]
@@ -188,34 +194,41 @@ def _is_shared(space: Space, n_params: int) -> bool:
 
 
 def _felt(
-    space: Space, state: State, channel: int, scene: Scene, design: NDArray[Any], keep: bool
-) -> tuple[ComplexArray, FloatArray]:
-    """Return how the prediction feels each parameter of the effects, (Ntimes, Nbls, q), and other variance of rows.
+    space: Space, state: State, channel: int, scene: Scene, design: NDArray[Any]
+) -> Iterator[tuple[ComplexArray, FloatArray | None]]:
+    """Yield how predictions feel the parameters of the effects, time after time.
 
-    Where a parameter moves the beam follows; what is left is what the prediction feels. Where columns are not to be
-    kept, there are none, but the variance that they give each row, that of its real or its imaginary part.
+    Yields
+    ------
+    felt : ndarray of complex, (Nbls, q)
+        By each parameter, where the beam follows it. Empty with too many parameters.
+    own : ndarray, (Nbls,), or None
+        With too many what each by itself adds to a row's variance, mean of that of its real and its imaginary part.
     """
-    if not state.active:
-        return np.zeros((*scene.shape, 0), dtype=complex), np.zeros(scene.shape)
-    number, covariance = space.channels[channel], state.covariances[channel]
+    covariance, number = state.covariances[channel], space.channels[channel]
     scene.integrate_for([one.effect for one in state.active])
-    n_times, n_bls = scene.shape
-    parts = []
-    for one in state.active:
-        columns = one.effect.columns(scene, one.x[number])
-        matrix = columns.matrix()[:, one.used]
-        matrix = (matrix.toarray() if issparse(matrix) else matrix).reshape(n_times, -1, len(one.used))
-        parts.append(scene.spread(matrix) if columns.by_group else matrix)
-    felt = np.concatenate(parts, axis=-1)
-    nothing = np.zeros((n_times, n_bls, 0), dtype=complex)
-    if len(covariance) > MAX_FOLLOWED:
-        return nothing, 0.5 * (np.square(np.abs(felt)) @ np.diag(covariance))
-    followed = design @ state.follows[channel]
-    felt += scene.spread(followed if state.posteriors[channel].is_complex else followed[:, 0] + 1j * followed[:, 1])
-    if keep:
-        return felt, np.zeros(scene.shape)
-    power = np.sum(felt.conj() * (felt @ covariance), axis=-1).real
-    return nothing, 0.5 * np.maximum(power, 0.0)
+    columns = [(one, one.effect.columns(scene, one.x[number])) for one in state.active]
+    matrices = [(csr_array(made.matrix()[:, one.used]), made.by_group) for one, made in columns]
+    followed = len(covariance) <= MAX_FOLLOWED
+    for t in range(len(scene.times)):
+        parts = []
+        for matrix, by_group in matrices:
+            n_rows = matrix.shape[0] // len(scene.times)
+            part = matrix[t * n_rows : (t + 1) * n_rows]
+            parts.append(part[scene.member] if by_group else part)
+        if not followed:
+            widths, sparse = np.diag(covariance), hstack(parts, format="csr")
+            yield np.zeros((len(scene.bls), 0), dtype=complex), 0.5 * (abs(sparse).power(2) @ widths)
+            continue
+        felt = np.concatenate([part.toarray() for part in parts], axis=-1)
+        beam = design[t] @ state.follows[channel]
+        felt += (beam if state.posteriors[channel].is_complex else beam[0] + 1j * beam[1])[scene.member]
+        yield felt, None
+
+
+def _variance(felt: ComplexArray, covariance: FloatArray) -> FloatArray:
+    """Return the variance of rows, mean of that of the real and the imaginary part, (Nbls,)."""
+    return np.asarray(0.5 * np.maximum(np.sum(felt.conj() * (felt @ covariance), axis=-1).real, 0.0))
 
 
 def variance_by_effects(space: Space, state: State, rows: Rows, added: ComplexArray) -> tuple[FloatArray, bool]:
@@ -241,10 +254,10 @@ def variance_by_effects(space: Space, state: State, rows: Rows, added: ComplexAr
     variance = np.zeros((len(space.channels), 2, *rows.data.shape[1:]))
     with_beam = len(state.prior_var) <= MAX_FOLLOWED
     for channel in range(len(space.channels) if state.active else 0):
-        root = root_of(state.covariances[channel])
+        root = root_of(state.covariances[channel]) if with_beam else np.zeros((0, 0))
         for span, scene, design in space.test.scenes(channel, state, added[channel], rows):
-            felt, own = _felt(space, state, channel, scene, design, with_beam)
-            half = felt @ root if with_beam else np.zeros((*scene.shape, 0))
-            for part, values in enumerate((half.real, half.imag)):
-                variance[channel, part, span] = np.sum(values**2, axis=-1) + own
+            for t, (felt, own) in enumerate(_felt(space, state, channel, scene, design), start=span.start):
+                half = felt @ root
+                for part, values in enumerate((half.real, half.imag)):
+                    variance[channel, part, t] = np.sum(values**2, axis=-1) if own is None else own
     return variance, with_beam
