@@ -71,7 +71,9 @@ class BasisTruncation(Effect):
         For a Fourier-Bessel basis the job then takes the largest modes of the model beam, so many as there are here. If
         it has to be free at the edge it has the Neumann condition there.
         """
-        modes = [mode for n in (0, self.n_before) for mode in next_modes(experiment, n)]
+        modes: list[tuple[int, int]] = []
+        while len(modes) <= self.n_before:
+            modes += next_modes(experiment, len(modes))
         if isinstance(experiment.basis, Zernike):
             return {"max_degree": modes[-1][0]}
         assert isinstance(experiment.basis, FourierBessel)
