@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -310,3 +310,19 @@ def test_widths_reach_far() -> None:
         assert found.log_bayes_factor > 10
         assert TAUS[0] ** 2 < found.prior_var[0] < TAUS[-1] ** 2
         assert np.sqrt(found.prior_var[0]) == pytest.approx(size, rel=0.8)
+
+
+def test_nested_elements_have_no_gaps() -> None:
+    """What is zero by itself may be anything between two that are not, and costs what evidence it costs."""
+    x = np.array([3.0, -2.0, 0.0, 0.0, 0.5, 0.7, 0.0, 0.0])
+    model, parameters = make_model(8, 5, x), of_elements(4, 2)
+    apart = find_evidence([model.likelihood], parameters)
+    together = find_evidence([model.likelihood], replace(parameters, nested=True))
+    assert taken_elements(apart, parameters) == [0, 2]
+    assert taken_elements(together, parameters) == [0, 1, 2]
+    first, between, last = together.prior_var[[0, 2, 4]]
+    assert between == pytest.approx(np.sqrt(first * last))
+    differ = together.log_bayes_factor - apart.log_bayes_factor
+    assert differ < 0
+    expected = model.log_bayes_factor(together.prior_var) - model.log_bayes_factor(apart.prior_var)
+    assert differ == pytest.approx(expected, rel=1e-9)
