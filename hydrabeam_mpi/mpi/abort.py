@@ -13,6 +13,8 @@ from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.mpi.failure import how_shared
 
 INPUT_ERROR_STATUS = 2
+HEARD_S = 0.2
+"""Seconds that a launcher has to pass on what a rank has said: when one aborts it may drop what it has not read yet."""
 
 
 def install_abort_hook(comm: MPI.Comm) -> None:
@@ -52,11 +54,11 @@ def _end_all(comm: MPI.Comm, error: BaseException) -> None:
     time.sleep(min(1.0, 0.5 * comm.rank))
     if isinstance(error, InputError):
         _say(error)
-        comm.Abort(INPUT_ERROR_STATUS)
     else:
         trace = "".join(traceback.format_exception(error)).rstrip()
         _say(f"rank {comm.rank} of {comm.size} failed\n{trace}")
-        comm.Abort(1)
+    time.sleep(HEARD_S)
+    comm.Abort(INPUT_ERROR_STATUS if isinstance(error, InputError) else 1)
 
 
 def _say(words: object) -> None:
