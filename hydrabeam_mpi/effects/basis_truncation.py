@@ -119,8 +119,8 @@ def next_modes(experiment: Experiment, n_before: int = 0) -> list[tuple[int, int
     Returns
     -------
     list of (int, int)
-        (k, m) of Fourier-Bessel functions in real form, with k = 0 for those that have the value one at all radii; or
-        (n, m) of whole degrees of Zernike polynomials, one or more.
+        (k, m) of Fourier-Bessel functions in real form, with k = 0 for those that are constant in radius; or (n, m) of
+        whole degrees of Zernike polynomials, one or more.
     """
     basis = experiment.basis
     most = min(MOST_MODES, basis.n_modes)

@@ -154,6 +154,7 @@ def _whiten(space: Space, state: State) -> Whitened:
     for channel in range(len(space.channels)):
         covariance = state.covariances[channel] if state.active else np.zeros((0, 0))
         errors = SharedErrors(covariance) if _is_shared(space, len(covariance)) else None
+        own_root = np.zeros((0, 0)) if errors else _followed_root(covariance)
         with together(space.grid.world):
             for span, scene, design in share.scenes(channel, state, added[channel], rows):
                 model[channel, span] = root[channel, span] * scene.vis
@@ -165,7 +166,7 @@ def _whiten(space: Space, state: State) -> Whitened:
                         if errors is not None:
                             stack = np.column_stack([stack, columns])
                         else:
-                            variance = _variance(columns, covariance) if own is None else own
+                            variance = _variances(columns, own, own_root).mean(axis=0)
                             weights = weights / (1 + 2 * weights * variance)
                     white, share_of_model[channel, row], spread = whiten_time(
                         stack, weights, scene.member, design[t], state.posteriors[channel]
@@ -195,14 +196,14 @@ def _is_shared(space: Space, n_params: int) -> bool:
 
 def _felt(
     space: Space, state: State, channel: int, scene: Scene, design: NDArray[Any]
-) -> Iterator[tuple[ComplexArray, FloatArray | None]]:
+) -> Iterator[tuple[ComplexArray, FloatArray]]:
     """Yield how predictions feel the parameters of the effects, time after time.
 
     Yields
     ------
     felt : ndarray of complex, (Nbls, q)
         By each parameter, where the beam follows it. Empty with too many parameters.
-    own : ndarray, (Nbls,), or None
+    own : ndarray, (Nbls,)
         With too many what each by itself adds to a row's variance, mean of that of its real and its imaginary part.
     """
     covariance, number = state.covariances[channel], space.channels[channel]
@@ -223,12 +224,18 @@ def _felt(
         felt = np.concatenate([part.toarray() for part in parts], axis=-1)
         beam = design[t] @ state.follows[channel]
         felt += (beam if state.posteriors[channel].is_complex else beam[0] + 1j * beam[1])[scene.member]
-        yield felt, None
+        yield felt, np.zeros(len(scene.bls))
 
 
-def _variance(felt: ComplexArray, covariance: FloatArray) -> FloatArray:
-    """Return the variance of rows, mean of that of the real and the imaginary part, (Nbls,)."""
-    return np.asarray(0.5 * np.maximum(np.sum(felt.conj() * (felt @ covariance), axis=-1).real, 0.0))
+def _followed_root(covariance: FloatArray) -> FloatArray:
+    """Return the root of the covariance of parameters that beams follow; empty with too many."""
+    return root_of(covariance) if len(covariance) <= MAX_FOLLOWED else np.zeros((0, 0))
+
+
+def _variances(felt: ComplexArray, own: FloatArray, root: FloatArray) -> FloatArray:
+    """Return the variance of rows' real and imaginary parts, (2, Nbls)."""
+    half = felt @ root
+    return own + np.stack([np.sum(part**2, axis=-1) for part in (half.real, half.imag)])
 
 
 def variance_by_effects(space: Space, state: State, rows: Rows, added: ComplexArray) -> tuple[FloatArray, bool]:
@@ -254,10 +261,8 @@ def variance_by_effects(space: Space, state: State, rows: Rows, added: ComplexAr
     variance = np.zeros((len(space.channels), 2, *rows.data.shape[1:]))
     with_beam = len(state.prior_var) <= MAX_FOLLOWED
     for channel in range(len(space.channels) if state.active else 0):
-        root = root_of(state.covariances[channel]) if with_beam else np.zeros((0, 0))
+        root = _followed_root(state.covariances[channel])
         for span, scene, design in space.test.scenes(channel, state, added[channel], rows):
             for t, (felt, own) in enumerate(_felt(space, state, channel, scene, design), start=span.start):
-                half = felt @ root
-                for part, values in enumerate((half.real, half.imag)):
-                    variance[channel, part, t] = np.sum(values**2, axis=-1) if own is None else own
+                variance[channel, :, t] = _variances(felt, own, root)
     return variance, with_beam
