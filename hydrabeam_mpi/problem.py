@@ -26,7 +26,7 @@ from hydrabeam_mpi.model.engine import make_engine
 from hydrabeam_mpi.model.rime import ForwardModel
 from hydrabeam_mpi.model.sky import Sky
 from hydrabeam_mpi.mpi import Comm, together
-from hydrabeam_mpi.skies import count_sources, load_sky, source_positions
+from hydrabeam_mpi.skies import cautions_of_positions, count_sources, load_sky, source_positions
 
 
 @dataclass(frozen=True)
@@ -62,6 +62,8 @@ class Problem:
         Of one sample, where the noise is estimated from differences.
     channel_numbers : ndarray of int, (Nfreqs,)
         Which of the job's channels these are.
+    cautions : tuple of str
+        What a user should not overlook about the data.
     """
 
     job: Job
@@ -81,6 +83,7 @@ class Problem:
     channel_numbers: IntArray
     truths: tuple[Beam, ...] = ()
     noise_variance: FloatArray | None = None
+    cautions: tuple[str, ...] = ()
 
     def of_channels(self, channels: Sequence[int]) -> Problem:
         """Keep some channels."""
@@ -231,6 +234,7 @@ def prepare(job: Job, files: tuple[Path, ...], truths: tuple[Beam, ...] = ()) ->
         time_costs=time_costs,
         channel_numbers=np.arange(observation.Nfreqs),
         truths=truths,
+        cautions=cautions_of_positions(job, observation),
     )
 
 

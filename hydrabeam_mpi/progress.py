@@ -47,3 +47,9 @@ def say(line: str, show: bool = True) -> None:
     """Print one line of progress to standard error, where ``show`` is set."""
     if show:
         print(f"hydrabeam: {line}", file=sys.stderr, flush=True)
+
+
+def warn(cautions: Iterable[str]) -> None:
+    """Say what a user should not overlook, a line each."""
+    for caution in cautions:
+        say(f"warning: {caution}")

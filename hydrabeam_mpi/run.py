@@ -32,8 +32,9 @@ from hydrabeam_mpi.mpi import (
     together,
 )
 from hydrabeam_mpi.problem import Problem, estimate_noise, expand, prepare
-from hydrabeam_mpi.progress import say
-from hydrabeam_mpi.simulate import simulate_to
+from hydrabeam_mpi.progress import say, warn
+from hydrabeam_mpi.simulate import mock_observation, simulate_to
+from hydrabeam_mpi.skies import cautions_of_positions
 
 
 def simulate(world: Comm, job_path: Path, out: Path, overwrite: bool, threads: int) -> None:
@@ -46,6 +47,8 @@ def simulate(world: Comm, job_path: Path, out: Path, overwrite: bool, threads: i
         simulate_to(world, job, folder)
         with together(world):
             if world.rank == 0:
+                assert job.data.simulate is not None
+                warn(cautions_of_positions(job, mock_observation(job.data.simulate, job.data.polarization)))
                 record = provenance(job, [], world.size, threads, library_version())
                 with writing(folder):
                     write_job_and_provenance(folder, job, record)
@@ -145,6 +148,7 @@ def prepare_shared(world: Comm, job: Job, folder: Path) -> Problem:
             files = (folder / "data.uvh5",) if job.data.simulate else expand(job.data.files, "[data] files")
             problem = prepare(job, files, truths)
             say(_one_line(problem))
+            warn(problem.cautions)
     problem = bcast_object(world, problem)
     return estimate_noise(world, problem)
 
@@ -212,7 +216,7 @@ def write_result(
         **channels[0],
         **common,
         "channels": channels,
-        "warnings": warnings_of(channels),
+        "warnings": [*problem.cautions, *warnings_of(channels)],
     }
     (folder / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
     write_job_and_provenance(folder, job, about)
