@@ -91,11 +91,15 @@ def _run(world: MPI.Comm, options: argparse.Namespace) -> None:
     """Dispatch. Commands are imported here so that `--help` does not wait for astronomy packages."""
     threads = limit_blas_threads(world)
     if options.command in ("simulate", "infer", "loop"):
+        # A mistake in the job is told before the packages that the work needs are imported, which takes seconds.
+        from hydrabeam_mpi.job_file import load
+
+        job = load(world, options.job, needs_simulation=options.command == "simulate")
         from hydrabeam_mpi import run
         from hydrabeam_mpi.loop.command import close_loop
 
         command = {"simulate": run.simulate, "infer": run.infer, "loop": close_loop}[options.command]
-        command(world, options.job, options.output, options.overwrite, threads)
+        command(world, job, options.job, options.output, options.overwrite, threads)
         return
     with together(world):
         if world.rank == 0 and options.command == "report":

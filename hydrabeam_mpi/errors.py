@@ -51,4 +51,12 @@ class InputError(Exception):
         line = f"{where}: {self.message}" if where else self.message
         line = f"{line}; {self.remedy}" if self.remedy else line
         # One line whatever a library put into its message.
-        self.args = (" ".join(line.split()),)
+        self.args = (printable(" ".join(line.split())),)
+
+
+def printable(text: str) -> str:
+    """Write out as escapes what a terminal or a text file would obey and not show, such as a line feed or ESC.
+
+    For text that comes from files. What is left shows as it is, whatever its script.
+    """
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

@@ -17,6 +17,7 @@ from hydrabeam_mpi.config.sections import Basis, Beam, Data, Holdout, Noise, Out
 from hydrabeam_mpi.config.text import frequency_text, keys_text, table_text
 from hydrabeam_mpi.data.observation import FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.redundancy import find_redundant_groups
+from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.noise import MAX_GAP, MIN_DIFFERENCES
 from hydrabeam_mpi.io.uvsummary import Summary, summarise
 from hydrabeam_mpi.tables import embedded_beam
@@ -50,7 +51,7 @@ def job_from_data(paths: Sequence[Path]) -> str:
     observation = summary.observation
     channels = _first_channels(summary)
     freqs = observation.freqs[channels]
-    data: Values = {"files": tuple(glob.escape(str(path.resolve())) for path in paths), "polarization": summary.pol}
+    data: Values = {"files": tuple(map(_named, paths)), "polarization": summary.pol}
     if len(channels) < observation.Nfreqs:
         data["freqs"] = tuple(freqs.tolist())
     if summary.flagged_antennas:
@@ -71,6 +72,21 @@ def job_from_data(paths: Sequence[Path]) -> str:
 
 
 _OTHERS: dict[str, type[Section]] = {"basis": Basis, "prior": Prior, "solver": Solver, "output": Output, "loop": Loop}
+
+
+def _named(path: Path) -> str:
+    """Return a file's name as a job gives it.
+
+    Raises
+    ------
+    InputError
+        If it is not text in UTF-8, as all of a job file is.
+    """
+    name = str(path.resolve())
+    if not name.isprintable():
+        remedy = "rename it, or give a link to it"
+        raise InputError("a job file cannot hold a name like this", file=path, remedy=remedy)
+    return glob.escape(name)
 
 
 def _first_channels(summary: Summary) -> IntArray:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from hydrabeam_mpi.config import Job, load_job, named_files
+from hydrabeam_mpi.config import Job, named_files
 from hydrabeam_mpi.diagnose import GRID_AZ, GRID_ZA, warnings_of
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.inference import Clock, describe_channels, infer_channels
@@ -37,12 +37,11 @@ from hydrabeam_mpi.simulate import mock_observation, simulate_to
 from hydrabeam_mpi.skies import cautions_of_positions
 
 
-def simulate(world: Comm, job_path: Path, out: Path, overwrite: bool, threads: int) -> None:
+def simulate(world: Comm, job: Job, job_path: Path, out: Path, overwrite: bool, threads: int) -> None:
     """Write mock data and their truth, ``data.uvh5`` and ``truth.h5``, into ``out``.
 
-    Collective: all ranks of `world`.
+    Collective: all ranks of `world`. Parameters and errors as of `infer`.
     """
-    job = load(world, job_path, needs_simulation=True)
     with staged(world, job_path, job, out, overwrite) as folder:
         simulate_to(world, job, folder)
         with together(world):
@@ -55,7 +54,7 @@ def simulate(world: Comm, job_path: Path, out: Path, overwrite: bool, threads: i
     say(f"wrote {out}", world.rank == 0)
 
 
-def infer(world: Comm, job_path: Path, out: Path, overwrite: bool, threads: int) -> None:
+def infer(world: Comm, job: Job, job_path: Path, out: Path, overwrite: bool, threads: int) -> None:
     """Write the posterior beam of every channel of a job into ``out``.
 
     Collective: all ranks of `world`.
@@ -63,8 +62,10 @@ def infer(world: Comm, job_path: Path, out: Path, overwrite: bool, threads: int)
     Parameters
     ----------
     world : Comm
-    job_path : Path
+    job : Job
         Where it has a ``[data.simulate]`` table, the data are simulated first.
+    job_path : Path
+        The file that it was read from.
     out : Path
         Folder that appears when all is written.
     overwrite : bool
@@ -77,7 +78,6 @@ def infer(world: Comm, job_path: Path, out: Path, overwrite: bool, threads: int)
     InputError
         On all ranks, if something in the job or in a file is wrong.
     """
-    job = load(world, job_path)
     clock = Clock()
     with staged(world, job_path, job, out, overwrite) as folder:
         with clock.time("prepare"):
@@ -120,22 +120,6 @@ def staged(world: Comm, job_path: Path, job: Job, out: Path, overwrite: bool) ->
     with together(world):
         if world.rank == 0:
             folder.publish()
-
-
-def load(world: Comm, job_path: Path, needs_simulation: bool = False) -> Job:
-    """Read the job on rank 0 and share it."""
-    job = None
-    with together(world):
-        if world.rank == 0:
-            job = load_job(job_path)
-            if needs_simulation and job.data.simulate is None:
-                raise InputError(
-                    "is missing",
-                    file=job_path,
-                    field="[data.simulate]",
-                    remedy="add it, see jobs/paper/job.toml",
-                )
-    return world.bcast(job)
 
 
 def prepare_shared(world: Comm, job: Job, folder: Path) -> Problem:

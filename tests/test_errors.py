@@ -26,6 +26,11 @@ def test_whatever_a_library_says_is_one_line() -> None:
     assert str(error) == "a.uvh5: cannot be read (two lines of it); mend it"
 
 
+def test_what_a_terminal_would_obey_shows_as_escapes() -> None:
+    name = "Ant\x1b[2J\x00 'größer' 面 \u202e\udcff"
+    assert str(InputError("no such file", file=name)) == ("Ant\\x1b[2J\\x00 'größer' 面 \\u202e\\udcff: no such file")
+
+
 def test_locate_names_a_file_once() -> None:
     error = InputError("is wrong", field="[data] files", remedy="mend it")
     error.locate("job.toml")

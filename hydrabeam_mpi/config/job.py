@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import tomllib
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -23,7 +21,7 @@ from hydrabeam_mpi.config.sections import (
     Sky,
     Solver,
 )
-from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.config.toml import read_toml
 
 
 class Job(Section):
@@ -52,17 +50,10 @@ def load_job(path: Path) -> Job:
     InputError
         If it cannot be read, is not TOML, or a key is unknown, missing or of the wrong type or unit.
     """
-    try:
-        with path.open("rb") as file:
-            table = tomllib.load(file)
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", file=path, remedy="check the path") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"is not a TOML file ({error})", file=path, remedy="mend that line") from error
+    content = read_toml(path)
     try:
         # As JSON: lists and texts become tuples and paths, and no other type is taken for another.
-        context = {"folder": path.resolve().parent}
-        return Job.model_validate_json(json.dumps(table, default=str), context=context)
+        return Job.model_validate_json(content, context={"folder": path.resolve().parent})
     except ValidationError as error:
         raise as_input_error(error, Job, path) from error
 

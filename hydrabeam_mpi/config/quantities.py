@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from astropy import units
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo
 
 
@@ -24,18 +23,23 @@ class Quantity:
         expected = f"{self.what}, a number in {self.unit} or text such as '{self.example}'"
         if isinstance(value, bool) or not isinstance(value, int | float | str):
             raise ValueError(expected)
-        if not isinstance(value, str):
-            return float(value)
         try:
-            quantity = units.Quantity(value)
-            if quantity.unit == units.dimensionless_unscaled:
-                return float(quantity.value)
-            # An hour of sidereal time is an hour of angle.
-            target, same = (units.hourangle, [(units.h, units.hourangle)]) if self.unit == "h" else (self.unit, [])
-            # In as many digits as a decimal number keeps: 360 deg are 24 h, not 24.000000000000004.
-            return float(f"{quantity.to_value(target, same):.15g}")
-        except (TypeError, ValueError, units.UnitConversionError) as error:
+            return _parse(value, self.unit) if isinstance(value, str) else float(value)
+        except Exception as error:  # astropy raises whatever the arithmetic in a text raises
             raise ValueError(expected) from error
+
+
+def _parse(text: str, unit: str) -> float:
+    """Return the number in ``unit`` that a text names."""
+    from astropy import units  # only where a text is parsed, as it takes half a second
+
+    quantity = units.Quantity(text)
+    if quantity.unit == units.dimensionless_unscaled:
+        return float(quantity.value)
+    # An hour of sidereal time is an hour of angle.
+    target, same = (units.hourangle, [(units.h, units.hourangle)]) if unit == "h" else (unit, [])
+    # In as many digits as a decimal number keeps: 360 deg are 24 h, not 24.000000000000004.
+    return float(f"{quantity.to_value(target, same):.15g}")
 
 
 Hertz = Annotated[float, BeforeValidator(Quantity("a frequency", "Hz", "131 MHz")), Field(gt=0)]

@@ -14,6 +14,7 @@ from pydantic.fields import FieldInfo
 
 from hydrabeam_mpi.config.base import Section
 from hydrabeam_mpi.config.quantities import Quantity
+from hydrabeam_mpi.errors import printable
 
 COMMENT_COLUMN = 44
 MAX_LINE = 120
@@ -35,7 +36,8 @@ def table_text(
     """
     about = inspect.cleandoc(section.__doc__ or "")
     header = f"[{name}]" if given else f"# [{name}]"
-    return ["", header, *(f"# {remark}" for remark in (about, *remarks)), *keys_text(section, values)]
+    # Remarks tell names from data files, which would otherwise end the comment with a line feed of their own.
+    return ["", header, *(f"# {printable(remark)}" for remark in (about, *remarks)), *keys_text(section, values)]
 
 
 def keys_text(section: type[Section], values: Mapping[str, Any]) -> list[str]:
@@ -68,7 +70,8 @@ def toml_value(value: Any, unit: str | None = None) -> str:
         return f'"{frequency_text(value)}"'
     if unit is not None:
         return f'"{value:.15g} {unit}"'
-    return json.dumps(value, ensure_ascii=False)
+    # Text in JSON is text in TOML, but for one control character that only TOML wants escaped.
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def frequency_text(freq: float) -> str:

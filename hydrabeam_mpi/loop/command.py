@@ -34,7 +34,7 @@ from hydrabeam_mpi.mpi import (
     together,
 )
 from hydrabeam_mpi.progress import say
-from hydrabeam_mpi.run import gather_records, input_files, load, prepare_shared, staged, write_result
+from hydrabeam_mpi.run import gather_records, input_files, prepare_shared, staged, write_result
 
 
 @dataclass(frozen=True)
@@ -57,12 +57,11 @@ class Choice:
     leakage: bool
 
 
-def close_loop(world: Comm, job_path: Path, out: Path, overwrite: bool, threads: int) -> None:
+def close_loop(world: Comm, job: Job, job_path: Path, out: Path, overwrite: bool, threads: int) -> None:
     """Trace the residual of a job and write the amended model into ``out``.
 
     Collective: all ranks of `world`. Parameters and errors as of `hydrabeam_mpi.run.infer`.
     """
-    job = load(world, job_path)
     clock = Clock()
     with staged(world, job_path, job, out, overwrite) as folder:
         with clock.time("prepare"):

@@ -147,6 +147,42 @@ def test_data_are_described(write: Callable[..., Path], tmp_path: Path) -> None:
     assert job.beam.frequency == "scale"
 
 
+HOSTILE = 'made\n\npolarization = \'nn\' # \x1b[2J\u2028\x7f\r"""\\ größer 面'
+
+
+def test_names_from_files_stay_in_their_comments(write: Callable[..., Path], tmp_path: Path) -> None:
+    def rename(path: Path, name: str) -> None:
+        with h5py.File(path, "r+") as file:
+            for key in ("telescope_name", "vis_units"):
+                del file[f"Header/{key}"]
+                file[f"Header/{key}"] = np.bytes_(name.encode())
+
+    path = write()
+    texts = []
+    for name in (HOSTILE, "plain"):
+        rename(path, name)
+        texts.append(job_from_data([path]))
+    hostile, plain = texts
+    assert hostile.count("größer 面") == 2
+    assert all(line.isprintable() for line in hostile.splitlines())
+    assert len(hostile.splitlines()) == len(plain.splitlines())
+    assert load(hostile, tmp_path) == load(plain, tmp_path)
+
+
+def test_names_of_files_survive(write: Callable[..., Path], tmp_path: Path) -> None:
+    path = write(name='it\'s "größer" \\ 面.uvh5')
+    job = load(job_from_data([path]), tmp_path)
+    assert job.name == path.stem
+    assert expand(job.data.files, "[data] files") == (path,)
+
+
+@pytest.mark.parametrize("name", ["a\nb.uvh5", "a\udcff.uvh5"])
+def test_names_that_no_job_can_hold(name: str, write: Callable[..., Path], tmp_path: Path) -> None:
+    write().rename(tmp_path / name)
+    with pytest.raises(InputError, match=r"a job file cannot hold a name like this; rename it"):
+        job_from_data([tmp_path / name])
+
+
 def test_range_of_lst_may_wrap(write: Callable[..., Path]) -> None:
     times = 2459866.2 + np.array([0.0, 0.1, 0.2])
     said = re.search(r"LST ([\d.]+) to ([\d.]+) h", job_from_data([write(times=times)]))

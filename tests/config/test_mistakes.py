@@ -233,26 +233,3 @@ def test_unknown_effect_is_told_all_that_are_known(tmp_path: Path) -> None:
 def test_a_misspelt_key_comes_before_what_is_missing_for_it(tmp_path: Path) -> None:
     said = complaint("[data]\nfile = ['a.uvh5']", tmp_path)
     assert said == "[data] file: unknown key; did you mean 'files'?"
-
-
-@pytest.mark.parametrize(
-    ("content", "expected"),
-    [
-        (b"[data]\nfiles = [", "is not a TOML file (Invalid value (at end of document)); mend that line"),
-        (b"seed = 1\nseed = 2\n", "is not a TOML file (Cannot overwrite a value (at line 2, column 9)); mend"),
-        (b"\xff\xfe", "is not a TOML file ("),
-    ],
-)
-def test_not_toml(content: bytes, expected: str, tmp_path: Path) -> None:
-    path = tmp_path / "job.toml"
-    path.write_bytes(content)
-    with pytest.raises(InputError) as raised:
-        load_job(path)
-    assert str(raised.value).startswith(f"{path}: {expected}")
-
-
-def test_no_file(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"none.toml: cannot be read \(No such file or directory\); check the path"):
-        load_job(tmp_path / "none.toml")
-    with pytest.raises(InputError, match=r"cannot be read \(Is a directory\)"):
-        load_job(tmp_path)

@@ -1,0 +1,29 @@
+"""The job file that a command names, read before anything that takes seconds is imported."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hydrabeam_mpi.config import Job, load_job
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.mpi import Comm, together
+
+
+def load(world: Comm, path: Path, needs_simulation: bool = False) -> Job:
+    """Read the job on rank 0 and share it.
+
+    Collective: all ranks of `world`.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if the job cannot be used, or simulates nothing where it ``needs_simulation``.
+    """
+    job = None
+    with together(world):
+        if world.rank == 0:
+            job = load_job(path)
+            if needs_simulation and job.data.simulate is None:
+                remedy = "add it, see jobs/paper/job.toml"
+                raise InputError("is missing", file=path, field="[data.simulate]", remedy=remedy)
+    return world.bcast(job)
