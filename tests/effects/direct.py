@@ -7,8 +7,11 @@ from collections.abc import Callable
 import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.effects.base import Effect
 from hydrabeam_mpi.effects.scene import Scene
+from hydrabeam_mpi.model.positions import enu
 
+C = 299792458.0
 BeamOfDirection = Callable[[FloatArray], FloatArray]
 
 
@@ -53,8 +56,23 @@ def visibilities(
         directions = turn(unit_vectors(scene, itime), itime)
         for row, vector in enumerate(vectors):
             seen = common(directions) if beam is None else beam(directions, row)
-            phase = 2 * np.pi * scene.freq / 299792458.0 * (vector @ directions)
+            phase = 2 * np.pi * scene.freq / C * (vector @ directions)
             rows[t, row] = 0.5 * np.sum(flux * seen * np.exp(1j * phase))
+    return rows
+
+
+def seen_by_the_beam(effect: Effect, scene: Scene, x: FloatArray) -> ComplexArray:
+    """Sum over the sources with what the effect makes of their fluxes, and over those that it adds."""
+    rows = np.empty(scene.shape, dtype=complex)
+    for t, itime in enumerate(scene.times.tolist()):
+        sources = scene.sources(itime)
+        flux = sources.flux * effect.sky_factor(scene.experiment, sources, x)
+        parts = [(sources.za, sources.az, flux)]
+        if (extra := effect.extra_sky(scene, itime, x)) is not None:
+            parts.append(extra)
+        za, az, flux = (np.concatenate(part) for part in zip(*parts, strict=True))
+        fringes = np.exp(2j * np.pi * scene.freq / C * (row_vectors(scene) @ enu(za, az)))
+        rows[t] = 0.5 * fringes @ (flux * scene.beam(za, az))
     return rows
 
 

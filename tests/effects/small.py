@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from hydrabeam_mpi.config.sections import Array, Simulate
-from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.data.redundancy import find_redundant_groups
 from hydrabeam_mpi.effects.base import Effect
 from hydrabeam_mpi.effects.experiment import Experiment
@@ -67,6 +67,15 @@ def small_scene(experiment: Experiment, channel: int = 0, sky: Sky | None = None
     return scene
 
 
+def part_of(scene: Scene, times: IntArray, bls: IntArray) -> Scene:
+    """Some of a scene's times and baselines, numbered within it."""
+    groups, member = np.unique(scene.groups[scene.member[bls]], return_inverse=True)
+    rows = {name: getattr(scene, name)[np.ix_(times, bls)] for name in ("weights", "residual", "vis")}
+    some = replace(scene, times=scene.times[times], bls=scene.bls[bls], groups=groups, member=member, **rows)
+    some.integrals = {}
+    return some
+
+
 def with_effect(effect: Effect, scene: Scene, x: FloatArray) -> np.ndarray:
     """Return the model of the data with the effect, C (A b + E), (Ntimes, Nbls); ``scene.vis`` is A b."""
     return effect.factor(scene, x) * (scene.vis + effect.added(scene, x))
@@ -97,15 +106,6 @@ def check_derivative(effect: Effect, scene: Scene, x: FloatArray, step: float = 
         numerical = (with_effect(effect, scene, x + nudge) - with_effect(effect, scene, x - nudge)) / (2 * step * scale)
         largest = max(np.abs(numerical).max(), np.abs(matrix[..., p]).max(), 1e-300)
         np.testing.assert_allclose(matrix[..., p], numerical, rtol=0, atol=rtol * largest, err_msg=parameters.names[p])
-
-
-def check_zero_is_nothing(effect: Effect, scene: Scene) -> None:
-    """Without strength the effect changes nothing."""
-    scene.integrate_for([effect])
-    nothing = np.zeros(len(effect.parameters(scene.experiment)))
-    np.testing.assert_allclose(
-        with_effect(effect, scene, nothing), scene.vis, rtol=0, atol=1e-12 * np.abs(scene.vis).max()
-    )
 
 
 def check_adjoint(effect: Effect, scene: Scene, x: FloatArray) -> None:

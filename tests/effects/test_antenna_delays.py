@@ -1,32 +1,10 @@
-from dataclasses import replace
-
 import numpy as np
 
 from hydrabeam_mpi.effects.antenna_delays import AntennaDelays
 from hydrabeam_mpi.random import complex_normal, generator
-from tests.effects.small import (
-    check_adjoint,
-    check_derivative,
-    check_recovery,
-    check_zero_is_nothing,
-    matrix_at,
-    small_experiment,
-    small_scene,
-    with_effect,
-)
+from tests.effects.small import matrix_at, small_experiment, small_scene, with_effect
 
 C = 299792458.0
-
-
-def test_contract() -> None:
-    experiment = small_experiment()
-    scene = small_scene(experiment)
-    effect = AntennaDelays()
-    x = effect.draw(experiment, generator(1, "delays"), 0.3)
-    check_zero_is_nothing(effect, scene)
-    check_derivative(effect, scene, x)
-    check_adjoint(effect, scene, x)
-    check_recovery(effect, scene, x, sigma=0.01 * float(np.abs(scene.vis).max()))
 
 
 def test_delay_makes_up_for_the_way_to_the_source() -> None:
@@ -66,10 +44,3 @@ def test_one_law_for_all_channels() -> None:
     error = (x - x.mean()) - (truth - truth.mean())
     assert np.sqrt(error @ fisher @ error / (n - 1)) < 2.5
     assert np.abs(error).max() < 0.05
-
-
-def test_one_channel_is_refused() -> None:
-    experiment = small_experiment()
-    assert AntennaDelays().refusal(experiment) is None
-    one = replace(experiment, observation=replace(experiment.observation, freqs=experiment.observation.freqs[:1]))
-    assert AntennaDelays().refusal(one) == "a delay needs several channels; with one it is a gain phase"

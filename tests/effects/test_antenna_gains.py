@@ -2,25 +2,7 @@ import numpy as np
 
 from hydrabeam_mpi.effects.antenna_gains import AntennaGains
 from hydrabeam_mpi.random import generator
-from tests.effects.small import (
-    check_adjoint,
-    check_derivative,
-    check_recovery,
-    check_zero_is_nothing,
-    small_experiment,
-    small_scene,
-)
-
-
-def test_contract() -> None:
-    experiment = small_experiment()
-    scene = small_scene(experiment)
-    effect = AntennaGains()
-    x = effect.draw(experiment, generator(1, "gains"), 0.2)
-    check_zero_is_nothing(effect, scene)
-    check_derivative(effect, scene, x)
-    check_adjoint(effect, scene, x)
-    check_recovery(effect, scene, x, sigma=0.01 * float(np.abs(scene.vis).max()))
+from tests.effects.small import small_experiment, small_scene
 
 
 def test_flipped_baselines_are_conjugated() -> None:

@@ -5,30 +5,7 @@ from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.antenna_pointing import AntennaPointing
 from hydrabeam_mpi.random import generator
 from tests.effects.direct import assert_same, of_direction, visibilities
-from tests.effects.small import (
-    check_adjoint,
-    check_derivative,
-    check_recovery,
-    check_zero_is_nothing,
-    small_experiment,
-    small_scene,
-    with_effect,
-)
-
-
-def test_contract() -> None:
-    experiment = small_experiment()
-    scene = small_scene(experiment)
-    effect = AntennaPointing()
-    x = effect.draw(experiment, generator(1, "pointing"), 5.0)
-    x[2:4] = 0  # an antenna that points well among others
-    check_zero_is_nothing(effect, scene)
-    check_derivative(effect, scene, np.zeros(len(x)), step=1e-2)
-    # The mean of two power beams moves as their product does where both are tilted alike.
-    check_derivative(effect, scene, np.tile([0.5, -0.3], 7), step=1e-2)
-    check_derivative(effect, scene, np.tile([10.0, 4.0], 7), step=1e-2)
-    check_adjoint(effect, scene, x)
-    check_recovery(effect, scene, x, sigma=0.003 * float(np.abs(scene.vis).max()))
+from tests.effects.small import small_experiment, small_scene, with_effect
 
 
 @pytest.mark.parametrize("towards", [0, 1])

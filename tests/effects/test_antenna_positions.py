@@ -5,27 +5,7 @@ import numpy as np
 from hydrabeam_mpi.effects.antenna_positions import AntennaPositions
 from hydrabeam_mpi.random import generator
 from tests.effects.direct import assert_same, row_vectors, visibilities
-from tests.effects.small import (
-    check_adjoint,
-    check_derivative,
-    check_recovery,
-    check_zero_is_nothing,
-    small_experiment,
-    small_scene,
-    with_effect,
-)
-
-
-def test_contract() -> None:
-    experiment = small_experiment()
-    scene = small_scene(experiment)
-    effect = AntennaPositions()
-    x = effect.draw(experiment, generator(1, "positions"), 2.0)
-    check_zero_is_nothing(effect, scene)
-    check_derivative(effect, scene, np.zeros(len(x)), step=1e-4)
-    check_derivative(effect, scene, x, step=1e-4)
-    check_adjoint(effect, scene, x)
-    check_recovery(effect, scene, 0.5 * x, sigma=0.01 * float(np.abs(scene.vis).max()))
+from tests.effects.small import check_derivative, small_experiment, small_scene, with_effect
 
 
 def test_one_antenna_among_many() -> None:
@@ -62,15 +42,3 @@ def test_a_common_shift_changes_nothing() -> None:
     scene.integrate_for([effect])
     # A power of two, so that differences cancel to the last digit.
     assert not effect.added(scene, np.tile([0.5, 0.25, 0.125], 7)).any()
-
-
-def test_complex_beams_are_refused() -> None:
-    reason = AntennaPositions().refusal(replace_pol("en"))
-    assert reason is not None
-    assert "'en'" in reason
-    assert AntennaPositions().refusal(replace_pol("nn")) is None
-
-
-def replace_pol(pol: str):
-    experiment = small_experiment()
-    return replace(experiment, observation=replace(experiment.observation, pols=(pol,)))

@@ -8,15 +8,7 @@ from hydrabeam_mpi.effects.beam_visibilities import beam_visibilities
 from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.random import complex_normal, generator
-from tests.effects.scanned import check_description, check_scan
-from tests.effects.small import (
-    check_adjoint,
-    check_derivative,
-    check_recovery,
-    check_zero_is_nothing,
-    small_experiment,
-    small_scene,
-)
+from tests.effects.small import small_experiment, small_scene
 
 
 @pytest.fixture(scope="module")
@@ -27,15 +19,6 @@ def experiment() -> Experiment:
 @pytest.fixture
 def scene(experiment: Experiment) -> Scene:
     return small_scene(experiment)
-
-
-def test_contract(experiment: Experiment, scene: Scene) -> None:
-    effect = AutoCoupling().at(experiment, np.array([13, 2, 7]))
-    x = effect.draw(experiment, generator(1, "auto"), 5.0)
-    check_zero_is_nothing(effect, scene)
-    check_derivative(effect, scene, x)
-    check_adjoint(effect, scene, x)
-    check_recovery(effect, scene, x, sigma=0.1 * float(np.abs(effect.added(scene, x)).max()))
 
 
 def test_known_truth(experiment: Experiment, scene: Scene) -> None:
@@ -65,11 +48,6 @@ def test_known_truth(experiment: Experiment, scene: Scene) -> None:
         np.testing.assert_allclose(added[:, bl], np.conj(eps[i, j]) * autos + eps[j, i] * autos, rtol=1e-10)
 
 
-def test_scan(experiment: Experiment, scene: Scene) -> None:
-    check_scan(AutoCoupling(), scene, np.array([20, 3, 11]))
-    check_description(AutoCoupling(), scene, np.array([4, 17]))
-
-
 def test_autocorrelations_follow_the_beam(scene: Scene) -> None:
     """They are integrated once, and again for another beam or other times."""
     zero = np.zeros((1, 3))
@@ -80,13 +58,3 @@ def test_autocorrelations_follow_the_beam(scene: Scene) -> None:
     scene.beam = lambda za, az: 2 * old(za, az)
     np.testing.assert_allclose(beam_visibilities(scene, zero), 2 * first, rtol=1e-12)
     assert beam_visibilities(replace(scene, times=scene.times[:0]), zero).shape == (0, 1)
-
-
-def test_refusal(experiment: Experiment) -> None:
-    assert AutoCoupling().refusal(experiment) is None
-    one_time = AutoCoupling().refusal(replace(experiment, times=np.arange(1)))
-    crossed = AutoCoupling().refusal(replace(experiment, observation=replace(experiment.observation, pols=("en",))))
-    assert one_time is not None
-    assert "several times" in one_time
-    assert crossed is not None
-    assert "equal feeds" in crossed

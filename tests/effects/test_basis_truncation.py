@@ -13,15 +13,7 @@ from hydrabeam_mpi.model.zernike import Zernike
 from hydrabeam_mpi.random import generator
 from hydrabeam_mpi.tables import embedded_beam
 from tests.effects.direct import assert_same, visibilities
-from tests.effects.small import (
-    check_adjoint,
-    check_derivative,
-    check_recovery,
-    check_zero_is_nothing,
-    small_experiment,
-    small_scene,
-    with_effect,
-)
+from tests.effects.small import small_experiment, small_scene, with_effect
 
 EDGE = np.deg2rad(92)
 
@@ -37,18 +29,6 @@ BASES = {
     "complex": FourierBessel.full(4, 3, form="complex", edge=EDGE, boundary="dirichlet"),
     "zernike": Zernike(6, EDGE),
 }
-
-
-@pytest.mark.parametrize("basis", BASES.values(), ids=BASES)
-def test_contract(basis) -> None:
-    experiment = with_basis(basis)
-    scene = small_scene(experiment)
-    effect = BasisTruncation()
-    x = effect.draw(experiment, generator(1, "truncation"), 1.0)
-    check_zero_is_nothing(effect, scene)
-    check_derivative(effect, scene, x, step=1e-2)
-    check_adjoint(effect, scene, x)
-    check_recovery(effect, scene, x, sigma=0.001 * float(np.abs(scene.vis).max()))
 
 
 @pytest.mark.parametrize("basis", BASES.values(), ids=BASES)

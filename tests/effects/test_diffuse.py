@@ -13,27 +13,7 @@ from hydrabeam_mpi.model.fringes import C_M_PER_S
 from hydrabeam_mpi.model.positions import ApparentPositions, RotatedPositions
 from hydrabeam_mpi.model.sky import Sky
 from hydrabeam_mpi.random import generator
-from tests.effects.small import (
-    check_adjoint,
-    check_derivative,
-    check_recovery,
-    check_zero_is_nothing,
-    small_experiment,
-    small_scene,
-)
-
-
-def test_contract() -> None:
-    experiment = small_experiment()
-    scene = small_scene(experiment)
-    effect = Diffuse()
-    x = effect.draw(experiment, generator(1, "diffuse"), 1.0)
-    assert len(x) == 49
-    check_zero_is_nothing(effect, scene)
-    check_derivative(effect, scene, x)
-    check_adjoint(effect, scene, x)
-    sigma = 1e-3 * float(np.abs(effect.added(scene, x)).max())
-    check_recovery(effect, scene, x, sigma=sigma)
+from tests.effects.small import small_experiment, small_scene
 
 
 def complex_harmonics(l_max: int, z: FloatArray, azimuth: FloatArray) -> FloatArray:

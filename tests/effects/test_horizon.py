@@ -4,20 +4,12 @@ import numpy as np
 import pytest
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
-from hydrabeam_mpi.effects.catalogue import make_effect
 from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.horizon import AT_MOST, HEIGHTS, LENGTHS, SECTORS, STARTS, STRIPS, Horizon
 from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.model.positions import RotatedPositions, SourcePositions
 from hydrabeam_mpi.random import complex_normal, generator
-from tests.effects.small import (
-    check_adjoint,
-    check_derivative,
-    check_recovery,
-    check_zero_is_nothing,
-    small_experiment,
-    small_scene,
-)
+from tests.effects.small import small_experiment, small_scene
 
 
 def wide_scene(n_sources: int = 1000) -> tuple[Experiment, Scene]:
@@ -38,22 +30,6 @@ def opaque(effect: Horizon, experiment: Experiment) -> FloatArray:
     return np.where(effect.parameters(experiment).refined, 0.0, -1.0)
 
 
-def test_contract() -> None:
-    experiment, scene = wide_scene()
-    walls = [number_of(60, 120, 6), number_of(300, 390, 3), number_of(180, 270, 9)]
-    effect = Horizon().at(experiment, np.array(walls))
-    assert len(effect.walls) == 3
-    rng = generator(1, "horizon")
-    x = effect.draw(experiment, rng, 0.3) + 0.1 * rng.standard_normal(len(effect.parameters(experiment)))
-    check_zero_is_nothing(effect, scene)
-    # Linear, so that no step is too long, and faint strips need long ones.
-    check_derivative(effect, scene, x, step=1e-2)
-    check_adjoint(effect, scene, x)
-    one = Horizon().at(experiment, np.array(walls[:1]))
-    x = one.draw(experiment, rng, 0.7)
-    check_recovery(one, scene, x, sigma=0.01 * float(np.abs(one.added(scene, x)).max()))
-
-
 def test_walls_are_elements_and_bring_their_rims() -> None:
     experiment, _ = wide_scene()
     effect = Horizon().at(experiment, np.array([number_of(60, 120, 6), number_of(0, 360, 2)]))
@@ -64,9 +40,6 @@ def test_walls_are_elements_and_bring_their_rims() -> None:
     assert np.bincount(parameters.element).tolist() == [1 + 6 * STRIPS, 1 + 2 * STRIPS]
     assert parameters.refined.tolist() == [False] * 2 + [True] * (8 * STRIPS)
     assert parameters.trials == effect.n_hypotheses(experiment) == (SECTORS * (SECTORS - 1) + 1) * HEIGHTS
-    again = make_effect("horizon", effect.describe())
-    assert again.parameters(experiment).names == parameters.names
-    assert len(Horizon().parameters(experiment)) == 0
 
 
 def test_no_more_is_lost_than_there_is() -> None:

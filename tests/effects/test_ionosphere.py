@@ -5,32 +5,8 @@ import pytest
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.ionosphere import Ionosphere
-from hydrabeam_mpi.random import generator
 from tests.effects.direct import assert_same, visibilities
-from tests.effects.small import (
-    check_adjoint,
-    check_derivative,
-    check_recovery,
-    check_zero_is_nothing,
-    small_experiment,
-    small_scene,
-    with_effect,
-)
-
-
-def test_contract() -> None:
-    experiment = small_experiment()
-    effect = Ionosphere()
-    x = effect.draw(experiment, generator(1, "ionosphere"), 3.0)
-    x[4:6] = 0  # a quiet time among others
-    # The slope of a beam is a central difference over 1e-4 rad, 1.5e-5 off at the higher frequency.
-    for channel, rtol in ((0, 1e-5), (1, 2e-5)):
-        scene = small_scene(experiment, channel)
-        check_zero_is_nothing(effect, scene)
-        for shifts in (np.zeros(len(x)), x, 60 * x):  # up to degrees
-            check_derivative(effect, scene, shifts, step=1e-2, rtol=rtol)
-        check_adjoint(effect, scene, x)
-        check_recovery(effect, scene, x, sigma=0.001 * float(np.abs(scene.vis).max()))
+from tests.effects.small import small_experiment, small_scene, with_effect
 
 
 @pytest.mark.parametrize("towards", [0, 1])

@@ -1,4 +1,3 @@
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -10,14 +9,7 @@ from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.mutual_coupling import MutualCoupling, find_shells
 from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.random import generator
-from tests.effects.small import (
-    check_adjoint,
-    check_derivative,
-    check_recovery,
-    check_zero_is_nothing,
-    small_experiment,
-    small_scene,
-)
+from tests.effects.small import small_experiment, small_scene
 
 C = 299792458.0
 
@@ -80,15 +72,6 @@ SHELLS = {14.6: 1e-3 - 2e-3j, 14.6 * 3**0.5: 5e-4 + 1e-3j, 29.2: -7e-4j}
 X = np.array([1e-3, -2e-3, 5e-4, 1e-3, 0.0, -7e-4])
 
 
-def test_contract(experiment: Experiment, scene: Scene) -> None:
-    effect = MutualCoupling()
-    x = effect.draw(experiment, generator(1, "mutual"), 3.0)
-    check_zero_is_nothing(effect, scene)
-    check_derivative(effect, scene, x)
-    check_adjoint(effect, scene, x)
-    check_recovery(effect, scene, x, sigma=0.1 * float(np.abs(effect.added(scene, x)).max()))
-
-
 def test_known_truth(experiment: Experiment, scene: Scene) -> None:
     """Voltages source by source, coupled pair by pair."""
     effect = MutualCoupling()
@@ -97,14 +80,6 @@ def test_known_truth(experiment: Experiment, scene: Scene) -> None:
     assert len(names) == 6
     changes = coupled(scene, couplings_by_hand(experiment, scene.freq, SHELLS))
     as_measured(scene, effect.added(scene, X), changes)
-
-
-def test_some_baselines_of_the_scene(experiment: Experiment, scene: Scene) -> None:
-    """A few of the baselines have what they have among all."""
-    bls = np.array([3, 11, 17])
-    groups, member = np.unique(experiment.redundant.group[bls], return_inverse=True)
-    part = replace(scene, bls=bls, groups=groups, member=member, vis=scene.vis[:, bls])
-    np.testing.assert_allclose(MutualCoupling().added(part, X), MutualCoupling().added(scene, X)[:, bls], rtol=1e-9)
 
 
 def test_baselines_that_the_data_lack(experiment: Experiment) -> None:
@@ -183,15 +158,3 @@ def test_shells() -> None:
     shells = find_shells(positions, 3)
     assert [len(distances) for _, _, distances in shells] == [4, 2]
     np.testing.assert_allclose(shells[0][2], [10.0, 10.0, 10.1, 10.1])
-
-
-def test_description(experiment: Experiment) -> None:
-    effect = MutualCoupling(**json.loads(json.dumps(MutualCoupling(2).describe())))
-    assert len(effect.parameters(experiment)) == 4
-
-
-def test_refusal(experiment: Experiment) -> None:
-    assert MutualCoupling().refusal(experiment) is None
-    refusal = MutualCoupling().refusal(replace(experiment, observation=replace(experiment.observation, pols=("en",))))
-    assert refusal is not None
-    assert "equal feeds" in refusal

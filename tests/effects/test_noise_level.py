@@ -136,20 +136,6 @@ def test_shares_by_baseline() -> None:
     assert told.log_bayes_factor < 4
 
 
-def test_sums_are_additive() -> None:
-    effect, scene = NoiseLevel(), scenes()[0]
-    z = scene.residual * np.sqrt(scene.weights)
-    whole, parts = effect.sums(scene, z), []
-    for chosen in (scene.groups[:4], scene.groups[4:]):
-        mine = np.flatnonzero(np.isin(scene.groups[scene.member], chosen))
-        for times in (slice(0, 13), slice(13, None)):
-            groups, member = np.unique(scene.groups[scene.member[mine]], return_inverse=True)
-            rows = {name: getattr(scene, name)[times][:, mine] for name in ("weights", "residual", "vis")}
-            part = replace(scene, times=scene.times[times], bls=mine, groups=groups, member=member, **rows)
-            parts.append(effect.sums(part, z[times][:, mine]))
-    np.testing.assert_allclose(np.sum(parts, axis=0), whole, rtol=1e-10, atol=1e-8)
-
-
 def gains(scene: Scene, rng: np.random.Generator) -> np.ndarray:
     x = AntennaGains().draw(EXPERIMENT, rng, 0.05)
     return (AntennaGains().factor(scene, x) - 1) * scene.vis
@@ -194,5 +180,3 @@ def test_drawn_scales_are_as_strong_as_asked() -> None:
     assert draws.shape == (400, 1)
     assert draws.min() >= 1
     assert np.sqrt(np.mean((draws - 1) ** 2)) == pytest.approx(0.2, rel=0.15)
-    scene = scenes()[0]
-    np.testing.assert_array_equal(NoiseLevel().inject(scene.residual, scene, np.ones(1), rng), scene.residual)

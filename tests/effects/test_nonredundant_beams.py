@@ -7,27 +7,7 @@ from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.nonredundant_beams import MODES, NonredundantBeams
 from hydrabeam_mpi.random import generator
 from tests.effects.direct import visibilities
-from tests.effects.small import (
-    check_adjoint,
-    check_derivative,
-    check_recovery,
-    check_zero_is_nothing,
-    small_experiment,
-    small_scene,
-    with_effect,
-)
-
-
-def test_contract() -> None:
-    experiment = small_experiment()
-    scene = small_scene(experiment)
-    effect = NonredundantBeams()
-    x = effect.draw(experiment, generator(1, "beams"), 1.0)
-    check_zero_is_nothing(effect, scene)
-    # Where beams differ more the columns are the first order of what the products of voltage beams do.
-    check_derivative(effect, scene, np.zeros(len(x)), step=1e-3)
-    check_adjoint(effect, scene, x)
-    check_recovery(effect, scene, 0.2 * x, sigma=0.001 * float(np.abs(scene.vis).max()))
+from tests.effects.small import small_experiment, small_scene, with_effect
 
 
 def gaussian(directions: FloatArray, stretch: FloatArray | None = None) -> FloatArray:

@@ -7,27 +7,7 @@ from hydrabeam_mpi.effects.sources import EARTH_RATE
 from hydrabeam_mpi.effects.timestamp import Timestamp
 from hydrabeam_mpi.model.positions import ApparentPositions, RotatedPositions
 from tests.effects.direct import assert_same, visibilities
-from tests.effects.small import (
-    check_adjoint,
-    check_derivative,
-    check_recovery,
-    check_zero_is_nothing,
-    small_experiment,
-    small_scene,
-    with_effect,
-)
-
-
-def test_contract() -> None:
-    scene = small_scene(small_experiment())
-    effect = Timestamp()
-    check_zero_is_nothing(effect, scene)
-    for seconds in (0.0, 1.3, -240.0):
-        x = np.array([seconds])
-        # A second moves phases by a few 1e-3: the step is as long as rounding asks for.
-        check_derivative(effect, scene, x, step=3e-3)
-        check_adjoint(effect, scene, x)
-        check_recovery(effect, scene, x, sigma=0.01 * float(np.abs(scene.vis).max()))
+from tests.effects.small import small_experiment, small_scene, with_effect
 
 
 def up(scene: Scene, itime: int) -> list[int]:

@@ -1,0 +1,102 @@
+"""Where and how strongly every effect of the catalogue is tried."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any, Literal
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.effects.base import Cause, Effect, ScannedEffect
+from hydrabeam_mpi.effects.catalogue import make_effect
+from hydrabeam_mpi.effects.experiment import Experiment
+from hydrabeam_mpi.effects.scene import Scene
+from hydrabeam_mpi.random import complex_normal, generator
+from tests.effects.small import small_experiment, small_scene
+
+
+@dataclass(frozen=True)
+class Case:
+    """Where an effect is tried, and how strongly; what most effects can do with is the default.
+
+    The columns are the derivative of the change at zero and, where that is ``exact``, at draws of these ``strengths``.
+    ``step`` is that of numerical derivatives, over the parameters' scales. Errors of injected parameters are looked at
+    with noise of ``noise`` times the largest change; without it what one channel tells of them is not enough.
+    """
+
+    settings: dict[str, Any] = field(default_factory=dict)
+    freqs: tuple[float, ...] = (131e6, 151e6)
+    n_times: int = 4
+    n_sources: int = 60
+    channel: int = 0
+    strengths: tuple[float, ...] = (1.0,)
+    exact: Literal["anywhere", "where antennas are alike", "at zero"] = "anywhere"
+    step: float = 1e-5
+    noise: float | None = 0.01
+    scan: tuple[float, float] = (1e-10, 1e-10)
+    """Of what is scanned, by how much the sums of s* r and of |s|^2 may differ from those of the columns s."""
+
+
+MAPS = (2e-3, 2e-3)  # in which the beam is interpolated
+CASES = {
+    "antenna_pointing": Case(strengths=(5.0, 100.0), exact="where antennas are alike", step=1e-2),
+    "antenna_positions": Case(strengths=(1.0,), step=1e-4),
+    "basis_truncation": Case({"n_before": 7}, step=1e-2),
+    "cable_reflections": Case(freqs=tuple(140e6 + 1e6 * np.arange(6.0)), channel=1, strengths=(30.0,), noise=None),
+    "catalogue_flux": Case(scan=MAPS),
+    "diffuse": Case({"l_max": 3}),
+    "horizon": Case(n_sources=1000, strengths=(0.3,), step=1e-2, scan=(1e-10, 0.2)),  # sources taken as orthogonal
+    "ionosphere": Case(strengths=(3.0, 60.0), step=1e-2),  # up to a degree
+    "missing_sources": Case(strengths=(20.0,), scan=MAPS),
+    "mutual_coupling": Case({"n_shells": 2}),
+    "nonredundant_beams": Case(strengths=(0.2,), exact="at zero", step=1e-3),
+    "timestamp": Case(strengths=(1.0, 200.0), step=3e-3),
+}
+
+
+@cache
+def experiment_of(freqs: tuple[float, ...], n_times: int, n_sources: int) -> Experiment:
+    return small_experiment(freqs, n_times, n_sources)
+
+
+def set_up(kind: str, n_sources: int | None = None) -> tuple[Effect, Scene, Case]:
+    """Return an effect, with three candidates where it is scanned, and rows with residuals.
+
+    Some rows are without weight, and so is all of one time.
+    """
+    case = CASES.get(kind, Case())
+    scene = small_scene(experiment_of(case.freqs, case.n_times, n_sources or case.n_sources), case.channel)
+    rng = generator(11, "rows")
+    scene.residual = complex_normal(rng, scene.shape)
+    scene.weights = rng.uniform(0.5, 2.0, scene.shape) * (rng.uniform(size=scene.shape) > 0.2)
+    scene.weights[2] = 0.0
+    effect = make_effect(kind, case.settings)
+    if isinstance(effect, ScannedEffect):
+        effect = effect.at(scene.experiment, candidates(effect, scene))
+    scene.integrate_for([effect])
+    return effect, scene, case
+
+
+def candidates(effect: ScannedEffect, scene: Scene) -> IntArray:
+    """Return three candidates that are far apart, of those that show well."""
+    power = effect.scan(scene)[1].min(axis=1)
+    seen = np.flatnonzero(power > np.median(power[power > 0]))
+    return seen[[len(seen) // 5, len(seen) // 2, -1 - len(seen) // 5]]
+
+
+def draw(effect: Cause, experiment: Experiment, strength: float) -> FloatArray:
+    return effect.draw(experiment, generator(1, "contract", effect.kind), strength)
+
+
+def places(effect: Effect, scene: Scene, case: Case) -> list[FloatArray]:
+    """Return parameters where the columns are the derivative of the exact change; in most one element is not off."""
+    experiment = scene.experiment
+    parameters = effect.parameters(experiment)
+    some = [draw(effect, experiment, strength) for strength in case.strengths]
+    if case.exact == "where antennas are alike":
+        some = [x @ np.linalg.pinv(held) @ held for x in some for held in [effect.undecidable(experiment)]]
+    elif parameters.element.max() > 1:
+        some = [np.where(parameters.element == 1, 0.0, x) for x in some]
+    return [np.zeros(len(parameters)), *(some if case.exact != "at zero" else [])]

@@ -1,0 +1,84 @@
+"""What every change of the weights must satisfy: none comes into the catalogue without it."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+
+from hydrabeam_mpi.effects.catalogue import REWEIGHTINGS, make_reweighting
+from hydrabeam_mpi.effects.scene import Scene
+from hydrabeam_mpi.random import complex_normal, generator
+from tests.effects.cases import experiment_of
+from tests.effects.small import part_of, small_scene
+
+
+def noisy(seed: int = 0) -> Scene:
+    """Rows of noise as large as their weights say, some without weight."""
+    scene = small_scene(experiment_of((131e6, 151e6), 40, 60))
+    rng = generator(seed, "noise")
+    sigma = 0.01 * np.abs(scene.vis).max()
+    scene.residual = sigma * complex_normal(rng, scene.shape)
+    scene.weights = np.where(rng.random(scene.shape) < 0.1, 0.0, sigma**-2)
+    return scene
+
+
+@pytest.mark.parametrize("kind", REWEIGHTINGS)
+def test_neutral_weights_change_nothing(kind: str) -> None:
+    change, scene = make_reweighting(kind, {}), noisy()
+    neutral = change.neutral(scene.experiment)
+    assert max(change.sizes(scene.experiment)) == len(neutral)
+    assert pickle.loads(pickle.dumps(change)).neutral(scene.experiment) == neutral
+    for size in change.sizes(scene.experiment):
+        x = np.array(list(neutral.values())[:size])
+        np.testing.assert_array_equal(change.weight_factor(scene, x), np.ones(scene.shape))
+        injected = change.inject(scene.residual, scene, x, generator(1, "neutral"))
+        np.testing.assert_array_equal(injected, scene.residual)
+
+
+@pytest.mark.parametrize("kind", REWEIGHTINGS)
+def test_reweightings_are_drawn_and_put_into_data_by_a_seed(kind: str) -> None:
+    change, scene = make_reweighting(kind, {}), noisy()
+    x, again, nothing = (change.draw(scene.experiment, generator(1, kind), size) for size in (0.3, 0.3, 0.0))
+    np.testing.assert_array_equal(x, again)
+    assert len(x) in change.sizes(scene.experiment)
+    one, two = (change.inject(scene.residual, scene, x, generator(2, kind)) for _ in range(2))
+    np.testing.assert_array_equal(one, two)
+    changed = one != scene.residual
+    assert changed.any()
+    assert not changed[scene.weights == 0].any()
+    np.testing.assert_array_equal(change.inject(scene.residual, scene, nothing, generator(2, kind)), scene.residual)
+    factor = change.weight_factor(scene, x)
+    assert factor.shape == scene.shape
+    assert np.all((factor >= 0) & np.isfinite(factor))
+
+
+@pytest.mark.parametrize("kind", REWEIGHTINGS)
+def test_sums_of_some_rows_add_up(kind: str) -> None:
+    """Of whole groups of redundant baselines, as ranks have them."""
+    change, scene = make_reweighting(kind, {}), noisy()
+    whole = change.sums(scene, scene.residual * np.sqrt(scene.weights))
+    assert whole.shape == (change.n_sums(scene.experiment),)
+    times, few = np.arange(len(scene.times)), scene.member < 4
+    total = np.zeros_like(whole)
+    for some in (part_of(scene, t, b) for t in np.split(times, [13]) for b in map(np.flatnonzero, (few, ~few))):
+        total += change.sums(some, some.residual * np.sqrt(some.weights))
+    np.testing.assert_allclose(total, whole, rtol=1e-10, atol=1e-8)
+
+
+@pytest.mark.parametrize("taken", ["in all", "of each baseline"])
+@pytest.mark.parametrize("kind", REWEIGHTINGS)
+def test_noise_as_large_as_it_should_be_needs_no_other_weights(kind: str, taken: str) -> None:
+    change, scene = make_reweighting(kind, {}), noisy()
+    experiment = scene.experiment
+    rows = change.sums(scene, scene.residual * np.sqrt(scene.weights))
+    sums = np.array([rows, np.zeros_like(rows)])  # a channel without data beside the other
+    n_freqs, n_bls = experiment.observation.Nfreqs, experiment.observation.Nbls
+    found = change.fit(experiment, sums, np.zeros(n_freqs if taken == "in all" else (n_freqs, n_bls)))
+    assert found.log_bayes_factor < 4
+    assert found.reason is None
+    assert found.x.shape == found.std.shape == (n_freqs, len(found.names))
+    assert len(found.names) == len(found.units) in change.sizes(experiment)
+    assert found.names == tuple(change.neutral(experiment))[: len(found.names)]
+    assert np.all(np.isfinite(found.x) & (found.std >= 0))
