@@ -94,7 +94,7 @@ def _run(world: MPI.Comm, options: argparse.Namespace) -> None:
         # A mistake in the job is told before the packages that the work needs are imported, which takes seconds.
         from hydrabeam_mpi.job_file import load
 
-        job = load(world, options.job, needs_simulation=options.command == "simulate")
+        job = load(world, options.job, options.command == "simulate", options.command == "loop")
         from hydrabeam_mpi import run
         from hydrabeam_mpi.loop.command import close_loop
 

@@ -27,6 +27,7 @@ from hydrabeam_mpi.random import complex_normal
 
 # Bins of |z|^2; the last has no end. Half of the good rows lie above 0.7, and one in 1e10 above 23.
 EDGES: FloatArray = np.concatenate([[0.0], np.geomspace(0.05, 1e12, 241)])
+LOG_EDGES: FloatArray = np.concatenate([[-np.inf], np.log(EDGES[1:])])
 # Rows beyond this stand out; noise has 1.4e-11 of its rows there.
 HIT = 25.0
 # Rows beyond this are counted by baseline; noise has 3e-7 of its rows there.
@@ -160,15 +161,19 @@ def _log_bulk(scale: float) -> FloatArray:
     return np.asarray(-EDGES[:-1] / scale + np.log(-np.expm1(-width / scale)))
 
 
-def _log_broad(scale: float) -> FloatArray:
-    """Return ln probability of each bin for the density S / (S + u)^2."""
-    above = scale / (scale + EDGES[:-1])
-    return np.asarray(np.log(above - np.append(above[1:], 0.0)))
+def log_broad(log_scale: float) -> FloatArray:
+    """Return ln probability of each bin for the density S / (S + u)^2, which is S (b - a) / (S + a) (S + b).
+
+    The logarithms are added: a difference of the probabilities beyond either edge is zero where S is large.
+    """
+    beyond = np.logaddexp(log_scale, LOG_EDGES[:-1])
+    inner = log_scale + np.log(np.diff(EDGES[:-1])) - beyond[:-1] - beyond[1:]
+    return np.append(inner, log_scale - beyond[-1])
 
 
 def _log_likelihood(counts: FloatArray, bulk: float, log_p: float, log_scale: float) -> float:
     """Return ln L of the mixture."""
-    mixed = np.logaddexp(np.log1p(-np.exp(log_p)) + _log_bulk(bulk), log_p + _log_broad(np.exp(log_scale)))
+    mixed = np.logaddexp(np.log1p(-np.exp(log_p)) + _log_bulk(bulk), log_p + log_broad(log_scale))
     return float(counts @ mixed)
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import tomli_w
 
 from hydrabeam_mpi.config import Job
@@ -15,6 +16,7 @@ from hydrabeam_mpi.effects.base import Effect
 from hydrabeam_mpi.effects.catalogue import EFFECTS, REWEIGHTINGS, SEPARATE
 from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.reweighting import Reweighting
+from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.inference import Clock, describe_channels
 from hydrabeam_mpi.io.provenance import provenance
 from hydrabeam_mpi.io.staging import writing
@@ -24,6 +26,7 @@ from hydrabeam_mpi.loop.drift import drifts
 from hydrabeam_mpi.loop.joint import channel_results, find_experiment, read_space, restore
 from hydrabeam_mpi.loop.leakage import check_leakage
 from hydrabeam_mpi.loop.record import make_record
+from hydrabeam_mpi.loop.refit import Space
 from hydrabeam_mpi.loop.rounds import run_rounds
 from hydrabeam_mpi.mpi import (
     Comm,
@@ -73,6 +76,7 @@ def close_loop(world: Comm, job: Job, job_path: Path, out: Path, overwrite: bool
             experiment = bcast_object(world, experiment)
         grid = ProcessGrid.split(world, problem.observation.Nfreqs)
         space = read_space(grid, problem.of_channels(grid.channels), experiment, clock)
+        _check_can_confirm(space)
         with together(world):
             choice = choose(job, experiment)
             state = restore(job, experiment)
@@ -97,6 +101,19 @@ def close_loop(world: Comm, job: Job, job_path: Path, out: Path, overwrite: bool
                     write_result(folder, job, problem, records, about, run)
                     _write_loop(folder, {**record, "seconds": clock.seconds}, amended)
     say(f"wrote {out}", world.rank == 0)
+
+
+def _check_can_confirm(space: Space) -> None:
+    """Make sure that some of the held-out data count. Collective: all ranks of the grid."""
+    counted = space.grid.world.allreduce(np.count_nonzero(space.test.rows.inv_noise_var))
+    with together(space.grid.world):
+        if not counted:
+            raise InputError(
+                "all held-out data are flagged, and only held-out data can confirm what the loop finds",
+                file=space.problem.files[0],
+                field="flag_array",
+                remedy="hold out others ([holdout] of the job), or correct the flags",
+            )
 
 
 def choose(job: Job, experiment: Experiment) -> Choice:

@@ -18,7 +18,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.effects.base import Parameters
@@ -29,6 +28,9 @@ MIN_GAIN = 4.0
 """Nats that a further element must add."""
 RANK_RTOL = 1e-9
 """Eigenvalues of K below this times the largest count as zero."""
+
+ROUNDING = 1e-13
+"""Information relative to that with the beam known, up to which it may be what sums over rows lose by rounding."""
 
 
 @dataclass(frozen=True)
@@ -128,9 +130,13 @@ def find_evidence(
 
 
 def freed(block: Likelihood, combinations: FloatArray) -> Likelihood:
-    """Marginalise combinations of the parameters without a prior."""
+    """Marginalise combinations of the parameters without a prior, as far as the data tell them at all."""
+    present = np.sqrt(combinations**2 @ np.maximum(np.diag(block.signal), 0.0))
+    combinations = combinations[present > 0] / present[present > 0, np.newaxis]
     across = block.information @ combinations.T
-    inverse = np.linalg.pinv(combinations @ across, rcond=RANK_RTOL, hermitian=True)
+    values, vectors = np.linalg.eigh(combinations @ across)
+    told = values > max(ROUNDING, RANK_RTOL * values.max(initial=0.0))
+    inverse = (vectors[:, told] / values[told]) @ vectors[:, told].T
     information = block.information - across @ inverse @ across.T
     return Likelihood(information, block.score - across @ inverse @ (combinations @ block.score), block.signal)
 
@@ -221,11 +227,17 @@ def _element_gains(
 def _condition(
     information: FloatArray, score: FloatArray, chosen: np.ndarray, tau: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Marginalise some parameters with their prior."""
-    corner = cho_factor(information[np.ix_(chosen, chosen)] + np.eye(len(chosen)) / tau**2)
-    across = information[:, chosen]
-    solved = cho_solve(corner, across.T)
-    return information - across @ solved, score - solved.T @ score[chosen]
+    """Marginalise some parameters with their prior.
+
+    Along directions that the data do not tell there is nothing to take: what stands there is left by rounding, has
+    either sign, and would outweigh a wide prior's precision.
+    """
+    values, vectors = np.linalg.eigh(information[np.ix_(chosen, chosen)])
+    told = values > RANK_RTOL * max(values[-1], 0.0)
+    values, vectors = values[told], vectors[:, told]
+    across = information[:, chosen] @ vectors
+    solved = across / (values + 1 / tau**2)
+    return information - solved @ across.T, score - solved @ (vectors.T @ score[chosen])
 
 
 def solve(blocks: Sequence[Likelihood], prior_var: FloatArray) -> tuple[FloatArray, list[FloatArray]]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -30,11 +32,31 @@ def load_loop(directory: Path) -> Entry | None:
         loop = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror})", file=path, remedy=REMEDY) from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"is not JSON ({error})", file=path, remedy=REMEDY) from error
     if not isinstance(loop, dict) or loop.get("verdict") not in VERDICTS:
         raise InputError(f"is none of {', '.join(VERDICTS)}", file=path, field="verdict", remedy=REMEDY)
     return loop
+
+
+@contextmanager
+def as_written(directory: Path) -> Iterator[None]:
+    """Tell of ``loop.json`` whose values are not of the kind that their names say, as of wrong input.
+
+    Any key may be missing or null, and is left out; what stands there in its place may be anything.
+
+    Raises
+    ------
+    InputError
+        If the block raises anything else.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        reason = f"is not as 'hydrabeam loop' writes it ({type(error).__name__}: {error})"
+        raise InputError(reason, file=directory / "loop.json", remedy=REMEDY) from error
 
 
 def entries(record: Entry | None, key: str) -> list[Entry]:

@@ -18,7 +18,7 @@ from hydrabeam_mpi.report.figures import draw_channel, shown_channels
 from hydrabeam_mpi.report.frequencies import draw_frequencies
 from hydrabeam_mpi.report.key_numbers import table, text_table
 from hydrabeam_mpi.report.loop import loop_section
-from hydrabeam_mpi.report.loop_record import Entry, load_loop
+from hydrabeam_mpi.report.loop_record import as_written, load_loop
 from hydrabeam_mpi.report.loop_words import verdict_words
 from hydrabeam_mpi.report.result import Result, load_result
 from hydrabeam_mpi.report.sections import channel_table, finding, key_numbers, provenance, warnings
@@ -45,8 +45,13 @@ def write_report(directory: Path) -> None:
     """
     result, loop = load_result(directory), load_loop(directory)
     contents: dict[Path, bytes] = {}
+    album = _Album(contents, directory / "figures")
+    of_loop = verdict = ""
     with matplotlib.rc_context(STYLE):
-        page = _page(result, loop, _Album(contents, directory / "figures"))
+        if loop is not None:
+            with as_written(directory):
+                of_loop, verdict = loop_section(loop, album.place), verdict_words(loop)
+        page = _page(result, of_loop, album)
     contents[directory / "report.html"] = page.encode()
     for path, content in contents.items():
         _write_whole(path, content)
@@ -54,8 +59,8 @@ def write_report(directory: Path) -> None:
     print(text_table(table(result.numbers, result.name)), end="\n\n")
     for remark in remarks(result):
         print(f"Note: {remark}")
-    if loop is not None:
-        print(verdict_words(loop))
+    if verdict:
+        print(verdict)
     print(f"Report: {directory / 'report.html'}")
 
 
@@ -95,12 +100,12 @@ class _Album:
         )
 
 
-def _page(result: Result, loop: Entry | None, album: _Album) -> str:
+def _page(result: Result, of_loop: str, album: _Album) -> str:
     style = files("hydrabeam_mpi.report").joinpath("page.css").read_text(encoding="utf-8")
     title = f"Beam posterior: {result.name}"
     body = [
         f"<h1>{escape(title)}</h1>\n<p>{escape(introduction(result))}</p>\n",
-        f"{loop_section(loop, album.place)}<h2>The beam of the amended model</h2>\n" if loop else "",
+        f"{of_loop}<h2>The beam of the amended model</h2>\n" if of_loop else "",
         finding(result.channels[0]) if len(result.channels) == 1 else "",
         warnings(result),
         key_numbers(result),

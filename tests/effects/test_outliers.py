@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydrabeam_mpi.effects.outliers import Outliers
+from hydrabeam_mpi.effects.outliers import Outliers, log_broad
 from hydrabeam_mpi.effects.reweighting import ReweightingFit
 from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.random import complex_normal, generator
@@ -140,3 +140,18 @@ def test_drawn_bursts_are_few() -> None:
     changed = Outliers().inject(scene.residual, scene, x, rng) != scene.residual
     assert np.mean(changed[scene.weights > 0]) == pytest.approx(0.01, abs=0.01)
     assert not changed[scene.weights == 0].any()
+
+
+@pytest.mark.parametrize("log_scale", [-5.0, 0.0, 10.0, 40.0, 800.0])
+def test_bursts_of_any_scale_have_a_density(log_scale: float) -> None:
+    """Which no difference of probabilities gives where the scale is far beyond most bins."""
+    log_p = log_broad(log_scale)
+    assert np.all(np.isfinite(log_p))
+    assert np.exp(log_p).sum() == pytest.approx(1.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("size", [1e-9, 1.0, 1e6, 1e20, 1e150])
+def test_residuals_of_any_size_are_weighed(size: float) -> None:
+    found = fit(scenes(scale=size))
+    assert np.isfinite(found.log_bayes_factor)
+    assert np.all(np.isfinite(found.x))

@@ -241,6 +241,37 @@ def test_a_broken_convention_is_named_and_nothing_fitted(explained: Path, tmp_pa
     assert load_job(tmp_path / "result" / "amended.toml").effects == ()
 
 
+def test_a_loop_that_holds_nothing_out_is_refused(
+    comm: MPI.Comm, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    job = mock_job()
+    job["holdout"] = {"kind": "none"}
+    path = write_job(job, tmp_path)
+    assert main(["loop", str(path), "-o", str(tmp_path / "result")]) == 2
+    assert f"{path}: [holdout] kind: keeps no data from the fit" in refusal(capfd, comm)
+    assert [*tmp_path.iterdir()] == [path]
+
+
+def test_held_out_data_that_are_all_flagged_are_refused(
+    explained: Path, comm: MPI.Comm, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    uv = UVData.from_file(explained / "data.uvh5")
+    held = np.unique(uv.time_array)[2::3]
+    uv.flag_array[np.isin(uv.time_array, held)] = True
+    uv.write_uvh5(tmp_path / "flagged.uvh5")
+    job = mock_job(data={"files": [str(tmp_path / "flagged.uvh5")]})
+    del job["data"]["simulate"]
+    assert main(["loop", str(write_job(job, tmp_path)), "-o", str(tmp_path / "result")]) == 2
+    assert f"{tmp_path / 'flagged.uvh5'}: flag_array: all held-out data are flagged" in refusal(capfd, comm)
+
+
+def test_one_baseline_with_a_flat_prior(explained: Path, tmp_path: Path) -> None:
+    """Which tells next to nothing, and no error of its antennas' places along with it."""
+    job = mock_job(prior={"kind": "flat"}, basis={"n_modes": 4, "k_max": 4}, loop={"effects": ["antenna_positions"]})
+    job["data"] = {"files": [str(explained / "data.uvh5")], "antpairs": [[0, 1]]}
+    assert record_of(run_loop(job, tmp_path))["last_ranking"][0]["effect"] == "antenna_positions"
+
+
 ENTRY = {
     "kind": "antenna_gains",
     "names": ["antenna 2 ln amplitude", "antenna 2 phase"],

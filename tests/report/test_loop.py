@@ -210,12 +210,31 @@ def test_large_numbers_fit() -> None:
     assert len(drawings) == 4 + 8
 
 
-@pytest.mark.parametrize("text", ["{", "[1]", '{"verdict": "perhaps"}', "{}"])
+@pytest.mark.parametrize("text", ["{", "[1]", '{"verdict": "perhaps"}', "{}", "[" * 100_000])
 def test_a_loop_that_is_none(text: str, paper: Path, edited: Edit) -> None:
     folder = edited(paper, lambda summary: None)
     (folder / "loop.json").write_text(text)
     with pytest.raises(InputError, match=r"loop\.json"):
         write_report(folder)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"verdict": ["explained"]},
+        {"rounds": 5},
+        {"conventions": "none"},
+        {"residual": {"axes": [1], "overall": "x"}},
+    ],
+)
+def test_damaged_values_are_told_in_one_line(damage: dict[str, Any], paper: Path, edited: Edit) -> None:
+    folder = edited(paper, lambda summary: None)
+    drop_arrays(folder, *BULK)
+    (folder / "loop.json").write_text(json.dumps(loops.unexplained() | damage))
+    before = sorted(folder.rglob("*"))
+    with pytest.raises(InputError, match=r"loop\.json: .*; run 'hydrabeam loop' again"):
+        write_report(folder)
+    assert sorted(folder.rglob("*")) == before
 
 
 def test_what_explains_more_than_any_effect_is_told() -> None:
