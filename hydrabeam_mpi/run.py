@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -173,8 +173,9 @@ def write_result(
     records: list[ChannelRecord],
     about: dict[str, Any],
     run: dict[str, Any],
+    warnings: Sequence[str] = (),
 ) -> None:
-    """Write the posterior, the MAP beam, the summary and the provenance."""
+    """Write the posterior, the MAP beam, the summary with further ``warnings`` first, and the provenance."""
     observation = problem.observation
     content = PosteriorFile(problem.basis.describe(), about, observation.pols[0], GRID_ZA, GRID_AZ, records)
     write_posterior(folder / "posterior.h5", content)
@@ -200,7 +201,7 @@ def write_result(
         **channels[0],
         **common,
         "channels": channels,
-        "warnings": [*problem.cautions, *warnings_of(channels)],
+        "warnings": [*warnings, *problem.cautions, *warnings_of(channels)],
     }
     (folder / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
     write_job_and_provenance(folder, job, about)

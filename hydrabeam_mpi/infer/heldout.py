@@ -69,7 +69,12 @@ class HeldoutStatistics:
             self.largest[row] = max(self.largest[row], float(np.abs(scores).max()))
 
     def summary(self) -> dict[str, float]:
-        """Return the numbers that ``summary.json`` shows; empty where nothing was held out."""
+        """Return the numbers that ``summary.json`` shows; empty where nothing was held out.
+
+        ``heldout_chi2_predictive`` is the mean of z^2 under the posterior predictive, whose variance is that of noise
+        and beam: one where the posterior is right. ``heldout_chi2_noise_only`` divides the same residuals by the noise
+        alone, and is above one by what the data leave uncertain of the beam; ``heldout_chi2`` is its older name.
+        """
         n, z, z2, log_density, z_before, z2_before, *products = self.sums.tolist()
         if not n:
             return {}
@@ -81,6 +86,8 @@ class HeldoutStatistics:
             "ppd_z_max": float(self.largest[0]),
             "ppd_z_std_unperturbed": _std(n, z_before, z2_before),
             "ppd_z_max_unperturbed": float(self.largest[1]),
+            "heldout_chi2_predictive": z2 / n,
+            "heldout_chi2_noise_only": 2 * after / n,
             "heldout_log_density": log_density,
             "heldout_n": n / 2,
             "heldout_rms_jy_data": float(np.sqrt(power / weight)),

@@ -98,7 +98,7 @@ def close_loop(world: Comm, job: Job, job_path: Path, out: Path, overwrite: bool
                 run = {"phases_s": clock.seconds, "peak_rss_mb": memory}
                 amended = amended_job(job, course.last.state, experiment)
                 with writing(folder):
-                    write_result(folder, job, problem, records, about, run)
+                    write_result(folder, job, problem, records, about, run, record["warnings"])
                     _write_loop(folder, {**record, "seconds": clock.seconds}, amended)
     say(f"wrote {out}", world.rank == 0)
 

@@ -71,7 +71,9 @@ def make_record(
         rounds = [_convention(course, conventions)]
     last, foreign = remains[-1], _foreign(course)
     verdict = "unexplained"
-    if (last.consistent and foreign is None) or conventions["found"]:
+    if conventions["found"]:
+        verdict = "convention"
+    elif last.consistent and foreign is None:
         verdict = "explained" if rounds else "consistent"
     unexplained = verdict == "unexplained"
     record: dict[str, Any] = {
@@ -84,6 +86,7 @@ def make_record(
             *(one["sentence"] for one in rounds),
             say_verdict(verdict, course.last.blocks.chi2, last.where, foreign),
         ],
+        "warnings": [_warning_of(conventions)] if conventions["found"] else [],
         "foreign": foreign,
         "rounds": rounds,
         "last_ranking": [_ranked(one) for one in known_effects(course.ranking)],
@@ -148,6 +151,14 @@ def _convention(course: Course, conventions: dict[str, Any]) -> dict[str, Any]:
         "ranking": [],
         "residual": None,
     }
+
+
+def _warning_of(conventions: dict[str, Any]) -> str:
+    """Say that nothing that follows from these data is to be used."""
+    return (
+        f"The data follow another convention than the one stated ({conventions['found']}): {conventions['remedy']}. "
+        "Nothing was fitted to it, and the inferred beam is not to be used."
+    )
 
 
 def _train_chi2(space: Space, checked: Checked) -> float:

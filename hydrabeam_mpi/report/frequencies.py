@@ -14,7 +14,11 @@ from hydrabeam_mpi.report.style import INFERRED, MODEL, REFERENCE, Drawing, new_
 Array = NDArray[Any]
 
 PANELS = {
-    "held-out reduced χ²": {"heldout_chi2_unperturbed": "model beam", "heldout_chi2": "inferred beam"},
+    "held-out reduced χ² over the noise": {
+        "heldout_chi2_unperturbed": "model beam",
+        "heldout_chi2": "inferred beam",
+        "heldout_chi2_predictive": "inferred beam, predictive",
+    },
     "largest beam error": {"model_error_max": "model beam", "beam_error_max": "inferred beam"},
     "largest change from the model beam": {"beam_update_max": "|MAP − model|"},
     "median posterior std of a coefficient": {"posterior_std_median": "std"},

@@ -10,10 +10,13 @@ from hydrabeam_mpi.report.loop_record import Entry, effect_name, entries, joined
 def verdict_words(loop: Entry) -> str:
     """Say what the model lacked and what adding it did to the error on held-out data; broken conventions first."""
     broken = _broken_convention(loop)
+    if loop["verdict"] == "convention":
+        return (
+            f"{broken or 'The data break a convention. '}This is no error of the instrument or of the sky. Nothing "
+            f"was fitted to it or looked for beside it, so that the beam below is not to be used: {_fall(loop, False)}."
+        )
     names = joined(list(dict.fromkeys(title_of(entry) for entry in entries(loop, "rounds"))))
     fall = _fall(loop, bool(names))
-    if broken and not names:
-        return f"{broken}This is no error of the instrument or of the sky, and nothing was fitted to it: {fall}."
     return broken + _what_it_lacked(loop, names, fall)
 
 
@@ -56,9 +59,9 @@ def _fall(loop: Entry, amended: bool) -> str:
     if not known:
         return "no data were held out, so that this is not tested"
     if len(known) == 1 or not amended:
-        return f"the held-out reduced χ² is {written(known[-1])}, where noise alone gives 1"
+        return f"the held-out reduced χ² is {written(known[-1])}, where a right model gives 1"
     turn = "falls" if after < before else "rises" if before > 1 else "goes"
-    return f"the held-out reduced χ² {turn} from {written(before)} to {written(after)}, where noise alone gives 1"
+    return f"the held-out reduced χ² {turn} from {written(before)} to {written(after)}, where a right model gives 1"
 
 
 def further_words(loop: Entry) -> list[str]:

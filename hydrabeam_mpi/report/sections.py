@@ -69,8 +69,9 @@ CHANNEL_COLUMNS: dict[str, tuple[str, Kind]] = {
     "beam_error_max": ("largest error", "number"),
     "beam_update_max": ("largest change", "number"),
     "negative_fraction": ("negative", "percent"),
-    "heldout_chi2_unperturbed": ("χ² held out, model", "number"),
-    "heldout_chi2": ("χ² held out, inferred", "number"),
+    "heldout_chi2_unperturbed": ("χ² held out over noise, model", "number"),
+    "heldout_chi2": ("χ² held out over noise, inferred", "number"),
+    "heldout_chi2_predictive": ("χ² held out, predictive", "number"),
 }
 
 

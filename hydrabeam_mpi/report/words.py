@@ -5,9 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from hydrabeam_mpi.diagnose import LARGEST_PREDICTIVE
 from hydrabeam_mpi.report.key_numbers import format_value
 from hydrabeam_mpi.report.result import Channel, Result
 
+NEARLY_ONE = 1.1
+"""Reduced chi^2 up to which residuals are as large as expected, for words."""
 ORDINALS = {2: "second", 3: "third"}
 BASES = {"fourier_bessel": "Fourier-Bessel", "zernike": "Zernike"}
 
@@ -92,6 +95,7 @@ def heldout_words(numbers: dict[str, Any]) -> str:
     after, before = numbers.get("heldout_chi2"), numbers.get("heldout_chi2_unperturbed")
     if after is None or before is None:
         return ""
+    predictive = numbers.get("heldout_chi2_predictive")
     scaled, n = numbers.get("heldout_chi2_unperturbed_scaled"), numbers.get("heldout_n")
     fitted = "" if scaled is None else f" ({format_value(scaled)} with its amplitude fitted to these very data)"
     text = (
@@ -99,6 +103,11 @@ def heldout_words(numbers: dict[str, Any]) -> str:
         f"from {format_value(before)} with the model beam{fitted} to {format_value(after)} with the inferred beam; "
         "noise alone would give 1. "
     )
+    if predictive is not None:
+        text += (
+            f"Under the posterior predictive, in which what the data leave uncertain of the beam counts beside the "
+            f"noise, it is {format_value(predictive)}; a posterior that is right gives 1. "
+        )
     sentences = {
         "The residual's rms changes from {} to {} Jy, of {} Jy in the data. ": (
             "heldout_rms_jy_unperturbed",
@@ -115,17 +124,22 @@ def heldout_words(numbers: dict[str, Any]) -> str:
     for sentence, keys in sentences.items():
         if all(key in numbers for key in keys):
             text += sentence.format(*(format_value(numbers[key]) for key in keys))
-    return text + _verdict(after, before if scaled is None else min(before, scaled))
+    return text + _verdict(after, before if scaled is None else min(before, scaled), predictive)
 
 
-def _verdict(after: float, before: float) -> str:
+def _verdict(after: float, before: float, predictive: float | None) -> str:
+    """Judge the point prediction against the model beam's, and what is left against what the posterior expects."""
     if after >= before:
         return "The inferred beam predicts data that it has not seen no better than the model beam does."
-    if after < 1.1:
+    if after < NEARLY_ONE:
         return "The inferred beam predicts data that it has not seen to the noise."
-    if after < 5:
-        return "What is left is detectable, but of the order of the noise."
-    return "What is left is far above the noise: something besides the beam is missing from the model."
+    if predictive is None:
+        predictive = after
+    if predictive < NEARLY_ONE:
+        return "The inferred beam predicts data that it has not seen as well as its standard deviations say."
+    if predictive <= LARGEST_PREDICTIVE:
+        return "What is left is detectable, but of the order of what the posterior expects."
+    return "What is left is far above what the posterior expects: something besides the beam is missing from the model."
 
 
 def remarks(result: Result) -> list[str]:

@@ -232,7 +232,12 @@ def test_a_broken_convention_is_named_and_nothing_fitted(explained: Path, tmp_pa
     uv.write_uvh5(tmp_path / "conjugated.uvh5")
     job = mock_job()
     job["data"] = {"files": [str(tmp_path / "conjugated.uvh5")]}
-    record = record_of(run_loop(job, tmp_path))
+    result = run_loop(job, tmp_path)
+    record = record_of(result)
+    assert record["verdict"] == "convention"
+    warning = summary_of(result)["warnings"][0]
+    assert warning.startswith("The data follow another convention than the one stated (conjugated): ")
+    assert warning.endswith("the inferred beam is not to be used.")
     (told,) = record["rounds"]
     assert told["effect"] == "convention: conjugated"
     assert told.keys() >= ROUND

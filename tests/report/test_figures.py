@@ -227,7 +227,7 @@ def test_numbers_against_frequency(bands: Path) -> None:
     drawing = draw_frequencies(channels)
     assert drawing is not None
     first = drawing.figure.axes[0]
-    assert first.get_title(loc="left") == "held-out reduced χ²"
+    assert first.get_title(loc="left") == "held-out reduced χ² over the noise"
     np.testing.assert_array_equal(first.lines[0].get_ydata(), [np.nan, 3.0, np.nan, np.nan])
     np.testing.assert_allclose(np.asarray(first.lines[0].get_xdata()), [120, 130, 140, 150])
     assert draw_frequencies(channels[:1]) is None

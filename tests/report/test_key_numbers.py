@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from hydrabeam_mpi.diagnose import warnings_of
 from hydrabeam_mpi.report.key_numbers import Kind, format_value, table, text_table
 from hydrabeam_mpi.report.sections import as_html
 from hydrabeam_mpi.report.words import heldout_words, megahertz
@@ -106,21 +107,41 @@ def test_heldout_words_compare_before_and_after() -> None:
 
 
 @pytest.mark.parametrize(
-    ("after", "scaled", "verdict"),
+    ("after", "predictive", "scaled", "verdict"),
     [
-        (1.05, 900.0, "to the noise"),
-        (1.8, 900.0, "of the order of the noise"),
-        (400.0, 900.0, "far above the noise"),
-        (950.0, 900.0, "no better than the model beam"),
+        (1.05, 0.99, 900.0, "to the noise"),
+        (1.8, 1.8, 900.0, "detectable, but of the order of what the posterior expects"),
+        (676.0, 1.19, 900.0, "detectable, but of the order of what the posterior expects"),
+        (676.0, 1.01, 900.0, "as well as its standard deviations say"),
+        (400.0, 300.0, 900.0, "far above what the posterior expects"),
+        (400.0, None, 900.0, "far above what the posterior expects"),
+        (950.0, 1.0, 900.0, "no better than the model beam"),
     ],
 )
-def test_verdicts_hold_against_the_scaled_model(after: float, scaled: float, verdict: str) -> None:
+def test_verdicts_hold_against_the_scaled_model(
+    after: float, predictive: float | None, scaled: float, verdict: str
+) -> None:
     numbers = {
         "heldout_chi2": after,
+        "heldout_chi2_predictive": predictive,
         "heldout_chi2_unperturbed": 1000.0,
         "heldout_chi2_unperturbed_scaled": scaled,
     }
-    assert verdict in heldout_words(numbers)
+    assert verdict in heldout_words(numbers).rsplit("right gives 1. ")[-1]
+
+
+def test_page_and_warnings_agree() -> None:
+    """What the page calls far above the posterior is warned of, and nothing else."""
+    known = {"heldout_amplitude_unperturbed": 1.0, "negative_fraction": 0.0, "imag_max": 0.0, "freq_hz": 1e8}
+    for noise_only, predictive in ((676.0, 1.19), (1.5, 1.4), (30.0, 2.1), (676.0, 600.0), (1.0, 1.0)):
+        numbers = {
+            "heldout_chi2": noise_only,
+            "heldout_chi2_noise_only": noise_only,
+            "heldout_chi2_predictive": predictive,
+            "heldout_chi2_unperturbed": 1e5,
+            "heldout_chi2_unperturbed_scaled": 1e5,
+        }
+        assert ("far above" in heldout_words(numbers)) == bool(warnings_of([known | numbers]))
 
 
 @pytest.mark.parametrize(("freq", "text"), [(131e6, "131 MHz"), (100.1953125e6, "100.1953 MHz"), (7.5e7, "75 MHz")])

@@ -15,6 +15,7 @@ import pytest
 
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.report.loop import loop_section
+from hydrabeam_mpi.report.loop_record import VERDICTS
 from hydrabeam_mpi.report.loop_words import verdict_words
 from hydrabeam_mpi.report.page import write_report
 from hydrabeam_mpi.report.style import STYLE, Drawing, render
@@ -105,12 +106,15 @@ def test_verdicts(name: str, words: list[str]) -> None:
     assert said.count(".") - said.count("1.") - said.count("2.3") <= 2
 
 
-def test_a_broken_convention_comes_first() -> None:
-    loop = loops.unexplained() | {"rounds": []}
+def test_a_broken_convention_has_its_own_words() -> None:
+    loop = loops.explained() | {"verdict": "convention"}
+    loop["rounds"] = [{"effect": "convention: conjugated", "title": "convention: conjugated"}]
     loop["conventions"] |= {"found": "conjugated", "remedy": "set conjugate = true in [data]."}
-    assert "break a convention: conjugated. Set conjugate = true in [data]. This is no error" in verdict_words(loop)
-    loop["rounds"] = [loops.gains_round()]
-    assert "in [data]. The model lacked antenna gains, and something else" in verdict_words(loop)
+    said = verdict_words(loop)
+    assert "break a convention: conjugated. Set conjugate = true in [data]. This is no error" in said
+    assert "the beam below is not to be used" in said
+    assert "lacked" not in said
+    assert "explain" not in said
 
 
 def test_an_error_that_rises_is_called_so() -> None:
@@ -189,7 +193,7 @@ def test_any_key_may_be_missing_or_null(group: int, null: bool) -> None:
     assert "nan" not in html.lower()
 
 
-@pytest.mark.parametrize("verdict", ["consistent", "explained", "unexplained"])
+@pytest.mark.parametrize("verdict", VERDICTS)
 def test_a_verdict_alone_is_enough(verdict: str) -> None:
     html, drawings = section({"verdict": verdict})
     assert "no data were held out" in html

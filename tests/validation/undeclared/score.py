@@ -74,7 +74,7 @@ def score(answer: dict[str, Any], loop: dict[str, Any]) -> dict[str, Any]:
         kept = loop["verdict"] == "unexplained"
         return told | {"kept_unknown": kept, "where_right": where_right}
     if told["class"] == "convention":
-        return told | {"named": _named_convention(effects[0]["kind"], first)}
+        return told | {"named": _named_convention(effects[0]["kind"], first, loop["verdict"])}
     if told["class"] == "pair":
         wanted = {effect["kind"] for effect in effects}
         told["both"] = all(any(_same(kind, name) for name in found) for kind in wanted)
@@ -119,10 +119,11 @@ def _named(effects: list[dict[str, Any]], rounds: list[dict[str, Any]]) -> str:
     return "indistinguishable" if set(kinds) & set(first["indistinguishable_from"]) else "wrong"
 
 
-def _named_convention(kind: str, first: str) -> str:
+def _named_convention(kind: str, first: str, verdict: str) -> str:
+    """Judge what is named; what reads the verdict alone must not go on with data that keep another convention."""
     wanted = CONVENTION_NAMES[kind.removeprefix("convention: ")]
     if first == f"convention: {wanted}":
-        return "right"
+        return "right" if verdict == "convention" else "wrong"
     if (kind, first) in EQUIVALENT:
         return "equivalent"
     return "none" if first == "none" else "wrong"

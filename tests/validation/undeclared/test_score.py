@@ -68,8 +68,10 @@ def test_two_at_once_need_both():
 
 def test_conventions_by_name():
     case = "convention: conjugated"
-    assert score(answer(case), loop(conventions={"found": "conjugated"}))["named"] == "right"
-    assert score(answer(case), loop(conventions={"found": "factor 2"}))["named"] == "wrong"
+    conjugated, doubled = {"found": "conjugated"}, {"found": "factor 2"}
+    assert score(answer(case), loop(verdict="convention", conventions=conjugated))["named"] == "right"
+    assert score(answer(case), loop(verdict="explained", conventions=conjugated))["named"] == "wrong"
+    assert score(answer(case), loop(verdict="convention", conventions=doubled))["named"] == "wrong"
     assert score(answer(case), loop())["named"] == "none"
 
 
