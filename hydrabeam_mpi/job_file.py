@@ -17,8 +17,8 @@ def load(world: Comm, path: Path, needs_simulation: bool = False, needs_holdout:
     Raises
     ------
     InputError
-        On all ranks, if the job cannot be used, or simulates nothing where it ``needs_simulation``, or holds nothing out
-        where it ``needs_holdout``.
+        On all ranks, if the job cannot be used, or simulates nothing where it ``needs_simulation``, or holds
+        nothing out where it ``needs_holdout``.
     """
     job = None
     with together(world):
@@ -29,6 +29,6 @@ def load(world: Comm, path: Path, needs_simulation: bool = False, needs_holdout:
                 raise InputError("is missing", file=path, field="[data.simulate]", remedy=remedy)
             if needs_holdout and job.holdout.kind == "none":
                 message = "keeps no data from the fit, and only such data can confirm what the loop finds"
-                remedy = 'use kind = "times" or another one, or \'hydrabeam infer\''
+                remedy = "use kind = \"times\" or another one, or 'hydrabeam infer'"
                 raise InputError(message, file=path, field="[holdout] kind", remedy=remedy)
     return world.bcast(job)

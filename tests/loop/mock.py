@@ -11,10 +11,11 @@ import tomli_w
 from mpi4py import MPI
 
 from hydrabeam_mpi.inference import Clock
+from hydrabeam_mpi.job_file import load
 from hydrabeam_mpi.loop.joint import find_experiment, read_space
 from hydrabeam_mpi.loop.refit import Space
 from hydrabeam_mpi.mpi import ProcessGrid
-from hydrabeam_mpi.run import load, prepare_shared
+from hydrabeam_mpi.run import prepare_shared
 
 FREQ = 131e6
 
