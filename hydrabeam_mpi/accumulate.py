@@ -12,7 +12,7 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.infer.heldout import HeldoutStatistics
 from hydrabeam_mpi.infer.normal import NormalEquations, RowBuffer
 from hydrabeam_mpi.infer.posterior import Posterior
-from hydrabeam_mpi.model.basis import LinearBasis
+from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.rime import Beam, ForwardModel
 from hydrabeam_mpi.progress import track
 from hydrabeam_mpi.rows import Rows

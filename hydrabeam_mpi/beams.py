@@ -11,15 +11,15 @@ import h5py
 import numpy as np
 
 from hydrabeam_mpi.config import ANALYTIC_BEAMS, BUILT_IN_BEAMS, Job, Perturbation
-from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.infer.prior import CovariancePrior, DiagonalPrior, FlatPrior, Prior
 from hydrabeam_mpi.io.beamfits import BeamFile
-from hydrabeam_mpi.model.basis import Array, LinearBasis
+from hydrabeam_mpi.model.bases import basis_from_settings
+from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.beam import Beam, BeamInfo, analytic_beam
-from hydrabeam_mpi.model.fit import FittedBeam, FourierBesselSpec, fit_beam
+from hydrabeam_mpi.model.fit import FittedBeam, fit_beam
 from hydrabeam_mpi.model.perturb import PerturbedBeam
-from hydrabeam_mpi.model.zernike import Zernike
 from hydrabeam_mpi.tables import embedded_beam
 
 # A model at this relative distance from the observed frequency is at that frequency.
@@ -122,20 +122,8 @@ def perturb(job: Job, beam: Beam, settings: Perturbation) -> Beam:
 
 def fit_model_beams(job: Job, beams: Sequence[Beam]) -> tuple[LinearBasis, list[FittedBeam]]:
     """Choose the basis at the middle channel and fit the model beam of every channel in it."""
-    settings = job.basis
-    if settings.kind == "zernike":
-        basis: LinearBasis = Zernike(settings.max_degree, np.deg2rad(settings.edge))
-        return basis, [fit_beam(beam, basis) for beam in beams]
-    spec = FourierBesselSpec(
-        n_modes=settings.n_modes,
-        form=settings.form,
-        k_max=settings.k_max,
-        m_max=settings.m_max,
-        edge=np.deg2rad(settings.edge),
-        boundary=settings.boundary,
-    )
     middle = len(beams) // 2
-    chosen = fit_beam(beams[middle], spec)
+    chosen = fit_beam(beams[middle], basis_from_settings(job.basis.model_dump()))
     fits = [chosen if f == middle else fit_beam(beam, chosen.basis) for f, beam in enumerate(beams)]
     return chosen.basis, fits
 

@@ -12,7 +12,7 @@ from scipy.linalg import eigh
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.infer.posterior import Posterior
 from hydrabeam_mpi.infer.prior import Prior
-from hydrabeam_mpi.model.basis import LinearBasis
+from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.rime import Beam
 from hydrabeam_mpi.mpi import Comm
 

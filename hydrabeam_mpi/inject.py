@@ -21,7 +21,7 @@ from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.leakage import Leakage
 from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.model.basis import LinearBasis
+from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.beam import Beam
 from hydrabeam_mpi.model.sky import Sky
 from hydrabeam_mpi.random import generator

@@ -20,9 +20,9 @@ from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.infer.prior import Prior
 from hydrabeam_mpi.io.noise import difference_variance
 from hydrabeam_mpi.io.uvmeta import read_observation
-from hydrabeam_mpi.model.basis import LinearBasis
+from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.beam import Beam
-from hydrabeam_mpi.model.engine import make_engine
+from hydrabeam_mpi.model.engines import make_engine
 from hydrabeam_mpi.model.rime import ForwardModel
 from hydrabeam_mpi.model.sky import Sky
 from hydrabeam_mpi.mpi import Comm, together

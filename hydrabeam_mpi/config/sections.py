@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
@@ -26,6 +26,15 @@ from hydrabeam_mpi.config.quantities import (
     Seconds,
     from_job,
 )
+from hydrabeam_mpi.model.bases import JOB_NAMES
+from hydrabeam_mpi.model.engines import ENGINES
+
+if TYPE_CHECKING:
+    BasisName = str
+    EngineName = str
+else:  # a job may ask for what there is
+    BasisName = Literal[tuple(JOB_NAMES)]
+    EngineName = Literal[tuple(ENGINES)]
 
 ANALYTIC_BEAMS = ("gaussian", "airy")
 BUILT_IN_BEAMS = ("hera-vivaldi-131MHz", *ANALYTIC_BEAMS)
@@ -221,7 +230,7 @@ class Beam(Section):
 class Basis(Section):
     """The linear basis of the inferred beam."""
 
-    kind: Literal["fourier-bessel", "zernike"] = key("fourier-bessel", "family of functions")
+    kind: BasisName = key("fourier-bessel", "family of functions")
     form: Literal["real", "complex"] = key("real", "fourier-bessel: of the coefficients")
     n_modes: int = key(2048, "fourier-bessel: coefficients kept, the largest of the model beam's", ge=1)
     k_max: int = key(80, "fourier-bessel: radial orders 1 to k_max", ge=1)
@@ -257,7 +266,7 @@ class Prior(Section):
 class Solver(Section):
     """How the design matrix is computed."""
 
-    engine: Literal["gemm", "nufft"] = key("gemm", "matrix products, or a non-uniform FFT for many sources")
+    engine: EngineName = key("gemm", "matrix products, or a non-uniform FFT for many sources")
     compress: bool = key(True, "treat redundant baselines as one, which changes nothing but the time")
 
 

@@ -20,7 +20,8 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.per_antenna import row_antennas
 from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.effects.sources import Sources
-from hydrabeam_mpi.model.fringes import C_M_PER_S
+from hydrabeam_mpi.model.engines.base import amplitude
+from hydrabeam_mpi.model.fringes import plane_waves
 
 
 def added_by_beams(scene: Scene, antennas: IntArray, beams: Callable[[Sources], FloatArray]) -> ComplexArray:
@@ -43,7 +44,6 @@ def added_by_beams(scene: Scene, antennas: IntArray, beams: Callable[[Sources], 
     of_row = place[row_antennas(scene)]
     both = np.flatnonzero((of_row >= 0).all(axis=1))
     positions = experiment.observation.antpos[experiment.antennas_in_use[antennas]]
-    wavenumber = 2 * np.pi * scene.freq / C_M_PER_S
     for t, time in enumerate(scene.times.tolist()):
         sources = scene.sources(time)
         own = beams(sources)
@@ -55,8 +55,8 @@ def added_by_beams(scene: Scene, antennas: IntArray, beams: Callable[[Sources], 
             rows = np.flatnonzero(of_row[:, side] >= 0)
             out[t, rows] += 0.5 * changes[rows, of_row[rows, side]]
         if len(both):
-            turned = roots * np.exp(-1j * wavenumber * (positions @ sources.enu))
-            pairs = (turned * (0.5 * sources.flux_without())) @ turned.conj().T
+            voltages = roots * plane_waves(positions, sources.enu, scene.freq)
+            pairs = (voltages.conj() * amplitude(sources.flux_without())) @ voltages.T
             out[t, both] += pairs[of_row[both, 0], of_row[both, 1]]
     return out
 

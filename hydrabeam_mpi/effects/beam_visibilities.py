@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.scene import Scene
-from hydrabeam_mpi.model.basis import Array, LinearBasis
+from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.rime import Beam
 
 FEW = 4

@@ -19,7 +19,7 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.base import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.scene import GivenColumns, Scene
-from hydrabeam_mpi.model.engine import make_engine
+from hydrabeam_mpi.model.engines import make_engine
 from hydrabeam_mpi.model.fringes import C_M_PER_S
 from hydrabeam_mpi.model.positions import enu
 from hydrabeam_mpi.model.sky import Sky

@@ -13,13 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.base import Effect
 from hydrabeam_mpi.effects.beam_visibilities import is_copolar
 from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.effects.sources import Sources
-from hydrabeam_mpi.model.basis import Array
 from hydrabeam_mpi.model.fringes import C_M_PER_S
 from hydrabeam_mpi.model.positions import SourcePositions, enu
 from hydrabeam_mpi.model.rime import Beam

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hydrabeam_mpi.data.observation import IntArray, Observation
 from hydrabeam_mpi.data.redundancy import RedundantGroups
-from hydrabeam_mpi.model.basis import LinearBasis
+from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.positions import ApparentPositions, SourcePositions
 from hydrabeam_mpi.model.sky import Sky
 

@@ -13,7 +13,6 @@ from hydrabeam_mpi.effects.base import Columns, Parameters, ScannedEffect
 from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.effects.sources import Sources
-from hydrabeam_mpi.model.fringes import C_M_PER_S
 
 HIGHEST = 10.0  # elevation up to which something may stand, degrees
 HEIGHTS = 40
@@ -182,9 +181,8 @@ def _below(sources: Sources, elevation: float) -> IntArray:
 
 def _seen(scene: Scene, sources: Sources, which: IntArray) -> ComplexArray:
     """Return the visibilities of some sources with nothing before them, (N, Ngroups)."""
-    strength = 0.5 * sources.flux_without(Horizon.kind)[which] * sources.beam[which]
-    wavevectors = 2 * np.pi * scene.freq / C_M_PER_S * scene.vectors
-    return np.asarray(strength[:, np.newaxis] * np.exp(1j * (sources.enu[:, which].T @ wavevectors.T)))
+    seen = sources.flux_without(Horizon.kind)[which] * sources.beam[which]
+    return scene.engine.responses(sources.enu[:, which], seen, scene.freq).T
 
 
 def _box(limits: Sequence[float]) -> Box:

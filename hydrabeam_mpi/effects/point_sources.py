@@ -13,12 +13,12 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.base import ScannedEffect
 from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.scene import Scene
-from hydrabeam_mpi.model.fringes import C_M_PER_S, Fringes
+from hydrabeam_mpi.model.engines.base import amplitude
+from hydrabeam_mpi.model.fringes import C_M_PER_S
 from hydrabeam_mpi.model.positions import enu
 from hydrabeam_mpi.model.rime import Beam
 from hydrabeam_mpi.model.sky import Sky, separation
 
-CHUNK = 1024  # directions whose fringes are in cache together
 HALF_WIDTH = 64  # samples of the beam from the zenith to the horizon, where a map does with an interpolated one
 
 
@@ -87,11 +87,10 @@ def responses(scene: Scene, ra: FloatArray, dec: FloatArray) -> ComplexArray:
     if not len(ra):
         return out
     positions = scene.positions.follow(Sky(ra, dec, np.ones((1, len(ra)))))
-    wavevectors = 2 * np.pi * scene.freq / C_M_PER_S * scene.vectors
     for t, itime in enumerate(scene.times.tolist()):
         index, za, az = positions.above_horizon(itime)
         beam = np.asarray(scene.beam(za, az)).real
-        out[t][:, index] = 0.5 * beam * np.exp(1j * (wavevectors @ enu(za, az)))
+        out[t][:, index] = scene.engine.responses(enu(za, az), beam, scene.freq)
     return out
 
 
@@ -119,29 +118,14 @@ def dirty_map(scene: Scene, sky: Sky) -> tuple[FloatArray, FloatArray]:
     weights = scene.weights.sum(axis=1)
     if not weights.any():
         return projection, power
-    fringes, beam, positions = Fringes(scene.vectors), _sampled(scene.beam), scene.positions.follow(sky)
+    beam, positions = _sampled(scene.beam), scene.positions.follow(sky)
     for t in np.flatnonzero(weights).tolist():
         index, za, az = positions.above_horizon(int(scene.times[t]))
         directions = enu(za, az)
-        strength = 0.5 * sky.flux[scene.channel, index] * beam(directions)
-        projection[index] += strength * _adjoint(fringes, summed[t], directions, scene.freq)
-        power[index] += weights[t] * strength**2
+        seen = sky.flux[scene.channel, index] * beam(directions)
+        projection[index] += scene.engine.adjoint(summed[t], directions, seen, scene.freq)
+        power[index] += weights[t] * amplitude(seen) ** 2
     return projection, power
-
-
-def _adjoint(fringes: Fringes, visibilities: ComplexArray, directions: FloatArray, freq: float) -> FloatArray:
-    """Return Re sum_g exp(-2 pi i nu b_g.s / c) V_g at every direction, (N,)."""
-    n_vectors, n_directions = len(fringes.vectors), directions.shape[1]
-    parts = np.concatenate([visibilities.real, visibilities.imag])
-    out = np.empty(n_directions)
-    space = np.empty(2 * n_vectors * CHUNK)
-    ones = np.ones(CHUNK)
-    for lo in range(0, n_directions, CHUNK):
-        hi = min(lo + CHUNK, n_directions)
-        rows = space[: 2 * n_vectors * (hi - lo)].reshape(2 * n_vectors, hi - lo)
-        fringes.fill(rows.reshape(2, n_vectors, hi - lo), directions[:, lo:hi], ones[: hi - lo], freq)
-        out[lo:hi] = parts @ rows
-    return out
 
 
 def _sampled(beam: Beam) -> Callable[[FloatArray], FloatArray]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -12,7 +13,8 @@ from numpy.typing import NDArray
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.sources import Sources
-from hydrabeam_mpi.model.engine import make_engine
+from hydrabeam_mpi.model.engines import make_engine
+from hydrabeam_mpi.model.engines.base import Engine
 from hydrabeam_mpi.model.positions import SourcePositions
 from hydrabeam_mpi.model.rime import Beam
 
@@ -101,6 +103,11 @@ class Scene:
         """Baseline vectors of the groups, (Ngroups, 3), metres ENU."""
         return self.experiment.redundant.vectors[self.groups]
 
+    @cached_property
+    def engine(self) -> Engine:
+        """The job's engine on the groups' vectors."""
+        return make_engine(self.engine_kind, self.vectors)
+
     def spread(self, by_group: NDArray[Any]) -> NDArray[Any]:
         """Give every baseline what its group has: (Ntimes, Ngroups, ...) to (Ntimes, Nbls, ...)."""
         return by_group[:, self.member]
@@ -148,7 +155,7 @@ class Scene:
         ndarray of complex, (Ntimes, N, K)
             1/2 sum_s I_s column_k(s) exp(2 pi i nu b.s / c), Jy.
         """
-        engine = make_engine(self.engine_kind, self.vectors if vectors is None else vectors)
+        engine = self.engine if vectors is None else make_engine(self.engine_kind, vectors)
         freqs = np.array([self.freq])
         out = []
         for itime in self.times.tolist():

@@ -18,12 +18,12 @@ from astropy_healpix import HEALPix
 from pyuvdata import UVBeam
 from pyuvdata.utils import polnum2str, polstr2num
 
+from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.feeds import orientation_from_field, pol_number, x_orientation
-from hydrabeam_mpi.model.basis import Array, FloatArray
 from hydrabeam_mpi.model.beam import BeamInfo, SampledBeam
 from hydrabeam_mpi.model.interpolate import AzZaGrid, HealpixMap
-from hydrabeam_mpi.model.rings import IntArray, Pixels
+from hydrabeam_mpi.model.rings import Pixels
 
 # A channel this close (relative) is the frequency asked for.
 _SAME_FREQ = 5e-4

@@ -12,8 +12,8 @@ import numpy as np
 from pyuvdata import UVBeam
 from pyuvdata.utils import polnum2str, polstr2num
 
+from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.model.basis import FloatArray
 
 # The field is looked at within this zenith angle (radians), where East and North are well defined.
 _NEAR_ZENITH = np.deg2rad(15)

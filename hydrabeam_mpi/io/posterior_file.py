@@ -2,7 +2,7 @@
 
 Layout
 ------
-Root attributes: ``basis`` (JSON, see `hydrabeam_mpi.model.basis`), ``provenance`` (JSON: resolved job, versions,
+Root attributes: ``basis`` (JSON, see `hydrabeam_mpi.model.bases.base`), ``provenance`` (JSON: resolved job, versions,
 checksums, ranks), ``polarization``, ``grid_za`` and ``grid_az`` as data sets (radians).
 One group a channel, ``channel_0000`` and so on, with attributes ``freq`` (Hz), ``log_evidence`` (absent with a flat
 prior), ``summary`` (JSON) and the data sets

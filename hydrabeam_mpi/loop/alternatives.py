@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.redundancy import find_redundant_groups
-from hydrabeam_mpi.model.engine import make_engine
+from hydrabeam_mpi.model.engines import make_engine
 from hydrabeam_mpi.model.rime import Beam, ForwardModel
 from hydrabeam_mpi.problem import Problem
 from hydrabeam_mpi.rows import Rows

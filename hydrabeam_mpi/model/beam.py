@@ -13,8 +13,9 @@ import numpy as np
 from pyuvdata import AiryBeam, GaussianBeam, ShortDipoleBeam, UniformBeam
 from pyuvdata.utils import polstr2num
 
+from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.model.basis import Array, FloatArray, LinearBasis
+from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.interpolate import AzZaGrid, HealpixMap
 from hydrabeam_mpi.model.rings import Pixels
 

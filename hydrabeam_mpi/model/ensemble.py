@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.model.basis import Array, FloatArray, LinearBasis
+from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.fit import Evaluable, beam_pixels, fit_basis
 
 

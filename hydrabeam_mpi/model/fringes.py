@@ -46,6 +46,25 @@ def find_lattice(vectors: FloatArray, tol: float) -> Lattice | None:
     return Lattice(generators, index)
 
 
+def plane_waves(vectors: FloatArray, directions: FloatArray, freq: float) -> ComplexArray:
+    """Return exp(+2 pi i freq b.s/c) of every vector and source.
+
+    Parameters
+    ----------
+    vectors : ndarray, (Nvectors, 3)
+        Metres ENU.
+    directions : ndarray, (3, Nsrc)
+        Unit vectors towards the sources, ENU.
+    freq : float
+        Hz.
+
+    Returns
+    -------
+    ndarray of complex, (Nvectors, Nsrc)
+    """
+    return np.asarray(np.exp(1j * ((2 * np.pi * freq / C_M_PER_S * vectors) @ directions)))
+
+
 class Fringes:
     """The fringes of a fixed set of baseline vectors.
 

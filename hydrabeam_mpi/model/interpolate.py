@@ -8,9 +8,8 @@ from astropy_healpix import HEALPix
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
+from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.model.basis import Array, FloatArray
-from hydrabeam_mpi.model.rings import IntArray
 
 # Samples repeated on either side of the circle, so that a cubic spline does not notice where it is cut.
 _OVERLAP = 6

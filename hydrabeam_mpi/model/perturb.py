@@ -14,10 +14,10 @@ from functools import cached_property
 
 import numpy as np
 
+from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.model.basis import Array, FloatArray
+from hydrabeam_mpi.model.bases.disc import EDGE
 from hydrabeam_mpi.model.beam import Beam, BeamInfo
-from hydrabeam_mpi.model.fourier_bessel import EDGE
 from hydrabeam_mpi.random import generator
 
 _N_SINES = 8

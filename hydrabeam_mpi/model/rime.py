@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
-from hydrabeam_mpi.model.basis import LinearBasis
-from hydrabeam_mpi.model.engine import Engine
+from hydrabeam_mpi.model.bases.base import LinearBasis
+from hydrabeam_mpi.model.engines.base import Engine
 from hydrabeam_mpi.model.positions import SourcePositions
 
 Beam = Callable[[FloatArray, FloatArray], NDArray[Any]]

@@ -11,9 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hydrabeam_mpi.model.basis import Array, FloatArray
-
-IntArray = NDArray[np.int64]
+from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray
 
 # Angles closer than this (radians, 0.02 arcsec) are the same angle.
 _SAME = 1e-7

@@ -6,13 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from hydrabeam_mpi.diagnose import LARGEST_PREDICTIVE
+from hydrabeam_mpi.model.bases import BASES
+from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.report.key_numbers import format_value
 from hydrabeam_mpi.report.result import Channel, Result
 
 NEARLY_ONE = 1.1
 """Reduced chi^2 up to which residuals are as large as expected, for words."""
 ORDINALS = {2: "second", 3: "third"}
-BASES = {"fourier_bessel": "Fourier-Bessel", "zernike": "Zernike"}
 
 
 def megahertz(freq: float) -> str:
@@ -48,9 +49,9 @@ def _origin(data: dict[str, Any]) -> str:
 
 
 def _basis(channel: Channel) -> str:
-    kind = BASES.get(channel.basis.get("kind", ""), "linear")
+    title = BASES.get(channel.basis.get("kind", ""), LinearBasis).title
     form = "complex" if channel.is_complex else "real"
-    return f"The beam is a sum of {len(channel.arrays['mean']):,} {kind} modes with {form} coefficients"
+    return f"The beam is a sum of {len(channel.arrays['mean']):,} {title} modes with {form} coefficients"
 
 
 def _prior(job: dict[str, Any]) -> str:

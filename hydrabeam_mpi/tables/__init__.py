@@ -9,10 +9,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from hydrabeam_mpi.model.basis import Array
+from hydrabeam_mpi.data.observation import Array
+from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
 from hydrabeam_mpi.model.beam import BeamInfo, CoefficientBeam
 from hydrabeam_mpi.model.fit import FittedBeam
-from hydrabeam_mpi.model.fourier_bessel import FourierBessel
 
 EMBEDDED = "hera_vivaldi_131MHz.h5"
 

@@ -12,8 +12,9 @@ from hydrabeam_mpi.data.redundancy import find_redundant_groups
 from hydrabeam_mpi.effects.base import Effect
 from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.scene import Scene
+from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
 from hydrabeam_mpi.model.beam import analytic_beam
-from hydrabeam_mpi.model.fit import FourierBesselSpec, fit_beam
+from hydrabeam_mpi.model.fit import fit_beam
 from hydrabeam_mpi.model.positions import RotatedPositions
 from hydrabeam_mpi.model.sky import Sky, mock_sky
 from hydrabeam_mpi.random import complex_normal, generator
@@ -27,7 +28,7 @@ def small_experiment(
     settings = Simulate(array=Array(hex=(2, 3)), n_times=n_times, freqs=freqs)
     observation = mock_observation(settings, pol)
     sky = mock_sky(3, observation.freqs, n_sources=n_sources)
-    spec = FourierBesselSpec(n_modes=60, form="real", k_max=20, m_max=8, edge=np.deg2rad(92), boundary="neumann")
+    spec = FourierBessel.selection(n_modes=60, form="real", k_max=20, m_max=8, edge=np.deg2rad(92), boundary="neumann")
     fits = [fit_beam(analytic_beam("airy", float(freq), pol, diameter=14.0), spec) for freq in freqs[:1]]
     fits += [fit_beam(analytic_beam("airy", float(freq), pol, diameter=14.0), fits[0].basis) for freq in freqs[1:]]
     return Experiment(

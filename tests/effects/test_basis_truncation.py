@@ -5,11 +5,11 @@ import pytest
 
 from hydrabeam_mpi.config.sections import Basis
 from hydrabeam_mpi.data.observation import FloatArray
-from hydrabeam_mpi.effects.basis_truncation import MOST_MODES, BasisTruncation, next_modes
+from hydrabeam_mpi.effects.basis_truncation import BasisTruncation
 from hydrabeam_mpi.effects.experiment import Experiment
-from hydrabeam_mpi.model.fit import beam_pixels, fit_basis, fit_beam, select_largest
-from hydrabeam_mpi.model.fourier_bessel import FourierBessel
-from hydrabeam_mpi.model.zernike import Zernike
+from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
+from hydrabeam_mpi.model.bases.zernike import Zernike
+from hydrabeam_mpi.model.fit import fit_beam
 from hydrabeam_mpi.random import generator
 from hydrabeam_mpi.tables import embedded_beam
 from tests.effects.direct import assert_same, visibilities
@@ -37,7 +37,7 @@ def test_beam_of_a_larger_basis_is_whole(basis) -> None:
     experiment = with_basis(basis)
     scene = small_scene(experiment)
     effect = BasisTruncation()
-    modes = next_modes(experiment)
+    modes = effect.next_modes(experiment).modes
     assert not set(modes) & set(basis.modes)
     assert 0 < len(modes) <= basis.n_modes
     x = effect.draw(experiment, generator(2, "truncation"), 1.0)
@@ -79,50 +79,15 @@ def test_amended_settings_hold_all_modes(basis) -> None:
             assert settings["boundary"] == "neumann"
 
 
-def test_a_beam_that_is_not_zero_at_the_edge_needs_few_more_modes() -> None:
-    basis = FourierBessel.full(20, 4, edge=EDGE, boundary="dirichlet")
-    modes = next_modes(with_basis(basis))
-    assert modes[:9] == [(0, 0), *[(0, sign * m) for m in range(1, 5) for sign in (1, -1)]]
-    za, az = generator(3, "directions").uniform(0, 1, (2, 4000)) * np.array([[EDGE], [2 * np.pi]])
-    beam = np.exp(-((za / 0.5) ** 2)) + 0.01 * (1 + 0.5 * np.cos(2 * az)) * np.cos(za / 4)
+class Unknown(FourierBessel):
+    """A basis that does not say what comes next."""
 
-    def left(columns: FloatArray) -> float:
-        return float(np.std(beam - columns.T @ np.linalg.lstsq(columns.T, beam, rcond=None)[0]))
-
-    constant = FourierBessel([(1, m) for _, m in modes[:9]], "real", EDGE, "neumann").columns(za, az)
-    known = basis.columns(za, az)
-    more = FourierBessel.full(40, 4, edge=EDGE, boundary="dirichlet").columns(za, az)
-    assert left(np.concatenate([known, constant])) < 0.1 * left(more) < 0.1 * left(known)
+    def next_modes(self, amplitudes: FloatArray, n_before: int, most: int) -> None:
+        return None
 
 
-def test_next_modes_are_the_largest_that_are_missing() -> None:
-    """Of a dipole over a dish: nearly as much power as in the best choice, and more than in the lowest orders."""
-    full = FourierBessel.full(40, 20, edge=EDGE, boundary="neumann")
-    pixels = beam_pixels(embedded_beam())
-    coeffs = fit_basis(full, pixels).coeffs
-    basis = select_largest(full, coeffs, 60)
-    fit = fit_basis(basis, pixels)
-    experiment = replace(small_experiment(), basis=basis, prior_mean=(fit.coeffs, fit.coeffs))
-    power = dict(zip(full.modes, coeffs**2, strict=True))
-    missing = [mode for mode in full.modes if mode not in set(basis.modes)]
-    best = sum(sorted((power[mode] for mode in missing), reverse=True)[:60])
-    lowest = sum(power[mode] for mode in sorted(missing, key=lambda mode: mode[0] + abs(mode[1]))[:60])
-    modes = next_modes(experiment)
-    assert 58 <= len(modes) <= 60
-    assert len(set(modes)) == len(modes)
-    found = sum(power.get(mode, 0.0) for mode in modes)
-    assert found > 0.85 * best
-    assert lowest < 0.6 * best
-
-
-def test_there_is_always_more() -> None:
-    """Also where the basis is a single mode, or has all modes of its orders."""
-    for n_k, n_m, n in ((1, 0, 1), (40, 20, MOST_MODES), (1, 30, 61), (30, 0, 30)):
-        basis = FourierBessel.full(n_k, n_m, edge=EDGE)
-        experiment = replace(small_experiment(), basis=basis, prior_mean=(np.ones(basis.n_modes),) * 2)
-        assert n - 1 <= len(next_modes(experiment)) <= n
-    for degree, top in ((0, 1), (6, 9), (30, 33)):
-        basis = Zernike(degree, EDGE)
-        experiment = replace(small_experiment(), basis=basis, prior_mean=(np.ones(basis.n_modes),) * 2)
-        assert BasisTruncation().amended_basis_settings(experiment) == {"max_degree": top}
-        assert len(BasisTruncation().parameters(experiment)) == Zernike(top).n_modes - basis.n_modes
+def test_a_basis_that_does_not_know_its_next_modes_is_refused() -> None:
+    reason = BasisTruncation().refusal(with_basis(Unknown([(1, 0), (2, 0)], edge=EDGE)))
+    assert reason is not None
+    assert "not known which functions come next" in reason
+    assert all(BasisTruncation().refusal(with_basis(basis)) is None for basis in BASES.values())

@@ -10,7 +10,8 @@ from pyuvdata import AiryBeam, BeamInterface, ShortDipoleBeam, UVBeam
 
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.beamfits import BeamFile, write_power_beam
-from hydrabeam_mpi.model.fit import FourierBesselSpec, fit_beam
+from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
+from hydrabeam_mpi.model.fit import fit_beam
 from hydrabeam_mpi.model.rings import RingGrid
 
 DEG = np.pi / 180
@@ -131,7 +132,7 @@ def test_measured_beams_are_normalised_and_fitted(data_dir, name, freq, settings
     low = np.full(2, 85 * DEG)
     east, north = beam(low, np.array([0, np.pi / 2]))
     assert east < 0.3 * north
-    assert fit_beam(beam, FourierBesselSpec(500, k_max=40, m_max=20)).rms_residual < 1e-3
+    assert fit_beam(beam, FourierBessel.selection(500, k_max=40, m_max=20)).rms_residual < 1e-3
     cross = file.beam(freq, "en")
     np.testing.assert_allclose(cross.pixels.values, file.beam(freq, "ne").pixels.values.conj(), atol=1e-12)
     assert cross.info.peak == pytest.approx(np.sqrt(beam.info.peak * file.beam(freq, "nn").info.peak))
@@ -176,7 +177,7 @@ def test_nan_below_the_horizon_does_no_harm_to_a_fit(tmp_path):
     beam = quietly(saved(uvbeam, tmp_path)).beam(150e6, "ee")
     assert np.isfinite(beam.pixels.values).all()
     assert len(beam.pixels.za) == 19 * 72
-    assert np.isfinite(fit_beam(beam, FourierBesselSpec(None, k_max=6, m_max=3)).coeffs).all()
+    assert np.isfinite(fit_beam(beam, FourierBessel.selection(None, k_max=6, m_max=3)).coeffs).all()
     np.testing.assert_allclose(beam(*DIRECTIONS), dipole_power("ee", *DIRECTIONS), atol=1e-4)
     with pytest.raises(InputError, match=r"beam.beamfits: .* end at a zenith angle of 120 deg"):
         beam(np.array([2.2]), np.zeros(1))
@@ -189,7 +190,7 @@ def test_nan_above_the_horizon_is_left_out_of_a_fit_and_not_interpolated(tmp_pat
     uvbeam.data_array.reshape(*uvbeam.data_array.shape[:3], -1)[..., 200] = np.nan
     beam = quietly(saved(uvbeam, tmp_path)).beam(150e6, "ee")
     assert len(beam.pixels.za) == len(whole.pixels.za) - 1
-    spec = FourierBesselSpec(None, k_max=3, m_max=2, boundary="neumann")
+    spec = FourierBessel.selection(None, k_max=3, m_max=2, boundary="neumann")
     fit, fit_whole = fit_beam(beam, spec), fit_beam(whole, spec)
     np.testing.assert_allclose(fit.coeffs, fit_whole.coeffs, atol=0.05)
     missing = whole.pixels.za[200:201], whole.pixels.az[200:201]
@@ -219,7 +220,7 @@ def test_uneven_azimuths_are_interpolated_across_the_cut(data_dir):
     rings = RingGrid.from_pixels(beam.pixels)
     assert len(rings.za) == 46
     with pytest.warns(UserWarning, match="46 zenith angles cannot carry 80 radial modes"):
-        fit = fit_beam(beam, FourierBesselSpec(1024))
+        fit = fit_beam(beam, FourierBessel.selection(1024))
     assert fit.n_pixels == 91 * 360
     assert fit.rms_residual < 1e-4
 

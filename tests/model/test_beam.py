@@ -6,8 +6,8 @@ from scipy.constants import c
 from scipy.special import j1
 
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
 from hydrabeam_mpi.model.beam import BeamInfo, CoefficientBeam, analytic_beam
-from hydrabeam_mpi.model.fourier_bessel import FourierBessel
 
 ZA = np.deg2rad(np.array([0.0, 3, 10, 40, 89]))
 AZ = np.array([0.0, 1, 2, 3, 4])

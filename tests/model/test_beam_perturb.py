@@ -5,8 +5,8 @@ import pytest
 from scipy.special import j0, j1, jn_zeros
 
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
 from hydrabeam_mpi.model.beam import BeamInfo, CoefficientBeam
-from hydrabeam_mpi.model.fourier_bessel import FourierBessel
 from hydrabeam_mpi.model.perturb import PerturbedBeam
 from hydrabeam_mpi.random import generator
 from hydrabeam_mpi.tables import embedded_beam

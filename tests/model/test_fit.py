@@ -5,11 +5,11 @@ import pytest
 from astropy_healpix import HEALPix
 
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel, radial_zeros
+from hydrabeam_mpi.model.bases.zernike import Zernike
 from hydrabeam_mpi.model.beam import BeamInfo, CoefficientBeam, analytic_beam
-from hydrabeam_mpi.model.fit import FourierBesselSpec, beam_pixels, fit_basis, fit_beam, select_largest
-from hydrabeam_mpi.model.fourier_bessel import FourierBessel, radial_zeros
+from hydrabeam_mpi.model.fit import beam_pixels, fit_basis, fit_beam
 from hydrabeam_mpi.model.rings import Pixels, RingGrid, degree_grid
-from hydrabeam_mpi.model.zernike import Zernike
 from hydrabeam_mpi.random import generator
 
 
@@ -118,8 +118,8 @@ def test_rings_are_told_from_scattered_points():
 
 def test_real_and_complex_form_are_the_same_fit():
     beam = analytic_beam("airy", 150e6, diameter=14.0)
-    real = fit_beam(beam, FourierBesselSpec(200, "real", k_max=30, m_max=4))
-    mixed = fit_beam(beam, FourierBesselSpec(200, "complex", k_max=30, m_max=4))
+    real = fit_beam(beam, FourierBessel.selection(200, "real", k_max=30, m_max=4))
+    mixed = fit_beam(beam, FourierBessel.selection(200, "complex", k_max=30, m_max=4))
     assert real.rms_residual == pytest.approx(mixed.rms_residual, rel=1e-9)
     za, az = scattered(50)
     np.testing.assert_allclose(
@@ -169,11 +169,11 @@ def test_samples_below_the_horizon_and_nan_are_left_out():
 @pytest.mark.parametrize("form", ["real", "complex"])
 def test_largest_modes_are_kept_in_pairs_and_sorted(form):
     beam = CoefficientBeam(FourierBessel.full(6, 4), random_beam(FourierBessel.full(6, 4)), BeamInfo("b", 1e8, "ee"))
-    everything = fit_beam(beam, FourierBesselSpec(None, form, k_max=6, m_max=4))
+    everything = fit_beam(beam, FourierBessel.selection(None, form, k_max=6, m_max=4))
     amplitudes = everything.basis.amplitudes(everything.coeffs)
     assert everything.basis.n_modes == 54
     for n_modes in (1, 2, 7, 20, 54):
-        kept = fit_beam(beam, FourierBesselSpec(n_modes, form, k_max=6, m_max=4)).basis
+        kept = fit_beam(beam, FourierBessel.selection(n_modes, form, k_max=6, m_max=4)).basis
         chosen = [everything.basis.modes.index(mode) for mode in kept.modes]
         assert len(kept.modes) == n_modes
         assert (np.diff(amplitudes[chosen]) <= 1e-15).all()
@@ -186,17 +186,17 @@ def test_largest_modes_are_kept_in_pairs_and_sorted(form):
 def test_modes_of_a_complex_beam_are_kept_one_by_one():
     basis = FourierBessel.full(3, 2, form="complex")
     coeffs = np.arange(1, 16) + 0.5j
-    kept = select_largest(basis, coeffs, 4)
+    kept = basis.largest(coeffs, 4)
     assert kept.modes == [basis.modes[n] for n in (14, 13, 12, 11)]
 
 
 def test_kept_modes_are_fitted_again():
     beam = analytic_beam("gaussian", 150e6, diameter=4.0)
-    spec = FourierBesselSpec(10, "real", k_max=20, m_max=0)
+    spec = FourierBessel.selection(10, "real", k_max=20, m_max=0)
     fit = fit_beam(beam, spec)
     again = fit_basis(fit.basis, beam_pixels(beam))
     np.testing.assert_array_equal(fit.coeffs, again.coeffs)
-    full = fit_beam(beam, FourierBesselSpec(None, "real", k_max=20, m_max=0))
+    full = fit_beam(beam, FourierBessel.selection(None, "real", k_max=20, m_max=0))
     truncated = full.coeffs[:10]
     za, az = degree_grid()
     design = fit.basis.evaluate(za, az).T

@@ -14,10 +14,10 @@ from hydrabeam_mpi.beams import fit_model_beams, load_beams, make_prior
 from hydrabeam_mpi.config import load_job
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.beamfits import write_power_beam
-from hydrabeam_mpi.model.basis import basis_from_description
+from hydrabeam_mpi.model.bases import basis_from_description
+from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
 from hydrabeam_mpi.model.beam import analytic_beam
 from hydrabeam_mpi.model.ensemble import fit_ensemble, summarise_ensemble
-from hydrabeam_mpi.model.fourier_bessel import FourierBessel
 from hydrabeam_mpi.model.rings import degree_grid
 from hydrabeam_mpi.random import complex_normal, generator
 

@@ -22,8 +22,8 @@ from hydrabeam_mpi.infer.heldout import Z_EDGES
 from hydrabeam_mpi.infer.posterior import solve_posterior
 from hydrabeam_mpi.infer.prior import DiagonalPrior
 from hydrabeam_mpi.model.arrays import hexagon
-from hydrabeam_mpi.model.engine import make_engine
-from hydrabeam_mpi.model.fourier_bessel import FourierBessel
+from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
+from hydrabeam_mpi.model.engines import make_engine
 from hydrabeam_mpi.model.positions import RotatedPositions
 from hydrabeam_mpi.model.rime import ForwardModel
 from hydrabeam_mpi.model.sky import mock_sky

@@ -28,7 +28,7 @@ from hydrabeam_mpi.data.observation import Observation
 from hydrabeam_mpi.io.beamfits import write_power_beam
 from hydrabeam_mpi.io.uvwrite import write_uvh5
 from hydrabeam_mpi.model.arrays import hexagon
-from hydrabeam_mpi.model.engine import make_engine
+from hydrabeam_mpi.model.engines import make_engine
 from hydrabeam_mpi.model.positions import ApparentPositions
 from hydrabeam_mpi.model.rime import ForwardModel
 from hydrabeam_mpi.model.sky import Sky

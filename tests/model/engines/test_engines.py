@@ -5,8 +5,13 @@ import pytest
 from astropy.constants import c
 from threadpoolctl import threadpool_limits
 
-from hydrabeam_mpi.model.engine import GemmEngine, NufftEngine
+from hydrabeam_mpi.config.sections import Solver
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.model.engines import ENGINES, make_engine
+from hydrabeam_mpi.model.engines.gemm import GemmEngine
+from hydrabeam_mpi.model.engines.nufft import NufftEngine
 from hydrabeam_mpi.model.fringes import Fringes, find_lattice
+from hydrabeam_mpi.model.positions import enu
 from hydrabeam_mpi.random import generator
 
 FREQS = np.array([100e6, 163.7e6])
@@ -56,6 +61,32 @@ def test_engine_is_the_sum_over_sources(vectors, make, n):
     za, az, flux = sources(n)
     result = make(vectors).design(Ripples(), za, az, flux, FREQS)
     np.testing.assert_allclose(result, written_out(vectors, za, az, flux), atol=1e-10 * max(flux.sum(), 1))
+
+
+@pytest.mark.parametrize("vectors", [HEX, irregular()], ids=["hexagon", "3d"])
+@pytest.mark.parametrize("make", ENGINES.values(), ids=ENGINES)
+@pytest.mark.parametrize("n", [0, 1, 2100])
+def test_responses_are_the_terms_of_the_sum_and_the_adjoint_is_theirs(vectors, make, n):
+    za, az, flux = sources(n)
+    engine, beam, freq = make(vectors), Ripples().columns(za, az)[2], FREQS[1]
+    seen = engine.responses(enu(za, az), flux[1] * beam, freq)
+    assert seen.shape == (len(vectors), n)
+    expected = written_out(vectors, za, az, flux)[1, ..., 2]
+    np.testing.assert_allclose(seen.sum(axis=1), expected[0] + 1j * expected[1], atol=1e-10 * max(flux.sum(), 1))
+    rng = generator(2, "visibilities")
+    vis = rng.standard_normal(len(vectors)) + 1j * rng.standard_normal(len(vectors))
+    back = engine.adjoint(vis, enu(za, az), flux[1] * beam, freq)
+    np.testing.assert_allclose(back, (seen.conj().T @ vis).real, atol=1e-10)
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_a_job_can_ask_for_every_engine(name):
+    assert type(make_engine(Solver(engine=name).engine, HEX)) is ENGINES[name]
+
+
+def test_an_unknown_engine_is_told():
+    with pytest.raises(InputError, match=r"'fft'.*gemm, nufft"):
+        make_engine("fft", HEX)
 
 
 def test_both_engines_agree_to_a_billionth_on_many_sources():

@@ -5,8 +5,9 @@ import pytest
 from scipy.special import j0, jn_zeros, jnp_zeros, jv, roots_legendre
 
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.model.bessel import BesselRows, chebyshev
-from hydrabeam_mpi.model.fourier_bessel import EDGE, FourierBessel, radial_zeros
+from hydrabeam_mpi.model.bases.bessel import BesselRows, chebyshev
+from hydrabeam_mpi.model.bases.disc import EDGE
+from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel, radial_zeros
 from hydrabeam_mpi.random import generator
 
 ALPHA = np.sqrt(1 - np.cos(23 * np.pi / 45))

@@ -15,24 +15,28 @@ sqrt2 cos(m az) and sqrt2 sin(m az), which keeps that norm.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from itertools import groupby
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from scipy.special import j0, j1, jn_zeros
 
+from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.model.basis import Array, FloatArray, LinearBasis
-from hydrabeam_mpi.model.bessel import BesselRows
+from hydrabeam_mpi.model.bases.base import LinearBasis, NextModes, Selection
+from hydrabeam_mpi.model.bases.bessel import BesselRows
+from hydrabeam_mpi.model.bases.disc import EDGE, azimuthal_rows
+from hydrabeam_mpi.model.bases.expected import largest_expected
+from hydrabeam_mpi.model.bases.plans import complex_columns, plan_mixing, plan_products
+from hydrabeam_mpi.model.ring_fit import fit_rings
+from hydrabeam_mpi.model.rings import RingGrid
 
 Form = Literal["real", "complex"]
 Boundary = Literal["dirichlet", "neumann"]
 
-EDGE = 23 * np.pi / 45
-"""Zenith angle at which rho = 1 in the paper: 92 degrees."""
+AT_EDGE = 0
+"""Number k by which the function that is constant in radius is called beside those that are zero at the edge."""
 
-# Points evaluated together, so that the work space stays near 6 MB whatever is asked.
-_POINTS_AT_ONCE = 2048
+_POINTS_AT_ONCE = 2048  # so that the work space stays near 6 MB whatever is asked
 
 
 class FourierBessel(LinearBasis):
@@ -59,6 +63,8 @@ class FourierBessel(LinearBasis):
         If there is no mode, a mode is repeated or has k < 1, or a setting is out of range.
     """
 
+    title: ClassVar[str] = "Fourier-Bessel"
+
     def __init__(
         self,
         modes: Iterable[tuple[int, int]],
@@ -79,13 +85,13 @@ class FourierBessel(LinearBasis):
         self._inv_alpha_squared = 1 / (1 - np.cos(self.edge))
         azimuthal_norm = np.sqrt((1 if self.is_complex else 2) / self.n_az)
         self._radial = BesselRows(u[kept], azimuthal_norm / q[kept])
-        columns = _complex_columns(self.modes) if self.is_complex else self.modes
+        columns = complex_columns(self.modes) if self.is_complex else self.modes
         self.n_columns = len(columns)
         # Of every column, its row among the radial and among the azimuthal functions.
         self._k_row = np.searchsorted(self._ks, [k for k, _ in columns])
         self._m_row = np.array([2 * abs(m) + (m < 0) for _, m in columns])
-        self._products = _plan_products(self._k_row.tolist(), self._m_row.tolist())
-        self._mixing = _plan_mixing(self.modes, columns) if self.is_complex else None
+        self._products = plan_products(self._k_row.tolist(), self._m_row.tolist())
+        self._mixing = plan_mixing(self.modes, columns) if self.is_complex else None
         self._buffer = np.empty(0)
 
     @classmethod
@@ -93,6 +99,19 @@ class FourierBessel(LinearBasis):
         """Return the basis of all modes k = 1..k_max, |m| <= m_max; ``settings`` as for the class."""
         signed = [0] + [sign * m for m in range(1, m_max + 1) for sign in (1, -1)]
         return cls([(k, m) for m in signed for k in range(1, k_max + 1)], **settings)
+
+    @classmethod
+    def selection(
+        cls, n_modes: int | None = 1024, form: Form = "real", k_max: int = 80, m_max: int = 45, **settings: Any
+    ) -> Selection:
+        """Select so many modes, None for all, of those of `full`."""
+        return Selection(cls.full(k_max, m_max, form=form, **settings), n_modes)
+
+    @classmethod
+    def from_settings(cls, settings: Mapping[str, Any]) -> Selection:
+        """Select the largest of a job's ``n_modes`` from all up to its orders; see :class:`LinearBasis`."""
+        same = {name: settings[name] for name in ("n_modes", "form", "k_max", "m_max", "boundary")}
+        return cls.selection(edge=np.deg2rad(settings["edge"]), **same)
 
     def with_modes(self, modes: Iterable[tuple[int, int]], form: Form | None = None) -> FourierBessel:
         """Return the basis of other modes on the same disc."""
@@ -114,6 +133,65 @@ class FourierBessel(LinearBasis):
         """Restore a basis from its description."""
         settings = {name: description[name] for name in ("form", "edge", "boundary", "n_az")}
         return cls(description["modes"], **settings)
+
+    def largest(self, coeffs: Array, n_modes: int) -> FourierBessel:
+        """Return the basis of the modes with the largest coefficients, sorted by amplitude |a_km|.
+
+        The modes +-m of a real beam, which have equal amplitude, are kept or dropped together, in either form:
+        one of them alone would make the beam complex. Where only one place is left for a pair, the next mode with
+        m = 0 takes it.
+        """
+        amplitude = dict(zip(self.modes, self.amplitudes(coeffs).tolist(), strict=True))
+        ranked = sorted(self.modes, key=lambda mode: -amplitude[mode])
+        if any(amplitude[k, m] != amplitude.get((k, -m)) for k, m in ranked):
+            return self.with_modes(ranked[:n_modes])
+        kept: list[tuple[int, int]] = []
+        for k, m in ranked:
+            together = [(k, m), (k, -m)] if m else [(k, 0)]
+            if m >= 0 and len(kept) + len(together) <= n_modes:
+                kept += together
+        return self.with_modes(kept)
+
+    def next_modes(self, amplitudes: FloatArray, n_before: int, most: int) -> NextModes:
+        """Return the modes that are expected to be largest of those that are lacking; see :class:`LinearBasis`.
+
+        With the Dirichlet condition all functions are zero at the edge, so that those of constant radius, which are
+        not, come first, with k = 0: it would take very many others to follow a beam that is not.
+        """
+        taken: list[tuple[int, int]] = []
+        new = self._lacking(amplitudes, taken, most)
+        while new and len(taken) < n_before:
+            taken += new[: n_before - len(taken)]
+            new = self._lacking(amplitudes, taken, most)
+        every = [*self.modes, *taken, *new]
+        settings: dict[str, Any] = {"boundary": "neumann"} if any(k == AT_EDGE for k, _ in every) else {}
+        settings["n_modes"] = len(every)
+        settings["k_max"], settings["m_max"] = (max(map(abs, numbers)) for numbers in zip(*every, strict=True))
+        return NextModes(tuple(new), lambda: self._real_parts(new), settings)
+
+    def _lacking(self, amplitudes: FloatArray, taken: list[tuple[int, int]], most: int) -> list[tuple[int, int]]:
+        """Return the first modes, ``most`` or fewer, that neither the basis nor ``taken`` has."""
+        at_edge: list[tuple[int, int]] = []
+        if self.boundary == "dirichlet":
+            signed = [m for order in range(self._m_max + 1) for m in dict.fromkeys([order, -order])]
+            at_edge = [(AT_EDGE, m) for m in signed if (AT_EDGE, m) not in taken][:most]
+        return at_edge + largest_expected(self.modes, amplitudes, taken, most - len(at_edge))
+
+    def _real_parts(self, modes: list[tuple[int, int]]) -> list[FourierBessel]:
+        """Return bases with these functions, the constant ones first; only the Neumann condition has such a one."""
+        constant = [(1, m) for k, m in modes if k == AT_EDGE]
+        others = [(k, m) for k, m in modes if k != AT_EDGE]
+        parts = [FourierBessel(constant, "real", self.edge, "neumann", self.n_az)] if constant else []
+        return parts + ([self.with_modes(others, form="real")] if others else [])
+
+    @property
+    def n_rings(self) -> int:
+        """As many as there are radial functions."""
+        return max(self._ks)
+
+    def fit_rings(self, rings: RingGrid) -> tuple[Array, int]:
+        """Fit the modes of each m on its own; see :class:`LinearBasis`."""
+        return fit_rings(rings, self.modes, lambda za: self.radial_functions(self.rho(za)), self.n_az, self.is_complex)
 
     def radial_functions(self, rho: FloatArray) -> FloatArray:
         """Return ``J0(u_k rho) / q_k`` for k = 1 .. the largest k of the modes, (k_max, Npoints)."""
@@ -207,75 +285,6 @@ def radial_zeros(k_max: int, boundary: Boundary) -> tuple[FloatArray, FloatArray
         return u, j1(u) / np.sqrt(2)
     u = np.concatenate([[0.0], jn_zeros(1, k_max)])[:k_max]
     return u, np.abs(j0(u)) / np.sqrt(2)
-
-
-def azimuthal_rows(az: FloatArray, out: FloatArray, work: FloatArray) -> None:
-    """Fill ``out`` with cos(m az), sin(m az) for m = 0, 1, ..., by angle addition in growing blocks.
-
-    Parameters
-    ----------
-    az : ndarray, (Npoints,)
-    out : ndarray, (2 m_max + 2, Npoints), C order
-    work : ndarray, (at least 1, Npoints)
-        Overwritten.
-    """
-    pairs = out.reshape(len(out) // 2, 2, len(az))
-    pairs[0, 0], pairs[0, 1] = 1, 0
-    if len(pairs) > 1:
-        np.cos(az, out=pairs[1, 0])
-        np.sin(az, out=pairs[1, 1])
-    known = 1
-    while known < len(pairs) - 1:
-        added = min(known, len(pairs) - 1 - known, len(work))
-        low, high = pairs[1 : added + 1], pairs[known + 1 : known + added + 1]
-        cos, sin = pairs[known]
-        np.multiply(low, cos, high)
-        np.multiply(low[:, 1], sin, work[:added])
-        np.subtract(high[:, 0], work[:added], high[:, 0])
-        np.multiply(low[:, 0], sin, work[:added])
-        np.add(high[:, 1], work[:added], high[:, 1])
-        known += added
-
-
-def _complex_columns(modes: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """List the cosine (m >= 0) and sine (m < 0) columns that complex modes need, side by side for one m."""
-    needed = sorted({(abs(m), k) for k, m in modes})
-    columns: list[tuple[int, int]] = []
-    for m, group in groupby(needed, key=lambda entry: entry[0]):
-        ks = [k for _, k in group]
-        columns += [(k, m) for k in ks]
-        columns += [(k, -m) for k in ks if m]
-    return columns
-
-
-def _plan_products(k_row: list[int], m_row: list[int]) -> list[tuple[Any, Any, Any]]:
-    """List which radial and azimuthal rows make which columns, in few products.
-
-    One product makes either the columns of consecutive k at one m, or cosine and sine of one (k, |m|).
-    """
-    rows = list(zip(k_row, m_row, strict=True))
-    plan: list[tuple[Any, Any, Any]] = []
-    start = 0
-    while start < len(rows):
-        k, m = rows[start]
-        length = 1
-        while rows[start + length : start + length + 1] == [(k + length, m)]:
-            length += 1
-        if length == 1 and m % 2 == 0 and rows[start + 1 : start + 2] == [(k, m + 1)]:
-            plan.append((slice(start, start + 2), k, slice(m, m + 2)))
-            start += 2
-        else:
-            plan.append((slice(start, start + length), slice(k, k + length), m))
-            start += length
-    return plan
-
-
-def _plan_mixing(modes: list[tuple[int, int]], columns: list[tuple[int, int]]) -> tuple[Any, Any, Any]:
-    """Return, for every mode, its cosine column, its sine column and the factor i sign(m) of the latter."""
-    index = {column: i for i, column in enumerate(columns)}
-    cos = np.array([index[k, abs(m)] for k, m in modes])
-    sin = np.array([index[k, -abs(m)] for k, m in modes])
-    return cos, sin, np.array([1j * np.sign(m) for _, m in modes])
 
 
 def _check(modes: list[tuple[int, int]], form: str, edge: float, boundary: str) -> None:

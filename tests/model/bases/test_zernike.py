@@ -7,7 +7,7 @@ import pytest
 from scipy.special import roots_legendre
 
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.model.zernike import Zernike
+from hydrabeam_mpi.model.bases.zernike import Zernike
 
 EDGE = np.deg2rad(92)
 

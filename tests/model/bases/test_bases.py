@@ -5,10 +5,13 @@ import json
 import numpy as np
 import pytest
 
+from hydrabeam_mpi.config.sections import Basis
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.model.basis import LinearBasis, basis_from_description
-from hydrabeam_mpi.model.fourier_bessel import FourierBessel
-from hydrabeam_mpi.model.zernike import Zernike
+from hydrabeam_mpi.model.bases import BASES as REGISTRY
+from hydrabeam_mpi.model.bases import JOB_NAMES, basis_from_description, basis_from_settings
+from hydrabeam_mpi.model.bases.base import LinearBasis, Selection
+from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
+from hydrabeam_mpi.model.bases.zernike import Zernike
 from hydrabeam_mpi.random import generator
 
 
@@ -146,6 +149,32 @@ def test_amplitudes_are_sizes_of_coefficients(basis):
     assert amplitudes.shape == (basis.n_modes,)
     assert (amplitudes > 0).all()
     assert np.sum(amplitudes**2) == pytest.approx(np.sum(np.abs(coefficients(basis)) ** 2))
+
+
+def test_the_contract_is_kept_by_every_basis_there_is():
+    assert {type(basis) for basis in BASES.values()} - {Cosines} == set(REGISTRY.values())
+
+
+def test_a_basis_of_which_nothing_more_is_known():
+    basis = Cosines()
+    assert basis.next_modes(np.ones(4), 0, 4) is None
+    assert basis.largest(np.ones(4), 2) is basis
+
+
+@pytest.mark.parametrize("name", JOB_NAMES)
+def test_a_job_can_ask_for_every_basis(name):
+    settings = Basis(kind=name, n_modes=9, k_max=3, m_max=2, max_degree=4, edge="95 deg")
+    made = basis_from_settings(settings.model_dump())
+    basis = made.basis if isinstance(made, Selection) else made
+    assert basis.n_modes == 15
+    assert basis.describe()["edge"] == np.deg2rad(95)
+    assert JOB_NAMES[name] == basis.describe()["kind"]
+    assert type(basis) is REGISTRY[JOB_NAMES[name]]
+
+
+def test_an_unknown_basis_is_told():
+    with pytest.raises(InputError, match=r"wavelets.*fourier-bessel, zernike"):
+        basis_from_settings({"kind": "wavelets"})
 
 
 @pytest.mark.parametrize("name", [name for name in BASES if name != "plugged in"])

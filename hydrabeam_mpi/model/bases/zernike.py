@@ -9,13 +9,14 @@ that the mean of Z^2 over the disc is one. They are ordered by the OSA/ANSI inde
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
+from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.model.basis import FloatArray, LinearBasis
-from hydrabeam_mpi.model.fourier_bessel import EDGE, azimuthal_rows
+from hydrabeam_mpi.model.bases.base import LinearBasis, NextModes
+from hydrabeam_mpi.model.bases.disc import EDGE, azimuthal_rows
 
 
 class Zernike(LinearBasis):
@@ -34,6 +35,8 @@ class Zernike(LinearBasis):
         If the degree is negative or the edge out of range.
     """
 
+    title: ClassVar[str] = "Zernike"
+
     def __init__(self, degree: int, edge: float = EDGE) -> None:
         if degree < 0:
             raise InputError(f"degree = {degree} gives no mode", field="degree", remedy="ask for 0 or more")
@@ -43,6 +46,11 @@ class Zernike(LinearBasis):
         self.modes = [(n, m) for n in range(self.degree + 1) for m in range(-n, n + 1, 2)]
         self.n_modes = self.n_columns = len(self.modes)
         self.is_complex = False
+
+    @classmethod
+    def from_settings(cls, settings: Mapping[str, Any]) -> Zernike:
+        """Make the basis of a job's ``max_degree``; see :class:`LinearBasis`."""
+        return cls(settings["max_degree"], np.deg2rad(settings["edge"]))
 
     def columns(self, za: FloatArray, az: FloatArray, out: FloatArray | None = None) -> FloatArray:
         """Evaluate the polynomials, (n_modes, Npoints); see :meth:`LinearBasis.columns`."""
@@ -67,6 +75,17 @@ class Zernike(LinearBasis):
     def from_description(cls, description: Mapping[str, Any]) -> Zernike:
         """Restore a basis from its description."""
         return cls(description["degree"], description["edge"])
+
+    def next_modes(self, amplitudes: FloatArray, n_before: int, most: int) -> NextModes:
+        """Return those of the next whole degrees, one or more; see :class:`LinearBasis`."""
+        first = self.degree + 1
+        while sum(n + 1 for n in range(self.degree + 1, first)) < n_before:
+            first += 1
+        top = first
+        while sum(n + 1 for n in range(first, top + 2)) <= most:
+            top += 1
+        modes = tuple((n, m) for n in range(first, top + 1) for m in range(-n, n + 1, 2))
+        return NextModes(modes, lambda: [Zernike(top, self.edge)], {"max_degree": top})
 
     def _radial(self, m: int, rho: FloatArray) -> list[FloatArray]:
         """Return R_n^m for n = m, m + 2, ..., degree: rho^m times Jacobi's P_j^(0,m)(2 rho^2 - 1)."""

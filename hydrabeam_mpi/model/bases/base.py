@@ -1,0 +1,231 @@
+"""Linear bases for a beam: one small interface, whatever the functions are.
+
+A beam is ``B(za, az) = sum_n b_n f_n(za, az)``. Everything downstream (the design matrix, the fit, the
+posterior) knows a basis only through :class:`LinearBasis`. Functions are evaluated as *real columns*, because
+a real matrix halves the work of every product with it; a complex basis says with ``mix`` how its functions
+follow from them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, Protocol, Self
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import Array, FloatArray
+from hydrabeam_mpi.model.rings import RingGrid
+
+NEGLIGIBLE = 1e-9
+"""Coefficients below this part of the largest are rounding errors."""
+
+
+@dataclass(frozen=True)
+class Selection:
+    """So many modes of a basis as a beam asks for.
+
+    Attributes
+    ----------
+    basis : LinearBasis
+        All modes that there are to choose from.
+    n_modes : int or None
+        Number of modes kept, those whose coefficients are largest; None keeps all.
+    """
+
+    basis: LinearBasis
+    n_modes: int | None
+
+
+@dataclass(frozen=True)
+class NextModes:
+    """The functions that a basis would have next; real, whatever the form of the basis.
+
+    Attributes
+    ----------
+    modes : tuple of (int, int)
+        Their numbers, by which they are called.
+    make : callable
+        Makes bases whose columns, one after another, end with these functions.
+    settings : dict
+        Keys of a job's ``[basis]`` table for a basis that also has these and those that come before them.
+    """
+
+    modes: tuple[tuple[int, int], ...]
+    make: Callable[[], Sequence[LinearBasis]]
+    settings: dict[str, Any]
+
+    @cached_property
+    def _parts(self) -> Sequence[LinearBasis]:
+        return self.make()
+
+    def columns(self, za: FloatArray, az: FloatArray) -> FloatArray:
+        """Evaluate the functions at (Npoints,) zenith angles and azimuths, radians: (n, Npoints)."""
+        return np.concatenate([part.columns(za, az) for part in self._parts])[-len(self.modes) :]
+
+
+class LinearBasis(Protocol):
+    """What a set of beam functions must be able to do.
+
+    A new basis has a module of its own beside this one and a line in `BASES`. It derives from this class and supplies
+    the attributes, ``columns`` and how it is made and described; the other methods have defaults that are right for a
+    real basis of which nothing more is known.
+
+    Attributes
+    ----------
+    title : str
+        What its functions are called.
+    n_modes : int
+        Number of functions, that is of coefficients.
+    is_complex : bool
+        Whether coefficients are complex.
+    n_columns : int
+        Number of real columns from which the functions are mixed.
+    """
+
+    title: ClassVar[str] = "linear"
+    n_modes: int
+    is_complex: bool
+    n_columns: int
+
+    @classmethod
+    def from_settings(cls, settings: Mapping[str, Any]) -> LinearBasis | Selection:
+        """Make the basis that a job asks for, or say from which to select modes by the model beam.
+
+        Parameters
+        ----------
+        settings : mapping
+            Keys and values of the job's ``[basis]`` table.
+        """
+        ...
+
+    @classmethod
+    def from_description(cls, description: Mapping[str, Any]) -> Self:
+        """Restore a basis from what ``describe`` returned; KeyError where that is incomplete."""
+        ...
+
+    def columns(self, za: FloatArray, az: FloatArray, out: FloatArray | None = None) -> FloatArray:
+        """Evaluate the real columns.
+
+        Parameters
+        ----------
+        za, az : ndarray, (Npoints,)
+            Zenith angle, and azimuth from East through North, in radians.
+        out : ndarray, (n_columns, Npoints), optional
+            Where to put the result; its rows must be contiguous.
+
+        Returns
+        -------
+        ndarray, (n_columns, Npoints)
+            ``out``, or a new array that nothing else refers to.
+        """
+        ...
+
+    def describe(self) -> dict[str, Any]:
+        """Return a JSON-able description from which ``from_description`` restores the basis, with its ``kind``."""
+        ...
+
+    def mix(self, rows: Array) -> Array:
+        """Turn columns into functions, along the last axis.
+
+        Linear in ``rows``: for the real columns C of some points, ``mix(C.T)`` is the matrix of the f_n
+        there, and for any matrix X, ``mix(X @ C.T) = X @ mix(C.T)``. The identity for a real basis.
+
+        Parameters
+        ----------
+        rows : ndarray, (..., n_columns)
+
+        Returns
+        -------
+        ndarray, (..., n_modes)
+        """
+        return rows
+
+    def column_coeffs(self, coeffs: Array) -> Array:
+        """Return the coefficients c of the columns that give the same beam.
+
+        ``column_coeffs(b) @ columns(za, az) = b @ evaluate(za, az)``.
+
+        Parameters
+        ----------
+        coeffs : ndarray, (..., n_modes)
+
+        Returns
+        -------
+        ndarray, (..., n_columns)
+        """
+        return coeffs
+
+    def amplitudes(self, coeffs: Array) -> FloatArray:
+        """Return how large each coefficient is, for a prior width that is a fraction of it, (n_modes,)."""
+        return np.abs(coeffs)
+
+    def largest(self, coeffs: Array, n_modes: int) -> LinearBasis:
+        """Return the basis of the modes with the largest coefficients; all of them where these go together.
+
+        Parameters
+        ----------
+        coeffs : ndarray, (n_modes of this basis,)
+        n_modes : int
+            Most modes to keep.
+        """
+        return self
+
+    def next_modes(self, amplitudes: FloatArray, n_before: int, most: int) -> NextModes | None:
+        """Return the functions that the basis would have next, or None where that is not known.
+
+        Parameters
+        ----------
+        amplitudes : ndarray, (n_modes,)
+            How large the model beam's coefficients are.
+        n_before : int
+            How many of them others have taken.
+        most : int
+            Most functions to return.
+        """
+        return None
+
+    @property
+    def n_rings(self) -> int:
+        """Number of zenith angles at which a beam must have samples for its functions to be told apart, if any."""
+        return 0
+
+    def fit_rings(self, rings: RingGrid) -> tuple[Array, int] | None:
+        """Fit samples on rings of equal zenith angle, where these give a faster or a better fit than points.
+
+        Parameters
+        ----------
+        rings : RingGrid
+
+        Returns
+        -------
+        tuple of ndarray, (n_modes,), and int, or None
+            Coefficients, and how many directions of coefficient space the samples do not determine; None where rings
+            are no better than points.
+        """
+        return None
+
+    def evaluate(self, za: FloatArray, az: FloatArray) -> Array:
+        """Evaluate the functions f_n, (n_modes, Npoints)."""
+        return self.mix(self.columns(za, az).T).T
+
+    def synthesize(self, coeffs: Array, za: FloatArray, az: FloatArray) -> Array:
+        """Evaluate the beam ``sum_n b_n f_n``, (Npoints,), without holding all columns of all points.
+
+        Parameters
+        ----------
+        coeffs : ndarray, (n_modes,)
+        za, az : ndarray, (Npoints,)
+            Radians.
+        """
+        weights = self.column_coeffs(coeffs)
+        values = np.empty(np.shape(za), dtype=weights.dtype)
+        for start in range(0, len(values), _POINTS_AT_ONCE):
+            part = slice(start, start + _POINTS_AT_ONCE)
+            values[part] = weights @ self.columns(za[part], az[part])
+        return values
+
+
+# Points evaluated together: few enough to stay in cache, enough to hide the cost of a call.
+_POINTS_AT_ONCE = 2048

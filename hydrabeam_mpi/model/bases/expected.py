@@ -1,0 +1,51 @@
+"""Which modes are expected to be large by those that are near in radial and azimuthal order."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.model.bases.base import NEGLIGIBLE
+
+MARGIN = 4
+"""Orders beyond those of a basis that has all of its own; enough for as many modes again."""
+
+
+def largest_expected(
+    modes: Sequence[tuple[int, int]], amplitudes: FloatArray, taken: Sequence[tuple[int, int]], most: int
+) -> list[tuple[int, int]]:
+    """Return the modes that are expected to be largest by those of a basis that are near.
+
+    A mode is expected to be as large as any other reduced by a factor e for each step in k and in |m|, and by e^3 more
+    where one |m| is even and the other odd, as most feeds look alike when turned by half a turn. Of the modes that a
+    selection by amplitude has left out of dipole and dish beams, this finds more than do smooth fits or order alone.
+
+    Parameters
+    ----------
+    modes : sequence of (k, m)
+        Of the basis; k = 1, 2, ...
+    amplitudes : ndarray, (len(modes),)
+        How large their coefficients are.
+    taken : sequence of (k, m)
+        Further modes to leave out.
+    most : int
+        Most modes to return; m and -m come together.
+    """
+    present = {*modes, *taken}
+    logs = np.log(np.maximum(amplitudes, NEGLIGIBLE * amplitudes.max()))
+    k, m = np.array(modes).T
+    expected = np.full((k.max() + MARGIN, abs(m).max() + 1 + MARGIN), -np.inf)
+    np.maximum.at(expected, (k - 1, abs(m)), logs)
+    steps_k, steps_m = (abs(np.subtract.outer(np.arange(n), np.arange(n))) for n in expected.shape)
+    steps_m += 3 * (steps_m % 2)
+    expected = (expected - steps_k[:, :, np.newaxis]).max(axis=1)
+    expected = (expected[:, np.newaxis] - steps_m).max(axis=2)
+    chosen: list[tuple[int, int]] = []
+    for place in np.argsort(-expected, axis=None, kind="stable").tolist():
+        row, order = divmod(place, expected.shape[1])
+        pair = [mode for mode in dict.fromkeys([(row + 1, order), (row + 1, -order)]) if mode not in present]
+        if len(chosen) + len(pair) <= most:
+            chosen += pair
+    return chosen

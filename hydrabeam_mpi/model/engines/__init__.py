@@ -1,0 +1,36 @@
+"""The visibility engines by the names that a job gives them; a new one has a file here and a line in `ENGINES`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.model.engines.base import Engine
+from hydrabeam_mpi.model.engines.gemm import GemmEngine
+from hydrabeam_mpi.model.engines.nufft import NufftEngine
+
+ENGINES: dict[str, Callable[[FloatArray], Engine]] = {
+    "gemm": GemmEngine,
+    "nufft": NufftEngine,
+}
+
+
+def make_engine(kind: str, vectors: FloatArray) -> Engine:
+    """Build the engine of that name.
+
+    Parameters
+    ----------
+    kind : str
+        One of `ENGINES`.
+    vectors : ndarray, (Nvectors, 3)
+        Baseline vectors in metres ENU.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name.
+    """
+    if kind not in ENGINES:
+        raise InputError(f"unknown engine {kind!r}", field="[solver] engine", remedy=f"known: {', '.join(ENGINES)}")
+    return ENGINES[kind](vectors)

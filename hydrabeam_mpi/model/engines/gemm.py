@@ -1,0 +1,57 @@
+"""Design rows by matrix products."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from scipy.linalg.blas import dgemm
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.model.engines.base import Columns, Engine, amplitude
+from hydrabeam_mpi.model.positions import enu
+
+
+class GemmEngine(Engine):
+    """Dense products, source chunk by source chunk; the arrays of a chunk stay in cache.
+
+    Parameters
+    ----------
+    vectors : ndarray, (Nvectors, 3)
+        Baseline vectors in metres ENU.
+    tol : float
+        Distance in metres within which vectors count as lying on a lattice.
+    chunk : int
+        Sources treated at once.
+    """
+
+    def __init__(self, vectors: FloatArray, tol: float = 1e-7, chunk: int = 1024) -> None:
+        super().__init__(vectors, tol)
+        self.chunk = chunk
+
+    def design(self, basis: Columns, za: FloatArray, az: FloatArray, flux: FloatArray, freqs: FloatArray) -> FloatArray:
+        """Compute the design of one time; see `Engine.design`."""
+        n_vectors = self.n_vectors
+        out = np.zeros((len(freqs), 2 * n_vectors, basis.n_columns))
+        directions = enu(za, az)
+        # Chunks of equal size: a short last one would cost nearly as much as a full one.
+        n_chunks = max(-(-len(za) // self.chunk), 1)
+        edges = np.linspace(0, len(za), n_chunks + 1).astype(int)
+        # One work space for all chunks: fresh pages cost as much as what is computed in them.
+        n_rows = basis.n_columns + 2 * n_vectors
+        space = np.empty(n_rows * self.chunk)
+        for lo, hi in pairwise(edges.tolist()):
+            rows = space[: n_rows * (hi - lo)].reshape(n_rows, hi - lo)
+            columns = basis.columns(za[lo:hi], az[lo:hi], out=rows[: basis.n_columns])
+            fringes = rows[basis.n_columns :]
+            for f, freq in enumerate(freqs):
+                parts = fringes.reshape(2, n_vectors, hi - lo)
+                self.fringes.fill(parts, directions[:, lo:hi], amplitude(flux[f, lo:hi]), float(freq))
+                _add_product(out[f], fringes, columns)
+        return out.reshape(len(freqs), 2, n_vectors, basis.n_columns)
+
+
+def _add_product(out: FloatArray, a: FloatArray, b: FloatArray) -> None:
+    """Add ``a @ b.T`` to ``out`` in place; all three C-ordered, so that BLAS copies nothing."""
+    if a.shape[1]:
+        dgemm(1.0, b.T, a.T, beta=1.0, c=out.T, trans_a=1, overwrite_c=1)
