@@ -91,10 +91,13 @@ def _run(world: MPI.Comm, options: argparse.Namespace) -> None:
     """Dispatch. Commands are imported here so that `--help` does not wait for astronomy packages."""
     threads = limit_blas_threads(world)
     if options.command in ("simulate", "infer", "loop"):
-        # A mistake in the job is told before the packages that the work needs are imported, which takes seconds.
-        from hydrabeam_mpi.job_file import load
+        # A mistake in the job or its paths is told before the packages that the work needs are imported: that takes
+        # seconds.
+        from hydrabeam_mpi.job_file import check_paths, load
 
-        job = load(world, options.job, options.command == "simulate", options.command == "loop")
+        simulates = options.command == "simulate"
+        job = load(world, options.job, simulates, options.command == "loop")
+        check_paths(world, job, options.job, options.output, options.overwrite, simulates)
         from hydrabeam_mpi import run
         from hydrabeam_mpi.loop.command import close_loop
 

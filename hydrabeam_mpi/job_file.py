@@ -5,7 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from hydrabeam_mpi.config import Job, load_job
+from hydrabeam_mpi.config.named import for_inference, named_files, simulation_files
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.staging import check_place
 from hydrabeam_mpi.mpi import Comm, together
 
 
@@ -32,3 +34,29 @@ def load(world: Comm, path: Path, needs_simulation: bool = False, needs_holdout:
                 remedy = "use kind = \"times\" or another one, or 'hydrabeam infer'"
                 raise InputError(message, file=path, field="[holdout] kind", remedy=remedy)
     return world.bcast(job)
+
+
+def check_paths(world: Comm, job: Job, path: Path, out: Path, overwrite: bool, only_simulates: bool = False) -> None:
+    """Look at the files that a job names, and at where its result shall be.
+
+    Collective: all ranks of `world`. What is looked at is said in `read_files` and `unread_files`.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if a file is missing or not what it should be, or something stands where the result shall be.
+    """
+    with together(world):
+        if world.rank == 0:
+            kept = (*read_files(job, only_simulates), *unread_files(job, path))
+            check_place(out, overwrite, kept)
+
+
+def read_files(job: Job, only_simulates: bool = False) -> list[Path]:
+    """List what a command reads besides the job file, or else say in an `InputError` which file cannot be read."""
+    return simulation_files(job) if only_simulates else named_files(job)
+
+
+def unread_files(job: Job, path: Path) -> list[Path]:
+    """List what a job names and its run may yet leave unread, and the job file ``path``: they must not be lost."""
+    return [path, *(named.path for named in for_inference(job))]

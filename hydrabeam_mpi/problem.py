@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import glob
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,11 +11,11 @@ import numpy as np
 
 from hydrabeam_mpi.beams import fit_model_beams, load_beams, make_prior
 from hydrabeam_mpi.config import Job
+from hydrabeam_mpi.config.named import expand
 from hydrabeam_mpi.data.observation import FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.partition import Tile, make_tiles
 from hydrabeam_mpi.data.redundancy import RedundantGroups, find_redundant_groups
 from hydrabeam_mpi.data.selection import HoldoutRule, Selection, split_holdout
-from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.infer.prior import Prior
 from hydrabeam_mpi.io.noise import difference_variance
 from hydrabeam_mpi.io.uvmeta import read_observation
@@ -129,23 +128,6 @@ class Problem:
         )
 
 
-def expand(patterns: Sequence[str], field: str) -> tuple[Path, ...]:
-    """Expand file names with wildcards, in order of name.
-
-    Raises
-    ------
-    InputError
-        If a pattern matches nothing.
-    """
-    paths: list[Path] = []
-    for pattern in patterns:
-        found = sorted(glob.glob(pattern)) if glob.has_magic(pattern) else [pattern]
-        if not found or not Path(found[0]).exists():
-            raise InputError("no such file", file=pattern, field=field, remedy="check the path")
-        paths += map(Path, found)
-    return tuple(dict.fromkeys(paths))
-
-
 def select(job: Job) -> Selection:
     """Turn the data section into a selection in radians and Hz."""
     data = job.data
@@ -220,7 +202,7 @@ def prepare(job: Job, files: tuple[Path, ...], truths: tuple[Beam, ...] = ()) ->
     return Problem(
         job=job,
         files=files,
-        gain_files=expand(job.data.gains, "[data] gains"),
+        gain_files=expand(job.data.gains, "[data] gains", "file"),
         observation=observation,
         redundant=find_groups(job, observation),
         train=Tile(np.flatnonzero(holdout.train_times), np.flatnonzero(holdout.train_bls)),

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-import h5py
 import numpy as np
 from astropy import units
 from astropy.coordinates import EarthLocation
@@ -23,7 +22,8 @@ from hydrabeam_mpi.effects.catalogue import SEPARATE
 from hydrabeam_mpi.effects.leakage import FEEDS
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.inject import Injection, Truth, Visibilities
-from hydrabeam_mpi.io.staging import writing
+from hydrabeam_mpi.io.disk import check_space, writing
+from hydrabeam_mpi.io.hdf5 import new_hdf5
 from hydrabeam_mpi.io.uvdata import feeds_of
 from hydrabeam_mpi.io.uvwrite import write_uvh5
 from hydrabeam_mpi.model.arrays import hexagon, read_layout
@@ -55,6 +55,7 @@ def simulate_to(world: Comm, job: Job, folder: Path) -> tuple[Beam, ...]:
         if world.rank == 0:
             say("simulating")
             scene = _set_scene(job, job.data.simulate)
+            check_space(folder, _least_bytes(scene[0]))
     observation, sky, beams = bcast_object(world, scene)
     with together(world):
         redundant = find_redundant_groups(
@@ -101,6 +102,12 @@ def _set_scene(job: Job, settings: Simulate) -> tuple[Observation, Sky, dict[str
         second = 2 * (other if pol[0] == one else one)
         beams[second] = tuple(TurnedBeam(beam, second) for beam in own)
     return observation, load_sky(job, observation.freqs), beams
+
+
+def _least_bytes(observation: Observation) -> int:
+    """Return how many bytes the visibilities have, the autocorrelations included."""
+    n_bls = observation.Nbls + observation.Nants
+    return observation.Ntimes * n_bls * observation.Nfreqs * observation.Npols * np.dtype(complex).itemsize
 
 
 def mock_observation(settings: Simulate, pol: str) -> Observation:
@@ -182,7 +189,7 @@ def _write(
         data, more = injection.after_noise(data, variance)
         truths += more
     _write_data(folder / "data.uvh5", observation, data, autos, settings.nsamples)
-    with h5py.File(folder / "truth.h5", "w") as file:
+    with new_hdf5(folder / "truth.h5") as file:
         own_beams = beams[job.data.polarization]
         file["freqs"], file["grid_za"], file["grid_az"] = observation.freqs, GRID_ZA, GRID_AZ
         file["beam"] = np.array([evaluate_on_grid(beam) for beam in own_beams])

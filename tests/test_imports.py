@@ -12,7 +12,10 @@ PACKAGE = "hydrabeam_mpi"
 ROOT = Path(__file__).parents[1]
 SERIAL = ("beams", "config", "console", "data", "infer", "init", "io", "model", "progress", "report", "tables")
 # What knows of processes: the layer that runs.
-RUNNING = ("mpi", "run", "cli", "inference", "accumulate", "problem", "rows", "simulate", "diagnose", "__main__")
+RUNNING = (
+    "mpi", "run", "output", "job_file", "cli", "inference", "accumulate", "problem", "rows", "simulate", "diagnose",
+    "__main__",
+)  # fmt: skip
 
 
 def modules() -> dict[str, Path]:

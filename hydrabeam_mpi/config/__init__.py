@@ -1,7 +1,8 @@
 """The job file: what it may say, and what is wrong with it where something is."""
 
 from hydrabeam_mpi.config.base import Section
-from hydrabeam_mpi.config.job import Job, load_job, named_files
+from hydrabeam_mpi.config.job import Job, load_job
+from hydrabeam_mpi.config.named import named_files
 from hydrabeam_mpi.config.sections import ANALYTIC_BEAMS, BUILT_IN_BEAMS, Perturbation, Simulate, SkyColumns
 
 __all__ = [

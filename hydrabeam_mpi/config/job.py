@@ -10,7 +10,6 @@ from hydrabeam_mpi.config.base import Section, key
 from hydrabeam_mpi.config.effects import Effect, Loop
 from hydrabeam_mpi.config.mistakes import as_input_error
 from hydrabeam_mpi.config.sections import (
-    BUILT_IN_BEAMS,
     Basis,
     Beam,
     Data,
@@ -56,11 +55,3 @@ def load_job(path: Path) -> Job:
         return Job.model_validate_json(content, context={"folder": path.resolve().parent})
     except ValidationError as error:
         raise as_input_error(error, Job, path) from error
-
-
-def named_files(job: Job) -> list[Path]:
-    """List the files and folders that a job names, wildcards as they are."""
-    array = job.data.simulate.array if job.data.simulate else None
-    source = job.beam.source if job.beam.source not in BUILT_IN_BEAMS else None
-    single = (array and array.file, job.noise.file, job.sky.file, job.sky.diffuse, source, job.prior.file)
-    return [Path(name) for name in (*job.data.files, *job.data.gains, *single) if name]

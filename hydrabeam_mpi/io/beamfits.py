@@ -7,6 +7,7 @@ the geometric mean of the two co-polarised peaks. An E-field is turned into powe
 
 from __future__ import annotations
 
+import unicodedata
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -232,7 +233,7 @@ def write_power_beam(
     pols : list of str
         "ee", "nn", ..., which are labelled with x for the feed that points East, or "xx", "yy", ....
     telescope_name, history : str
-        For the header.
+        For the header, which has ASCII only: see `in_ascii`.
     x_points : {"east", "north"}
         Where feed x points.
 
@@ -241,7 +242,7 @@ def write_power_beam(
     float
         Largest absolute imaginary part of the co-polarised values.
     """
-    about = {"telescope_name": telescope_name, "history": history, "x_points": x_points}
+    about = {"telescope_name": in_ascii(telescope_name), "history": in_ascii(history), "x_points": x_points}
     if len(freqs) > 2 and np.ptp(np.diff(freqs)) > _UNEVEN:
         names = [path.with_name(f"{path.stem}.{freq / 1e6:.6f}MHz{path.suffix}") for freq in freqs]
         return max(
@@ -258,6 +259,12 @@ def write_power_beam(
     uvbeam.write_beamfits(str(path), clobber=True)
     _put_polarisations_in_place(path)
     return imag_max
+
+
+def in_ascii(text: str) -> str:
+    """Return text as a FITS header may have it: letters without their accents, and "?" for what ASCII lacks."""
+    plain = (letter for letter in unicodedata.normalize("NFKD", text) if not unicodedata.combining(letter))
+    return "".join(letter if letter.isascii() and letter.isprintable() else "?" for letter in plain)
 
 
 def _new_uvbeam(

@@ -36,8 +36,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.hdf5 import new_hdf5
 
 CHANNEL = "channel_{:04d}"
+EIGENBEAMS = 4
+REAL_MAPS = 3
+MAP_PIXELS = 91 * 360
 
 
 @dataclass
@@ -63,8 +67,14 @@ class PosteriorFile:
 
 
 def write_posterior(path: Path, content: PosteriorFile) -> None:
-    """Write ``posterior.h5``."""
-    with h5py.File(path, "w") as file:
+    """Write ``posterior.h5``.
+
+    Raises
+    ------
+    OSError
+        If not all of it could be written.
+    """
+    with new_hdf5(path) as file:
         file.attrs["basis"] = json.dumps(content.basis)
         file.attrs["provenance"] = json.dumps(content.provenance)
         file.attrs["polarization"] = content.polarization
@@ -77,6 +87,12 @@ def write_posterior(path: Path, content: PosteriorFile) -> None:
                 group.attrs["log_evidence"] = record.log_evidence
             for name, array in record.arrays.items():
                 group[name] = array
+
+
+def least_bytes(n_channels: int, n_modes: int, itemsize: int, n_draws: int) -> int:
+    """Return how many bytes the file has at least: covariances, draws and the maps that every channel has."""
+    of_coefficients = n_modes * (n_modes + n_draws) + min(n_modes, EIGENBEAMS) * MAP_PIXELS
+    return n_channels * (itemsize * of_coefficients + REAL_MAPS * MAP_PIXELS * np.dtype(float).itemsize)
 
 
 def read_posterior(path: Path) -> PosteriorFile:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import platform
 from collections.abc import Iterable
 from importlib.metadata import PackageNotFoundError, version
@@ -11,6 +10,7 @@ from typing import Any
 
 from hydrabeam_mpi import __version__
 from hydrabeam_mpi.config import Job
+from hydrabeam_mpi.io.checksums import checksum
 
 PACKAGES = ("numpy", "scipy", "h5py", "astropy", "pyuvdata", "pyradiosky", "mpi4py", "finufft")
 
@@ -40,16 +40,13 @@ def provenance(job: Job, inputs: Iterable[Path], ranks: int, threads: int, mpi: 
         "versions": versions,
         "ranks": ranks,
         "threads_per_rank": threads,
-        "sha256": {str(path): checksum(path) for path in inputs},
+        "sha256": {str(path): _checksum_of_input(path) for path in inputs},
     }
 
 
-def checksum(path: Path) -> str:
-    """Return the SHA-256 of a file, or of all files of a folder in order of name."""
-    digest = hashlib.sha256()
-    for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
-        if file.is_file():
-            with file.open("rb") as stream:
-                while block := stream.read(1 << 22):
-                    digest.update(block)
-    return digest.hexdigest()
+def _checksum_of_input(path: Path) -> str:
+    """Return the checksum of what was read, or say that it is gone."""
+    try:
+        return checksum(path)
+    except OSError as error:
+        return f"not known: cannot be read at the end of the run ({error.strerror})"

@@ -1,28 +1,31 @@
-"""Output folders that appear whole or not at all."""
+"""Output folders that appear whole or not at all, and replace nothing but earlier results."""
 
 from __future__ import annotations
 
-import errno
+import logging
 import os
-import re
-import secrets
 import shutil
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.checksums import stamp_of
+from hydrabeam_mpi.io.leftovers import claim, clear_leftovers, new_name
+from hydrabeam_mpi.io.manifest import MANIFEST, RUNNING, find_strangers, read_manifest, remove_result, write_manifest
 
-# Every finished folder has it: only a folder with this file is ever replaced.
-RESULT_MARK = "provenance.json"
-# What the disk says when it takes no more.
-DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES}
+logger = logging.getLogger(__name__)
+
+NAMED_STRANGERS = 3
+"""As many files as a line has room for are named of those that keep a folder from being replaced."""
 
 
 class StagedDirectory:
     """A folder that is filled under a temporary name beside its place and renamed at the end.
 
-    Only one process (rank 0) should create and publish it.
+    Only one process (rank 0) should create and publish it. What runs that were killed have left beside the place is
+    removed first.
 
     Parameters
     ----------
@@ -31,7 +34,10 @@ class StagedDirectory:
     overwrite : bool
         Whether an earlier result is replaced; it stays until the new one is whole.
     inputs : iterable of Path
-        What the result is made from, and which must not go with an earlier result.
+        What the result is made from: it must not go with an earlier result, nor change before the new one is
+        published.
+    kept : iterable of Path
+        What else must not go with an earlier result.
 
     Attributes
     ----------
@@ -44,20 +50,30 @@ class StagedDirectory:
         If ``path`` exists and may not be replaced, or cannot be written.
     """
 
-    def __init__(self, path: Path, overwrite: bool, inputs: Iterable[Path] = ()) -> None:
-        self._asked, self._overwrite = path, overwrite
+    def __init__(self, path: Path, overwrite: bool, inputs: Iterable[Path] = (), kept: Iterable[Path] = ()) -> None:
+        inputs = tuple(inputs)
+        self._lock: int | None = None
+        self._asked, self._overwrite, self._kept = path, overwrite, (*inputs, *kept)
+        self._stamps = {file: stamp_of(file) for file in inputs}
         try:
-            self.path = path.resolve()
-            self._check_free()
-            self._check_holds_none_of(inputs)
-            self.partial = self._beside("partial")
+            self.path = Path(os.path.realpath(path))
+            clear_leftovers(self.path)
+            check_place(path, overwrite, self._kept)
+            self.partial = new_name(self.path, "partial")
             self._new_parents = [parent for parent in self.path.parents if not parent.is_dir()]
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self.partial.mkdir()
         except OSError as error:
-            raise self._refusal(
-                f"cannot be written ({error.strerror})", "choose a folder that you may write"
-            ) from error
+            raise _cannot_be_written(path, error) from error
+        try:
+            self._lock = claim(self.partial)
+        except OSError as error:
+            self.discard()
+            raise _cannot_be_written(path, error) from error
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave the lock to the process that made it."""
+        return {**self.__dict__, "_lock": None}
 
     def publish(self) -> None:
         """Move the finished folder to its place; one that stood there is removed last.
@@ -65,11 +81,17 @@ class StagedDirectory:
         Raises
         ------
         InputError
-            If it cannot be moved. It is then kept under its temporary name, and what stood in its place stays.
+            If an input has changed meanwhile, or the folder cannot be moved. It is then kept under its temporary name,
+            and what stood in its place stays.
         """
-        old = self._beside("old")
         try:
-            self._check_free()
+            write_manifest(self.partial)
+        except OSError as error:
+            logger.warning("%s cannot be written (%s): --overwrite will not replace this result", MANIFEST, error)
+        old = new_name(self.path, "old")
+        try:
+            self._check_inputs()
+            check_place(self._asked, self._overwrite, self._kept)
             if self.path.exists():
                 self.path.rename(old)
             try:
@@ -79,72 +101,105 @@ class StagedDirectory:
                     old.rename(self.path)
                 raise
         except (OSError, InputError) as error:
-            reason = error.strerror if isinstance(error, OSError) else error.message
-            raise self._refusal(
-                f"{reason}, now that the result is finished", f"the result is kept in {self.partial}"
-            ) from error
-        shutil.rmtree(old, ignore_errors=True)
+            self._release(self.partial)
+            raise self._kept_aside(error) from error
+        self._release(self.path)
+        if old.exists() and not remove_result(old):
+            logger.warning("of the earlier result not all could be removed: the rest is in %s", old)
 
     def discard(self) -> None:
         """Remove what has been written so far; any process may do so, also several at once."""
         shutil.rmtree(self.partial, ignore_errors=True)
+        self._release(self.partial)
         with suppress(OSError):
             for parent in self._new_parents:
                 parent.rmdir()
 
-    def _beside(self, role: str) -> Path:
-        """Return a name that no other run has."""
-        return self.path.with_name(f".{self.path.name}.{role}-{secrets.token_hex(4)}")
+    def _release(self, folder: Path) -> None:
+        """Let go of the lock."""
+        with suppress(OSError):
+            (folder / RUNNING).unlink()
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
 
-    def _check_free(self) -> None:
-        """Make sure that nothing stands in the way, or else a result that may be replaced."""
-        above = next((parent for parent in self.path.parents if parent.exists()), self.path)
-        if not above.is_dir():
-            raise self._refusal(f"cannot be written, as {above} is a file", "choose a folder that you may write")
-        if not self.path.exists():
-            return
-        if not self._overwrite:
-            raise self._refusal("exists already", "choose another folder or add --overwrite")
-        if not self.path.is_dir():
-            raise self._refusal("is not a folder", "choose another name")
-        if any(self.path.iterdir()) and not (self.path / RESULT_MARK).is_file():
-            raise self._refusal("is not an earlier result, so it is not replaced", "choose another folder")
+    def _check_inputs(self) -> None:
+        """Make sure that the inputs are those from which the result was made."""
+        for file, stamp in self._stamps.items():
+            now = stamp_of(file)
+            if now != stamp:
+                raise InputError(
+                    f"was {'changed' if now else 'removed'} during the run, so that nobody can tell what was read",
+                    file=file,
+                    remedy="run again once it stays as it is",
+                )
 
-    def _check_holds_none_of(self, inputs: Iterable[Path]) -> None:
-        """Make sure that no input is lost with an earlier result."""
-        for file in inputs:
-            if self.path.exists() and file.resolve().is_relative_to(self.path):
-                raise self._refusal(f"holds {file.name}, which the job reads", "choose another folder")
+    def _kept_aside(self, error: OSError | InputError) -> InputError:
+        """Tell why the finished result is not where it should be, and where it is."""
+        where = f"the result is kept in {self.partial}"
+        if isinstance(error, OSError):
+            reason = f"{error.strerror}, now that the result is finished"
+            return InputError(reason, file=self._asked, field="-o", remedy=where)
+        if error.field == "-o":
+            reason = f"{error.message}, now that the result is finished"
+            return InputError(reason, file=error.file, field="-o", remedy=where)
+        return InputError(error.message, file=error.file, remedy=f"{error.remedy}; {where}")
 
-    def _refusal(self, message: str, remedy: str) -> InputError:
-        return InputError(message, file=self._asked, field="-o", remedy=remedy)
 
+def check_place(path: Path, overwrite: bool, kept: Iterable[Path] = ()) -> None:
+    """Make sure that a result can appear at ``path``.
 
-@contextmanager
-def writing(folder: Path) -> Iterator[None]:
-    """Tell of a disk that takes no more as of wrong input.
+    Parameters
+    ----------
+    path : Path
+    overwrite : bool
+        Whether an earlier result may be replaced. It has a manifest, and nothing in it but what that lists.
+    kept : iterable of Path
+        Files that must not be in it.
 
     Raises
     ------
     InputError
-        If one of `DISK_ERRORS` is at the root of what the block raises.
+        If something stands in the way.
     """
     try:
-        yield
-    except Exception as error:
-        number = _disk_error(error)
-        if number is None:
-            raise
-        reason, remedy = os.strerror(number), "make room, or choose a folder elsewhere"
-        raise InputError(f"cannot be written ({reason})", file=folder.parent, field="-o", remedy=remedy) from error
+        place = Path(os.path.realpath(path))
+        above = next((parent for parent in place.parents if parent.exists()), place)
+        if not above.is_dir():
+            raise _refusal(path, f"cannot be written, as {above} is a file", "choose a folder that you may write")
+        if not os.path.lexists(place):
+            return
+        place.stat()
+        if not overwrite:
+            raise _refusal(path, "exists already", "choose another folder or add --overwrite")
+        if not place.is_dir():
+            raise _refusal(path, "is not a folder", "choose another name")
+        _check_replaceable(path, place, kept)
+    except OSError as error:
+        raise _cannot_be_written(path, error) from error
 
 
-def _disk_error(error: BaseException | None) -> int | None:
-    """Find one of `DISK_ERRORS` in a chain of exceptions, or in what HDF5 says while it closes a file."""
-    while error:
-        said = re.search(r"errno = (\d+)", str(error))
-        number = getattr(error, "errno", None) or (int(said[1]) if said else None)
-        if number in DISK_ERRORS:
-            return number
-        error = error.__cause__ or error.__context__
-    return None
+def _check_replaceable(path: Path, place: Path, kept: Iterable[Path]) -> None:
+    """Make sure that nothing but an earlier result is lost with a folder."""
+    for file in kept:
+        # Where a link leads, and the link itself.
+        for named in (os.path.realpath(file), os.path.join(os.path.realpath(file.parent), file.name)):
+            if Path(named).is_relative_to(place):
+                raise _refusal(path, f"holds {file.name}, which the job reads", "choose another folder")
+    if read_manifest(place) is None and any(place.iterdir()):
+        message = f"is not an earlier result (it has no {MANIFEST} of one), so it is not replaced"
+        raise _refusal(path, message, "choose another folder, or remove it yourself")
+    strangers = find_strangers(place)
+    if strangers:
+        more = f" and {len(strangers) - NAMED_STRANGERS} more" if len(strangers) > NAMED_STRANGERS else ""
+        what = ", ".join(strangers[:NAMED_STRANGERS]) + more
+        message = f"holds what the earlier result did not, so it is not replaced: {what}"
+        raise _refusal(path, message, "choose another folder, or move that elsewhere")
+
+
+def _refusal(path: Path, message: str, remedy: str) -> InputError:
+    return InputError(message, file=path, field="-o", remedy=remedy)
+
+
+def _cannot_be_written(path: Path, error: OSError) -> InputError:
+    return _refusal(path, f"cannot be written ({error.strerror})", "choose a folder that you may write")

@@ -14,6 +14,7 @@ from pyuvdata.utils import polstr2num
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, Observation
 from hydrabeam_mpi.data.selection import BoolArray
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.hdf5 import HDF5Target
 from hydrabeam_mpi.io.uvdata import Block, feeds_of
 from hydrabeam_mpi.io.uvfile import enu_axes, quiet
 
@@ -51,13 +52,21 @@ def write_uvh5(
         block = Block(*map(_joined, block, _auto_block(observation, autos)))
     partial = path.with_name(f".{path.name}.partial-{os.getpid()}")
     try:
-        with quiet():
-            _as_uvdata(observation, antpairs, block).write_uvh5(str(partial), clobber=True, run_check=False)
+        with quiet(), _Target(partial) as target:
+            _as_uvdata(observation, antpairs, block).write_uvh5(target, run_check=False)
+            target.settle()
         os.replace(partial, path)
     except OSError as error:
         raise InputError(f"cannot be written ({error})", file=path, remedy="choose another place") from error
     finally:
         partial.unlink(missing_ok=True)
+
+
+class _Target(HDF5Target):
+    """Has a name to show to pyuvdata, which asks whether such a file is there already."""
+
+    def __fspath__(self) -> str:
+        return ""
 
 
 def _joined(cross: NDArray[Any], auto: NDArray[Any]) -> NDArray[Any]:

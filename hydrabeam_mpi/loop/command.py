@@ -18,8 +18,8 @@ from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.reweighting import Reweighting
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.inference import Clock, describe_channels
+from hydrabeam_mpi.io.disk import write_computed
 from hydrabeam_mpi.io.provenance import provenance
-from hydrabeam_mpi.io.staging import writing
 from hydrabeam_mpi.loop.amendment import amended_job
 from hydrabeam_mpi.loop.conventions import check_conventions
 from hydrabeam_mpi.loop.drift import drifts
@@ -36,8 +36,9 @@ from hydrabeam_mpi.mpi import (
     peak_rss_mb,
     together,
 )
+from hydrabeam_mpi.output import input_files, staged, write_conversions, write_result
 from hydrabeam_mpi.progress import say
-from hydrabeam_mpi.run import gather_records, input_files, prepare_shared, staged, write_result
+from hydrabeam_mpi.run import gather_records, prepare_shared
 
 
 @dataclass(frozen=True)
@@ -93,13 +94,16 @@ def close_loop(world: Comm, job: Job, job_path: Path, out: Path, overwrite: bool
         memory = peak_rss_mb(world)
         with together(world):
             if world.rank == 0:
-                inputs = [path for path in input_files(job, problem) if path.parent != folder]
-                about = provenance(job, inputs, world.size, threads, library_version())
+                about = provenance(job, input_files(job, problem), world.size, threads, library_version())
                 run = {"phases_s": clock.seconds, "peak_rss_mb": memory}
                 amended = amended_job(job, course.last.state, experiment)
-                with writing(folder):
-                    write_result(folder, job, problem, records, about, run, record["warnings"])
-                    _write_loop(folder, {**record, "seconds": clock.seconds}, amended)
+
+                def write(place: Path) -> None:
+                    write_result(place, job, problem, records, about, run, record["warnings"])
+                    _write_loop(place, {**record, "seconds": clock.seconds}, amended)
+
+                write_computed(folder, write)
+                write_conversions(folder, problem.observation, records, about["versions"]["hydrabeam_mpi"])
     say(f"wrote {out}", world.rank == 0)
 
 

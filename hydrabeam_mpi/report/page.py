@@ -6,6 +6,7 @@ import contextlib
 import os
 import secrets
 from base64 import b64encode
+from collections.abc import Iterable
 from html import escape
 from importlib.resources import files
 from itertools import count
@@ -14,6 +15,7 @@ from pathlib import Path
 import matplotlib
 
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.manifest import MANIFEST, add_to_manifest
 from hydrabeam_mpi.report.figures import draw_channel, shown_channels
 from hydrabeam_mpi.report.frequencies import draw_frequencies
 from hydrabeam_mpi.report.key_numbers import table, text_table
@@ -55,6 +57,7 @@ def write_report(directory: Path) -> None:
     contents[directory / "report.html"] = page.encode()
     for path, content in contents.items():
         _write_whole(path, content)
+    _list_files(directory, contents)
     print(introduction(result), end="\n\n")
     print(text_table(table(result.numbers, result.name)), end="\n\n")
     for remark in remarks(result):
@@ -77,6 +80,15 @@ def _write_whole(path: Path, content: bytes) -> None:
         raise InputError(
             f"cannot be written ({error.strerror})", file=path, remedy="make the folder writable"
         ) from error
+
+
+def _list_files(directory: Path, paths: Iterable[Path]) -> None:
+    """Make files part of the result, as what --overwrite may replace."""
+    try:
+        add_to_manifest(directory, (str(path.relative_to(directory)) for path in paths))
+    except OSError as error:
+        remedy = "make the folder writable"
+        raise InputError(f"cannot be written ({error.strerror})", file=directory / MANIFEST, remedy=remedy) from error
 
 
 class _Album:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -15,7 +17,7 @@ pytestmark = pytest.mark.mpi
 JOB_FILES = {
     "missing": (None, "cannot be read (No such file or directory); check the path"),
     "not TOML": ("[data\n", "is not a TOML file"),
-    "not text": ("\udcff", "is not a TOML file"),
+    "not text": ("\udcff", "is not text in UTF-8"),
     "empty": ("", "[data]: is missing; add it"),
 }
 
@@ -120,3 +122,56 @@ def test_command_line(words: list[str], complaint: str, comm: MPI.Comm, capfd: p
         main(words)
     line = refusal(capfd, comm)
     assert complaint in line
+
+
+def copied(workspace: Workspace) -> Path:
+    """Copy the simulated result, so that a test may lose it."""
+    shutil.copytree(workspace.simulated, workspace.folder / "sim1")
+    return workspace.folder / "sim1"
+
+
+@pytest.mark.parametrize(
+    ("job", "files", "words"),
+    [
+        ("job.toml", "sim*/data.uvh5", "sim1: -o: holds data.uvh5, which the job reads"),
+        ("job.toml", "link.uvh5", "sim1: -o: holds link.uvh5, which the job reads"),
+        ("sim1/amended.toml", "elsewhere.uvh5", "sim1: -o: holds elsewhere.uvh5, which the job reads"),
+        ("sim1/amended.toml", "../elsewhere.uvh5", "sim1: -o: holds amended.toml, which the job reads"),
+        ("job.toml", "elsewhere.uvh5", "holds what the earlier result did not, so it is not replaced: notes (added)"),
+    ],
+)
+def test_overwrite_takes_nothing_that_is_needed(
+    job: str, files: str, words: str, workspace: Workspace, on_root: OnRoot, comm: MPI.Comm,
+    capfd: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    def prepare() -> list[Path]:
+        sim1 = copied(workspace)
+        (workspace.folder / "link.uvh5").symlink_to(sim1 / "data.uvh5")
+        for folder in (workspace.folder, sim1):
+            shutil.copy(workspace.data, folder / "elsewhere.uvh5")
+        if "elsewhere" in files and job == "job.toml":
+            (sim1 / "elsewhere.uvh5").unlink()
+            (sim1 / "notes").touch()
+        workspace.job({"data.files": [files]}, job)
+        return sorted(workspace.folder.rglob("*"))
+
+    before = on_root(prepare)
+    arguments = ["infer", str(workspace.folder / job), "-o", str(workspace.folder / "sim1"), "--overwrite"]
+    assert main(arguments) == 2
+    assert words in refusal(capfd, comm)
+    assert on_root(lambda: sorted(workspace.folder.rglob("*"))) == before
+
+
+def test_git_is_no_result(
+    workspace: Workspace, on_root: OnRoot, comm: MPI.Comm, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def prepare() -> Path:
+        subprocess.run(["git", "init", "--quiet", workspace.folder / "work"], check=True)
+        (workspace.folder / "work" / ".git" / "provenance.json").write_text("{}")
+        return workspace.job()
+
+    job = on_root(prepare)
+    out = workspace.folder / "work" / ".git"
+    assert main(["infer", str(job), "-o", str(out), "--overwrite"]) == 2
+    assert f"{out}: -o: is not an earlier result (it has no manifest.json of one)" in refusal(capfd, comm)
+    assert on_root(lambda: (out / "HEAD").exists())

@@ -87,7 +87,8 @@ def test_normal_run_says_only_its_own_lines(
     assert all(re.match("hydrabeam: (?!error|warning)", line) for line in err.splitlines())
     assert err.splitlines()[-1] == f"hydrabeam: wrote {workspace.folder / 'result'}"
     assert {path.name for path in (workspace.folder / "result").iterdir()} == {
-        "beam.beamfits", "data.uvh5", "job.toml", "posterior.h5", "provenance.json", "summary.json", "truth.h5",
+        "beam.beamfits", "data.uvh5", "job.toml", "manifest.json", "posterior.h5", "provenance.json", "summary.json",
+        "truth.h5",
     }  # fmt: skip
     assert {path.name for path in workspace.folder.iterdir()} == {"job.toml", "result"}
 

@@ -9,7 +9,7 @@ import pytest
 import tomli_w
 from pydantic import BaseModel, ValidationError
 
-from hydrabeam_mpi.config import Job, Section, load_job, named_files
+from hydrabeam_mpi.config import Job, Section, load_job
 from hydrabeam_mpi.config.effects import Effect, Injected, Kind
 from hydrabeam_mpi.effects.catalogue import EFFECTS, REWEIGHTINGS, SEPARATE
 
@@ -218,19 +218,6 @@ def test_home_is_understood(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     job = load_job(write("[data]\nfiles = ['~/a.uvh5']\n[beam]\nsource = '~/beam.fits'", tmp_path))
     assert job.data.files == ("/home/someone/a.uvh5",)
     assert job.beam.source == "/home/someone/beam.fits"
-
-
-def test_named_files_are_all_that_a_job_reads(tmp_path: Path) -> None:
-    job = load_job(write(FILES, tmp_path))
-    assert set(named_files(job)) == {
-        tmp_path / "night*.uvh5",
-        Path("/elsewhere/night.uvh5"),
-        tmp_path / "gains.calfits",
-        tmp_path / "sky" / "gleam.vot",
-        tmp_path / ".." / "gsm",
-        tmp_path / "prior.h5",
-    }
-    assert named_files(load_job(write(SIMULATION, tmp_path))) == [tmp_path / "layout.csv"]
 
 
 @pytest.mark.parametrize("path", JOBS, ids=lambda path: os.fspath(path.relative_to(path.parents[1])))

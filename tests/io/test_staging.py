@@ -1,23 +1,20 @@
 from __future__ import annotations
 
 import errno
-import resource
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import json
+import pickle
+from collections.abc import Callable
 from pathlib import Path
 
-import h5py
-import numpy as np
 import pytest
 
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.io.staging import RESULT_MARK, StagedDirectory, writing
+from hydrabeam_mpi.io.staging import StagedDirectory
 
 
 def fill(staged: StagedDirectory, text: str) -> None:
     (staged.partial / "sub").mkdir()
     (staged.partial / "sub" / "content").write_text(text)
-    (staged.partial / RESULT_MARK).write_text("{}")
 
 
 def result(path: Path, text: str = "old") -> Path:
@@ -128,28 +125,26 @@ def test_two_runs_into_one_folder(tmp_path: Path) -> None:
     assert content(second.partial) == "second"
 
 
-def test_a_leftover_of_a_killed_run_is_in_nobodys_way(tmp_path: Path) -> None:
-    fill(StagedDirectory(tmp_path / "out", overwrite=False), "killed")
-    assert content(result(tmp_path / "out", "new")) == "new"
-
-
 @pytest.mark.parametrize("overwrite", [False, True])
 @pytest.mark.parametrize(
     ("name", "words"),
     [
         ("file", {False: "exists already", True: "is not a folder"}),
-        ("folder", {False: "exists already", True: "is not an earlier result, so it is not replaced"}),
+        ("folder", {False: "exists already", True: "is not an earlier result (it has no manifest.json of one), so"}),
         ("file/below", {False: "file is a file; choose", True: "file is a file; choose"}),
         ("file/far/below", {False: "file is a file; choose", True: "file is a file; choose"}),
         ("x" * 300, {False: "File name too long", True: "File name too long"}),
         (".", {False: "exists already", True: "is not an earlier result"}),
         ("/", {False: "exists already", True: "is not an earlier result"}),
+        ("loop", dict.fromkeys((False, True), "cannot be written (Too many levels of symbolic links); choose")),
+        ("loop/below", dict.fromkeys((False, True), "cannot be written (")),
     ],
 )
 def test_refused(overwrite: bool, name: str, words: dict[bool, str], tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     (tmp_path / "folder").mkdir()
     (tmp_path / "folder" / "precious").touch()
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
     before = sorted(tmp_path.rglob("*"))
     with pytest.raises(InputError) as raised:
         StagedDirectory(tmp_path / name, overwrite)
@@ -161,54 +156,130 @@ def test_refused(overwrite: bool, name: str, words: dict[bool, str], tmp_path: P
 
 def test_a_result_that_holds_an_input_is_not_replaced(tmp_path: Path) -> None:
     out = result(tmp_path / "out")
-    inside = tmp_path / "out" / "sub" / "*.uvh5"
-    with pytest.raises(InputError, match=r"out: -o: holds \*.uvh5, which the job reads; choose another folder"):
-        StagedDirectory(out, overwrite=True, inputs=[tmp_path / "elsewhere", inside])
+    (tmp_path / "link").symlink_to(out / "sub" / "content")
+    for name in ("out/sub/content", "link"):
+        for where in ("inputs", "kept"):
+            with pytest.raises(InputError, match=r"out: -o: holds (content|link), which the job reads; choose another"):
+                StagedDirectory(out, overwrite=True, **{where: [tmp_path / "elsewhere", tmp_path / name]})
     # What only begins alike is elsewhere.
     StagedDirectory(out, overwrite=True, inputs=[tmp_path / "out.uvh5"]).discard()
     assert content(out) == "old"
 
 
-@contextmanager
-def file_size_limit(size: int) -> Iterator[None]:
-    """Let the system refuse larger files, as a full disk does."""
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+def add_file(out: Path) -> str:
+    (out / "sub" / "notes.txt").touch()
+    return "sub/notes.txt (added)"
 
 
-def write_text(path: Path) -> None:
-    path.write_text("x" * 20_000)
+def add_folder(out: Path) -> str:
+    (out / "notes").mkdir()
+    return "notes (added)"
 
 
-def write_large_hdf5(path: Path) -> None:
-    with h5py.File(path, "w") as file:
-        file["a"] = np.zeros(10_000)
+def add_link(out: Path) -> str:
+    (out / "link").symlink_to(out.parent)
+    return "link (added)"
 
 
-def write_hdf5_in_pieces(path: Path) -> None:
-    """Fails while the file is closed, with an error that does not have the system's number."""
-    with h5py.File(path, "w") as file:
-        for i in range(100):
-            file[str(i)] = 1.0
+def put_a_link_in_place(out: Path) -> str:
+    (out / "sub" / "content").rename(out.parent / "content")
+    (out / "sub" / "content").symlink_to(out.parent / "content")
+    return "sub/content (added)"
 
 
-@pytest.mark.parametrize("write", [write_text, write_large_hdf5, write_hdf5_in_pieces])
-def test_a_full_disk_is_told(write: Callable[[Path], None], tmp_path: Path) -> None:
-    folder = tmp_path / "partial"
-    folder.mkdir()
-    with pytest.raises(InputError) as raised, file_size_limit(10_000), writing(folder):
-        write(folder / "a")
+def change_file(out: Path) -> str:
+    (out / "sub" / "content").write_text("mine")
+    return "sub/content (changed)"
+
+
+def add_many(out: Path) -> str:
+    for number in range(5):
+        (out / f"a{number}").touch()
+    return "a0 (added), a1 (added), a2 (added) and 2 more"
+
+
+STRANGERS = (add_file, add_folder, add_link, put_a_link_in_place, change_file, add_many)
+
+
+@pytest.mark.parametrize("change", STRANGERS)
+def test_what_a_result_did_not_hold_is_never_removed(change: Callable[[Path], str], tmp_path: Path) -> None:
+    out = result(tmp_path / "out")
+    said = change(out)
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(InputError) as raised:
+        StagedDirectory(out, overwrite=True)
     assert str(raised.value) == (
-        f"{tmp_path}: -o: cannot be written (File too large); make room, or choose a folder elsewhere"
+        f"{out}: -o: holds what the earlier result did not, so it is not replaced: {said}; "
+        "choose another folder, or move that elsewhere"
     )
+    assert sorted(tmp_path.rglob("*")) == before
 
 
-def test_other_failures_stay_what_they_are(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError), writing(tmp_path):
-        (tmp_path / "none" / "a").write_text("")
-    with pytest.raises(ZeroDivisionError), writing(tmp_path):
-        1 / 0  # noqa: B018
+def test_what_came_into_a_result_during_the_run(tmp_path: Path) -> None:
+    out = result(tmp_path / "out")
+    staged = StagedDirectory(out, overwrite=True)
+    fill(staged, "new")
+    add_file(out)
+    with pytest.raises(
+        InputError, match=r"notes.txt \(added\), now that the result is finished; the result is kept in"
+    ):
+        staged.publish()
+    assert (out / "sub" / "notes.txt").exists()
+    assert content(staged.partial) == "new"
+
+
+@pytest.mark.parametrize("text", ["{}", "[]", "", '{"name": "an app"}', '{"result_of": "hydrabeam_mpi"}'])
+def test_a_manifest_of_something_else(text: str, tmp_path: Path) -> None:
+    folder = tmp_path / "thesis"
+    folder.mkdir()
+    (folder / "manifest.json").write_text(text)
+    (folder / "provenance.json").write_text("{}")
+    with pytest.raises(InputError, match="is not an earlier result"):
+        StagedDirectory(folder, overwrite=True)
+
+
+def test_a_manifest_reaches_nothing_outside(tmp_path: Path) -> None:
+    out = result(tmp_path / "out")
+    (tmp_path / "precious").touch()
+    manifest = json.loads((out / "manifest.json").read_text())
+    manifest["files"]["../precious"] = "0" * 64
+    (out / "manifest.json").write_text(json.dumps(manifest))
+    staged = StagedDirectory(out, overwrite=True)
+    fill(staged, "new")
+    staged.publish()
+    assert (tmp_path / "precious").exists()
+
+
+def remove(path: Path) -> None:
+    path.unlink()
+
+
+def change(path: Path) -> None:
+    path.write_text("other data")
+
+
+@pytest.mark.parametrize(("how", "word"), [(remove, "removed"), (change, "changed")])
+def test_inputs_that_change_during_the_run(how: Callable[[Path], None], word: str, tmp_path: Path) -> None:
+    data, job = tmp_path / "data.uvh5", tmp_path / "job.toml"
+    data.touch()
+    job.touch()
+    staged = StagedDirectory(tmp_path / "out", overwrite=False, inputs=[data], kept=[job])
+    fill(staged, "new")
+    change(job)
+    how(data)
+    with pytest.raises(InputError) as raised:
+        staged.publish()
+    assert str(raised.value) == (
+        f"{data}: was {word} during the run, so that nobody can tell what was read; "
+        f"run again once it stays as it is; the result is kept in {staged.partial}"
+    )
+    assert content(staged.partial) == "new"
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_copy_for_another_process_has_no_lock(tmp_path: Path) -> None:
+    staged = StagedDirectory(tmp_path / "out", overwrite=False)
+    copy = pickle.loads(pickle.dumps(staged))
+    copy.discard()
+    assert not staged.partial.exists()
+    staged.discard()
