@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.fit.equations import BEAM, NormalEquations, RowBuffer
+from hydrabeam_mpi.infer.gaussian import Block
 from hydrabeam_mpi.infer.heldout import HeldoutStatistics
-from hydrabeam_mpi.infer.normal import NormalEquations, RowBuffer
 from hydrabeam_mpi.infer.posterior import Posterior
 from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.rime import Beam, ForwardModel
@@ -37,8 +38,8 @@ def accumulate(rows: Rows, model: ForwardModel, basis: LinearBasis, show: bool =
 
 def accumulate_designs(rows: Rows, by_time: Iterable[NDArray[Any]], basis: LinearBasis) -> list[NormalEquations]:
     """Do as `accumulate` with the design of each time, as `designs` gives it."""
-    normals = [NormalEquations.zeros(basis.n_modes, basis.is_complex) for _ in rows.data]
-    buffers = [RowBuffer(normal) for normal in normals]
+    normals = [NormalEquations([Block(BEAM, basis.n_modes, basis.is_complex)]) for _ in rows.data]
+    buffers = [RowBuffer(normal, BEAM) for normal in normals]
     weighted, weights = rows.compressed()
     for normal, data, inv_noise_var in zip(normals, rows.data, rows.inv_noise_var, strict=True):
         normal.add_data(data, inv_noise_var)
@@ -97,7 +98,7 @@ def check_designs(
 
 
 def designs(rows: Rows, model: ForwardModel, basis: LinearBasis, label: str, show: bool) -> Iterator[NDArray[Any]]:
-    """Yield a time's design rows as `NormalEquations.add_rows` takes them, for each channel."""
+    """Yield a time's design rows as `RowBuffer.add` takes them, for each channel."""
     times = rows.tile.times
     for parts in track(model.design_columns(basis, times), len(times), label, show):
         mixed = basis.mix(parts)

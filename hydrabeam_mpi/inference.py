@@ -18,9 +18,9 @@ from hydrabeam_mpi.diagnose import (
     summarise_coefficients,
     summarise_maps,
 )
+from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.infer.heldout import Z_EDGES, HeldoutStatistics
-from hydrabeam_mpi.infer.normal import NormalEquations
-from hydrabeam_mpi.infer.posterior import Posterior, solve_posterior
+from hydrabeam_mpi.infer.posterior import Posterior
 from hydrabeam_mpi.io.noise import check_weights
 from hydrabeam_mpi.io.posterior_file import ChannelRecord
 from hydrabeam_mpi.mpi import ProcessGrid, allreduce_max, allreduce_sum, bcast_array, together
@@ -114,17 +114,8 @@ def _sum_normals(grid: ProcessGrid, problem: Problem, rows: Rows) -> list[Normal
     """Accumulate the rank's rows and sum over the group."""
     with together(grid.world):
         normals = accumulate(rows, problem.forward_model(rows.groups), problem.basis, show=grid.world.rank == 0)
-    return reduce_normals(grid, normals)
-
-
-def reduce_normals(grid: ProcessGrid, normals: list[NormalEquations]) -> list[NormalEquations]:
-    """Sum over the group's ranks, in place. Collective: all ranks of `grid.group`."""
     for normal in normals:
-        # The transpose of an F-ordered array is C-ordered memory, which messages need.
-        allreduce_sum(grid.group, normal.gram.T)
-        allreduce_sum(grid.group, normal.projection)
-        allreduce_sum(grid.group, normal.scalars)
-        normal.symmetrise()
+        normal.reduce(grid.group)
     return normals
 
 
@@ -136,7 +127,8 @@ def solve_channels(grid: ProcessGrid, problem: Problem, normals: list[NormalEqua
     solved: list[Posterior] = []
     with together(grid.world):
         if grid.is_group_root:
-            solved = [solve_posterior(*pair) for pair in zip(normals, problem.priors, strict=True)]
+            pairs = zip(normals, problem.priors, strict=True)
+            solved = [normal.gaussian({BEAM: prior}).solve(overwrite=True) for normal, prior in pairs]
     for f in range(len(normals)):
         root = solved[f] if grid.is_group_root else None
         mean = bcast_array(grid.group, root.mean if root else None)
@@ -229,5 +221,5 @@ def _record(problem: Problem, f: int, result: ChannelResult, maps: SkyMaps) -> C
 def reduced_chi2(normal: NormalEquations, posterior: Posterior) -> float:
     """Reduced chi^2 of the fitted data at the posterior mean: d^H N^-1 d - 2 Re x^H p + x^H G x over their number."""
     mean = posterior.mean
-    quadratic = np.vdot(mean, normal.gram @ mean).real - 2 * np.vdot(mean, normal.projection).real
+    quadratic = np.vdot(mean, normal.own(BEAM) @ mean).real - 2 * np.vdot(mean, normal.projection[BEAM]).real
     return float((normal.data_norm + quadratic) / max(normal.n_data, 1))

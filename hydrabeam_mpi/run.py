@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import pickle
 from pathlib import Path
-
-import numpy as np
 
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.named import expand, for_simulation
@@ -20,8 +17,8 @@ from hydrabeam_mpi.mpi import (
     bcast_object,
     library_version,
     peak_rss_mb,
-    recv_array,
-    send_array,
+    recv_object,
+    send_object,
     together,
 )
 from hydrabeam_mpi.output import (
@@ -138,11 +135,10 @@ def _one_line(problem: Problem) -> str:
 
 
 def gather_records(grid: ProcessGrid, records: list[ChannelRecord]) -> list[ChannelRecord]:
-    """Bring the channels' records to rank 0, arrays in messages of bounded size."""
+    """Bring the channels' records to rank 0, one after the other."""
     if grid.is_world_root:
         elsewhere = range(len(records), grid.n_channels)
-        arrived = [pickle.loads(recv_array(grid.world, grid.root_of(channel)).data) for channel in elsewhere]
-        return records + arrived
+        return records + [recv_object(grid.world, grid.root_of(channel)) for channel in elsewhere]
     for record in records:
-        send_array(grid.world, np.frombuffer(pickle.dumps(record), np.uint8), dest=0)
+        send_object(grid.world, record, dest=0)
     return []

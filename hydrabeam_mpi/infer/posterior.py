@@ -1,9 +1,4 @@
-"""The analytic posterior of a linear Gaussian model (HDBI II, eqs 12-15).
-
-With P = Sigma^-1 + kappa A^H N^-1 A and h = Sigma^-1 mu + kappa A^H N^-1 d the posterior is N(P^-1 h, P^-1), where
-kappa = 1 for complex coefficients, whose density is exp(-x^H P x), and kappa = 2 for real ones, whose density is
-exp(-x^T P x / 2) and which take the real part of the products.
-"""
+"""A Gaussian posterior: its mean, its covariance by the factor of its precision, draws and predictions."""
 
 from __future__ import annotations
 
@@ -17,9 +12,7 @@ from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dpotri, zpotri
 
 from hydrabeam_mpi.data.observation import FloatArray
-from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.infer.normal import NormalEquations, complete_hermitian
-from hydrabeam_mpi.infer.prior import Prior, cholesky_lower
+from hydrabeam_mpi.infer.matrices import complete_hermitian
 from hydrabeam_mpi.random import complex_normal
 
 Array = NDArray[Any]
@@ -78,42 +71,3 @@ class Posterior:
         n = len(self.mean)
         white = complex_normal(rng, (n,)) if self.is_complex else rng.standard_normal(n)
         return self.mean + solve_triangular(self.factor, white, lower=True, trans="C", check_finite=False)
-
-
-def solve_posterior(normal: NormalEquations, prior: Prior) -> Posterior:
-    """Combine data and prior.
-
-    Parameters
-    ----------
-    normal : NormalEquations
-        Summed over all rows and symmetrised.
-    prior : Prior
-        On the same coefficients.
-
-    Raises
-    ------
-    InputError
-        If data and prior together do not determine the coefficients.
-    """
-    kappa = 1.0 if normal.is_complex else 2.0
-    if prior.log_det_precision is None and normal.n > normal.n_data * kappa:
-        raise InputError(
-            f"{normal.n} coefficients cannot be inferred from {normal.n_data} visibilities with a flat prior",
-            field="[prior] kind",
-            remedy="use fewer modes ([basis] n_modes), more data, or a prior that is not flat",
-        )
-    precision = kappa * normal.gram
-    prior.add_precision(precision)
-    factor = cholesky_lower(precision)
-    source = kappa * normal.projection + prior.precision_times(prior.mean)
-    half = solve_triangular(factor, source, lower=True, check_finite=False)
-    mean = solve_triangular(factor, half, lower=True, trans="C", check_finite=False)
-
-    log_evidence = None
-    if prior.log_det_precision is not None:
-        # Densities are exp(-q) for complex and exp(-q/2) for real coefficients: in both exp(-q/kappa).
-        quadratic = kappa * normal.data_norm + np.vdot(prior.mean, prior.precision_times(prior.mean)).real
-        quadratic -= np.vdot(half, half).real
-        log_det = prior.log_det_precision - 2 * np.sum(np.log(np.diag(factor).real))
-        log_evidence = float((log_det - quadratic) / kappa + normal.log_det_inv_noise - normal.n_data * np.log(np.pi))
-    return Posterior(mean, factor, log_evidence)

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.errors import InputError
@@ -121,22 +121,3 @@ class CovariancePrior:
     def std(self) -> FloatArray:
         """Return the square root of the diagonal."""
         return self._std
-
-
-def cholesky_lower(matrix: Array) -> Array:
-    """Return L with L L^H = ``matrix``, whose memory may be used for it.
-
-    Raises
-    ------
-    InputError
-        If the matrix is not positive definite: the data and the prior leave some combination of coefficients
-        free.
-    """
-    try:
-        return cholesky(matrix, lower=True, check_finite=False, overwrite_a=True)
-    except LinAlgError as error:
-        raise InputError(
-            "the posterior precision is not positive definite: data and prior leave some beam modes free",
-            field="[prior]",
-            remedy="use fewer modes, more data, or a prior that is not flat",
-        ) from error

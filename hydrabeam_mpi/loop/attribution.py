@@ -12,11 +12,21 @@ from numpy.typing import NDArray
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.base import Effect, ScannedEffect
 from hydrabeam_mpi.effects.scene import Scene
-from hydrabeam_mpi.loop.equations import JointSums, SceneSums
-from hydrabeam_mpi.loop.evidence import Evidence, Likelihood, find_evidence
+from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
+from hydrabeam_mpi.infer.gaussian import Block
+from hydrabeam_mpi.infer.likelihood import Likelihood
+from hydrabeam_mpi.loop.evidence import Evidence, find_evidence
 from hydrabeam_mpi.loop.refit import Space, current
+from hydrabeam_mpi.loop.row_sums import (
+    active_columns,
+    active_names,
+    beam_columns,
+    effect_columns,
+    effect_equations,
+    row_set,
+)
 from hydrabeam_mpi.loop.state import State
-from hydrabeam_mpi.mpi import allreduce_sum, bcast_object, together
+from hydrabeam_mpi.mpi import allreduce_sum, bcast_object, gather_objects, together
 from hydrabeam_mpi.rows import Rows
 
 MAX_ELEMENTS = 350
@@ -65,9 +75,12 @@ def attribute(space: Space, state: State, effects: Sequence[Effect]) -> list[Fin
         zeros = [np.zeros(len(effect.parameters(space.experiment))) for effect in picked]
         sums = _candidate_sums(space, state, view, channel, list(zip(picked, zeros, strict=True)))
         if space.grid.is_group_root:
-            found = [sums.candidate(i, state.posteriors[channel]) for i in range(len(picked))]
+            names = active_names(state)
+            found = [
+                sums.likelihood([*names, one], BEAM, state.posteriors[channel]) for one in _candidate_names(picked)
+            ]
             likelihoods.append((number, found))
-    gathered = space.grid.world.gather(likelihoods)
+    gathered = gather_objects(space.grid.world, likelihoods)
     findings = None
     with together(space.grid.world):
         if gathered is not None:
@@ -122,33 +135,17 @@ def _without_active(state: State, effect: Effect, by_channel: list[Likelihood]) 
     that is each channel's own, where every channel counts its part of their prior; else after the sum over channels.
     """
     shared, x, n_freqs = state.shared, current(state), len(by_channel)
-    part = np.where(shared, 1 / n_freqs, 1.0)
-    precision = part / state.prior_var
+    prior_var = np.where(shared, n_freqs, 1.0) * state.prior_var
     blocks = []
     for likelihood, values in zip(by_channel, x, strict=True):
-        pull = np.concatenate([-precision * values, np.zeros(len(likelihood.score) - len(values))])
-        one = Likelihood(likelihood.information, likelihood.score + pull, likelihood.signal)
-        blocks.append(_marginalised(one, np.flatnonzero(~shared), precision[~shared]))
+        pull = np.concatenate([-values / prior_var, np.zeros(len(likelihood.score) - len(values))])
+        one = replace(likelihood, score=likelihood.score + pull)
+        blocks.append(one.marginalised(np.flatnonzero(~shared), prior_var[~shared]))
     n_shared = int(shared.sum())
     if effect.shared:
         total = sum(blocks[1:], start=blocks[0])
-        return [_marginalised(total, np.arange(n_shared), n_freqs * precision[shared])]
-    return [_marginalised(block, np.arange(n_shared), precision[shared]) for block in blocks]
-
-
-def _marginalised(likelihood: Likelihood, which: IntArray, precision: FloatArray) -> Likelihood:
-    """Marginalise some parameters with a Gaussian prior of this precision, about where they are."""
-    if not len(which):
-        return likelihood
-    rest = np.delete(np.arange(len(likelihood.score)), which)
-    # In units of the prior's width, in which the matrix is never singular.
-    width = 1 / np.sqrt(precision)
-    corner = width[:, np.newaxis] * likelihood.information[np.ix_(which, which)] * width + np.eye(len(which))
-    across = width[:, np.newaxis] * likelihood.information[np.ix_(which, rest)]
-    solved = np.linalg.solve(corner, np.column_stack([across, width * likelihood.score[which]]))
-    information = likelihood.information[np.ix_(rest, rest)] - across.T @ solved[:, :-1]
-    score = likelihood.score[rest] - across.T @ solved[:, -1]
-    return Likelihood(0.5 * (information + information.T), score, likelihood.signal[np.ix_(rest, rest)])
+        return [total.marginalised(np.arange(n_shared), prior_var[shared] / n_freqs)]
+    return [block.marginalised(np.arange(n_shared), prior_var[shared]) for block in blocks]
 
 
 def reconsider(space: Space, state: State) -> Evidence:
@@ -165,11 +162,12 @@ def reconsider(space: Space, state: State) -> Evidence:
     for channel, number in enumerate(space.channels):
         sums = _candidate_sums(space, rest, view, channel, [(last.effect, last.x[number])])
         if space.grid.is_group_root:
-            one = sums.candidate(0, state.posteriors[channel])
+            names = [*active_names(rest), *_candidate_names([last.effect])]
+            one = sums.likelihood(names, BEAM, state.posteriors[channel])
             n = len(rest.prior_var)
             score = one.score + one.information[:, n:] @ last.x[number]
-            found.append((number, Likelihood(one.information, score, one.signal)))
-    gathered = space.grid.world.gather(found)
+            found.append((number, replace(one, score=score)))
+    gathered = gather_objects(space.grid.world, found)
     evidence = None
     with together(space.grid.world):
         if gathered is not None:
@@ -180,25 +178,30 @@ def reconsider(space: Space, state: State) -> Evidence:
     return result
 
 
+def _candidate_names(candidates: Sequence[Effect]) -> list[str]:
+    """Return the names of the blocks of candidates."""
+    return [f"candidate {number}" for number in range(len(candidates))]
+
+
 def _candidate_sums(
     space: Space, state: State, view: View, channel: int, candidates: Sequence[tuple[Effect, FloatArray]]
-) -> JointSums:
+) -> NormalEquations:
     """Sum one channel's columns of the state's effects and of candidates, each linearised at its x, over the group."""
-    basis, number = space.problem.basis, space.channels[channel]
-    sizes = [len(x) for _, x in candidates]
-    total = JointSums.zeros(len(state.prior_var), sizes, basis.n_modes, basis.is_complex)
+    names = _candidate_names([effect for effect, _ in candidates])
+    blocks = [Block(name, len(x)) for name, (_, x) in zip(names, candidates, strict=True)]
+    total = effect_equations(space.problem.basis, state, blocks)
     with together(space.grid.world):
         for scene, design in view.scenes(channel):
-            sums = SceneSums(scene, design)
+            rows = row_set(scene)
             scene.integrals = {}
             scene.integrate_for([one.effect for one in state.active])
-            parts = [sums.part(one.effect.columns(scene, one.x[number]), one.used) for one in state.active]
-            total.add(sums, parts, None, None)
+            beam, active = {BEAM: beam_columns(rows, design)}, active_columns(rows, scene, state)
+            total.add_rows(active, beam)
             # One pass over the sky serves all candidates.
             scene.integrals = {}
             scene.integrate_for([effect for effect, _ in candidates])
-            for i, (effect, x) in enumerate(candidates):
-                total.add(sums, parts, i, sums.part(effect.columns(scene, x)))
+            for name, (effect, x) in zip(names, candidates, strict=True):
+                total.add_rows({name: effect_columns(rows, effect.columns(scene, x))}, beam | active)
     total.reduce(space.grid.group)
     return total
 

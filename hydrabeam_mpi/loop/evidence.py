@@ -21,38 +21,12 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.effects.base import Parameters
+from hydrabeam_mpi.infer.likelihood import RANK_RTOL, Likelihood
 
 TAUS: FloatArray = np.exp(np.linspace(np.log(1e-7), np.log(1e4), 160))
 """Prior widths tried, in units of an effect's natural scale."""
 MIN_GAIN = 4.0
 """Nats that a further element must add."""
-RANK_RTOL = 1e-9
-"""Eigenvalues of K below this times the largest count as zero."""
-
-ROUNDING = 1e-13
-"""Information relative to that with the beam known, up to which it may be what sums over rows lose by rounding."""
-
-
-@dataclass(frozen=True)
-class Likelihood:
-    """What one channel, or all together, say of an effect's parameters.
-
-    Attributes
-    ----------
-    information : ndarray, (q, q)
-        K: the Fisher information with the beam and all that is free marginalised.
-    score : ndarray, (q,)
-        u, the gradient of the logarithm of the likelihood at x = 0.
-    signal : ndarray, (q, q)
-        2 Re S^H N^-1 S: the information if the beam were known.
-    """
-
-    information: FloatArray
-    score: FloatArray
-    signal: FloatArray
-
-    def __add__(self, other: Likelihood) -> Likelihood:
-        return Likelihood(self.information + other.information, self.score + other.score, self.signal + other.signal)
 
 
 @dataclass(frozen=True)
@@ -109,7 +83,7 @@ def find_evidence(
         Combinations of parameters that are free whatever the prior, so that nothing is concluded from them.
     """
     if undecidable is not None and len(undecidable):
-        blocks = [freed(block, undecidable) for block in blocks]
+        blocks = [block.freed(undecidable) for block in blocks]
     scale = np.where(parameters.refined, 0.0, parameters.scale)
     scaled = [(scale[:, np.newaxis] * block.information * scale, scale * block.score) for block in blocks]
     spectra = [_spectrum(*block) for block in scaled]
@@ -127,18 +101,6 @@ def find_evidence(
             best = (sparse_log, (widths[parameters.element] * scale) ** 2)
     log_bayes_factor, prior_var = best
     return _describe(blocks, log_bayes_factor, prior_var, rank)
-
-
-def freed(block: Likelihood, combinations: FloatArray) -> Likelihood:
-    """Marginalise combinations of the parameters without a prior, as far as the data tell them at all."""
-    present = np.sqrt(combinations**2 @ np.maximum(np.diag(block.signal), 0.0))
-    combinations = combinations[present > 0] / present[present > 0, np.newaxis]
-    across = block.information @ combinations.T
-    values, vectors = np.linalg.eigh(combinations @ across)
-    told = values > max(ROUNDING, RANK_RTOL * values.max(initial=0.0))
-    inverse = (vectors[:, told] / values[told]) @ vectors[:, told].T
-    information = block.information - across @ inverse @ across.T
-    return Likelihood(information, block.score - across @ inverse @ (combinations @ block.score), block.signal)
 
 
 def _spectrum(information: FloatArray, score: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -14,6 +14,7 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.loop.predictive import SharedErrors, root_of, whiten_time
 from hydrabeam_mpi.loop.refit import Space, active_sums, current, place
+from hydrabeam_mpi.loop.row_sums import active_names
 from hydrabeam_mpi.loop.state import State
 from hydrabeam_mpi.loop.workspace import KEPT_BYTES
 from hydrabeam_mpi.mpi import allreduce_sum, together
@@ -119,7 +120,7 @@ def _fit_local(space: Space, state: State, local: str, kept: NDArray[np.bool_]) 
         signals = np.zeros((state.active[0].x.shape[0], len(prior_var), len(prior_var)))
         scores = np.zeros((len(signals), len(prior_var)))
         for channel, number in enumerate(space.channels):
-            sums = active_sums(space, space.test, state, channel, rows, added).active
+            sums = active_sums(space, space.test, state, channel, rows, added).likelihood_alone(active_names(state))
             if space.grid.is_group_root:
                 signals[number], scores[number] = sums.signal, sums.score
         allreduce_sum(space.grid.world, signals)

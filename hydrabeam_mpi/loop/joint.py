@@ -16,7 +16,7 @@ from hydrabeam_mpi.effects.catalogue import EFFECTS, REWEIGHTINGS, make_effect, 
 from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.infer.posterior import Posterior
-from hydrabeam_mpi.inference import ChannelResult, Clock, read_shares, reduce_heldout, reduce_normals
+from hydrabeam_mpi.inference import ChannelResult, Clock, read_shares, reduce_heldout
 from hydrabeam_mpi.io.uvmeta import read_observation
 from hydrabeam_mpi.loop.heldout import variance_by_effects
 from hydrabeam_mpi.loop.predictive import root_of
@@ -149,7 +149,8 @@ def channel_results(space: Space, state: State) -> list[ChannelResult]:
     with together(grid.world):
         train, _ = space.train.calibrated(state)
         normals = accumulate_designs(train, space.train.designs(state), problem.basis)
-    normals = reduce_normals(grid, normals)
+    for normal in normals:
+        normal.reduce(grid.group)
     posteriors = _marginal(state)
     with together(grid.world):
         test, added = space.test.calibrated(state)

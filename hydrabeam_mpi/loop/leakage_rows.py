@@ -11,7 +11,9 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.leakage import Leakage
-from hydrabeam_mpi.loop.evidence import Likelihood, freed
+from hydrabeam_mpi.fit.equations import Columns, NormalEquations, RowSet
+from hydrabeam_mpi.infer.gaussian import Block
+from hydrabeam_mpi.infer.likelihood import Likelihood
 from hydrabeam_mpi.mpi import ProcessGrid, allreduce_sum, together
 from hydrabeam_mpi.problem import Problem
 from hydrabeam_mpi.rows import read_rows
@@ -57,17 +59,10 @@ class CrossRows:
 
 @dataclass
 class LeakageSums:
-    """Normal equations of all channels, and scalars of each: number, sum w |d|^2, regressors' noise and power."""
+    """What all channels say of their D-terms, and scalars of each: number, sum w |d|^2, regressors' noise and power."""
 
-    information: FloatArray
-    score: FloatArray
+    blocks: list[Likelihood]
     scalars: FloatArray
-
-    @property
-    def blocks(self) -> list[Likelihood]:
-        """The likelihood of each channel's D-terms."""
-        pairs = zip(self.information, self.score, strict=True)
-        return [Likelihood(information, score, information) for information, score in pairs]
 
 
 def read_cross(
@@ -103,22 +98,25 @@ def sum_cross(grid: ProcessGrid, check: Leakage, experiment: Experiment, rows: l
     Without what they say of the common leakage where that is the regressors' noise, as for feeds with equal beams.
     """
     n_freqs, n = experiment.observation.Nfreqs, len(check.parameters(experiment))
-    sums = LeakageSums(np.zeros((n_freqs, n, n)), np.zeros((n_freqs, n)), np.zeros((n_freqs, 4)))
+    equations = [NormalEquations([Block(check.kind, n)]) for _ in range(n_freqs)]
+    known = np.zeros((n_freqs, 2))
     with together(grid.world):
         for part in rows:
+            total, weights = equations[part.channel], part.weights.reshape(-1)
+            data = part.data.reshape(-1)
+            of_rows = RowSet(weights * data, weights)
             matrix = check.columns(experiment, part.pol, part.bls, part.copols).matrix()
-            weights = part.weights.reshape(-1)
-            weighted = (matrix * weights[:, np.newaxis]).conj().T
-            sums.information[part.channel] += 2 * (weighted @ matrix).toarray().real
-            sums.score[part.channel] += 2 * (weighted @ part.data.reshape(-1)).real
-            power = float(np.sum(part.weights * np.abs(part.data) ** 2))
-            sums.scalars[part.channel] += np.count_nonzero(weights), power, part.noise, part.power
-    for array in (sums.information, sums.score, sums.scalars):
-        allreduce_sum(grid.world, array)
+            total.add_data(data, weights)
+            total.add_rows({check.kind: Columns(of_rows, matrix, by_group=False)})
+            known[part.channel] += part.noise, part.power
+    for total in equations:
+        total.reduce(grid.world)
+    allreduce_sum(grid.world, known)
     common = check.undecidable(experiment)
-    for f, block in enumerate(sums.blocks):
+    blocks = []
+    for total, (noise, _) in zip(equations, known, strict=True):
+        block = total.likelihood_alone([check.kind])
         told = np.trace(common @ block.information @ common.T)
-        if 4 * sums.scalars[f, 2] > MAX_NOISE * told:
-            known = freed(block, common)
-            sums.information[f], sums.score[f] = known.information, known.score
-    return sums
+        blocks.append(block.freed(common) if 4 * noise > MAX_NOISE * told else block)
+    scalars = np.array([(total.n_data, total.data_norm, *own) for total, own in zip(equations, known, strict=True)])
+    return LeakageSums(blocks, scalars)

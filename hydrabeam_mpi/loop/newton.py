@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
-from hydrabeam_mpi.loop.evidence import Likelihood
+from hydrabeam_mpi.infer.likelihood import Likelihood
 from hydrabeam_mpi.loop.state import State
 
 HELD = 1e10

@@ -9,15 +9,15 @@ import numpy as np
 from hydrabeam_mpi.accumulate import accumulate_designs
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.effects.experiment import Experiment
-from hydrabeam_mpi.infer.normal import NormalEquations
+from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.infer.posterior import Posterior
 from hydrabeam_mpi.infer.prior import Prior
-from hydrabeam_mpi.inference import reduce_normals, reduced_chi2, solve_channels
-from hydrabeam_mpi.loop.equations import JointSums, SceneSums, beam_change
+from hydrabeam_mpi.inference import reduced_chi2, solve_channels
 from hydrabeam_mpi.loop.newton import solve_jointly
+from hydrabeam_mpi.loop.row_sums import active_columns, active_names, beam_columns, effect_equations, row_set
 from hydrabeam_mpi.loop.state import Active, State
 from hydrabeam_mpi.loop.workspace import Share
-from hydrabeam_mpi.mpi import ProcessGrid, together
+from hydrabeam_mpi.mpi import ProcessGrid, bcast_object, gather_objects, together
 from hydrabeam_mpi.problem import Problem
 from hydrabeam_mpi.rows import Rows
 
@@ -167,7 +167,8 @@ def _fit_beams(space: Space, state: State, keep: bool = False) -> tuple[Rows, Co
         rows, added = share.calibrated(state) if state.posteriors else (share.rows, np.zeros_like(share.rows.data))
         show = grid.world.rank == 0 and not state.posteriors
         normals = accumulate_designs(rows, share.designs(state, show), space.problem.basis)
-    normals = reduce_normals(grid, normals)
+    for normal in normals:
+        normal.reduce(grid.group)
     seen, state.posteriors = state.posteriors, solve_channels(grid, space.problem, normals)
     if keep:
         pairs = zip(state.posteriors, seen, strict=True)
@@ -192,7 +193,7 @@ def _log_joint(normal: NormalEquations, posterior: Posterior, prior: Prior) -> f
 
 def _effective(normal: NormalEquations, posterior: Posterior) -> float:
     """Return how many real parameters the data have decided, tr(P^-1 kappa F^H N^-1 F) for real coefficients."""
-    return 2 * float(np.sum(posterior.covariance * normal.gram.T).real)
+    return 2 * float(np.sum(posterior.covariance * normal.own(BEAM).T).real)
 
 
 def _step(space: Space, state: State, rows: Rows, added: ComplexArray) -> float:
@@ -202,17 +203,17 @@ def _step(space: Space, state: State, rows: Rows, added: ComplexArray) -> float:
     for channel in range(len(space.channels)):
         sums = active_sums(space, space.train, state, channel, rows, added)
         posterior = state.posteriors[channel]
-        state.follows.append(beam_change(posterior, sums.active.cross))
+        names = active_names(state)
+        state.follows.append(sums.response(BEAM, names, posterior))
         if space.grid.is_group_root:
-            with_beam_free = sums.active.without_beam(posterior)
-            likelihoods.append((space.channels[channel], with_beam_free))
-    gathered = space.grid.world.gather(likelihoods)
+            likelihoods.append((space.channels[channel], sums.likelihood(names, BEAM, posterior)))
+    gathered = gather_objects(space.grid.world, likelihoods)
     answer = None
     with together(space.grid.world):
         if gathered is not None:
             by_channel = dict(pair for part in gathered for pair in part)
             answer = solve_jointly(state, current(state), [by_channel[f] for f in sorted(by_channel)])
-    x, std, covariances, moved = space.grid.world.bcast(answer)
+    x, std, covariances, moved = bcast_object(space.grid.world, answer)
     change = x - current(state)
     place(state, x, std)
     state.covariances = [covariances[f] for f in space.channels]
@@ -222,17 +223,17 @@ def _step(space: Space, state: State, rows: Rows, added: ComplexArray) -> float:
     return float(moved)
 
 
-def active_sums(space: Space, share: Share, state: State, channel: int, rows: Rows, added: ComplexArray) -> JointSums:
+def active_sums(
+    space: Space, share: Share, state: State, channel: int, rows: Rows, added: ComplexArray
+) -> NormalEquations:
     """Sum over a group's rows what the active effects need. Collective: all ranks of `grid.world`."""
-    basis = space.problem.basis
-    total = JointSums.zeros(len(state.prior_var), [], basis.n_modes, basis.is_complex)
-    number = space.channels[channel]
+    total = effect_equations(space.problem.basis, state)
     with together(space.grid.world):
         for _, scene, design in share.scenes(channel, state, added[channel], rows):
             scene.integrate_for([one.effect for one in state.active])
-            sums = SceneSums(scene, design)
-            parts = [sums.part(one.effect.columns(scene, one.x[number]), one.used) for one in state.active]
-            total.add(sums, parts, None, None)
+            rows_of_scene = row_set(scene)
+            beside = {BEAM: beam_columns(rows_of_scene, design)}
+            total.add_rows(active_columns(rows_of_scene, scene, state), beside)
     total.reduce(space.grid.group)
     return total
 

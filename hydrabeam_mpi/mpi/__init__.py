@@ -8,8 +8,9 @@ from hydrabeam_mpi.mpi.collectives import (
     allreduce_sum,
     bcast_array,
     bcast_object,
-    recv_array,
-    send_array,
+    gather_objects,
+    recv_object,
+    send_object,
 )
 from hydrabeam_mpi.mpi.failure import together
 from hydrabeam_mpi.mpi.grid import ProcessGrid
@@ -24,12 +25,13 @@ __all__ = [
     "allreduce_sum",
     "bcast_array",
     "bcast_object",
+    "gather_objects",
     "install_abort_hook",
     "library_version",
     "limit_blas_threads",
     "peak_rss_mb",
-    "recv_array",
+    "recv_object",
     "refuse",
-    "send_array",
+    "send_object",
     "together",
 ]

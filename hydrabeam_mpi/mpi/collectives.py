@@ -1,17 +1,18 @@
-"""Arrays and objects between ranks, of any size, in messages of a bounded one.
+"""Arrays and objects between ranks, of any size.
 
-MPI libraries count in 32 bits in places, and large messages want large hidden buffers: nothing here sends
-more than ``max_bytes`` at once. All ranks must give the same ``max_bytes``.
+MPI libraries count in 32 bits in places, and large messages want large hidden buffers: of arrays no more than
+``max_bytes`` are sent at once, the same on all ranks. Objects go as mpi4py's pickles of protocol 5, whose arrays are
+sent from where they are.
 """
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from mpi4py import MPI
+from mpi4py.util import pkl5
 from numpy.typing import NDArray
 
 MAX_MESSAGE_BYTES = 2**28  # as fast as any larger size, with less memory for buffers
@@ -110,25 +111,31 @@ def bcast_array(comm: MPI.Comm, array: Array | None, root: int = 0, max_bytes: i
     return array
 
 
-def bcast_object(comm: MPI.Comm, obj: Any, root: int = 0, max_bytes: int = MAX_MESSAGE_BYTES) -> Any:
-    """Return the picklable ``obj`` of rank ``root`` on every rank. Collective: all ranks of `comm`."""
-    if comm.rank == root:
-        bcast_array(comm, np.frombuffer(pickle.dumps(obj), np.uint8), root, max_bytes)
-        return obj
-    return pickle.loads(bcast_array(comm, None, root, max_bytes).data)
+def bcast_object(comm: MPI.Comm, obj: Any, root: int = 0) -> Any:
+    """Return the picklable ``obj`` of rank ``root`` on every rank. Collective: all ranks of `comm`.
+
+    Arrays in it travel by themselves and not as part of one long pickle, so that it may be of any size.
+    """
+    received = pkl5.Intracomm(comm).bcast(obj if comm.rank == root else None, root)
+    return obj if comm.rank == root else received
 
 
-def send_array(comm: MPI.Comm, array: Array, dest: int, tag: int = 0, max_bytes: int = MAX_MESSAGE_BYTES) -> None:
-    """Send ``array`` to rank ``dest``, which calls `recv_array`; it may return only once that has begun."""
-    array = np.asarray(array, order="C")
-    comm.send((array.shape, array.dtype), dest, tag)
-    for message in _messages(array, max_bytes):
-        comm.Send(message, dest, tag)
+def gather_objects(comm: MPI.Comm, obj: Any) -> list[Any] | None:
+    """Return the picklable objects of all ranks on rank 0, None on the others. Collective: all ranks of `comm`.
+
+    One message after the other, so that they need not fit into one together.
+    """
+    if comm.rank:
+        send_object(comm, obj, dest=0)
+        return None
+    return [obj, *(recv_object(comm, source) for source in range(1, comm.size))]
 
 
-def recv_array(comm: MPI.Comm, source: int, tag: int = 0, max_bytes: int = MAX_MESSAGE_BYTES) -> Array:
-    """Return the array that rank ``source`` sends with `send_array`."""
-    array: Array = np.empty(*comm.recv(source=source, tag=tag))
-    for message in _messages(array, max_bytes):
-        comm.Recv(message, source, tag)
-    return array
+def send_object(comm: MPI.Comm, obj: Any, dest: int) -> None:
+    """Send a picklable object to rank ``dest``, which calls `recv_object`; it may return only once that has begun."""
+    pkl5.Intracomm(comm).send(obj, dest)
+
+
+def recv_object(comm: MPI.Comm, source: int) -> Any:
+    """Return the object that rank ``source`` sends with `send_object`."""
+    return pkl5.Intracomm(comm).recv(source=source)

@@ -18,8 +18,8 @@ from hydrabeam_mpi.accumulate import accumulate, check_heldout
 from hydrabeam_mpi.data.observation import Observation, Visibilities
 from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.data.redundancy import find_redundant_groups
+from hydrabeam_mpi.fit.equations import BEAM
 from hydrabeam_mpi.infer.heldout import Z_EDGES
-from hydrabeam_mpi.infer.posterior import solve_posterior
 from hydrabeam_mpi.infer.prior import DiagonalPrior
 from hydrabeam_mpi.model.arrays import hexagon
 from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
@@ -118,8 +118,7 @@ class Experiment:
         data = self.observe(truth, rng)
         weights = np.where(self.flags, 0, 1 / (stated * self.sigma**2))
         (normal,) = accumulate(self.rows(TRAIN, data, weights), self.model, self.basis)
-        normal.symmetrise()
-        posterior = solve_posterior(normal, self.prior)
+        posterior = normal.gaussian({BEAM: self.prior}).solve()
         draws = np.array([posterior.draw(rng) for _ in range(N_DRAWS)])
         ranks = (as_real(draws) < as_real(truth)).sum(axis=0)
         white = as_real(posterior.factor.conj().T @ (truth - posterior.mean))

@@ -17,8 +17,8 @@ from pyradiosky import SkyModel
 from pyuvdata import UVData
 
 from hydrabeam_mpi.config import load_job
-from hydrabeam_mpi.infer.normal import NormalEquations
-from hydrabeam_mpi.infer.posterior import solve_posterior
+from hydrabeam_mpi.fit.equations import BEAM, NormalEquations, RowBuffer
+from hydrabeam_mpi.infer.gaussian import Block
 from hydrabeam_mpi.problem import estimate_noise, prepare
 from hydrabeam_mpi.random import complex_normal, generator
 from hydrabeam_mpi.rows import Rows, read_rows
@@ -126,14 +126,15 @@ def test_unseen_baselines_tell_an_error_of_the_beam_from_one_of_the_antennas(wri
             sigma = np.divide(1, np.sqrt(weights), out=np.zeros(weights.shape), where=weights > 0)
             return (design @ coeffs) * product[rows.tile.bls] + sigma * complex_normal(rng, weights.shape)
 
-        normal = NormalEquations.zeros(problem.basis.n_modes, is_complex=False)
+        normal = NormalEquations([Block(BEAM, problem.basis.n_modes)])
         data, weights = mock(train, train_design).ravel(), train.inv_noise_var[0].ravel()
         rows = train_design.reshape(len(data), -1)
         normal.add_data(data, weights)
-        normal.add_rows(np.stack([rows.real, rows.imag]), weights * data, weights)
-        normal.symmetrise()
+        buffer = RowBuffer(normal, BEAM)
+        buffer.add(np.stack([rows.real, rows.imag]), weights * data, weights)
+        buffer.flush()
         data, weights = mock(test, test_design), test.inv_noise_var[0]
-        residual = data - test_design @ solve_posterior(normal, prior).mean
+        residual = data - test_design @ normal.gaussian({BEAM: prior}).solve().mean
         return 1 - float(np.sum(weights * np.abs(residual) ** 2) / np.sum(weights * np.abs(data) ** 2))
 
     assert min(explained(0.0, seed) for seed in range(20)) > 0.7

@@ -5,8 +5,8 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.infer.normal import NormalEquations, RowBuffer
-from hydrabeam_mpi.infer.posterior import solve_posterior
+from hydrabeam_mpi.fit.equations import BEAM, Columns, NormalEquations, RowBuffer, RowSet
+from hydrabeam_mpi.infer.gaussian import Block
 from hydrabeam_mpi.infer.prior import CovariancePrior, DiagonalPrior, FlatPrior
 from hydrabeam_mpi.random import complex_normal, generator
 
@@ -25,15 +25,18 @@ def problem(is_complex, seed=1):
 
 
 def accumulate(design, weights, data, is_complex, capacity):
-    normal = NormalEquations.zeros(N, is_complex)
-    buffer = RowBuffer(normal, capacity)
+    normal = NormalEquations([Block(BEAM, N, is_complex)])
+    buffer = RowBuffer(normal, BEAM, capacity)
     for part in np.array_split(np.arange(len(data)), 5):
         rows = design[part] if is_complex else np.stack([design[part].real, design[part].imag])
         buffer.add(rows, weights[part] * data[part], weights[part])
     buffer.flush()
     normal.add_data(data, weights)
-    normal.symmetrise()
     return normal
+
+
+def solve_posterior(normal, prior):
+    return normal.gaussian({BEAM: prior}).solve()
 
 
 def real_form(design, data, weights):
@@ -109,13 +112,13 @@ def test_compressed_rows_give_the_same_sums(is_complex):
     shared = np.repeat(design[: ROWS // 2], 2, axis=0)
     full = accumulate(shared, weights, data, is_complex, 8)
     total, weighted = weights.reshape(-1, 2).sum(axis=1), (weights * data).reshape(-1, 2).sum(axis=1)
-    short = NormalEquations.zeros(N, is_complex)
+    short = NormalEquations([Block(BEAM, N, is_complex)])
     rows = design[: ROWS // 2]
-    short.add_rows(rows if is_complex else np.stack([rows.real, rows.imag]), weighted, total)
+    values = rows if is_complex else np.stack([rows.real, rows.imag])
+    short.add_rows({BEAM: Columns(RowSet(weighted, total), values, by_group=True)})
     short.add_data(data, weights)
-    short.symmetrise()
-    np.testing.assert_allclose(short.gram, full.gram, rtol=1e-12)
-    np.testing.assert_allclose(short.projection, full.projection, rtol=1e-12)
+    np.testing.assert_allclose(short.own(BEAM), full.own(BEAM), rtol=1e-12)
+    np.testing.assert_allclose(short.projection[BEAM], full.projection[BEAM], rtol=1e-12)
     np.testing.assert_allclose(short.scalars, full.scalars, rtol=1e-12)
 
 
@@ -128,8 +131,8 @@ def test_flagged_data_do_not_count(is_complex):
     kept = flagged > 0
     full = accumulate(design[kept], weights[kept], data[kept], is_complex, 8)
     with_flags = accumulate(design, flagged, data_with_junk, is_complex, 8)
-    np.testing.assert_allclose(with_flags.gram, full.gram, rtol=1e-12)
-    np.testing.assert_allclose(with_flags.projection, full.projection, rtol=1e-12)
+    np.testing.assert_allclose(with_flags.own(BEAM), full.own(BEAM), rtol=1e-12)
+    np.testing.assert_allclose(with_flags.projection[BEAM], full.projection[BEAM], rtol=1e-12)
     assert with_flags.n_data == kept.sum()
 
 

@@ -12,10 +12,11 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.effects.base import Columns
 from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.effects.scene import Scene
-from hydrabeam_mpi.infer.normal import NormalEquations
-from hydrabeam_mpi.infer.posterior import Posterior, solve_posterior
+from hydrabeam_mpi.fit.equations import BEAM, NormalEquations, RowBuffer
+from hydrabeam_mpi.infer.gaussian import Block
+from hydrabeam_mpi.infer.posterior import Posterior
 from hydrabeam_mpi.infer.prior import DiagonalPrior
-from hydrabeam_mpi.loop.equations import JointSums, SceneSums, beam_change
+from hydrabeam_mpi.loop.row_sums import beam_columns, effect_columns, row_set
 from hydrabeam_mpi.random import complex_normal, generator
 from tests.effects.small import small_experiment, small_scene
 
@@ -116,32 +117,36 @@ def case(request: pytest.FixtureRequest, experiment: Experiment) -> Case:
     return Case(scene, design, columns)
 
 
-def add_up(cases: list[Case]) -> JointSums:
-    """Sum over scenes."""
-    is_complex = np.iscomplexobj(cases[0].design)
-    sizes = [PARAMETERS[name] for name in CANDIDATES]
-    total = JointSums.zeros(sum(PARAMETERS[name] for name in ACTIVE), sizes, N_MODES, is_complex)
+def add_up(cases: list[Case]) -> NormalEquations:
+    """Sum over scenes: of the active effects, and of candidates one by one."""
+    blocks = [Block(name, PARAMETERS[name]) for name in (*ACTIVE, *CANDIDATES)]
+    pairs = [(one, two) for i, one in enumerate(ACTIVE) for two in ACTIVE[i:]]
+    pairs += [(one, two) for two in CANDIDATES for one in (*ACTIVE, two)]
+    pairs += [(BEAM, one.name) for one in blocks]
+    total = NormalEquations([Block(BEAM, N_MODES, np.iscomplexobj(cases[0].design)), *blocks], pairs)
     for one in cases:
-        sums = SceneSums(one.scene, one.design)
-        active = [sums.part(one.columns[name]) for name in ACTIVE]
-        total.add(sums, active, None, None)
-        for i, name in enumerate(CANDIDATES):
-            total.add(sums, active, i, sums.part(one.columns[name]))
+        rows = row_set(one.scene)
+        beam = {BEAM: beam_columns(rows, one.design)}
+        active = {name: effect_columns(rows, one.columns[name]) for name in ACTIVE}
+        total.add_rows(active, beam)
+        for name in CANDIDATES:
+            total.add_rows({name: effect_columns(rows, one.columns[name])}, beam | active)
     return total
 
 
 def posterior_of(case: Case) -> Posterior:
     """The beam's, with a prior of a standard deviation for each coefficient."""
     is_complex = np.iscomplexobj(case.design)
-    normal = NormalEquations.zeros(N_MODES, is_complex)
+    normal = NormalEquations([Block(BEAM, N_MODES, is_complex)])
     rows = case.dense_design
     if not is_complex:
         rows = np.stack([rows.real, rows.imag])
     data = case.scene.residual.reshape(-1)
     normal.add_data(data, case.weights)
-    normal.add_rows(rows, case.weights * data, case.weights)
-    normal.symmetrise()
-    return solve_posterior(normal, DiagonalPrior(np.zeros(N_MODES), prior_std()))
+    buffer = RowBuffer(normal, BEAM)
+    buffer.add(rows, case.weights * data, case.weights)
+    buffer.flush()
+    return normal.gaussian({BEAM: DiagonalPrior(np.zeros(N_MODES), prior_std())}).solve()
 
 
 def prior_std() -> FloatArray:
@@ -163,38 +168,30 @@ def fisher(case: Case, columns: ComplexArray) -> tuple[FloatArray, FloatArray]:
 
 def test_sums_are_those_of_dense_matrices(case: Case) -> None:
     total = add_up([case])
-    active = np.concatenate([case.dense(name) for name in ACTIVE], axis=1)
-    weights, residual, design = case.weights[:, np.newaxis], case.scene.residual.reshape(-1), case.dense_design
-    factor = np.sqrt(2) if np.iscomplexobj(case.design) else 2.0
-    for sums, columns in [
-        (total.active, active),
-        *((total.candidates[i], case.dense(name)) for i, name in enumerate(CANDIDATES)),
-    ]:
-        np.testing.assert_allclose(sums.signal, 2 * (columns.conj().T @ (weights * columns)).real, atol=1e-10)
-        np.testing.assert_allclose(sums.score, 2 * ((weights * columns).conj().T @ residual).real, atol=1e-10)
-        cross = factor * (design.conj().T @ (weights * columns))
-        np.testing.assert_allclose(sums.cross, cross if np.iscomplexobj(case.design) else cross.real, atol=1e-10)
-    for across, name in zip(total.across, CANDIDATES, strict=True):
-        np.testing.assert_allclose(across, 2 * (active.conj().T @ (weights * case.dense(name))).real, atol=1e-10)
+    weights, residual = case.weights[:, np.newaxis], case.scene.residual.reshape(-1)
+    dense = {BEAM: case.dense_design, **{name: case.dense(name) for name in (*ACTIVE, *CANDIDATES)}}
+    for (one, two), found in total.gram.items():
+        expected = dense[one].conj().T @ (weights * dense[two])
+        np.testing.assert_allclose(found, expected if np.iscomplexobj(found) else expected.real, atol=1e-10)
+    for name in (*ACTIVE, *CANDIDATES):
+        expected = ((weights * dense[name]).conj().T @ residual).real
+        np.testing.assert_allclose(total.projection[name], expected, atol=1e-10)
 
 
 def test_only_some_parameters_count(case: Case) -> None:
-    sums = SceneSums(case.scene, case.design)
-    used = np.array([4, 0])
-    total = JointSums.zeros(2, [], N_MODES, sums.is_complex)
-    total.add(sums, [sums.part(case.columns["by baseline, sparse"], used)], None, None)
-    columns = case.dense("by baseline, sparse")[:, used]
-    weighted = case.weights[:, np.newaxis] * columns
-    np.testing.assert_allclose(total.active.signal, 2 * (columns.conj().T @ weighted).real, atol=1e-10)
-    np.testing.assert_allclose(
-        total.active.score, 2 * (weighted.conj().T @ case.scene.residual.reshape(-1)).real, atol=1e-10
-    )
+    used, name = np.array([4, 0]), "by baseline, sparse"
+    total = NormalEquations([Block(name, 2)])
+    rows = row_set(case.scene)
+    total.add_rows({name: effect_columns(rows, case.columns[name], used)})
+    whole = add_up([case])
+    np.testing.assert_allclose(total.gram[name, name], whole.gram[name, name][np.ix_(used, used)], atol=1e-10)
+    np.testing.assert_allclose(total.projection[name], whole.projection[name][used], atol=1e-10)
 
 
 @pytest.mark.parametrize("name", CANDIDATES)
 def test_beam_is_marginalised(case: Case, name: str) -> None:
     """The inverse of the information on everything holds the covariance of the effects with the beam free."""
-    likelihood = add_up([case]).candidate(CANDIDATES.index(name), posterior_of(case))
+    likelihood = add_up([case]).likelihood([*ACTIVE, name], BEAM, posterior_of(case))
     columns = np.concatenate([case.dense(one) for one in (*ACTIVE, name)], axis=1)
     information, score = fisher(case, columns)
     n_beam = len(information) - columns.shape[1]
@@ -213,7 +210,7 @@ def test_beam_follows(case: Case) -> None:
     follows = -np.linalg.solve(information[:n_beam, :n_beam], information[:n_beam, n_beam:])
     if posterior.is_complex:
         follows = follows[:N_MODES] + 1j * follows[N_MODES:]
-    np.testing.assert_allclose(beam_change(posterior, total.active.cross), follows, atol=1e-10)
+    np.testing.assert_allclose(total.response(BEAM, ACTIVE, posterior), follows, atol=1e-10)
 
 
 def test_score_at_the_best_beam_is_that_with_the_beam_free(case: Case) -> None:
@@ -225,8 +222,15 @@ def test_score_at_the_best_beam_is_that_with_the_beam_free(case: Case) -> None:
     taken = information[n_beam:, :n_beam] @ np.linalg.solve(information[:n_beam, :n_beam], score[:n_beam])
     fitted = (case.dense_design @ posterior.mean).reshape(case.scene.shape)
     at_best = replace(case, scene=replace(case.scene, residual=case.scene.residual - fitted))
-    found = add_up([at_best]).candidates[CANDIDATES.index(name)].score
+    found = add_up([at_best]).likelihood_alone([name]).score
     np.testing.assert_allclose(found, score[n_beam:] - taken, atol=1e-9)
+
+
+def assert_same_sums(one: NormalEquations, two: NormalEquations) -> None:
+    for pair, total in one.gram.items():
+        np.testing.assert_allclose(two.gram[pair], total, atol=1e-10)
+    for name, total in one.projection.items():
+        np.testing.assert_allclose(two.projection[name], total, atol=1e-10)
 
 
 @pytest.mark.parametrize("how", ["times", "baselines", "both, and nothing"])
@@ -236,13 +240,7 @@ def test_sums_add_up_over_scenes(case: Case, how: str) -> None:
     # Redundant baselines may be on different ranks.
     halves = {"times": [(times[:1], bls), (times[1:], bls)], "baselines": [(times, bls[::2]), (times, bls[1::2])]}
     tiles = halves.get(how, [(times[:2], bls), (times[2:], bls[:5]), (times[2:], bls[5:]), (times[:0], bls[:0])])
-    whole, parts = add_up([case]), add_up([case.part(*tile) for tile in tiles])
-    for one, two in zip([whole.active, *whole.candidates], [parts.active, *parts.candidates], strict=True):
-        np.testing.assert_allclose(two.signal, one.signal, atol=1e-10)
-        np.testing.assert_allclose(two.score, one.score, atol=1e-10)
-        np.testing.assert_allclose(two.cross, one.cross, atol=1e-10)
-    for one, two in zip(whole.across, parts.across, strict=True):
-        np.testing.assert_allclose(two, one, atol=1e-10)
+    assert_same_sums(add_up([case]), add_up([case.part(*tile) for tile in tiles]))
 
 
 @pytest.mark.mpi
@@ -250,12 +248,7 @@ def test_sums_add_up_over_ranks(case: Case, comm: MPI.Comm) -> None:
     times, bls = np.array_split(np.arange(case.scene.shape[0]), comm.size)[comm.rank], np.arange(case.scene.shape[1])
     mine = add_up([case.part(times, bls)])
     mine.reduce(comm)
-    whole = add_up([case])
-    for one, two in zip([whole.active, *whole.candidates], [mine.active, *mine.candidates], strict=True):
-        np.testing.assert_allclose(two.signal, one.signal, atol=1e-10)
-        np.testing.assert_allclose(two.cross, one.cross, atol=1e-10)
-    for one, two in zip(whole.across, mine.across, strict=True):
-        np.testing.assert_allclose(two, one, atol=1e-10)
+    assert_same_sums(add_up([case]), mine)
 
 
 def test_flagged_rows_do_not_count(case: Case) -> None:
@@ -263,19 +256,17 @@ def test_flagged_rows_do_not_count(case: Case) -> None:
     spoilt[case.scene.weights == 0] = -1e9
     one = add_up([case])
     two = add_up([replace(case, scene=replace(case.scene, residual=spoilt))])
-    np.testing.assert_array_equal(one.active.score, two.active.score)
-    everything = replace(case, scene=replace(case.scene, weights=np.zeros(case.scene.shape)))
-    nothing = add_up([everything])
-    for sums in (nothing.active, *nothing.candidates):
-        assert not np.any(sums.signal)
-        assert not np.any(sums.score)
-        assert not np.any(sums.cross)
+    for name, total in one.projection.items():
+        np.testing.assert_array_equal(total, two.projection[name])
+    nothing = add_up([replace(case, scene=replace(case.scene, weights=np.zeros(case.scene.shape)))])
+    assert not any(np.any(total) for total in (*nothing.gram.values(), *nothing.projection.values()))
 
 
 def test_no_effects_are_no_trouble(case: Case) -> None:
-    sums = SceneSums(case.scene, case.design)
-    total = JointSums.zeros(0, [0], N_MODES, sums.is_complex)
-    total.add(sums, [], None, None)
-    total.add(sums, [], 0, sums.part(Columns(np.zeros((*case.scene.shape, 0), dtype=complex), 0)))
-    likelihood = total.candidate(0, posterior_of(case))
+    total = NormalEquations([Block(BEAM, N_MODES, np.iscomplexobj(case.design)), Block("none", 0)], [(BEAM, "none")])
+    rows = row_set(case.scene)
+    columns = Columns(np.zeros((*case.scene.shape, 0), dtype=complex), 0)
+    total.add_rows({"none": effect_columns(rows, columns)}, {BEAM: beam_columns(rows, case.design)})
+    likelihood = total.likelihood([], BEAM, posterior_of(case))
     assert likelihood.information.shape == (0, 0)
+    assert total.response(BEAM, [], posterior_of(case)).shape == (N_MODES, 0)

@@ -1,0 +1,1 @@
+"""The fit: rows into sums, sums into posteriors, over ranks."""

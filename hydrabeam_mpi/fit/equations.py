@@ -1,0 +1,427 @@
+"""The one set of sums over rows from which everything is inferred: the normal equations of blocks of unknowns.
+
+Every row of the data is d = sum_i A_i x_i + n with E|n|^2 = 1/w, where the unknowns x_i of a block (the beam's
+coefficients, the gains of antennas, the fluxes of sources ...) are real or complex and A_i are its columns. Of the rows
+
+    G_ij = A_i^H N^-1 A_j,   p_i = A_i^H N^-1 d,   d^H N^-1 d,   ln|N^-1|   and the number of data
+
+are all that inference needs; they add up over rows, hence over ranks (HDBI II, eqs 12 and 13). The likelihood is
+
+    -ln L = sum_ij Re x_i^H G_ij x_j - 2 Re sum_i x_i^H p_i + d^H N^-1 d - ln|N^-1| + n ln pi,
+
+the same for real unknowns and for complex ones; between real blocks only the real parts of G and p count and are kept.
+That is the only convention of factors. What else follows, such as the Fisher information 2 G of real unknowns, is
+derived where it is needed.
+
+Redundant baselines share the columns of a beam that all antennas have in common. Such columns are given by group, and
+the data of a group's rows are summed before; columns of antennas or of single baselines are given by row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+from scipy.linalg.blas import dsyrk, zherk
+from scipy.sparse import csr_array, diags_array, issparse
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.infer.gaussian import Block, Gaussian, spans_of
+from hydrabeam_mpi.infer.likelihood import Likelihood
+from hydrabeam_mpi.infer.matrices import complete_hermitian
+from hydrabeam_mpi.infer.posterior import Posterior
+from hydrabeam_mpi.infer.prior import Prior
+from hydrabeam_mpi.mpi import Comm, allreduce_sum
+
+Array = NDArray[Any]
+Matrix = Any
+"""A NumPy array or a SciPy sparse one."""
+
+BEAM = "beam"
+"""Name of the block of the beam's coefficients."""
+
+
+class RowSet:
+    """Rows of data that are added together.
+
+    Parameters
+    ----------
+    weighted_data : ndarray of complex, (Nrows,)
+        w d; or the sum of it over data that share all their columns.
+    weights : ndarray, (Nrows,)
+        w, or its sum over these data.
+    member : ndarray of int, (Nrows,), optional
+        To which group each row belongs; by default each is a group of its own.
+    n_groups : int, optional
+    """
+
+    def __init__(
+        self,
+        weighted_data: ComplexArray,
+        weights: FloatArray,
+        member: IntArray | None = None,
+        n_groups: int = 0,
+    ) -> None:
+        self.weighted_data, self.weights = weighted_data, weights
+        self._gather = None
+        if member is not None:
+            ones = np.ones(len(member))
+            self._gather = csr_array((ones, (member, np.arange(len(member)))), shape=(n_groups, len(member)))
+
+    def summed(self, by_row: Matrix) -> Matrix:
+        """Sum over the rows of each group, (Nrows, ...) to (Ngroups, ...)."""
+        return by_row if self._gather is None else self._gather @ by_row
+
+    @cached_property
+    def group_data(self) -> ComplexArray:
+        """Sum of w d over each group, (Ngroups,)."""
+        return np.asarray(self.summed(self.weighted_data))
+
+    @cached_property
+    def group_weights(self) -> FloatArray:
+        """Sum of w over each group, (Ngroups,)."""
+        return np.asarray(self.summed(self.weights))
+
+
+class Columns:
+    """A block's columns at the rows of a set.
+
+    Parameters
+    ----------
+    rows : RowSet
+    values : ndarray or sparse array
+        (Nrows, n), or (Ngroups, n) with ``by_group``. Of a block with real unknowns by group also (2, Ngroups, n): real
+        parts, then imaginary ones.
+    by_group : bool
+    """
+
+    def __init__(self, rows: RowSet, values: Matrix, by_group: bool) -> None:
+        self.rows, self.values, self.by_group = rows, values, by_group
+        self.in_parts = values.ndim == 3
+
+    @cached_property
+    def weighted(self) -> Matrix:
+        """Columns times w, by row where they are so."""
+        weights = self.rows.group_weights if self.by_group else self.rows.weights
+        if issparse(self.values):
+            return diags_array(weights) @ self.values
+        return weights[:, np.newaxis] * self.values
+
+    @cached_property
+    def group_weighted(self) -> Matrix:
+        """Columns times w, summed over each group."""
+        return self.weighted if self.by_group else self.rows.summed(self.weighted)
+
+    def times_data(self, is_complex: bool) -> Array:
+        """Return A^H N^-1 d, its real part for real unknowns, (n,)."""
+        data = self.rows.group_data if self.by_group else self.rows.weighted_data
+        if self.in_parts:
+            real, imag = self.values
+            return np.asarray(real.T @ data.real + imag.T @ data.imag)
+        product = np.asarray(self.values.conj().T @ data)
+        return product if is_complex else product.real
+
+    def times(self, other: Columns, is_complex: bool) -> Array:
+        """Return A_1^H N^-1 A_2, (n_1, n_2); its real part unless unknowns of either are complex."""
+        if other.in_parts and not self.in_parts:
+            return other.times(self, is_complex).conj().T
+        if self.in_parts:
+            real, imag = (part.T for part in self.values)
+            if other.in_parts:
+                return _product(real, other.weighted[0]) + _product(imag, other.weighted[1])
+            two = other.group_weighted
+            product = _product(real, two.real) + _product(imag, two.imag)
+            return product + 1j * (_product(real, two.imag) - _product(imag, two.real)) if is_complex else product
+        if self.by_group:
+            product = _product(self.values.conj().T, other.group_weighted)
+        elif other.by_group:
+            product = _product(self.group_weighted.conj().T, other.values)
+        else:
+            product = _product(self.values.conj().T, other.weighted)
+        return product if is_complex else product.real
+
+
+def _product(one: Matrix, two: Matrix) -> Array:
+    """Return a product of dense or sparse matrices as a dense one."""
+    if issparse(two) and not issparse(one):
+        return np.asarray((two.T @ one.T).T)
+    product = one @ two
+    return np.asarray(product.toarray() if issparse(product) else product)
+
+
+class NormalEquations:
+    """Sums over rows of the products of blocks' columns.
+
+    Parameters
+    ----------
+    blocks : sequence of Block
+    pairs : iterable of (str, str), optional
+        Pairs of blocks of which products are summed, the one that comes first in ``blocks`` named first; all by
+        default.
+
+    Attributes
+    ----------
+    gram : dict of (str, str) to ndarray
+        G_ij of each pair. Those of a block with itself may have one triangle only until they are asked for by a method.
+    projection : dict of str to ndarray
+        p_i.
+    scalars : ndarray, (3,)
+        d^H N^-1 d, ln|N^-1| and the number of (complex) data.
+    """
+
+    def __init__(self, blocks: Sequence[Block], pairs: Iterable[tuple[str, str]] | None = None) -> None:
+        self.blocks = {one.name: one for one in blocks}
+        names = list(self.blocks)
+        if len(names) < len(blocks):
+            raise ValueError("blocks need names of their own")
+        if pairs is None:
+            pairs = [(one, two) for i, one in enumerate(names) for two in names[i:]]
+        self.gram = {(one, two): self._zeros(one, two) for one, two in pairs}
+        self.projection = {name: self._zeros(name) for name in names}
+        self.scalars: FloatArray = np.zeros(3)
+        self._half_filled: set[str] = set()
+
+    def _zeros(self, *names: str) -> Array:
+        blocks = [self.blocks[name] for name in names]
+        dtype = np.complex128 if any(one.is_complex for one in blocks) else np.float64
+        return np.zeros([one.size for one in blocks], dtype=dtype, order="F")
+
+    @property
+    def data_norm(self) -> float:
+        """d^H N^-1 d."""
+        return float(self.scalars[0])
+
+    @property
+    def log_det_inv_noise(self) -> float:
+        """ln|N^-1| over the data with non-zero weight."""
+        return float(self.scalars[1])
+
+    @property
+    def n_data(self) -> int:
+        """Number of complex data with non-zero weight."""
+        return round(float(self.scalars[2]))
+
+    def add_data(self, data: ComplexArray, inv_noise_var: FloatArray) -> None:
+        """Account for data, each by itself, in the scalar sums; their columns follow by `add_rows`, summed or not."""
+        used = inv_noise_var > 0
+        weights = inv_noise_var[used]
+        self.scalars += (np.sum(weights * np.abs(data[used]) ** 2), np.sum(np.log(weights)), weights.size)
+
+    def add_rows(self, columns: Mapping[str, Columns], beside: Mapping[str, Columns] | None = None) -> None:
+        """Add the products of blocks' columns with the data, with each other, and with those of other blocks.
+
+        Parameters
+        ----------
+        columns : mapping of str to Columns
+            By name of block, all of the same rows.
+        beside : mapping of str to Columns, optional
+            Blocks whose own products with these rows have been added before, or are summed elsewhere.
+        """
+        for name, one in columns.items():
+            self.projection[name] += one.times_data(self.blocks[name].is_complex)
+            self._add_own(name, one)
+        everything = {**(beside or {}), **columns}
+        for (first, second), total in self.gram.items():
+            new = first in columns or second in columns
+            if new and first != second and first in everything and second in everything:
+                total += everything[first].times(everything[second], is_complex=np.iscomplexobj(total))
+
+    def _add_own(self, name: str, columns: Columns) -> None:
+        """Add the product of a block's columns with themselves; of dense columns by group only one triangle."""
+        if (name, name) not in self.gram:
+            return
+        total, is_complex = self.gram[name, name], self.blocks[name].is_complex
+        if not (columns.by_group and (is_complex or columns.in_parts)) or issparse(columns.values):
+            total += columns.times(columns, is_complex)
+            return
+        self._half_filled.add(name)
+        root = np.sqrt(columns.rows.group_weights)[:, np.newaxis]
+        if is_complex:
+            scaled = columns.values.conj()
+            scaled *= root
+            zherk(1.0, scaled.T, beta=1.0, c=total, overwrite_c=1)
+        else:
+            scaled = (columns.values * root).reshape(-1, columns.values.shape[-1])
+            dsyrk(1.0, scaled.T, beta=1.0, c=total, overwrite_c=1)
+
+    def reduce(self, comm: Comm) -> None:
+        """Sum over ranks, in place. Collective: all ranks of `comm`."""
+        for name in list(self._half_filled):
+            self.own(name)
+        for total in (*self.gram.values(), *self.projection.values()):
+            # The transpose of an F-ordered array is C-ordered memory, which messages need.
+            allreduce_sum(comm, total.T)
+        allreduce_sum(comm, self.scalars)
+
+    def own(self, name: str) -> Array:
+        """Return A^H N^-1 A of a block with itself, (n, n); not to be changed."""
+        if name in self._half_filled:
+            complete_hermitian(self.gram[name, name])
+            self._half_filled.remove(name)
+        return self.gram[name, name]
+
+    def gather(self, rows: Sequence[str], columns: Sequence[str]) -> Array:
+        """Return G of some blocks with some, side by side, (n_rows, n_columns); not to be changed."""
+        if len(rows) == len(columns) == 1:
+            return self._pair(rows[0], columns[0])
+        width = sum(self.blocks[name].size for name in columns)
+        lines = [np.concatenate([self._pair(i, j) for j in columns], axis=1) for i in rows if columns]
+        return np.concatenate(lines) if lines else np.zeros((sum(self.blocks[name].size for name in rows), width))
+
+    def _pair(self, one: str, two: str) -> Array:
+        if one == two:
+            return self.own(one)
+        return self.gram[one, two] if (one, two) in self.gram else self.gram[two, one].conj().T
+
+    def likelihood_alone(self, names: Sequence[str]) -> Likelihood:
+        """Return what the data say of some blocks with real unknowns, with all others known."""
+        signal = 2 * self.gather(names, names)
+        return Likelihood(signal, 2 * np.concatenate([np.zeros(0), *(self.projection[name] for name in names)]), signal)
+
+    def likelihood(self, names: Sequence[str], without: str, posterior: Posterior) -> Likelihood:
+        """Return what the data say of some blocks with real unknowns, with another block marginalised.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Their data are residuals at the ``posterior``'s mean.
+        without : str
+            Block to marginalise (the Schur complement).
+        posterior : Posterior
+            Its posterior given the others, of which the factor counts.
+        """
+        known = self.likelihood_alone(names)
+        half = solve_triangular(posterior.factor, self.gather([without], names), lower=True, check_finite=False)
+        taken = 2 * (half.conj().T @ half).real if posterior.is_complex else 4 * (half.T @ half)
+        return Likelihood(known.signal - taken, known.score, known.signal)
+
+    def response(self, of: str, names: Sequence[str], posterior: Posterior) -> Array:
+        """Return by how much the best values of a block move with each unknown of others, (n, q).
+
+        ``posterior`` is that of the block ``of``, given the others.
+        """
+        kappa = 1.0 if posterior.is_complex else 2.0
+        half = solve_triangular(posterior.factor, self.gather([of], names), lower=True, check_finite=False)
+        return np.asarray(-kappa * solve_triangular(posterior.factor, half, lower=True, trans="C", check_finite=False))
+
+    def gaussian(self, priors: Mapping[str, Prior]) -> Gaussian:
+        """Return likelihood times prior of some blocks, those that ``priors`` names, with all others at zero.
+
+        Raises
+        ------
+        InputError
+            If there are fewer data than unknowns with a flat prior.
+        """
+        blocks = tuple(self.blocks[name] for name in priors)
+        if len({one.is_complex for one in blocks}) > 1:
+            return self._gaussian_in_parts(blocks, priors)
+        kappa = 1.0 if blocks[0].is_complex else 2.0
+        precision = kappa * self.gather(list(priors), list(priors))
+        source = kappa * np.concatenate([self.projection[name] for name in priors])
+        for name, span in spans_of(blocks, in_parts=False).items():
+            self._check_determined(name, priors[name])
+            priors[name].add_precision(precision[span, span])
+            source[span] += priors[name].precision_times(priors[name].mean)
+        return Gaussian(blocks, precision, source, self._log_scale(blocks, priors))
+
+    def _gaussian_in_parts(self, blocks: tuple[Block, ...], priors: Mapping[str, Prior]) -> Gaussian:
+        """Do as `gaussian` for real and complex blocks together."""
+        names, spans = list(priors), spans_of(blocks, in_parts=True)
+        n = max(span.stop for span in spans.values())
+        precision, source = np.zeros((n, n)), np.zeros(n)
+        for one in names:
+            self._check_determined(one, priors[one])
+            own = np.zeros(2 * [self.blocks[one].size], dtype=self.projection[one].dtype)
+            priors[one].add_precision(own)
+            pulled = priors[one].precision_times(priors[one].mean)
+            # Densities of complex unknowns are exp(-q), those of real ones exp(-q/2).
+            kappa = 2.0 if self.blocks[one].is_complex else 1.0
+            real = self.blocks[one].is_complex
+            source[spans[one]] = _in_parts(2 * self.projection[one] + kappa * pulled, real)
+            precision[spans[one], spans[one]] = _matrix_in_parts(kappa * own, real, real)
+            for two in names:
+                pair = _matrix_in_parts(2 * self._pair(one, two), real, self.blocks[two].is_complex)
+                precision[spans[one], spans[two]] += pair
+        return Gaussian(blocks, precision, source, self._log_scale(blocks, priors))
+
+    def _log_scale(self, blocks: Sequence[Block], priors: Mapping[str, Prior]) -> float | None:
+        """Return ln of likelihood times prior where all unknowns are zero; None with a flat prior."""
+        log_scale = self.log_det_inv_noise - self.n_data * np.log(np.pi) - self.data_norm
+        for one in blocks:
+            prior = priors[one.name]
+            if prior.log_det_precision is None:
+                return None
+            kappa = 1.0 if one.is_complex else 2.0
+            quadratic = float(np.vdot(prior.mean, prior.precision_times(prior.mean)).real)
+            log_scale += (prior.log_det_precision - quadratic - one.size * np.log(kappa * np.pi)) / kappa
+        return float(log_scale)
+
+    def _check_determined(self, name: str, prior: Prior) -> None:
+        block = self.blocks[name]
+        if prior.log_det_precision is None and block.size > self.n_data * (1 if block.is_complex else 2):
+            raise InputError(
+                f"{block.size} coefficients cannot be inferred from {self.n_data} visibilities with a flat prior",
+                field="[prior] kind",
+                remedy="use fewer modes ([basis] n_modes), more data, or a prior that is not flat",
+            )
+
+
+def _in_parts(vector: Array, is_complex: bool) -> FloatArray:
+    return np.concatenate([vector.real, vector.imag]) if is_complex else vector.real
+
+
+def _matrix_in_parts(matrix: Array, rows: bool, columns: bool) -> FloatArray:
+    """Return the real matrix M with Re x^H G y = x'^T M y', where x', y' have complex vectors in parts."""
+    lines = [[matrix.real, -matrix.imag], [matrix.imag, matrix.real]]
+    return np.block([line[: 1 + columns] for line in lines[: 1 + rows]])
+
+
+class RowBuffer:
+    """Collects rows of one block, with columns by group, so that the rank-k updates of its Gram matrix are large ones.
+
+    Parameters
+    ----------
+    equations : NormalEquations
+        Where full buffers are added.
+    name : str
+        Of the block.
+    capacity : int
+        Rows held before they are added.
+    """
+
+    def __init__(self, equations: NormalEquations, name: str, capacity: int = 512) -> None:
+        self.equations, self.name, self.capacity = equations, name, capacity
+        self._held: list[tuple[Array, ComplexArray, FloatArray]] = []
+
+    def add(self, rows: Array, weighted_data: ComplexArray, weights: FloatArray) -> None:
+        """Take rows, of which those without weight are left out.
+
+        Parameters
+        ----------
+        rows : ndarray of complex, (Nrows, n); or of real, (2, Nrows, n)
+            For real coefficients the real and the imaginary parts of the rows, one after the other.
+        weighted_data : ndarray of complex, (Nrows,)
+            Sum of w d over the data that share the row.
+        weights : ndarray, (Nrows,)
+            Sum of w over them.
+        """
+        used = weights > 0
+        if not used.all():
+            rows, weighted_data, weights = rows[..., used, :], weighted_data[used], weights[used]
+        self._held.append((rows, weighted_data, weights))
+        if sum(len(held[2]) for held in self._held) >= self.capacity:
+            self.flush()
+
+    def flush(self) -> None:
+        """Add what is held."""
+        if self._held:
+            rows, weighted_data, weights = zip(*self._held, strict=True)
+            self._held = []
+            together = RowSet(np.concatenate(weighted_data), np.concatenate(weights))
+            values = np.concatenate(rows, axis=-2)
+            self.equations.add_rows({self.name: Columns(together, values, by_group=True)})

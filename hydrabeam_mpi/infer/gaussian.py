@@ -1,0 +1,211 @@
+"""Gaussian functions of several blocks of unknowns, such as a beam's coefficients and the gains of antennas.
+
+In information form a Gaussian is known by its precision P and its source h,
+
+    ln f(x) = log_scale + (2 Re x^H h - x^H P x) / kappa,
+
+with kappa = 1 for complex unknowns, whose normal density is exp(-x^H P x), and kappa = 2 for real ones, whose density
+is exp(-x^T P x / 2). Its maximum is at P^-1 h. Some unknowns can be set to values (`condition`), or integrated over
+(`marginalise`); either gives another Gaussian (HDBI II, eqs 12-15, are those of a single block).
+
+Where real and complex blocks meet, a complex one of n unknowns is kept as 2 n real ones, real parts before imaginary
+ones: a complex unknown that real ones are marginalised from has no circular density any more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_triangular
+
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.infer.matrices import cholesky_lower
+from hydrabeam_mpi.infer.posterior import Posterior
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Block:
+    """Unknowns that belong together.
+
+    Attributes
+    ----------
+    name : str
+    size : int
+        Number of unknowns.
+    is_complex : bool
+    """
+
+    name: str
+    size: int
+    is_complex: bool = False
+
+
+@dataclass(frozen=True)
+class Gaussian:
+    """A Gaussian function of the unknowns of some blocks, not normalised.
+
+    Attributes
+    ----------
+    blocks : tuple of Block
+        In the order of the matrix.
+    precision : ndarray, (n, n)
+        P. Complex where all blocks are; else real, with complex blocks in real and imaginary parts.
+    source : ndarray, (n,)
+        h.
+    log_scale : float or None
+        ln f(0); None where a flat prior leaves it open.
+    """
+
+    blocks: tuple[Block, ...]
+    precision: Array
+    source: Array
+    log_scale: float | None
+
+    @property
+    def is_complex(self) -> bool:
+        """Whether the matrix is complex, as all blocks are."""
+        return bool(np.iscomplexobj(self.precision))
+
+    @property
+    def kappa(self) -> float:
+        """1 for a complex matrix, 2 for a real one."""
+        return 1.0 if self.is_complex else 2.0
+
+    @property
+    def spans(self) -> dict[str, slice]:
+        """Rows of the matrix that belong to each block."""
+        return spans_of(self.blocks, in_parts=not self.is_complex)
+
+    def vector(self, values: Mapping[str, Array]) -> Array:
+        """Put the values of all blocks side by side as the matrix has them, (n,)."""
+        parts = [_as_rows(np.asarray(values[one.name]), one, in_parts=not self.is_complex) for one in self.blocks]
+        return np.concatenate([self.source[:0], *parts])
+
+    def values(self, vector: Array) -> dict[str, Array]:
+        """Take each block's values out of a vector in the order of the matrix, (..., n)."""
+        found = {}
+        for one in self.blocks:
+            part = vector[..., self.spans[one.name]]
+            in_parts = one.is_complex and not self.is_complex
+            found[one.name] = part[..., : one.size] + 1j * part[..., one.size :] if in_parts else part
+        return found
+
+    def condition(self, on: Mapping[str, Array]) -> Gaussian:
+        """Return the function of the other blocks that is left where some have known values.
+
+        Parameters
+        ----------
+        on : mapping of str to ndarray, (size,)
+            Values of the blocks that are known.
+        """
+        known, rest, blocks = self._split(on)
+        parts = [
+            _as_rows(np.asarray(on[one.name]), one, in_parts=not self.is_complex)
+            for one in self.blocks
+            if one.name in on
+        ]
+        x = np.concatenate([self.source[:0], *parts])
+        source = self.source[rest] - self.precision[np.ix_(rest, known)] @ x
+        log_scale = self.log_scale
+        if log_scale is not None:
+            own = self.precision[np.ix_(known, known)]
+            log_scale += float(2 * np.vdot(x, self.source[known]).real - np.vdot(x, own @ x).real) / self.kappa
+        return Gaussian(blocks, self.precision[np.ix_(rest, rest)], source, log_scale)
+
+    def marginalise(self, out: Collection[str]) -> Gaussian:
+        """Return the function of the other blocks that is left when some are integrated over (Schur complement).
+
+        Parameters
+        ----------
+        out : collection of str
+            Names of the blocks to integrate over.
+
+        Raises
+        ------
+        InputError
+            If nothing determines their unknowns.
+        """
+        gone, rest, blocks = self._split(out)
+        own, across = self.precision[np.ix_(gone, gone)], self.precision[np.ix_(gone, rest)]
+        try:
+            factor = cho_factor(own, lower=True)
+        except LinAlgError as error:
+            names = ", ".join(out)
+            raise InputError(
+                f"data and prior leave some of the unknowns of {names} free", remedy="use a prior that is not flat"
+            ) from error
+        solved, pulled = cho_solve(factor, across), cho_solve(factor, self.source[gone])
+        log_scale = self.log_scale
+        if log_scale is not None:
+            log_det = 2 * float(np.sum(np.log(np.diag(factor[0]).real)))
+            log_scale += _log_volume(len(gone), log_det, np.vdot(self.source[gone], pulled).real, self.kappa)
+        precision = self.precision[np.ix_(rest, rest)] - across.conj().T @ solved
+        source = self.source[rest] - across.conj().T @ pulled
+        return Gaussian(blocks, 0.5 * (precision + precision.conj().T), source, log_scale)
+
+    def solve(self, overwrite: bool = False) -> Posterior:
+        """Return the normalised Gaussian, with ln of the integral of f as its evidence.
+
+        Parameters
+        ----------
+        overwrite : bool
+            Whether the memory of the precision may be used for its factor; this object is of no use then.
+
+        Raises
+        ------
+        InputError
+            If some combination of the unknowns is not determined.
+        """
+        factor = cholesky_lower(self.precision if overwrite else self.precision.copy())
+        half = solve_triangular(factor, self.source, lower=True, check_finite=False)
+        mean = solve_triangular(factor, half, lower=True, trans="C", check_finite=False)
+        log_evidence = None
+        if self.log_scale is not None:
+            log_det = 2 * float(np.sum(np.log(np.diag(factor).real)))
+            log_evidence = self.log_scale + _log_volume(len(mean), log_det, float(np.vdot(half, half).real), self.kappa)
+        return Posterior(mean, factor, log_evidence)
+
+    def draw(self, rng: np.random.Generator) -> dict[str, Array]:
+        """Draw values of all blocks from the normalised Gaussian."""
+        return self.values(self.solve().draw(rng))
+
+    def log_evidence(self) -> float | None:
+        """Return ln of the integral of f over all unknowns; None where a flat prior leaves it open."""
+        return self.marginalise([one.name for one in self.blocks]).log_scale
+
+    def _split(self, names: Collection[str]) -> tuple[Array, Array, tuple[Block, ...]]:
+        """Return the rows of some blocks, those of the others, and the others."""
+        unknown = set(names) - {one.name for one in self.blocks}
+        if unknown:
+            raise KeyError(f"no block {', '.join(sorted(unknown))} among {', '.join(self.spans)}")
+        rows = np.arange(len(self.source))
+        chosen = np.concatenate([rows[:0], *(rows[self.spans[one.name]] for one in self.blocks if one.name in names)])
+        return chosen, np.delete(rows, chosen), tuple(one for one in self.blocks if one.name not in names)
+
+
+def spans_of(blocks: Sequence[Block], in_parts: bool) -> dict[str, slice]:
+    """Return where each block lies when they are side by side; ``in_parts`` gives complex ones twice the room."""
+    spans, start = {}, 0
+    for one in blocks:
+        width = one.size * (2 if one.is_complex and in_parts else 1)
+        spans[one.name] = slice(start, start + width)
+        start += width
+    return spans
+
+
+def _as_rows(values: Array, block: Block, in_parts: bool) -> Array:
+    """Write a complex block's values in parts where the matrix has them so."""
+    if block.is_complex and in_parts:
+        return np.concatenate([np.real(values), np.imag(values)])
+    return values
+
+
+def _log_volume(n: int, log_det: float, quadratic: float, kappa: float) -> float:
+    """Return ln of the integral of exp((2 Re x^H h - x^H P x) / kappa) over n unknowns; h^H P^-1 h is ``quadratic``."""
+    return (n * np.log(kappa * np.pi) - log_det + quadratic) / kappa

@@ -1,0 +1,78 @@
+"""What data say of some real parameters: a Gaussian in them, up to its height.
+
+    ln L(x) = u.x - x^T K x / 2 + const,
+
+with all that is not x (the beam, other parameters) set to values or marginalised.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import FloatArray, IntArray
+
+RANK_RTOL = 1e-9
+"""Eigenvalues of K below this times the largest are rounding errors, and count as zero."""
+
+ROUNDING = 1e-13
+"""Information relative to that with the beam known, up to which it may be what sums over rows lose by rounding."""
+
+
+@dataclass(frozen=True)
+class Likelihood:
+    """What one channel, or all together, say of some parameters.
+
+    Attributes
+    ----------
+    information : ndarray, (q, q)
+        K: the Fisher information with the beam and all else that is free marginalised.
+    score : ndarray, (q,)
+        u, the gradient of ln L at x = 0.
+    signal : ndarray, (q, q)
+        2 Re S^H N^-1 S: the information if all else were known.
+    """
+
+    information: FloatArray
+    score: FloatArray
+    signal: FloatArray
+
+    def __add__(self, other: Likelihood) -> Likelihood:
+        return Likelihood(self.information + other.information, self.score + other.score, self.signal + other.signal)
+
+    def marginalised(self, which: IntArray, prior_var: FloatArray) -> Likelihood:
+        """Return the likelihood of the others, with some parameters marginalised that have a prior around zero.
+
+        Parameters
+        ----------
+        which : ndarray of int, (p,)
+            The parameters to marginalise.
+        prior_var : ndarray, (p,)
+            Their prior variances; not zero.
+        """
+        if not len(which):
+            return self
+        rest = np.delete(np.arange(len(self.score)), which)
+        # In units of the prior's width, in which the matrix is never singular.
+        width = np.sqrt(prior_var)
+        corner = width[:, np.newaxis] * self.information[np.ix_(which, which)] * width + np.eye(len(which))
+        across = width[:, np.newaxis] * self.information[np.ix_(which, rest)]
+        solved = np.linalg.solve(corner, np.column_stack([across, width * self.score[which]]))
+        information = self.information[np.ix_(rest, rest)] - across.T @ solved[:, :-1]
+        score = self.score[rest] - across.T @ solved[:, -1]
+        return Likelihood(0.5 * (information + information.T), score, self.signal[np.ix_(rest, rest)])
+
+    def freed(self, combinations: FloatArray) -> Likelihood:
+        """Return the likelihood with combinations of the parameters, (n, q), marginalised without a prior.
+
+        It says nothing of these any more. Those that the data do not tell at all change nothing.
+        """
+        present = np.sqrt(combinations**2 @ np.maximum(np.diag(self.signal), 0.0))
+        combinations = combinations[present > 0] / present[present > 0, np.newaxis]
+        across = self.information @ combinations.T
+        values, vectors = np.linalg.eigh(combinations @ across)
+        told = values > max(ROUNDING, RANK_RTOL * values.max(initial=0.0))
+        inverse = (vectors[:, told] / values[told]) @ vectors[:, told].T
+        information = self.information - across @ inverse @ across.T
+        return Likelihood(information, self.score - across @ inverse @ (combinations @ self.score), self.signal)

@@ -1,0 +1,41 @@
+"""Hermitian matrices of which one triangle has been worked out, and their factors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import LinAlgError, cholesky
+
+from hydrabeam_mpi.errors import InputError
+
+Array = NDArray[Any]
+
+
+def complete_hermitian(matrix: Array, block: int = 128) -> None:
+    """Fill the lower triangle of a Hermitian matrix from its upper one, in place and block by block."""
+    for lo in range(0, len(matrix), block):
+        hi = lo + block
+        corner = np.triu(matrix[lo:hi, lo:hi])
+        matrix[lo:hi, lo:hi] = corner + np.triu(corner, 1).conj().T
+        matrix[hi:, lo:hi] = matrix[lo:hi, hi:].conj().T
+
+
+def cholesky_lower(matrix: Array) -> Array:
+    """Return L with L L^H = ``matrix``, whose memory may be used for it.
+
+    Raises
+    ------
+    InputError
+        If the matrix is not positive definite: the data and the prior leave some combination of coefficients
+        free.
+    """
+    try:
+        return cholesky(matrix, lower=True, check_finite=False, overwrite_a=True)
+    except LinAlgError as error:
+        raise InputError(
+            "the posterior precision is not positive definite: data and prior leave some beam modes free",
+            field="[prior]",
+            remedy="use fewer modes, more data, or a prior that is not flat",
+        ) from error
