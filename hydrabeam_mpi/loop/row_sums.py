@@ -14,7 +14,7 @@ from hydrabeam_mpi.effects.scene import Scene
 from hydrabeam_mpi.fit.equations import BEAM, Columns, NormalEquations, RowSet
 from hydrabeam_mpi.infer.gaussian import Block
 from hydrabeam_mpi.loop.state import State
-from hydrabeam_mpi.model.basis import LinearBasis
+from hydrabeam_mpi.model.bases.base import LinearBasis
 
 
 def row_set(scene: Scene) -> RowSet:

@@ -11,7 +11,7 @@ from scipy.stats import multivariate_normal
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.base import Parameters
-from hydrabeam_mpi.loop.evidence import TAUS, Evidence, Likelihood, find_evidence, freed, solve
+from hydrabeam_mpi.loop.evidence import TAUS, Evidence, Likelihood, find_evidence, solve
 from hydrabeam_mpi.random import generator
 
 N_DATA, N_MODES = 40, 6
@@ -339,6 +339,6 @@ def test_combinations_that_do_nothing_are_no_information(seed: int) -> None:
     block = Likelihood(columns.T @ columns, columns.T @ (columns @ x), columns.T @ columns)
     alike = np.hstack([np.eye(3), (1 + np.finfo(float).eps) * np.eye(3)])
     largest = block.signal.max()
-    np.testing.assert_allclose(freed(block, alike).information, block.information, atol=1e-9 * largest)
+    np.testing.assert_allclose(block.freed(alike).information, block.information, atol=1e-9 * largest)
     evidence = find_evidence([block], of_elements(2, 3), alike)
     np.testing.assert_allclose(evidence.x[0, :3] - evidence.x[0, 3:], np.ones(3), rtol=1e-4)
