@@ -13,6 +13,7 @@ import pytest
 import tomli_w
 from mpi4py import MPI
 
+from hydrabeam_mpi.config import load_job
 from hydrabeam_mpi.report.page import write_report
 from hydrabeam_mpi.report.result import Channel, load_result
 from hydrabeam_mpi.run import infer, simulate
@@ -45,11 +46,15 @@ def write_job(path: Path, job: dict[str, Any]) -> Path:
     return path
 
 
+def _run(command: Callable[..., None], job: Path, out: Path) -> None:
+    command(MPI.COMM_SELF, load_job(job), job, out, overwrite=False, threads=1)
+
+
 @pytest.fixture(scope="session")
 def paper(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One channel, complex coefficients, truth and held-out times; with its report."""
     folder = tmp_path_factory.mktemp("paper")
-    infer(MPI.COMM_SELF, write_job(folder / "job.toml", PAPER), folder / "result", False, 1)
+    _run(infer, write_job(folder / "job.toml", PAPER), folder / "result")
     write_report(folder / "result")
     return folder / "result"
 
@@ -59,9 +64,9 @@ def bands(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four channels, real coefficients, flat prior, neither truth nor held-out data; with its report."""
     folder = tmp_path_factory.mktemp("bands")
     mock = BANDS | {"data": {"simulate": {"array": {"hex": [2, 3]}, "n_times": 8, "freqs": FREQS}}}
-    simulate(MPI.COMM_SELF, write_job(folder / "mock.toml", mock), folder / "mock", False, 1)
+    _run(simulate, write_job(folder / "mock.toml", mock), folder / "mock")
     job = BANDS | {"data": {"files": [str(folder / "mock" / "data.uvh5")]}, "holdout": {"kind": "none"}}
-    infer(MPI.COMM_SELF, write_job(folder / "job.toml", job), folder / "result", False, 1)
+    _run(infer, write_job(folder / "job.toml", job), folder / "result")
     write_report(folder / "result")
     return folder / "result"
 

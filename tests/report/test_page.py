@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.manifest import find_strangers, read_manifest
 from hydrabeam_mpi.report.page import write_report
 from tests.report.conftest import BULK, Edit, drop_arrays
 
@@ -270,3 +271,11 @@ def test_a_place_that_cannot_be_written(paper: Path, edited: Edit) -> None:
     (copy / "report.html").mkdir()
     assert "report.html: cannot be written" in refused(copy)
     assert not [file for file in copy.iterdir() if "partial" in file.name]
+
+
+def test_its_files_are_part_of_the_result(paper: Path) -> None:
+    listed = read_manifest(paper)
+    assert listed is not None
+    assert {"report.html", "posterior.h5"} < listed.keys()
+    assert any(name.startswith("figures/") for name in listed)
+    assert find_strangers(paper) == []

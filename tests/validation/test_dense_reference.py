@@ -19,6 +19,7 @@ from mpi4py import MPI
 from pyuvdata import UVData
 from scipy.special import jn_zeros, jv
 
+from hydrabeam_mpi.config import load_job
 from hydrabeam_mpi.run import infer, simulate
 
 TABLE = Path(__file__).parents[2] / "hydrabeam_mpi" / "tables" / "hera_vivaldi_131MHz.h5"
@@ -59,7 +60,8 @@ def folder(tmp_path_factory):
     """Simulated data, made less even: flags over nonsense, and a number of samples for each visibility."""
     folder = tmp_path_factory.mktemp("dense")
     (folder / "simulate.toml").write_text(SKY + SIMULATION)
-    simulate(MPI.COMM_SELF, folder / "simulate.toml", folder / "mock", overwrite=False, threads=1)
+    job = folder / "simulate.toml"
+    simulate(MPI.COMM_SELF, load_job(job), job, folder / "mock", overwrite=False, threads=1)
     uv = UVData.from_file(folder / "mock" / "data.uvh5")
     rng = np.random.default_rng(1)
     cross = (uv.ant_1_array != uv.ant_2_array)[:, np.newaxis, np.newaxis]
@@ -82,7 +84,8 @@ class Inferred:
 def run_pipeline(folder, form, boundary, engine, compress):
     job = INFERENCE.format(form=form, boundary=boundary, engine=engine, compress=str(compress).lower())
     (folder / "infer.toml").write_text(SKY + job)
-    infer(MPI.COMM_SELF, folder / "infer.toml", folder / "out", overwrite=True, threads=1)
+    job = folder / "infer.toml"
+    infer(MPI.COMM_SELF, load_job(job), job, folder / "out", overwrite=True, threads=1)
     with h5py.File(folder / "out" / "posterior.h5") as file:
         channel = file["channel_0000"]
         arrays = {name: channel[name][:] for name in ("mean", "covariance", "prior_mean", "prior_std")}

@@ -66,7 +66,7 @@ def write_job(data_dir: Path, bright_sources: Path, tmp_path_factory: pytest.Tem
 def summary_of(job: Path) -> dict[str, Any]:
     """Run a job and return its ``summary.json``."""
     out = job.with_suffix("")
-    infer(MPI.COMM_SELF, job, out, overwrite=True, threads=1)
+    infer(MPI.COMM_SELF, load_job(job), job, out, overwrite=True, threads=1)
     return json.loads((out / "summary.json").read_text())
 
 

@@ -12,6 +12,7 @@ import pytest
 from mpi4py import MPI
 from pyuvdata import UVData
 
+from hydrabeam_mpi.config import load_job
 from hydrabeam_mpi.run import infer
 
 COMMON = """
@@ -66,7 +67,8 @@ def jobs(tmp_path_factory):
 def on_one_rank(jobs, tmp_path_factory):
     folder = tmp_path_factory.mktemp("one")
     for name in JOBS:
-        infer(MPI.COMM_SELF, jobs / f"{name}.toml", folder / name, overwrite=False, threads=1)
+        job = jobs / f"{name}.toml"
+        infer(MPI.COMM_SELF, load_job(job), job, folder / name, overwrite=False, threads=1)
     return folder
 
 

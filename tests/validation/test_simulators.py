@@ -24,6 +24,7 @@ from pyradiosky import SkyModel
 from pyuvdata import AiryBeam, UniformBeam, UVBeam, UVData
 from pyuvdata.analytic_beam import AnalyticBeam
 
+from hydrabeam_mpi.config import load_job
 from hydrabeam_mpi.data.observation import Observation
 from hydrabeam_mpi.io.beamfits import write_power_beam
 from hydrabeam_mpi.io.uvwrite import write_uvh5
@@ -296,7 +297,8 @@ def test_the_simulate_command_against_pyuvsim(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "excepthook", sys.excepthook)
     np.savetxt(tmp_path / "array.txt", ARRAYS["irregular"])
     (tmp_path / "job.toml").write_text(JOB.format(array=tmp_path / "array.txt"))
-    simulate(MPI.COMM_SELF, tmp_path / "job.toml", tmp_path / "out", overwrite=False, threads=1)
+    job = tmp_path / "job.toml"
+    simulate(MPI.COMM_SELF, load_job(job), job, tmp_path / "out", overwrite=False, threads=1)
     with h5py.File(tmp_path / "out" / "truth.h5") as truth:
         sky = Sky(truth["ra"][:], truth["dec"][:], truth["flux"][:])
     theirs, ours_in_file = by_pyuvsim(tmp_path / "out" / "data.uvh5", sky, AiryBeam(diameter=9.0, **FEED))

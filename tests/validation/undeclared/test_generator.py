@@ -10,6 +10,7 @@ import pytest
 from astropy.constants import c as speed_of_light
 from mpi4py import MPI
 
+from hydrabeam_mpi.config import load_job
 from hydrabeam_mpi.run import infer
 from tests.validation.undeclared import skies
 from tests.validation.undeclared.answer import Kind
@@ -125,7 +126,8 @@ def test_every_effect_is_one(name):
 
 
 def infer_summary(folder):
-    infer(MPI.COMM_SELF, folder / "given" / "job.toml", folder / "out", overwrite=False, threads=1)
+    job = folder / "given" / "job.toml"
+    infer(MPI.COMM_SELF, load_job(job), job, folder / "out", overwrite=False, threads=1)
     return json.loads((folder / "out" / "summary.json").read_text())
 
 
