@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 
+from hydrabeam_mpi.cautions import cautions_of_flags
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.named import for_inference, for_simulation
 from hydrabeam_mpi.data.observation import Observation
@@ -93,12 +94,14 @@ def write_result(
         **run,
     }
     channels = [record.summary for record in records]
+    flagged = cautions_of_flags(channels, holds_out=job.holdout.kind != "none")
+    warn(flagged)
     summary = {
         "name": job.name,
         **channels[0],
         **common,
         "channels": channels,
-        "warnings": [*warnings, *problem.cautions, *warnings_of(channels)],
+        "warnings": [*warnings, *problem.cautions, *flagged, *warnings_of(channels)],
     }
     _write_json(folder / "summary.json", summary)
     write_job_and_provenance(folder, job, about)

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from hydrabeam_mpi.beams import fit_model_beams, load_beams, make_prior
+from hydrabeam_mpi.cautions import cautions_of_data
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.named import expand
 from hydrabeam_mpi.data.observation import FloatArray, IntArray, Observation
@@ -25,7 +26,7 @@ from hydrabeam_mpi.model.engines import make_engine
 from hydrabeam_mpi.model.rime import ForwardModel
 from hydrabeam_mpi.model.sky import Sky
 from hydrabeam_mpi.mpi import Comm, together
-from hydrabeam_mpi.skies import cautions_of_positions, count_sources, load_sky, source_positions
+from hydrabeam_mpi.skies import count_sources, load_sky, source_positions
 
 
 @dataclass(frozen=True)
@@ -216,7 +217,7 @@ def prepare(job: Job, files: tuple[Path, ...], truths: tuple[Beam, ...] = ()) ->
         time_costs=time_costs,
         channel_numbers=np.arange(observation.Nfreqs),
         truths=truths,
-        cautions=cautions_of_positions(job, observation),
+        cautions=cautions_of_data(job, observation),
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from hydrabeam_mpi.cautions import cautions_of_times
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.named import expand, for_simulation
 from hydrabeam_mpi.inference import Clock, describe_channels, infer_channels
@@ -32,7 +33,6 @@ from hydrabeam_mpi.output import (
 from hydrabeam_mpi.problem import Problem, estimate_noise, prepare
 from hydrabeam_mpi.progress import say, warn
 from hydrabeam_mpi.simulate import mock_observation, simulate_to
-from hydrabeam_mpi.skies import cautions_of_positions
 
 
 def simulate(world: Comm, job: Job, job_path: Path, out: Path, overwrite: bool, threads: int) -> None:
@@ -45,7 +45,7 @@ def simulate(world: Comm, job: Job, job_path: Path, out: Path, overwrite: bool, 
         with together(world):
             if world.rank == 0:
                 assert job.data.simulate is not None
-                warn(cautions_of_positions(job, mock_observation(job.data.simulate, job.data.polarization)))
+                warn(cautions_of_times(job, mock_observation(job.data.simulate, job.data.polarization)))
                 record = provenance(
                     job, [named.path for named in for_simulation(job)], world.size, threads, library_version()
                 )

@@ -7,7 +7,6 @@ from hydrabeam_mpi.data.observation import FloatArray, Observation
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.catalogue import VOTableColumns, read_catalogue
 from hydrabeam_mpi.io.gsm2016 import read_gsm2016
-from hydrabeam_mpi.model.earth_orientation import beyond_table
 from hydrabeam_mpi.model.positions import (
     ApparentPositions,
     RotatedPositions,
@@ -19,16 +18,11 @@ from hydrabeam_mpi.model.sky import Sky, concatenate, mock_sky
 
 def source_positions(job: Job, sky: Sky, observation: Observation) -> SourcePositions:
     """Follow the sources as the job says: turned by sidereal time for mocks, apparent places for catalogues."""
-    return ApparentPositions(sky, observation) if _are_apparent(job) else RotatedPositions(sky, observation)
+    return ApparentPositions(sky, observation) if are_apparent(job) else RotatedPositions(sky, observation)
 
 
-def cautions_of_positions(job: Job, observation: Observation) -> tuple[str, ...]:
-    """Say what sets the sources off their places."""
-    beyond = beyond_table(observation.times) if _are_apparent(job) else None
-    return (beyond,) if beyond else ()
-
-
-def _are_apparent(job: Job) -> bool:
+def are_apparent(job: Job) -> bool:
+    """Tell whether the job takes apparent places."""
     return (job.sky.positions or ("lst" if job.sky.kind == "mock" else "apparent")) == "apparent"
 
 

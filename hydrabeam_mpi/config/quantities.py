@@ -9,6 +9,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo
 
+from hydrabeam_mpi.data.limits import FIRST_JD, LAST_JD
+
 
 @dataclass(frozen=True)
 class Quantity:
@@ -48,8 +50,7 @@ Seconds = Annotated[float, BeforeValidator(Quantity("a time", "s", "10 s"))]
 Jansky = Annotated[float, BeforeValidator(Quantity("a flux density", "Jy", "0.1 Jy"))]
 Degrees = Annotated[float, BeforeValidator(Quantity("an angle", "deg", "90 deg"))]
 SiderealHours = Annotated[float, BeforeValidator(Quantity("a sidereal time", "h", "6 h")), Field(ge=0, le=24)]
-# 1962 to 2100: beyond, the rotation of the Earth is not known or guessed.
-JulianDate = Annotated[float, Field(ge=2437665, le=2488070)]
+JulianDate = Annotated[float, Field(ge=FIRST_JD, le=LAST_JD)]
 Polarization = Literal["ee", "nn", "en", "ne", "xx", "yy", "xy", "yx"]
 AntennaPair = tuple[int, int]
 

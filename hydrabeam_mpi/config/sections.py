@@ -26,6 +26,7 @@ from hydrabeam_mpi.config.quantities import (
     Seconds,
     from_job,
 )
+from hydrabeam_mpi.data.limits import MAX_HEIGHT
 from hydrabeam_mpi.model.bases import JOB_NAMES
 from hydrabeam_mpi.model.engines import ENGINES
 
@@ -72,7 +73,7 @@ class Simulate(Section):
     array: Array = Array()
     latitude: Degrees = key(-30.7215, "deg", ge=-90, le=90)
     longitude: Degrees = key(21.4283, "deg East", ge=-180, le=360)
-    height: Metres = key(1051.69, "m")
+    height: Metres = key(1051.69, "m", ge=-MAX_HEIGHT, le=MAX_HEIGHT)
     start: JulianDate = key(2459866.0, "JD after which the first LST comes first")
     lst_range: LstRange = key((6.0, 12.0), "h, the last excluded")
     n_times: int = key(60, "evenly spaced in LST", ge=1)
@@ -156,6 +157,8 @@ class Holdout(Section):
         _go_together(self, "kind", "lst", "lst_ranges", "[[from, to], ...]")
         _go_together(self, "kind", "jd", "jd_ranges", "[[from, to], ...]")
         _go_together(self, "kind", "baselines", "antpairs", "[[ant1, ant2], ...]")
+        if self.kind != "times" and self.every != Holdout().every:
+            raise ValueError(f"every = {self.every} is for kind = 'times', not '{self.kind}'; leave it out")
         return self
 
 
@@ -278,5 +281,10 @@ class Output(Section):
 
 def _go_together(section: Section, switch: str, position: str, key: str, example: str) -> None:
     """Make sure that ``key`` is given where, and only where, ``switch`` asks for it."""
-    if (getattr(section, switch) == position) != bool(getattr(section, key)):
-        raise ValueError(f"{switch} = '{position}' and {key} = {example} go together; give both or neither")
+    actual, given = getattr(section, switch), bool(getattr(section, key))
+    if actual == position and not given:
+        raise ValueError(f"{switch} = '{position}' needs {key}; give {key} = {example}, or another {switch}")
+    if actual != position and given:
+        raise ValueError(
+            f"{key} is for {switch} = '{position}', not '{actual}'; leave it out or set {switch} = '{position}'"
+        )

@@ -44,6 +44,8 @@ class Observation:
         Polarisations as the data name them, such as "ee".
     pol_convention : {"sum", "avg"}, optional
         Of files that do not state it: V = 1/2 I B (also where this is None), or V = I B.
+    uncalibrated : bool
+        Whether any of the files says that its visibilities are not calibrated.
     """
 
     telescope_name: str
@@ -59,6 +61,7 @@ class Observation:
     integration_time: FloatArray
     pols: tuple[str, ...]
     pol_convention: str | None = None
+    uncalibrated: bool = False
 
     @cached_property
     def latitude(self) -> float:

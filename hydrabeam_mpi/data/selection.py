@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -115,7 +116,9 @@ def _check_known(wanted: set[int], known: set[int], field: str) -> None:
         raise InputError(f"antenna {listed} is not in the data", field=field, remedy="remove it from the list")
 
 
-def select_baselines(antpairs: IntArray, bl_vectors: FloatArray, selection: Selection) -> BoolArray:
+def select_baselines(
+    antpairs: IntArray, bl_vectors: FloatArray, selection: Selection, idle: Iterable[int] = ()
+) -> BoolArray:
     """Tell which baselines the selection keeps.
 
     Parameters
@@ -124,6 +127,8 @@ def select_baselines(antpairs: IntArray, bl_vectors: FloatArray, selection: Sele
     bl_vectors : ndarray, (Nbls, 3)
         Metres; NaN where an antenna has no position, which no limit on the length removes.
     selection : Selection
+    idle : iterable of int
+        Antennas that the array has too, without data; to leave them out is no mistake.
 
     Returns
     -------
@@ -132,7 +137,7 @@ def select_baselines(antpairs: IntArray, bl_vectors: FloatArray, selection: Sele
     Raises
     ------
     InputError
-        If an antenna to keep does not exist, or nothing is left.
+        If an antenna to keep or to leave out does not exist, or nothing is left.
     """
     keep = np.ones(len(antpairs), dtype=bool)
     known = set(np.unique(antpairs).tolist())
@@ -141,6 +146,7 @@ def select_baselines(antpairs: IntArray, bl_vectors: FloatArray, selection: Sele
         among = np.isin(antpairs, selection.antennas)
         _narrow(keep, among[:, 0] & among[:, 1], "[data] antennas", "baselines")
     if selection.exclude_antennas:
+        _check_known(set(selection.exclude_antennas), known.union(idle), "[data] exclude_antennas")
         among = np.isin(antpairs, selection.exclude_antennas)
         _narrow(keep, ~(among[:, 0] | among[:, 1]), "[data] exclude_antennas", "baselines")
     if selection.antpairs is not None:

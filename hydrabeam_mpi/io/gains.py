@@ -15,11 +15,12 @@ from pyuvdata import UVCal
 from pyuvdata.utils import jnum2str
 from pyuvdata.uvcal.calfits import CALFITS
 
+from hydrabeam_mpi.data.limits import LARGEST
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.data.selection import BoolArray, match
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.io.uvdata import feeds_of
+from hydrabeam_mpi.io.uvdata import feeds_of, size
 from hydrabeam_mpi.io.uvfile import READ_ERRORS, quiet
 from hydrabeam_mpi.io.uvmeta import FREQ_TOLERANCE, TIME_TOLERANCE
 
@@ -62,7 +63,7 @@ def apply_gains(
     Raises
     ------
     InputError
-        If a gain is missing, or neither flagged nor finite and nonzero.
+        If a gain is missing, or neither flagged nor finite and nonzero, or visibilities get beyond reason by it.
     """
     return calibrate(data, flags, observation, tile.times, observation.antpairs[tile.bls], gain_files)
 
@@ -86,6 +87,10 @@ def calibrate(
         end_2 = (..., ant_2, feeds.index(pol[1]))
         data[..., index] /= gains[end_1] * gains[end_2].conj()
         flags[..., index] |= gain_flags[end_1] | gain_flags[end_2]
+    largest = np.max(size(data), where=~flags, initial=0.0)
+    if largest > LARGEST:
+        message = f"makes a visibility of {largest:.1e} Jy, which no source and no transmitter has"
+        raise InputError(message, file=gain_files[0], field="gain_array", remedy="correct or flag the gains")
     return np.where(flags, 0.0, data), flags
 
 
@@ -145,10 +150,11 @@ def _read_solution(path: Path, observation: Observation) -> _Solution:
     # pyuvdata has (Nants, Nfreqs, Ntimes, Njones).
     gains = cal.gain_array[np.ix_(ants, channels)].transpose(1, 2, 0, 3).astype(np.complex128)
     flags = cal.flag_array[np.ix_(ants, channels)].transpose(1, 2, 0, 3)
-    unusable = ~flags & ~(np.isfinite(gains) & (gains != 0))
+    usable = (size(gains) >= 1 / LARGEST) & (size(gains) <= LARGEST)
+    unusable = ~flags & ~usable
     if unusable.any():
         ant = observation.antenna_numbers[np.argwhere(unusable)[0, 2]]
-        message = f"an unflagged gain of antenna {ant} is zero or not finite"
+        message = f"an unflagged gain of antenna {ant} is zero, not finite, or beyond reason ({gains[unusable][0]:.3g})"
         raise InputError(message, file=path, field="gain_array", remedy="flag it")
     gains[flags] = 1.0
     if cal.gain_convention == "multiply":

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hydrabeam_mpi.data.limits import LARGEST
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.data.selection import BoolArray, match
@@ -139,11 +140,22 @@ def _empty(shape: tuple[int, int, int]) -> Block:
 
 
 def _checked(data: ComplexArray, flags: BoolArray, nsamples: FloatArray, path: Path) -> Block:
-    """Flag samples without weight, blank what is flagged, and refuse what is neither flagged nor finite."""
+    """Flag samples without weight, blank what is flagged, and refuse what else is not finite or beyond reason."""
     if not np.isfinite(nsamples[~flags]).all():
         raise InputError("unflagged values that are not finite", file=path, field="nsample_array", remedy="flag them")
     flags = flags | ~(nsamples > 0)
     if not np.isfinite(data[~flags]).all():
         raise InputError("unflagged NaN or infinite values", file=path, field="data_array", remedy="flag them")
+    largest = np.max(size(data), where=~flags, initial=0.0)
+    if largest > LARGEST:
+        message = f"a visibility of {largest:.1e} Jy, which no source and no transmitter has"
+        raise InputError(message, file=path, field="data_array", remedy="flag it, or correct the file")
+    if np.max(nsamples, where=~flags, initial=0.0) > LARGEST:
+        raise InputError(f"more than {LARGEST:g}", file=path, field="nsample_array", remedy="correct the file")
     known = np.where(np.isfinite(nsamples), nsamples, 0.0)
     return Block(np.where(flags, 0.0, data), flags, known, np.ones(data.shape, bool))
+
+
+def size(values: ComplexArray) -> FloatArray:
+    """Return the larger of real and imaginary parts, whose squares may be too large."""
+    return np.maximum(np.abs(values.real), np.abs(values.imag))

@@ -18,6 +18,7 @@ from pyuvdata.utils import polnum2str
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.data.selection import match
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.uvcheck import check_metadata
 
 # pyuvdata reads these in part; measurement sets and miriad files it can only read whole.
 READ_IN_PART = ("uvh5", "uvfits")
@@ -72,6 +73,8 @@ class UVHeader:
         Named by the direction of the feeds ("ee") where the file tells it, by the feeds ("xx") otherwise.
     feed_pols : tuple of str
         Named by the feeds.
+    units : str
+        "Jy", or "uncalib" of visibilities that are not calibrated.
     """
 
     path: Path
@@ -85,6 +88,7 @@ class UVHeader:
     channel_width: FloatArray
     pols: tuple[str, ...]
     feed_pols: tuple[str, ...]
+    units: str
 
     def pol_index(self, pol: str) -> int:
         """Return where a polarisation is stored, by either of its names, or -1."""
@@ -196,7 +200,7 @@ def read_metadata(path: Path) -> tuple[UVHeader, UVRows]:
     """
     kind = file_kind(path)
     uv = read_uvdata(path, kind, **({"read_data": False} if kind in READ_IN_PART else {}))
-    _check_supported(uv, path)
+    check_metadata(uv, path)
     telescope = uv.telescope
     orientation = telescope.get_x_orientation_from_feeds()
     header = UVHeader(
@@ -211,6 +215,7 @@ def read_metadata(path: Path) -> tuple[UVHeader, UVRows]:
         channel_width=np.abs(np.asarray(uv.channel_width, dtype=float)),
         pols=tuple(polnum2str(number, x_orientation=orientation) for number in uv.polarization_array),
         feed_pols=tuple(polnum2str(number) for number in uv.polarization_array),
+        units=str(uv.vis_units),
     )
     rows = UVRows(
         antpairs=np.stack([uv.ant_1_array, uv.ant_2_array], axis=1).astype(np.int64),
@@ -219,26 +224,3 @@ def read_metadata(path: Path) -> tuple[UVHeader, UVRows]:
         integration_time=np.asarray(uv.integration_time, dtype=float),
     )
     return header, rows
-
-
-def _check_supported(uv: UVData, path: Path) -> None:
-    """Refuse by name what the forward model has no word for."""
-    if uv.flex_spw_polarization_array is not None:
-        remedy = "convert it with UVData.remove_flex_pol()"
-        raise InputError("the polarisation varies between spectral windows", file=path, remedy=remedy)
-    if uv.Nspws > 1:
-        remedy = "keep one with UVData.select(spws=[...])"
-        raise InputError(f"{uv.Nspws} spectral windows", file=path, field="spw_array", remedy=remedy)
-    if uv.vis_units == "K str":
-        remedy = "convert it with UVData.kelvin_to_jansky()"
-        raise InputError("visibilities in K sr, not Jy", file=path, field="vis_units", remedy=remedy)
-    if not isinstance(uv.telescope.location, EarthLocation):
-        raise InputError("the telescope is not on Earth", file=path, field="telescope_frame")
-    freqs = np.asarray(uv.freq_array)
-    if not np.all(freqs > 0):
-        raise InputError(
-            f"a frequency of {freqs[~(freqs > 0)][0]:g} Hz",
-            file=path,
-            field="freq_array",
-            remedy="correct the file",
-        )

@@ -49,6 +49,7 @@ def pair_keys(antpairs: IntArray) -> IntArray:
 def _survey(path: Path) -> _Survey:
     """Reduce the metadata of a file to its distinct baselines and times."""
     header, rows = read_metadata(path)
+    _check_channels(header)
     cross = np.flatnonzero(rows.antpairs[:, 0] != rows.antpairs[:, 1])
     keys, baseline = np.unique(pair_keys(rows.antpairs[cross]), return_inverse=True)
     _check_averaging(path, rows.integration_time[cross], baseline)
@@ -60,6 +61,19 @@ def _survey(path: Path) -> _Survey:
         rows.lsts[first],
         rows.integration_time[first],
     )
+
+
+def _check_channels(header: UVHeader) -> None:
+    """Refuse a file with two channels at one frequency, of which the data would be those of one."""
+    if len(distinct(header.freqs, FREQ_TOLERANCE)) < len(header.freqs):
+        freqs = np.sort(header.freqs)
+        twice = freqs[1:][np.diff(freqs) <= FREQ_TOLERANCE][0]
+        raise InputError(
+            f"two channels at {twice / 1e6:.6f} MHz",
+            file=header.path,
+            field="freq_array",
+            remedy="keep one with UVData.select(freq_chans=[...]), or correct the frequencies",
+        )
 
 
 def _check_averaging(path: Path, integration_time: FloatArray, baseline: IntArray) -> None:
@@ -132,6 +146,7 @@ def read_observation(files: Sequence[Path], selection: Selection) -> Observation
         lsts=lsts,
         integration_time=integration_time,
         pols=_select_pols([survey.header for survey in surveys], selection),
+        uncalibrated=any(survey.header.units == "uncalib" for survey in surveys),
     )
     _check_covered(observation, surveys)
     return observation
@@ -175,7 +190,7 @@ def _select_antpairs(surveys: list[_Survey], positions: dict[int, FloatArray], s
     antpairs = np.unique(np.concatenate([survey.antpairs for survey in surveys]), axis=0)
     nowhere = np.full(3, np.nan)
     ends = np.array([[positions.get(ant, nowhere) for ant in pair] for pair in antpairs.tolist()])
-    keep = select_baselines(antpairs, ends[:, 1] - ends[:, 0], selection)
+    keep = select_baselines(antpairs, ends[:, 1] - ends[:, 0], selection, idle=positions)
     antpairs, ends = antpairs[keep], ends[keep]
 
     path, field = surveys[0].header.path, "antenna_positions"
@@ -206,6 +221,25 @@ def _select_antpairs(surveys: list[_Survey], positions: dict[int, FloatArray], s
     return antpairs
 
 
+def linear_pols(pols: Sequence[str], path: Path) -> list[str]:
+    """Return the polarisations that the model has a word for.
+
+    Raises
+    ------
+    InputError
+        If there is none, as in data in Stokes parameters.
+    """
+    linear = [pol for pol in pols if len(pol) == 2 and set(pol) <= set("enxy")]
+    if not linear:
+        raise InputError(
+            f"only the polarisations {', '.join(pols)}, and the beam is that of a linear feed",
+            file=path,
+            field="polarization_array",
+            remedy="give the data of linear feeds (xx, yy) from which these were made",
+        )
+    return linear
+
+
 def _select_pols(headers: list[UVHeader], selection: Selection) -> tuple[str, ...]:
     """Return the polarisations to read, under the names that the files have for them."""
     known = dict.fromkeys(pol for header in headers for pol in header.pols)
@@ -215,7 +249,7 @@ def _select_pols(headers: list[UVHeader], selection: Selection) -> tuple[str, ..
     for pol in selection.pols:
         found = {header.pols[header.pol_index(pol)] for header in headers if header.pol_index(pol) >= 0}
         if len(found) != 1:
-            listed = " or ".join(f'"{name}"' for name in known)
+            listed = " or ".join(f'"{name}"' for name in linear_pols(tuple(known), headers[0].path))
             silent = "the file does not tell where its feeds point; " if known.keys() & {"xx", "yy"} else ""
             raise InputError(
                 f'no polarisation "{pol}"',

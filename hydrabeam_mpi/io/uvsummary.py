@@ -10,9 +10,8 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import IntArray, Observation
 from hydrabeam_mpi.data.selection import BoolArray, Selection, match
-from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.uvfile import READ_IN_PART, UVHeader, read_metadata, read_uvdata
-from hydrabeam_mpi.io.uvmeta import FREQ_TOLERANCE, read_observation
+from hydrabeam_mpi.io.uvmeta import FREQ_TOLERANCE, linear_pols, read_observation
 from hydrabeam_mpi.io.uvrows import SAMPLE_BYTES, WINDOW_BYTES, read_rows
 
 
@@ -89,14 +88,7 @@ def summarise(files: Sequence[Path]) -> Summary:
 
 def _first_pol(pols: Sequence[str], path: Path) -> str:
     """Choose a polarisation that the model has a word for."""
-    linear = [pol for pol in pols if len(pol) == 2 and set(pol) <= set("enxy")]
-    if not linear:
-        raise InputError(
-            f"only the polarisations {', '.join(pols)}",
-            file=path,
-            field="polarization_array",
-            remedy="give data of linear feeds",
-        )
+    linear = linear_pols(pols, path)
     return next((pol for pol in linear if pol[0] == pol[1]), linear[0])
 
 

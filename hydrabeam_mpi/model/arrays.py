@@ -9,11 +9,14 @@ from pathlib import Path
 import h5py
 import numpy as np
 from pyuvdata import UVData
+from scipy.spatial import cKDTree
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.errors import InputError
 
 FORMATS = "give columns 'E N U' in metres with or without a header, which may also name 'number' and 'name'"
+# Metres within which two antennas are one: the resolution of positions relative to the centre of the Earth.
+SAME_PLACE = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +75,7 @@ def read_layout(path: Path) -> Layout:
     Raises
     ------
     InputError
-        If the file is missing or unreadable, or an antenna has no position or a number twice.
+        If the file is missing or unreadable, an antenna has no position or a number twice, or two stand in one place.
     """
     if not path.is_file():
         raise InputError("no such file", file=path, remedy="check the path")
@@ -82,6 +85,10 @@ def read_layout(path: Path) -> Layout:
         raise InputError(f"antenna {without[0]} has no position", file=path, remedy=FORMATS)
     if len(np.unique(layout.numbers)) < len(layout.numbers):
         raise InputError("an antenna number stands twice", file=path, field="number", remedy="number them apart")
+    together = cKDTree(layout.antpos).query_pairs(SAME_PLACE)
+    if together:
+        one, other = (layout.numbers[antenna] for antenna in min(together))
+        raise InputError(f"antennas {one} and {other} stand in one place", file=path, remedy="give each its own")
     return layout
 
 

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import json
+import shutil
+from collections.abc import Callable
 from typing import Any
 
+import h5py
+import numpy as np
 import pytest
 from mpi4py import MPI
 
@@ -44,3 +48,50 @@ def test_places_by_sidereal_time_alone_need_no_table(
     job = on_root(lambda: workspace.simulation(LATE | {"sky.positions": "lst"}))
     assert main(["simulate", str(job), "-o", str(workspace.folder / "result")]) == 0
     assert cautions(capfd, comm) == []
+
+
+def flag_held_out(file: h5py.File) -> None:
+    flags, jds = file["Data/flags"][()], file["Header/time_array"][()]
+    flags[np.isin(jds, np.unique(jds)[1::2])] = True
+    file["Data/flags"][...] = flags
+
+
+def lose_calibration(file: h5py.File) -> None:
+    del file["Header/vis_units"]
+    file["Header/vis_units"] = np.bytes_("uncalib")
+
+
+def shift_sidereal_times(file: h5py.File) -> None:
+    file["Header/lst_array"][...] = file["Header/lst_array"][()] + 0.01
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        (lose_calibration, ["not calibrated", '(vis_units is "uncalib")', "no gains"]),
+        (shift_sidereal_times, ["lst_array", "up to 138 s off", "set_lsts_from_time_array()"]),
+        (flag_held_out, ["At 131 MHz all held-out data are flagged"]),
+    ],
+    ids=["uncalibrated", "sidereal times", "held-out data flagged"],
+)
+def test_doubtful_data_are_told(
+    edit: Callable[[h5py.File], None],
+    words: list[str],
+    workspace: Workspace,
+    on_root: OnRoot,
+    comm: MPI.Comm,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    def prepare() -> Any:
+        shutil.copy(workspace.data, workspace.folder / "bad.uvh5")
+        with h5py.File(workspace.folder / "bad.uvh5", "r+") as file:
+            edit(file)
+        return workspace.job({"data.files": ["bad.uvh5"]})
+
+    job = on_root(prepare)
+    assert main(["infer", str(job), "-o", str(workspace.folder / "result")]) == 0
+    (said,) = cautions(capfd, comm)
+    assert [word for word in words if word not in said] == []
+    assert (
+        on_root(lambda: json.loads((workspace.folder / "result" / "summary.json").read_text()))["warnings"][0] == said
+    )

@@ -45,7 +45,6 @@ sigma = "250 mJy"
 
 [holdout]
 kind = "lst"
-every = 3
 lst_ranges = [["1 h", "2 h"], ["3 h", "4 h"]]
 
 [sky]
@@ -176,7 +175,7 @@ def test_no_key_of_these_jobs_is_at_its_default(text: str, tmp_path: Path) -> No
         job, job.data, job.noise, job.holdout, job.sky, job.sky.columns, job.beam, job.basis, job.prior, job.solver,
         job.output, job.loop, job.effects[0],
     ]  # fmt: skip
-    exclusive = {"simulate", "jd_ranges", "antpairs", "file"}
+    exclusive = {"simulate", "every", "jd_ranges", "antpairs", "file"}
     for part in parts:
         assert part is not None
         at_default = {name for name, field in type(part).model_fields.items() if getattr(part, name) == field.default}

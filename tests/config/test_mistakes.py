@@ -176,22 +176,36 @@ def complaint(text: str, folder: Path) -> str:
         # Keys that do not fit together.
         (
             DATA + "[noise]\nkind = 'constant'",
-            "[noise]: kind = 'constant' and sigma = '... Jy' go together; give both or",
+            "[noise]: kind = 'constant' needs sigma; give sigma = '... Jy', or another kind",
         ),
-        (DATA + "[noise]\nfile = 'a'", "[noise]: kind = 'file' and file = '...' go together; give both or neither"),
-        (DATA + "[holdout]\nkind = 'lst'", "[holdout]: kind = 'lst' and lst_ranges = [[from, to], ...] go together"),
-        (DATA + "[holdout]\nkind = 'jd'", "[holdout]: kind = 'jd' and jd_ranges = [[from, to], ...] go together"),
+        (
+            DATA + "[noise]\nfile = 'a'",
+            "[noise]: file is for kind = 'file', not 'autocorrelations'; leave it out or set",
+        ),
+        (
+            DATA + "[holdout]\nkind = 'lst'",
+            "[holdout]: kind = 'lst' needs lst_ranges; give lst_ranges = [[from, to], ...]",
+        ),
+        (
+            DATA + "[holdout]\nkind = 'times'\nlst_ranges = [[5, 6]]",
+            "[holdout]: lst_ranges is for kind = 'lst', not 'times'",
+        ),
+        (DATA + "[holdout]\nkind = 'none'\nevery = 3", "[holdout]: every = 3 is for kind = 'times', not 'none'; leave"),
+        (DATA + "[holdout]\nkind = 'jd'", "[holdout]: kind = 'jd' needs jd_ranges; give jd_ranges = [[from, to], ...]"),
         (
             DATA + "[holdout]\nantpairs = [[1, 2]]",
-            "[holdout]: kind = 'baselines' and antpairs = [[ant1, ant2], ...] go",
+            "[holdout]: antpairs is for kind = 'baselines', not 'times'; leave it out or set kind = 'baselines'",
         ),
-        (DATA + "[sky]\nkind = 'catalogue'", "[sky]: kind = 'catalogue' and file = '...' go together"),
+        (
+            DATA + "[sky]\nkind = 'catalogue'",
+            "[sky]: kind = 'catalogue' needs file; give file = '...', or another kind",
+        ),
         (DATA + "[sky.columns]\nname = 'x'", "[sky]: columns are of a catalogue; leave them out"),
         (
             TABLES["sky.columns"] + "[sky.columns]\nflux = ['a', 'b']\n" + DATA,
             "[sky.columns]: 2 flux columns, 0 freqs; give one for each",
         ),
-        (DATA + "[prior]\nkind = 'file'", "[prior]: kind = 'file' and file = '...' go together"),
+        (DATA + "[prior]\nkind = 'file'", "[prior]: kind = 'file' needs file; give file = '...', or another kind"),
         (DATA + "[beam]\nsource = 'airy'", "[beam]: a formula goes with a diameter; give both, such as"),
         (DATA + "[beam]\ndiameter = 14", "[beam]: a formula goes with a diameter; give both, such as"),
         (

@@ -186,12 +186,27 @@ def _other_times(cal):
 
 def _zero(cal):
     cal.gain_array[2, 1, 3, 0], cal.flag_array[2, 1, 3, 0] = 0, False
-    return "gain_array: an unflagged gain of antenna 11 is zero or not finite"
+    return "gain_array: an unflagged gain of antenna 11 is zero, not finite, or beyond reason"
 
 
 def _nan(cal):
     cal.gain_array[2, 1, 3, 0], cal.flag_array[2, 1, 3, 0] = np.nan, False
-    return "gain_array: an unflagged gain of antenna 11 is zero or not finite"
+    return "gain_array: an unflagged gain of antenna 11 is zero, not finite, or beyond reason"
+
+
+def _huge(cal):
+    cal.gain_array[2, 1, 3, 0], cal.flag_array[2, 1, 3, 0] = 1e200, False
+    return r"gain_array: an unflagged gain of antenna 11 is zero, not finite, or beyond reason \(1e\+200"
+
+
+def _tiny(cal):
+    cal.gain_array[2, 1, 3, 0], cal.flag_array[2, 1, 3, 0] = 1e-200, False
+    return "gain_array: an unflagged gain of antenna 11 is zero, not finite, or beyond reason"
+
+
+def _too_small_together(cal):
+    cal.gain_array *= 1e-20
+    return "gain_array: makes a visibility of .* Jy, which no source and no transmitter has"
 
 
 def _other_channels(cal):
@@ -209,7 +224,10 @@ def _feed_missing(cal):
     return 'no gains of feed "n"'
 
 
-@pytest.mark.parametrize("spoil", [_other_times, _zero, _nan, _other_channels, _antenna_missing, _feed_missing])
+@pytest.mark.parametrize(
+    "spoil",
+    [_other_times, _zero, _nan, _huge, _tiny, _too_small_together, _other_channels, _antenna_missing, _feed_missing],
+)
 def test_gains_that_do_not_fit_are_refused(read, spoil):
     uv = make_uvdata()
     cal = make_uvcal(uv)

@@ -97,6 +97,38 @@ def test_polarisation_not_in_the_file(write):
         read_observation([write(make_uvdata())], Selection(pols=("en",)))
 
 
+def test_stokes_data_are_told_what_is_needed(write):
+    """And not to ask for a polarisation that a job cannot name."""
+    path = write(make_uvdata(pols=(1, 2), x_orientation=None))
+    with pytest.raises(
+        InputError, match=r"only the polarisations pI, pQ.*give the data of linear feeds \(xx, yy\)"
+    ) as caught:
+        read_observation([path], Selection(pols=("ee",)))
+    assert "ask for" not in str(caught.value)
+
+
+def test_two_channels_at_one_frequency_are_refused(write):
+    uv = make_uvdata()
+    uv.freq_array[2] = uv.freq_array[0] + 0.5
+    with pytest.raises(InputError, match=r"freq_array: two channels at 120\.00000\d MHz; keep one"):
+        read_observation([write(uv)], Selection())
+
+
+def test_antennas_to_leave_out_must_be_of_the_array(write):
+    uv = make_uvdata(antpairs=((3, 7), (3, 11)))
+    path = write(uv)
+    assert read_observation([path], Selection(exclude_antennas=(11, 41))).antpairs.tolist() == [[3, 7]]
+    with pytest.raises(InputError, match=r"\[data\] exclude_antennas: antenna 99 is not in the data"):
+        read_observation([path], Selection(exclude_antennas=(11, 99)))
+
+
+@pytest.mark.parametrize(("units", "uncalibrated"), [("Jy", False), ("uncalib", True)])
+def test_uncalibrated_data_are_known_as_such(write, units, uncalibrated):
+    uv = make_uvdata()
+    uv.vis_units = units
+    assert read_observation([write(uv)], Selection()).uncalibrated is uncalibrated
+
+
 def test_nights_are_put_in_order_of_time(write):
     times = 2459866.2 + 10 * SECOND * np.arange(3)
     nights = [write(make_uvdata(times=times + day), f"{day}.uvh5") for day in (1, 0, 2)]

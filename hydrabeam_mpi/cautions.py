@@ -1,0 +1,76 @@
+"""What a user should not overlook about the data: said on the console, and first among the summary's warnings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from astropy.time import Time
+
+from hydrabeam_mpi.config import Job
+from hydrabeam_mpi.data.observation import Observation
+from hydrabeam_mpi.model.earth_orientation import beyond_table
+from hydrabeam_mpi.skies import are_apparent
+
+# Seconds that a clock and a sidereal clock may differ by: UT1 - UTC, up to 0.9 s, and the equation of the equinoxes,
+# up to 1.2 s, either of which a file's sidereal times may lack.
+SIDEREAL_TOLERANCE = 2.1
+
+
+def cautions_of_data(job: Job, observation: Observation) -> tuple[str, ...]:
+    """Say what is doubtful about the data by their metadata."""
+    said = [_of_units(job, observation), *cautions_of_times(job, observation), _of_sidereal_times(observation)]
+    return tuple(caution for caution in said if caution)
+
+
+def cautions_of_times(job: Job, observation: Observation) -> tuple[str, ...]:
+    """Say how far the sources may be off their places for want of a table of the Earth's orientation."""
+    beyond = beyond_table(observation.times) if are_apparent(job) else None
+    return (beyond,) if beyond else ()
+
+
+def cautions_of_flags(channels: Sequence[dict[str, Any]], holds_out: bool) -> tuple[str, ...]:
+    """Say which channels have no data, given their summaries.
+
+    Parameters
+    ----------
+    channels : sequence of dict
+    holds_out : bool
+        Whether the job asks for data to be held out.
+    """
+    empty = _listed(channel["freq_hz"] for channel in channels if not channel["n_data"])
+    untested = _listed(channel["freq_hz"] for channel in channels if holds_out and "heldout_n" not in channel)
+    said = []
+    if empty:
+        said.append(f"At {empty} MHz all data to fit are flagged: what is given for the beam there is its prior.")
+    if untested:
+        said.append(f"At {untested} MHz all held-out data are flagged: nothing tests the beam there.")
+    return tuple(said)
+
+
+def _listed(freqs: Iterable[float]) -> str:
+    return ", ".join(f"{freq / 1e6:.6g}" for freq in freqs)
+
+
+def _of_units(job: Job, observation: Observation) -> str | None:
+    """Say that nothing calibrates the data."""
+    if not observation.uncalibrated or job.data.gains:
+        return None
+    return (
+        'The files say that their visibilities are not calibrated (vis_units is "uncalib"), and the job applies no '
+        "gains ([data] gains): if so, the inferred beam takes up gains and units, and means nothing."
+    )
+
+
+def _of_sidereal_times(observation: Observation) -> str | None:
+    """Say that the sidereal times are not those of times and place."""
+    expected = Time(observation.times, format="jd", location=observation.location).sidereal_time("apparent").rad
+    turn = np.abs(np.angle(np.exp(1j * (observation.lsts - expected)))).max()
+    seconds = turn * 43200 / np.pi
+    if seconds <= SIDEREAL_TOLERANCE + observation.integration_time.max():
+        return None
+    return (
+        f"The files' sidereal times (lst_array) are up to {seconds:.0f} s off those of their times and place: times, "
+        "sidereal times or the telescope's longitude are wrong. UVData.set_lsts_from_time_array() recomputes them."
+    )
