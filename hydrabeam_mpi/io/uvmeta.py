@@ -235,7 +235,7 @@ def linear_pols(pols: Sequence[str], path: Path) -> list[str]:
             f"only the polarisations {', '.join(pols)}, and the beam is that of a linear feed",
             file=path,
             field="polarization_array",
-            remedy="give the data of linear feeds (xx, yy) from which these were made",
+            remedy="give data of linear feeds, such as xx and yy",
         )
     return linear
 

@@ -188,6 +188,23 @@ def test_samples_without_weight_are_flagged(write):
     assert np.isfinite(nsamples).all()
 
 
+@pytest.mark.parametrize("value", [1e31, 1e200j, complex(-1e300, 1e300)])
+def test_unflagged_visibilities_beyond_reason_are_refused(tmp_path, value):
+    uv = make_uvdata()
+    uv.data_array = uv.data_array.astype(np.complex128)
+    uv.data_array[4, 2, 1], uv.flag_array[4, 2, 1] = value, False
+    path = tmp_path / "a.uvh5"
+    uv.write_uvh5(str(path), run_check=False)
+    obs = read_observation([path], Selection())
+    with pytest.raises(
+        InputError, match=r"a.uvh5: data_array: a visibility of 1\.0e\+\d+ Jy, which no source and no tr"
+    ):
+        read_visibilities([path], obs, whole(obs))
+    uv.flag_array[4, 2, 1] = True
+    uv.write_uvh5(str(path), run_check=False, clobber=True)
+    assert np.abs(read_visibilities([path], obs, whole(obs))[0]).max() < 10
+
+
 @pytest.mark.parametrize("value", [np.nan, np.inf, complex(0, np.nan)])
 def test_unflagged_values_that_are_not_finite_are_refused(write, value):
     uv = make_uvdata()

@@ -77,6 +77,7 @@ def test_named_columns_in_any_order(tmp_path, separator):
         ("1 2 3\n1 2 nought\n", "not a number .*nought"),
         ("1 2 3\n1 2 nan\n", "antenna 1 has no position"),
         ("number,e,n,u\n5,1,2,3\n5,2,2,3\n", "number: an antenna number stands twice"),
+        ("number,e,n,u\n5,1,2,3\n6,2,2,3\n9,1,2,3\n", "antennas 5 and 9 stand in one place; give each its own"),
     ],
 )
 def test_bad_text_is_refused_with_the_file_named(tmp_path, text, complaint):
