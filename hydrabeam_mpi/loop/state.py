@@ -120,7 +120,9 @@ class State:
     @property
     def shared(self) -> NDArray[np.bool_]:
         """Whether channels share each of the active parameters in use, side by side."""
-        return np.repeat([one.effect.shared for one in self.active], [len(one.used) for one in self.active])
+        return np.concatenate(
+            [np.zeros(0, dtype=bool), *(np.full(len(one.used), one.effect.shared) for one in self.active)]
+        )
 
     @property
     def prior_var(self) -> FloatArray:
