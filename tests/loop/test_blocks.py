@@ -5,19 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hydrabeam_mpi.loop.blocks import Blocks, fall_significance
-from hydrabeam_mpi.random import generator
-
-
-def blocks(chi2: float, log_spread: float = 0.0, n_times: int = 20, seed: int = 1) -> Blocks:
-    """A hundred data a time, and the same in ten groups."""
-    rng = generator(seed, "blocks")
-    axes = []
-    for n_blocks in (n_times, 10):
-        n = np.full(n_blocks, 100.0 * n_times / n_blocks)
-        power = rng.gamma(n)
-        axes.append(np.array([power * chi2 * n.sum() / power.sum(), n]))
-    return Blocks(axes[0], axes[1], log_spread)
+from hydrabeam_mpi.loop.blocks import fall_significance
+from tests.loop.made import blocks
 
 
 @pytest.mark.parametrize("chi2", [0.8, 1.4, 50.0])

@@ -1,0 +1,84 @@
+"""Candidates, fits and rounds as the loop has them, made by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.effects.base import Effect
+from hydrabeam_mpi.effects.noise_level import NoiseLevel
+from hydrabeam_mpi.effects.reweighting import Reweighting, ReweightingFit
+from hydrabeam_mpi.loop.attribution import Finding
+from hydrabeam_mpi.loop.blocks import Blocks
+from hydrabeam_mpi.loop.candidates import Candidate, Checked, Round
+from hydrabeam_mpi.loop.evidence import Evidence
+from hydrabeam_mpi.loop.heldout import Whitened
+from hydrabeam_mpi.loop.remains import Remains
+from hydrabeam_mpi.loop.reweighting import WeightsFound
+from hydrabeam_mpi.loop.state import State
+from hydrabeam_mpi.random import generator
+
+N_DATA = 2000
+
+
+def evidence(log_bayes_factor: float, absorbed: float = 0.1, effective: float = 2.0, **given: Any) -> Evidence:
+    """Of four parameters, three of which are in use, in one channel."""
+    prior_var = np.array([0.04, 0.01, 0.04, 0.0])
+    made = Evidence(log_bayes_factor, prior_var, np.zeros((1, 4)), 2 * log_bayes_factor, effective, absorbed, 3, 0.0)
+    return replace(made, **given)
+
+
+def effect_candidate(
+    effect: Effect, log_bayes_factor: float = 100.0, absorbed: float = 0.1, effective: float = 2.0
+) -> Candidate:
+    found = evidence(log_bayes_factor, absorbed, effective)
+    return Candidate(effect.kind, effect.title, log_bayes_factor, Finding(effect, found))
+
+
+def weights_candidate(
+    log_bayes_factor: float = 100.0, reason: str | None = None, change: Reweighting | None = None
+) -> Candidate:
+    """A noise scale of 1.5 +- 0.02."""
+    change = change or NoiseLevel()
+    x, std = np.array([[1.5]]), np.array([[0.02]])
+    fit = ReweightingFit(log_bayes_factor, x, std, ("noise scale",), ("",), 210.0, 1, reason)
+    return Candidate(change.kind, change.title, log_bayes_factor, weights=WeightsFound(change, fit, State()))
+
+
+def blocks(chi2: float, log_spread: float = 0.0, n_times: int = N_DATA // 100, seed: int = 1) -> Blocks:
+    """A hundred data a time, and the same in ten groups."""
+    rng = generator(seed, "blocks")
+    axes = []
+    for n_blocks in (n_times, 10):
+        n = np.full(n_blocks, 100.0 * n_times / n_blocks)
+        power = rng.gamma(n)
+        axes.append(np.array([power * chi2 * n.sum() / power.sum(), n]))
+    return Blocks(axes[0], axes[1], log_spread)
+
+
+WHERE = {"sentence": "It is on antenna 5.", "antennas": {"state": "concentrated"}}
+
+
+def checked(
+    chi2: float,
+    log_spread: float = 0.0,
+    consistent: bool = False,
+    white: bool = False,
+    state: State | None = None,
+    train_chi2: FloatArray | None = None,
+) -> Checked:
+    """A fit with held-out data of this reduced chi^2."""
+    none = np.zeros((1, 0, 0))
+    whitened = Whitened(none.astype(complex), none.astype(bool), none, none.astype(complex), none, log_spread)
+    why = "it has no structure beyond chance" if white else "its times differ (9.0 sigma)"
+    remains = Remains(consistent, white, why, {"overall": {"chi2": chi2}}, WHERE, {"largest": []})
+    state = replace(state or State(), train_chi2=np.array([chi2]) if train_chi2 is None else train_chi2)
+    return Checked(state, whitened, blocks(chi2, log_spread), remains)
+
+
+def round_of(candidate: Candidate, before: Checked, after: Checked, *ranking: Candidate) -> Round:
+    """A round that moved the beam by a thousandth, with 12 sigma."""
+    return Round(candidate, (candidate, *ranking), before, after, sigma=12.0, beam_change=1e-3)
