@@ -10,7 +10,7 @@ import numpy as np
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.base import Effect
 from hydrabeam_mpi.effects.noise_level import NoiseLevel
-from hydrabeam_mpi.effects.reweighting import Reweighting, ReweightingFit
+from hydrabeam_mpi.effects.reweighting import ReweightingFit
 from hydrabeam_mpi.loop.attribution import Finding
 from hydrabeam_mpi.loop.blocks import Blocks
 from hydrabeam_mpi.loop.candidates import Candidate, Checked, Round
@@ -38,12 +38,10 @@ def effect_candidate(
     return Candidate(effect.kind, effect.title, log_bayes_factor, Finding(effect, found))
 
 
-def weights_candidate(
-    log_bayes_factor: float = 100.0, reason: str | None = None, change: Reweighting | None = None
-) -> Candidate:
-    """A noise scale of 1.5 +- 0.02."""
-    change = change or NoiseLevel()
-    x, std = np.array([[1.5]]), np.array([[0.02]])
+def weights_candidate(log_bayes_factor: float = 100.0, reason: str | None = None, n_freqs: int = 1) -> Candidate:
+    """A noise scale of 1.5 +- 0.02 in every channel."""
+    change = NoiseLevel()
+    x, std = np.full((n_freqs, 1), 1.5), np.full((n_freqs, 1), 0.02)
     fit = ReweightingFit(log_bayes_factor, x, std, ("noise scale",), ("",), 210.0, 1, reason)
     return Candidate(change.kind, change.title, log_bayes_factor, weights=WeightsFound(change, fit, State()))
 
