@@ -98,6 +98,7 @@ def test_the_verdict(n_rounds: int, consistent: bool, foreign: bool, verdict: st
     assert record["error_after"] == pytest.approx([4.0, 1.5, 1.0][n_rounds])
     assert len(record["rounds"]) == n_rounds
     assert len(record["said"]) == n_rounds + 1
+    assert record["warnings"] == []
     assert [record["where"] is not None, record["structures"] is not None] == [verdict == "unexplained"] * 2
     assert (record["foreign"] is not None) == foreign
     if foreign:
@@ -174,7 +175,10 @@ def test_a_broken_convention_takes_the_place_of_all_rounds(found: str, space: Sp
     record = record_of(
         space, course(space, consistent=False, n_rounds=0), None, found=found, tested=tested, remedy=remedy
     )
-    assert record["verdict"] == "explained"
+    assert record["verdict"] == "convention"
+    assert record["where"] is record["structures"] is None
+    (warning,) = record["warnings"]
+    assert f"({found}): conjugate the data. Nothing was fitted to it" in warning
     (one,) = record["rounds"]
     assert one["effect"] == f"convention: {found}"
     assert one["chi2_before"] == 90.0
@@ -195,8 +199,8 @@ def test_numbers_that_json_does_not_know_are_null(space: Space) -> None:
 
 TOLD = [
     pytest.param(((0.01, 0.02), (0.03, 0.04)), 4, 0, id="what the data tell"),
-    pytest.param(((0.1, 0.02), (0.03, 0.04)), 4, 0, id="half of the prior's variance is told"),
-    pytest.param(((0.101, 0.02), (0.03, 0.04)), 3, 1, id="more than half comes apart"),
+    pytest.param(((0.0999, 0.02), (0.03, 0.04)), 4, 0, id="less than half of the prior's variance is told"),
+    pytest.param(((0.1001, 0.02), (0.03, 0.04)), 3, 1, id="more than half comes apart"),
     pytest.param(((0.14, 0.02), (0.14, 0.04)), 2, 2, id="what no channel tells comes apart"),
     pytest.param(((0.14, 0.14), (0.14, 0.14)), 4, 0, id="where nothing is told all are given"),
 ]

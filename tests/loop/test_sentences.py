@@ -87,6 +87,12 @@ VERDICTS: dict[str, tuple[str, dict[str, Any] | None, str]] = {
         "Nothing is missing: the data agree with the model within the noise (held-out reduced chi^2 1.012).",
     ),
     "nothing is left": ("explained", None, "Nothing significant is left (held-out reduced chi^2 1.012)."),
+    "a convention is broken": (
+        "convention",
+        None,
+        "Nothing was fitted or added, and nothing is explained (held-out reduced chi^2 1.012): "
+        "mend the convention first.",
+    ),
     "something is left": (
         "unexplained",
         None,
