@@ -11,7 +11,7 @@ import tomli_w
 from hydrabeam_mpi.config import Job, load_job
 from hydrabeam_mpi.config.sections import Basis, Data
 from hydrabeam_mpi.effects.base import Effect
-from hydrabeam_mpi.effects.basis_truncation import BasisTruncation, next_modes
+from hydrabeam_mpi.effects.basis_truncation import BasisTruncation
 from hydrabeam_mpi.effects.catalogue import EFFECTS, REWEIGHTINGS, make_effect, make_reweighting
 from hydrabeam_mpi.effects.experiment import Experiment
 from hydrabeam_mpi.loop.amendment import amended_job
@@ -99,7 +99,7 @@ def test_a_state_without_anything_leaves_the_job_as_it_is() -> None:
 
 def test_a_basis_that_is_too_small_becomes_a_larger_one(tmp_path: Path) -> None:
     """With the modes of two rounds, beside an effect that stays one."""
-    rounds = [BasisTruncation(), BasisTruncation(len(next_modes(LONG)))]
+    rounds = [BasisTruncation(), BasisTruncation(len(BasisTruncation().parameters(LONG)))]
     effects: list[Effect] = [rounds[0], make_effect("antenna_gains", {}), rounds[1]]
     state = State(active=[fitted(effect, LONG) for effect in effects])
     job = written_and_read(amended_job(JOB, state, LONG), tmp_path)

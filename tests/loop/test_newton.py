@@ -11,7 +11,7 @@ from hydrabeam_mpi.effects.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.antenna_positions import AntennaPositions
 from hydrabeam_mpi.effects.base import Effect
 from hydrabeam_mpi.effects.cross_coupling import CrossCoupling
-from hydrabeam_mpi.loop.evidence import Likelihood
+from hydrabeam_mpi.infer.likelihood import Likelihood
 from hydrabeam_mpi.loop.newton import HELD, solve_jointly
 from hydrabeam_mpi.loop.state import Active, State
 from hydrabeam_mpi.random import generator
