@@ -74,9 +74,11 @@ def summarise_coefficients(posterior: Posterior, prior: Prior) -> dict[str, floa
     correlation = posterior.covariance / np.outer(std, std)
     pairs = correlation[np.triu_indices_from(correlation, 1)]
     eigenvalues = eigh(posterior.covariance, eigvals_only=True, check_finite=False)
+    # Smaller ones than this beside the largest are rounding errors, of either sign.
+    smallest = max(eigenvalues[0], np.finfo(float).eps * eigenvalues[-1])
     return {
         "posterior_std_median": float(np.median(std)),
-        "condition_number": float(eigenvalues[-1] / eigenvalues[0]),
+        "condition_number": float(eigenvalues[-1] / smallest),
         "correlation_below_0.1": float(np.mean(np.abs(pairs) < 0.1)) if pairs.size else 1.0,
         "correlation_max_real": float(pairs.real.max()) if pairs.size else 0.0,
         "z_update_above_10": int(np.sum(np.abs(posterior.mean - prior.mean) > 10 * std)),

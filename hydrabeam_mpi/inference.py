@@ -21,6 +21,7 @@ from hydrabeam_mpi.diagnose import (
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.infer.heldout import Z_EDGES, HeldoutStatistics
 from hydrabeam_mpi.infer.posterior import Posterior
+from hydrabeam_mpi.io.finite import INFERENCE, check_finite
 from hydrabeam_mpi.io.noise import check_weights
 from hydrabeam_mpi.io.posterior_file import ChannelRecord
 from hydrabeam_mpi.mpi import ProcessGrid, allreduce_max, allreduce_sum, bcast_array, together
@@ -129,6 +130,9 @@ def solve_channels(grid: ProcessGrid, problem: Problem, normals: list[NormalEqua
         if grid.is_group_root:
             pairs = zip(normals, problem.priors, strict=True)
             solved = [normal.gaussian({BEAM: prior}).solve(overwrite=True) for normal, prior in pairs]
+            for number, posterior in zip(problem.channel_numbers.tolist(), solved, strict=True):
+                numbers = {"posterior mean": posterior.mean, "posterior precision": np.diag(posterior.factor)}
+                check_finite(f"channel {number}", numbers, INFERENCE)
     for f in range(len(normals)):
         root = solved[f] if grid.is_group_root else None
         mean = bcast_array(grid.group, root.mean if root else None)

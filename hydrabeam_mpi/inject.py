@@ -74,28 +74,31 @@ class Injection:
 
         Both feeds have the same effects; what is so measured leaks.
         """
-        causes: list[tuple[Cause, FloatArray]] = []
+        causes: dict[int, tuple[Cause, FloatArray]] = {}
         for number, entry in enumerate(self.entries):
             if entry.kind not in REWEIGHTINGS:
                 with _told_of(number, entry):
-                    causes.append(self._draw(number, entry))
-        ordinary = [(cause, x) for cause, x in causes if isinstance(cause, Effect)]
+                    causes[number] = self._draw(number, entry)
+        ordinary = {number: (cause, x) for number, (cause, x) in causes.items() if isinstance(cause, Effect)}
         data = {pol: self._with_effects(pol, vis, ordinary) for pol, vis in crosses.items()}
-        leaks = [x for cause, x in causes if isinstance(cause, Leakage)]
+        leaks = [x for cause, x in causes.values() if isinstance(cause, Leakage)]
         if leaks:
             data = self._leaked(data, np.sum(leaks, axis=0))
-        return data, [self._truth(cause, x) for cause, x in causes]
+        return data, [self._truth(cause, x) for cause, x in causes.values()]
 
-    def _with_effects(self, pol: str, crosses: ComplexArray, effects: list[tuple[Effect, FloatArray]]) -> ComplexArray:
+    def _with_effects(
+        self, pol: str, crosses: ComplexArray, effects: Mapping[int, tuple[Effect, FloatArray]]
+    ) -> ComplexArray:
         """Return C (V + E), (Nfreqs, Ntimes, Nbls)."""
         data = crosses.copy()
         for f in range(len(data)):
             scene = self._scene(pol, f, crosses[f])
             added, factor = np.zeros(scene.shape, dtype=complex), np.ones(scene.shape, dtype=complex)
-            scene.integrate_for([effect for effect, _ in effects])
-            for effect, x in effects:
-                added += effect.added(scene, x[f])
-                factor *= effect.factor(scene, x[f])
+            scene.integrate_for([effect for effect, _ in effects.values()])
+            for number, (effect, x) in effects.items():
+                with _told_of(number, self.entries[number]), _finite():
+                    added += effect.added(scene, x[f])
+                    factor *= effect.factor(scene, x[f])
             data[f] = self._as_measured(factor * (scene.vis + added))
         return data
 
@@ -188,6 +191,23 @@ def _told_of(number: int, entry: Injected) -> Iterator[None]:
     except InputError as error:
         error.within(f"[[data.simulate.effects]] number {number + 1} ({entry.kind})")
         raise
+
+
+@contextmanager
+def _finite() -> Iterator[None]:
+    """Refuse parameters so large that the arithmetic fails.
+
+    Raises
+    ------
+    InputError
+        If a number is not finite any more.
+    """
+    try:
+        with np.errstate(over="raise", divide="raise", invalid="raise"):
+            yield
+    except FloatingPointError as error:
+        message = f"changes the data by more than numbers can tell ({error})"
+        raise InputError(message, remedy="lower its strength or parameters") from error
 
 
 def _by_name(nothing: dict[str, float], entry: Injected) -> FloatArray:

@@ -6,9 +6,10 @@ from pathlib import Path
 
 from hydrabeam_mpi.config import Job, load_job
 from hydrabeam_mpi.config.named import for_inference, named_files, simulation_files
+from hydrabeam_mpi.config.sizes import check_sizes
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.staging import check_place
-from hydrabeam_mpi.mpi import Comm, together
+from hydrabeam_mpi.mpi import Comm, memory_per_rank, together
 
 
 def load(world: Comm, path: Path, needs_simulation: bool = False, needs_holdout: bool = False) -> Job:
@@ -22,10 +23,15 @@ def load(world: Comm, path: Path, needs_simulation: bool = False, needs_holdout:
         On all ranks, if the job cannot be used, or simulates nothing where it ``needs_simulation``, or holds
         nothing out where it ``needs_holdout``.
     """
-    job = None
+    job, memory = None, memory_per_rank(world)
     with together(world):
         if world.rank == 0:
             job = load_job(path)
+            try:
+                check_sizes(job, memory)
+            except InputError as error:
+                error.locate(path)
+                raise
             if needs_simulation and job.data.simulate is None:
                 remedy = "add it, see jobs/paper/job.toml"
                 raise InputError("is missing", file=path, field="[data.simulate]", remedy=remedy)

@@ -18,6 +18,7 @@ from hydrabeam_mpi.data.observation import Observation
 from hydrabeam_mpi.diagnose import GRID_AZ, GRID_ZA, warnings_of
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.beamfits import write_power_beam
+from hydrabeam_mpi.io.finite import INFERENCE, MODEL, SIMULATION, check_finite
 from hydrabeam_mpi.io.posterior_file import ChannelRecord, PosteriorFile, least_bytes, write_posterior
 from hydrabeam_mpi.io.staging import StagedDirectory
 from hydrabeam_mpi.job_file import read_files, unread_files
@@ -71,6 +72,25 @@ def least_result_bytes(job: Job, n_channels: int | None = None) -> int:
     else:
         n_modes, is_complex = basis.n_modes, basis.form == "complex"
     return least_bytes(n_channels, n_modes, np.dtype(complex if is_complex else float).itemsize, job.output.draws)
+
+
+def check_records(records: Sequence[ChannelRecord]) -> None:
+    """Make sure that all numbers of all channels are finite, before any of them is written.
+
+    Raises
+    ------
+    InputError
+        If one is not; names the channel and what it is.
+    """
+    for number, record in enumerate(records):
+        where = f"channel {number} ({record.freq / 1e6:.10g} MHz)"
+        arrays = dict(record.arrays)
+        if np.isposinf(arrays["prior_std"]).all():  # a flat prior
+            del arrays["prior_std"]
+        check_finite(where, {"map_model": arrays.pop("map_model")}, MODEL)
+        if "map_truth" in arrays:
+            check_finite(where, {"map_truth": arrays.pop("map_truth")}, SIMULATION)
+        check_finite(where, {**arrays, "log_evidence": record.log_evidence, **record.summary}, INFERENCE)
 
 
 def write_result(

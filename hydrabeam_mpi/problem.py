@@ -15,7 +15,7 @@ from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.named import expand
 from hydrabeam_mpi.data.observation import FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.partition import Tile, make_tiles
-from hydrabeam_mpi.data.redundancy import RedundantGroups, find_redundant_groups
+from hydrabeam_mpi.data.redundancy import RedundantGroups, check_tolerance, find_redundant_groups
 from hydrabeam_mpi.data.selection import HoldoutRule, Selection, split_holdout
 from hydrabeam_mpi.infer.prior import Prior
 from hydrabeam_mpi.io.noise import difference_variance
@@ -169,6 +169,7 @@ def find_groups(job: Job, observation: Observation) -> RedundantGroups:
     pol = observation.pols[0]
     redundant = find_redundant_groups(observation.bl_vectors, job.data.redundancy_tol, either_sign=pol[0] == pol[1])
     if job.solver.compress:
+        check_tolerance(observation, redundant, job.data.redundancy_tol)
         return redundant
     signs = np.where(redundant.flipped, -1.0, 1.0)[:, np.newaxis]
     return RedundantGroups(signs * observation.bl_vectors, np.arange(observation.Nbls), redundant.flipped)

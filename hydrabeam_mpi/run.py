@@ -23,6 +23,7 @@ from hydrabeam_mpi.mpi import (
     together,
 )
 from hydrabeam_mpi.output import (
+    check_records,
     input_files,
     least_result_bytes,
     staged,
@@ -92,6 +93,7 @@ def infer(world: Comm, job: Job, job_path: Path, out: Path, overwrite: bool, thr
             if world.rank == 0:
                 about = provenance(job, input_files(job, problem), world.size, threads, library_version())
                 run = {"wall_s": clock.inference, "phases_s": clock.seconds, "peak_rss_mb": memory}
+                check_records(records)
                 write_computed(folder, lambda place: write_result(place, job, problem, records, about, run))
                 write_conversions(folder, problem.observation, records, about["versions"]["hydrabeam_mpi"])
     say(f"wrote {out}", world.rank == 0)

@@ -14,15 +14,17 @@ from astropy.time import Time
 
 from hydrabeam_mpi.beams import TurnedBeam, fit_model_beams, load_beams, perturb
 from hydrabeam_mpi.config import Job, Simulate
+from hydrabeam_mpi.config.sizes import check_fits, simulated_bytes
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, Observation
 from hydrabeam_mpi.data.partition import make_tiles
-from hydrabeam_mpi.data.redundancy import RedundantGroups, find_redundant_groups
+from hydrabeam_mpi.data.redundancy import RedundantGroups, check_apart, check_tolerance, find_redundant_groups
 from hydrabeam_mpi.diagnose import GRID_AZ, GRID_ZA, evaluate_on_grid
 from hydrabeam_mpi.effects.catalogue import SEPARATE
 from hydrabeam_mpi.effects.leakage import FEEDS
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.inject import Injection, Truth, Visibilities
 from hydrabeam_mpi.io.disk import check_space, writing
+from hydrabeam_mpi.io.finite import SIMULATION, check_finite
 from hydrabeam_mpi.io.hdf5 import new_hdf5
 from hydrabeam_mpi.io.uvdata import feeds_of
 from hydrabeam_mpi.io.uvwrite import write_uvh5
@@ -31,7 +33,7 @@ from hydrabeam_mpi.model.beam import Beam
 from hydrabeam_mpi.model.engines import make_engine
 from hydrabeam_mpi.model.rime import ForwardModel
 from hydrabeam_mpi.model.sky import Sky
-from hydrabeam_mpi.mpi import Comm, bcast_object, together
+from hydrabeam_mpi.mpi import Comm, bcast_object, memory_per_rank, together
 from hydrabeam_mpi.progress import say
 from hydrabeam_mpi.random import complex_normal, generator
 from hydrabeam_mpi.skies import count_sources, load_sky, source_positions
@@ -50,17 +52,18 @@ def simulate_to(world: Comm, job: Job, folder: Path) -> tuple[Beam, ...]:
         On all ranks, if the job cannot be simulated.
     """
     assert job.data.simulate is not None
-    scene = None
+    scene, memory = None, memory_per_rank(world)
     with together(world):
         if world.rank == 0:
             say("simulating")
-            scene = _set_scene(job, job.data.simulate)
+            scene = _set_scene(job, job.data.simulate, memory)
             check_space(folder, _least_bytes(scene[0]))
     observation, sky, beams = bcast_object(world, scene)
     with together(world):
         redundant = find_redundant_groups(
             observation.bl_vectors, job.data.redundancy_tol, either_sign=_is_copol(observation)
         )
+        check_tolerance(observation, redundant, job.data.redundancy_tol)
         vectors = np.concatenate([redundant.vectors, np.zeros((1, 3))])
         engine = make_engine(job.solver.engine, vectors)
         model = ForwardModel(source_positions(job, sky, observation), sky.flux, observation.freqs, engine)
@@ -82,10 +85,13 @@ def _is_copol(observation: Observation) -> bool:
     return observation.pols[0][0] == observation.pols[0][1]
 
 
-def _set_scene(job: Job, settings: Simulate) -> tuple[Observation, Sky, dict[str, tuple[Beam, ...]]]:
+def _set_scene(job: Job, settings: Simulate, memory: int) -> tuple[Observation, Sky, dict[str, tuple[Beam, ...]]]:
     """Lay out what is observed, with which sky, and with which beams in which polarisations."""
     pol: str = job.data.polarization
     observation = mock_observation(settings, pol)
+    needed = simulated_bytes(observation.Nants, observation.Ntimes, observation.Nfreqs)
+    check_fits("[data.simulate]", needed, memory)
+    check_apart(observation, job.data.redundancy_tol)
     if not _is_copol(observation) and settings.noise:
         raise InputError(
             f"'{observation.pols[0]}' has no autocorrelations from which to draw noise",
@@ -188,6 +194,10 @@ def _write(
     if injection:
         data, more = injection.after_noise(data, variance)
         truths += more
+    for f, freq in enumerate(observation.freqs):
+        numbers = {f"simulated {pol}": vis[f] for pol, vis in (*data.items(), *autos.items())}
+        check_finite(f"channel {f} ({freq / 1e6:.10g} MHz)", numbers, SIMULATION)
+    check_finite("truth.h5", {"effects": [truth["values"] for truth in truths]}, SIMULATION)
     _write_data(folder / "data.uvh5", observation, data, autos, settings.nsamples)
     with new_hdf5(folder / "truth.h5") as file:
         own_beams = beams[job.data.polarization]

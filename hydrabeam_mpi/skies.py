@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from hydrabeam_mpi.config import Job, SkyColumns
+from hydrabeam_mpi.config.sections import Sky as SkySettings
+from hydrabeam_mpi.data.limits import LARGEST
 from hydrabeam_mpi.data.observation import FloatArray, Observation
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.catalogue import VOTableColumns, read_catalogue
@@ -39,6 +43,7 @@ def load_sky(job: Job, freqs: FloatArray) -> Sky:
             columns=_votable_columns(settings.columns) if settings.columns else None,
         )
     else:
+        _check_spectrum(settings, freqs)
         sky = mock_sky(
             job.seed,
             freqs,
@@ -48,6 +53,25 @@ def load_sky(job: Job, freqs: FloatArray) -> Sky:
             spectral_index=settings.spectral_index,
         ).brighter_than(settings.flux_min)
     return concatenate([sky, read_gsm2016(settings.diffuse, freqs)]) if settings.diffuse else sky
+
+
+def _check_spectrum(settings: SkySettings, freqs: FloatArray) -> None:
+    """Make sure that a mock's power law gives fluxes that are numbers.
+
+    Raises
+    ------
+    InputError
+        If it changes fluxes by more than `LARGEST`, as no source's spectral index does.
+    """
+    decades = settings.spectral_index * np.log10(freqs / settings.reference_freq)
+    steepest = np.abs(decades).argmax()
+    if abs(decades[steepest]) > np.log10(LARGEST):
+        raise InputError(
+            f"is {settings.spectral_index:g}, by which fluxes change {abs(decades[steepest]):.3g} orders of magnitude"
+            f" from {settings.reference_freq / 1e6:g} to {freqs[steepest] / 1e6:g} MHz",
+            field="[sky] spectral_index",
+            remedy="give one as sources have, such as -0.8",
+        )
 
 
 def _votable_columns(columns: SkyColumns) -> VOTableColumns:

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from hydrabeam_mpi.config.base import Section, key
+from hydrabeam_mpi.config.base import Section, key, refuse_unused
 
 Kind = Literal[
     "antenna_gains",
@@ -66,6 +66,12 @@ class Injected(Section):
     settings: dict[str, Any] = key({}, "which of several, such as the positions of sources")
     strength: float = key(0.1, "rms of the parameters drawn, over their natural size", gt=0)
     parameters: dict[str, float] = key({}, "instead: values by name, the others zero")
+
+    @model_validator(mode="after")
+    def _is_drawn_or_given(self) -> Self:
+        if self.parameters and self.strength != type(self).model_fields["strength"].default:
+            refuse_unused(self, "strength", "parameters drawn at random", "those that are given")
+        return self
 
 
 class Loop(Section):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import json
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from typing import Any, get_origin
 
 from pydantic import BaseModel, ValidationError
 
+from hydrabeam_mpi.config.base import shown
 from hydrabeam_mpi.errors import InputError
 
 Model = type[BaseModel]
@@ -36,7 +36,6 @@ SHOULD_BE: dict[str, Callable[[Details], str]] = {
     "missing": lambda _: "a list of two",
     "value_error": lambda context: str(context["error"]),
 }
-LONGEST_VALUE = 60
 
 
 @dataclass(frozen=True)
@@ -180,5 +179,4 @@ def _shown(details: Any) -> str:
     """Write a value as TOML does, shortened."""
     if details["type"].startswith("model_"):
         return "not a table"
-    text = json.dumps(details["input"], default=str)
-    return text if len(text) <= LONGEST_VALUE else f"{text[:LONGEST_VALUE]}..."
+    return shown(details["input"])

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo
 
-from hydrabeam_mpi.data.limits import FIRST_JD, LAST_JD
+from hydrabeam_mpi.data.limits import FIRST_JD, LARGEST, LAST_JD
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,11 @@ def _parse(text: str, unit: str) -> float:
     return float(f"{quantity.to_value(target, same):.15g}")
 
 
-Hertz = Annotated[float, BeforeValidator(Quantity("a frequency", "Hz", "131 MHz")), Field(gt=0)]
+RADIO = (3e3, 3e12)
+"""Hz: the bands 4 to 12 in which the ITU divides the radio spectrum."""
+
+Bandwidth = Annotated[float, BeforeValidator(Quantity("a frequency", "Hz", "131 MHz")), Field(gt=0, le=RADIO[1])]
+Hertz = Annotated[Bandwidth, Field(ge=RADIO[0])]
 Metres = Annotated[float, BeforeValidator(Quantity("a length", "m", "14.6 m"))]
 Seconds = Annotated[float, BeforeValidator(Quantity("a time", "s", "10 s"))]
 Jansky = Annotated[float, BeforeValidator(Quantity("a flux density", "Jy", "0.1 Jy"))]
@@ -77,7 +81,8 @@ def _are_distinct(values: tuple[float, ...]) -> tuple[float, ...]:
 LstRange = Annotated[tuple[SiderealHours, SiderealHours], AfterValidator(_is_some_time)]
 JdRange = Annotated[tuple[JulianDate, JulianDate], AfterValidator(_ascends)]
 FreqRange = Annotated[tuple[Hertz, Hertz], AfterValidator(_ascends)]
-FluxRange = Annotated[tuple[Annotated[Jansky, Field(gt=0)], Annotated[Jansky, Field(gt=0)]], AfterValidator(_ascends)]
+Flux = Annotated[Jansky, Field(ge=1 / LARGEST, le=LARGEST)]
+FluxRange = Annotated[tuple[Flux, Flux], AfterValidator(_ascends)]
 Freqs = Annotated[tuple[Hertz, ...], AfterValidator(_are_distinct), Field(min_length=1)]
 
 

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
-from hydrabeam_mpi.config.base import Section, key
-from hydrabeam_mpi.config.effects import Injected
+from hydrabeam_mpi.config.base import Section, key, refuse_unused
 from hydrabeam_mpi.config.quantities import (
     AntennaPair,
+    Bandwidth,
     Degrees,
     File,
     FilePatterns,
@@ -19,14 +19,13 @@ from hydrabeam_mpi.config.quantities import (
     Hertz,
     Jansky,
     JdRange,
-    JulianDate,
     LstRange,
     Metres,
     Polarization,
-    Seconds,
     from_job,
 )
-from hydrabeam_mpi.data.limits import MAX_HEIGHT
+from hydrabeam_mpi.config.simulation import Simulate
+from hydrabeam_mpi.data.limits import EARTH_DIAMETER, LARGEST
 from hydrabeam_mpi.model.bases import JOB_NAMES
 from hydrabeam_mpi.model.engines import ENGINES
 
@@ -39,57 +38,6 @@ else:  # a job may ask for what there is
 
 ANALYTIC_BEAMS = ("gaussian", "airy")
 BUILT_IN_BEAMS = ("hera-vivaldi-131MHz", *ANALYTIC_BEAMS)
-
-
-class Array(Section):
-    """The antennas of a simulation: a hexagon, or positions from a file."""
-
-    hex: tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]] = key(
-        (4, 7), "antennas in the first and in the middle row"
-    )
-    spacing: Metres = key(14.6, "m between neighbours", gt=0)
-    file: File | None = key(None, "text, CSV or uvh5 with positions (m ENU), instead of the hexagon")
-
-    @model_validator(mode="after")
-    def _is_a_hexagon(self) -> Self:
-        side, diagonal = self.hex
-        if diagonal < max(side, 2):
-            raise ValueError(f"hex = [{side}, {diagonal}] is no array; give [first row, middle row], such as [4, 7]")
-        return self
-
-
-class Perturbation(Section):
-    """The perturbed beam of HDBI II, eqs 16-21; stretch 1 and sidelobe 0 leave the beam as it is."""
-
-    stretch: tuple[Annotated[float, Field(ge=1)], Annotated[float, Field(ge=1)]] = key(
-        (1.01, 1.02), "of the main lobe along East-West and North-South"
-    )
-    sidelobe: float = key(0.2, "largest relative modulation of the sidelobes", ge=0)
-
-
-class Simulate(Section):
-    """Mock data as in HDBI II, section 3: array, times, channels, perturbed beam and noise."""
-
-    array: Array = Array()
-    latitude: Degrees = key(-30.7215, "deg", ge=-90, le=90)
-    longitude: Degrees = key(21.4283, "deg East", ge=-180, le=360)
-    height: Metres = key(1051.69, "m", ge=-MAX_HEIGHT, le=MAX_HEIGHT)
-    start: JulianDate = key(2459866.0, "JD after which the first LST comes first")
-    lst_range: LstRange = key((6.0, 12.0), "h, the last excluded")
-    n_times: int = key(60, "evenly spaced in LST", ge=1)
-    freqs: Freqs = key((131e6,), "Hz, ascending")
-    channel_width: Hertz = key(100e3, "Hz")
-    integration_time: Seconds = key(10.0, "s", gt=0)
-    nsamples: float = key(100.0, "integrations averaged, such as nights", gt=0)
-    noise: bool = key(True, "add noise by the radiometer equation")
-    perturb: Perturbation = Perturbation()
-    effects: tuple[Injected, ...] = ()
-
-    @model_validator(mode="after")
-    def _ascends(self) -> Self:
-        if list(self.freqs) != sorted(self.freqs):
-            raise ValueError("freqs do not ascend; sort them")
-        return self
 
 
 class Data(Section):
@@ -111,7 +59,7 @@ class Data(Section):
     freq_range: FreqRange | None = key(None, "Hz, [from, to]")
     freqs: Freqs | None = key(None, "Hz, the nearest channels")
     channels: tuple[Annotated[int, Field(ge=0)], ...] | None = key(None, "by number, from 0")
-    channel_width: Hertz | None = key(None, "Hz, where the files are wrong about it")
+    channel_width: Bandwidth | None = key(None, "Hz, where the files are wrong about it")
     min_bl_length: Metres = key(0.0, "m", ge=0)
     max_bl_length: Metres | None = key(None, "m", gt=0)
     redundancy_tol: Metres = key(1e-7, "m, within which baselines are the same", gt=0)
@@ -133,13 +81,15 @@ class Noise(Section):
     kind: Literal["autocorrelations", "constant", "file", "time-differences", "frequency-differences"] = key(
         "autocorrelations", "where sigma comes from"
     )
-    sigma: Jansky | None = key(None, "Jy of V = I B / 2, kind = 'constant'", gt=0)
+    sigma: Jansky | None = key(None, "Jy of V = I B / 2, kind = 'constant'", gt=0, le=LARGEST)
     file: File | None = key(None, "kind = 'file': uvh5 of sigmas, or HDF5 or npz with freqs and sigma")
 
     @model_validator(mode="after")
     def _has_what_it_needs(self) -> Self:
         _go_together(self, "kind", "constant", "sigma", "'... Jy'")
         _go_together(self, "kind", "file", "file", "'...'")
+        if self.sigma is not None and self.sigma < 1 / LARGEST:
+            raise ValueError(f"sigma is {self.sigma:.3g} Jy, of which no sum has a digit; give {1 / LARGEST:g} or more")
         return self
 
 
@@ -147,7 +97,7 @@ class Holdout(Section):
     """Which data are kept from the inference, to test it."""
 
     kind: Literal["times", "lst", "jd", "baselines", "none"] = key("times", "what is held out")
-    every: int = key(2, "kind = 'times': the second of every two integrations", ge=2)
+    every: int = key(2, "kind = 'times': the second of every two integrations", ("kind", "times"), ge=2)
     lst_ranges: tuple[LstRange, ...] = key((), "h, kind = 'lst': [[from, to], ...]")
     jd_ranges: tuple[JdRange, ...] = key((), "kind = 'jd': [[from, to], ...], such as whole nights")
     antpairs: tuple[AntennaPair, ...] = key((), "kind = 'baselines': [[ant1, ant2], ...]")
@@ -157,8 +107,6 @@ class Holdout(Section):
         _go_together(self, "kind", "lst", "lst_ranges", "[[from, to], ...]")
         _go_together(self, "kind", "jd", "jd_ranges", "[[from, to], ...]")
         _go_together(self, "kind", "baselines", "antpairs", "[[ant1, ant2], ...]")
-        if self.kind != "times" and self.every != Holdout().every:
-            raise ValueError(f"every = {self.every} is for kind = 'times', not '{self.kind}'; leave it out")
         return self
 
 
@@ -179,17 +127,24 @@ class SkyColumns(Section):
     def _has_what_it_needs(self) -> Self:
         if len(self.flux) > 1 and len(self.freqs) != len(self.flux):
             raise ValueError(f"{len(self.flux)} flux columns, {len(self.freqs)} freqs; give one for each")
+        several, one = "several flux columns", "a single one"
+        for name in ("reference_freq", "spectral_index") if len(self.flux) > 1 else ("freqs",):
+            if getattr(self, name) != type(self).model_fields[name].default:
+                refuse_unused(self, name, *((one, several) if len(self.flux) > 1 else (several, one)))
         return self
+
+
+MOCK = ("kind", "mock")
 
 
 class Sky(Section):
     """The sky model: the mock of HDBI II, or a catalogue."""
 
     kind: Literal["mock", "catalogue"] = key("mock", "drawn at random, or from a file")
-    n_sources: int = key(10000, "mock", ge=1)
-    flux_range: FluxRange = key((0.1, 100.0), "Jy at reference_freq, log-flat: mock")
+    n_sources: int = key(10000, "mock", MOCK, ge=1)
+    flux_range: FluxRange = key((0.1, 100.0), "Jy at reference_freq, log-flat: mock", MOCK)
     reference_freq: Hertz = key(100e6, "Hz, to which fluxes of the mock and cuts refer")
-    spectral_index: float = key(-2.7, "mock")
+    spectral_index: float = key(-2.7, "mock", MOCK)
     file: File | None = key(None, "skyh5, VOTable, text or FHD .sav: catalogue")
     columns: SkyColumns | None = None
     diffuse: File | None = key(None, "folder of the GSM 2016 maps, added to the sources")
@@ -218,7 +173,7 @@ class Beam(Section):
         "hera-vivaldi-131MHz", "beam file, or 'hera-vivaldi-131MHz', 'gaussian' or 'airy'"
     )
     east_feed: Literal["x", "y"] | None = key(None, "feed that points East, instead of what the file says")
-    diameter: Metres | None = key(None, "m, of 'gaussian' or 'airy'", gt=0)
+    diameter: Metres | None = key(None, "m, of 'gaussian' or 'airy'", gt=0, le=EARTH_DIAMETER)
     frequency: Literal["match", "interpolate", "scale"] = key(
         "match", "where the file lacks a channel: an error, interpolate, or scale with the wavelength"
     )
@@ -227,20 +182,31 @@ class Beam(Section):
     def _has_what_it_needs(self) -> Self:
         if (self.source in ANALYTIC_BEAMS) != (self.diameter is not None):
             raise ValueError("a formula goes with a diameter; give both, such as 'airy' and '14 m', or neither")
+        if self.source in BUILT_IN_BEAMS and self.east_feed is not None:
+            refuse_unused(self, "east_feed", "a beam file", f"'{self.source}'")
+        if self.source in ANALYTIC_BEAMS and self.frequency != "match":
+            refuse_unused(self, "frequency", "a beam with channels of its own", f"'{self.source}'")
         return self
+
+
+FOURIER_BESSEL = ("kind", "fourier-bessel")
+MOST_ZEROS = 1200
+"""Of a Bessel function, as SciPy's `jn_zeros` finds them."""
 
 
 class Basis(Section):
     """The linear basis of the inferred beam."""
 
     kind: BasisName = key("fourier-bessel", "family of functions")
-    form: Literal["real", "complex"] = key("real", "fourier-bessel: of the coefficients")
-    n_modes: int = key(2048, "fourier-bessel: coefficients kept, the largest of the model beam's", ge=1)
-    k_max: int = key(80, "fourier-bessel: radial orders 1 to k_max", ge=1)
-    m_max: int = key(45, "fourier-bessel: azimuthal orders -m_max to m_max", ge=0)
+    form: Literal["real", "complex"] = key("real", "fourier-bessel: of the coefficients", FOURIER_BESSEL)
+    n_modes: int = key(2048, "fourier-bessel: coefficients kept, the largest of the model beam's", FOURIER_BESSEL, ge=1)
+    k_max: int = key(80, "fourier-bessel: radial orders 1 to k_max", FOURIER_BESSEL, ge=1, le=MOST_ZEROS)
+    m_max: int = key(45, "fourier-bessel: azimuthal orders -m_max to m_max", FOURIER_BESSEL, ge=0)
     edge: Degrees = key(92.0, "deg of zenith angle where the functions end", ge=90, le=180)
-    boundary: Literal["dirichlet", "neumann"] = key("neumann", "fourier-bessel: zero at the edge, or flat")
-    max_degree: int = key(30, "zernike", ge=0)
+    boundary: Literal["dirichlet", "neumann"] = key(
+        "neumann", "fourier-bessel: zero at the edge, or flat", FOURIER_BESSEL
+    )
+    max_degree: int = key(30, "zernike", ("kind", "zernike"), ge=0)
 
     @model_validator(mode="after")
     def _has_so_many_modes(self) -> Self:
@@ -252,17 +218,29 @@ class Basis(Section):
         return self
 
 
+FRACTION = ("kind", "fraction")
+RESOLVED = 2.0**-52
+"""Relative spacing of doubles."""
+
+
 class Prior(Section):
     """The Gaussian prior on the coefficients."""
 
     kind: Literal["fraction", "flat", "file"] = key("fraction", "independent coefficients, none, or from a file")
-    fraction: float = key(1.0, "standard deviation over the amplitude of the fitted coefficient", gt=0)
-    floor: float = key(0.0, "least amplitude taken for that, relative to the largest", ge=0)
+    fraction: float = key(1.0, "standard deviation over the amplitude of the fitted coefficient", FRACTION, gt=0)
+    floor: float = key(0.0, "least amplitude taken for that, relative to the largest", FRACTION, ge=0, le=1)
     file: File | None = key(None, "kind = 'file': mean and covariance")
 
     @model_validator(mode="after")
     def _has_what_it_needs(self) -> Self:
         _go_together(self, "kind", "file", "file", "'...'")
+        if self.fraction < RESOLVED:
+            raise ValueError(
+                f"fraction = {self.fraction:.3g} lets no coefficient move by a digit that a double has"
+                f"; give {RESOLVED:.2g} or more"
+            )
+        if self.fraction > 1 / RESOLVED:
+            raise ValueError(f"fraction = {self.fraction:.3g} is no prior; set kind = 'flat' to have none")
         return self
 
 

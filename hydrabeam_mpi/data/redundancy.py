@@ -6,11 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.constants import speed_of_light
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.data.observation import FloatArray, IntArray, Observation
+from hydrabeam_mpi.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,46 @@ def find_redundant_groups(bl_vectors: FloatArray, tol: float, either_sign: bool 
     rank_of = np.empty_like(order)
     rank_of[order] = np.arange(len(order))
     return RedundantGroups(means[sets[order]], rank_of[group], flipped)
+
+
+def check_tolerance(observation: Observation, redundant: RedundantGroups, tol: float) -> None:
+    """Make sure that redundant baselines see the same fringes.
+
+    Raises
+    ------
+    InputError
+        If a baseline is half a wavelength or more from what its group is taken for: their visibilities may then have
+        opposite signs.
+    """
+    own = np.where(redundant.flipped, -1.0, 1.0)[:, np.newaxis] * observation.bl_vectors
+    away = np.linalg.norm(own - redundant.vectors[redundant.group], axis=1)
+    wavelength = speed_of_light / float(observation.freqs.max())
+    if away.max(initial=0.0) >= wavelength / 2:
+        one, two = observation.antpairs[away.argmax()]
+        raise InputError(
+            f"within {tol:g} m baseline {one}-{two} counts as one that differs by {away.max():.3g} m,"
+            f" {away.max() / wavelength:.2g} wavelengths",
+            field="[data] redundancy_tol",
+            remedy="make it smaller, or set compress = false in [solver]",
+        )
+
+
+def check_apart(observation: Observation, tol: float) -> None:
+    """Make sure that no two antennas stand in one place.
+
+    Raises
+    ------
+    InputError
+        If two are within ``tol`` metres.
+    """
+    pairs = cKDTree(observation.antpos).query_pairs(tol, output_type="ndarray")
+    if len(pairs):
+        one, two = observation.antenna_numbers[pairs[0]]
+        raise InputError(
+            f"antennas {one} and {two} stand in one place, within redundancy_tol = {tol:g} m",
+            field="[data.simulate.array]",
+            remedy="place them apart, or leave one out",
+        )
 
 
 def _points_forward(vectors: FloatArray, tol: float) -> NDArray[np.bool_]:

@@ -137,6 +137,8 @@ def _read_model(path: Path, columns: VOTableColumns | None) -> SkyModel:
         known = ", ".join(FILE_TYPES)
         message = f"unknown kind of catalogue '{path.suffix}'"
         raise InputError(message, file=path, remedy=f"use one of {known}")
+    if columns is not None and file_type != "vot":
+        raise InputError("has no columns to choose", file=path, field="[sky.columns]", remedy="leave that table out")
     options: dict[str, object] = {"filetype": file_type}
     if file_type == "vot" and columns is None:
         options["filetype"] = "gleam"

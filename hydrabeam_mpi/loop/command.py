@@ -36,7 +36,7 @@ from hydrabeam_mpi.mpi import (
     peak_rss_mb,
     together,
 )
-from hydrabeam_mpi.output import input_files, staged, write_conversions, write_result
+from hydrabeam_mpi.output import check_records, input_files, staged, write_conversions, write_result
 from hydrabeam_mpi.progress import say
 from hydrabeam_mpi.run import gather_records, prepare_shared
 
@@ -94,6 +94,7 @@ def close_loop(world: Comm, job: Job, job_path: Path, out: Path, overwrite: bool
         memory = peak_rss_mb(world)
         with together(world):
             if world.rank == 0:
+                check_records(records)
                 about = provenance(job, input_files(job, problem), world.size, threads, library_version())
                 run = {"phases_s": clock.seconds, "peak_rss_mb": memory}
                 amended = amended_job(job, course.last.state, experiment)

@@ -15,7 +15,7 @@ from hydrabeam_mpi.mpi.collectives import (
 from hydrabeam_mpi.mpi.failure import together
 from hydrabeam_mpi.mpi.grid import ProcessGrid
 from hydrabeam_mpi.mpi.library import library_version
-from hydrabeam_mpi.mpi.memory import peak_rss_mb
+from hydrabeam_mpi.mpi.memory import memory_per_rank, peak_rss_mb
 from hydrabeam_mpi.mpi.threads import limit_blas_threads
 
 __all__ = [
@@ -29,6 +29,7 @@ __all__ = [
     "install_abort_hook",
     "library_version",
     "limit_blas_threads",
+    "memory_per_rank",
     "peak_rss_mb",
     "recv_object",
     "refuse",

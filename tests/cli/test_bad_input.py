@@ -131,6 +131,8 @@ def write_text(workspace: Workspace) -> None:
 
 
 BAD_UVH5 = {"data.files": ["bad.uvh5"]}
+CATALOGUE: dict[str, Any] = {"sky.n_sources": None, "sky.kind": "catalogue"}
+NO_HEXAGON: dict[str, Any] = {"data.simulate.array": None}
 CASES = [
     # Data files.
     Case("missing file", ("missing.uvh5", "[data] files", "check the path"), {"data.files": ["missing.uvh5"]}),
@@ -183,11 +185,11 @@ CASES = [
          {"noise.kind": "time-differences"}),
     # Sky.
     Case("missing catalogue", ("missing.skyh5", "no such file", "check the path"),
-         {"sky.kind": "catalogue", "sky.file": "missing.skyh5"}),
+         CATALOGUE | {"sky.file": "missing.skyh5"}),
     Case("catalogue without flux at this frequency", ("catalogue.skyh5", "no flux at 131 MHz", "180 to 190 MHz",
-         "another catalogue"), {"sky.kind": "catalogue", "sky.file": "catalogue.skyh5"}, write_subband_catalogue),
+         "another catalogue"), CATALOGUE | {"sky.file": "catalogue.skyh5"}, write_subband_catalogue),
     Case("unknown kind of catalogue", ("text.csv", "'.csv'", "use one of .skyh5"),
-         {"sky.kind": "catalogue", "sky.file": "text.csv"}, lambda w: w.write("text.csv", "1,2,3\n")),
+         CATALOGUE | {"sky.file": "text.csv"}, lambda w: w.write("text.csv", "1,2,3\n")),
     Case("no source", ("job.toml", "[sky]", "above the horizon", "lower flux_min"), {"sky.flux_min": "1 MJy"}),
     Case("no source modelled", ("job.toml", "[sky]", "above the horizon", "model_flux_min"),
          {"sky.model_flux_min": "1 MJy"}),
@@ -251,8 +253,9 @@ SIMULATIONS = [
          {"data.simulate.freqs": ["-131 MHz"]}),
     Case("no hexagon", ("job.toml", "[data.simulate.array]", "[4, 3]", "[4, 7]"), {"data.simulate.array.hex": [4, 3]}),
     Case("missing layout", ("missing.csv", "no such file", "check the path"),
-         {"data.simulate.array.file": "missing.csv"}),
-    Case("antenna without position", ("layout.csv", "antenna 1", "columns"), {"data.simulate.array.file": "layout.csv"},
+         NO_HEXAGON | {"data.simulate.array.file": "missing.csv"}),
+    Case("antenna without position", ("layout.csv", "antenna 1", "columns"),
+         NO_HEXAGON | {"data.simulate.array.file": "layout.csv"},
          lambda w: w.write("layout.csv", "E,N,U\n0,0,0\nnan,1,0\n2,2,0\n")),
     Case("no source", ("job.toml", "[sky]", "above the horizon", "lower flux_min"), {"sky.flux_min": "1 MJy"}),
     Case("no noise for cross-hands", ("job.toml", "[data] polarization", "no autocorrelations", "noise = false"),

@@ -98,7 +98,7 @@ def test_notes_are_said_once(
     workspace: Workspace, on_root: OnRoot, comm: MPI.Comm, capfd: pytest.CaptureFixture[str]
 ) -> None:
     on_root(lambda: write_catalogue(workspace.folder / "sky.skyh5", flux=[10.0, -1.0, 20.0]))
-    job = on_root(lambda: workspace.job({"sky.kind": "catalogue", "sky.file": "sky.skyh5"}))
+    job = on_root(lambda: workspace.job({"sky.n_sources": None, "sky.kind": "catalogue", "sky.file": "sky.skyh5"}))
     capfd.readouterr()
     assert main(["infer", str(job), "-o", str(workspace.folder / "result")]) == 0
     notes = [line for err in comm.allgather(capfd.readouterr().err) for line in err.splitlines() if "sky.skyh5" in line]

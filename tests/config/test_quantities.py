@@ -79,7 +79,7 @@ def test_understood(kind: Any, value: Any, expected: Any) -> None:
         (JdRange, (59866.0, 59867.0), "greater than or equal to 2437665"),
         (FreqRange, (200e6, 100e6), "lower value first"),
         (FluxRange, (10, 1), "lower value first"),
-        (FluxRange, (0, 1), "greater than 0"),
+        (FluxRange, (0, 1), "greater than or equal to 0.0000"),
         (Freqs, (131e6, "131 MHz"), "each value once"),
         (Freqs, (), "at least 1"),
     ],

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hydrabeam_mpi.config.sections import Array, Simulate
+from hydrabeam_mpi.config.simulation import Array, Simulate
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.data.redundancy import find_redundant_groups
 from hydrabeam_mpi.effects.base import Effect

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from mpi4py import MPI
 
-from hydrabeam_mpi.config.sections import Array, Simulate
+from hydrabeam_mpi.config.simulation import Array, Simulate
 from hydrabeam_mpi.data.partition import make_tiles
 from hydrabeam_mpi.data.redundancy import find_redundant_groups
 from hydrabeam_mpi.loop.cube import Layout, Residuals
