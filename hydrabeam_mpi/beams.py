@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import h5py
 import numpy as np
 
 from hydrabeam_mpi.config import ANALYTIC_BEAMS, BUILT_IN_BEAMS, Job, Perturbation
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.infer.prior import CovariancePrior, DiagonalPrior, FlatPrior, Prior
+from hydrabeam_mpi.infer.prior import DiagonalPrior, FlatPrior, Prior
 from hydrabeam_mpi.io.beamfits import BeamFile
+from hydrabeam_mpi.io.prior_file import read_prior
+from hydrabeam_mpi.io.reading import check_file
 from hydrabeam_mpi.model.bases import basis_from_settings
 from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.beam import Beam, BeamInfo, analytic_beam
@@ -79,11 +79,8 @@ def load_beams(job: Job, freqs: FloatArray, pol: str) -> tuple[Beam, ...]:
         return tuple(analytic_beam(settings.source, float(freq), pol, diameter=settings.diameter) for freq in freqs)
     if settings.source == "hera-vivaldi-131MHz":
         return tuple(_embedded(float(freq), pol, settings.frequency == "scale") for freq in freqs)
-    if not Path(settings.source).exists():
-        known = ", ".join(BUILT_IN_BEAMS)
-        raise InputError(
-            "no such file", file=settings.source, field="[beam] source", remedy=f"check the path, or use {known}"
-        )
+    known = ", ".join(BUILT_IN_BEAMS)
+    check_file(Path(settings.source), field="[beam] source", remedy=f"check the path, or use {known}")
     file = BeamFile(Path(settings.source), east_feed=settings.east_feed)
     if settings.frequency != "scale":
         interpolate = settings.frequency == "interpolate"
@@ -134,40 +131,15 @@ def make_prior(job: Job, fit: FittedBeam) -> Prior:
     Raises
     ------
     InputError
-        If the prior's file does not fit the basis.
+        If the prior's file is none, or does not fit the basis.
     """
     settings = job.prior
     if settings.kind == "flat":
         return FlatPrior(fit.coeffs)
     if settings.kind == "file":
         assert settings.file is not None
-        return _prior_from_file(settings.file, fit.basis)
+        return read_prior(settings.file, fit.basis)
     amplitudes = fit.basis.amplitudes(fit.coeffs)
     # A mode that the model beam lacks altogether still needs a width, if only one above rounding.
     floor = max(settings.floor, 1e-12) * amplitudes.max()
     return DiagonalPrior(fit.coeffs, settings.fraction * np.maximum(amplitudes, floor))
-
-
-def _prior_from_file(path: Path, basis: LinearBasis) -> Prior:
-    """Read mean and covariance, as ``tools/ensemble_prior`` writes them."""
-    if not path.exists():
-        raise InputError("no such file", file=path, field="[prior] file", remedy="check the path")
-    try:
-        with h5py.File(path) as file:
-            mean, covariance = np.asarray(file["mean"]), np.asarray(file["covariance"])
-            described = json.loads(file.attrs["basis"])
-    except (OSError, KeyError, ValueError) as error:
-        raise InputError(
-            f"is not a prior file ({error})",
-            file=path,
-            field="[prior] file",
-            remedy="make one with tools/ensemble_prior",
-        ) from error
-    if described != json.loads(json.dumps(basis.describe())):
-        raise InputError(
-            "is of another basis",
-            file=path,
-            field="basis",
-            remedy="make it with this job's [basis] and [beam]",
-        )
-    return CovariancePrior(mean, covariance)

@@ -15,16 +15,17 @@ from typing import Any
 
 import numpy as np
 from astropy.io import fits
-from astropy_healpix import HEALPix
 from pyuvdata import UVBeam
 from pyuvdata.utils import polnum2str, polstr2num
 
 from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.beamsamples import check_peak, check_values, pixel_directions, read_uvbeam
 from hydrabeam_mpi.io.feeds import orientation_from_field, pol_number, x_orientation
+from hydrabeam_mpi.io.reading import reading
 from hydrabeam_mpi.model.beam import BeamInfo, SampledBeam
 from hydrabeam_mpi.model.interpolate import AzZaGrid, HealpixMap
-from hydrabeam_mpi.model.rings import Pixels
+from hydrabeam_mpi.model.rings import SAME_ANGLE, Pixels
 
 # A channel this close (relative) is the frequency asked for.
 _SAME_FREQ = 5e-4
@@ -48,22 +49,27 @@ class BeamFile:
     Raises
     ------
     InputError
-        If there is no such file, or pyuvdata cannot read it as a beam on an az_za or HEALPix grid.
+        If there is no such file, or pyuvdata cannot read it as a beam on an az_za or HEALPix grid of the whole sky
+        above the horizon.
 
     Warns
     -----
     UserWarning
-        If the E-field contradicts the header on where the feeds point, or HEALPix pixels contradict their
-        nside.
+        If the E-field contradicts the header on where the feeds point, HEALPix pixels contradict their nside, or
+        a co-polarised power beam is negative, as an inferred one may be in places.
     """
 
     def __init__(self, path: Path, *, east_feed: str | None = None, options: Mapping[str, Any] | None = None) -> None:
         self.path = Path(path)
-        self._uvbeam = _read(self.path, dict(options or {}))
-        self._za, self._az = _pixel_directions(self._uvbeam, self.path)
-        self._orientation = x_orientation(self._uvbeam, east_feed)
+        self._uvbeam = read_uvbeam(self.path, dict(options or {}))
+        self._za, self._az = pixel_directions(self._uvbeam, self.path)
+        self._above = self._za <= np.pi / 2 + SAME_ANGLE
+        with reading(self.path, "a beam"):
+            self._orientation = x_orientation(self._uvbeam, east_feed)
         if self._uvbeam.beam_type == "efield":
             self._check_orientation()
+        else:
+            self._check_sign()
 
     @property
     def freqs(self) -> FloatArray:
@@ -90,13 +96,14 @@ class BeamFile:
         Raises
         ------
         InputError
-            If the file lacks the frequency or the polarisation.
+            If the file lacks the frequency or the polarisation, or samples above the horizon are no numbers.
         """
         power = self._power_at(float(freq), interpolate_frequency)
         known = [int(number) for number in power.polarization_array]
         number = pol_number(pol, self._orientation, file=str(self.path), known=known)
         peak = self._peak(power, number, known)
         values = power.data_array[0, known.index(number), 0] / peak
+        check_values(values.ravel()[self._above], f'"{pol}"', self.path)
         if number in _COPOLS:
             values = values.real
         info = BeamInfo(self.path.name, float(freq), pol, peak)
@@ -121,8 +128,7 @@ class BeamFile:
             raise InputError(message, file=self.path, field="freq", remedy="set frequency = 'interpolate' in [beam]")
         count = 1 if exact else _FREQS_TO_INTERPOLATE
         channels = np.sort(np.argsort(np.abs(freqs - freq), kind="stable")[:count])
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with reading(self.path, "a beam"):
             chosen: UVBeam = self._uvbeam.select(freq_chans=channels, inplace=False)
             if chosen.beam_type == "efield":
                 chosen.efield_to_power()
@@ -138,17 +144,31 @@ class BeamFile:
         copols = [int(polstr2num(feed + feed)) for feed in (p, q)]
         if not set(copols) <= set(known):
             message = f"the peak of {p}{q} needs {p}{p} and {q}{q}, which the file lacks"
-            raise InputError(message, file=self.path, field="pol")
+            raise InputError(message, file=self.path, field="pol", remedy="give a beam with both")
         return float(np.sqrt(np.prod([self._copol_peak(power, known.index(copol)) for copol in copols])))
 
     def _copol_peak(self, power: UVBeam, index: int) -> float:
-        pixels = Pixels.above_horizon(self._za, self._az, power.data_array[0, index, 0].ravel().real)
-        if not len(pixels.values) or not pixels.values.max() > 0:
-            raise InputError("the beam has no positive value above the horizon", file=self.path)
-        return float(pixels.values.max())
+        values = power.data_array[0, index, 0].ravel().real[self._above]
+        what = f'"{polnum2str(int(power.polarization_array[index]))}"'
+        check_values(values, what, self.path)
+        check_peak(values, what, self.path)
+        return float(values.max())
+
+    def _check_sign(self) -> None:
+        copols = np.isin(self._uvbeam.polarization_array, _COPOLS)
+        values = self._uvbeam.data_array[0, copols].real
+        values = values.reshape(*values.shape[:2], -1)[..., self._above]
+        negative = np.count_nonzero(values < 0)
+        if negative:
+            warnings.warn(
+                f"{self.path}: {negative} of {values.size} samples above the horizon are negative, down to "
+                f"{np.nanmin(values) / np.nanmax(values):.2g} of the largest; no element receives negative power",
+                stacklevel=3,
+            )
 
     def _check_orientation(self) -> None:
-        found = orientation_from_field(self._uvbeam, self._za, self._az)
+        with reading(self.path, "a beam"):
+            found = orientation_from_field(self._uvbeam, self._za, self._az)
         if found is not None and self._orientation is not None and found != self._orientation:
             east = "x" if found == "east" else "y"
             warnings.warn(
@@ -164,47 +184,6 @@ _COPOLS = (-5, -6, -1, -2)
 _REAL_POWER_NDIM = 6
 # A file holds channels whose spacings agree to this, Hz.
 _UNEVEN = 1e-3
-
-
-def _read(path: Path, options: dict[str, Any]) -> UVBeam:
-    if not path.exists():
-        raise InputError("no such file", file=path)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            uvbeam = UVBeam.from_file(str(path), **options)
-    except Exception as error:  # whatever the many readers raise on a file that is not theirs
-        raise InputError(
-            f"not readable as a beam: {error}", file=path, remedy="give a file that pyuvdata reads"
-        ) from error
-    if uvbeam.beam_type not in ("efield", "power") or uvbeam.antenna_type != "simple":
-        kind = f"{uvbeam.antenna_type} {uvbeam.beam_type}"
-        raise InputError(f"a {kind} beam is not supported", file=path, remedy="give an E-field or power beam")
-    azimuths = uvbeam.axis1_array
-    if azimuths is not None and np.isclose(azimuths[-1] - azimuths[0], 2 * np.pi):
-        # The last azimuth repeats the first, which would spoil interpolation across it.
-        uvbeam.select(axis1_inds=np.arange(len(azimuths) - 1))
-    return uvbeam
-
-
-def _pixel_directions(uvbeam: UVBeam, path: Path) -> tuple[FloatArray, FloatArray]:
-    """Return za and az of the pixels, (Npix,) each, in the order of the flattened data."""
-    if uvbeam.pixel_coordinate_system == "az_za":
-        az, za = np.meshgrid(uvbeam.axis1_array, uvbeam.axis2_array)
-        return za.ravel(), az.ravel()
-    if uvbeam.pixel_coordinate_system != "healpix":
-        system = uvbeam.pixel_coordinate_system
-        raise InputError(f"pixels in {system} are not supported", file=path, remedy="convert it to az_za or HEALPix")
-    whole_sky = round(np.sqrt(uvbeam.Npixels / 12))
-    if uvbeam.nside != whole_sky and np.array_equal(uvbeam.pixel_array, np.arange(12 * whole_sky**2)):
-        warnings.warn(
-            f"{path}: nside is said to be {uvbeam.nside}, but its pixels are the whole sky at nside "
-            f"{whole_sky}, which is used",
-            stacklevel=4,
-        )
-        uvbeam.nside = whole_sky
-    lon, lat = HEALPix(uvbeam.nside, uvbeam.ordering).healpix_to_lonlat(uvbeam.pixel_array)
-    return np.pi / 2 - lat.to_value("rad"), lon.to_value("rad")
 
 
 def write_power_beam(

@@ -6,7 +6,6 @@ Only Stokes I is used. A HEALPix map becomes one point source a pixel, whose flu
 from __future__ import annotations
 
 import logging
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,8 +15,10 @@ from astropy.units import Quantity
 from pyradiosky import SkyModel
 from scipy.interpolate import interp1d
 
+from hydrabeam_mpi.data.limits import LARGEST
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.reading import DAMAGED, check_file, reading
 from hydrabeam_mpi.model.sky import Sky, power_law
 
 logger = logging.getLogger(__name__)
@@ -106,14 +107,17 @@ def read_catalogue(
     """
     model = _read_model(path, columns)
     is_map = model.component_type == "healpix"
-    if is_map:
-        model.healpix_to_point(to_jy=False, run_check=False)
-    if np.any(model.stokes[1:] != 0):
+    with reading(path, "a catalogue"):
+        if is_map:
+            model.healpix_to_point(to_jy=False, run_check=False)
+        is_polarised = bool(np.any(model.stokes[1:] != 0))
+        coordinates = model.skycoord.icrs
+        ra, dec = coordinates.ra.rad, coordinates.dec.rad
+    if is_polarised:
         logger.warning("%s: polarised sources are taken as unpolarised (only Stokes I is used)", path.name)
     wanted = freqs if reference_freq is None else np.append(freqs, reference_freq)
-    flux = _to_jansky(_stokes_i(model, wanted, interpolation, path), model.stokes.unit, wanted)
-    coordinates = model.skycoord.icrs
-    ra, dec = coordinates.ra.rad, coordinates.dec.rad
+    with reading(path, "a catalogue"):
+        flux = _to_jansky(_stokes_i(model, wanted, interpolation, path), model.stokes.unit, wanted)
     flux[:, ~np.isfinite(ra + dec)] = np.nan
     usable = _usable(flux, is_map, path)
     sky = Sky(
@@ -131,8 +135,7 @@ def read_catalogue(
 
 def _read_model(path: Path, columns: VOTableColumns | None) -> SkyModel:
     file_type = FILE_TYPES.get(path.suffix.lower())
-    if not path.is_file():
-        raise InputError("no such file", file=path, remedy="check the path")
+    check_file(path, field="[sky] file")
     if file_type is None:
         known = ", ".join(FILE_TYPES)
         message = f"unknown kind of catalogue '{path.suffix}'"
@@ -144,15 +147,11 @@ def _read_model(path: Path, columns: VOTableColumns | None) -> SkyModel:
         options["filetype"] = "gleam"
     elif file_type == "vot" and columns is not None:
         options |= _votable_options(columns)
-    try:
-        with warnings.catch_warnings():
-            # About negative fluxes, which `_usable` sees to, and repeated names, which do no harm.
-            warnings.simplefilter("ignore")
-            return SkyModel.from_file(str(path), **options)
-    except Exception as error:  # the readers beneath raise whatever their parsers raise
-        remedy = "check the names and units of its columns" if file_type == "vot" else "check the file"
-        reason = f"{type(error).__name__}: {error}"
-        raise InputError(f"cannot be read as {file_type} ({reason})", file=path, remedy=remedy) from error
+    remedy = "check the names and units of its columns" if file_type == "vot" else DAMAGED
+    # Its warnings are about negative fluxes, which `_usable` sees to, and repeated names, which do no harm.
+    with reading(path, file_type, remedy=remedy):
+        model: SkyModel = SkyModel.from_file(str(path), **options)
+        return model
 
 
 def _votable_options(columns: VOTableColumns) -> dict[str, object]:
@@ -190,16 +189,14 @@ def _stokes_i(model: SkyModel, freqs: FloatArray, interpolation: str, path: Path
         return np.repeat(stokes_i, len(freqs), axis=0)
     if model.spectral_type == "full":
         return np.asarray(interp1d(listed, stokes_i, axis=0)(inside))
-    with warnings.catch_warnings():
-        # About sources without a flux in some subbands: interpolated between the others, NaN beyond them.
-        warnings.simplefilter("ignore")
-        at_freqs = model.at_frequencies(
-            Quantity(inside, "Hz"),
-            inplace=False,
-            freq_interp_kind=interpolation,
-            nan_handling="interp",
-            run_check=False,
-        )
+    # Sources without a flux in some subbands are interpolated between the others, and NaN beyond them.
+    at_freqs = model.at_frequencies(
+        Quantity(inside, "Hz"),
+        inplace=False,
+        freq_interp_kind=interpolation,
+        nan_handling="interp",
+        run_check=False,
+    )
     return np.asarray(at_freqs.stokes[0].value)
 
 
@@ -216,6 +213,10 @@ def _usable(flux: FloatArray, is_map: bool, path: Path) -> IntArray:
     known = np.isfinite(flux).all(axis=0)
     usable = np.flatnonzero(known & ((flux != 0).any(axis=0) if is_map else (flux > 0).all(axis=0)))
     total, unknown = flux.shape[1], np.sum(~known)
+    largest = np.abs(flux[:, usable]).max(initial=0.0)
+    if largest > LARGEST:
+        told = f"a source of {largest:.3g} Jy at these frequencies"
+        raise InputError(told, file=path, field="flux", remedy="correct its flux or its spectrum")
     if not len(usable):
         remedy = "select other frequencies or another catalogue"
         raise InputError("no source with a flux at these frequencies", file=path, remedy=remedy)

@@ -54,7 +54,8 @@ def pol_number(pol: str, orientation: str | None, *, file: str, known: list[int]
         if orientation is None and set(pol) <= {"e", "n"}:
             message = f"the file does not say where its feeds point, so {pol!r} has no meaning"
             raise InputError(message, file=file, field="pol", remedy="name the feed: east_feed") from None
-        raise InputError(f"unknown polarisation {pol!r}", file=file, field="pol") from None
+        remedy = 'ask for "ee" or "nn"'
+        raise InputError(f"unknown polarisation {pol!r}", file=file, field="pol", remedy=remedy) from None
     if number not in known:
         names = ", ".join(polnum2str(known, x_orientation=orientation))
         raise InputError(f"no polarisation {pol!r}", file=file, field="pol", remedy=f"the file has {names}")

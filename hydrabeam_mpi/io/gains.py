@@ -20,8 +20,8 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray, O
 from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.data.selection import BoolArray, match
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.reading import check_file, reading
 from hydrabeam_mpi.io.uvdata import feeds_of, size
-from hydrabeam_mpi.io.uvfile import READ_ERRORS, quiet
 from hydrabeam_mpi.io.uvmeta import FREQ_TOLERANCE, TIME_TOLERANCE
 
 
@@ -134,9 +134,6 @@ def read_gains(files: Sequence[Path], observation: Observation, times: IntArray)
 def _read_solution(path: Path, observation: Observation) -> _Solution:
     """Read one gain file and pick the observation's antennas and channels."""
     cal = _read_uvcal(path, observation)
-    if cal.cal_type != "gain" or cal.wide_band:
-        remedy = "convert it with UVCal.convert_to_gain()"
-        raise InputError("not gains by channel", file=path, field="cal_type", remedy=remedy)
     ants = match(observation.antenna_numbers, cal.ant_array, 0)
     if np.any(ants < 0):
         missing = ", ".join(map(str, observation.antenna_numbers[ants < 0]))
@@ -150,19 +147,25 @@ def _read_solution(path: Path, observation: Observation) -> _Solution:
     # pyuvdata has (Nants, Nfreqs, Ntimes, Njones).
     gains = cal.gain_array[np.ix_(ants, channels)].transpose(1, 2, 0, 3).astype(np.complex128)
     flags = cal.flag_array[np.ix_(ants, channels)].transpose(1, 2, 0, 3)
-    usable = (size(gains) >= 1 / LARGEST) & (size(gains) <= LARGEST)
-    unusable = ~flags & ~usable
-    if unusable.any():
-        ant = observation.antenna_numbers[np.argwhere(unusable)[0, 2]]
-        message = f"an unflagged gain of antenna {ant} is zero, not finite, or beyond reason ({gains[unusable][0]:.3g})"
-        raise InputError(message, file=path, field="gain_array", remedy="flag it")
+    _check_values(gains, flags, observation, path)
     gains[flags] = 1.0
     if cal.gain_convention == "multiply":
         gains = 1 / gains
     if cal.pol_convention is not None:
         # What the gains say of the data that they calibrate stands in place of what the job says.
         gains *= np.sqrt(2) ** ((cal.pol_convention == "avg") - (observation.pol_convention == "avg"))
-    return _Solution(gains, flags, *_stamps(cal), _feed_names(cal))
+    with reading(path, "gains"):
+        return _Solution(gains, flags, *_stamps(cal), _feed_names(cal))
+
+
+def _check_values(gains: ComplexArray, flags: BoolArray, observation: Observation, path: Path) -> None:
+    """Refuse gains by which no visibility can be divided, unless flagged; (Nfreqs, Ntimes, Nants, ...)."""
+    usable = (size(gains) >= 1 / LARGEST) & (size(gains) <= LARGEST)
+    unusable = ~flags & ~usable
+    if unusable.any():
+        ant = observation.antenna_numbers[np.argwhere(unusable)[0, 2]]
+        message = f"an unflagged gain of antenna {ant} is zero, not finite, or beyond reason ({gains[unusable][0]:.3g})"
+        raise InputError(message, file=path, field="gain_array", remedy="flag it")
 
 
 def _stamps(cal: UVCal) -> tuple[FloatArray, float]:
@@ -181,21 +184,45 @@ def _feed_names(cal: UVCal) -> tuple[frozenset[str], ...]:
 
 def _read_uvcal(path: Path, observation: Observation) -> UVCal:
     """Read a gain file through pyuvdata, never asking the network where the telescope is."""
-    if not path.is_file():
-        raise InputError("no such gain file", file=path, field="[data] gains", remedy="check the path")
-    try:
-        with quiet(), path.open("rb") as file:
-            if file.read(4) == b"\x89HDF":
-                cal = UVCal()
-                cal.read_calh5(str(path), run_check=False, background_lsts=False)
-            else:
-                # Older calfits files do not say where the telescope is, and pyuvdata would look its name up
-                # on the network. It does not where the object that reads knows the place already.
-                cal = CALFITS()
-                cal.telescope.location = observation.location
-                cal.read_calfits(str(path), run_check=False, background_lsts=False)
-    except READ_ERRORS as error:
-        raise InputError(
-            f"cannot be read as gains ({error})", file=path, remedy="give calfits or calh5 files"
-        ) from error
+    check_file(path, field="[data] gains")
+    with reading(path, "gains", remedy="give calfits or calh5 files, or write this one again"):
+        with path.open("rb") as file:
+            is_hdf5 = file.read(4) == b"\x89HDF"
+        if is_hdf5:
+            cal = UVCal()
+            cal.read_calh5(str(path), run_check=False, background_lsts=False)
+        else:
+            # Older calfits files do not say where the telescope is, and pyuvdata would look its name up
+            # on the network. It does not where the object that reads knows the place already.
+            cal = CALFITS()
+            cal.telescope.location = observation.location
+            cal.read_calfits(str(path), run_check=False, background_lsts=False)
+        _check_parts(cal)
     return cal
+
+
+def _check_parts(cal: UVCal) -> None:
+    """Make sure that the file holds gains by channel, in arrays that fit together."""
+    if cal.cal_type != "gain" or cal.wide_band:
+        remedy = "convert it with UVCal.convert_to_gain()"
+        raise InputError("not gains by channel", field="cal_type", remedy=remedy)
+    shape = (len(cal.ant_array), len(cal.freq_array), cal.Ntimes, len(cal.jones_array))
+    n_times = len(cal.time_array if cal.time_range is None else cal.time_range)
+    for field in ("gain_array", "flag_array"):
+        found = getattr(cal, field).shape
+        if found != shape or n_times != cal.Ntimes:
+            told = f"has the shape {found}, but the header tells {shape}"
+            raise InputError(told, field=field, remedy="write the file again")
+    if cal.flag_array.dtype != bool:
+        raise InputError("is not true or false", field="flag_array", remedy="write the file again with pyuvdata")
+    if cal.gain_array.dtype.kind != "c":
+        raise InputError("is not complex", field="gain_array", remedy="write the file again with pyuvdata")
+    if cal.gain_convention not in ("divide", "multiply"):
+        told = f'is "{cal.gain_convention}", not "divide" or "multiply"'
+        raise InputError(told, field="gain_convention", remedy="correct the file")
+    for code in cal.jones_array:
+        try:
+            jnum2str(int(code))
+        except KeyError:
+            told = f"no feeds have the code {int(code)}"
+            raise InputError(told, field="jones_array", remedy="correct the file") from None

@@ -14,8 +14,10 @@ from astropy import units
 from astropy.coordinates import SkyCoord
 from astropy_healpix import healpix_to_lonlat, nside_to_npix, nside_to_pixel_area
 
+from hydrabeam_mpi.data.limits import LARGEST
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.reading import check_file, reading
 from hydrabeam_mpi.model.sky import Sky
 
 NSIDE = 64
@@ -62,6 +64,9 @@ def read_gsm2016(folder: Path, freqs: FloatArray, nside: int = NSIDE) -> Sky:
 
 def _weights(spectra: FloatArray, freqs: FloatArray, path: Path) -> FloatArray:
     """Interpolate s(nu) w_i(nu), (Nfreqs, Ncomponents)."""
+    if not (np.all(np.diff(spectra[0]) > 0) and np.all(spectra[:2] > 0)):
+        told = "its frequencies do not ascend, or its scale is not positive"
+        raise InputError(told, file=path, remedy="fetch the file anew")
     listed = spectra[0] * units.GHz.to("Hz")
     outside = (freqs < listed[0]) | (freqs > listed[-1])
     if outside.any():
@@ -73,12 +78,13 @@ def _weights(spectra: FloatArray, freqs: FloatArray, path: Path) -> FloatArray:
 
 
 def _read_table(path: Path, columns: int | None = None) -> FloatArray:
-    try:
-        table = np.loadtxt(path, ndmin=2)
-    except (OSError, ValueError) as error:
-        message = f"cannot be read as a table of numbers ({error})"
-        raise InputError(message, file=path, remedy="fetch the file anew") from error
+    remedy = "fetch the file anew"
+    check_file(path, field="[sky] diffuse")
+    with reading(path, "a table of numbers", remedy=remedy):
+        table: FloatArray = np.loadtxt(path, ndmin=2)
     if columns is not None and table.shape[1] != columns:
         message = f"{table.shape[1]} pixels, not {columns}"
-        raise InputError(message, file=path, remedy="fetch the file anew")
+        raise InputError(message, file=path, remedy=remedy)
+    if not np.all(np.abs(table) <= LARGEST):
+        raise InputError("numbers that are NaN, infinite or absurdly large", file=path, remedy=remedy)
     return table

@@ -7,21 +7,23 @@ samples, or their noise cannot be told.
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from hydrabeam_mpi.data.limits import LARGEST
 from hydrabeam_mpi.data.observation import FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.data.selection import BoolArray, match
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.gains import calibrate
+from hydrabeam_mpi.io.noise_table import read_table, table_sigma
 from hydrabeam_mpi.io.uvdata import feeds_of, read_autos, read_block
+from hydrabeam_mpi.io.uvfile import file_kind
+from hydrabeam_mpi.io.uvwhole import check_miriad
 
 # Fewer differences than this do not make a variance: its own error is 1 / sqrt(number).
 MIN_DIFFERENCES = 8
@@ -137,9 +139,8 @@ def file_weights(
     ----------
     path : Path
         Either visibilities (uvh5, uvfits, ...) whose ``data_array`` holds the sigma (Jy) of each, whatever
-        its nsamples. Or an HDF5 or npz table of the sigma of one sample, so that the variance is
-        sigma^2 / nsamples: ``freqs`` (Nfreqs,) in Hz, within half a channel width of the data's, and
-        ``sigma`` (Nfreqs,); or ``sigma`` (Nants, Nfreqs) and ``antennas`` (Nants,), their numbers, so that
+        its nsamples. Or a table (see `read_table`) of the sigma of one sample, so that the variance is
+        sigma^2 / nsamples, at frequencies within half a channel width of the data's; where it is by antenna,
         sigma_jk^2 = sigma_j sigma_k.
 
     Raises
@@ -147,57 +148,23 @@ def file_weights(
     InputError
         If the file lacks what is asked for, or a sigma is not positive.
     """
-    if _is_table(path):
-        sigma = np.broadcast_to(_table_sigma(path, observation, tile), flags.shape)
+    table = read_table(path)
+    if table is not None:
+        sigma = np.broadcast_to(table_sigma(table, path, observation, tile.bls), flags.shape)
         usable, samples = ~flags, nsamples
     else:
+        if file_kind(path) == "miriad":
+            check_miriad([path])
         block = read_block([path], observation, tile.times, observation.antpairs[tile.bls], observation.pols)
         if np.any(~flags & ~block.stored):
             raise InputError("lacks a sigma of an unflagged visibility", file=path, remedy="add or flag it")
         sigma = block.data.real
         usable, samples = ~flags & ~block.flags, np.ones(flags.shape)
-    if not np.all(sigma[usable] > 0):
-        raise InputError("a sigma that is not positive", file=path, field="sigma", remedy="correct or flag it")
+    if not np.all((sigma[usable] > 0) & (sigma[usable] <= LARGEST)):
+        raise InputError(
+            "a sigma that is not positive, or infinite", file=path, field="sigma", remedy="correct or flag it"
+        )
     return np.where(usable, samples / np.where(usable, sigma, 1.0) ** 2, 0.0)
-
-
-def _is_table(path: Path) -> bool:
-    """Tell a table of sigma from a file of visibilities, and check that there is a file at all."""
-    if not path.exists():
-        raise InputError("no such file", file=path, field="[noise] file", remedy="check the path")
-    if zipfile.is_zipfile(path):
-        return True
-    if path.is_file() and h5py.is_hdf5(path):
-        with h5py.File(path, "r") as file:
-            return "sigma" in file
-    return False
-
-
-def _table_sigma(path: Path, observation: Observation, tile: Tile) -> FloatArray:
-    """Return the sigma of one sample from a table, (Nfreqs, 1, 1 or len(tile.bls), 1)."""
-    if zipfile.is_zipfile(path):
-        with np.load(path) as file:
-            table = {name: file[name] for name in file.files}
-    else:
-        with h5py.File(path, "r") as file:
-            table = {name: file[name][()] for name in file}
-    by_antenna = "sigma" in table and table["sigma"].ndim == 2
-    for field in ("freqs", "sigma", "antennas") if by_antenna else ("freqs", "sigma"):
-        if field not in table:
-            raise InputError("is missing", file=path, field=field, remedy="add it to the table")
-    channels = match(observation.freqs, table["freqs"], 0.5 * observation.channel_width)
-    if np.any(channels < 0):
-        missing = f"{observation.freqs[channels < 0][0] / 1e6:.6f} MHz"
-        raise InputError(f"no sigma at {missing}", file=path, field="freqs", remedy="add that channel")
-    sigma = np.asarray(table["sigma"], dtype=float)[..., channels]
-    if not by_antenna:
-        return sigma[:, None, None, None]
-    antpairs = observation.antpairs[tile.bls]
-    ants = match(antpairs, table["antennas"], 0)
-    if np.any(ants < 0):
-        missing = antpairs[ants < 0][0]
-        raise InputError(f"no sigma of antenna {missing}", file=path, field="antennas", remedy="add it")
-    return np.sqrt(sigma[ants[:, 0]] * sigma[ants[:, 1]]).T[:, None, :, None]
 
 
 def difference_variance(

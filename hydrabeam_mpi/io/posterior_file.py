@@ -37,8 +37,10 @@ from numpy.typing import NDArray
 
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.hdf5 import new_hdf5
+from hydrabeam_mpi.io.reading import check_file, reading
 
 CHANNEL = "channel_{:04d}"
+_REMEDY = "name a folder written by 'hydrabeam infer'"
 EIGENBEAMS = 4
 REAL_MAPS = 3
 MAP_PIXELS = 91 * 360
@@ -103,32 +105,67 @@ def read_posterior(path: Path) -> PosteriorFile:
     InputError
         If the file is missing or is not a posterior of this package.
     """
-    try:
-        with h5py.File(path) as file:
-            channels: list[ChannelRecord] = []
-            while (name := CHANNEL.format(len(channels))) in file:
-                group = file[name]
-                arrays = {key: np.asarray(group[key]) for key in group if key != "covariance"}
-                evidence = float(group.attrs["log_evidence"]) if "log_evidence" in group.attrs else None
-                summary = json.loads(group.attrs["summary"])
-                channels.append(ChannelRecord(float(group.attrs["freq"]), summary, arrays, evidence))
-            return PosteriorFile(
-                json.loads(file.attrs["basis"]),
-                json.loads(file.attrs["provenance"]),
-                str(file.attrs["polarization"]),
-                np.asarray(file["grid_za"]),
-                np.asarray(file["grid_az"]),
-                channels,
-            )
-    except (OSError, KeyError, ValueError) as error:
-        raise InputError(
-            f"is not a posterior file ({error})",
-            file=path,
-            remedy="name a folder written by 'hydrabeam infer'",
-        ) from error
+    check_file(path, remedy=_REMEDY)
+    with reading(path, "a posterior", remedy=_REMEDY), h5py.File(path, "r") as file:
+        za, az = (_numbers(file, name) for name in ("grid_za", "grid_az"))
+        channels: list[ChannelRecord] = []
+        while (name := CHANNEL.format(len(channels))) in file:
+            channels.append(_read_channel(file[name], name, (len(za), len(az))))
+        basis, provenance = (_json(file, name, "") for name in ("basis", "provenance"))
+        return PosteriorFile(basis, provenance, str(file.attrs["polarization"]), za, az, channels)
+
+
+def _read_channel(group: h5py.Group, name: str, grid: tuple[int, int]) -> ChannelRecord:
+    """Read a channel, and make sure that its arrays fit together."""
+    if not isinstance(group, h5py.Group):
+        raise InputError("is not a group of data sets", field=name, remedy=_REMEDY)
+    missing = next((key for key in ("mean", "covariance") if key not in group), None)
+    if missing:
+        raise InputError("is missing", field=f"{name}/{missing}", remedy=_REMEDY)
+    for key, shape in _shapes(group, grid).items():
+        if key in group and group[key].shape != shape:
+            told = f"has the shape {group[key].shape}, not {shape}"
+            raise InputError(told, field=f"{name}/{key}", remedy=_REMEDY)
+    arrays = {key: _numbers(group, key) for key in group if key != "covariance"}
+    evidence = float(group.attrs["log_evidence"]) if "log_evidence" in group.attrs else None
+    return ChannelRecord(float(group.attrs["freq"]), _json(group, "summary", name), arrays, evidence)
+
+
+def _shapes(group: h5py.Group, grid: tuple[int, int]) -> dict[str, tuple[int, ...]]:
+    """Return the shapes that a channel's data sets must have, where they are there."""
+    n = group["mean"].size
+    shapes = {"mean": (n,), "covariance": (n, n), "std": (n,), "prior_mean": (n,), "prior_std": (n,)}
+    shapes |= {key: grid for key in group if key.startswith("map_")}
+    if "eigen_variances" in group:
+        shapes["eigen_beams"] = (group["eigen_variances"].size, *grid)
+    if "z_edges" in group:
+        shapes["z_counts"] = (2, group["z_edges"].size - 1)
+    return shapes
+
+
+def _numbers(group: h5py.Group, name: str) -> NDArray[Any]:
+    """Read a data set of numbers."""
+    values = np.asarray(group[name][()])
+    if values.ndim == 0 or values.dtype.kind not in "iufc":
+        raise InputError("is not an array of numbers", field=name, remedy=_REMEDY)
+    return values
+
+
+def _json(group: h5py.Group, name: str, place: str) -> dict[str, Any]:
+    """Read an attribute that is a table in JSON."""
+    table = json.loads(group.attrs[name])
+    if not isinstance(table, dict):
+        raise InputError("is not a table", field=f"{place} {name}".strip(), remedy=_REMEDY)
+    return table
 
 
 def read_covariance(path: Path, channel: int) -> NDArray[Any]:
-    """Read one channel's covariance, (n, n)."""
-    with h5py.File(path) as file:
-        return np.asarray(file[CHANNEL.format(channel)]["covariance"])
+    """Read one channel's covariance, (n, n).
+
+    Raises
+    ------
+    InputError
+        If it cannot be read.
+    """
+    with reading(path, "a posterior", remedy=_REMEDY), h5py.File(path, "r") as file:
+        return _numbers(file[CHANNEL.format(channel)], "covariance")

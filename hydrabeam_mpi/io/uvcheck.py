@@ -9,10 +9,12 @@ import h5py
 import numpy as np
 from astropy.coordinates import EarthLocation
 from pyuvdata import UVData
+from pyuvdata.utils import polnum2str
 
 from hydrabeam_mpi.data.limits import EARTH_DIAMETER, FIRST_JD, LAST_JD, MAX_HEIGHT
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.reading import reading
 
 CORRECT = "correct the file"
 MJD_ZERO = 2400000.5
@@ -52,6 +54,7 @@ def check_metadata(uv: UVData, path: Path) -> None:
     possible = (freqs > 0) & np.isfinite(freqs)
     if not possible.all():
         raise _wrong(path, "freq_array", f"a frequency of {freqs[~possible][0]:g} Hz")
+    _check_polarizations(uv, path)
     if len(np.unique(uv.polarization_array)) < len(uv.polarization_array):
         raise _wrong(path, "polarization_array", "a polarisation stands twice")
 
@@ -71,7 +74,7 @@ def _check_supported(uv: UVData, path: Path) -> None:
         remedy = "convert it with UVData.kelvin_to_jansky()"
         raise _wrong(path, "vis_units", "visibilities in K sr, not Jy", remedy)
     if not isinstance(uv.telescope.location, EarthLocation):
-        raise InputError("the telescope is not on Earth", file=path, field="telescope_frame")
+        raise InputError("the telescope is not on Earth", file=path, field="telescope_frame", remedy=CORRECT)
 
 
 def _check_array(owner: Any, name: str, path: Path) -> None:
@@ -89,13 +92,22 @@ def _check_array(owner: Any, name: str, path: Path) -> None:
 def _check_samples(uv: UVData, path: Path) -> None:
     """Make sure that a uvh5 file has as many samples as its header says."""
     expected = (uv.Nblts, uv.Nfreqs, uv.Npols)
-    with h5py.File(path, "r") as file:
+    with reading(path, "uvh5"), h5py.File(path, "r") as file:
         for name in ("visdata", "flags", "nsamples"):
             shape = file["Data"][name].shape if name in file["Data"] else ()
             # Older files have an axis of one spectral window.
             if shape[:1] + shape[-2:] != expected:
                 sizes = (" x ".join(map(str, shape)) or "none" for shape in (shape, expected))
                 raise _wrong(path, f"Data/{name}", "{} samples, where the header says {}".format(*sizes))
+
+
+def _check_polarizations(uv: UVData, path: Path) -> None:
+    """Make sure that each polarisation is one that there is."""
+    for code in uv.polarization_array:
+        try:
+            polnum2str(int(code))
+        except KeyError:
+            raise _wrong(path, "polarization_array", f"no polarisation has the code {int(code)}") from None
 
 
 def _check_times(uv: UVData, path: Path) -> None:

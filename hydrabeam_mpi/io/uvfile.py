@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
+import os
+from contextlib import nullcontext
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -18,21 +18,14 @@ from pyuvdata.utils import polnum2str
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.data.selection import match
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.reading import check_file, mute, reading
 from hydrabeam_mpi.io.uvcheck import check_metadata
+from hydrabeam_mpi.io.uvwhole import check_uvh5
 
 # pyuvdata reads these in part; measurement sets and miriad files it can only read whole.
 READ_IN_PART = ("uvh5", "uvfits")
-# What pyuvdata and the readers below it raise on files that are not as they should be.
-READ_ERRORS = (
-    ArithmeticError,
-    AttributeError,
-    ImportError,
-    LookupError,
-    OSError,
-    RuntimeError,
-    TypeError,
-    ValueError,
-)
+# The libraries beneath these print what they think.
+TALKATIVE = ("ms", "miriad")
 
 
 @dataclass(frozen=True)
@@ -98,14 +91,6 @@ class UVHeader:
         return -1
 
 
-@contextmanager
-def quiet() -> Iterator[None]:
-    """Silence the warnings that pyuvdata raises on almost every file."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield
-
-
 def enu_axes(location: EarthLocation) -> FloatArray:
     """Return the unit vectors east, north and up at a place, the rows of a matrix, in ECEF.
 
@@ -135,58 +120,39 @@ def file_kind(path: Path) -> str:
         If it is missing, unreadable, truncated or none of these.
     """
     formats = "give a uvh5 or uvfits file, a measurement set or a miriad file"
-    if not path.exists():
-        raise InputError("no such file", file=path, remedy="check the path")
-    if path.is_dir():
+    if os.path.isdir(path):
         for kind, member in (("miriad", "vartable"), ("ms", "OBSERVATION")):
-            if (path / member).exists():
+            if os.path.exists(path / member):
                 return kind
-        raise InputError("a directory that holds no visibilities", file=path, remedy=formats)
-    try:
-        with path.open("rb") as file:
-            magic = file.read(9)
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", file=path, remedy="check its permissions") from error
+        raise InputError("a folder that holds no visibilities", file=path, remedy=formats)
+    check_file(path)
+    with path.open("rb") as file:
+        magic = file.read(9)
     if magic.startswith(b"\x89HDF\r\n\x1a\n"):
-        _check_uvh5(path)
+        check_uvh5(path)
         return "uvh5"
     if magic == b"SIMPLE  =":
         return "uvfits"
     raise InputError("not a uvh5 file" if magic else "an empty file", file=path, remedy=formats)
 
 
-def _check_uvh5(path: Path) -> None:
-    """Make sure that an HDF5 file is whole and holds visibilities."""
-    try:
-        with h5py.File(path, "r") as file:
-            missing = [name for name in ("Header", "Data/visdata") if name not in file]
-    except OSError as error:
-        raise InputError(f"truncated or damaged ({error})", file=path, remedy="copy or write it again") from error
-    if missing:
-        raise InputError("not a uvh5 file, although HDF5", file=path, field=missing[0], remedy="give a uvh5 file")
-
-
 def may_hold(path: Path, times: FloatArray, tolerance: float) -> bool:
     """Tell quickly that a file has no rows at some times (JD); True where only all metadata can tell."""
     if file_kind(path) != "uvh5":
         return True
-    with h5py.File(path, "r") as file:
-        stored = file["Header/time_array"][()] if "time_array" in file["Header"] else times
+    with reading(path, "uvh5"), h5py.File(path, "r") as file:
+        stored = np.asarray(file["Header/time_array"][()], dtype=float)
     return bool(np.any(match(times, stored, tolerance) >= 0))
 
 
 def read_uvdata(path: Path, kind: str, **select: Any) -> UVData:
     """Read through pyuvdata, without its checks: they are slow, and this module's own name the remedy."""
+    if kind == "ms" and find_spec("casacore") is None:
+        raise InputError("a measurement set, which python-casacore reads", file=path, remedy="install python-casacore")
     uv = UVData()
-    try:
-        with quiet():
-            options = {"run_check": False, "background_lsts": False, "remove_flex_pol": False}
-            uv.read(str(path), file_type=kind, **options, **select)
-    except READ_ERRORS as error:
-        remedy = "write it again, or convert it with pyuvdata"
-        if kind == "ms" and isinstance(error, ImportError):
-            remedy = "pip install python-casacore"
-        raise InputError(f"cannot be read as {kind} ({error})", file=path, remedy=remedy) from error
+    options = {"run_check": False, "background_lsts": False, "remove_flex_pol": False}
+    with reading(path, kind), mute() if kind in TALKATIVE else nullcontext():
+        uv.read(str(path), file_type=kind, **options, **select)
     return uv
 
 
@@ -200,10 +166,15 @@ def read_metadata(path: Path) -> tuple[UVHeader, UVRows]:
     """
     kind = file_kind(path)
     uv = read_uvdata(path, kind, **({"read_data": False} if kind in READ_IN_PART else {}))
-    check_metadata(uv, path)
+    with reading(path, kind):
+        check_metadata(uv, path)
+        return _header(uv, path, kind), _rows(uv)
+
+
+def _header(uv: UVData, path: Path, kind: str) -> UVHeader:
     telescope = uv.telescope
     orientation = telescope.get_x_orientation_from_feeds()
-    header = UVHeader(
+    return UVHeader(
         path=path,
         kind=kind,
         telescope_name=str(telescope.name),
@@ -217,10 +188,12 @@ def read_metadata(path: Path) -> tuple[UVHeader, UVRows]:
         feed_pols=tuple(polnum2str(number) for number in uv.polarization_array),
         units=str(uv.vis_units),
     )
-    rows = UVRows(
+
+
+def _rows(uv: UVData) -> UVRows:
+    return UVRows(
         antpairs=np.stack([uv.ant_1_array, uv.ant_2_array], axis=1).astype(np.int64),
         times=np.asarray(uv.time_array, dtype=float),
         lsts=np.asarray(uv.lst_array, dtype=float),
         integration_time=np.asarray(uv.integration_time, dtype=float),
     )
-    return header, rows

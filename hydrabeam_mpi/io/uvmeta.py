@@ -5,6 +5,7 @@ Files may split the data in any way: by time, night, channel, polarisation or ba
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +22,8 @@ from hydrabeam_mpi.data.selection import (
     select_times,
 )
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.io.uvfile import UVHeader, read_metadata
+from hydrabeam_mpi.io.uvfile import UVHeader, file_kind, read_metadata
+from hydrabeam_mpi.io.uvwhole import check_miriad
 
 # Stamps closer than this are one integration or one channel; both far exceed the rounding of any format.
 TIME_TOLERANCE = 1e-3 / 86400  # days
@@ -115,6 +117,7 @@ def read_observation(files: Sequence[Path], selection: Selection) -> Observation
     resolved = [Path(path).resolve() for path in files]
     if len(set(resolved)) < len(resolved):
         raise InputError("a file is named twice", field="[data] files", remedy="name it once")
+    check_miriad([path for path in map(Path, files) if os.path.isdir(path) and file_kind(path) == "miriad"])
     surveys = [_survey(Path(path)) for path in files]
     names, positions = _merge_antennas([survey.header for survey in surveys])
     surveys = [survey for survey in surveys if survey.antpairs.size]

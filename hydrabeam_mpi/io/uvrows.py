@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from pyuvdata import UVData
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.data.selection import BoolArray
-from hydrabeam_mpi.io.uvfile import READ_IN_PART, UVHeader, quiet, read_uvdata
+from hydrabeam_mpi.io.reading import reading
+from hydrabeam_mpi.io.uvfile import READ_IN_PART, UVHeader, read_uvdata
 
 # To pick one scattered row takes h5py as long as to read this many bytes in line.
 SEEK_BYTES = 25_000
@@ -43,7 +43,7 @@ def read_rows(
     data, flags, nsamples : ndarray, (len(rows), len(channels), len(pols))
     """
     if header.kind not in READ_IN_PART:
-        return _samples(read_uvdata(header.path, header.kind), np.ix_(rows, channels, pols), pol_convention)
+        return _samples(header, {}, np.ix_(rows, channels, pols), pol_convention)
     # pyuvdata returns what it selects in the order of the file.
     select: dict[str, Any] = {"freq_chans": np.sort(channels)}
     select["polarizations"] = [header.feed_pols[pol] for pol in np.sort(pols)]
@@ -51,11 +51,7 @@ def read_rows(
         select["multidim_index"] = True
     picked = np.argsort(np.argsort(channels)), np.argsort(np.argsort(pols))
     parts = [
-        _samples(
-            read_uvdata(header.path, header.kind, blt_inds=read, **select),
-            np.ix_(wanted, *picked),
-            pol_convention,
-        )
+        _samples(header, {"blt_inds": read, **select}, np.ix_(wanted, *picked), pol_convention)
         for read, wanted in _windows(np.sort(rows), SAMPLE_BYTES * len(channels) * len(pols))
     ]
     order = np.argsort(np.argsort(rows))
@@ -76,12 +72,15 @@ def _windows(rows: IntArray, row_bytes: int) -> Iterator[tuple[IntArray, IntArra
         yield np.arange(part[0], part[-1] + 1), part - part[0]
 
 
-def _samples(uv: UVData, wanted: tuple[IntArray, ...], pol_convention: str | None) -> Samples:
-    """Take samples out of a pyuvdata object, as drift scan and in the convention V = 1/2 I B."""
-    uv.data_array = uv.data_array.astype(np.complex128)
-    if any(centre["cat_type"] != "unprojected" for centre in uv.phase_center_catalog.values()):
-        with quiet():
+def _samples(
+    header: UVHeader, select: dict[str, Any], wanted: tuple[IntArray, ...], pol_convention: str | None
+) -> Samples:
+    """Take samples out of what pyuvdata reads, as drift scan and in the convention V = 1/2 I B."""
+    uv = read_uvdata(header.path, header.kind, **select)
+    with reading(header.path, header.kind):
+        uv.data_array = uv.data_array.astype(np.complex128)
+        if any(centre["cat_type"] != "unprojected" for centre in uv.phase_center_catalog.values()):
             uv.unproject_phase()
-    if (uv.pol_convention or pol_convention) == "avg":
-        uv.data_array.view(float)[:] *= 0.5
-    return uv.data_array[wanted], uv.flag_array[wanted], uv.nsample_array[wanted].astype(float)
+        if (uv.pol_convention or pol_convention) == "avg":
+            uv.data_array.view(float)[:] *= 0.5
+        return uv.data_array[wanted], uv.flag_array[wanted], uv.nsample_array[wanted].astype(float)

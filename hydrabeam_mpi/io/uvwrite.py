@@ -15,8 +15,9 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, Observation
 from hydrabeam_mpi.data.selection import BoolArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.hdf5 import HDF5Target
+from hydrabeam_mpi.io.reading import quiet
 from hydrabeam_mpi.io.uvdata import Block, feeds_of
-from hydrabeam_mpi.io.uvfile import enu_axes, quiet
+from hydrabeam_mpi.io.uvfile import enu_axes
 
 
 def write_uvh5(

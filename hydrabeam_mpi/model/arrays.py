@@ -11,8 +11,10 @@ import numpy as np
 from pyuvdata import UVData
 from scipy.spatial import cKDTree
 
+from hydrabeam_mpi.data.limits import LARGEST
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.reading import check_file, reading
 
 FORMATS = "give columns 'E N U' in metres with or without a header, which may also name 'number' and 'name'"
 # Metres within which two antennas are one: the resolution of positions relative to the centre of the Earth.
@@ -77,10 +79,9 @@ def read_layout(path: Path) -> Layout:
     InputError
         If the file is missing or unreadable, an antenna has no position or a number twice, or two stand in one place.
     """
-    if not path.is_file():
-        raise InputError("no such file", file=path, remedy="check the path")
+    check_file(path, field="[data.simulate.array] file")
     layout = _read_uvh5(path) if h5py.is_hdf5(path) else _read_text(path)
-    without = layout.numbers[~np.isfinite(layout.antpos).all(axis=1)]
+    without = layout.numbers[~(np.abs(layout.antpos) <= LARGEST).all(axis=1)]
     if len(without):
         raise InputError(f"antenna {without[0]} has no position", file=path, remedy=FORMATS)
     if len(np.unique(layout.numbers)) < len(layout.numbers):
@@ -97,21 +98,17 @@ def _layout(numbers: IntArray, names: tuple[str, ...] | None, antpos: FloatArray
 
 
 def _read_uvh5(path: Path) -> Layout:
-    try:
+    with reading(path, "uvh5"):
         uvd = UVData.from_file(path, file_type="uvh5", read_data=False)
         antpos, numbers = uvd.get_enu_data_ants()
-    except Exception as error:  # pyuvdata raises whatever its parts raise
-        raise InputError(f"not a readable uvh5 file ({error})", file=path, remedy="check the file") from error
-    names = dict(zip(uvd.telescope.antenna_numbers, uvd.telescope.antenna_names, strict=True))
+        names = dict(zip(uvd.telescope.antenna_numbers, uvd.telescope.antenna_names, strict=True))
     return _layout(np.asarray(numbers, dtype=np.int64), tuple(str(names[number]) for number in numbers), antpos)
 
 
 def _read_text(path: Path) -> Layout:
     """Read rows of text; the header, if there is one, has no number in it."""
-    try:
+    with reading(path, "text or uvh5", remedy=FORMATS):
         lines = path.read_text().splitlines()
-    except UnicodeDecodeError as error:
-        raise InputError("neither text nor uvh5", file=path, remedy=FORMATS) from error
     rows = [re.split(r"[,\s]+", line.strip()) for line in lines if line.strip() and not line.startswith("#")]
     header = ["e", "n", "u"]
     if rows and not any(_is_number(cell) for cell in rows[0]):

@@ -14,6 +14,7 @@ from hydrabeam_mpi.errors import InputError
 # Samples repeated on either side of the circle, so that a cubic spline does not notice where it is cut.
 _OVERLAP = 6
 _TOLERANCE = 1e-6
+_REMEDY = "give a beam file with samples there"
 
 
 class AzZaGrid:
@@ -51,9 +52,9 @@ class AzZaGrid:
     def __call__(self, za: FloatArray, az: FloatArray) -> Array:
         """Interpolate at (za, az), (Npoints,) each."""
         if self._has_gaps:
-            raise InputError("samples that are NaN cannot be interpolated")
+            raise InputError("samples that are NaN cannot be interpolated", remedy=_REMEDY)
         if np.size(za) and np.max(za) > self._za_max + _TOLERANCE:
-            raise InputError(f"the samples end at a zenith angle of {np.rad2deg(self._za_max):.4g} deg")
+            raise InputError(f"the samples end at a zenith angle of {np.rad2deg(self._za_max):.4g} deg", remedy=_REMEDY)
         within = self._az_start + np.mod(az - self._az_start, 2 * np.pi)
         parts = [spline.ev(za, within) for spline in self._parts]
         return parts[0] if len(parts) == 1 else parts[0] + 1j * parts[1]
@@ -88,5 +89,5 @@ class HealpixMap:
         # A neighbour without weight may be missing.
         samples = np.where(weights > 0, self._values[around], 0)
         if np.isnan(samples).any():
-            raise InputError("samples that are NaN or missing cannot be interpolated")
+            raise InputError("samples that are NaN or missing cannot be interpolated", remedy=_REMEDY)
         return np.einsum("ij,ij->j", weights, samples)

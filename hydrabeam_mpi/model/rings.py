@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray
 
 # Angles closer than this (radians, 0.02 arcsec) are the same angle.
-_SAME = 1e-7
+SAME_ANGLE = 1e-7
 # A ring has at least this many azimuths, unless it is the zenith, ...
 _FEWEST = 3
 # ... and no gap larger than this many times the mean.
@@ -39,7 +39,7 @@ class Pixels:
     @classmethod
     def above_horizon(cls, za: FloatArray, az: FloatArray, values: Array) -> Pixels:
         """Keep the samples with za <= 90 degrees that are not NaN."""
-        keep = (za <= np.pi / 2 + _SAME) & ~np.isnan(values)
+        keep = (za <= np.pi / 2 + SAME_ANGLE) & ~np.isnan(values)
         return cls(za[keep], az[keep], values[keep])
 
 
@@ -67,19 +67,19 @@ class RingGrid:
         """Find the rings; None where samples do not lie on rings that go evenly all around."""
         order = np.argsort(pixels.za, kind="stable")
         za = pixels.za[order]
-        ring = np.concatenate([[0], np.cumsum(np.diff(za) > _SAME)])
-        az = np.mod(pixels.az[order] + _SAME, 2 * np.pi) - _SAME
+        ring = np.concatenate([[0], np.cumsum(np.diff(za) > SAME_ANGLE)])
+        az = np.mod(pixels.az[order] + SAME_ANGLE, 2 * np.pi) - SAME_ANGLE
         within = np.lexsort((az, ring))
         za, az, values = za[within], az[within], pixels.values[order][within]
         # Grids that close the circle repeat azimuth 0 as 2 pi.
-        new = np.concatenate([[True], (np.diff(az) > _SAME) | (np.diff(ring) > 0)])
+        new = np.concatenate([[True], (np.diff(az) > SAME_ANGLE) | (np.diff(ring) > 0)])
         za, az, values, ring = za[new], az[new], values[new], ring[new]
         n_az = np.bincount(ring)
         start = np.cumsum(n_az) - n_az
         gap = np.append(np.diff(az), 0.0)
         gap[start + n_az - 1] = az[start] + 2 * np.pi - az[start + n_az - 1]
         uneven = gap > _LARGEST_GAP * 2 * np.pi / n_az[ring]
-        few = (n_az < _FEWEST) & (za[start] > _SAME)
+        few = (n_az < _FEWEST) & (za[start] > SAME_ANGLE)
         return None if uneven.any() or few.any() else cls(za[start], n_az, az, values)
 
     def azimuthal_orders(self, m_max: int) -> NDArray[np.complex128]:
@@ -92,7 +92,7 @@ class RingGrid:
         ends = np.cumsum(self.n_az)[:-1]
         for row, az, ring in zip(orders, np.split(self.az, ends), np.split(self.values, ends), strict=True):
             n = len(az)
-            if np.abs(az - az[0] - 2 * np.pi * np.arange(n) / n).max() < 10 * _SAME:
+            if np.abs(az - az[0] - 2 * np.pi * np.arange(n) / n).max() < 10 * SAME_ANGLE:
                 row[:] = np.fft.fft(ring)[m % n] * np.exp(-1j * m * az[0]) / n
             else:
                 held = 2 * np.abs(m) < n

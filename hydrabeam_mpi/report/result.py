@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.posterior_file import PosteriorFile, read_covariance, read_posterior
+from hydrabeam_mpi.io.reading import check_file, reading
 
 Array = NDArray[Any]
 REMEDY = "name a folder written by 'hydrabeam infer'"
@@ -103,6 +104,11 @@ def load_result(directory: Path) -> Result:
     path = directory / "posterior.h5"
     posterior = read_posterior(path)
     per_channel = summary.pop("channels", None) or [{}] * len(posterior.channels)
+    warnings = summary.pop("warnings", None) or []
+    for field, entries, kind in (("channels", per_channel, dict), ("warnings", warnings, str)):
+        if not isinstance(entries, list) or not all(isinstance(entry, kind) for entry in entries):
+            told = "is not a list of tables" if kind is dict else "is not a list of texts"
+            raise InputError(told, file=directory / "summary.json", field=field, remedy=REMEDY)
     if not posterior.channels or len(per_channel) != len(posterior.channels):
         raise InputError(
             f"has {len(per_channel)} channels, posterior.h5 has {len(posterior.channels)}",
@@ -111,17 +117,14 @@ def load_result(directory: Path) -> Result:
             remedy="both files must come from the same run",
         )
     channels = [_channel(posterior, number, numbers, path) for number, numbers in enumerate(per_channel)]
-    name, warnings = str(summary.pop("name", directory.resolve().name)), summary.pop("warnings", [])
-    return Result(name, summary, list(warnings), channels, posterior.provenance, posterior.polarization)
+    name = str(summary.pop("name", directory.resolve().name))
+    return Result(name, summary, warnings, channels, posterior.provenance, posterior.polarization)
 
 
 def _read_summary(path: Path) -> dict[str, Any]:
-    try:
+    check_file(path, remedy=REMEDY)
+    with reading(path, "JSON", remedy=REMEDY):
         summary = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", file=path, remedy=REMEDY) from error
-    except ValueError as error:
-        raise InputError(f"is not JSON ({error})", file=path, remedy=REMEDY) from error
     if not isinstance(summary, dict):
         raise InputError("is not a table of key numbers", file=path, remedy=REMEDY)
     return summary

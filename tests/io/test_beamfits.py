@@ -184,19 +184,49 @@ def test_nan_below_the_horizon_does_no_harm_to_a_fit(tmp_path):
 
 
 @pytest.mark.parametrize("grid", [{}, {"nside": 16}], ids=["az_za", "healpix"])
-def test_nan_above_the_horizon_is_left_out_of_a_fit_and_not_interpolated(tmp_path, grid):
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e60])
+def test_a_sample_above_the_horizon_that_is_no_number_is_refused(tmp_path, grid, value):
     uvbeam = dipole_uvbeam(**grid)
-    whole = quietly(saved(uvbeam, tmp_path)).beam(150e6, "ee")
-    uvbeam.data_array.reshape(*uvbeam.data_array.shape[:3], -1)[..., 200] = np.nan
-    beam = quietly(saved(uvbeam, tmp_path)).beam(150e6, "ee")
-    assert len(beam.pixels.za) == len(whole.pixels.za) - 1
-    spec = FourierBessel.selection(None, k_max=3, m_max=2, boundary="neumann")
-    fit, fit_whole = fit_beam(beam, spec), fit_beam(whole, spec)
-    np.testing.assert_allclose(fit.coeffs, fit_whole.coeffs, atol=0.05)
-    missing = whole.pixels.za[200:201], whole.pixels.az[200:201]
-    with pytest.raises(InputError, match=r"beam.beamfits: samples that are NaN"):
-        beam(*missing)
-    assert np.isfinite(whole(*missing)).all()
+    uvbeam.data_array.reshape(*uvbeam.data_array.shape[:3], -1)[..., 200] = value
+    with pytest.raises(InputError, match=r"beam.beamfits: data_array: 1 of \d+ samples .* above the horizon are NaN"):
+        quietly(saved(uvbeam, tmp_path)).beam(150e6, "ee")
+
+
+@pytest.mark.parametrize(
+    ("azimuths", "zenith_angles", "words"),
+    [
+        (np.arange(37) * 5, np.arange(19) * 5, "axis1_array: no azimuths between 180 and 360 deg"),
+        (np.arange(2, 72) * 5, np.arange(19) * 5, "axis1_array: no azimuths between 355 and 10 deg"),
+        (np.arange(72) * 5, np.arange(17) * 5, "axis2_array: the samples end at a zenith angle of 80 deg"),
+        (np.arange(72) * 5, np.arange(6, 19) * 5, "axis2_array: the samples begin at a zenith angle of 30 deg"),
+    ],
+)
+def test_part_of_a_beam_is_refused(tmp_path, azimuths, zenith_angles, words):
+    grid = {"axis1_array": azimuths * DEG, "axis2_array": zenith_angles * DEG}
+    with pytest.raises(InputError, match=rf"beam.beamfits: {words}.*; give a beam"):
+        BeamFile(saved(dipole_uvbeam(**grid), tmp_path))
+
+
+def test_a_healpix_beam_that_lacks_pixels_above_the_horizon_is_refused(tmp_path):
+    uvbeam = dipole_uvbeam(nside=16, ordering="ring", healpix_pixel_array=np.arange(500))
+    with pytest.raises(InputError, match=r"pixel_array: 1068 of 1568 pixels above the horizon are missing"):
+        BeamFile(saved(uvbeam, tmp_path))
+
+
+def test_a_sample_that_stands_out_alone_is_refused(tmp_path):
+    """Divided by it, the beam would be zero everywhere else."""
+    uvbeam = airy_uvbeam([150e6])
+    uvbeam.data_array[..., 40, 7] = 1e10
+    with pytest.raises(InputError, match=r'data_array: one sample of "xx", 1e\+10, is more than 16 times'):
+        quietly(saved(uvbeam, tmp_path)).beam(150e6, "ee")
+
+
+def test_negative_power_is_told(tmp_path):
+    uvbeam = airy_uvbeam([150e6])
+    uvbeam.data_array[:, 0, :, 40, 7] = -0.25
+    path = saved(uvbeam, tmp_path)
+    with pytest.warns(UserWarning, match=r"1 of 6552 samples above the horizon are negative, down to -0.25"):
+        BeamFile(path)
 
 
 def test_interpolation_is_pyuvdata_s(tmp_path):
@@ -279,11 +309,11 @@ def test_missing_and_foreign_files_are_told(tmp_path):
         BeamFile(tmp_path / "none.beamfits")
     text = tmp_path / "notes.beamfits"
     text.write_text("not a beam")
-    with pytest.raises(InputError, match=r"notes.beamfits: not readable"):
+    with pytest.raises(InputError, match=r"notes.beamfits: cannot be read as a beam"):
         BeamFile(text)
     whole = saved(dipole_uvbeam(), tmp_path).read_bytes()
     (tmp_path / "half.beamfits").write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(InputError, match=r"half.beamfits: not readable"):
+    with pytest.raises(InputError, match=r"half.beamfits: cannot be read as a beam"):
         BeamFile(tmp_path / "half.beamfits")
 
 
@@ -310,7 +340,7 @@ def test_cst_text_is_read_with_what_it_does_not_say(tmp_path):
     options = {"beam_type": "efield", "feed_pol": "x", "rotate_pol": True, "frequency": 150e6, "history": "", **about}
     beam = quietly(path, options={**options, "x_orientation": "east", "mount_type": "fixed"}).beam(150e6, "ee")
     np.testing.assert_allclose(beam.pixels.values, dipole_power("ee", beam.pixels.za, beam.pixels.az), atol=1e-8)
-    with pytest.raises(InputError, match="not readable"):
+    with pytest.raises(InputError, match="cannot be read as a beam"):
         BeamFile(path)
 
 

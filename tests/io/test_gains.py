@@ -276,7 +276,7 @@ def test_a_calfits_file_without_the_place_of_its_telescope(read):
 
 @pytest.mark.parametrize(
     ("content", "message"),
-    [(None, "no such gain file"), (b"", "cannot be read"), (b"SIMPLE  =", "cannot be read")],
+    [(None, r"\[data\] gains: no such file"), (b"", "cannot be read"), (b"SIMPLE  =", "cannot be read")],
 )
 def test_files_that_are_no_gains_are_refused(read, tmp_path, content, message):
     obs, data, flags, _ = read(make_uvdata())

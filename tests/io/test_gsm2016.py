@@ -55,8 +55,11 @@ def test_bad_files_are_refused(folder):
     maps.write_text(maps.read_text()[:1000])
     with pytest.raises(InputError, match=r"lowres_maps\.txt: 500 pixels, not 49152"):
         read_gsm2016(folder, np.array([150e6]))
+    maps.write_text("one two\n")
+    with pytest.raises(InputError, match=r"lowres_maps\.txt: cannot be read as a table of numbers"):
+        read_gsm2016(folder, np.array([150e6]))
     maps.unlink()
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match=r"\[sky\] diffuse: no such file"):
         read_gsm2016(folder, np.array([150e6]))
 
 

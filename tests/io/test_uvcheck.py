@@ -67,6 +67,7 @@ def without_last(old):
         ("antenna_positions", one_bad(1e20), ["antenna_positions: antenna 41 stands 1e+20 m from the telescope"]),
         ("freq_array", one_bad(np.inf), ["freq_array: a frequency of inf Hz"]),
         ("polarization_array", -5, ["polarization_array: a polarisation stands twice"]),
+        ("polarization_array", one_bad(9), ["polarization_array: no polarisation has the code 9"]),
         ("Nblts", 60, ["time_array: 66 numbers, where the header says 60"]),
         ("Nblts", 99, ["time_array: 66 numbers, where the header says 99"]),
         ("Nfreqs", 3, ["freq_array: 4 numbers, where the header says 3"]),

@@ -87,7 +87,7 @@ def _truncated(path):
     written(make_uvdata(), path)
     with path.open("r+b") as file:
         file.truncate(path.stat().st_size * 2 // 3)
-    return "truncated or damaged"
+    return r"cannot be read as uvh5 \(truncated file"
 
 
 def _other_hdf5(path):

@@ -91,7 +91,7 @@ def test_missing_and_binary_files_are_refused(tmp_path):
     with pytest.raises(InputError, match="no such file"):
         read_layout(tmp_path / "none.csv")
     (tmp_path / "binary").write_bytes(bytes(range(256)))
-    with pytest.raises(InputError, match="neither text nor uvh5"):
+    with pytest.raises(InputError, match="cannot be read as text or uvh5"):
         read_layout(tmp_path / "binary")
 
 
@@ -132,5 +132,5 @@ def test_uvh5_gives_the_antennas_with_data(uvh5):
 
 def test_truncated_uvh5_is_refused(uvh5):
     uvh5.write_bytes(uvh5.read_bytes()[:3000])
-    with pytest.raises(InputError, match="not a readable uvh5 file"):
+    with pytest.raises(InputError, match="cannot be read as uvh5"):
         read_layout(uvh5)

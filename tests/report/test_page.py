@@ -234,16 +234,18 @@ def test_no_such_folder(tmp_path: Path) -> None:
 
 
 def test_folder_without_a_summary(tmp_path: Path) -> None:
-    assert "summary.json: cannot be read" in refused(tmp_path)
+    assert "summary.json: no such file" in refused(tmp_path)
 
 
 def test_folder_without_a_posterior(paper: Path, edited: Edit) -> None:
     copy = edited(paper, lambda summary: None)
     (copy / "posterior.h5").unlink()
-    assert "posterior.h5: is not a posterior file" in refused(copy)
+    assert "posterior.h5: no such file" in refused(copy)
 
 
-@pytest.mark.parametrize(("text", "said"), [("{", "is not JSON"), ("[1]", "is not a table"), ("\x00", "is not JSON")])
+@pytest.mark.parametrize(
+    ("text", "said"), [("{", "cannot be read as JSON"), ("[1]", "is not a table"), ("\x00", "cannot be read as JSON")]
+)
 def test_summary_that_is_none(text: str, said: str, paper: Path, edited: Edit) -> None:
     copy = edited(paper, lambda summary: None)
     (copy / "summary.json").write_text(text)

@@ -1,0 +1,76 @@
+"""Whether a file of visibilities is whole, found out before it is read."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.reading import DAMAGED, reading
+
+_SAMPLES = {"Data/visdata": "complex numbers", "Data/flags": "true or false", "Data/nsamples": "real numbers"}
+
+# Reads files one after another, and says of which before it does.
+_READ_MIRIAD = """
+import sys, warnings
+warnings.simplefilter("ignore")
+from pyuvdata import UVData
+for path in sys.argv[1:]:
+    print(path, flush=True)
+    try:
+        UVData().read(path, file_type="miriad", run_check=False, background_lsts=False)
+    except Exception:
+        pass
+"""
+
+
+def check_uvh5(path: Path) -> None:
+    """Make sure that an HDF5 file is whole and holds visibilities, flags and nsamples.
+
+    Raises
+    ------
+    InputError
+        If it is damaged, something else, or its samples are of other types.
+    """
+    with reading(path, "uvh5"), h5py.File(path, "r") as file:
+        missing = next((name for name in ("Header/time_array", *_SAMPLES) if name not in file), None)
+        if missing:
+            raise InputError("not a uvh5 file, although HDF5", field=missing, remedy="give a uvh5 file")
+        for name, wanted in _SAMPLES.items():
+            if not _holds(file[name].dtype, wanted):
+                told = f"holds values of type {file[name].dtype}, not {wanted}"
+                raise InputError(told, field=name, remedy="write it again with pyuvdata")
+
+
+def _holds(dtype: np.dtype[Any], wanted: str) -> bool:
+    """Tell whether a type is one for complex numbers (also of integers, as a pair), flags or real numbers."""
+    if wanted == "complex numbers":
+        return dtype.kind == "c" or dtype.names == ("r", "i")
+    return dtype.kind in ("b" if wanted == "true or false" else "iuf")
+
+
+def check_miriad(paths: Sequence[Path]) -> None:
+    """Make sure that miriad files can be read, in a process of its own.
+
+    The miriad library ends the process in which it meets a damaged file.
+
+    Raises
+    ------
+    InputError
+        If it does.
+    """
+    if not paths:
+        return
+    command = [sys.executable, "-c", _READ_MIRIAD, *map(str, paths)]
+    done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+    if done.returncode:
+        begun = done.stdout.splitlines()
+        said = [line.removeprefix("### Fatal Error:").strip(' ."') for line in done.stderr.splitlines()]
+        reason = f" ({said[-1]})" if said else ""
+        raise InputError(f"cannot be read as miriad{reason}", file=begun[-1] if begun else paths[0], remedy=DAMAGED)
