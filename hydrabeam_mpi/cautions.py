@@ -11,7 +11,7 @@ from astropy.time import Time
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.data.observation import Observation
 from hydrabeam_mpi.model.earth_orientation import beyond_table
-from hydrabeam_mpi.skies import are_apparent
+from hydrabeam_mpi.setup.skies import are_apparent
 
 # Seconds that a clock and a sidereal clock may differ by: UT1 - UTC, up to 0.9 s, and the equation of the equinoxes,
 # up to 1.2 s, either of which a file's sidereal times may lack.

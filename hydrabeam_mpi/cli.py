@@ -11,11 +11,11 @@ from typing import NoReturn
 from mpi4py import MPI
 
 from hydrabeam_mpi import __version__
-from hydrabeam_mpi.console import console
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.interrupt import interruptible
 from hydrabeam_mpi.mpi import install_abort_hook, limit_blas_threads, refuse, together
-from hydrabeam_mpi.progress import say
+from hydrabeam_mpi.terminal.console import console
+from hydrabeam_mpi.terminal.interrupt import interruptible
+from hydrabeam_mpi.terminal.progress import say
 
 INTERRUPTED_STATUS = 130
 
@@ -93,23 +93,23 @@ def _run(world: MPI.Comm, options: argparse.Namespace) -> None:
     if options.command in ("simulate", "infer", "loop"):
         # A mistake in the job or its paths is told before the packages that the work needs are imported: that takes
         # seconds.
-        from hydrabeam_mpi.job_file import check_paths, load
+        from hydrabeam_mpi.commands.job_file import check_paths, load
 
         simulates = options.command == "simulate"
         job = load(world, options.job, simulates, options.command == "loop")
         check_paths(world, job, options.job, options.output, options.overwrite, simulates)
-        from hydrabeam_mpi import run
-        from hydrabeam_mpi.loop.command import close_loop
+        from hydrabeam_mpi.commands import infer as run
+        from hydrabeam_mpi.commands.loop import close_loop
 
         command = {"simulate": run.simulate, "infer": run.infer, "loop": close_loop}[options.command]
         command(world, job, options.job, options.output, options.overwrite, threads)
         return
     with together(world):
         if world.rank == 0 and options.command == "report":
-            from hydrabeam_mpi.report.page import write_report
+            from hydrabeam_mpi.report.page.page import write_report
 
             write_report(options.directory)
         elif world.rank == 0:
-            from hydrabeam_mpi.init import job_from_data
+            from hydrabeam_mpi.commands.init import job_from_data
 
             print(job_from_data(options.data), end="")

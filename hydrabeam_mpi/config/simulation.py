@@ -8,16 +8,7 @@ from pydantic import Field, model_validator
 
 from hydrabeam_mpi.config.base import Section, key, refuse_unused
 from hydrabeam_mpi.config.effects import Injected
-from hydrabeam_mpi.config.quantities import (
-    Bandwidth,
-    Degrees,
-    File,
-    Freqs,
-    JulianDate,
-    LstRange,
-    Metres,
-    Seconds,
-)
+from hydrabeam_mpi.config.quantities import Bandwidth, Degrees, File, Freqs, JulianDate, LstRange, Metres, Seconds
 from hydrabeam_mpi.data.limits import EARTH_DIAMETER, LARGEST, MAX_HEIGHT
 
 

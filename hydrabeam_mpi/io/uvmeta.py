@@ -13,14 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray, Observation
-from hydrabeam_mpi.data.selection import (
-    Selection,
-    distinct,
-    match,
-    select_baselines,
-    select_channels,
-    select_times,
-)
+from hydrabeam_mpi.data.selection import Selection, distinct, match, select_baselines, select_channels, select_times
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.uvfile import UVHeader, file_kind, read_metadata
 from hydrabeam_mpi.io.uvwhole import check_miriad

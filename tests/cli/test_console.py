@@ -10,7 +10,7 @@ from subprocess import CompletedProcess
 
 import pytest
 
-from hydrabeam_mpi.console import console
+from hydrabeam_mpi.terminal.console import console
 
 Runner = Callable[..., CompletedProcess[str]]
 
@@ -81,7 +81,9 @@ def test_all_is_as_before_afterwards() -> None:
 
 
 def test_warnings_come_back_when_asked_for(mpiexec_python: Runner) -> None:
-    source = "import warnings\nfrom hydrabeam_mpi.console import console\nwith console(True): warnings.warn('mine')"
+    source = (
+        "import warnings\nfrom hydrabeam_mpi.terminal.console import console\nwith console(True): warnings.warn('mine')"
+    )
     assert mpiexec_python(1, source).stderr == ""
     assert "UserWarning: mine" in mpiexec_python(1, source, PYTHONWARNINGS="default::UserWarning").stderr
 
@@ -89,7 +91,8 @@ def test_warnings_come_back_when_asked_for(mpiexec_python: Runner) -> None:
 FAILING = """
 import sys
 from mpi4py.MPI import COMM_WORLD as world
-from hydrabeam_mpi import cli, run
+from hydrabeam_mpi import cli
+from hydrabeam_mpi.commands import infer as run
 
 def fail(comm, *_):
     {body}

@@ -15,23 +15,12 @@ from pyradiosky import SkyModel
 from pyuvdata import UVData
 
 from hydrabeam_mpi.cli import main
+from hydrabeam_mpi.commands.init import CATALOGUE, job_from_data
 from hydrabeam_mpi.config import Job, load_job
 from hydrabeam_mpi.config.effects import Loop
 from hydrabeam_mpi.config.named import expand
-from hydrabeam_mpi.config.sections import (
-    Basis,
-    Beam,
-    Data,
-    Holdout,
-    Noise,
-    Output,
-    Prior,
-    Sky,
-    SkyColumns,
-    Solver,
-)
+from hydrabeam_mpi.config.sections import Basis, Beam, Data, Holdout, Noise, Output, Prior, Sky, SkyColumns, Solver
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.init import CATALOGUE, job_from_data
 from hydrabeam_mpi.io.posterior_file import read_posterior
 from tests.cli.conftest import Workspace
 from tests.visibilities import CROSS, ENU, NUMBERS, SECOND, make_uvdata

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from hydrabeam_mpi.interrupt import interruptible
+from hydrabeam_mpi.terminal.interrupt import interruptible
 
 SIGNALS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from hydrabeam_mpi.config import Job, Section, load_job
 from hydrabeam_mpi.config.effects import Effect, Injected, Kind
-from hydrabeam_mpi.effects.catalogue import EFFECTS, REWEIGHTINGS, SEPARATE
+from hydrabeam_mpi.effects.registry import EFFECTS, REWEIGHTINGS, SEPARATE
 
 JOBS = sorted((Path(__file__).parents[2] / "jobs").glob("*/*.toml"))
 

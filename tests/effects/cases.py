@@ -9,12 +9,12 @@ from typing import Any, Literal
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
-from hydrabeam_mpi.effects.base import Cause, Effect, ScannedEffect
-from hydrabeam_mpi.effects.catalogue import make_effect
-from hydrabeam_mpi.effects.experiment import Experiment
-from hydrabeam_mpi.effects.scene import Scene
+from hydrabeam_mpi.effects.interface.effect import Cause, Effect, ScannedEffect
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.registry import make_effect
 from hydrabeam_mpi.random import complex_normal, generator
-from tests.effects.small import small_experiment, small_scene
+from tests.effects.small import small_block, small_setup
 
 
 @dataclass(frozen=True)
@@ -57,46 +57,46 @@ CASES = {
 
 
 @cache
-def experiment_of(freqs: tuple[float, ...], n_times: int, n_sources: int) -> Experiment:
-    return small_experiment(freqs, n_times, n_sources)
+def experiment_of(freqs: tuple[float, ...], n_times: int, n_sources: int) -> ObservingSetup:
+    return small_setup(freqs, n_times, n_sources)
 
 
-def set_up(kind: str, n_sources: int | None = None) -> tuple[Effect, Scene, Case]:
+def set_up(kind: str, n_sources: int | None = None) -> tuple[Effect, RowBlock, Case]:
     """Return an effect, with three candidates where it is scanned, and rows with residuals.
 
     Some rows are without weight, and so is all of one time.
     """
     case = CASES.get(kind, Case())
-    scene = small_scene(experiment_of(case.freqs, case.n_times, n_sources or case.n_sources), case.channel)
+    block = small_block(experiment_of(case.freqs, case.n_times, n_sources or case.n_sources), case.channel)
     rng = generator(11, "rows")
-    scene.residual = complex_normal(rng, scene.shape)
-    scene.weights = rng.uniform(0.5, 2.0, scene.shape) * (rng.uniform(size=scene.shape) > 0.2)
-    scene.weights[2] = 0.0
+    block.residual = complex_normal(rng, block.shape)
+    block.weights = rng.uniform(0.5, 2.0, block.shape) * (rng.uniform(size=block.shape) > 0.2)
+    block.weights[2] = 0.0
     effect = make_effect(kind, case.settings)
     if isinstance(effect, ScannedEffect):
-        effect = effect.at(scene.experiment, candidates(effect, scene))
-    scene.integrate_for([effect])
-    return effect, scene, case
+        effect = effect.at(block.setup, candidates(effect, block))
+    block.integrate_for([effect])
+    return effect, block, case
 
 
-def candidates(effect: ScannedEffect, scene: Scene) -> IntArray:
+def candidates(effect: ScannedEffect, block: RowBlock) -> IntArray:
     """Return three candidates that are far apart, of those that show well."""
-    power = effect.scan(scene)[1].min(axis=1)
+    power = effect.scan(block)[1].min(axis=1)
     seen = np.flatnonzero(power > np.median(power[power > 0]))
     return seen[[len(seen) // 5, len(seen) // 2, -1 - len(seen) // 5]]
 
 
-def draw(effect: Cause, experiment: Experiment, strength: float) -> FloatArray:
-    return effect.draw(experiment, generator(1, "contract", effect.kind), strength)
+def draw(effect: Cause, setup: ObservingSetup, strength: float) -> FloatArray:
+    return effect.draw(setup, generator(1, "contract", effect.kind), strength)
 
 
-def places(effect: Effect, scene: Scene, case: Case) -> list[FloatArray]:
+def places(effect: Effect, block: RowBlock, case: Case) -> list[FloatArray]:
     """Return parameters where the columns are the derivative of the exact change; in most one element is not off."""
-    experiment = scene.experiment
-    parameters = effect.parameters(experiment)
-    some = [draw(effect, experiment, strength) for strength in case.strengths]
+    setup = block.setup
+    parameters = effect.parameters(setup)
+    some = [draw(effect, setup, strength) for strength in case.strengths]
     if case.exact == "where antennas are alike":
-        some = [x @ np.linalg.pinv(held) @ held for x in some for held in [effect.undecidable(experiment)]]
+        some = [x @ np.linalg.pinv(held) @ held for x in some for held in [effect.degenerate_directions(setup)]]
     elif parameters.element.max() > 1:
         some = [np.where(parameters.element == 1, 0.0, x) for x in some]
     return [np.zeros(len(parameters)), *(some if case.exact != "at zero" else [])]

@@ -9,21 +9,21 @@ import numpy as np
 from hydrabeam_mpi.config.simulation import Array, Simulate
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.data.redundancy import find_redundant_groups
-from hydrabeam_mpi.effects.base import Effect
-from hydrabeam_mpi.effects.experiment import Experiment
-from hydrabeam_mpi.effects.scene import Scene
+from hydrabeam_mpi.effects.interface.effect import Effect
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
 from hydrabeam_mpi.model.beam import analytic_beam
 from hydrabeam_mpi.model.fit import fit_beam
 from hydrabeam_mpi.model.positions import RotatedPositions
 from hydrabeam_mpi.model.sky import Sky, mock_sky
 from hydrabeam_mpi.random import complex_normal, generator
-from hydrabeam_mpi.simulate import mock_observation
+from hydrabeam_mpi.simulation.mock import mock_observation
 
 
-def small_experiment(
+def small_setup(
     freqs: tuple[float, ...] = (131e6, 151e6), n_times: int = 6, n_sources: int = 60, pol: str = "ee"
-) -> Experiment:
+) -> ObservingSetup:
     """Seven antennas in a hexagon, sixty sources, six times over six hours, an Airy beam."""
     settings = Simulate(array=Array(hex=(2, 3)), n_times=n_times, freqs=freqs)
     observation = mock_observation(settings, pol)
@@ -31,7 +31,7 @@ def small_experiment(
     spec = FourierBessel.selection(n_modes=60, form="real", k_max=20, m_max=8, edge=np.deg2rad(92), boundary="neumann")
     fits = [fit_beam(analytic_beam("airy", float(freq), pol, diameter=14.0), spec) for freq in freqs[:1]]
     fits += [fit_beam(analytic_beam("airy", float(freq), pol, diameter=14.0), fits[0].basis) for freq in freqs[1:]]
-    return Experiment(
+    return ObservingSetup(
         observation=observation,
         redundant=find_redundant_groups(observation.bl_vectors, 1e-7),
         sky=sky,
@@ -42,18 +42,18 @@ def small_experiment(
     )
 
 
-def small_scene(experiment: Experiment, channel: int = 0, sky: Sky | None = None) -> Scene:
+def small_block(setup: ObservingSetup, channel: int = 0, sky: Sky | None = None) -> RowBlock:
     """All rows of one channel, with the visibilities of the fitted beam, unit weights and no residual."""
-    observation = experiment.observation
-    groups, member = np.unique(experiment.redundant.group, return_inverse=True)
-    positions = RotatedPositions(sky or experiment.sky, observation)
-    coeffs = experiment.prior_mean[channel]
+    observation = setup.observation
+    groups, member = np.unique(setup.redundant.group, return_inverse=True)
+    positions = RotatedPositions(sky or setup.sky, observation)
+    coeffs = setup.prior_mean[channel]
 
     def beam(za: FloatArray, az: FloatArray) -> FloatArray:
-        return np.asarray(experiment.basis.synthesize(coeffs, za, az))
+        return np.asarray(setup.basis.synthesize(coeffs, za, az))
 
-    scene = Scene(
-        experiment=experiment if sky is None else replace(experiment, sky=sky),
+    block = RowBlock(
+        setup=setup if sky is None else replace(setup, sky=sky),
         channel=channel,
         times=np.arange(observation.Ntimes),
         bls=np.arange(observation.Nbls),
@@ -62,57 +62,57 @@ def small_scene(experiment: Experiment, channel: int = 0, sky: Sky | None = None
         positions=positions,
         beam=beam,
     )
-    scene.vis = scene.spread(scene.integrate(lambda sources: sources.beam[np.newaxis])[..., 0])
-    scene.weights = np.ones(scene.shape)
-    scene.residual = np.zeros(scene.shape, dtype=complex)
-    return scene
+    block.vis = block.spread(block.integrate(lambda sources: sources.beam[np.newaxis])[..., 0])
+    block.weights = np.ones(block.shape)
+    block.residual = np.zeros(block.shape, dtype=complex)
+    return block
 
 
-def part_of(scene: Scene, times: IntArray, bls: IntArray) -> Scene:
+def part_of(block: RowBlock, times: IntArray, bls: IntArray) -> RowBlock:
     """Some of a scene's times and baselines, numbered within it."""
-    groups, member = np.unique(scene.groups[scene.member[bls]], return_inverse=True)
-    rows = {name: getattr(scene, name)[np.ix_(times, bls)] for name in ("weights", "residual", "vis")}
-    some = replace(scene, times=scene.times[times], bls=scene.bls[bls], groups=groups, member=member, **rows)
+    groups, member = np.unique(block.groups[block.member[bls]], return_inverse=True)
+    rows = {name: getattr(block, name)[np.ix_(times, bls)] for name in ("weights", "residual", "vis")}
+    some = replace(block, times=block.times[times], bls=block.bls[bls], groups=groups, member=member, **rows)
     some.integrals = {}
     return some
 
 
-def with_effect(effect: Effect, scene: Scene, x: FloatArray) -> np.ndarray:
+def with_effect(effect: Effect, block: RowBlock, x: FloatArray) -> np.ndarray:
     """Return the model of the data with the effect, C (A b + E), (Ntimes, Nbls); ``scene.vis`` is A b."""
-    return effect.factor(scene, x) * (scene.vis + effect.added(scene, x))
+    return effect.factor(block, x) * (block.vis + effect.added(block, x))
 
 
-def matrix_at(effect: Effect, scene: Scene, x: FloatArray) -> np.ndarray:
+def matrix_at(effect: Effect, block: RowBlock, x: FloatArray) -> np.ndarray:
     """Return the columns as a dense matrix over baselines, (Ntimes, Nbls, n_params), of the data as measured."""
-    at = replace(scene, vis=scene.vis + effect.added(scene, x), integrals={})
+    at = replace(block, vis=block.vis + effect.added(block, x), integrals={})
     at.integrate_for([effect])
     columns = effect.columns(at, x)
     matrix = columns.matrix()
     dense = matrix if columns.index is None else matrix.toarray()
     dense = dense.reshape(*columns.values.shape[:2], -1)
-    dense = scene.spread(dense) if columns.by_group else dense
-    return dense * effect.factor(scene, x)[..., np.newaxis]
+    dense = block.spread(dense) if columns.by_group else dense
+    return dense * effect.factor(block, x)[..., np.newaxis]
 
 
-def check_derivative(effect: Effect, scene: Scene, x: FloatArray, step: float = 1e-5, rtol: float = 1e-5) -> None:
+def check_derivative(effect: Effect, block: RowBlock, x: FloatArray, step: float = 1e-5, rtol: float = 1e-5) -> None:
     """Compare every column with the central difference of the exact model."""
-    scene.integrate_for([effect])
-    parameters = effect.parameters(scene.experiment)
+    block.integrate_for([effect])
+    parameters = effect.parameters(block.setup)
     assert len(parameters) == len(x)
-    matrix = matrix_at(effect, scene, x)
+    matrix = matrix_at(effect, block, x)
     assert matrix.shape[-1] == len(x)
     for p, scale in enumerate(parameters.scale):
         nudge = np.zeros(len(x))
         nudge[p] = step * scale
-        numerical = (with_effect(effect, scene, x + nudge) - with_effect(effect, scene, x - nudge)) / (2 * step * scale)
+        numerical = (with_effect(effect, block, x + nudge) - with_effect(effect, block, x - nudge)) / (2 * step * scale)
         largest = max(np.abs(numerical).max(), np.abs(matrix[..., p]).max(), 1e-300)
         np.testing.assert_allclose(matrix[..., p], numerical, rtol=0, atol=rtol * largest, err_msg=parameters.names[p])
 
 
-def check_adjoint(effect: Effect, scene: Scene, x: FloatArray) -> None:
+def check_adjoint(effect: Effect, block: RowBlock, x: FloatArray) -> None:
     """<y, S p> = <S^T y, p> for the matrix of the columns and for `Columns.apply`."""
     rng = generator(5, "adjoint", effect.kind)
-    at = replace(scene, vis=scene.vis + effect.added(scene, x), integrals={})
+    at = replace(block, vis=block.vis + effect.added(block, x), integrals={})
     at.integrate_for([effect])
     columns = effect.columns(at, x)
     p = rng.standard_normal(len(x))
@@ -123,20 +123,20 @@ def check_adjoint(effect: Effect, scene: Scene, x: FloatArray) -> None:
 
 
 def check_recovery(
-    effect: Effect, scene: Scene, truth: FloatArray, sigma: float, start: FloatArray | None = None
+    effect: Effect, block: RowBlock, truth: FloatArray, sigma: float, start: FloatArray | None = None
 ) -> None:
     """Recover an injected truth within its error by Gauss-Newton steps, with the beam known.
 
     Combinations of parameters that the data do not tell are left out by a pseudo-inverse, and not compared.
     """
-    scene.integrate_for([effect])
+    block.integrate_for([effect])
     rng = generator(7, "recovery", effect.kind)
-    data = with_effect(effect, scene, truth) + sigma * complex_normal(rng, scene.shape)
+    data = with_effect(effect, block, truth) + sigma * complex_normal(rng, block.shape)
     x = np.zeros(len(truth)) if start is None else start.copy()
-    scale = effect.parameters(scene.experiment).scale
+    scale = effect.parameters(block.setup).scale
     for _ in range(12):
-        matrix = matrix_at(effect, scene, x).reshape(-1, len(truth)) * scale / sigma
-        residual = (data - with_effect(effect, scene, x)).reshape(-1) / sigma
+        matrix = matrix_at(effect, block, x).reshape(-1, len(truth)) * scale / sigma
+        residual = (data - with_effect(effect, block, x)).reshape(-1) / sigma
         fisher = 2 * (matrix.conj().T @ matrix).real
         values, vectors = np.linalg.eigh(fisher)
         told = values > 1e-9 * values.max()

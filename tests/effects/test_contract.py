@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from hydrabeam_mpi.config.effects import Kind
-from hydrabeam_mpi.effects.base import Cause, Effect, ScannedEffect
-from hydrabeam_mpi.effects.catalogue import EFFECTS, REWEIGHTINGS, SEPARATE, make_cause, make_effect
-from hydrabeam_mpi.effects.experiment import Experiment
-from hydrabeam_mpi.effects.scene import Scene
+from hydrabeam_mpi.effects.interface.effect import Cause, Effect, ScannedEffect
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.registry import EFFECTS, REWEIGHTINGS, SEPARATE, make_cause, make_effect
 from hydrabeam_mpi.random import generator
 from tests.effects.cases import CASES, Case, candidates, draw, experiment_of, places, set_up
 from tests.effects.direct import C, assert_same, row_vectors, seen_by_the_beam, unit_vectors
@@ -30,117 +30,117 @@ def test_the_catalogue_is_that_of_job_files() -> None:
     assert all(title == title.strip() and title[0].islower() for title in titles)
 
 
-def cause_of(kind: str) -> tuple[Cause, Experiment]:
+def cause_of(kind: str) -> tuple[Cause, ObservingSetup]:
     if kind in SEPARATE:
         return make_cause(kind, {}), replace(experiment_of((131e6,), 4, 60), file_pols=("ee", "nn", "en", "ne"))
-    effect, scene, _ = set_up(kind)
-    return effect, scene.experiment
+    effect, block, _ = set_up(kind)
+    return effect, block.setup
 
 
 @pytest.mark.parametrize("kind", [*EFFECTS, *SEPARATE])
 def test_parameters_have_names_units_scales_and_elements(kind: str) -> None:
-    effect, experiment = cause_of(kind)
-    parameters = effect.parameters(experiment)
+    effect, setup = cause_of(kind)
+    parameters = effect.parameters(setup)
     n = len(parameters)
     assert n > 0
     assert len(set(parameters.names)) == len(parameters.names) == n
     assert all(name == name.strip() and name for name in parameters.names)
     assert len(parameters.units) == n
-    assert parameters.scale.shape == parameters.element.shape == parameters.refined.shape == (n,)
+    assert parameters.scale.shape == parameters.element.shape == parameters.nonlinear.shape == (n,)
     assert np.all(np.isfinite(parameters.scale) & (parameters.scale > 0))
     n_elements = len(np.unique(parameters.element))
     np.testing.assert_array_equal(np.unique(parameters.element), np.arange(n_elements))
     assert parameters.trials >= n_elements
     # Every element is found by something before it is refined.
-    assert set(parameters.element[~parameters.refined]) == set(range(n_elements))
-    held = effect.undecidable(experiment)
+    assert set(parameters.element[~parameters.nonlinear]) == set(range(n_elements))
+    held = effect.degenerate_directions(setup)
     assert held.shape == (len(held), n)
     np.testing.assert_allclose(held @ held.T, np.diag(np.diag(held @ held.T)), atol=1e-12)
 
 
 @pytest.mark.parametrize("kind", [*EFFECTS, *SEPARATE])
 def test_it_is_what_its_kind_and_description_say(kind: str) -> None:
-    effect, experiment = cause_of(kind)
+    effect, setup = cause_of(kind)
     described = make_cause(kind, json.loads(json.dumps(effect.describe(), allow_nan=False)))
     for again in (described, pickle.loads(pickle.dumps(effect))):
         assert again.kind == kind
         assert again.describe() == effect.describe()
-        one, two = effect.parameters(experiment), again.parameters(experiment)
+        one, two = effect.parameters(setup), again.parameters(setup)
         assert (one.names, one.units, one.trials) == (two.names, two.units, two.trials)
-        for name in ("scale", "element", "refined"):
+        for name in ("scale", "element", "nonlinear"):
             np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
 
 
 @pytest.mark.parametrize("kind", [*EFFECTS, *SEPARATE])
 def test_draws_are_told_by_their_seed(kind: str) -> None:
-    effect, experiment = cause_of(kind)
-    x = draw(effect, experiment, 1.0)
-    assert x.shape == (len(effect.parameters(experiment)),)
+    effect, setup = cause_of(kind)
+    x = draw(effect, setup, 1.0)
+    assert x.shape == (len(effect.parameters(setup)),)
     assert np.all(np.isfinite(x))
     assert x.any()
-    np.testing.assert_array_equal(draw(effect, experiment, 1.0), x)
+    np.testing.assert_array_equal(draw(effect, setup, 1.0), x)
     if isinstance(effect, Effect):
-        one, two = (effect.drawn(experiment, generator(3, "drawn")) for _ in range(2))
+        one, two = (effect.drawn(setup, generator(3, "drawn")) for _ in range(2))
         assert one.describe() == two.describe()
-        assert len(one.parameters(experiment)) > 0
-        n_freqs = experiment.observation.Nfreqs
-        assert effect.objection(np.tile(x, (n_freqs, 1)), np.tile(0.01 * np.abs(x), (n_freqs, 1))) is None
+        assert len(one.parameters(setup)) > 0
+        n_freqs = setup.observation.Nfreqs
+        assert effect.unphysical(np.tile(x, (n_freqs, 1)), np.tile(0.01 * np.abs(x), (n_freqs, 1))) is None
 
 
 @pytest.mark.parametrize("kind", EFFECTS)
 def test_without_strength_nothing_changes(kind: str) -> None:
-    effect, scene, _ = set_up(kind)
-    for x in (np.zeros(len(effect.parameters(scene.experiment))), draw(effect, scene.experiment, 0.0)):
-        assert_same(with_effect(effect, scene, x), scene.vis, scene, rtol=1e-12)
-        assert_same(seen_by_the_beam(effect, scene, x), scene.vis, scene, rtol=1e-12)
+    effect, block, _ = set_up(kind)
+    for x in (np.zeros(len(effect.parameters(block.setup))), draw(effect, block.setup, 0.0)):
+        assert_same(with_effect(effect, block, x), block.vis, block, rtol=1e-12)
+        assert_same(seen_by_the_beam(effect, block, x), block.vis, block, rtol=1e-12)
 
 
 @pytest.mark.parametrize("kind", EFFECTS)
 def test_it_multiplies_or_adds_or_changes_the_sky(kind: str) -> None:
-    effect, scene, case = set_up(kind)
-    x = draw(effect, scene.experiment, case.strengths[0])
+    effect, block, case = set_up(kind)
+    x = draw(effect, block.setup, case.strengths[0])
     assert not (effect.multiplies and effect.changes_sky)
-    assert np.abs(with_effect(effect, scene, x) - scene.vis).max() > 0
-    assert effect.added(scene, x).shape == effect.factor(scene, x).shape == scene.shape
-    assert effect.added(scene, x).any() == (not effect.multiplies)
-    assert np.any(effect.factor(scene, x) != 1) == effect.multiplies
+    assert np.abs(with_effect(effect, block, x) - block.vis).max() > 0
+    assert effect.added(block, x).shape == effect.factor(block, x).shape == block.shape
+    assert effect.added(block, x).any() == (not effect.multiplies)
+    assert np.any(effect.factor(block, x) != 1) == effect.multiplies
     # What changes the sky is seen by the beam: its fluxes and further sources give what it adds.
-    expected = with_effect(effect, scene, x) if effect.changes_sky else scene.vis
-    assert_same(seen_by_the_beam(effect, scene, x), expected, scene, rtol=1e-12)
+    expected = with_effect(effect, block, x) if effect.changes_sky else block.vis
+    assert_same(seen_by_the_beam(effect, block, x), expected, block, rtol=1e-12)
 
 
 @pytest.mark.parametrize("kind", EFFECTS)
 def test_columns_are_the_derivative_of_the_exact_change(kind: str) -> None:
-    effect, scene, case = set_up(kind)
-    for x in places(effect, scene, case):
-        check_derivative(effect, scene, x, step=case.step)
-        check_adjoint(effect, scene, x)
+    effect, block, case = set_up(kind)
+    for x in places(effect, block, case):
+        check_derivative(effect, block, x, step=case.step)
+        check_adjoint(effect, block, x)
 
 
 @pytest.mark.parametrize("kind", [kind for kind in EFFECTS if CASES.get(kind, Case()).noise is not None])
 def test_an_injected_truth_is_recovered(kind: str) -> None:
-    effect, scene, case = set_up(kind)
+    effect, block, case = set_up(kind)
     assert case.noise is not None
-    x = draw(effect, scene.experiment, case.strengths[0])
-    change = with_effect(effect, scene, x) - scene.vis
-    refined = effect.parameters(scene.experiment).refined
-    start = np.where(refined, 0.0, 0.8 * x) if refined.any() else None
-    check_recovery(effect, scene, x, sigma=case.noise * float(np.abs(change).max()), start=start)
+    x = draw(effect, block.setup, case.strengths[0])
+    change = with_effect(effect, block, x) - block.vis
+    nonlinear = effect.parameters(block.setup).nonlinear
+    start = np.where(nonlinear, 0.0, 0.8 * x) if nonlinear.any() else None
+    check_recovery(effect, block, x, sigma=case.noise * float(np.abs(change).max()), start=start)
 
 
 @pytest.mark.parametrize("kind", EFFECTS)
 def test_what_is_undecidable_looks_like_another_beam(kind: str) -> None:
     """At every time, by a beam of any values towards the few sources there are."""
-    effect, scene, _ = set_up(kind, n_sources=12)
-    held = effect.undecidable(scene.experiment)
+    effect, block, _ = set_up(kind, n_sources=12)
+    held = effect.degenerate_directions(block.setup)
     if not len(held):
         return
-    design = matrix_at(effect, scene, np.zeros(held.shape[1]))
+    design = matrix_at(effect, block, np.zeros(held.shape[1]))
     other = generator(2, "other").standard_normal(held.shape)
     left: dict[str, list[float]] = {"held": [], "other": []}
-    for t, itime in enumerate(scene.times.tolist()):
-        towards = unit_vectors(scene, itime)
-        beams = np.exp(2j * np.pi * scene.freq / C * (row_vectors(scene) @ towards))
+    for t, itime in enumerate(block.times.tolist()):
+        towards = unit_vectors(block, itime)
+        beams = np.exp(2j * np.pi * block.freq / C * (row_vectors(block) @ towards))
         for name, directions in (("held", held), ("other", other)):
             change = design[t] @ directions.T
             parts = [np.concatenate([part.real, part.imag]) for part in (beams, change)]
@@ -150,7 +150,7 @@ def test_what_is_undecidable_looks_like_another_beam(kind: str) -> None:
     assert max(left["other"]) > 0.01
 
 
-LACKING: dict[str, Callable[[Experiment], Experiment]] = {
+LACKING: dict[str, Callable[[ObservingSetup], ObservingSetup]] = {
     "one channel": lambda one: replace(one, observation=replace(one.observation, freqs=one.observation.freqs[:1])),
     "one time": lambda one: replace(one, times=one.times[:1]),
     "unlike feeds": lambda one: replace(one, observation=replace(one.observation, pols=("en",))),
@@ -175,38 +175,38 @@ REFUSED = {
 def test_it_is_refused_in_words_where_the_data_cannot_carry_it(kind: str) -> None:
     effect = make_effect(kind, {})
     case = CASES.get(kind, Case())
-    experiment = experiment_of(case.freqs, case.n_times, case.n_sources)
-    assert effect.refusal(experiment) is None
+    setup = experiment_of(case.freqs, case.n_times, case.n_sources)
+    assert effect.not_applicable(setup) is None
     for lack, without in LACKING.items():
-        refusal, word = effect.refusal(without(experiment)), REFUSED.get((kind, lack))
-        assert (refusal is None) == (word is None), f"{lack}: {refusal}"
-        if refusal is not None and word is not None:
-            assert word in refusal
-            assert len(refusal.split()) > 5
-            assert refusal == refusal.strip().rstrip(".")
-            assert "\n" not in refusal
+        not_applicable, word = effect.not_applicable(without(setup)), REFUSED.get((kind, lack))
+        assert (not_applicable is None) == (word is None), f"{lack}: {not_applicable}"
+        if not_applicable is not None and word is not None:
+            assert word in not_applicable
+            assert len(not_applicable.split()) > 5
+            assert not_applicable == not_applicable.strip().rstrip(".")
+            assert "\n" not in not_applicable
 
 
 @pytest.mark.parametrize("kind", EFFECTS)
 def test_some_rows_have_what_they_have_among_all(kind: str) -> None:
     """So that sums over rows are those of scenes and ranks together, and parameters `local` are those of few rows."""
-    effect, scene, case = set_up(kind)
-    x = draw(effect, scene.experiment, case.strengths[0])
-    whole, model = matrix_at(effect, scene, x), with_effect(effect, scene, x)
-    for times, bls in parts(scene):
-        some = part_of(scene, times, bls)
+    effect, block, case = set_up(kind)
+    x = draw(effect, block.setup, case.strengths[0])
+    whole, model = matrix_at(effect, block, x), with_effect(effect, block, x)
+    for times, bls in parts(block):
+        some = part_of(block, times, bls)
         some.integrate_for([effect])
         rows = np.ix_(times, bls)
         close = 1e-11 * float(np.abs(whole).max())
         np.testing.assert_allclose(matrix_at(effect, some, x), whole[rows], rtol=0, atol=close)
-        assert_same(with_effect(effect, some, x), model[rows], scene, rtol=1e-11)
+        assert_same(with_effect(effect, some, x), model[rows], block, rtol=1e-11)
     n_times, n_bls = (np.count_nonzero(whole.any(axis=axis), axis=0).max() for axis in (1, 0))
     assert effect.local == ("times" if n_times == 1 else "baselines" if n_bls == 1 else None)
 
 
-def parts(scene: Scene) -> list[tuple[np.ndarray, np.ndarray]]:
+def parts(block: RowBlock) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return a few of the times and baselines, and the others."""
-    times, bls = np.arange(len(scene.times)), np.arange(len(scene.bls))
+    times, bls = np.arange(len(block.times)), np.arange(len(block.bls))
     return [(t, b) for t in (times[:1], times[1:]) for b in (bls[::3], np.delete(bls, bls[::3]))]
 
 
@@ -215,30 +215,30 @@ SCANNED = [kind for kind, effect in EFFECTS.items() if issubclass(effect, Scanne
 
 @pytest.mark.parametrize("kind", SCANNED)
 def test_a_scan_has_the_columns_that_candidates_will_have(kind: str) -> None:
-    effect, scene, case = set_up(kind)
+    effect, block, case = set_up(kind)
     plain = make_effect(kind, {})
     assert isinstance(plain, ScannedEffect)
-    sums, norms = plain.scan(scene)
-    assert sums.shape == norms.shape == (plain.n_hypotheses(scene.experiment), sums.shape[1])
-    chosen = candidates(plain, scene)
-    parameters = effect.parameters(scene.experiment)
-    linear = np.flatnonzero(~parameters.refined)
+    sums, norms = plain.scan(block)
+    assert sums.shape == norms.shape == (plain.n_hypotheses(block.setup), sums.shape[1])
+    chosen = candidates(plain, block)
+    parameters = effect.parameters(block.setup)
+    linear = np.flatnonzero(~parameters.nonlinear)
     np.testing.assert_array_equal(parameters.element[linear], np.repeat(np.arange(len(chosen)), sums.shape[1]))
-    design = matrix_at(effect, scene, np.zeros(len(parameters)))[..., linear]
-    expected = np.einsum("tb,tbp,tb->p", scene.weights, design.conj(), scene.residual).real
-    power = np.einsum("tb,tbp->p", scene.weights, np.abs(design) ** 2)
+    design = matrix_at(effect, block, np.zeros(len(parameters)))[..., linear]
+    expected = np.einsum("tb,tbp,tb->p", block.weights, design.conj(), block.residual).real
+    power = np.einsum("tb,tbp->p", block.weights, np.abs(design) ** 2)
     for found, told, rtol in zip((sums, norms), (expected, power), case.scan, strict=True):
         np.testing.assert_allclose(found[chosen].reshape(-1), told, rtol=0, atol=rtol * np.abs(told).max())
     # Those of parts of the rows add up.
-    by_part = np.sum([plain.scan(part_of(scene, *part)) for part in parts(scene)], axis=0)
+    by_part = np.sum([plain.scan(part_of(block, *part)) for part in parts(block)], axis=0)
     for found, total in zip(by_part, (sums, norms), strict=True):
         np.testing.assert_allclose(found, total, rtol=0, atol=1e-11 * np.abs(total).max())
 
 
 @pytest.mark.parametrize("kind", SCANNED)
 def test_without_candidates_it_is_nothing(kind: str) -> None:
-    _, scene, _ = set_up(kind)
+    _, block, _ = set_up(kind)
     effect, nothing = make_effect(kind, {}), np.zeros(0)
-    assert len(effect.parameters(scene.experiment)) == 0
-    assert effect.columns(scene, nothing).matrix().shape[1] == 0
-    np.testing.assert_array_equal(with_effect(effect, scene, nothing), scene.vis)
+    assert len(effect.parameters(block.setup)) == 0
+    assert effect.columns(block, nothing).matrix().shape[1] == 0
+    np.testing.assert_array_equal(with_effect(effect, block, nothing), block.vis)

@@ -11,12 +11,7 @@ import pytest
 from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.data.selection import Selection
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.io.noise import (
-    check_weights,
-    constant_weights,
-    file_weights,
-    radiometer_weights,
-)
+from hydrabeam_mpi.io.noise import check_weights, constant_weights, file_weights, radiometer_weights
 from tests.visibilities import AUTOS, CROSS, NUMBERS, SECOND, make_uvcal, make_uvdata, whole
 
 T0 = 2459866.2

@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
-from hydrabeam_mpi.effects.base import Effect
-from hydrabeam_mpi.effects.noise_level import NoiseLevel
-from hydrabeam_mpi.effects.reweighting import ReweightingFit
-from hydrabeam_mpi.loop.attribution import Finding
-from hydrabeam_mpi.loop.blocks import Blocks
-from hydrabeam_mpi.loop.candidates import Candidate, Checked, Round
-from hydrabeam_mpi.loop.evidence import Evidence
-from hydrabeam_mpi.loop.heldout import Whitened
-from hydrabeam_mpi.loop.remains import Remains
-from hydrabeam_mpi.loop.reweighting import WeightsFound
-from hydrabeam_mpi.loop.state import State
+from hydrabeam_mpi.effects.interface.effect import Effect
+from hydrabeam_mpi.effects.interface.reweighting import ReweightingFit
+from hydrabeam_mpi.effects.noise.noise_level import NoiseLevel
+from hydrabeam_mpi.fit.heldout import Whitened
+from hydrabeam_mpi.fit.state import State
+from hydrabeam_mpi.loop.attribution.evidence import Evidence
+from hydrabeam_mpi.loop.attribution.score_effects import Finding
+from hydrabeam_mpi.loop.attribution.score_noise import WeightsFound
+from hydrabeam_mpi.loop.residuals.remains import Remains
+from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
+from hydrabeam_mpi.loop.selection.heldout_score import HeldoutScore
 from hydrabeam_mpi.random import generator
 
 N_DATA = 2000
@@ -46,7 +46,7 @@ def weights_candidate(log_bayes_factor: float = 100.0, reason: str | None = None
     return Candidate(change.kind, change.title, log_bayes_factor, weights=WeightsFound(change, fit, State()))
 
 
-def blocks(chi2: float, log_spread: float = 0.0, n_times: int = N_DATA // 100, seed: int = 1) -> Blocks:
+def blocks(chi2: float, log_spread: float = 0.0, n_times: int = N_DATA // 100, seed: int = 1) -> HeldoutScore:
     """A hundred data a time, and the same in ten groups."""
     rng = generator(seed, "blocks")
     axes = []
@@ -54,7 +54,7 @@ def blocks(chi2: float, log_spread: float = 0.0, n_times: int = N_DATA // 100, s
         n = np.full(n_blocks, 100.0 * n_times / n_blocks)
         power = rng.gamma(n)
         axes.append(np.array([power * chi2 * n.sum() / power.sum(), n]))
-    return Blocks(axes[0], axes[1], log_spread)
+    return HeldoutScore(axes[0], axes[1], log_spread)
 
 
 WHERE = {"sentence": "It is on antenna 5.", "antennas": {"state": "concentrated"}}

@@ -10,12 +10,12 @@ import h5py
 import tomli_w
 from mpi4py import MPI
 
-from hydrabeam_mpi.inference import Clock
-from hydrabeam_mpi.job_file import load
-from hydrabeam_mpi.loop.joint import find_experiment, read_space
-from hydrabeam_mpi.loop.refit import Space
+from hydrabeam_mpi.commands.infer import prepare_shared
+from hydrabeam_mpi.commands.job_file import load
+from hydrabeam_mpi.fit.channels import Clock
+from hydrabeam_mpi.fit.gauss_newton import FitContext
+from hydrabeam_mpi.fit.joint import find_setup, read_context
 from hydrabeam_mpi.mpi import ProcessGrid
-from hydrabeam_mpi.run import prepare_shared
 
 FREQ = 131e6
 
@@ -56,15 +56,15 @@ def write_job(job: dict[str, Any], folder: Path, name: str = "job.toml") -> Path
     return folder / name
 
 
-def space_of(job: dict[str, Any], folder: Path, world: MPI.Comm = MPI.COMM_SELF) -> Space:
+def context_of(job: dict[str, Any], folder: Path, world: MPI.Comm = MPI.COMM_SELF) -> FitContext:
     """Simulate, and read the data as the loop does. Collective: all ranks of `world`."""
     if world.rank == 0:
         write_job(job, folder)
     world.Barrier()
     problem = prepare_shared(world, load(world, folder / "job.toml"), folder)
-    experiment = find_experiment(problem)
+    setup = find_setup(problem)
     grid = ProcessGrid.split(world, problem.observation.Nfreqs)
-    return read_space(grid, problem.of_channels(grid.channels), experiment, Clock())
+    return read_context(grid, problem.of_channels(grid.channels), setup, Clock())
 
 
 def truth_of(folder: Path) -> list[dict[str, Any]]:

@@ -14,7 +14,7 @@ from pyuvdata import UVData
 
 from hydrabeam_mpi.cli import main
 from hydrabeam_mpi.config import load_job
-from hydrabeam_mpi.effects.catalogue import EFFECTS, REWEIGHTINGS
+from hydrabeam_mpi.effects.registry import EFFECTS, REWEIGHTINGS
 from tests.cli.conftest import refusal
 from tests.loop.mock import FREQ, mock_job, truth_of, write_job
 

@@ -11,21 +11,21 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from hydrabeam_mpi.accumulate import designs
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
-from hydrabeam_mpi.effects.antenna_delays import AntennaDelays
-from hydrabeam_mpi.effects.antenna_gains import AntennaGains
-from hydrabeam_mpi.effects.cross_coupling import CrossCoupling
-from hydrabeam_mpi.loop.heldout import variance_by_effects
-from hydrabeam_mpi.loop.joint import channel_results
-from hydrabeam_mpi.loop.refit import Space, refit
-from hydrabeam_mpi.loop.state import Active, State
-from hydrabeam_mpi.loop.workspace import Share
-from tests.loop.mock import FREQ, mock_job, space_of
-from tests.loop.test_refit import CASES, TWO, free
+from hydrabeam_mpi.effects.instrument.antenna_delays import AntennaDelays
+from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
+from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
+from hydrabeam_mpi.fit.accumulate import designs
+from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
+from hydrabeam_mpi.fit.heldout import variance_by_effects
+from hydrabeam_mpi.fit.joint import channel_results
+from hydrabeam_mpi.fit.rank_data import RankData
+from hydrabeam_mpi.fit.state import Active, State
+from tests.fit.test_gauss_newton import CASES, TWO, free
+from tests.loop.mock import FREQ, context_of, mock_job
 
 
-def design_of(share: Share) -> ComplexArray:
+def design_of(share: RankData) -> ComplexArray:
     """Return the design of every row, (Nfreqs, Ntimes, Nbls, n)."""
     model = share.problem.forward_model(share.rows.groups)
     by_time = np.array(list(designs(share.rows, model, share.problem.basis, "", show=False)))
@@ -39,13 +39,13 @@ class Dense:
     ``model(f, x)`` gives C and E of channel f at the parameters in use of that channel.
     """
 
-    space: Space
+    context: FitContext
     state: State
     model: Callable[[int, FloatArray], tuple[Any, Any]]
 
     def __post_init__(self) -> None:
-        rows = self.space.train.rows
-        self.design = design_of(self.space.train)
+        rows = self.context.train.rows
+        self.design = design_of(self.context.train)
         self.data, self.root = rows.data, np.sqrt(2 * rows.inv_noise_var)
         self.shared = np.concatenate([[one.effect.shared] * len(one.used) for one in self.state.active]).astype(bool)
         self.n_freqs, self.n_modes = len(self.data), self.design.shape[-1]
@@ -56,8 +56,8 @@ class Dense:
         common, own = np.split(rest, [int(self.shared.sum())])
         x = np.empty((self.n_freqs, len(self.shared)))
         x[:, self.shared], x[:, ~self.shared] = common, own.reshape(self.n_freqs, -1)
-        mean = np.array([prior.mean for prior in self.space.problem.priors])
-        std = np.array([prior.std() for prior in self.space.problem.priors])
+        mean = np.array([prior.mean for prior in self.context.problem.priors])
+        std = np.array([prior.std() for prior in self.context.problem.priors])
         return mean + std * beams.reshape(self.n_freqs, -1), np.sqrt(self.state.prior_var) * x
 
     def residuals(self, p: FloatArray) -> FloatArray:
@@ -71,7 +71,9 @@ class Dense:
         start = 0
         for one in self.state.active:
             span = slice(start, start + len(one.used))
-            parts.append(1e5 * (x[:, span] / np.sqrt(one.prior_var[one.used]) @ one.undecidable[:, one.used].T).ravel())
+            parts.append(
+                1e5 * (x[:, span] / np.sqrt(one.prior_var[one.used]) @ one.degenerate_directions[:, one.used].T).ravel()
+            )
             start = span.stop
         return np.concatenate([*parts, p])
 
@@ -96,7 +98,7 @@ class Dense:
 
     def predictive_variance(self, f: int, x: FloatArray, beam: FloatArray, covariance: FloatArray) -> FloatArray:
         """Return the variance by beam and parameters of real and imaginary parts of held-out rows without C."""
-        design = design_of(self.space.test)[f]
+        design = design_of(self.context.test)[f]
         factor, _ = self.model(f, x)
 
         def predict(step: FloatArray) -> ComplexArray:
@@ -109,56 +111,56 @@ class Dense:
         return np.array([np.sum((part @ covariance) * part, axis=-1) for part in (jacobian.real, jacobian.imag)])
 
 
-def gain_factor(space: Space, amplitude: FloatArray, phase: FloatArray) -> Any:
+def gain_factor(context: FitContext, amplitude: FloatArray, phase: FloatArray) -> Any:
     """Return g_j g_k* of each row."""
-    one, two = antennas(space).T
+    one, two = antennas(context).T
     return np.exp(amplitude[one] + amplitude[two] + 1j * (phase[one] - phase[two]))
 
 
-def antennas(space: Space) -> IntArray:
+def antennas(context: FitContext) -> IntArray:
     """Return the antennas of each row in the sense of its group, (Nbls, 2)."""
-    return space.experiment.antenna_index[space.train.rows.tile.bls]
+    return context.setup.antenna_index[context.train.rows.tile.bls]
 
 
-def all_gains(space: Space) -> tuple[list[Active], Callable[[int, FloatArray], tuple[Any, Any]]]:
-    return [free(space, AntennaGains(), 0.1)], lambda f, x: (gain_factor(space, x[::2], x[1::2]), 0.0)
+def all_gains(context: FitContext) -> tuple[list[Active], Callable[[int, FloatArray], tuple[Any, Any]]]:
+    return [free(context, AntennaGains(), 0.1)], lambda f, x: (gain_factor(context, x[::2], x[1::2]), 0.0)
 
 
-def couplings(space: Space) -> tuple[list[Active], Callable[[int, FloatArray], tuple[Any, Any]]]:
+def couplings(context: FitContext) -> tuple[list[Active], Callable[[int, FloatArray], tuple[Any, Any]]]:
     pairs = [[1, 4], [0, 6]]
-    rows = [_row(space, *pair) for pair in pairs]
+    rows = [_row(context, *pair) for pair in pairs]
 
     def model(f: int, x: FloatArray) -> tuple[Any, Any]:
-        added = np.zeros(space.train.rows.data.shape[2], dtype=complex)
+        added = np.zeros(context.train.rows.data.shape[2], dtype=complex)
         added[rows] = x[::2] + 1j * x[1::2]
         return 1.0, added
 
-    return [free(space, CrossCoupling(pairs), 1.0)], model
+    return [free(context, CrossCoupling(pairs), 1.0)], model
 
 
-def several(space: Space) -> tuple[list[Active], Callable[[int, FloatArray], tuple[Any, Any]]]:
+def several(context: FitContext) -> tuple[list[Active], Callable[[int, FloatArray], tuple[Any, Any]]]:
     """Gains of each channel, delays that channels share, and a coupling."""
     active = [
-        free(space, AntennaGains(), 0.1, [0, 2, 9]),
-        free(space, AntennaDelays(), 1.0, [2, 3]),
-        free(space, CrossCoupling([[2, 6]]), 1.0),
+        free(context, AntennaGains(), 0.1, [0, 2, 9]),
+        free(context, AntennaDelays(), 1.0, [2, 3]),
+        free(context, CrossCoupling([[2, 6]]), 1.0),
     ]
-    names = active[1].effect.parameters(space.experiment).names
+    names = active[1].effect.parameters(context.setup).names
     assert all(f"antenna {i}" in names[i] for i in (2, 3))
-    row = _row(space, 2, 6)
+    row = _row(context, 2, 6)
 
     def model(f: int, x: FloatArray) -> tuple[Any, Any]:
         amplitude, phase, added = np.zeros(7), np.zeros(7), np.zeros(21, dtype=complex)
         amplitude[:2], phase[4], added[row] = x[:2], x[2], x[5] + 1j * x[6]
-        turns = space.experiment.observation.freqs[f] * x[3:5] * 1e-9
+        turns = context.setup.observation.freqs[f] * x[3:5] * 1e-9
         phase[[2, 3]] = 2 * np.pi * turns
-        return gain_factor(space, amplitude, phase), added
+        return gain_factor(context, amplitude, phase), added
 
     return active, model
 
 
-def _row(space: Space, one: int, two: int) -> int:
-    (row,) = np.flatnonzero(np.all(np.sort(antennas(space), axis=1) == [one, two], axis=1))
+def _row(context: FitContext, one: int, two: int) -> int:
+    (row,) = np.flatnonzero(np.all(np.sort(antennas(context), axis=1) == [one, two], axis=1))
     return int(row)
 
 
@@ -182,15 +184,15 @@ def test_the_fit_is_dense_least_squares(
     make: Any, injected: list[dict[str, Any]], freqs: tuple[float, ...], tmp_path: Path
 ) -> None:
     """Means and covariances of beams and effects, in whatever blocks they are solved for."""
-    space = space_of(mock_job(*injected, freqs=freqs), tmp_path)
-    active, model = make(space)
-    state = refit(space, State(active=active))
-    dense = Dense(space, state, model)
+    context = context_of(mock_job(*injected, freqs=freqs), tmp_path)
+    active, model = make(context)
+    state = refit(context, State(active=active))
+    dense = Dense(context, state, model)
     beams, x, covariances = dense.solve()
     found = np.concatenate([one.x[:, one.used] for one in state.active], axis=1)
     std = np.concatenate([one.std[:, one.used] for one in state.active], axis=1)
     n = beams.shape[1]
-    results = channel_results(space, state)
+    results = channel_results(context, state)
     for f, covariance in enumerate(covariances):
         expected = np.sqrt(np.diag(covariance))
         np.testing.assert_allclose(found[f], x[f], atol=0.01 * expected[n:].min(), rtol=0)
@@ -203,10 +205,10 @@ def test_the_fit_is_dense_least_squares(
         assert np.all(posterior.std < expected[:n] * (1 + 1e-6))
         scaled = np.outer(expected[:n], expected[:n])
         np.testing.assert_allclose(results[f].posterior.covariance / scaled, covariance[:n, :n] / scaled, atol=2e-3)
-        rows, added = space.test.calibrated(state)
-        more, with_beam = variance_by_effects(space, state, rows, added)
+        rows, added = context.test.calibrated(state)
+        more, with_beam = variance_by_effects(context, state, rows, added)
         assert with_beam
-        design = design_of(space.test)[f]
+        design = design_of(context.test)[f]
         by_beam = [np.sum((part @ posterior.covariance) * part, axis=-1) for part in (design.real, design.imag)]
         variance = dense.predictive_variance(f, x[f], beams[f], covariance)
         np.testing.assert_allclose(by_beam + more[f], variance, rtol=5e-3)

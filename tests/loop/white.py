@@ -8,10 +8,10 @@ from mpi4py import MPI
 from hydrabeam_mpi.config.simulation import Array, Simulate
 from hydrabeam_mpi.data.partition import make_tiles
 from hydrabeam_mpi.data.redundancy import find_redundant_groups
-from hydrabeam_mpi.loop.cube import Layout, Residuals
-from hydrabeam_mpi.loop.residuals import ResidualSums
+from hydrabeam_mpi.loop.residuals.cube import Layout, Residuals
+from hydrabeam_mpi.loop.residuals.sums import ResidualSums
 from hydrabeam_mpi.random import complex_normal, generator
-from hydrabeam_mpi.simulate import mock_observation
+from hydrabeam_mpi.simulation.mock import mock_observation
 
 
 def make_layout(

@@ -10,7 +10,6 @@ import h5py
 import numpy as np
 import pytest
 
-from hydrabeam_mpi.beams import fit_model_beams, load_beams, make_prior
 from hydrabeam_mpi.config import load_job
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.beamfits import write_power_beam
@@ -20,6 +19,7 @@ from hydrabeam_mpi.model.beam import analytic_beam
 from hydrabeam_mpi.model.ensemble import fit_ensemble, summarise_ensemble
 from hydrabeam_mpi.model.rings import degree_grid
 from hydrabeam_mpi.random import complex_normal, generator
+from hydrabeam_mpi.setup.beams import fit_model_beams, load_beams, make_prior
 
 TOOL = Path(__file__).parents[2] / "tools" / "ensemble_prior"
 

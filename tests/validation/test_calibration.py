@@ -14,12 +14,13 @@ import pytest
 from astropy.coordinates import EarthLocation
 from scipy.stats import chi2, chisquare, kstest, norm
 
-from hydrabeam_mpi.accumulate import accumulate, check_heldout
 from hydrabeam_mpi.data.observation import Observation, Visibilities
 from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.data.redundancy import find_redundant_groups
+from hydrabeam_mpi.fit.accumulate import accumulate, check_heldout
 from hydrabeam_mpi.fit.equations import BEAM
-from hydrabeam_mpi.infer.heldout import Z_EDGES
+from hydrabeam_mpi.fit.rows import Rows
+from hydrabeam_mpi.infer.predictive_checks import Z_EDGES
 from hydrabeam_mpi.infer.prior import DiagonalPrior
 from hydrabeam_mpi.model.arrays import hexagon
 from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
@@ -28,7 +29,6 @@ from hydrabeam_mpi.model.positions import RotatedPositions
 from hydrabeam_mpi.model.rime import ForwardModel
 from hydrabeam_mpi.model.sky import mock_sky
 from hydrabeam_mpi.random import complex_normal, generator
-from hydrabeam_mpi.rows import Rows
 
 N_MOCKS = 600
 N_DRAWS = 63
@@ -78,7 +78,7 @@ class Calibration:
     z_counts: np.ndarray
 
 
-class Experiment:
+class ObservingSetup:
     """A small array, ready to observe one beam after another."""
 
     def __init__(self, form):
@@ -142,8 +142,8 @@ def as_real(values):
 
 @cache
 def calibrate(form, stated=1.0):
-    experiment = Experiment(form)
-    ranks, distances, counts = zip(*(experiment.mock(number, stated) for number in range(N_MOCKS)), strict=True)
+    setup = ObservingSetup(form)
+    ranks, distances, counts = zip(*(setup.mock(number, stated) for number in range(N_MOCKS)), strict=True)
     return Calibration(np.array(ranks), np.array(distances), np.sum(counts, axis=0))
 
 

@@ -19,8 +19,8 @@ from mpi4py import MPI
 from pyuvdata import UVData
 from scipy.special import jn_zeros, jv
 
+from hydrabeam_mpi.commands.infer import infer, simulate
 from hydrabeam_mpi.config import load_job
-from hydrabeam_mpi.run import infer, simulate
 
 TABLE = Path(__file__).parents[2] / "hydrabeam_mpi" / "tables" / "hera_vivaldi_131MHz.h5"
 C = 299792458.0
@@ -180,7 +180,7 @@ def model_beam(directions):
 
 
 @dataclass
-class Scene:
+class RowBlock:
     """Sky and place."""
 
     ra: np.ndarray
@@ -223,12 +223,12 @@ def infer_densely(folder, form, boundary, inferred):
     """Return mean, covariance and the numbers of ``summary.json``."""
     rows, *place = read_rows(folder / "observed.uvh5")
     with h5py.File(folder / "mock" / "truth.h5") as truth:
-        scene = Scene(truth["ra"][:], truth["dec"][:], truth["flux"][0], *place)
+        block = RowBlock(truth["ra"][:], truth["dec"][:], truth["flux"][0], *place)
     functions = partial(basis_functions, inferred.modes, form, boundary)
     mu, sigma = inferred.arrays["prior_mean"], inferred.arrays["prior_std"]
 
     used = rows.of(rows.time % 2 == 0)
-    design = scene.see(used, functions)
+    design = block.see(used, functions)
     a, d, n = in_parts(form, design, used.data, used.variance)
     precision = a.conj().T @ np.diag(1 / n) @ a + np.diag(1 / sigma**2)
     mean = np.linalg.solve(precision, a.conj().T @ np.diag(1 / n) @ d + mu / sigma**2)
@@ -240,8 +240,8 @@ def infer_densely(folder, form, boundary, inferred):
         "train_chi2": np.mean(np.abs(used.data - design @ mean) ** 2 / used.variance),
     }
     kept = rows.of(rows.time % 2 == 1)
-    before = scene.see(kept, model_beam)[:, 0]
-    return mean, covariance, numbers | predict(form, kept, scene.see(kept, functions), mean, covariance, before)
+    before = block.see(kept, model_beam)[:, 0]
+    return mean, covariance, numbers | predict(form, kept, block.see(kept, functions), mean, covariance, before)
 
 
 def predict(form, rows, design, mean, covariance, before):

@@ -16,13 +16,13 @@ from mpi4py import MPI
 from pyradiosky import SkyModel
 from pyuvdata import UVData
 
+from hydrabeam_mpi.commands.infer import infer
 from hydrabeam_mpi.config import load_job
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations, RowBuffer
+from hydrabeam_mpi.fit.rows import Rows, read_rows
 from hydrabeam_mpi.infer.gaussian import Block
-from hydrabeam_mpi.problem import estimate_noise, prepare
 from hydrabeam_mpi.random import complex_normal, generator
-from hydrabeam_mpi.rows import Rows, read_rows
-from hydrabeam_mpi.run import infer
+from hydrabeam_mpi.setup.problem import estimate_noise, prepare
 
 JOBS = Path(__file__).parents[2] / "jobs" / "hera_h1c"
 CHANNEL = 48  # 175 MHz

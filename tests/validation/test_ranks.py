@@ -12,8 +12,8 @@ import pytest
 from mpi4py import MPI
 from pyuvdata import UVData
 
+from hydrabeam_mpi.commands.infer import infer
 from hydrabeam_mpi.config import load_job
-from hydrabeam_mpi.run import infer
 
 COMMON = """
 seed = 5

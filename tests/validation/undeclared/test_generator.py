@@ -10,8 +10,8 @@ import pytest
 from astropy.constants import c as speed_of_light
 from mpi4py import MPI
 
+from hydrabeam_mpi.commands.infer import infer
 from hydrabeam_mpi.config import load_job
-from hydrabeam_mpi.run import infer
 from tests.validation.undeclared import skies
 from tests.validation.undeclared.answer import Kind
 from tests.validation.undeclared.beams import drawn_shape

@@ -1,0 +1,195 @@
+"""``hydrabeam init``: a commented job file, filled in from data files."""
+
+from __future__ import annotations
+
+import glob
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydrabeam_mpi.config import Job, Section
+from hydrabeam_mpi.config.effects import Loop
+from hydrabeam_mpi.config.sections import Basis, Beam, Data, Holdout, Noise, Output, Prior, Sky, SkyColumns, Solver
+from hydrabeam_mpi.config.text import frequency_text, keys_text, table_text
+from hydrabeam_mpi.data.observation import FloatArray, IntArray, Observation
+from hydrabeam_mpi.data.redundancy import find_redundant_groups
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.noise import MAX_GAP, MIN_DIFFERENCES
+from hydrabeam_mpi.io.uvsummary import Summary, summarise
+from hydrabeam_mpi.setup.beams import SAME_FREQ
+from hydrabeam_mpi.tables import embedded_beam
+
+CATALOGUE, BEAM = "CATALOGUE.skyh5", "BEAM.beamfits"
+HEAD = (
+    "# A job for 'hydrabeam infer'. Keys in comments show their defaults; numbers may carry a unit, as in \"131 MHz\".",
+    "# CHOOSE marks what the data cannot tell.",
+    "",
+)
+# Of more channels than this, one is a quicker start.
+FEW_CHANNELS = 4
+# Antennas that were surveyed stand this close to where they were meant to.
+SURVEYED = 0.1  # metres
+
+Values = dict[str, Any]
+
+
+def job_from_data(paths: Sequence[Path]) -> str:
+    """Return the text of a job file for some data.
+
+    What the data tell is filled in; every other key stands in a comment with its default. What remains to be
+    chosen is marked with CHOOSE.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be used, or the files do not fit together.
+    """
+    summary = summarise(paths)
+    observation = summary.observation
+    channels = _first_channels(summary)
+    freqs = observation.freqs[channels]
+    data: Values = {"files": tuple(map(_named, paths)), "polarization": summary.pol}
+    if len(channels) < observation.Nfreqs:
+        data["freqs"] = tuple(freqs.tolist())
+    if summary.flagged_antennas:
+        data["exclude_antennas"] = summary.flagged_antennas
+    lines = [
+        *HEAD,
+        *keys_text(Job, {"name": paths[0].stem}),
+        *table_text("data", Data, data, _about_data(summary, len(channels))),
+        *table_text("noise", Noise, {"kind": _noise_kind(summary)}, _about_noise(summary)),
+        *table_text("holdout", Holdout, {"kind": "times" if observation.Ntimes > 1 else "none"}),
+        *table_text("sky", Sky, {"kind": "catalogue", "file": CATALOGUE}, ["CHOOSE the catalogue in 'file'."]),
+        *table_text("sky.columns", SkyColumns, {}, given=False),
+        *table_text("beam", Beam, *_beam(summary.pol, freqs)),
+    ]
+    for name, section in _OTHERS.items():
+        lines += table_text(name, section, {})
+    return "\n".join(lines) + "\n"
+
+
+_OTHERS: dict[str, type[Section]] = {"basis": Basis, "prior": Prior, "solver": Solver, "output": Output, "loop": Loop}
+
+
+def _named(path: Path) -> str:
+    """Return a file's name as a job gives it.
+
+    Raises
+    ------
+    InputError
+        If it is not text in UTF-8, as all of a job file is.
+    """
+    name = str(path.resolve())
+    if not name.isprintable():
+        remedy = "rename it, or give a link to it"
+        raise InputError("a job file cannot hold a name like this", file=path, remedy=remedy)
+    return glob.escape(name)
+
+
+def _first_channels(summary: Summary) -> IntArray:
+    """Return all channels where they are few, or else the unflagged one nearest to the built-in beam's."""
+    freqs = summary.observation.freqs
+    usable = np.flatnonzero(~summary.flagged_channels)
+    if not usable.size:
+        usable = np.arange(len(freqs))
+    if usable.size <= FEW_CHANNELS:
+        return usable
+    return usable[[np.argmin(np.abs(freqs[usable] - embedded_beam().info.freq))]]
+
+
+def _about_data(summary: Summary, n_chosen: int) -> list[str]:
+    """Say what the files hold."""
+    observation = summary.observation
+    length = np.linalg.norm(observation.bl_vectors, axis=1)
+    unique = [find_redundant_groups(observation.bl_vectors, tol).Ngroups for tol in (1e-7, SURVEYED)]
+    said = [
+        f"Telescope {observation.telescope_name}, antennas {_list(observation.antenna_numbers)}.",
+        f"{observation.Nbls} baselines of {length.min():.1f} to {length.max():.1f} m; different ones:"
+        f" {unique[0]} within redundancy_tol = 1e-7 m, {unique[1]} within {SURVEYED:g} m.",
+        f"Times: {observation.Ntimes}, each {np.median(observation.integration_time):.4g} s, on JD"
+        f" {_list(np.unique(np.floor(observation.times)))}, LST {_lst_range(observation.lsts)}.",
+        _about_channels(observation),
+        f"Polarisations: {', '.join(observation.pols)}.",
+    ]
+    flagged = observation.freqs[summary.flagged_channels]
+    if flagged.size:
+        said.append(f"Wholly flagged channels: {', '.join(f'{freq / 1e6:.6g}' for freq in flagged)} MHz.")
+    if summary.flagged_antennas:
+        said.append(f"Wholly flagged antennas: {_list(summary.flagged_antennas)}.")
+    if n_chosen < observation.Nfreqs - flagged.size:
+        said.append("One channel is a quick start; without 'freqs', every channel gets a beam of its own.")
+    if summary.units != ("Jy",):
+        stated = " and ".join(summary.units) or "none"
+        said.append(f"Unit of the visibilities: {stated}. They are taken to be in Jy once 'gains' are applied.")
+    if summary.pol_conventions:
+        said.append(f"The files state the pol_convention {' and '.join(summary.pol_conventions)}.")
+    else:
+        said.append("CHOOSE pol_convention, which the files do not state; unless it is set, it is taken as 'sum'.")
+    return said
+
+
+def _about_channels(observation: Observation) -> str:
+    freqs, width = observation.freqs, float(np.median(observation.channel_width))
+    if len(freqs) == 1:
+        return f"Channels: 1, at {frequency_text(freqs[0])}, {frequency_text(width)} wide."
+    spacing = float(np.median(np.diff(freqs)))
+    return (
+        f"Channels: {len(freqs)}, from {frequency_text(freqs[0])} to {frequency_text(freqs[-1])},"
+        f" {frequency_text(spacing)} apart and {frequency_text(width)} wide."
+    )
+
+
+def _noise_kind(summary: Summary) -> str:
+    """Choose where the noise is taken from."""
+    observation = summary.observation
+    if summary.has_autos:
+        return "autocorrelations"
+    gaps = np.diff(observation.times) * 86400
+    close = np.count_nonzero(gaps <= MAX_GAP * np.median(observation.integration_time))
+    return "time-differences" if close > MIN_DIFFERENCES else "frequency-differences"
+
+
+def _about_noise(summary: Summary) -> list[str]:
+    """Say what the files hold that the noise may be taken from."""
+    said = ["Every antenna has autocorrelations." if summary.has_autos else "Not every antenna has autocorrelations."]
+    match summary.nsamples:
+        case (least, most) if least == most:
+            said.append(f"nsamples is {least:g} throughout.")
+        case (least, most):
+            said.append(f"nsamples is {least:g} to {most:g}.")
+        case _:
+            said.append("All cross-correlations are flagged.")
+    return said
+
+
+def _beam(pol: str, freqs: FloatArray) -> tuple[Values, list[str]]:
+    """Choose a beam, and say how well it suits."""
+    built_in = embedded_beam().info
+    if pol not in ("ee", "xx"):
+        return {"source": BEAM}, ["CHOOSE the beam in 'source'."]
+    remark = f"CHOOSE the beam; the built-in one is HERA's Vivaldi feed, East-West, at {frequency_text(built_in.freq)}."
+    values: Values = {"source": Beam.model_fields["source"].default}
+    if np.any(np.abs(freqs - built_in.freq) > SAME_FREQ * freqs):
+        values["frequency"] = "scale"
+    return values, [remark]
+
+
+def _lst_range(lsts: FloatArray) -> str:
+    """Return the shortest range of sidereal times that holds all of them."""
+    hours = np.unique(np.mod(lsts, 2 * np.pi)) * 12 / np.pi
+    first = (np.argmax(np.diff(hours, append=hours[0] + 24)) + 1) % len(hours)
+    return f"{hours[first]:.3f} to {hours[first - 1]:.3f} h"
+
+
+def _list(numbers: Sequence[int] | NDArray[Any]) -> str:
+    """Write integers with runs shortened, such as 0-3, 7."""
+    runs: list[list[int]] = []
+    for number in map(int, numbers):
+        if runs and number == runs[-1][-1] + 1:
+            runs[-1] = [runs[-1][0], number]
+        else:
+            runs.append([number])
+    return ", ".join("-".join(map(str, run)) for run in runs)

@@ -1,0 +1,1 @@
+"""Effects of antennas, cables, clocks and of the basis of the beam; one a module."""

@@ -1,0 +1,49 @@
+"""Antenna gains that calibration left wrong: V_jk -> g_j g_k* V_jk with g = exp(a + i phi), constant in time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.shared.per_antenna import common_values
+
+
+class AntennaGains(Effect):
+    """Amplitude and phase of each antenna's gain, each channel its own.
+
+    With logarithms of gains as parameters the columns do not depend on them. What all amplitudes have in common scales
+    the beam, and what all phases have in common cancels.
+    """
+
+    kind = "antenna_gains"
+    title = "antenna gains"
+    linear = True
+    multiplies = True
+
+    def parameters(self, setup: ObservingSetup) -> Parameters:
+        """Return ln amplitude and phase of every antenna."""
+        antennas = setup.antennas_in_use
+        numbers = setup.observation.antenna_numbers[antennas]
+        names = [f"antenna {number} {what}" for number in numbers for what in ("ln amplitude", "phase")]
+        return Parameters.of(names, ["", "rad"] * len(antennas), 1.0, np.repeat(np.arange(len(antennas)), 2))
+
+    def degenerate_directions(self, setup: ObservingSetup) -> FloatArray:
+        """Return the amplitude and the phase that all antennas have in common."""
+        return common_values(len(setup.antennas_in_use), 2)
+
+    def columns(self, block: RowBlock, x: FloatArray) -> Columns:
+        """Return m, i m for the first antenna of a row and m, -i m for the second."""
+        first, second = (np.searchsorted(block.setup.antennas_in_use, ant) for ant in (block.ant1, block.ant2))
+        index = np.stack([2 * first, 2 * first + 1, 2 * second, 2 * second + 1], axis=-1)
+        values = block.vis[..., np.newaxis] * np.array([1, 1j, 1, -1j])
+        return Columns(values, 2 * len(block.setup.antennas_in_use), index)
+
+    def factor(self, block: RowBlock, x: FloatArray) -> ComplexArray:
+        """Return g_j g_k*."""
+        gains = np.zeros(len(block.setup.observation.antenna_numbers), dtype=complex)
+        gains[block.setup.antennas_in_use] = x[0::2] + 1j * x[1::2]
+        rows = np.exp(gains[block.ant1] + gains[block.ant2].conj())
+        return np.broadcast_to(rows, block.shape)

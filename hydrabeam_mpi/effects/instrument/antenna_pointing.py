@@ -1,0 +1,89 @@
+"""Antennas that do not point where they should."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.interface.sources import Sources
+from hydrabeam_mpi.effects.shared.antenna_beams import added_by_beams
+from hydrabeam_mpi.effects.shared.displaced import TILTS, need_real_beam, rotate, rotation_rate, seen_at, torque
+from hydrabeam_mpi.effects.shared.per_antenna import antenna_parameters, common_values, row_antennas, row_parameters
+
+DEGREE = np.pi / 180
+
+
+class AntennaPointing(Effect):
+    """Each antenna's beam is tilted towards East and North, the same at all times and frequencies.
+
+    The power beam of a baseline is the product of its antennas' voltage beams (`antenna_beams`). It is linearised as
+    half the sum of the two antennas' power beams, which for small tilts it is; tilts are exact rotations of the beam
+    about a horizontal axis. A tilt that all antennas have in common is a beam that points elsewhere, which the beam's
+    own freedom takes up.
+    """
+
+    kind = "antenna_pointing"
+    title = "antenna pointing"
+    shared = True
+
+    def not_applicable(self, setup: ObservingSetup) -> str | None:
+        """Refuse complex beams."""
+        return need_real_beam(setup)
+
+    def parameters(self, setup: ObservingSetup) -> Parameters:
+        """Return the tilts of every antenna towards East and North."""
+        return antenna_parameters(setup, ("tilted towards East", "tilted towards North"), "deg", 0.1)
+
+    def sky_columns(self, sources: Sources) -> FloatArray:
+        """Return how the beam changes as it is tilted towards East and North, (2, Nsrc) per radian."""
+        return -TILTS.T @ torque(sources)
+
+    def degenerate_directions(self, setup: ObservingSetup) -> FloatArray:
+        """Return the tilts that all antennas have in common."""
+        return common_values(len(setup.antennas_in_use), 2)
+
+    def columns(self, block: RowBlock, x: FloatArray) -> Columns:
+        """Return half of what tilting further does, for a row's first and second antenna."""
+        values: ComplexArray = np.repeat(block.spread(block.integrals[self.kind])[:, :, np.newaxis], 2, axis=2)
+        rotations = _rotations(x)
+        tilted = np.flatnonzero(rotations.any(axis=1))
+        place = np.full(len(rotations), -1)
+        place[tilted] = np.arange(len(tilted))
+        of_row = place[row_antennas(block)]
+        rows, side = np.nonzero(of_row >= 0)
+
+        def rates(sources: Sources) -> FloatArray:
+            return np.concatenate([_rates(sources, rotation) for rotation in rotations[tilted]])
+
+        for t in range(len(block.times) if len(tilted) else 0):
+            integrals = replace(block, times=block.times[t : t + 1]).integrate(rates)[0]
+            integrals = integrals.reshape(len(block.groups), len(tilted), 2)
+            values[t, rows, side] = integrals[block.member[rows], of_row[rows, side]]
+        values = (0.5 * DEGREE * values).reshape(*block.shape, 4)
+        return Columns(values, 2 * len(rotations), row_parameters(block, 2))
+
+    def added(self, block: RowBlock, x: FloatArray) -> ComplexArray:
+        """Return what the antennas' tilts change, (Ntimes, Nbls)."""
+        rotations = _rotations(x)
+        tilted = np.flatnonzero(rotations.any(axis=1))
+
+        def beams(sources: Sources) -> FloatArray:
+            return np.array([seen_at(sources, rotate(sources.enu, -rotation)).beam for rotation in rotations[tilted]])
+
+        return added_by_beams(block, tilted, beams)
+
+
+def _rotations(x: FloatArray) -> FloatArray:
+    """Return the antennas' rotation vectors, (Nants, 3)."""
+    return np.asarray(DEGREE * x.reshape(-1, 2) @ TILTS.T)
+
+
+def _rates(sources: Sources, rotation: FloatArray) -> FloatArray:
+    """Return how the beam of a tilted antenna changes as it is tilted further, (2, Nsrc) per radian."""
+    tilted = seen_at(sources, rotate(sources.enu, -rotation))
+    return -(rotation_rate(-rotation) @ TILTS).T @ torque(tilted)

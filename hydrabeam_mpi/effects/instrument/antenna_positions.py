@@ -1,0 +1,82 @@
+"""Antennas that do not stand where they are said to stand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.interface.sources import Sources
+from hydrabeam_mpi.effects.shared.displaced import need_real_beam
+from hydrabeam_mpi.effects.shared.per_antenna import antenna_parameters, common_values, row_antennas, row_parameters
+from hydrabeam_mpi.model.fringes import C_M_PER_S
+
+_VECTORS_AT_ONCE = 2048
+
+
+class AntennaPositions(Effect):
+    """Each antenna stands a little off, the same at all times and frequencies.
+
+    What all antennas have in common changes nothing. Phases grow with the frequency by themselves, as displacements are
+    in metres.
+    """
+
+    kind = "antenna_positions"
+    title = "antenna positions"
+    shared = True
+
+    def not_applicable(self, setup: ObservingSetup) -> str | None:
+        """Refuse complex beams."""
+        return need_real_beam(setup)
+
+    def parameters(self, setup: ObservingSetup) -> Parameters:
+        """Return the displacement of every antenna towards East, North and Up."""
+        return antenna_parameters(setup, ("displaced East", "displaced North", "displaced Up"), "m", 0.1)
+
+    def sky_columns(self, sources: Sources) -> FloatArray:
+        """Return the beam, and the beam times the unit vector, (4, Nsrc)."""
+        beam = sources.beam[np.newaxis]
+        return np.concatenate([beam, beam * sources.enu])
+
+    def degenerate_directions(self, setup: ObservingSetup) -> FloatArray:
+        """Return the shift that all antennas have in common."""
+        return common_values(len(setup.antennas_in_use), 3)
+
+    def columns(self, block: RowBlock, x: FloatArray) -> Columns:
+        """Return minus and plus i k times the moments of the unit vector, for a row's first and second antenna."""
+        moments = block.spread(block.integrals[self.kind][..., 1:])
+        moved, vectors = self._moved(block, x)
+        if len(moved):
+            moments[:, moved] = _integrate(block, lambda sources: sources.beam * sources.enu, vectors)
+        wavenumber = 2 * np.pi * block.freq / C_M_PER_S
+        values = 1j * wavenumber * np.concatenate([-moments, moments], axis=-1)
+        return Columns(values, 3 * len(block.setup.antennas_in_use), row_parameters(block, 3))
+
+    def added(self, block: RowBlock, x: FloatArray) -> ComplexArray:
+        """Return the visibilities on the true vectors minus those on the assumed ones, (Ntimes, Nbls)."""
+        moved, vectors = self._moved(block, x)
+        change = np.zeros(block.shape, dtype=complex)
+        if len(moved):
+            after = _integrate(block, lambda sources: sources.beam[np.newaxis], vectors)[..., 0]
+            change[:, moved] = after - block.integrals[self.kind][:, block.member[moved], 0]
+        return change
+
+    @staticmethod
+    def _moved(block: RowBlock, x: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Return the rows whose vector is not what it should be, and their true vectors, (Nmoved, 3)."""
+        first, second = row_antennas(block).T
+        shifts = x.reshape(-1, 3)
+        change = shifts[second] - shifts[first]
+        moved = np.flatnonzero(change.any(axis=1))
+        return moved, block.vectors[block.member[moved]] + change[moved]
+
+
+def _integrate(block: RowBlock, columns: Callable[[Sources], FloatArray], vectors: FloatArray) -> ComplexArray:
+    """Integrate over the sky for many vectors, of which no two are the same, in parts that fit in memory."""
+    n_parts = -(-len(vectors) // _VECTORS_AT_ONCE)
+    parts = [block.integrate(columns, part) for part in np.array_split(vectors, n_parts)]
+    return np.concatenate(parts, axis=1)

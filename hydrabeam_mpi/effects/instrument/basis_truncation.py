@@ -1,0 +1,84 @@
+"""A basis that is too small: the beam has more structure than its functions can follow."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.shared.displaced import need_real_beam
+from hydrabeam_mpi.model.bases.base import NEGLIGIBLE, NextModes
+
+MOST_MODES = 128
+
+
+class BasisTruncation(Effect):
+    """The beam has modes that the basis lacks: the next ones, each channel its own.
+
+    The basis says which these are. As redundant baselines share the beam, they share these.
+    The modes do not depend on the beam, so they are integrated where they are first needed, by `columns`, and kept with
+    the block.
+    """
+
+    kind = "basis_truncation"
+    title = "a basis that is too small"
+    linear = True
+
+    def __init__(self, n_before: int = 0) -> None:
+        self.n_before = n_before
+
+    def describe(self) -> dict[str, Any]:
+        """Return how many of the next modes others have taken."""
+        return {"n_before": self.n_before}
+
+    def not_applicable(self, setup: ObservingSetup) -> str | None:
+        """Refuse complex beams, and bases of which it is not known what comes next."""
+        if self._next(setup) is None:
+            return "it is not known which functions come next; a Fourier-Bessel or Zernike basis would tell"
+        return need_real_beam(setup)
+
+    def parameters(self, setup: ObservingSetup) -> Parameters:
+        """Return the coefficients of the next modes, expected to be as large as the smallest that there are."""
+        modes = self.next_modes(setup).modes
+        amplitudes = _amplitudes(setup)
+        told = np.sort(amplitudes[amplitudes > NEGLIGIBLE * amplitudes.max()])
+        return Parameters.of(
+            [f"coefficient of mode {mode}" for mode in modes], "", float(np.median(told[: len(modes)]))
+        )
+
+    def columns(self, block: RowBlock, x: FloatArray) -> Columns:
+        """Return the visibilities of the modes."""
+        key = f"{self.kind} {self.n_before}"
+        if key not in block.integrals:
+            modes = self.next_modes(block.setup)
+            block.integrals[key] = block.fixed_integral(key, lambda sources: modes.columns(sources.za, sources.az))
+        values = block.integrals[key]
+        return Columns(values, values.shape[-1], by_group=True)
+
+    def amended_basis_settings(self, setup: ObservingSetup) -> dict[str, Any]:
+        """Return the keys of the job's ``[basis]`` table for a basis with more modes; numbers may be larger.
+
+        For a Fourier-Bessel basis the job then takes the largest modes of the model beam, so many as there are here. If
+        it has to be free at the edge it has the Neumann condition there.
+        """
+        return self.next_modes(setup).settings
+
+    def next_modes(self, setup: ObservingSetup) -> NextModes:
+        """Return the modes, at most 128 and not more than the basis has; it must know which come next."""
+        modes = self._next(setup)
+        assert modes is not None
+        return modes
+
+    def _next(self, setup: ObservingSetup) -> NextModes | None:
+        basis = setup.basis
+        return basis.next_modes(_amplitudes(setup), self.n_before, min(MOST_MODES, basis.n_modes))
+
+
+def _amplitudes(setup: ObservingSetup) -> FloatArray:
+    """Return how large the model beam's coefficients are over all channels, root mean square, (n_modes,)."""
+    amplitudes = [setup.basis.amplitudes(coeffs) for coeffs in setup.prior_mean]
+    return np.sqrt(np.mean(np.square(amplitudes), axis=0))

@@ -1,0 +1,42 @@
+"""Times that are off: the data were taken a little later, or earlier, than they say."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.effects.interface.effect import Columns, Parameters
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.interface.sources import EARTH_RATE
+from hydrabeam_mpi.effects.shared.displaced import TurningSky
+
+
+class Timestamp(TurningSky):
+    """All data were taken by one number of seconds later than their timestamps.
+
+    The sky is turned about the celestial pole by the Earth's rate times the offset. Sources keep to the model when that
+    takes them below the horizon, and none rise (see `effects.displaced`): a rim of 15 arcsec per second.
+    """
+
+    kind = "timestamp"
+    title = "timestamp offset"
+
+    def parameters(self, setup: ObservingSetup) -> Parameters:
+        """Return the one offset."""
+        return Parameters.of(["time by which data are later than their timestamps"], "s", 1.0)
+
+    def rotations(self, block: RowBlock, x: FloatArray) -> FloatArray:
+        """Return the same rotation for every time."""
+        return np.tile(x[0] * self._per_second(block), (len(block.times), 1))
+
+    def columns(self, block: RowBlock, x: FloatArray) -> Columns:
+        """Return what turning on about the pole does; the axis does not depend on ``x``."""
+        values = self.rates(block, x) @ self._per_second(block)
+        return Columns(values[..., np.newaxis], 1, by_group=True)
+
+    @staticmethod
+    def _per_second(block: RowBlock) -> FloatArray:
+        """Return the rotation vector of one second: about the celestial pole, opposite to the Earth."""
+        latitude = block.setup.observation.latitude
+        return -EARTH_RATE * np.array([0.0, np.cos(latitude), np.sin(latitude)])

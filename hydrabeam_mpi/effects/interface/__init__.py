@@ -1,0 +1,1 @@
+"""What every effect offers, and what it may see of the data."""

@@ -1,0 +1,246 @@
+"""What every effect must be able to do: its parameters, its change of the model, and the derivative of that change.
+
+The data are modelled as
+
+    d = C (A b + E) + n
+
+with A b the visibilities that the beam sees, E what an effect adds and C what it multiplies each visibility with; all
+but b are functions of the effects' real parameters x. Effects that add are summed, effects that multiply are
+multiplied, and effects that change the sky change A. Everything that follows works on the calibrated data d/C - E with
+weights w|C|^2, in which the derivative of the model is dE/dx, d ln C/dx (A b + E) or dA/dx b: the *columns* of the
+effect.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.interface.sources import Sources
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """The real parameters of an effect, the same on every rank.
+
+    Attributes
+    ----------
+    names : tuple of str
+        In words, such as "antenna 23 amplitude".
+    units : tuple of str
+        Such as "ns"; "" for pure numbers. Parameters are stored in these units.
+    scale : ndarray, (n_params,)
+        Natural sizes: the prior is x_p ~ N(0, (tau scale_p)^2) with tau found from the data.
+    element : ndarray of int, (n_params,)
+        The thing (antenna, baseline, source ...) that each parameter belongs to, numbered from 0. Elements may be at
+        fault one by one.
+    nonlinear : ndarray of bool, (n_params,)
+        True for parameters with no derivative at x = 0, such as the position of a source without flux. They are left
+        out of the search and fitted once the effect is part of the model.
+    trials : int
+        Number of elements from which these were picked; the number of elements where there was no scan.
+    nested : bool
+        Whether elements are in an order in which none is zero if a later one is not.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    scale: FloatArray
+    element: IntArray
+    nonlinear: np.ndarray[Any, np.dtype[np.bool_]]
+    trials: int
+    nested: bool = False
+
+    @classmethod
+    def of(
+        cls,
+        names: Sequence[str],
+        units: Sequence[str] | str,
+        scale: FloatArray | float,
+        element: IntArray | Sequence[int] | None = None,
+        nonlinear: Sequence[bool] | None = None,
+        trials: int | None = None,
+    ) -> Parameters:
+        """Fill in defaults: one unit and one scale for all; all parameters of one element; nothing refined later."""
+        n = len(names)
+        element = np.zeros(n, dtype=int) if element is None else np.asarray(element, dtype=int)
+        return cls(
+            tuple(names),
+            (units,) * n if isinstance(units, str) else tuple(units),
+            np.broadcast_to(np.asarray(scale, dtype=float), n).copy(),
+            element,
+            np.zeros(n, dtype=bool) if nonlinear is None else np.asarray(nonlinear, dtype=bool),
+            trials if trials is not None else (int(element.max()) + 1 if n else 0),
+        )
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Derivatives of the model visibilities by an effect's parameters, for the rows of a block.
+
+    Attributes
+    ----------
+    values : ndarray of complex, (Ntimes, Nrows, k)
+        The k derivatives of a row that are not zero. A row is a baseline, or with ``by_group`` a redundant group.
+    index : ndarray of int, broadcastable to (Ntimes, Nrows, k), optional
+        The parameters they belong to; one that occurs twice in a row counts with the sum. Without it k = n_params.
+    n_params : int
+    by_group : bool
+        Whether rows are the block's groups (for effects that redundant baselines share) rather than its baselines.
+    """
+
+    values: ComplexArray
+    n_params: int
+    index: IntArray | None = None
+    by_group: bool = False
+
+    def matrix(self) -> Any:
+        """Return the columns as a matrix, (Ntimes x Nrows, n_params): sparse, or dense where there is no index."""
+        n_rows = self.values.shape[0] * self.values.shape[1]
+        if self.index is None:
+            return self.values.reshape(n_rows, self.n_params)
+        k = self.values.shape[2]
+        index = np.broadcast_to(self.index, self.values.shape).reshape(-1)
+        # A copy, as adding up duplicates sorts in place.
+        parts = (self.values.reshape(-1).copy(), index.copy(), np.arange(0, n_rows * k + 1, k))
+        matrix = csr_array(parts, (n_rows, self.n_params))
+        matrix.sum_duplicates()
+        return matrix
+
+    def apply(self, x: FloatArray) -> ComplexArray:
+        """Return the change of the model for a small ``x``, (Ntimes, Nrows)."""
+        return np.asarray(self.matrix() @ x).reshape(self.values.shape[:2])
+
+
+class Cause(ABC):
+    """Something that the instrument or the sky may do and that the model lacks: what it is called, and its parameters.
+
+    A plain picklable object without data.
+    """
+
+    kind: ClassVar[str]
+    """Name in job files and in ``loop.json``."""
+    title: ClassVar[str]
+    """Name in sentences."""
+    shared: ClassVar[bool] = False
+    """Whether all channels have the same parameters, through a law in frequency."""
+
+    def not_applicable(self, setup: ObservingSetup) -> str | None:
+        """Say why these data cannot carry the effect, and which would; None where they can."""
+        return None
+
+    @abstractmethod
+    def parameters(self, setup: ObservingSetup) -> Parameters:
+        """Return the parameters."""
+
+    def degenerate_directions(self, setup: ObservingSetup) -> FloatArray:
+        """Return combinations of all parameters that the data can never tell from another beam, (n, n_params).
+
+        They are held at zero where all of their parameters are free.
+        """
+        return np.zeros((0, len(self.parameters(setup))))
+
+    def draw(self, setup: ObservingSetup, rng: np.random.Generator, strength: float) -> FloatArray:
+        """Draw parameters to simulate with, of rms ``strength`` x scale, (n_params,)."""
+        parameters = self.parameters(setup)
+        return strength * parameters.scale * rng.standard_normal(len(parameters))
+
+    def describe(self) -> dict[str, Any]:
+        """Return what, besides its kind, makes this effect: keyword arguments of its class, JSON-able."""
+        return {}
+
+
+class Effect(Cause):
+    """A cause that changes what the rows of the job's polarisation are expected to be.
+
+    It sees the data through a `RowBlock`, some rows of one channel. All that depends on ``x`` is for one channel's
+    parameters, whether or not they are shared between channels.
+    """
+
+    multiplies: ClassVar[bool] = False
+    """Whether the effect multiplies (C) rather than adds (E)."""
+    changes_sky: ClassVar[bool] = False
+    """Whether the effect changes the sky (see `sky_factor`, `extra_sky`), by which it is part of A rather than of E."""
+    linear: ClassVar[bool] = False
+    """Whether the data are so nearly linear in the parameters that a fit gains about what the columns promise."""
+    local: ClassVar[Literal["times", "baselines"] | None] = None
+    """Whether the parameters belong to single times or baselines, so that other rows do not tell them."""
+
+    def sky_columns(self, sources: Sources) -> FloatArray | None:
+        """Return what the effect needs integrated over the sky at one time, (K, Nsrc) real.
+
+        The block then has ``block.integrals[self.kind]``, (Ntimes, Ngroups, K) complex, with
+
+            1/2 sum_s I_s column_k(s) exp(2 pi i nu b_g.s / c)
+
+        for every group g. One pass over the sky serves all effects. The beam must be part of the columns. The fluxes
+        I_s are those with all effects that change the sky but this one.
+        """
+        return None
+
+    def sky_factor(self, setup: ObservingSetup, sources: Sources, x: FloatArray) -> FloatArray:
+        """Return what multiplies each source's flux, (Nsrc,), for effects that change the sky."""
+        return np.ones(len(sources.za))
+
+    def extra_sky(self, block: RowBlock, itime: int, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+        """Return further sources at one time, za, az (radians) and flux (Jy), for effects that change the sky."""
+        return None
+
+    @abstractmethod
+    def columns(self, block: RowBlock, x: FloatArray) -> Columns:
+        """Return dE/dx, or d ln C/dx (A b + E), at the parameters ``x``."""
+
+    def added(self, block: RowBlock, x: FloatArray) -> ComplexArray:
+        """Return E at ``x``, (Ntimes, Nbls); zero for effects that multiply. Exact, not linearised."""
+        if self.multiplies:
+            return np.zeros(block.shape, dtype=complex)
+        columns = self.columns(block, x)
+        change = columns.apply(x)
+        return block.spread(change) if columns.by_group else change
+
+    def factor(self, block: RowBlock, x: FloatArray) -> ComplexArray:
+        """Return C at ``x``, (Ntimes, Nbls); one for effects that add."""
+        return np.ones(block.shape, dtype=complex)
+
+    def unphysical(self, x: FloatArray, std: FloatArray) -> str | None:
+        """Say why fitted parameters, (Nfreqs, n_params), cannot be this effect's; None where they can."""
+        return None
+
+    def drawn(self, setup: ObservingSetup, rng: np.random.Generator) -> Effect:
+        """Return the effect to simulate: itself, or where there are candidates, one of them at random."""
+        return self
+
+
+class ScannedEffect(Effect):
+    """An effect of which there are too many candidates to treat together: they are scanned one by one first."""
+
+    @abstractmethod
+    def n_hypotheses(self, setup: ObservingSetup) -> int:
+        """Return the number of candidates."""
+
+    @abstractmethod
+    def scan(self, block: RowBlock) -> tuple[FloatArray, FloatArray]:
+        """Return Re sum w s* r and sum w |s|^2 of every candidate's columns s, each (n_hypotheses, p).
+
+        r is ``block.residual``, w ``block.weights``; sums over the block's rows alone. The p columns of a candidate are
+        taken as orthogonal.
+        """
+
+    @abstractmethod
+    def at(self, setup: ObservingSetup, hypotheses: IntArray) -> Effect:
+        """Return the effect with these candidates as its elements, in this order."""
+
+    def drawn(self, setup: ObservingSetup, rng: np.random.Generator) -> Effect:
+        """Pick a candidate at random."""
+        return self.at(setup, rng.integers(self.n_hypotheses(setup), size=1))

@@ -1,0 +1,69 @@
+"""What is known before any visibility is read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydrabeam_mpi.data.observation import IntArray, Observation
+from hydrabeam_mpi.data.redundancy import RedundantGroups
+from hydrabeam_mpi.model.bases.base import LinearBasis
+from hydrabeam_mpi.model.positions import ApparentPositions, SourcePositions
+from hydrabeam_mpi.model.sky import Sky
+
+
+@dataclass(frozen=True)
+class ObservingSetup:
+    """What is known before any visibility is read, the same on every rank.
+
+    Attributes
+    ----------
+    observation : Observation
+        Of all channels.
+    redundant : RedundantGroups
+        Of the observation's baselines.
+    sky : Sky
+        The sky model at the observation's channels.
+    basis : LinearBasis
+        Of the beam.
+    prior_mean : tuple of ndarray, (n_modes,)
+        Fitted coefficients of each channel's model beam.
+    file_pols : tuple of str
+        All polarisations that the data files have.
+    times : ndarray of int
+        Indices of the times in use, for fitting or held out.
+    positions : callable
+        From a sky and the observation to the `SourcePositions` by the job's rule.
+    """
+
+    observation: Observation
+    redundant: RedundantGroups
+    sky: Sky
+    basis: LinearBasis
+    prior_mean: tuple[NDArray[Any], ...]
+    file_pols: tuple[str, ...]
+    times: IntArray
+    positions: Callable[[Sky, Observation], SourcePositions] = ApparentPositions
+
+    @property
+    def reference_freq(self) -> float:
+        """Hz: the mean of all channels, to which laws in frequency refer."""
+        return float(self.observation.freqs.mean())
+
+    @cached_property
+    def antenna_index(self) -> IntArray:
+        """Indices into ``observation.antenna_numbers`` of the baselines' antennas, (Nbls, 2), in the groups' sense."""
+        numbers = self.observation.antenna_numbers
+        order = np.argsort(numbers)
+        index = order[np.searchsorted(numbers, self.observation.antpairs, sorter=order)]
+        return np.where(self.redundant.flipped[:, np.newaxis], index[:, ::-1], index)
+
+    @cached_property
+    def antennas_in_use(self) -> IntArray:
+        """Indices of the antennas that have a baseline, ascending; per-antenna effects have elements for these."""
+        return np.unique(self.antenna_index)

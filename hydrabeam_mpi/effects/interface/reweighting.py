@@ -1,0 +1,140 @@
+"""What changes how much the data weigh rather than what they are expected to be: noise and outliers.
+
+No column describes these. They are told by the sizes of the whitened residuals z = r sqrt(w), which in truth have
+E|z|^2 = 1, and every one of them is fitted from sums over the rows, which ranks add up.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
+
+
+@dataclass(frozen=True)
+class ReweightingFit:
+    """How a reweighting describes the residuals of all channels.
+
+    Attributes
+    ----------
+    log_bayes_factor : float
+        Natural, against the weights as they are, of all channels; not above zero where the data refuse it.
+    x, std : ndarray, (Nfreqs, n_params)
+        Parameters of each channel and their errors; ``std`` is zero for what is chosen rather than measured.
+    names, units : tuple of str
+        Of the parameters.
+    chi2_drop : float
+        Twice the gain in log likelihood at ``x``.
+    n_parameters : int
+        Number of measured parameters of all channels.
+    reason : str, optional
+        Why the residuals are not of this kind, where they are not although they deviate.
+    """
+
+    log_bayes_factor: float
+    x: FloatArray
+    std: FloatArray
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    chi2_drop: float
+    n_parameters: int
+    reason: str | None = None
+
+
+class Reweighting(ABC):
+    """Something that multiplies the inverse noise variance. A plain picklable object without data."""
+
+    kind: ClassVar[str]
+    """Name in job files and in ``loop.json``."""
+    title: ClassVar[str]
+    """Name in sentences."""
+
+    @abstractmethod
+    def sizes(self, setup: ObservingSetup) -> tuple[int, ...]:
+        """Return how many parameters a channel may have."""
+
+    @abstractmethod
+    def neutral(self, setup: ObservingSetup) -> dict[str, float]:
+        """Return the names of all parameters that a channel may have, and the values that change nothing."""
+
+    @abstractmethod
+    def n_sums(self, setup: ObservingSetup) -> int:
+        """Return the number of `sums`."""
+
+    @abstractmethod
+    def sums(self, block: RowBlock, z: ComplexArray) -> FloatArray:
+        """Return what `fit` needs of a block's rows, (n_sums,): additive over rows, so over blocks and ranks.
+
+        Parameters
+        ----------
+        block : RowBlock
+            Whole redundant groups at each of its times. Rows whose weight is zero do not count.
+        z : ndarray of complex, (Ntimes, Nbls)
+            Residuals times the square roots of the weights.
+        """
+
+    @abstractmethod
+    def fit(self, setup: ObservingSetup, sums: FloatArray, effective_parameters: FloatArray) -> ReweightingFit:
+        """Weigh the evidence.
+
+        Parameters
+        ----------
+        setup : ObservingSetup
+        sums : ndarray, (Nfreqs, n_sums)
+            Of all rows of each channel.
+        effective_parameters : ndarray, (Nfreqs,) or (Nfreqs, Nbls)
+            How many real parameters of the beam the rows have decided, by which sum |z|^2 falls short of the number
+            of rows by half as many; zero for rows that were not fitted. Either in all, which are shared out by the
+            number of rows, or those of each baseline: its sum over times of 2 w a^H P a with a the row of the
+            beam's design and P the posterior covariance.
+        """
+
+    @abstractmethod
+    def weight_factor(self, block: RowBlock, x: FloatArray) -> FloatArray:
+        """Return what multiplies the inverse noise variance, (Ntimes, Nbls).
+
+        Parameters
+        ----------
+        block : RowBlock
+            With weights that this reweighting has not changed yet.
+        x : ndarray, (n_params,)
+            Of the block's channel.
+        """
+
+    @abstractmethod
+    def draw(self, setup: ObservingSetup, rng: np.random.Generator, strength: float) -> FloatArray:
+        """Draw one channel's parameters to simulate with, (n_params,); nothing happens at strength zero."""
+
+    @abstractmethod
+    def inject(self, data: ComplexArray, block: RowBlock, x: FloatArray, rng: np.random.Generator) -> ComplexArray:
+        """Return data with this in them that their weights do not tell, (Ntimes, Nbls), Jy; for simulations.
+
+        Parameters
+        ----------
+        data : ndarray of complex, (Ntimes, Nbls)
+            With the noise that ``block.weights`` stand for.
+        """
+
+
+def fitted_counts(counts: FloatArray, effective_parameters: NDArray[Any]) -> FloatArray:
+    """Return what sum |z|^2 should be of each baseline, (Nbls,): its rows less what the beam took.
+
+    Parameters
+    ----------
+    counts : ndarray, (Nbls,)
+        Numbers of rows.
+    effective_parameters : ndarray, () or (Nbls,)
+        Of one channel; see `Reweighting.fit`.
+    """
+    share = np.asarray(effective_parameters, dtype=float)
+    if share.ndim == 0:
+        share = share * counts / max(float(counts.sum()), 1.0)
+    # Never to nothing: a baseline that the beam fits altogether says little, but is no proof that noise is absent.
+    return np.asarray(np.maximum(counts - 0.5 * share, 0.01 * counts))

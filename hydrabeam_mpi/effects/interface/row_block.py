@@ -1,0 +1,230 @@
+"""What effects see: some rows of one channel with the current model of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.sources import Sources
+from hydrabeam_mpi.model.engines import make_engine
+from hydrabeam_mpi.model.engines.base import Engine
+from hydrabeam_mpi.model.positions import SourcePositions
+from hydrabeam_mpi.model.rime import Beam
+
+
+@dataclass
+class RowBlock:
+    """Some rows of one channel: a rank's baselines at some times.
+
+    Attributes
+    ----------
+    setup : ObservingSetup
+    channel : int
+        Index into the setup's channels.
+    times : ndarray of int, (Ntimes,)
+        Indices into the observation's times.
+    bls : ndarray of int, (Nbls,)
+        Indices into the observation's baselines.
+    groups : ndarray of int, (Ngroups,)
+        The redundant groups that these belong to.
+    member : ndarray of int, (Nbls,)
+        Position in ``groups`` of each baseline's group.
+    positions : SourcePositions
+    beam : callable
+        The current beam of this channel.
+    engine_kind : str
+        As in the job.
+    weights : ndarray, (Ntimes, Nbls)
+        Inverse noise variance of the calibrated data, Jy^-2; zero where there are none.
+    residual : ndarray of complex, (Ntimes, Nbls)
+        Calibrated data minus A b, Jy, in the sense of the groups.
+    vis : ndarray of complex, (Ntimes, Nbls)
+        The model A b + E of each baseline, Jy.
+    design : ndarray
+        Design rows of the groups, (Ntimes, 2, Ngroups, n) or complex (Ntimes, Ngroups, n).
+    integrals : dict of str to ndarray of complex, (Ntimes, Ngroups, K)
+        By kind of effect; see `Effect.sky_columns`.
+    places : dict, optional
+        Keeps what ``positions`` says of each time, for blocks to share where there is room for it.
+    sky_effects : sequence of (Effect, ndarray)
+        Effects in the model that change the sky, with their parameters.
+    memo : dict, optional
+        Keeps what `fixed_integral` has found, for blocks to share where there is room for it.
+    """
+
+    setup: ObservingSetup
+    channel: int
+    times: IntArray
+    bls: IntArray
+    groups: IntArray
+    member: IntArray
+    positions: SourcePositions
+    beam: Beam
+    engine_kind: str = "gemm"
+    weights: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    residual: ComplexArray = field(default_factory=lambda: np.zeros((0, 0), dtype=complex))
+    vis: ComplexArray = field(default_factory=lambda: np.zeros((0, 0), dtype=complex))
+    design: NDArray[Any] = field(default_factory=lambda: np.zeros((0, 0, 0)))
+    integrals: dict[str, ComplexArray] = field(default_factory=dict)
+    places: dict[int, tuple[IntArray, FloatArray, FloatArray]] | None = None
+    sky_effects: Sequence[tuple[Any, FloatArray]] = ()
+    memo: dict[tuple[int, str], tuple[bytes, dict[int, ComplexArray]]] | None = None
+    _sources: dict[int, Sources] = field(default_factory=dict, init=False)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(Ntimes, Nbls)."""
+        return len(self.times), len(self.bls)
+
+    @property
+    def freq(self) -> float:
+        """Hz."""
+        return float(self.setup.observation.freqs[self.channel])
+
+    @property
+    def ant1(self) -> IntArray:
+        """Index of each baseline's first antenna in the sense of its group, (Nbls,)."""
+        return self.setup.antenna_index[self.bls, 0]
+
+    @property
+    def ant2(self) -> IntArray:
+        """Index of each baseline's second antenna in the sense of its group, (Nbls,)."""
+        return self.setup.antenna_index[self.bls, 1]
+
+    @property
+    def vectors(self) -> FloatArray:
+        """Baseline vectors of the groups, (Ngroups, 3), metres ENU."""
+        return self.setup.redundant.vectors[self.groups]
+
+    @cached_property
+    def engine(self) -> Engine:
+        """The job's engine on the groups' vectors."""
+        return make_engine(self.engine_kind, self.vectors)
+
+    def spread(self, by_group: NDArray[Any]) -> NDArray[Any]:
+        """Give every baseline what its group has: (Ntimes, Ngroups, ...) to (Ntimes, Nbls, ...)."""
+        return by_group[:, self.member]
+
+    def sources(self, itime: int) -> Sources:
+        """Return the sources above the horizon at an observation's time."""
+        if itime in self._sources:
+            return self._sources[itime]
+        setup = self.setup
+        if self.places is None:
+            index, za, az = self.positions.above_horizon(itime)
+        else:
+            if itime not in self.places:
+                self.places[itime] = self.positions.above_horizon(itime)
+            index, za, az = self.places[itime]
+        flux = setup.sky.flux[self.channel, index]
+        sources = Sources(index, za, az, flux, self.beam, setup.observation.latitude)
+        for effect, x in self.sky_effects:
+            change = effect.sky_factor(setup, sources, x) - 1
+            # Two of a kind add up, as more parameters of one do.
+            sources.factors[effect.kind] = sources.factors.get(effect.kind, 1.0) + change
+        if self.places is not None:
+            self._sources[itime] = sources
+        return sources
+
+    def integrate(
+        self,
+        columns: Callable[[Sources], FloatArray],
+        vectors: FloatArray | None = None,
+        flux: Literal["within columns"] | None = None,
+    ) -> ComplexArray:
+        """Integrate real columns over the sky at every time of the block.
+
+        Parameters
+        ----------
+        columns : callable
+            From `Sources` to an array (K, Nsrc).
+        vectors : ndarray, (N, 3), optional
+            Baseline vectors, metres ENU; the groups' own by default.
+        flux : "within columns", optional
+            Where the columns hold the fluxes already.
+
+        Returns
+        -------
+        ndarray of complex, (Ntimes, N, K)
+            1/2 sum_s I_s column_k(s) exp(2 pi i nu b.s / c), Jy.
+        """
+        engine = self.engine if vectors is None else make_engine(self.engine_kind, vectors)
+        freqs = np.array([self.freq])
+        out = []
+        for itime in self.times.tolist():
+            sources = self.sources(itime)
+            weights = sources.flux_without() if flux is None else np.ones(len(sources.za))
+            given = GivenColumns(columns(sources))
+            design = engine.design(given, sources.za, sources.az, weights[np.newaxis], freqs)[0]
+            out.append(design[0] + 1j * design[1])
+        return np.array(out)
+
+    def fixed_integral(
+        self, name: str, columns: Callable[[Sources], FloatArray], vectors: FloatArray | None = None
+    ) -> ComplexArray:
+        """Integrate columns that do not depend on the beam: once for each sky, where there is room to keep it.
+
+        Parameters
+        ----------
+        name : str
+            Of these columns and vectors.
+        columns, vectors : optional
+            As for `integrate`.
+        """
+        if self.memo is None or not len(self.times):
+            return self.integrate(columns, vectors)
+        sky = b"".join(x.tobytes() for effect, x in self.sky_effects)
+        kept_for, kept = self.memo.get((self.channel, name), (b"", {}))
+        if kept_for != sky:
+            kept = {}
+        self.memo[self.channel, name] = sky, kept
+        new = np.array([time for time in self.times.tolist() if time not in kept], dtype=int)
+        if len(new):
+            integrals = replace(self, times=new).integrate(columns, vectors)
+            kept.update(zip(new.tolist(), integrals, strict=True))
+        return np.array([kept[time] for time in self.times.tolist()])
+
+    def integrate_for(self, effects: Sequence[Any]) -> None:
+        """Fill ``integrals`` for these effects in one pass over the sky."""
+        if not len(self.times):
+            return
+        first = self.sources(int(self.times[0]))
+        effects = [effect for effect in effects if effect.sky_columns(first) is not None]
+        if not effects:
+            return
+        sizes: dict[str, int] = {}
+
+        def columns(sources: Sources) -> FloatArray:
+            parts = {one.kind: one.sky_columns(sources) * sources.flux_without(one.kind) for one in effects}
+            sizes.update({kind: len(part) for kind, part in parts.items()})
+            return np.concatenate(list(parts.values()))
+
+        integrals = self.integrate(columns, flux="within columns")
+        edges = np.cumsum([0, *sizes.values()])
+        for kind, lo, hi in zip(sizes, edges[:-1], edges[1:], strict=True):
+            self.integrals[kind] = integrals[..., lo:hi]
+
+
+class GivenColumns:
+    """Columns that are known already, for an engine that asks for them run by run in the order of the sources."""
+
+    def __init__(self, values: FloatArray) -> None:
+        self.values = values
+        self.n_columns = len(values)
+        self._next = 0
+
+    def columns(self, za: FloatArray, az: FloatArray, out: FloatArray | None = None) -> FloatArray:
+        """Return the next ``len(za)`` sources' columns."""
+        part = self.values[:, self._next : self._next + len(za)]
+        self._next += len(za)
+        if out is None:
+            return part
+        out[:] = part
+        return out

@@ -1,0 +1,90 @@
+"""The sources at one time and how the current beam sees them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.model.positions import enu
+from hydrabeam_mpi.model.rime import Beam
+
+EARTH_RATE = 7.292115e-5  # rad/s
+STEP = 1e-5  # rad, of numerical derivatives of beams
+
+
+@dataclass(frozen=True)
+class Sources:
+    """The sources above the horizon at one time, and how the current beam sees them.
+
+    Attributes
+    ----------
+    index : ndarray of int, (Nsrc,)
+        Which of the sky's sources.
+    za, az : ndarray, (Nsrc,)
+        Radians.
+    flux : ndarray, (Nsrc,)
+        Jy at the block's channel, as the sky model has them.
+    beam_function : callable
+        The current beam.
+    latitude : float
+        Radians.
+    factors : dict of str to ndarray, (Nsrc,)
+        What effects of each kind multiply the fluxes with.
+    """
+
+    index: IntArray
+    za: FloatArray
+    az: FloatArray
+    flux: FloatArray
+    beam_function: Beam
+    latitude: float
+    factors: dict[str, FloatArray] = field(default_factory=dict)
+
+    def flux_without(self, kind: str = "") -> FloatArray:
+        """Return the fluxes with the factors of all effects that change the sky but those of one kind, (Nsrc,)."""
+        flux = self.flux
+        for other, factor in self.factors.items():
+            if other != kind:
+                flux = flux * factor
+        return flux
+
+    @cached_property
+    def enu(self) -> FloatArray:
+        """Unit vectors, (3, Nsrc)."""
+        return enu(self.za, self.az)
+
+    @cached_property
+    def beam(self) -> FloatArray:
+        """Real part of the power beam, (Nsrc,)."""
+        return np.asarray(self.beam_function(self.za, self.az)).real
+
+    @cached_property
+    def velocity(self) -> FloatArray:
+        """How the sources' unit vectors turn with the sky, (3, Nsrc), per second."""
+        axis = np.array([0.0, np.cos(self.latitude), np.sin(self.latitude)])
+        # The sky turns about the celestial pole opposite to the Earth.
+        return -EARTH_RATE * np.cross(axis, self.enu, axisa=0, axisb=0, axisc=0)
+
+    @cached_property
+    def slope(self) -> FloatArray:
+        """Gradient of the beam on the sphere as a vector tangent to it, (3, Nsrc), per radian.
+
+        A source displaced by a small tangent vector ``v`` has its beam changed by ``slope . v``. Central differences.
+        """
+        sin_za, cos_za = np.sin(self.za), np.cos(self.za)
+        cos_az, sin_az = np.cos(self.az), np.sin(self.az)
+        down = np.stack([cos_za * cos_az, cos_za * sin_az, -sin_za])
+        around = np.stack([-sin_az, cos_az, np.zeros_like(sin_az)])
+        gradient = np.zeros((3, len(self.za)))
+        for direction in (down, around):
+            ahead, behind = (self._beam_at(self.enu + sign * STEP * direction) for sign in (1, -1))
+            gradient += direction * (ahead - behind) / (2 * STEP)
+        return gradient
+
+    def _beam_at(self, vectors: FloatArray) -> FloatArray:
+        za = np.arctan2(np.hypot(vectors[0], vectors[1]), vectors[2])
+        az = np.arctan2(vectors[1], vectors[0]) % (2 * np.pi)
+        return np.asarray(self.beam_function(np.minimum(za, np.pi / 2), az)).real

@@ -1,0 +1,1 @@
+"""Effects that change what the data weigh; one a module."""

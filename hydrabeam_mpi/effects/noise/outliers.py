@@ -1,0 +1,269 @@
+"""A few rows that have nothing to do with the rest, as interference leaves them: a heavy tail of |z|^2.
+
+Whitened residuals z of Gaussian noise have u = |z|^2 distributed as exp(-u). The alternative is that a fraction p of
+the rows, at most 5%, have instead
+
+    g(u) = S / (S + u)^2,
+
+bursts of power E_1 S/E_2 with E_1 and E_2 exponential: of the scale S, but over several decades. The likelihood is that
+of a histogram with fine bins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.stats import binom
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.data.selection import BoolArray
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.reweighting import Reweighting, ReweightingFit, fitted_counts
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.random import complex_normal
+
+# Bins of |z|^2; the last has no end. Half of the good rows lie above 0.7, and one in 1e10 above 23.
+EDGES: FloatArray = np.concatenate([[0.0], np.geomspace(0.05, 1e12, 241)])
+LOG_EDGES: FloatArray = np.concatenate([[-np.inf], np.log(EDGES[1:])])
+# Rows beyond this stand out; noise has 1.4e-11 of its rows there.
+HIT = 25.0
+# Rows beyond this are counted by baseline; noise has 3e-7 of its rows there.
+LARGE = 15.0
+# Large rows of one baseline, that many at least, gather if they are no likelier than this by chance.
+GATHERED = 3
+GATHERED_P = 1e-6
+MAX_FRACTION = 0.05
+MIN_SCALE, MAX_SCALE = 4.0, 1e9
+# Good rows that masking may cost, of all rows of a channel.
+GOOD_ROWS_LOST = 0.01
+# By how much the log evidence must exceed that of a broader bulk.
+MIN_GAIN = 3.0
+# Hits this many standard deviations above the mean in ln |m|^2 w, or whose size correlates this well with it, are the
+# model's errors, not bursts.
+BRIGHTER = 1.0
+CORRELATION = 0.5
+N_MOMENTS = 9
+MIN_HITS = 10
+# Fewer baselines than this at a time have no majority.
+MIN_BASELINES = 4
+
+
+class _Mixture(NamedTuple):
+    """Fit of one channel: parameters with errors, ln Bayes factor, gain in ln L, and why these are not outliers."""
+
+    x: FloatArray
+    std: FloatArray
+    log_bayes_factor: float
+    gain: float
+    reason: str | None
+
+
+class Outliers(Reweighting):
+    """Rows to leave out: those with |z|^2 beyond a threshold, and whole times where most baselines are.
+
+    The parameters of a channel are the threshold of |z|^2, and the fraction of rows hit with the scale of their |z|^2.
+    The threshold is chosen so that in the mean less than 0.01 of all good rows are lost.
+    """
+
+    kind = "outliers"
+    title = "outliers"
+
+    def sizes(self, setup: ObservingSetup) -> tuple[int, ...]:
+        """Return three: threshold, fraction and scale."""
+        return (3,)
+
+    def neutral(self, setup: ObservingSetup) -> dict[str, float]:
+        """Return no hits."""
+        return {"largest |z|^2 kept": HIT, "fraction of rows hit": 0.0, "scale of |z|^2 where hit": 1.0}
+
+    def n_sums(self, setup: ObservingSetup) -> int:
+        """Return the number of bins, of counts by time and by baseline, and of moments."""
+        observation = setup.observation
+        return len(EDGES) - 1 + 2 * (observation.Ntimes + observation.Nbls) + N_MOMENTS
+
+    def sums(self, block: RowBlock, z: ComplexArray) -> FloatArray:
+        """Return the histogram of |z|^2; rows and hits by time; rows and large ones by baseline; moments.
+
+        The moments: sums of 1, a and a^2 with a = ln |m|^2 w, the model's, over all rows, and of 1, a, a^2, b, b^2 and
+        a b with b = ln |z|^2 over those that are hit.
+        """
+        observation = block.setup.observation
+        used = block.weights > 0
+        u = np.abs(z) ** 2
+        hit = used & (u > HIT)
+        counts = np.histogram(np.minimum(u[used], EDGES[-2]), EDGES)[0]
+        by_time, by_bl = np.zeros((2, observation.Ntimes)), np.zeros((2, observation.Nbls))
+        by_time[:, block.times] = used.sum(axis=1), hit.sum(axis=1)
+        by_bl[:, block.bls] = used.sum(axis=0), (used & (u > LARGE)).sum(axis=0)
+        bright = used & (block.vis != 0)
+        model = np.log(np.abs(block.vis[bright]) ** 2 * block.weights[bright])
+        of_hits, size = model[hit[bright]], np.log(u[bright & hit])
+        moments = [len(model), model.sum(), model @ model, len(size), of_hits.sum(), of_hits @ of_hits]
+        moments += [size.sum(), size @ size, of_hits @ size]
+        return np.concatenate([counts, by_time.reshape(-1), by_bl.reshape(-1), moments])
+
+    def fit(self, setup: ObservingSetup, sums: FloatArray, effective_parameters: FloatArray) -> ReweightingFit:
+        """Weigh the mixture against noise alone; see `Reweighting.fit`."""
+        n_bins, n_bls = len(EDGES) - 1, setup.observation.Nbls
+        fits, reasons = [], []
+        for of_channel, taken in zip(sums, effective_parameters, strict=True):
+            rows = of_channel[-N_MOMENTS - 2 * n_bls : -N_MOMENTS - n_bls]
+            bulk = float(fitted_counts(rows, taken).sum() / max(rows.sum(), 1.0))
+            fitted = _fit_mixture(of_channel[:n_bins], bulk)
+            fits.append(fitted)
+            if fitted.gain > MIN_GAIN:
+                reasons.append(_not_bursts(setup, of_channel[n_bins:]) or fitted.reason)
+        refused = [reason for reason in reasons if reason]
+        evidence = float(sum(one.log_bayes_factor for one in fits))
+        return ReweightingFit(
+            log_bayes_factor=min(evidence, 0.0) if refused else evidence,
+            x=np.array([one.x for one in fits]),
+            std=np.array([one.std for one in fits]),
+            names=tuple(self.neutral(setup)),
+            units=("", "", ""),
+            chi2_drop=float(2 * sum(one.gain for one in fits)),
+            n_parameters=2 * len(fits),
+            reason=refused[0] if refused else None,
+        )
+
+    def weight_factor(self, block: RowBlock, x: FloatArray) -> FloatArray:
+        """Return zero for rows beyond the threshold by the block's residuals, and for times where most are; else one.
+
+        A time is judged by the block's own baselines.
+        """
+        used = block.weights > 0
+        beyond = used & (np.abs(block.residual) ** 2 * block.weights > x[0])
+        return np.where(beyond | mostly(beyond.sum(axis=1), used.sum(axis=1))[:, np.newaxis], 0.0, 1.0)
+
+    def draw(self, setup: ObservingSetup, rng: np.random.Generator, strength: float) -> FloatArray:
+        """Draw bursts in a tenth of ``strength`` of the rows, 5% at most, of a power between 100 and 10,000."""
+        return np.array([HIT, min(0.1 * strength, MAX_FRACTION), 10 ** rng.uniform(2, 4)])
+
+    def inject(self, data: ComplexArray, block: RowBlock, x: FloatArray, rng: np.random.Generator) -> ComplexArray:
+        """Add bursts to a fraction ``x[1]`` of the rows, of the scale ``x[2]`` in |z|^2."""
+        chosen = (rng.random(block.shape) < x[1]) & (block.weights > 0)
+        burst = complex_normal(rng, block.shape) * np.sqrt(x[2] / rng.standard_exponential(block.shape))
+        sigma = np.sqrt(np.where(chosen, 1 / np.where(chosen, block.weights, 1.0), 0.0))
+        return data + burst * sigma
+
+
+def mostly(hits: FloatArray, rows: FloatArray) -> BoolArray:
+    """Tell where hits are the majority of rows, and these are enough to say so."""
+    return np.asarray((rows >= MIN_BASELINES) & (2 * hits > rows))
+
+
+def _log_bulk(scale: float) -> FloatArray:
+    """Return ln probability of each bin for u / scale distributed as exp(-u)."""
+    width = np.append(np.diff(EDGES[:-1]), np.inf)
+    return np.asarray(-EDGES[:-1] / scale + np.log(-np.expm1(-width / scale)))
+
+
+def log_broad(log_scale: float) -> FloatArray:
+    """Return ln probability of each bin for the density S / (S + u)^2, which is S (b - a) / (S + a) (S + b).
+
+    The logarithms are added: a difference of the probabilities beyond either edge is zero where S is large.
+    """
+    beyond = np.logaddexp(log_scale, LOG_EDGES[:-1])
+    inner = log_scale + np.log(np.diff(EDGES[:-1])) - beyond[:-1] - beyond[1:]
+    return np.append(inner, log_scale - beyond[-1])
+
+
+def _log_likelihood(counts: FloatArray, bulk: float, log_p: float, log_scale: float) -> float:
+    """Return ln L of the mixture."""
+    mixed = np.logaddexp(np.log1p(-np.exp(log_p)) + _log_bulk(bulk), log_p + log_broad(log_scale))
+    return float(counts @ mixed)
+
+
+def _fit_mixture(counts: FloatArray, bulk: float) -> _Mixture:
+    """Fit fraction and scale of what is broad in one channel's histogram."""
+    total = max(float(counts.sum()), 1.0)
+    threshold = bulk * np.log(total / GOOD_ROWS_LOST)
+    bounds = [(np.log(0.1 / total), np.log(MAX_FRACTION)), (np.log(MIN_SCALE), np.log(MAX_SCALE))]
+    if bounds[0][0] >= bounds[0][1]:
+        return _Mixture(np.array([threshold, 0.0, MIN_SCALE]), np.zeros(3), 0.0, 0.0, None)
+    starts = [(p, s) for p in np.linspace(*bounds[0], 12) for s in np.linspace(*bounds[1], 15)]
+    start = max(starts, key=lambda at: _log_likelihood(counts, bulk, *at))
+    found = minimize(lambda at: -_log_likelihood(counts, bulk, *at), start, method="Nelder-Mead", bounds=bounds)
+    gain = float(-found.fun - counts @ _log_bulk(bulk))
+    curvature = _hessian(lambda at: -_log_likelihood(counts, bulk, *at), found.x)
+    values, vectors = np.linalg.eigh(curvature)
+    # No error is wider than the prior, flat in the logarithms.
+    values = np.maximum(values, 1 / max(high - low for low, high in bounds) ** 2)
+    covariance = (vectors / values) @ vectors.T
+    volume = float(np.prod([high - low for low, high in bounds]))
+    occam = np.log(min(2 * np.pi * np.sqrt(np.prod(1 / values)) / volume, 1.0))
+    fraction, scale = np.exp(found.x)
+    x = np.array([threshold, fraction, scale])
+    std = np.array([0.0, *np.exp(found.x) * np.sqrt(np.diag(covariance))])
+    reason = None
+    if fraction > 0.9 * MAX_FRACTION:
+        reason = f"more than {fraction:.1%} of the rows stand out, which are not a few"
+    elif _gain_over_broader_bulk(counts, found.x) + occam < MIN_GAIN:
+        reason = "the rows are as a whole more scattered than noise, not a few of them"
+    return _Mixture(x, std, gain + occam, gain, reason)
+
+
+def _gain_over_broader_bulk(counts: FloatArray, at: FloatArray) -> float:
+    """Return how much ln L gains by outliers where the noise of all rows is free in either case."""
+
+    def loss(values: FloatArray) -> float:
+        return -_log_likelihood(counts, float(np.exp(values[0])), min(values[1], np.log(MAX_FRACTION)), values[2])
+
+    def alone(values: FloatArray) -> float:
+        return -float(counts @ _log_bulk(float(np.exp(values[0]))))
+
+    mixed = minimize(loss, [0.0, *at], method="Nelder-Mead", options={"maxiter": 600})
+    # Powers in logarithmic bins: their centres start the search for the scale of all rows near its end.
+    centres = np.sqrt(np.maximum(EDGES[:-1], 0.01) * EDGES[1:])
+    mean = np.log(counts @ centres / max(counts.sum(), 1.0))
+    bulk = min((minimize(alone, [start], method="Nelder-Mead") for start in (0.0, mean)), key=lambda one: one.fun)
+    return float(bulk.fun - mixed.fun)
+
+
+def _hessian(function: Callable[[FloatArray], float], at: FloatArray, step: float = 1e-3) -> FloatArray:
+    """Return second derivatives by central differences, (n, n)."""
+    steps = step * np.eye(len(at))
+    return np.array(
+        [
+            [
+                (function(at + a + b) - function(at + a - b) - function(at - a + b) + function(at - a - b))
+                / (4 * step**2)
+                for b in steps
+            ]
+            for a in steps
+        ]
+    )
+
+
+def _not_bursts(setup: ObservingSetup, counts: FloatArray) -> str | None:
+    """Say why rows that stand out are not bursts, from the counts behind the histogram; None where they may be."""
+    n_times, n_bls = setup.observation.Ntimes, setup.observation.Nbls
+    time_rows, time_hits = counts[: 2 * n_times].reshape(2, n_times)
+    rows, large = counts[2 * n_times : -N_MOMENTS].reshape(2, n_bls)
+    by_chance = binom.sf(large - 1, large.sum(), rows / max(rows.sum(), 1.0)) * n_bls
+    gathered = (large >= GATHERED) & (by_chance < GATHERED_P)
+    if 2 * large[gathered].sum() > large.sum():
+        return f"they gather on {gathered.sum()} baseline(s)"
+    whole_times = time_hits[mostly(time_hits, time_rows)].sum()
+    if _follow_model(counts[-N_MOMENTS:], scattered=bool(2 * whole_times < time_hits.sum())):
+        return "they are where the model is bright, as errors of the model are"
+    return None
+
+
+def _follow_model(moments: FloatArray, scattered: bool) -> bool:
+    """Tell whether hits prefer rows where the model is bright, or are larger there.
+
+    ``scattered`` hits are free to choose their rows; those that come by whole times have the model's power of these.
+    """
+    number, model, model2 = moments[:3]
+    hits, of_hits, of_hits2, size, size2, product = moments[3:]
+    if hits < MIN_HITS:
+        return False
+    mean, spread = model / number, np.sqrt(max(model2 / number - (model / number) ** 2, 1e-12))
+    brighter = of_hits / hits - mean > BRIGHTER * spread
+    variances = (of_hits2 / hits - (of_hits / hits) ** 2) * (size2 / hits - (size / hits) ** 2)
+    correlation = (product / hits - of_hits * size / hits**2) / np.sqrt(max(variances, 1e-12))
+    return bool((scattered and brighter) or (correlation > CORRELATION and correlation * np.sqrt(hits) > 4))

@@ -1,0 +1,92 @@
+"""All effects by name."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping
+from typing import Any
+
+from hydrabeam_mpi.effects.instrument.antenna_delays import AntennaDelays
+from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
+from hydrabeam_mpi.effects.instrument.antenna_pointing import AntennaPointing
+from hydrabeam_mpi.effects.instrument.antenna_positions import AntennaPositions
+from hydrabeam_mpi.effects.instrument.auto_coupling import AutoCoupling
+from hydrabeam_mpi.effects.instrument.basis_truncation import BasisTruncation
+from hydrabeam_mpi.effects.instrument.cable_reflections import CableReflections
+from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
+from hydrabeam_mpi.effects.instrument.leakage import Leakage
+from hydrabeam_mpi.effects.instrument.mutual_coupling import MutualCoupling
+from hydrabeam_mpi.effects.instrument.nonredundant_beams import NonredundantBeams
+from hydrabeam_mpi.effects.instrument.timestamp import Timestamp
+from hydrabeam_mpi.effects.interface.effect import Cause, Effect
+from hydrabeam_mpi.effects.interface.reweighting import Reweighting
+from hydrabeam_mpi.effects.noise.noise_level import NoiseLevel
+from hydrabeam_mpi.effects.noise.outliers import Outliers
+from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
+from hydrabeam_mpi.effects.sky.diffuse import Diffuse
+from hydrabeam_mpi.effects.sky.horizon import Horizon
+from hydrabeam_mpi.effects.sky.ionosphere import Ionosphere
+from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
+from hydrabeam_mpi.errors import InputError
+
+EFFECTS: Mapping[str, type[Effect]] = {
+    effect.kind: effect
+    for effect in (
+        AntennaGains,
+        AntennaDelays,
+        CableReflections,
+        CrossCoupling,
+        AutoCoupling,
+        MutualCoupling,
+        MissingSources,
+        CatalogueFlux,
+        Diffuse,
+        AntennaPositions,
+        Timestamp,
+        AntennaPointing,
+        NonredundantBeams,
+        BasisTruncation,
+        Ionosphere,
+        Horizon,
+    )
+}
+"""Effects that change what the data are expected to be."""
+
+REWEIGHTINGS: Mapping[str, type[Reweighting]] = {change.kind: change for change in (NoiseLevel, Outliers)}
+"""Changes of how much the data weigh."""
+
+SEPARATE: Mapping[str, type[Leakage]] = {Leakage.kind: Leakage}
+"""Causes that are seen in other rows than those of the job's polarisation."""
+
+
+def make_effect(kind: str, settings: Mapping[str, Any]) -> Effect:
+    """Restore an effect from its kind and what its `describe` returned.
+
+    Raises
+    ------
+    InputError
+        If these are no settings of this kind.
+    """
+    effect: Effect = _make(EFFECTS[kind], settings)
+    return effect
+
+
+def make_cause(kind: str, settings: Mapping[str, Any]) -> Cause:
+    """Do the same for an effect or one that is `SEPARATE`."""
+    cause: Cause = _make({**EFFECTS, **SEPARATE}[kind], settings)
+    return cause
+
+
+def make_reweighting(kind: str, settings: Mapping[str, Any]) -> Reweighting:
+    """Do the same for a change of the weights."""
+    change: Reweighting = _make(REWEIGHTINGS[kind], settings)
+    return change
+
+
+def _make(of_kind: Any, settings: Mapping[str, Any]) -> Any:
+    try:
+        return of_kind(**settings)
+    except (TypeError, ValueError) as error:
+        known = ", ".join(inspect.signature(of_kind).parameters)
+        remedy = f"there are {known}, as 'hydrabeam loop' writes them" if known else "leave them out"
+        raise InputError("are not understood", field="settings", remedy=remedy) from error

@@ -1,0 +1,74 @@
+"""What the current beam sees on vectors that are not those of a block's groups."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.model.bases.base import LinearBasis
+from hydrabeam_mpi.model.rime import Beam
+
+FEW = 4
+"""Vectors up to which the visibilities of all modes, which serve any beam, are worth their making and their room."""
+
+
+@dataclass(frozen=True)
+class InferredBeam:
+    """A beam by its coefficients in the basis.
+
+    Attributes
+    ----------
+    basis : LinearBasis
+    coeffs : ndarray, (n_modes,)
+    """
+
+    basis: LinearBasis
+    coeffs: Array
+
+    def __call__(self, za: FloatArray, az: FloatArray) -> Array:
+        """Evaluate it, (Npoints,)."""
+        return np.asarray(self.basis.synthesize(self.coeffs, za, az))
+
+
+def beam_visibilities(block: RowBlock, vectors: FloatArray) -> ComplexArray:
+    """Integrate the current beam over the sky, once for a block.
+
+    Parameters
+    ----------
+    block : RowBlock
+        Keeps the result for as long as it has the same beam and times.
+    vectors : ndarray, (N, 3)
+        Baseline vectors, metres ENU; zero for autocorrelations.
+
+    Returns
+    -------
+    ndarray of complex, (Ntimes, N)
+        Jy.
+    """
+    kept: dict[bytes, tuple[Beam, IntArray, ComplexArray]] = vars(block).setdefault("_beam_visibilities", {})
+    key = vectors.tobytes()
+    if key in kept:
+        beam, times, values = kept[key]
+        if beam is block.beam and times is block.times:
+            return values
+    lasts = block.memo is not None and not block.sky_effects
+    if lasts and isinstance(block.beam, InferredBeam) and len(vectors) <= FEW:
+        basis = block.beam.basis
+        modes = block.fixed_integral(f"modes on {key!r}", lambda at: basis.columns(at.za, at.az), vectors)
+        integrals = modes @ basis.column_coeffs(block.beam.coeffs).real
+    else:
+        integrals = block.integrate(lambda sources: sources.beam[np.newaxis], vectors)
+    # Without times `integrals` has lost its axes.
+    values = integrals.reshape(len(block.times), len(vectors)).astype(complex)
+    kept[key] = block.beam, block.times, values
+    return values
+
+
+def is_copolar(setup: ObservingSetup) -> bool:
+    """Tell whether the data are products of equal feeds, of which the model also has autocorrelations."""
+    pol = setup.observation.pols[0]
+    return pol[0] == pol[1]

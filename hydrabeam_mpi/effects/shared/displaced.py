@@ -1,0 +1,165 @@
+"""Skies and beams that are turned: exact rotations, and what they do to the visibilities.
+
+A rotation is given by its vector r, ENU: about the axis r by |r| radians, counterclockwise as seen from its tip.
+In a sky that is turned some sources rise and others set; the rates at which visibilities change leave out these jumps.
+A beam that is turned sees the same sources as before; those below its own horizon it sees as if they were at that.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.effect import Effect
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.interface.sources import Sources
+from hydrabeam_mpi.effects.shared.beam_visibilities import is_copolar
+from hydrabeam_mpi.model.fringes import C_M_PER_S
+from hydrabeam_mpi.model.positions import SourcePositions, enu
+from hydrabeam_mpi.model.rime import Beam
+from hydrabeam_mpi.model.sky import Sky
+
+TILTS: FloatArray = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 0.0]])
+"""Rotation vectors that take the zenith towards East and towards North, (3, 2)."""
+
+
+def rotate(vectors: FloatArray, rotation: FloatArray) -> FloatArray:
+    """Turn vectors (3, N) by a rotation vector (3,)."""
+    return np.asarray(Rotation.from_rotvec(rotation).as_matrix() @ vectors)
+
+
+def rotation_rate(rotation: FloatArray) -> FloatArray:
+    """Return the matrix J, (3, 3), with d(R(r) s) = (J dr) x R(r) s: the left Jacobian of the rotation group."""
+    x, y, z = rotation
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    angle = float(np.linalg.norm(rotation))
+    # (1 - cos t) / t^2 and (t - sin t) / t^3; where the latter loses digits, its factor has none to give.
+    second = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
+    third = (1 - np.sinc(angle / np.pi)) / angle**2 if angle > 0 else 0.0
+    return np.asarray(np.eye(3) + second * cross + third * cross @ cross)
+
+
+def angles(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return zenith angle and azimuth of vectors (3, N), radians."""
+    east, north, up = vectors
+    return np.arctan2(np.hypot(east, north), up), np.arctan2(north, east) % (2 * np.pi)
+
+
+@dataclass(frozen=True)
+class BeamToHorizon:
+    """A beam that below the horizon keeps the value that it has there; beams need not be known beyond."""
+
+    beam: Beam
+
+    def __call__(self, za: FloatArray, az: FloatArray) -> Array:
+        """Evaluate the beam, (Npoints,)."""
+        return self.beam(np.minimum(za, np.pi / 2), az)
+
+
+def seen_at(sources: Sources, vectors: FloatArray) -> Sources:
+    """Return the sources as seen in other directions, (3, Nsrc)."""
+    za, az = angles(vectors)
+    return replace(sources, za=za, az=az, beam_function=BeamToHorizon(sources.beam_function))
+
+
+def torque(sources: Sources) -> FloatArray:
+    """Return s x grad B, (3, Nsrc): sources turned by a small rotation w see the beam change by w . torque."""
+    return np.asarray(np.cross(sources.enu, sources.slope, axis=0), dtype=float)
+
+
+@dataclass(frozen=True)
+class TurnedPositions:
+    """Places of sources, turned at every time.
+
+    Attributes
+    ----------
+    positions : SourcePositions
+        Where they are without.
+    rotations : dict of int to ndarray, (3,)
+        Rotation vector of each time.
+    """
+
+    positions: SourcePositions
+    rotations: dict[int, FloatArray]
+
+    def above_horizon(self, itime: int, below: float = 0.0) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Find the sources that are above the horizon once they are turned; see `SourcePositions.above_horizon`."""
+        rotation = self.rotations[itime]
+        index, za, az = self.positions.above_horizon(itime, below + float(np.linalg.norm(rotation)))
+        za, az = angles(rotate(enu(za, az), rotation))
+        up = za <= np.pi / 2 + below
+        return index[up], za[up], az[up]
+
+    def follow(self, sky: Sky) -> TurnedPositions:
+        """Follow another sky, turned alike."""
+        return replace(self, positions=self.positions.follow(sky))
+
+
+def turned_sky(block: RowBlock, rotations: FloatArray) -> RowBlock:
+    """Return a block of those times whose rotation, a row of (Ntimes, 3), is not zero, with the sky turned.
+
+    It is good for `Scene.integrate` only.
+    """
+    turned = rotations.any(axis=1)
+    times = block.times[turned]
+    positions = TurnedPositions(block.positions, dict(zip(times.tolist(), rotations[turned], strict=True)))
+    return replace(block, times=times, positions=positions, places=None)
+
+
+def need_real_beam(setup: ObservingSetup) -> str | None:
+    """Say why an effect that needs a real power beam cannot be had; None where it can."""
+    if is_copolar(setup):
+        return None
+    return f"the power beam of '{setup.observation.pols[0]}' is complex; equal feeds, such as 'ee', would tell"
+
+
+class TurningSky(Effect):
+    """The sky as a whole is turned against the array and its beam."""
+
+    shared = True
+
+    @abstractmethod
+    def rotations(self, block: RowBlock, x: FloatArray) -> FloatArray:
+        """Return the rotation vectors of the block's times, (Ntimes, 3)."""
+
+    def not_applicable(self, setup: ObservingSetup) -> str | None:
+        """Refuse complex beams."""
+        return need_real_beam(setup)
+
+    def sky_columns(self, sources: Sources) -> FloatArray:
+        """Return the beam, the beam times the unit vector, and the torque of the beam's slope, (7, Nsrc)."""
+        beam = sources.beam[np.newaxis]
+        return np.concatenate([beam, beam * sources.enu, torque(sources)])
+
+    def rates(self, block: RowBlock, x: FloatArray) -> ComplexArray:
+        """Return how visibilities change as the sky, turned by ``x``, turns further about east, north and up.
+
+        Returns
+        -------
+        ndarray of complex, (Ntimes, Ngroups, 3)
+            Jy per radian.
+        """
+        rotations = self.rotations(block, x)
+        moments = block.integrals[self.kind]
+        turned = rotations.any(axis=1)
+        if turned.any():
+            moments = moments.copy()
+            moments[turned] = turned_sky(block, rotations).integrate(self.sky_columns)
+        # The phase k b.s changes by k b.(w x s) = k w.(s x b).
+        wavenumber = 2 * np.pi * block.freq / C_M_PER_S
+        return np.asarray(moments[..., 4:] + 1j * wavenumber * np.cross(moments[..., 1:4], block.vectors))
+
+    def added(self, block: RowBlock, x: FloatArray) -> ComplexArray:
+        """Return the visibilities of the turned sky minus those of the sky as it is, (Ntimes, Nbls)."""
+        rotations = self.rotations(block, x)
+        turned = rotations.any(axis=1)
+        change = np.zeros((len(block.times), len(block.groups)), dtype=complex)
+        if turned.any():
+            after = turned_sky(block, rotations).integrate(lambda sources: sources.beam[np.newaxis])
+            change[turned] = after[..., 0] - block.integrals[self.kind][turned, :, 0]
+        return block.spread(change)

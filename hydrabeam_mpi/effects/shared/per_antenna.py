@@ -1,0 +1,35 @@
+"""What effects with the same few parameters for every antenna have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.effect import Parameters
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
+
+
+def antenna_parameters(setup: ObservingSetup, what: Sequence[str], unit: str, scale: float) -> Parameters:
+    """Return parameters named "antenna 23 ...", one after another for each antenna in use, which are the elements."""
+    antennas = setup.antennas_in_use
+    numbers = setup.observation.antenna_numbers[antennas]
+    names = [f"antenna {number} {name}" for number in numbers for name in what]
+    return Parameters.of(names, unit, scale, np.repeat(np.arange(len(antennas)), len(what)))
+
+
+def row_antennas(block: RowBlock) -> IntArray:
+    """Return the positions of each row's first and second antenna among those in use, (Nbls, 2)."""
+    return np.searchsorted(block.setup.antennas_in_use, np.stack([block.ant1, block.ant2], axis=1))
+
+
+def row_parameters(block: RowBlock, n: int) -> IntArray:
+    """Return the indices of the ``n`` parameters of a row's first antenna, then of its second, (Nbls, 2 n)."""
+    return (n * row_antennas(block)[..., np.newaxis] + np.arange(n)).reshape(-1, 2 * n)
+
+
+def common_values(n_antennas: int, n_each: int) -> FloatArray:
+    """Return the combinations in which all antennas have the same value of one of their parameters, (n_each, q)."""
+    return np.tile(np.eye(n_each), (1, n_antennas)) / np.sqrt(n_antennas)

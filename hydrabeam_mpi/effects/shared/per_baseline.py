@@ -1,0 +1,103 @@
+"""What effects on single baselines have in common."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.effect import Columns, Parameters, ScannedEffect
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.errors import InputError
+
+
+class PerBaseline(ScannedEffect):
+    """A complex amplitude of each baseline and channel, with a course in time p(t) that all share: E_ij = x_ij p(t).
+
+    Amplitudes are those of the baseline in its group's sense, which is also that of the parameters' names; they are
+    conjugated where the data have the baseline the other way round.
+
+    Parameters
+    ----------
+    baselines : sequence of (antenna number, antenna number)
+        In either order; none for an effect that is to be scanned.
+    """
+
+    local = "baselines"
+    unit: ClassVar[str]
+    scale: ClassVar[float]
+
+    def __init__(self, baselines: Sequence[Sequence[int]] = ()) -> None:
+        self.baselines = tuple((int(one), int(two)) for one, two in baselines)
+
+    @abstractmethod
+    def history(self, block: RowBlock) -> FloatArray:
+        """Return p at the block's times, (Ntimes,), real."""
+
+    def describe(self) -> dict[str, Any]:
+        """Return the baselines."""
+        return {"baselines": [list(pair) for pair in self.baselines]}
+
+    def parameters(self, setup: ObservingSetup) -> Parameters:
+        """Return real and imaginary part of every baseline."""
+        pairs = _group_pairs(setup)[self._places(setup)]
+        names = [f"baseline {one}-{two} {part}" for one, two in pairs.tolist() for part in ("real", "imaginary")]
+        element = np.repeat(np.arange(len(pairs)), 2)
+        return Parameters.of(names, self.unit, self.scale, element, trials=self.n_hypotheses(setup))
+
+    def columns(self, block: RowBlock, x: FloatArray) -> Columns:
+        """Return p and i p, where a row is one of the baselines."""
+        n = len(self.baselines)
+        if not n:
+            return Columns(np.zeros((*block.shape, 0), dtype=complex), 0)
+        element = np.full(len(block.setup.observation.antpairs), -1)
+        element[self._places(block.setup)] = np.arange(n)
+        element = element[block.bls, np.newaxis]
+        parts = np.where(element >= 0, np.array([1, 1j]), 0)
+        values = self.history(block)[:, np.newaxis, np.newaxis] * parts
+        return Columns(values, 2 * n, 2 * np.maximum(element, 0) + np.arange(2))
+
+    def n_hypotheses(self, setup: ObservingSetup) -> int:
+        """Return the number of baselines."""
+        return len(setup.observation.antpairs)
+
+    def scan(self, block: RowBlock) -> tuple[FloatArray, FloatArray]:
+        """Return the sums for real and imaginary part of every baseline, (Nbls, 2)."""
+        weighted = block.weights * self.history(block)[:, np.newaxis]
+        told: ComplexArray = np.sum(weighted * block.residual, axis=0)
+        power = np.sum(weighted * self.history(block)[:, np.newaxis], axis=0)
+        sums, norms = (np.zeros((self.n_hypotheses(block.setup), 2)) for _ in range(2))
+        sums[block.bls] = np.stack([told.real, told.imag], axis=-1)
+        norms[block.bls] = power[:, np.newaxis]
+        return sums, norms
+
+    def at(self, setup: ObservingSetup, hypotheses: IntArray) -> Self:
+        """Return the effect on these baselines."""
+        return type(self)(_group_pairs(setup)[hypotheses].tolist())
+
+    def _places(self, setup: ObservingSetup) -> IntArray:
+        """Return the index of each baseline; the observation must have it."""
+        pairs = np.sort(_group_pairs(setup), axis=1)
+        asked = np.sort(np.array(self.baselines, dtype=int).reshape(-1, 2), axis=1)
+        size = int(max(pairs.max(), asked.max(initial=0))) + 1
+        known, wanted = pairs @ [size, 1], asked @ [size, 1]
+        order = np.argsort(known)
+        places = order[np.searchsorted(known, wanted, sorter=order).clip(max=len(known) - 1)]
+        lacking = np.flatnonzero(known[places] != wanted)
+        if len(lacking):
+            one, two = self.baselines[lacking[0]]
+            raise InputError(
+                f"no baseline {one}-{two} in the data", field="baselines", remedy="name pairs of antennas that are"
+            )
+        if len(np.unique(places)) < len(places):
+            raise InputError("a baseline is named twice", field="baselines", remedy="name each once, in either order")
+        return places
+
+
+def _group_pairs(setup: ObservingSetup) -> IntArray:
+    """Return the antenna numbers of every baseline in its group's sense, (Nbls, 2)."""
+    return setup.observation.antenna_numbers[setup.antenna_index]

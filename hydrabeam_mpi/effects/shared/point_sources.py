@@ -1,0 +1,150 @@
+"""What effects of single point sources share: their visibilities, maps of the residual, and which to tell apart."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import map_coordinates, spline_filter
+from scipy.sparse import csr_array
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.effect import ScannedEffect
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.model.engines.base import amplitude
+from hydrabeam_mpi.model.fringes import C_M_PER_S
+from hydrabeam_mpi.model.positions import enu
+from hydrabeam_mpi.model.rime import Beam
+from hydrabeam_mpi.model.sky import Sky, separation
+
+HALF_WIDTH = 64  # samples of the beam from the zenith to the horizon, where a map does with an interpolated one
+
+
+class PointSources(ScannedEffect):
+    """An effect whose elements are single sources, the same in all channels.
+
+    Parameters
+    ----------
+    sources : sequence of (float, float)
+        Right ascension and declination, degrees.
+    trials : int
+        Number of candidates from which these were picked.
+    """
+
+    changes_sky = True
+    shared = True
+
+    def __init__(self, sources: Sequence[tuple[float, float]] = (), trials: int = 1) -> None:
+        self.sources = tuple((float(ra), float(dec)) for ra, dec in sources)
+        self.trials = trials
+
+    def describe(self) -> dict[str, Any]:
+        """Return which sources, and from how many they were picked."""
+        return {"sources": [list(source) for source in self.sources], "trials": self.trials}
+
+
+def resolution(setup: ObservingSetup) -> float:
+    """Return the finest fringe's spacing, c / (nu_max b_max), radians; at most a hemisphere."""
+    longest = float(np.linalg.norm(setup.redundant.vectors, axis=1).max(initial=0.0))
+    return min(C_M_PER_S / (float(setup.observation.freqs.max()) * max(longest, 1e-3)), np.pi)
+
+
+def keep_apart(ra: FloatArray, dec: FloatArray, distance: float, at_most: int) -> IntArray:
+    """Choose directions, the first ones first, that are farther than ``distance`` radians from those chosen before."""
+    chosen: list[int] = []
+    left = np.arange(len(ra))
+    while len(left) and len(chosen) < at_most:
+        best = int(left[0])
+        chosen.append(best)
+        left = left[separation(ra[left], dec[left], ra[best], dec[best]) > distance]
+    return np.array(chosen, dtype=int)
+
+
+def in_degrees(ra: FloatArray, dec: FloatArray) -> tuple[tuple[float, float], ...]:
+    """Return directions as they are told and stored, pairs (ra, dec) in degrees."""
+    return tuple(zip(np.rad2deg(ra).tolist(), np.rad2deg(dec).tolist(), strict=True))
+
+
+def in_radians(sources: Sequence[tuple[float, float]]) -> tuple[FloatArray, FloatArray]:
+    """Return right ascensions and declinations of pairs in degrees, (N,) each."""
+    ra, dec = np.deg2rad(np.reshape(np.asarray(sources, dtype=float), (-1, 2))).T
+    return ra, dec
+
+
+def place(ra: float, dec: float) -> str:
+    """Tell a direction, in degrees."""
+    return f"ra={ra:.3f} dec={dec:.3f}"
+
+
+def responses(block: RowBlock, ra: FloatArray, dec: FloatArray) -> ComplexArray:
+    """Return the visibilities of sources of 1 Jy, (Ntimes, Ngroups, N); zero while below the horizon.
+
+    For few sources: all their fringes are held.
+    """
+    out = np.zeros((len(block.times), len(block.groups), len(ra)), dtype=complex)
+    if not len(ra):
+        return out
+    positions = block.positions.follow(Sky(ra, dec, np.ones((1, len(ra)))))
+    for t, itime in enumerate(block.times.tolist()):
+        index, za, az = positions.above_horizon(itime)
+        beam = np.asarray(block.beam(za, az)).real
+        out[t][:, index] = block.engine.responses(enu(za, az), beam, block.freq)
+    return out
+
+
+def dirty_map(block: RowBlock, sky: Sky) -> tuple[FloatArray, FloatArray]:
+    """Correlate the residual with every source of a sky by itself.
+
+    Redundant baselines are summed first, and the beam is interpolated between samples. Nothing larger than the sky and
+    the fringes of a few of its sources is held.
+
+    Parameters
+    ----------
+    block : RowBlock
+    sky : Sky
+        Sources at the setup's channels; many.
+
+    Returns
+    -------
+    projection, power : ndarray, (Nsrc,)
+        Re sum w s* r and sum w |s|^2 over the block's rows, s being a source's visibilities.
+    """
+    projection, power = np.zeros(sky.Nsrc), np.zeros(sky.Nsrc)
+    n_bls = len(block.bls)
+    members = csr_array((np.ones(n_bls), (block.member, np.arange(n_bls))), (len(block.groups), n_bls))
+    summed = (members @ (block.weights * block.residual).T).T
+    weights = block.weights.sum(axis=1)
+    if not weights.any():
+        return projection, power
+    beam, positions = _sampled(block.beam), block.positions.follow(sky)
+    for t in np.flatnonzero(weights).tolist():
+        index, za, az = positions.above_horizon(int(block.times[t]))
+        directions = enu(za, az)
+        seen = sky.flux[block.channel, index] * beam(directions)
+        projection[index] += block.engine.adjoint(summed[t], directions, seen, block.freq)
+        power[index] += weights[t] * amplitude(seen) ** 2
+    return projection, power
+
+
+def _sampled(beam: Beam) -> Callable[[FloatArray], FloatArray]:
+    """Return the beam as a function of unit vectors (3, N), interpolated by cubic splines between samples.
+
+    The samples lie on Lambert's equal-area plane around the zenith, whose unit circle is the horizon: smooth there and
+    at the zenith, and reached from unit vectors without trigonometry.
+    """
+    margin = 4  # the spline's reach beyond the horizon
+    axis = np.arange(-HALF_WIDTH - margin, HALF_WIDTH + margin + 1) / HALF_WIDTH
+    east, north = np.meshgrid(axis, axis, indexing="ij")
+    za = 2 * np.arcsin(np.minimum(np.hypot(east, north), 1.0) / np.sqrt(2))
+    az = np.arctan2(north, east) % (2 * np.pi)
+    values = np.asarray(beam(za.ravel(), az.ravel())).real.reshape(za.shape)
+    coefficients = spline_filter(values, order=3)
+
+    def interpolate(directions: FloatArray) -> FloatArray:
+        onto = HALF_WIDTH / np.sqrt(1 + directions[2])
+        places = directions[:2] * onto + (HALF_WIDTH + margin)
+        return np.asarray(map_coordinates(coefficients, places, order=3, prefilter=False))
+
+    return interpolate

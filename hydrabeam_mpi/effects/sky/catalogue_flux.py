@@ -1,0 +1,139 @@
+"""Wrong fluxes of catalogue sources: V gets x/2 I(nu) B(s) exp(2 pi i nu b.s/c) more, x being the relative error."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.effect import Columns, Parameters
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.interface.sources import Sources
+from hydrabeam_mpi.effects.shared.point_sources import (
+    PointSources,
+    dirty_map,
+    in_degrees,
+    in_radians,
+    keep_apart,
+    place,
+    resolution,
+    responses,
+)
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.model.positions import RotatedPositions
+from hydrabeam_mpi.model.sky import Sky, separation
+
+MAX_CANDIDATES = 20_000
+AT_MOST = 40
+APART = 0.1  # resolutions between two sources that the data could tell apart
+SAME = 1e-6  # rad, within which a direction is that of a catalogue source
+
+
+class CatalogueFlux(PointSources):
+    """Relative errors of single sources' fluxes, the same in all channels.
+
+    Parameters
+    ----------
+    sources : sequence of (float, float)
+        Right ascension and declination of catalogue sources, degrees.
+    trials : int
+        Number of sources from which these were picked.
+    """
+
+    kind = "catalogue_flux"
+    title = "fluxes of catalogue sources"
+    linear = True
+
+    def parameters(self, setup: ObservingSetup) -> Parameters:
+        """Return the relative error of every source's flux."""
+        n = len(self.sources)
+        called = setup.sky.names or ("",) * setup.sky.Nsrc
+        index = find(setup.sky, self.sources)
+        names = [called[i] or f"source {place(*source)}" for i, source in zip(index, self.sources, strict=True)]
+        trials = max(self.trials, n) if n else 0
+        return Parameters.of([f"{name}: relative flux error" for name in names], "", 0.1, np.arange(n), trials=trials)
+
+    def sky_factor(self, setup: ObservingSetup, sources: Sources, x: FloatArray) -> FloatArray:
+        """Return one plus the relative error of those sources that are in error."""
+        factor = np.ones(setup.sky.Nsrc)
+        np.add.at(factor, find(setup.sky, self.sources), x)
+        return factor[sources.index]
+
+    def columns(self, block: RowBlock, x: FloatArray) -> Columns:
+        """Return the sources' visibilities, less what other effects take of their fluxes."""
+        sky = block.setup.sky
+        index = find(sky, self.sources)
+        values = responses(block, sky.ra[index], sky.dec[index])
+        for seen, itime in zip(values, block.times.tolist(), strict=True):
+            sources, flux = block.sources(itime), np.zeros(sky.Nsrc)
+            flux[sources.index] = sources.flux_without(self.kind)
+            seen *= flux[index]
+        return Columns(values, len(index), by_group=True)
+
+    def n_hypotheses(self, setup: ObservingSetup) -> int:
+        """Return the number of sources that are looked at."""
+        return min(setup.sky.Nsrc, MAX_CANDIDATES)
+
+    def scan(self, block: RowBlock) -> tuple[FloatArray, FloatArray]:
+        """Correlate the residual with every source."""
+        projection, power = dirty_map(block, block.setup.sky.select(_brightest(block.setup.sky)))
+        return projection[:, np.newaxis], power[:, np.newaxis]
+
+    def at(self, setup: ObservingSetup, hypotheses: IntArray) -> CatalogueFlux:
+        """Take these sources, the best first, leaving out those that better ones cannot be told from."""
+        sky = setup.sky
+        index = _brightest(sky)[hypotheses]
+        kept = index[keep_apart(sky.ra[index], sky.dec[index], APART * resolution(setup), AT_MOST)]
+        return CatalogueFlux(in_degrees(sky.ra[kept], sky.dec[kept]), self.n_hypotheses(setup))
+
+    def drawn(self, setup: ObservingSetup, rng: np.random.Generator) -> CatalogueFlux:
+        """Take one of the twenty sources that the model beam sees brightest at any time."""
+        sky = setup.sky.select(_brightest(setup.sky))
+        positions = RotatedPositions(sky, setup.observation)
+        seen = np.zeros(sky.Nsrc)
+        for itime in setup.times.tolist():
+            index, za, az = positions.above_horizon(itime)
+            beam = np.asarray(setup.basis.synthesize(setup.prior_mean[0], za, az)).real
+            seen[index] = np.maximum(seen[index], np.abs(beam * sky.flux[0, index]))
+        chosen = rng.choice(np.argsort(-seen)[:20], size=1)
+        return CatalogueFlux(in_degrees(sky.ra[chosen], sky.dec[chosen]))
+
+    def draw(self, setup: ObservingSetup, rng: np.random.Generator, strength: float) -> FloatArray:
+        """Draw errors of ``strength`` x scale, of either sign."""
+        scale = self.parameters(setup).scale
+        return strength * scale * rng.choice([-1.0, 1.0], size=len(scale))
+
+
+def find(sky: Sky, sources: Sequence[tuple[float, float]]) -> IntArray:
+    """Return the index of the catalogue source at each direction (degrees), (N,).
+
+    Raises
+    ------
+    InputError
+        If there is none within 0.2 arcseconds.
+    """
+    return np.array(_find(sky, tuple(sources)), dtype=int)
+
+
+@lru_cache(maxsize=1)
+def _find(sky: Sky, sources: tuple[tuple[float, float], ...]) -> list[int]:
+    index = []
+    for ra, dec in zip(*in_radians(sources), strict=True):
+        distance = separation(sky.ra, sky.dec, ra, dec)
+        if not np.min(distance, initial=np.inf) <= SAME:
+            raise InputError(
+                f"the catalogue has no source at {place(*np.rad2deg([ra, dec]))}",
+                field="catalogue_flux",
+                remedy="use the catalogue and the flux cut with which the effect was found",
+            )
+        index.append(int(np.argmin(distance)))
+    return index
+
+
+def _brightest(sky: Sky) -> IntArray:
+    """Return the sources of largest mean flux that are looked at, ascending."""
+    faintest_first = np.argsort(np.abs(sky.flux.mean(axis=0)), kind="stable")
+    return np.sort(faintest_first[-MAX_CANDIDATES:])

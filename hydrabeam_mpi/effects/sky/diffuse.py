@@ -1,0 +1,194 @@
+"""Diffuse emission on large scales: a sky T(s) = sum_lm a_lm Y_lm(s) with real spherical harmonics.
+
+It adds 1/2 int dOmega T(s) B(s) exp(2 pi i nu b.s/c), the integral over the visible hemisphere. The hemisphere with its
+beam and fringes stays what it is while the sky turns, and a turned harmonic is a combination of those of its degree:
+so the integrals over harmonics of the horizontal frame are made once, by a quadrature that converges exponentially up
+to the horizon, and every time takes its own combinations of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import factorial
+from typing import Any
+
+import numpy as np
+from scipy.special import lpmv
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.row_block import GivenColumns, RowBlock
+from hydrabeam_mpi.model.engines import make_engine
+from hydrabeam_mpi.model.fringes import C_M_PER_S
+from hydrabeam_mpi.model.positions import enu
+from hydrabeam_mpi.model.sky import Sky
+
+MAX_LENGTH = 100.0  # wavelengths
+BEAM_NODES, BEAM_ORDERS = 60, 110  # what a beam's own structure adds to the quadrature in cos za and az
+POINTS_AT_ONCE = 16384
+GALACTIC_SLOPE = -1.25  # of a_lm with l: the power of the Galaxy's emission falls as l^-2.5
+MONOPOLE = 4.5  # relative to l = 1: no emission is negative, so that the mean is twice the rms about it, or more
+
+
+class Diffuse(Effect):
+    """Spherical harmonics up to a low degree, in the frame of the sources; each channel its own coefficients.
+
+    Baselines of a few wavelengths see such scales directly, longer ones through the sidelobes of their beam and its
+    edge at the horizon, ever less; those beyond 100 wavelengths are taken to see nothing. All degrees up to ``l_max``
+    are kept: the prior, which falls with l as the Galaxy's emission does, keeps those down that an array hardly sees.
+    The Y_lm are orthonormal; m < 0 goes with
+    sin(|m| ra), m > 0 with cos(m ra). Aberration, 20 arcseconds, is left out.
+
+    Parameters
+    ----------
+    l_max : int
+        Highest degree.
+    """
+
+    kind = "diffuse"
+    title = "diffuse emission"
+    changes_sky = True
+
+    def __init__(self, l_max: int = 6) -> None:
+        self.l_max = l_max
+
+    def describe(self) -> dict[str, Any]:
+        """Return the highest degree."""
+        return {"l_max": self.l_max}
+
+    def not_applicable(self, setup: ObservingSetup) -> str | None:
+        """Refuse where every baseline is too long."""
+        shortest = np.linalg.norm(setup.redundant.vectors, axis=1).min(initial=np.inf)
+        wavelength = C_M_PER_S / float(setup.observation.freqs.min())
+        if shortest <= MAX_LENGTH * wavelength:
+            return None
+        return (
+            f"no baseline is shorter than {MAX_LENGTH:g} wavelengths, which see no large scales; "
+            f"baselines below {MAX_LENGTH * wavelength:.0f} m would"
+        )
+
+    def parameters(self, setup: ObservingSetup) -> Parameters:
+        """Return the coefficients a_lm."""
+        names = [f"harmonic l={l} m={m}" for l, m in _degrees(self.l_max)]
+        degree = np.array([l for l, _ in _degrees(self.l_max)])
+        sizes = np.where(degree > 0, np.maximum(degree, 1) ** GALACTIC_SLOPE, MONOPOLE)
+        # A sky may well have nothing beyond some degree, whatever the others have.
+        return replace(Parameters.of(names, "Jy/sr", 1e4 * sizes, degree), nested=True)
+
+    def columns(self, block: RowBlock, x: FloatArray) -> Columns:
+        """Return the visibilities of every harmonic."""
+        n = (self.l_max + 1) ** 2
+        values = np.zeros((len(block.times), len(block.groups), n), dtype=complex)
+        short = np.flatnonzero(_wavenumber(block) * np.linalg.norm(block.vectors, axis=1) <= 2 * np.pi * MAX_LENGTH)
+        if len(short) and len(block.times):
+            horizontal = self._horizontal(block, short)
+            for t, turn in enumerate(self._turns(block)):
+                values[t, short] = horizontal @ turn.T
+        return Columns(values, n, by_group=True)
+
+    def extra_sky(self, block: RowBlock, itime: int, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the points of the quadrature with the flux that each stands for."""
+        up, az, area = _hemisphere(block, block.vectors)
+        turn = self._turns(replace(block, times=np.array([itime])))[0]
+        flux = area * np.tensordot(turn.T @ x, harmonics(self.l_max, up, az), axes=1)
+        za, az, flux = np.broadcast_arrays(np.arccos(up), az, flux)
+        return za.ravel(), az.ravel(), flux.ravel()
+
+    def _horizontal(self, block: RowBlock, groups: IntArray) -> ComplexArray:
+        """Return the visibilities of harmonics of (90 deg - za, az), (len(groups), n)."""
+        vectors = block.vectors[groups]
+        up, az, area = _hemisphere(block, vectors)
+        engine = make_engine(block.engine_kind, vectors)
+        out = np.zeros((2, len(groups), (self.l_max + 1) ** 2))
+        freqs, step = np.array([block.freq]), max(1, POINTS_AT_ONCE // az.size)
+        for lo in range(0, len(up), step):
+            part = up[lo : lo + step]
+            za, azimuth, flux = (
+                np.ravel(one) for one in np.broadcast_arrays(np.arccos(part), az, area[lo : lo + step])
+            )
+            columns = harmonics(self.l_max, part, az).reshape(-1, len(za)) * np.asarray(block.beam(za, azimuth)).real
+            out += engine.design(GivenColumns(columns), za, azimuth, flux[np.newaxis], freqs)[0]
+        return np.asarray(out[0] + 1j * out[1])
+
+    def _turns(self, block: RowBlock) -> FloatArray:
+        """Return equatorial harmonics as combinations of horizontal ones, (Ntimes, n, n).
+
+        By projection over the sphere, with points and weights that are exact for products of two harmonics.
+        """
+        nodes, weights = np.polynomial.legendre.leggauss(self.l_max + 1)
+        n_az = 2 * self.l_max + 3
+        az = np.tile(2 * np.pi * np.arange(n_az) / n_az, len(nodes))
+        z = np.repeat(nodes, n_az)
+        points = enu(np.arccos(z), az)
+        projection = harmonics(self.l_max, z, az) * np.repeat(weights, n_az) * (2 * np.pi / n_az)
+        turned = np.einsum("tij,ip->tjp", _frames(block), points)
+        equatorial = harmonics(self.l_max, turned[:, 2].clip(-1, 1), np.arctan2(turned[:, 1], turned[:, 0]))
+        return np.einsum("atp,bp->tab", equatorial, projection)
+
+
+def _hemisphere(block: RowBlock, vectors: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the quadrature's cos za, (N, 1), azimuths, (1, M), and solid angles, (N, 1); its points are all N x M.
+
+    A fringe of largest phase k b has azimuthal orders up to about k b, and degrees as high on a sphere of which this is
+    half.
+    """
+    largest = _wavenumber(block) * float(np.linalg.norm(vectors, axis=1).max())
+    nodes, weights = np.polynomial.legendre.leggauss(int(0.35 * largest) + BEAM_NODES)
+    n_az = int(largest) + BEAM_ORDERS
+    az = np.linspace(0, 2 * np.pi, n_az, endpoint=False)[np.newaxis]
+    return (nodes[:, np.newaxis] + 1) / 2, az, weights[:, np.newaxis] * np.pi / n_az
+
+
+def harmonics(l_max: int, z: FloatArray, azimuth: FloatArray) -> FloatArray:
+    """Evaluate real orthonormal spherical harmonics, without the Condon-Shortley phase.
+
+    Parameters
+    ----------
+    l_max : int
+    z : ndarray
+        Cosine of the polar angle.
+    azimuth : ndarray
+        Radians; broadcast with ``z``.
+
+    Returns
+    -------
+    ndarray, ((l_max + 1)^2, ...)
+        By l, then m = -l .. l.
+    """
+    out = np.empty(((l_max + 1) ** 2, *np.broadcast_shapes(z.shape, azimuth.shape)))
+    for row, (l, m) in enumerate(_degrees(l_max)):
+        order = abs(m)
+        squared = (2 * l + 1) / (4 * np.pi) * factorial(l - order) / factorial(l + order)
+        factor = (-1) ** order * np.sqrt(squared * (2 if m else 1))
+        trigonometric = np.sin(order * azimuth) if m < 0 else np.cos(order * azimuth)
+        np.multiply(factor * lpmv(order, l, z), trigonometric, out=out[row])
+    return out
+
+
+def _degrees(l_max: int) -> list[tuple[int, int]]:
+    return [(l, m) for l in range(l_max + 1) for m in range(-l, l + 1)]
+
+
+def _wavenumber(block: RowBlock) -> float:
+    return 2 * np.pi * block.freq / C_M_PER_S
+
+
+def _frames(block: RowBlock) -> FloatArray:
+    """Return the rotations from equatorial to horizontal vectors (ENU), (Ntimes, 3, 3).
+
+    The best fit to where the block's rule puts directions all over the sky.
+    """
+    n = 60
+    z = 1 - (2 * np.arange(n) + 1) / n
+    ra = np.arange(n) * np.pi * (3 - np.sqrt(5)) % (2 * np.pi)
+    sky = Sky(ra, np.arcsin(z), np.ones((1, n)))
+    vectors = enu(np.arccos(z), ra)
+    positions = block.positions.follow(sky)
+    frames = np.empty((len(block.times), 3, 3))
+    for t, itime in enumerate(block.times.tolist()):
+        index, za, az = positions.above_horizon(itime)
+        left, _, right = np.linalg.svd(enu(za, az) @ vectors[:, index].T)
+        left[:, 2] *= np.linalg.det(left @ right)
+        frames[t] = left @ right
+    return frames

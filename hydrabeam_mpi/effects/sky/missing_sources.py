@@ -1,0 +1,182 @@
+"""Point sources that the sky model lacks: V gets 1/2 S(nu) B(s) exp(2 pi i nu b.s/c) more, fixed on the sky."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.effect import Columns, Parameters
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.shared.point_sources import (
+    PointSources,
+    dirty_map,
+    in_degrees,
+    in_radians,
+    keep_apart,
+    place,
+    resolution,
+    responses,
+)
+from hydrabeam_mpi.model.sky import Sky
+
+SPECTRAL_INDEX = -0.7  # of a source of which nothing is known
+SPACING = 0.5  # of candidates, in resolutions
+MIN_SPACING = np.deg2rad(0.45)  # where an array resolves more, the search has to make do
+MIN_ALTITUDE = np.deg2rad(5.0)  # that a candidate must reach
+HIGH = np.deg2rad(60.0)  # where sources are placed to simulate with
+AT_MOST = 20
+MIN_TRIALS = 10
+STEP = 2e-4  # of derivatives by position, in resolutions
+
+
+class MissingSources(PointSources):
+    """Sources at unknown places, each with a flux, a position and, given several channels, a spectral index.
+
+    Candidates lie on a grid in the sky's own frame. What is reported of a source is relative to the point where it was
+    found: a flux at the mean frequency, an offset on the plane tangent there, and the departure of its spectral index
+    from -0.7.
+
+    Parameters
+    ----------
+    sources : sequence of (float, float)
+        Right ascension and declination, degrees, from which offsets count.
+    trials : int
+        Number of independent directions from which these were picked.
+    """
+
+    kind = "missing_sources"
+    title = "missing point sources"
+
+    def parameters(self, setup: ObservingSetup) -> Parameters:
+        """Return flux, offsets east and north, and the change of spectral index of every source."""
+        spacing = float(np.rad2deg(_spacing(setup)))
+        each = [
+            ("flux", "Jy", 1.0, False),
+            ("offset east", "deg", spacing, True),
+            ("offset north", "deg", spacing, True),
+            ("change of spectral index", "", 0.5, True),
+        ][: _n_each(setup)]
+        rows = [(f"source at {place(*source)}: {what}", *rest) for source in self.sources for what, *rest in each]
+        names, units, scale, nonlinear = zip(*rows, strict=True) if rows else ((), (), (), ())
+        element = np.repeat(np.arange(len(self.sources)), len(each))
+        trials = max(self.trials, len(self.sources)) if rows else 0
+        return Parameters.of(names, units, np.array(scale, dtype=float), element, nonlinear, trials)
+
+    def extra_sky(self, block: RowBlock, itime: int, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the sources that are up."""
+        part = x.reshape(-1, _n_each(block.setup))
+        flux = part[:, 0] * _spectrum(part, block)
+        sky = Sky(*self._places(part), np.ones((1, len(flux))))
+        index, za, az = block.positions.follow(sky).above_horizon(itime)
+        return za, az, flux[index]
+
+    def columns(self, block: RowBlock, x: FloatArray) -> Columns:
+        """Return derivatives: the source itself, its central difference by position, and its growth with ln nu."""
+        each = _n_each(block.setup)
+        part = x.reshape(-1, each)
+        step = STEP * resolution(block.setup)
+        shifts = step * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]], dtype=float)
+        places = [self._places(part, shift) for shift in shifts]
+        # One pass over the times serves all displacements.
+        all_seen = responses(block, *(np.concatenate(axis) for axis in zip(*places, strict=True)))
+        seen, *displaced = np.split(all_seen, len(shifts), axis=2)
+        values = np.empty((*seen.shape, each), dtype=complex)
+        values[..., 0] = seen
+        for k in (1, 2):
+            ahead, behind = displaced[2 * k - 2 : 2 * k]
+            # Where the horizon lies between the two there is no derivative.
+            both = (ahead != 0) & (behind != 0)
+            values[..., k] = np.where(both, np.deg2rad(part[:, 0]) * (ahead - behind) / (2 * step), 0)
+        if each > 3:
+            values[..., 3] = part[:, 0] * np.log(block.freq / block.setup.reference_freq) * seen
+        values *= _spectrum(part, block)[:, np.newaxis]
+        return Columns(values.reshape(*seen.shape[:2], len(x)), len(x), by_group=True)
+
+    def added(self, block: RowBlock, x: FloatArray) -> ComplexArray:
+        """Return the sources' visibilities."""
+        part = x.reshape(-1, _n_each(block.setup))
+        return block.spread(responses(block, *self._places(part)) @ (part[:, 0] * _spectrum(part, block)))
+
+    def _places(self, part: FloatArray, shift: FloatArray | float = 0.0) -> tuple[FloatArray, FloatArray]:
+        """Return where the sources are, and ``shift`` radians east and north of there, (Nsources,) each."""
+        ra, dec = in_radians(self.sources)
+        east, north = (np.deg2rad(part[:, 1:3]) + shift).T
+        along = np.cos(dec) - north * np.sin(dec)
+        x, y = along * np.cos(ra) - east * np.sin(ra), along * np.sin(ra) + east * np.cos(ra)
+        return np.arctan2(y, x), np.arctan2(np.sin(dec) + north * np.cos(dec), np.hypot(x, y))
+
+    def n_hypotheses(self, setup: ObservingSetup) -> int:
+        """Return the number of grid points that rise high enough."""
+        return len(candidates(setup)[0])
+
+    def scan(self, block: RowBlock) -> tuple[FloatArray, FloatArray]:
+        """Correlate the residual with a source at every grid point."""
+        ra, dec = candidates(block.setup)
+        spectrum = (block.setup.observation.freqs / block.setup.reference_freq) ** SPECTRAL_INDEX
+        sky = Sky(ra, dec, np.broadcast_to(spectrum[:, np.newaxis], (len(spectrum), len(ra))))
+        projection, power = dirty_map(block, sky)
+        return projection[:, np.newaxis], power[:, np.newaxis]
+
+    def at(self, setup: ObservingSetup, hypotheses: IntArray) -> MissingSources:
+        """Place sources at these points, the best first, leaving out those within a resolution of better ones."""
+        ra, dec = candidates(setup)
+        trials = max(MIN_TRIALS, round(len(ra) * (_spacing(setup) / resolution(setup)) ** 2))
+        ra, dec = ra[hypotheses], dec[hypotheses]
+        kept = keep_apart(ra, dec, resolution(setup), AT_MOST)
+        return MissingSources(in_degrees(ra[kept], dec[kept]), trials)
+
+    def drawn(self, setup: ObservingSetup, rng: np.random.Generator) -> MissingSources:
+        """Place a source at random where it comes within 30 degrees of the zenith."""
+        ra, dec = candidates(setup, HIGH)
+        chosen = rng.integers(len(ra), size=1)
+        return MissingSources(in_degrees(ra[chosen], dec[chosen]))
+
+    def draw(self, setup: ObservingSetup, rng: np.random.Generator, strength: float) -> FloatArray:
+        """Draw offsets within half a grid spacing and spectral indices; every flux is ``strength`` Jy."""
+        parameters = self.parameters(setup)
+        x = parameters.scale * rng.uniform(-0.5, 0.5, len(parameters))
+        x[:: _n_each(setup)] = strength
+        return x
+
+
+def candidates(setup: ObservingSetup, altitude: float = MIN_ALTITUDE) -> tuple[FloatArray, FloatArray]:
+    """Return right ascension and declination of the grid points that rise to ``altitude`` in the times in use."""
+    ra, dec = _grid(_spacing(setup))
+    observation = setup.observation
+    zenith = observation.latitude
+    # Culmination alone rules many out, and leaves the fewer to be turned.
+    can = np.abs(dec - zenith) <= np.pi / 2 - altitude
+    ra, dec = ra[can], dec[can]
+    nearest = np.full(len(ra), -1.0)
+    for lst in observation.lsts[setup.times].tolist():
+        np.maximum(nearest, np.cos(lst - ra), out=nearest)
+    sine = np.sin(zenith) * np.sin(dec) + np.cos(zenith) * np.cos(dec) * nearest
+    rises = sine >= np.sin(altitude)
+    return ra[rises], dec[rises]
+
+
+def _spacing(setup: ObservingSetup) -> float:
+    """Return the distance of neighbouring grid points, radians."""
+    return max(SPACING * resolution(setup), MIN_SPACING)
+
+
+def _grid(spacing: float) -> tuple[FloatArray, FloatArray]:
+    """Return points all over the sphere on rings of equal declination, every other one turned by half a step."""
+    n_rings = int(np.ceil(np.pi / spacing))
+    dec = np.pi * ((np.arange(n_rings) + 0.5) / n_rings - 0.5)
+    counts = np.ceil(2 * np.pi * np.cos(dec) / spacing).astype(int)
+    ring = np.repeat(np.arange(n_rings), counts)
+    along = np.arange(len(ring)) - (np.cumsum(counts) - counts)[ring]
+    return 2 * np.pi * (along + 0.5 * (ring % 2)) / counts[ring], dec[ring]
+
+
+def _n_each(setup: ObservingSetup) -> int:
+    """Return the number of parameters of a source: one channel has no spectral index."""
+    return 4 if setup.observation.Nfreqs > 1 else 3
+
+
+def _spectrum(part: FloatArray, block: RowBlock) -> FloatArray:
+    """Return (nu / nu_0) to the sources' spectral indices, (Nsources,)."""
+    index = SPECTRAL_INDEX + (part[:, 3] if part.shape[1] > 3 else np.zeros(len(part)))
+    return np.asarray((block.freq / block.setup.reference_freq) ** index)

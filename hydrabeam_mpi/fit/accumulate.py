@@ -1,0 +1,116 @@
+"""A rank's share of the work: its rows into normal equations, and its held-out rows into residual statistics."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.fit.equations import BEAM, NormalEquations, RowBuffer
+from hydrabeam_mpi.fit.rows import Rows
+from hydrabeam_mpi.infer.gaussian import Block
+from hydrabeam_mpi.infer.posterior import Posterior
+from hydrabeam_mpi.infer.predictive_checks import HeldoutStatistics
+from hydrabeam_mpi.model.bases.base import LinearBasis
+from hydrabeam_mpi.model.rime import Beam, ForwardModel
+from hydrabeam_mpi.terminal.progress import track
+
+
+def accumulate(rows: Rows, model: ForwardModel, basis: LinearBasis, show: bool = False) -> list[NormalEquations]:
+    """Build a rank's partial normal equations, one set a channel, streaming over its times.
+
+    Parameters
+    ----------
+    rows : Rows
+        The rank's training rows; channels as in ``model``.
+    model : ForwardModel
+        Its engine holds the vectors of ``rows.groups``.
+    basis : LinearBasis
+        The beam basis.
+    show : bool
+        Whether to report progress.
+    """
+    return accumulate_designs(rows, designs(rows, model, basis, "design matrix", show), basis)
+
+
+def accumulate_designs(rows: Rows, by_time: Iterable[NDArray[Any]], basis: LinearBasis) -> list[NormalEquations]:
+    """Do as `accumulate` with the design of each time, as `designs` gives it."""
+    normals = [NormalEquations([Block(BEAM, basis.n_modes, basis.is_complex)]) for _ in rows.data]
+    buffers = [RowBuffer(normal, BEAM) for normal in normals]
+    weighted, weights = rows.compressed()
+    for normal, data, inv_noise_var in zip(normals, rows.data, rows.inv_noise_var, strict=True):
+        normal.add_data(data, inv_noise_var)
+    for t, design in enumerate(by_time):
+        for f, buffer in enumerate(buffers):
+            buffer.add(design[f], weighted[f, t], weights[f, t])
+    for buffer in buffers:
+        buffer.flush()
+    return normals
+
+
+def check_heldout(
+    rows: Rows,
+    model: ForwardModel,
+    basis: LinearBasis,
+    posteriors: Sequence[Posterior],
+    beams: Sequence[Beam],
+    show: bool = False,
+) -> list[HeldoutStatistics]:
+    """Compare a rank's held-out rows with the posterior predictive (HDBI II, eq. 15) and with the model beam.
+
+    Parameters
+    ----------
+    rows, model, basis, show
+        As in `accumulate`, of the held-out rows.
+    posteriors : list of Posterior
+        One a channel.
+    beams : list of callable
+        The model beam of each channel, before the inference.
+    """
+    before = model.visibilities(beams, rows.tile.times)
+    return check_designs(rows, designs(rows, model, basis, "held-out rows", show), posteriors, before)
+
+
+def check_designs(
+    rows: Rows,
+    by_time: Iterable[NDArray[Any]],
+    posteriors: Sequence[Posterior],
+    before: ComplexArray,
+    more_variance: FloatArray | None = None,
+) -> list[HeldoutStatistics]:
+    """Do as `check_heldout` with each time's design and the model beam's visibilities, (Nfreqs, Ntimes, Nlocal).
+
+    ``more_variance`` of the predictions' parts, (Nfreqs, 2, Ntimes, Nbls), Jy^2, is that by anything but the beam.
+    """
+    statistics = [HeldoutStatistics() for _ in rows.data]
+    for t, design in enumerate(by_time):
+        for f, posterior in enumerate(posteriors):
+            mean, of_groups = predict(posterior, design[f])
+            variance = of_groups[:, rows.member]
+            if more_variance is not None:
+                variance = variance + more_variance[f, :, t]
+            before_of_rows = before[f, t][rows.member]
+            statistics[f].add(rows.data[f, t], rows.inv_noise_var[f, t], mean[rows.member], variance, before_of_rows)
+    return statistics
+
+
+def designs(rows: Rows, model: ForwardModel, basis: LinearBasis, label: str, show: bool) -> Iterator[NDArray[Any]]:
+    """Yield a time's design rows as `RowBuffer.add` takes them, for each channel."""
+    times = rows.tile.times
+    for parts in track(model.design_columns(basis, times), len(times), label, show):
+        mixed = basis.mix(parts)
+        yield mixed[:, 0] + 1j * mixed[:, 1] if basis.is_complex else mixed
+
+
+def predict(posterior: Posterior, design: NDArray[Any]) -> tuple[ComplexArray, FloatArray]:
+    """Return the posterior predictive mean (Nlocal,) and the model variance of its parts (2, Nlocal)."""
+    if posterior.is_complex:
+        half = 0.5 * posterior.predictive_variance(design)
+        return design @ posterior.mean, np.stack([half, half])
+    n_rows = design.shape[1]
+    variance = posterior.predictive_variance(design.reshape(2 * n_rows, -1)).reshape(2, n_rows)
+    real, imag = design @ posterior.mean
+    return real + 1j * imag, variance

@@ -1,0 +1,182 @@
+"""From the effects of a job to a joint fit, and from that to what `infer` writes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from hydrabeam_mpi.config import Job
+from hydrabeam_mpi.config.effects import Effect as EffectEntry
+from hydrabeam_mpi.data.selection import Selection
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.registry import EFFECTS, REWEIGHTINGS, make_effect, make_reweighting
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.fit.accumulate import accumulate_designs, check_designs
+from hydrabeam_mpi.fit.channels import ChannelResult, Clock, read_shares, reduce_heldout
+from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
+from hydrabeam_mpi.fit.heldout import variance_by_effects
+from hydrabeam_mpi.fit.rank_data import RankData
+from hydrabeam_mpi.fit.state import Active, Reweighted, State
+from hydrabeam_mpi.fit.whitening import root_of
+from hydrabeam_mpi.infer.posterior import Posterior
+from hydrabeam_mpi.io.uvmeta import read_observation
+from hydrabeam_mpi.mpi import ProcessGrid, bcast_object, together
+from hydrabeam_mpi.setup.problem import Problem
+from hydrabeam_mpi.setup.skies import source_positions
+
+AS_WRITTEN = "use the job as 'hydrabeam loop' wrote it, with the same data, or run the loop again"
+
+
+def find_setup(problem: Problem) -> ObservingSetup:
+    """Return what effects may know before any visibility is read. Serial."""
+    return ObservingSetup(
+        observation=problem.observation,
+        redundant=problem.redundant,
+        sky=problem.sky,
+        basis=problem.basis,
+        prior_mean=tuple(prior.mean for prior in problem.priors),
+        file_pols=read_observation(problem.files, Selection()).pols,
+        times=np.union1d(problem.train.times, problem.test.times),
+        positions=partial(source_positions, problem.job),
+    )
+
+
+def read_context(grid: ProcessGrid, problem: Problem, setup: ObservingSetup, clock: Clock) -> FitContext:
+    """Read the rank's rows. Collective: all ranks of the grid.
+
+    Parameters
+    ----------
+    grid : ProcessGrid
+    problem : Problem
+        Of the rank group's channels.
+    setup : ObservingSetup
+        Of all channels.
+    clock : Clock
+        Receives the phase "read".
+    """
+    with clock.time("read"):
+        # What the prediction of one time is uncertain of is whitened together.
+        train, test = read_shares(grid, problem, whole_times=True)
+    return FitContext(grid, problem, setup, RankData(problem, setup, train), RankData(problem, setup, test))
+
+
+def restore(job: Job, setup: ObservingSetup) -> State:
+    """Return the state that a job's ``[[effects]]`` describe, not yet fitted.
+
+    Raises
+    ------
+    InputError
+        If an effect does not fit the data.
+    """
+    state = State()
+    n_freqs = setup.observation.Nfreqs
+    for number, entry in enumerate(job.effects):
+        try:
+            if len(entry.values) != n_freqs:
+                raise InputError(
+                    f"has values for {len(entry.values)} channels, the data have {n_freqs}",
+                    remedy="use the job as 'hydrabeam loop' wrote it, with the same channels",
+                )
+            if entry.kind in REWEIGHTINGS:
+                state.reweighted.append(_restore_reweighting(entry, setup))
+            else:
+                state.active.append(_restore_effect(entry, setup))
+        except InputError as error:
+            error.within(f"[[effects]] number {number + 1} ({entry.kind})")
+            raise
+    return state
+
+
+def _restore_reweighting(entry: EffectEntry, setup: ObservingSetup) -> Reweighted:
+    change, values = make_reweighting(entry.kind, entry.settings), np.array(entry.values)
+    if values.shape[1] not in change.sizes(setup) or values.min() <= 0:
+        raise InputError("are not what the data need", field="values", remedy=AS_WRITTEN)
+    return Reweighted(change, values, np.array(entry.std) if entry.std else np.zeros_like(values))
+
+
+def _restore_effect(entry: EffectEntry, setup: ObservingSetup) -> Active:
+    if entry.kind not in EFFECTS:
+        raise InputError("cannot be part of the model", remedy="remove it")
+    effect = make_effect(entry.kind, entry.settings)
+    not_applicable = effect.not_applicable(setup)
+    if not_applicable is not None:
+        raise InputError(not_applicable, remedy="remove it")
+    parameters = effect.parameters(setup)
+    index = np.array(entry.index, dtype=int)
+    if [parameters.names[i] for i in index if i < len(parameters)] != list(entry.names):
+        raise InputError("is about other antennas, times or sources than the data have", remedy=AS_WRITTEN)
+    prior_var, x = np.zeros(len(parameters)), np.zeros((len(entry.values), len(parameters)))
+    prior_var[index], x[:, index] = np.square(entry.prior_std), np.array(entry.values)
+    return replace(Active.start(effect, setup, prior_var, x), prior_var=prior_var)
+
+
+def infer_with_effects(grid: ProcessGrid, problem: Problem, mine: Problem, clock: Clock) -> list[ChannelResult]:
+    """Fit beams and the job's effects jointly.
+
+    Collective: all ranks of the grid.
+
+    Parameters
+    ----------
+    grid : ProcessGrid
+    problem, mine : Problem
+        Of all channels, and of the rank group's.
+    clock : Clock
+        Receives the phases of `infer_channels`; each step of the fit solves, so that "design"
+        has all of it.
+    """
+    with together(grid.world):
+        setup = find_setup(problem) if grid.is_world_root else None
+    context = read_context(grid, mine, bcast_object(grid.world, setup), clock)
+    with together(grid.world):
+        state = restore(problem.job, context.setup)
+    with clock.time("design"):
+        state = refit(context, state)
+    with clock.time("solve"):
+        pass
+    with clock.time("heldout"):
+        return channel_results(context, state)
+
+
+def channel_results(context: FitContext, state: State) -> list[ChannelResult]:
+    """Return what was inferred of each channel of the rank group, the effects' uncertainty included.
+
+    Collective: all ranks of the grid.
+    """
+    grid, problem = context.grid, context.problem
+    with together(grid.world):
+        train, _ = context.train.calibrated(state)
+        normals = accumulate_designs(train, context.train.designs(state), problem.basis)
+    for normal in normals:
+        normal.reduce(grid.group)
+    posteriors = _marginal(state)
+    with together(grid.world):
+        test, added = context.test.calibrated(state)
+        before = context.test.model.visibilities(problem.beams, test.tile.times)
+        variance, with_beam = variance_by_effects(context, state, test, added)
+        predicting = state.posteriors if with_beam else posteriors
+        heldout = check_designs(test, context.test.designs(state), predicting, before, variance)
+    reduce_heldout(grid, heldout)
+    return [ChannelResult(*parts) for parts in zip(normals, posteriors, heldout, strict=True)]
+
+
+def _marginal(state: State) -> Sequence[Posterior]:
+    """Return the beams' posteriors with the effects marginalised.
+
+    The beam's covariance grows by M C M^T, with C that of the effects and M by how much the beam follows them. For
+    complex coefficients this is the part of it that a circular Gaussian can have.
+    """
+    if not state.active:
+        return state.posteriors
+    wider = []
+    for posterior, follow, covariance in zip(state.posteriors, state.beam_response, state.covariances, strict=True):
+        spread = follow @ root_of(covariance)
+        # (P^-1 + Z Z^H)^-1 = P - P Z (1 + Z^H P Z)^-1 Z^H P, and P = L L^H.
+        half = posterior.factor.conj().T @ spread
+        inner = np.linalg.cholesky(np.eye(half.shape[1]) + half.conj().T @ half)
+        taken = np.linalg.solve(inner, (posterior.factor @ half).conj().T)
+        precision = posterior.factor @ posterior.factor.conj().T - taken.conj().T @ taken
+        wider.append(Posterior(posterior.mean, np.linalg.cholesky(precision), posterior.log_evidence))
+    return wider

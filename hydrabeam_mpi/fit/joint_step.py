@@ -1,0 +1,83 @@
+"""The Newton step of all effects together, some parameters of which belong to one channel and some to all."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.fit.state import State
+from hydrabeam_mpi.infer.likelihood import Likelihood
+
+HELD = 1e10
+"""Precision, in units of the prior's, with which undecidable combinations are held at zero."""
+
+
+def solve_jointly(
+    state: State, x: FloatArray, likelihoods: list[Likelihood]
+) -> tuple[FloatArray, FloatArray, list[FloatArray], float]:
+    """Take the Newton step of all active parameters in use.
+
+    Parameters that channels share are solved for together, the others channel by channel given those.
+
+    Parameters
+    ----------
+    state : State
+    x : ndarray, (Nfreqs, q)
+        Where these parameters are, side by side.
+    likelihoods : list of Likelihood
+        Of each channel, linearised there, with the beam marginalised.
+
+    Returns
+    -------
+    x, std : ndarray, (Nfreqs, q)
+    covariances : list of ndarray, (q, q)
+    moved : float
+        Largest step in standard deviations.
+    """
+    prior_var = state.prior_var
+    width = np.sqrt(prior_var)
+    s, p = np.flatnonzero(state.shared), np.flatnonzero(~state.shared)
+    prior = _prior_precision(state, width)
+    top, gradient = prior[np.ix_(s, s)].copy(), -prior[np.ix_(s, s)] @ (x[0, s] / width[s])
+    channels = []
+    for likelihood, values in zip(likelihoods, x, strict=True):
+        matrix = width[:, np.newaxis] * likelihood.information * width
+        score = width * likelihood.score
+        own = np.linalg.inv(matrix[np.ix_(p, p)] + prior[np.ix_(p, p)])
+        across = matrix[np.ix_(s, p)] @ own
+        own_score = score[p] - prior[np.ix_(p, p)] @ (values[p] / width[p])
+        top += matrix[np.ix_(s, s)] - across @ matrix[np.ix_(p, s)]
+        gradient += score[s] - across @ own_score
+        channels.append((own, across, own_score))
+    common = np.linalg.inv(top)
+    common_step = common @ gradient
+    new, std, covariances = x.copy(), np.zeros_like(x), []
+    for f, (own, across, own_score) in enumerate(channels):
+        step, covariance = np.zeros(len(width)), np.zeros((len(width), len(width)))
+        step[s], step[p] = common_step, own @ own_score - across.T @ common_step
+        covariance[np.ix_(s, s)] = common
+        covariance[np.ix_(p, s)] = -across.T @ common
+        covariance[np.ix_(s, p)] = covariance[np.ix_(p, s)].T
+        covariance[np.ix_(p, p)] = own + across.T @ common @ across
+        covariances.append(width[:, np.newaxis] * covariance * width)
+        std[f] = np.sqrt(np.diag(covariances[-1]))
+        new[f] += _limited(state, width * step)
+    return new, std, covariances, float(np.max(np.abs(new - x) / std, initial=0.0))
+
+
+def _prior_precision(state: State, width: FloatArray) -> FloatArray:
+    """Return the precision of the prior in units of its widths, with what is undecidable held at zero."""
+    precision = np.eye(len(width))
+    start = 0
+    for one in state.active:
+        span = slice(start, start + len(one.used))
+        for combination in one.degenerate_directions[:, one.used] * width[span]:
+            precision[span, span] += HELD * np.outer(combination, combination) / np.vdot(combination, combination)
+        start = span.stop
+    return precision
+
+
+def _limited(state: State, step: FloatArray) -> FloatArray:
+    """Keep steps of strongly nonlinear parameters, such as positions, within their natural size."""
+    limits = np.concatenate([np.zeros(0), *(one.step_limit[one.used] for one in state.active)])
+    return np.clip(step, -limits, limits)

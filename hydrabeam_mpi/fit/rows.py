@@ -1,0 +1,83 @@
+"""The rows that a rank owns: read, calibrated, weighted, and compressed by redundancy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray, Visibilities
+from hydrabeam_mpi.data.partition import Tile
+from hydrabeam_mpi.data.redundancy import RedundantGroups
+from hydrabeam_mpi.io import noise
+from hydrabeam_mpi.io.gains import apply_gains
+from hydrabeam_mpi.io.uvdata import read_visibilities
+from hydrabeam_mpi.setup.problem import Problem
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The rows of a tile in the orientation of their redundant groups.
+
+    Attributes
+    ----------
+    tile : Tile
+    data : ndarray of complex, (Nfreqs, Ntimes, Nbls)
+        Conjugated where the baseline points the other way than its group.
+    inv_noise_var : ndarray, (Nfreqs, Ntimes, Nbls)
+    groups : ndarray of int, (Nlocal,)
+        The groups that the tile holds.
+    member : ndarray of int, (Nbls,)
+        Position in ``groups`` of each baseline's group.
+    n_unflagged : int
+        Number of visibilities that are not flagged, whether or not their noise is known.
+    """
+
+    tile: Tile
+    data: ComplexArray
+    inv_noise_var: FloatArray
+    groups: IntArray
+    member: IntArray
+    n_unflagged: int
+
+    @classmethod
+    def of(cls, tile: Tile, visibilities: Visibilities, redundant: RedundantGroups, n_unflagged: int) -> Rows:
+        """Take the visibilities of ``tile`` in the one polarisation of the job."""
+        data = visibilities.data[..., 0]
+        flipped = redundant.flipped[tile.bls]
+        groups, member = np.unique(redundant.group[tile.bls], return_inverse=True)
+        oriented = np.where(flipped, data.conj(), data)
+        return cls(tile, oriented, visibilities.inv_noise_var[..., 0], groups, member, n_unflagged)
+
+    def compressed(self) -> tuple[ComplexArray, FloatArray]:
+        """Return sum(w d) and sum(w) over each group, (Nfreqs, Ntimes, Nlocal): exact sufficient statistics."""
+        n_freqs, n_times, n_bls = self.data.shape
+        member = csr_array((np.ones(n_bls), (np.arange(n_bls), self.member)), shape=(n_bls, len(self.groups)))
+        flat, shape = (n_freqs * n_times, n_bls), (n_freqs, n_times, len(self.groups))
+        weighted = (self.inv_noise_var * self.data).reshape(flat) @ member
+        weights = self.inv_noise_var.reshape(flat) @ member
+        return weighted.reshape(shape), weights.reshape(shape)
+
+
+def read_rows(problem: Problem, tile: Tile) -> Rows:
+    """Read the visibilities of a tile, and only those, with their weights.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be used, or visibilities, gains or noise are not as they should be.
+    """
+    files, observation, job = problem.files, problem.observation, problem.job
+    data, flags, nsamples = read_visibilities(files, observation, tile)
+    if problem.gain_files:
+        data, flags = apply_gains(data, flags, observation, tile, problem.gain_files)
+    if job.noise.sigma is not None:
+        weights = noise.constant_weights(job.noise.sigma, flags, nsamples)
+    elif job.noise.file is not None:
+        weights = noise.file_weights(job.noise.file, observation, tile, flags, nsamples)
+    elif problem.noise_variance is not None:
+        weights = noise.variance_weights(problem.noise_variance[:, tile.bls], flags, nsamples)
+    else:
+        weights = noise.radiometer_weights(files, observation, tile, flags, nsamples, problem.gain_files)
+    return Rows.of(tile, Visibilities(data, weights), problem.redundant, int(np.sum(~flags)))

@@ -1,0 +1,286 @@
+"""Which effect the residual comes from: every effect's evidence with the beam and all that is free marginalised."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.effect import Effect, ScannedEffect
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
+from hydrabeam_mpi.fit.gauss_newton import FitContext, current
+from hydrabeam_mpi.fit.row_sums import (
+    active_columns,
+    active_names,
+    beam_columns,
+    effect_columns,
+    effect_equations,
+    row_set,
+)
+from hydrabeam_mpi.fit.rows import Rows
+from hydrabeam_mpi.fit.state import State
+from hydrabeam_mpi.infer.gaussian import Block
+from hydrabeam_mpi.infer.likelihood import Likelihood
+from hydrabeam_mpi.loop.attribution.evidence import Evidence, find_evidence
+from hydrabeam_mpi.mpi import allreduce_sum, bcast_object, gather_objects, together
+
+MAX_ELEMENTS = 350
+"""Elements of a scanned effect that are weighed together, the best of the scan."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """An effect and what the data say of it.
+
+    Attributes
+    ----------
+    effect : Effect
+        With its candidates picked, where it is scanned.
+    evidence : Evidence
+    """
+
+    effect: Effect
+    evidence: Evidence
+
+    @property
+    def kind(self) -> str:
+        """The effect's name."""
+        return self.effect.kind
+
+
+def attribute(context: FitContext, state: State, effects: Sequence[Effect]) -> list[Finding]:
+    """Weigh effects that are not part of the model, best first.
+
+    Collective: all ranks of the grid.
+
+    Parameters
+    ----------
+    context : FitContext
+    state : State
+        Fitted.
+    effects : list of Effect
+        Those that these data can carry.
+    """
+    with together(context.grid.world):
+        cached = CachedRowBlocks.of(context, state)
+    picked = _pick(context, cached, effects)
+    picked = [effect for effect in picked if _has_more(context, state, effect)]
+    likelihoods: list[tuple[int, list[Likelihood]]] = []
+    for channel, number in enumerate(context.channels):
+        zeros = [np.zeros(len(effect.parameters(context.setup))) for effect in picked]
+        sums = _candidate_sums(context, state, cached, channel, list(zip(picked, zeros, strict=True)))
+        if context.grid.is_group_root:
+            names = active_names(state)
+            found = [
+                sums.likelihood([*names, one], BEAM, state.posteriors[channel]) for one in _candidate_names(picked)
+            ]
+            likelihoods.append((number, found))
+    gathered = gather_objects(context.grid.world, likelihoods)
+    findings = None
+    with together(context.grid.world):
+        if gathered is not None:
+            by_channel = dict(pair for part in gathered for pair in part)
+            ordered = [by_channel[number] for number in sorted(by_channel)]
+            findings = [
+                Finding(effect, _weigh(context, state, effect, [found[i] for found in ordered]))
+                for i, effect in enumerate(picked)
+            ]
+            findings.sort(key=lambda finding: -finding.evidence.log_bayes_factor)
+    result: list[Finding] = bcast_object(context.grid.world, findings)
+    return result
+
+
+def _taken(state: State, effect: Effect) -> IntArray:
+    """Return the parameters of an effect that are part of the model already."""
+    same = [one.used for one in state.active if one.kind == effect.kind and one.effect.describe() == effect.describe()]
+    return np.concatenate([np.zeros(0, dtype=int), *same])
+
+
+def _has_more(context: FitContext, state: State, effect: Effect) -> bool:
+    """Whether an effect has parameters that are not part of the model yet."""
+    return len(_taken(state, effect)) < len(effect.parameters(context.setup))
+
+
+def _weigh(context: FitContext, state: State, effect: Effect, by_channel: list[Likelihood]) -> Evidence:
+    """Weigh one effect over all channels, with the active effects marginalised and without what is part of them."""
+    parameters = effect.parameters(context.setup)
+    scale = parameters.scale.copy()
+    scale[_taken(state, effect)] = 0.0
+    blocks = _without_active(state, effect, by_channel) if state.active else by_channel
+    if effect.shared:
+        blocks = [sum(blocks[1:], start=blocks[0])] if len(blocks) > 1 else blocks
+    evidence = find_evidence(blocks, replace(parameters, scale=scale), effect.degenerate_directions(context.setup))
+    return replace(evidence, absorbed=_absorbed(evidence, by_channel)) if state.active else evidence
+
+
+def _absorbed(evidence: Evidence, by_channel: list[Likelihood]) -> float:
+    """Return how much of an effect's signature the beam takes up, whatever the active effects take besides."""
+    own = slice(-evidence.x.shape[1], None)
+    seen = present = 0.0
+    for one, x in zip(by_channel, np.broadcast_to(evidence.x, (len(by_channel), evidence.x.shape[1])), strict=True):
+        seen += float(x @ one.information[own, own] @ x)
+        present += float(x @ one.signal[own, own] @ x)
+    return float(np.clip(1 - seen / present, 0.0, 1.0)) if present > 0 else 0.0
+
+
+def _without_active(state: State, effect: Effect, by_channel: list[Likelihood]) -> list[Likelihood]:
+    """Marginalise the active effects, whose likelihood comes first, with their priors.
+
+    Those with parameters for each channel are marginalised in each. So are those that channels share, for an effect
+    that is each channel's own, where every channel counts its part of their prior; else after the sum over channels.
+    """
+    shared, x, n_freqs = state.shared, current(state), len(by_channel)
+    prior_var = np.where(shared, n_freqs, 1.0) * state.prior_var
+    blocks = []
+    for likelihood, values in zip(by_channel, x, strict=True):
+        pull = np.concatenate([-values / prior_var, np.zeros(len(likelihood.score) - len(values))])
+        one = replace(likelihood, score=likelihood.score + pull)
+        blocks.append(one.marginalised(np.flatnonzero(~shared), prior_var[~shared]))
+    n_shared = int(shared.sum())
+    if effect.shared:
+        total = sum(blocks[1:], start=blocks[0])
+        return [total.marginalised(np.arange(n_shared), prior_var[shared] / n_freqs)]
+    return [block.marginalised(np.arange(n_shared), prior_var[shared]) for block in blocks]
+
+
+def reconsider(context: FitContext, state: State) -> Evidence:
+    """Weigh the last of the active effects again, linearised where it has been fitted.
+
+    Collective: all ranks of the grid. What the linear model expects of it is replaced by what the fit has gained, which
+    is `log_joint` beyond that of a state without it; see `Evidence.linear_gain`.
+    """
+    *others, last = state.active
+    with together(context.grid.world):
+        cached = CachedRowBlocks.of(context, state)
+    rest = replace(state, active=others)
+    found = []
+    for channel, number in enumerate(context.channels):
+        sums = _candidate_sums(context, rest, cached, channel, [(last.effect, last.x[number])])
+        if context.grid.is_group_root:
+            names = [*active_names(rest), *_candidate_names([last.effect])]
+            one = sums.likelihood(names, BEAM, state.posteriors[channel])
+            n = len(rest.prior_var)
+            score = one.score + one.information[:, n:] @ last.x[number]
+            found.append((number, replace(one, score=score)))
+    gathered = gather_objects(context.grid.world, found)
+    evidence = None
+    with together(context.grid.world):
+        if gathered is not None:
+            by_channel = dict(pair for part in gathered for pair in part)
+            ordered = [by_channel[number] for number in sorted(by_channel)]
+            evidence = _weigh(context, rest, last.effect, ordered)
+    result: Evidence = bcast_object(context.grid.world, evidence)
+    return result
+
+
+def _candidate_names(candidates: Sequence[Effect]) -> list[str]:
+    """Return the names of the blocks of candidates."""
+    return [f"candidate {number}" for number in range(len(candidates))]
+
+
+def _candidate_sums(
+    context: FitContext,
+    state: State,
+    cached: CachedRowBlocks,
+    channel: int,
+    candidates: Sequence[tuple[Effect, FloatArray]],
+) -> NormalEquations:
+    """Sum one channel's columns of the state's effects and of candidates, each linearised at its x, over the group."""
+    names = _candidate_names([effect for effect, _ in candidates])
+    blocks = [Block(name, len(x)) for name, (_, x) in zip(names, candidates, strict=True)]
+    total = effect_equations(context.problem.basis, state, blocks)
+    with together(context.grid.world):
+        for block, design in cached.row_blocks(channel):
+            rows = row_set(block)
+            block.integrals = {}
+            block.integrate_for([one.effect for one in state.active])
+            beam, active = {BEAM: beam_columns(rows, design)}, active_columns(rows, block, state)
+            total.add_rows(active, beam)
+            # One pass over the sky serves all candidates.
+            block.integrals = {}
+            block.integrate_for([effect for effect, _ in candidates])
+            for name, (effect, x) in zip(names, candidates, strict=True):
+                total.add_rows({name: effect_columns(rows, effect.columns(block, x))}, beam | active)
+    total.reduce(context.grid.group)
+    return total
+
+
+@dataclass
+class CachedRowBlocks:
+    """A rank's fitted rows with the current model of them, as blocks.
+
+    Where there is room for the design, the blocks stay, so that what effects have worked out of them serves again.
+    """
+
+    context: FitContext
+    state: State
+    rows: Rows
+    added: ComplexArray
+    kept: dict[int, list[tuple[RowBlock, NDArray[Any]]]]
+
+    @classmethod
+    def of(cls, context: FitContext, state: State) -> CachedRowBlocks:
+        """Calibrate the rank's rows by the state's effects."""
+        return cls(context, state, *context.train.calibrated(state), {})
+
+    def row_blocks(self, channel: int) -> Iterator[tuple[RowBlock, NDArray[Any]]]:
+        """Yield the blocks of one channel with their design rows."""
+        if channel in self.kept:
+            yield from self.kept[channel]
+            return
+        share, made = self.context.train, []
+        for _, block, design in share.row_blocks(channel, self.state, self.added[channel], self.rows):
+            if share.keeps_designs:
+                made.append((block, design))
+            yield block, design
+        if share.keeps_designs:
+            self.kept = {channel: made}
+
+
+def _pick(context: FitContext, cached: CachedRowBlocks, effects: Sequence[Effect]) -> list[Effect]:
+    """Scan where there are too many candidates, and keep the best of them."""
+    scanned = [effect for effect in effects if isinstance(effect, ScannedEffect)]
+    best = {
+        id(effect): effect.at(context.setup, np.argsort(-score, kind="stable")[:MAX_ELEMENTS])
+        for effect, score in zip(scanned, _scan(context, cached, scanned), strict=True)
+    }
+    return [best.get(id(effect), effect) for effect in effects]
+
+
+def _scan(context: FitContext, cached: CachedRowBlocks, effects: Sequence[ScannedEffect]) -> list[FloatArray]:
+    """Return by how much each candidate alone would lower chi^2 with the beam as it is, (n_hypotheses,) an effect."""
+    sums: list[list[Any]] = [[0.0] * len(context.channels) for _ in effects]
+    with together(context.grid.world):
+        for channel in range(len(context.channels)):
+            for block, _ in cached.row_blocks(channel):
+                for effect, by_channel in zip(effects, sums, strict=True):
+                    by_channel[channel] = by_channel[channel] + np.stack(effect.scan(block))
+    return [_drops(context, effect, np.array(by_channel)) for effect, by_channel in zip(effects, sums, strict=True)]
+
+
+def _drops(context: FitContext, effect: ScannedEffect, found: FloatArray) -> FloatArray:
+    """Add the sums of a scan over ranks and channels. Collective: all ranks of the grid."""
+    shape = max(context.grid.world.allgather(found.shape[1:]))  # ranks without rows do not know it
+    found = found if found.shape[1:] == shape else np.zeros((len(found), *shape))
+    allreduce_sum(context.grid.group, found)
+    if effect.shared:
+        total = found.sum(axis=0) if context.grid.is_group_root else np.zeros(shape)
+        allreduce_sum(context.grid.world, total)
+        return _chi2_drop(total)
+    drop = np.sum([_chi2_drop(one) for one in found], axis=0)
+    if not context.grid.is_group_root:
+        drop[:] = 0.0
+    allreduce_sum(context.grid.world, drop)
+    return np.asarray(drop)
+
+
+def _chi2_drop(sums: FloatArray) -> FloatArray:
+    """Return 2 (Re sum w s* r)^2 / sum w |s|^2, summed over a candidate's columns."""
+    score, power = sums
+    told = power > 0
+    return np.asarray(np.sum(np.where(told, 2 * score**2 / np.where(told, power, 1.0), 0.0), axis=-1))

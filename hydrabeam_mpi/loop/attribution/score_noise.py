@@ -1,0 +1,117 @@
+"""The evidence for changes of the weights, from the sizes of the whitened residuals of the fitted rows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.effects.interface.reweighting import Reweighting, ReweightingFit
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.noise.outliers import Outliers
+from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
+from hydrabeam_mpi.fit.state import Reweighted, State
+from hydrabeam_mpi.infer.posterior import Posterior
+from hydrabeam_mpi.mpi import allreduce_sum, bcast_object, together
+
+
+@dataclass(frozen=True)
+class WeightsFound:
+    """A change of the weights, its evidence, and the state whose residuals have told it."""
+
+    change: Reweighting
+    fit: ReweightingFit
+    start: State
+
+
+class HeavyTails:
+    """Weights of noise with the tails of a Cauchy distribution: rows count the less the further off they are."""
+
+    kind = "heavy_tails"
+
+    def weight_factor(self, block: RowBlock, x: FloatArray) -> FloatArray:
+        """Return 3 / (1 + 2 |z|^2), as for a complex Student t distribution with one degree of freedom."""
+        return np.asarray(3 / (1 + 2 * np.abs(block.residual) ** 2 * block.weights))
+
+
+def fit_reweightings(context: FitContext, state: State, changes: Sequence[Reweighting]) -> list[WeightsFound]:
+    """Fit every change of the weights. Collective: all ranks of the grid.
+
+    A few strong outliers pull a fit so far off that all rows seem to be outliers. Where these are refused they are
+    therefore looked for once more, in the residuals of a fit to which rows count the less the further off they are.
+    """
+    found = _fit_all(context, state, changes)
+    for i, one in enumerate(found):
+        if isinstance(one.change, Outliers) and one.fit.reason is not None:
+            n_freqs = context.setup.observation.Nfreqs
+            tails = Reweighted(HeavyTails(), np.zeros((n_freqs, 0)), np.zeros((n_freqs, 0)))
+            robust = refit(context, replace(state, reweighted=[*state.reweighted, tails]))
+            again = _fit_all(context, replace(robust, reweighted=state.reweighted), [one.change])[0]
+            if again.fit.reason is None:
+                found[i] = again
+    return found
+
+
+def refit_reweighting(context: FitContext, state: State, change: Reweighting) -> ReweightingFit:
+    """Fit a change of the weights again, to the residuals of a fit with these weights.
+
+    What the beam has taken from each baseline is counted exactly, which is too long a sum for what is only weighed.
+    Collective: all ranks of the grid.
+
+    Parameters
+    ----------
+    context : FitContext
+    state : State
+        Fitted with the weights that the change makes; these are taken from it again.
+    change : Reweighting
+    """
+    observation = context.setup.observation
+    effective = np.zeros((observation.Nfreqs, observation.Nbls))
+    with together(context.grid.world):
+        rows, added = context.train.calibrated(state)
+        for channel, number in enumerate(context.channels):
+            for _, block, design in context.train.row_blocks(channel, state, added[channel], rows):
+                variance = _variance(state.posteriors[channel], design)
+                effective[number, block.bls] += 2 * np.sum(block.weights * variance[:, block.member], axis=0)
+    allreduce_sum(context.grid.world, effective)
+    others = [one for one in state.reweighted if one.change is not change]
+    return _fit_all(context, replace(state, reweighted=others), [change], effective)[0].fit
+
+
+def _variance(posterior: Posterior, design: NDArray[Any]) -> FloatArray:
+    """Return the beam's part of the variance of predictions, real and imaginary parts together, (Ntimes, Ngroups)."""
+    n_modes = design.shape[-1]
+    variance = posterior.predictive_variance(design.reshape(-1, n_modes)).reshape(design.shape[:-1])
+    return variance if posterior.is_complex else variance.sum(axis=1)
+
+
+def _fit_all(
+    context: FitContext, state: State, changes: Sequence[Reweighting], effective: FloatArray | None = None
+) -> list[WeightsFound]:
+    """Fit changes of the weights to the residuals of a state. Collective: all ranks of the grid."""
+    n_freqs = context.setup.observation.Nfreqs
+    if effective is None:
+        effective = np.zeros(n_freqs)
+        if context.grid.is_group_root:
+            effective[context.channels] = state.effective_parameters
+        allreduce_sum(context.grid.world, effective)
+    sums = [np.zeros((n_freqs, change.n_sums(context.setup))) for change in changes]
+    with together(context.grid.world):
+        rows, added = context.train.calibrated(state)
+        for channel, number in enumerate(context.channels):
+            for _, block, _ in context.train.row_blocks(channel, state, added[channel], rows):
+                z = block.residual * np.sqrt(block.weights)
+                for change, total in zip(changes, sums, strict=True):
+                    total[number] += change.sums(block, z)
+    for total in sums:
+        allreduce_sum(context.grid.world, total)
+    fits = None
+    with together(context.grid.world):
+        if context.grid.is_world_root:
+            fits = [change.fit(context.setup, total, effective) for change, total in zip(changes, sums, strict=True)]
+    told: list[ReweightingFit] = bcast_object(context.grid.world, fits)
+    return [WeightsFound(change, fit, state) for change, fit in zip(changes, told, strict=True)]

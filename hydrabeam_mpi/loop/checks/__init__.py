@@ -1,0 +1,1 @@
+"""What is looked for by itself: conventions, and leakage in the cross-polarisations."""

@@ -1,0 +1,210 @@
+"""Exact checks before any physics: whether the data follow another convention than the one stated.
+
+The model beam's visibilities, nothing of which is fitted, are compared with the data as they are and under each
+alternative, at a few times. A wrong convention is no small error: under the right one most of the residual is gone.
+Small errors are left to the effects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import IntArray
+from hydrabeam_mpi.fit.rows import Rows
+from hydrabeam_mpi.io.uvfile import read_metadata
+from hydrabeam_mpi.loop.checks.alternatives import (
+    Alternative,
+    AntennaTable,
+    array_alternatives,
+    basic_alternatives,
+    predictions,
+    time_alternatives,
+)
+from hydrabeam_mpi.mpi import ProcessGrid, allreduce_sum, bcast_object, together
+from hydrabeam_mpi.setup.problem import Problem
+
+N_TIMES = 8
+MIN_FALL = 1000.0  # of chi^2, by which the right convention is better at least
+LEFT = 0.25  # of the residual power, that it leaves at most
+CLOCK_LEFT = 0.5  # the same of a clock, which shifts phases by little on short baselines
+AMPLITUDE_TOLERANCE = 0.2
+FACTOR_TOLERANCE = 0.05
+FACTOR_EXPLAINED = 0.9
+PROBE = 2.0  # s, on either side of a clock's offset
+
+FACTORS = {
+    2.0: ("factor 2", 'set [data] pol_convention = "avg", or halve the data: they are V = I B, not V = I B / 2'),
+    0.5: ("factor 1/2", 'set [data] pol_convention = "sum", or double the data: they are V = I B / 2'),
+}
+
+
+@dataclass(frozen=True)
+class Score:
+    """How the data compare with the model under one convention, all channels together.
+
+    Attributes
+    ----------
+    n : float
+        Number of visibilities.
+    data : float
+        sum w |d|^2.
+    overlap, model : float
+        sum w Re(d* m) and sum w |m|^2.
+    """
+
+    n: float
+    data: float
+    overlap: float
+    model: float
+
+    @property
+    def amplitude(self) -> float:
+        """Of the model, best."""
+        return self.overlap / self.model if self.model else 0.0
+
+    @property
+    def chi2(self) -> float:
+        """With the best amplitude."""
+        return self.data - self.amplitude * self.overlap
+
+    @property
+    def chi2_unscaled(self) -> float:
+        """With the amplitude one."""
+        return self.data - 2 * self.overlap + self.model
+
+    @property
+    def excess(self) -> float:
+        """Residual power beyond the noise."""
+        return max(self.chi2 - self.n, 0.0)
+
+    @property
+    def explained(self) -> float:
+        """Fraction of the data's power beyond the noise."""
+        return 1 - self.excess / (self.data - self.n) if self.data > self.n else 0.0
+
+    def betters(self, stated: Score, left: float) -> bool:
+        """Tell whether this leaves less than a fraction of the stated convention's residual power, surely."""
+        good = self.excess < left * stated.excess and stated.chi2 - self.chi2 > MIN_FALL
+        return good and abs(self.amplitude - 1) < AMPLITUDE_TOLERANCE
+
+
+def check_conventions(grid: ProcessGrid, problem: Problem, rows: Rows) -> dict[str, Any]:
+    """Find out whether the data follow another convention than the one stated.
+
+    Collective: all ranks of `grid.world`.
+
+    Parameters
+    ----------
+    grid : ProcessGrid
+    problem : Problem
+        Of this group's channels.
+    rows : Rows
+        The rank's training rows, as read.
+
+    Returns
+    -------
+    dict
+        ``found`` (a name, or None), ``remedy``, and ``tested``: for every convention its ``name``, reduced ``chi2``
+        with the best ``amplitude``, and the fraction of the data's power beyond the noise that it has ``explained``.
+    """
+    observation = problem.observation
+    table = None
+    with together(grid.world):
+        if grid.is_world_root:
+            table = _antenna_table(problem)
+    table = bcast_object(grid.world, table)
+    alternatives = basic_alternatives() + array_alternatives(observation, table, problem.job.data.redundancy_tol)
+    alternatives += time_alternatives(observation)
+    scores = _scores(grid, problem, rows, alternatives)
+    stated, candidates = scores[0], _factor(scores[0])
+    clocks = []
+    for one, score in zip(alternatives[1:], scores[1:], strict=True):
+        if one.tolerance is not None and score.betters(stated, CLOCK_LEFT):
+            clocks.append((score, one))
+        elif one.tolerance is None and score.betters(stated, LEFT):
+            candidates[one.name] = score, one.remedy
+    for score, one in sorted(clocks, key=lambda pair: pair[0].chi2)[:1]:
+        if _is_met(grid, problem, rows, one, score):
+            candidates[one.name] = score, one.remedy
+    found = min(candidates, key=lambda name: candidates[name][0].chi2, default=None)
+    return {
+        "found": found,
+        "remedy": None if found is None else candidates[found][1],
+        "tested": [_entry(one.name, score) for one, score in zip(alternatives, scores, strict=True)],
+    }
+
+
+def _entry(name: str, score: Score) -> dict[str, Any]:
+    return {
+        "name": name,
+        "chi2": score.chi2 / max(score.n, 1.0),
+        "amplitude": score.amplitude,
+        "explained": score.explained,
+    }
+
+
+def _antenna_table(problem: Problem) -> AntennaTable:
+    """Read the antennas in the order of the first file that has all of the observation's."""
+    wanted = set(problem.observation.antenna_numbers.tolist())
+    for path in problem.files:
+        header, _ = read_metadata(path)
+        if wanted <= set(header.antenna_numbers.tolist()):
+            return AntennaTable(header.antenna_numbers, header.antenna_names, header.antpos)
+    observation = problem.observation
+    return AntennaTable(observation.antenna_numbers, observation.antenna_names, observation.antpos)
+
+
+def sample_times(times: IntArray, most: int = N_TIMES) -> IntArray:
+    """Choose up to ``most`` of some times, evenly spread, first and last among them."""
+    return times[np.unique(np.linspace(0, len(times) - 1, min(most, len(times))).round().astype(int))]
+
+
+def _scores(grid: ProcessGrid, problem: Problem, rows: Rows, alternatives: Sequence[Alternative]) -> list[Score]:
+    """Compare the data with every alternative, over all ranks. Collective: all ranks of `grid.world`."""
+    products = np.zeros((len(alternatives), 2))
+    common = np.zeros(2)
+    with together(grid.world):
+        chosen = np.flatnonzero(np.isin(rows.tile.times, sample_times(problem.train.times)))
+        weights, data = rows.inv_noise_var[:, chosen], rows.data[:, chosen]
+        common += np.count_nonzero(weights), np.sum(weights * np.abs(data) ** 2)
+        if len(rows.tile.bls):
+            for n, t, vis in predictions(problem, rows, alternatives, chosen):
+                seen = rows.data[:, t].conj() if alternatives[n].conjugated else rows.data[:, t]
+                weight = rows.inv_noise_var[:, t]
+                products[n] += np.sum(weight * (seen.conj() * vis).real), np.sum(weight * np.abs(vis) ** 2)
+    allreduce_sum(grid.world, products)
+    allreduce_sum(grid.world, common)
+    return [Score(*common.tolist(), *pair) for pair in products.tolist()]
+
+
+def _factor(stated: Score) -> dict[str, tuple[Score, str]]:
+    """Return the factor by which the data are wrong as a whole, if they are."""
+    found = {}
+    for factor, (name, remedy) in FACTORS.items():
+        unscaled = stated.chi2_unscaled
+        worse = unscaled - stated.chi2 > MIN_FALL and stated.excess < LEFT * (unscaled - stated.n)
+        if abs(stated.amplitude / factor - 1) < FACTOR_TOLERANCE and worse and stated.explained > FACTOR_EXPLAINED:
+            found[name] = stated, remedy
+    return found
+
+
+def _is_met(grid: ProcessGrid, problem: Problem, rows: Rows, clock: Alternative, score: Score) -> bool:
+    """Tell whether the times are wrong by just what the clock is. Collective: all ranks of `grid.world`.
+
+    A parabola through chi^2 on both sides has its minimum there: a timestamp that is wrong by anything else is not a
+    matter of convention.
+    """
+    assert clock.shift is not None
+    assert clock.tolerance is not None
+    probes = [replace(clock, shift=clock.shift + sign * PROBE) for sign in (-1, 1)]
+    before, after = (one.chi2 for one in _scores(grid, problem, rows, probes))
+    bend = before + after - 2 * score.chi2
+    if bend <= 0:
+        return False
+    offset = 0.5 * PROBE * (before - after) / bend
+    std = PROBE * np.sqrt(2 / bend * max(score.chi2 / score.n, 1.0))
+    return bool(abs(offset) < clock.tolerance and std < 0.5 * clock.tolerance)

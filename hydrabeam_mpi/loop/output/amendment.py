@@ -1,0 +1,45 @@
+"""The job with the effects that were found, for later runs of `infer`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hydrabeam_mpi.config import Job
+from hydrabeam_mpi.config.effects import Effect as EffectEntry
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.effects.instrument.basis_truncation import BasisTruncation
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.fit.state import State
+
+
+def amended_job(job: Job, state: State, setup: ObservingSetup) -> Job:
+    """Return the job with the state's effects; a basis that is too small becomes a larger one."""
+    entries = []
+    basis = job.basis
+    for one in state.active:
+        if isinstance(one.effect, BasisTruncation):
+            wanted = one.effect.amended_basis_settings(setup)
+            larger = {key: max(value, getattr(basis, key)) for key, value in wanted.items() if key != "boundary"}
+            basis = basis.model_copy(update=wanted | larger)
+            continue
+        used, parameters = one.used, one.effect.parameters(setup)
+        entries.append(
+            EffectEntry.model_construct(
+                kind=one.effect.kind,
+                settings=one.effect.describe(),
+                names=tuple(parameters.names[i] for i in used),
+                index=tuple(int(i) for i in used),
+                values=_rows(one.x[:, used]),
+                std=_rows(one.std[:, used]),
+                prior_std=tuple(float(value) for value in np.sqrt(one.prior_var[used])),
+            )
+        )
+    for change in state.reweighted:
+        kind = change.change.kind
+        entry = EffectEntry.model_construct(kind=kind, values=_rows(change.x), std=_rows(change.std))
+        entries.append(entry)
+    return job.model_copy(update={"effects": tuple(entries), "basis": basis})
+
+
+def _rows(values: FloatArray) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(float(value) for value in row) for row in values)

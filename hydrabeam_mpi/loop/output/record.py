@@ -1,0 +1,272 @@
+"""What the loop found, as ``loop.json`` tells it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.fit.gauss_newton import FitContext
+from hydrabeam_mpi.fit.state import State
+from hydrabeam_mpi.loop.output.sentences import say_round, say_verdict
+from hydrabeam_mpi.loop.residuals.remains import Remains
+from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round, indistinguishable
+from hydrabeam_mpi.loop.selection.rounds import History
+
+LEAST_TOLD = 0.5
+"""Part of the prior's variance up to which a parameter is told by the data."""
+UNDECIDABLE = (
+    ("common flux scale", "all fluxes times a number are the same as the beam times that number"),
+    ("common gain amplitude", "all gains times a number are the same as the beam times its square"),
+    ("common pointing", "all antennas tilted alike are the same as another beam"),
+)
+UNDECIDABLE_LEAKAGE = (
+    "common leakage, c in d_e + c and d_n - c*",
+    "of a sky that is not polarised, only a difference of the two feeds' beams shows it",
+)
+
+
+def make_record(
+    context: FitContext,
+    history: History,
+    skipped: Sequence[tuple[str, str]],
+    conventions: dict[str, Any],
+    leakage: dict[str, Any] | None,
+) -> dict[str, Any]:
+    """Put together ``loop.json``. Collective: all ranks of the grid.
+
+    Parameters
+    ----------
+    context : FitContext
+    history : History
+    skipped : list of (str, str)
+        Kinds that were not looked for, and why.
+    conventions : dict
+        Of `hydrabeam_mpi.loop.checks.conventions.check_conventions`.
+    leakage : dict, optional
+        Of `hydrabeam_mpi.loop.checks.leakage.check_leakage`: a round, or why there is none.
+
+    Returns
+    -------
+    dict
+        JSON-able; the same on all ranks.
+    """
+    checks = [history.first, *(one.after for one in history.rounds)]
+    remains = [checked.remains for checked in checks]
+    chi2 = [_train_chi2(context, checked) for checked in checks]
+    rounds = [
+        _round(context.setup, one, chi2[i : i + 2], remains[i], history.last.state)
+        for i, one in enumerate(history.rounds)
+    ]
+    tried = [_refused(one, reason) for one, reason in history.tried if not one.is_control]
+    reasons = [{"effect": kind, "reason": reason} for kind, reason in skipped]
+    if leakage is not None:
+        # Leakage is seen in rows of its own; in those that are fitted it is of second order, and may look like others.
+        place = rounds if "parameters" in leakage else tried if "log_bayes_factor" in leakage else reasons
+        place.insert(0, leakage)
+    degenerate_directions = [*UNDECIDABLE, *([UNDECIDABLE_LEAKAGE] if "parameters" in (leakage or {}) else [])]
+    if conventions["found"]:
+        rounds = [_convention(history, conventions)]
+    last, control = remains[-1], _foreign(history)
+    verdict = "unexplained"
+    if conventions["found"]:
+        verdict = "convention"
+    elif last.consistent and control is None:
+        verdict = "explained" if rounds else "consistent"
+    unexplained = verdict == "unexplained"
+    record: dict[str, Any] = {
+        "name": context.problem.job.name,
+        "verdict": verdict,
+        "error_before": history.first.score.chi2,
+        "error_after": history.last.score.chi2,
+        "heldout_n": history.last.score.n_data,
+        "said": [
+            *(one["sentence"] for one in rounds),
+            say_verdict(verdict, history.last.score.chi2, last.where, control),
+        ],
+        "warnings": [_warning_of(conventions)] if conventions["found"] else [],
+        "foreign": control,
+        "rounds": rounds,
+        "last_ranking": [_ranked(one) for one in known_effects(history.ranking)],
+        "tried": tried,
+        "skipped": reasons,
+        "undecidable": [{"what": what, "why": why} for what, why in degenerate_directions],
+        "conventions": conventions,
+        "where": last.where if unexplained else None,
+        "residual": last.statistics,
+        "structures": last.structures if unexplained else None,
+    }
+    return {key: _finite(value) for key, value in record.items()}
+
+
+def _refused(candidate: Candidate, reason: str) -> dict[str, Any]:
+    """Tell what was tried in vain."""
+    return {"effect": candidate.kind, "log_bayes_factor": candidate.log_bayes_factor, "reason": reason}
+
+
+def _foreign(history: History) -> dict[str, Any] | None:
+    """Tell what explains more than any effect and is none."""
+    if history.control is None:
+        return None
+    candidate = history.control.candidate
+    told = {"title": candidate.title, "heldout_after": history.control.after.score.chi2}
+    return _ranked(candidate) | told
+
+
+def _finite(value: Any) -> Any:
+    """Replace numbers that JSON does not know by null, and NumPy's by Python's."""
+    if isinstance(value, dict):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def _convention(history: History, conventions: dict[str, Any]) -> dict[str, Any]:
+    """Tell of a broken convention in a round's words; nothing is fitted to it."""
+    tested = {one["name"]: one for one in conventions["tested"]}
+    name = conventions["found"]
+    stated = next(iter(tested.values()))
+    right = tested.get(name, stated)
+    error = history.first.score.chi2
+    return {
+        "sentence": f"The data follow another convention: {name}. Nothing was fitted: {conventions['remedy']}, and run "
+        f"the loop again. The model beam's reduced chi^2 is {stated['chi2']:.4g} as stated and {right['chi2']:.4g} so.",
+        "effect": f"convention: {name}",
+        "title": f"convention: {name}",
+        "parameters": [],
+        "log_bayes_factor": None,
+        "absorbed_by_beam": 0.0,
+        "chi2_before": stated["chi2"],
+        "chi2_after": right["chi2"],
+        "heldout_before": error,
+        "heldout_after": error,
+        "heldout_sigma": None,
+        "runner_up": None,
+        "indistinguishable_from": [],
+        "ranking": [],
+        "residual": None,
+    }
+
+
+def _warning_of(conventions: dict[str, Any]) -> str:
+    """Say that nothing that follows from these data is to be used."""
+    return (
+        f"The data follow another convention than the one stated ({conventions['found']}): {conventions['remedy']}. "
+        "Nothing was fitted to it, and the inferred beam is not to be used."
+    )
+
+
+def _train_chi2(context: FitContext, checked: Checked) -> float:
+    """Return the mean reduced chi^2 of the fitted rows over all channels. Collective: all ranks of the grid."""
+    mine = checked.state.train_chi2.tolist() if context.grid.is_group_root else []
+    return float(np.mean(np.concatenate(context.grid.world.allgather(mine))))
+
+
+def _round(setup: ObservingSetup, one: Round, chi2: list[float], before: Remains, last: State) -> dict[str, Any]:
+    """Tell one round."""
+    candidate = one.candidate
+    ranking = known_effects(one.ranking)
+    others = [other for other in ranking if other.kind != candidate.kind]
+    parameters, not_told = parameters_of(setup, one, last)
+    told = {
+        "effect": candidate.kind,
+        "title": candidate.title,
+        "parameters": parameters,
+        "parameters_not_told": not_told,
+        "log_bayes_factor": candidate.log_bayes_factor,
+        "absorbed_by_beam": candidate.finding.evidence.absorbed if candidate.finding else 0.0,
+        "chi2_before": chi2[0],
+        "chi2_after": chi2[1],
+        "heldout_before": one.before.score.chi2,
+        "heldout_after": one.after.score.chi2,
+        "heldout_sigma": one.sigma,
+        "runner_up": others[0].kind if others else None,
+        "runner_up_log_bayes_factor": others[0].log_bayes_factor if others else None,
+        "indistinguishable_from": indistinguishable(candidate, ranking),
+        "beam_change_max": one.beam_change,
+        "prior_scale": _prior_scale(one),
+        **_size(candidate),
+        "ranking": [_ranked(other) for other in ranking],
+        "residual": before.statistics,
+    }
+    return {"sentence": say_round(told), **told}
+
+
+def _size(candidate: Candidate) -> dict[str, Any]:
+    """Return how many parameters a candidate has."""
+    if candidate.finding is not None:
+        evidence = candidate.finding.evidence
+        return {
+            "n_parameters": evidence.n_parameters,
+            "effective_parameters": evidence.effective_parameters,
+            "chi2_drop": evidence.chi2_drop,
+            "rank": evidence.rank,
+        }
+    assert candidate.weights is not None
+    fit = candidate.weights.fit
+    n = fit.n_parameters
+    return {
+        "n_parameters": n,
+        "effective_parameters": float(n),
+        "chi2_drop": fit.chi2_drop,
+        "rank": n,
+    }
+
+
+def known_effects(ranking: Sequence[Candidate]) -> list[Candidate]:
+    """Leave out what is weighed beside the effects and is none."""
+    return [one for one in ranking if not one.is_control]
+
+
+def _ranked(candidate: Candidate) -> dict[str, Any]:
+    """Return a candidate's line in the ranking."""
+    absorbed = candidate.finding.evidence.absorbed if candidate.finding else 0.0
+    line = {
+        "effect": candidate.kind,
+        "log_bayes_factor": candidate.log_bayes_factor,
+        "absorbed_by_beam": absorbed,
+        **_size(candidate),
+    }
+    if candidate.weights is not None and candidate.weights.fit.reason:
+        line["reason"] = candidate.weights.fit.reason
+    return line
+
+
+def _prior_scale(one: Round) -> float | None:
+    """Return the prior's width where it is one for all, in units of the effect's natural scale."""
+    if one.candidate.finding is None:
+        return None
+    widths = np.sqrt(one.candidate.finding.evidence.prior_var)
+    return float(widths.max()) if widths.size else None
+
+
+def parameters_of(setup: ObservingSetup, one: Round, last: State) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Return the parameters in use with their posterior standard deviations, channel by channel where they differ.
+
+    They are those of the last state, in which all effects are fitted jointly. Those whose variance is more than half of
+    the prior's come apart: they are no measurements, as what is said of them depends on the prior. Where all are such,
+    all are returned as parameters.
+    """
+    if one.candidate.weights is not None:
+        fit, shared = one.candidate.weights.fit, False
+        names, units, x, std = fit.names, fit.units, fit.x, fit.std
+        prior_var = np.full(len(names), np.inf)
+    else:
+        active = last.active[len(one.after.state.active) - 1]
+        parameters, used = active.effect.parameters(setup), active.used
+        names = tuple(parameters.names[i] for i in used)
+        units = tuple(parameters.units[i] for i in used)
+        x, std, shared = active.x[:, used], active.std[:, used], active.effect.shared
+        prior_var = active.prior_var[used]
+    told: list[dict[str, Any]] = []
+    not_told: list[dict[str, Any]] = []
+    for f, freq in enumerate([None] if shared else setup.observation.freqs.tolist()):
+        for i, (name, unit) in enumerate(zip(names, units, strict=True)):
+            entry = {"name": name, "unit": unit, "value": float(x[f, i]), "std": float(std[f, i]), "freq_hz": freq}
+            (told if std[f, i] ** 2 <= LEAST_TOLD * prior_var[i] else not_told).append(entry)
+    return (told, not_told) if told else (not_told, [])

@@ -1,0 +1,50 @@
+"""What the loop found, in plain words."""
+
+from __future__ import annotations
+
+from typing import Any
+
+MOST_NAMED = 3
+
+
+def say_round(told: dict[str, Any]) -> str:
+    """Tell a round in a few sentences: what, how sure, and what it changed."""
+    parameters = sorted(told["parameters"], key=lambda one: -_sigmas(one))
+    named = [say_parameter(one) for one in parameters[:MOST_NAMED]]
+    more = len(parameters) - len(named) + len(told["parameters_not_told"])
+    what = f"{told['title'].capitalize()}: {'; '.join(named)}{f'; and {more} more' if more > 0 else ''}"
+    sure = f"log Bayes factor {told['log_bayes_factor']:,.0f}; the beam can absorb {told['absorbed_by_beam']:.0%} of it"
+    error = f"Held-out reduced chi^2 {told['heldout_before']:.3g} -> {told['heldout_after']:.3g}"
+    beam = f"the beam moves by up to {told['beam_change_max']:.1e}"
+    doubt = told["indistinguishable_from"]
+    unsure = f" These data do not tell it from {' or '.join(doubt)}." if doubt else ""
+    return f"{what} ({sure}). Added. {error}; {beam}.{unsure}"
+
+
+def say_parameter(one: dict[str, Any]) -> str:
+    """Write name, value and error."""
+    unit = f" {one['unit']}" if one["unit"] else ""
+    at = f" at {one['freq_hz'] / 1e6:.6g} MHz" if one["freq_hz"] is not None else ""
+    return f"{one['name']} {one['value']:.4g} +- {one['std']:.2g}{unit}{at}"
+
+
+def _sigmas(one: dict[str, Any]) -> float:
+    return abs(one["value"]) / one["std"] if one["std"] else 0.0
+
+
+def say_verdict(verdict: str, chi2: float, where: dict[str, Any], control: dict[str, Any] | None = None) -> str:
+    """Tell how the loop ended; ``control`` is what explains more than any effect and is none."""
+    error = f"held-out reduced chi^2 {chi2:.4g}"
+    if verdict == "consistent":
+        return f"Nothing is missing: the data agree with the model within the noise ({error})."
+    if verdict == "convention":
+        return f"Nothing was fitted or added, and nothing is explained ({error}): mend the convention first."
+    if verdict == "explained":
+        return f"Nothing significant is left ({error})."
+    better = ""
+    if control is not None:
+        better = (
+            f"{control['title'].capitalize()} would explain more than any of them (log Bayes factor "
+            f"{control['log_bayes_factor']:,.0f}, held-out reduced chi^2 {control['heldout_after']:.4g}). "
+        )
+    return f"What is left ({error}) is explained by no effect in the catalogue. {better}{where['sentence']}"

@@ -1,0 +1,108 @@
+"""What is left in the held-out data after a fit: statistics, where it lives, and whether it is more than noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.noise.noise_level import NoiseLevel
+from hydrabeam_mpi.fit.gauss_newton import FitContext
+from hydrabeam_mpi.fit.heldout import Whitened
+from hydrabeam_mpi.fit.rank_data import RankData
+from hydrabeam_mpi.fit.state import State
+from hydrabeam_mpi.loop.residuals.coherent import Coherence, CoherentRows, CoherentSums, coherences
+from hydrabeam_mpi.loop.residuals.cube import Layout, Residuals, whole_baselines
+from hydrabeam_mpi.loop.residuals.localise import where
+from hydrabeam_mpi.loop.residuals.statistics import statistics
+from hydrabeam_mpi.loop.residuals.structures import structures
+from hydrabeam_mpi.loop.residuals.sums import ResidualSums
+from hydrabeam_mpi.loop.residuals.transients import TransientSums, transients
+from hydrabeam_mpi.loop.residuals.whiteness import antenna_scales, is_white
+from hydrabeam_mpi.mpi import together
+
+MIN_P = 1e-3
+"""Look-corrected probability below which something is left."""
+
+
+@dataclass(frozen=True)
+class Remains:
+    """What is left.
+
+    Attributes
+    ----------
+    consistent : bool
+        Whether it may be noise alone.
+    white : bool
+        Whether it may be noise alone at another level than the data's weights say, or at other levels of antennas
+        where the model has such.
+    why : str
+        If not, why not.
+    statistics, where, structures : dict
+        See the modules of these names.
+    """
+
+    consistent: bool
+    white: bool
+    why: str
+    statistics: dict[str, Any]
+    where: dict[str, Any]
+    structures: dict[str, Any] | None
+
+
+def remains_of(context: FitContext, state: State, whitened: Whitened) -> Remains:
+    """Describe the held-out residuals. Collective: all ranks of the grid."""
+    world, setup, tile = context.grid.world, context.setup, context.test.rows.tile
+    layout = Layout(setup.observation, setup.redundant, context.problem.test.times)
+    residuals = Residuals(whitened.z, whitened.used, context.problem.channel_numbers, tile.times, tile.bls)
+    cube = whole_baselines(world, residuals, layout)
+    sums = ResidualSums.of(cube).reduce(world)
+    coherent = _coherent(context, state, whitened)
+    told = statistics(sums, layout, whitened.n_shared, coherent)
+    own_level = sums
+    if any(isinstance(one.change, NoiseLevel) and one.x.shape[1] > 1 for one in state.reweighted):
+        # Scales that the fitted rows have told are not exactly those of the others.
+        divided = residuals.divided(antenna_scales(sums, layout), layout)
+        own_level = ResidualSums.of(whole_baselines(world, divided, layout)).reduce(world)
+    white, why = is_white(own_level, layout, whitened.n_shared, coherent)
+    return Remains(
+        consistent=told["significance"]["p"] >= MIN_P,
+        white=white,
+        why=why,
+        statistics=told,
+        where=where(sums, layout, whitened.n_shared, coherent),
+        structures=structures(world, cube),
+    )
+
+
+def _coherent(context: FitContext, state: State, whitened: Whitened) -> tuple[Coherence, ...]:
+    """Look for what residuals have in common with the model or the sky. Collective: all ranks of the grid.
+
+    In fitted rows as well: there the part that redundant baselines do not share is no less noise, as the beam has not
+    been fitted to it, and of the rest there is less than there would be of noise.
+    """
+    observation, antennas = context.setup.observation, context.setup.antenna_index
+    vectors = context.setup.redundant.vectors
+    like_model = CoherentSums.zeros(observation.Nfreqs, observation.Nants, observation.Ntimes, observation.Nbls)
+    like_sky = TransientSums.zeros(observation.Ntimes, vectors, float(observation.freqs.max()))
+
+    def add(
+        share: RankData, number: int, times: IntArray, z: ComplexArray, model: ComplexArray, root: FloatArray
+    ) -> None:
+        tile, member = share.rows.tile, share.rows.member
+        like_model.add(number, times, z, model, CoherentRows(tile.bls, antennas[tile.bls], member))
+        like_sky.add(times, z, root, vectors[share.rows.groups], member, float(observation.freqs[number]))
+
+    with together(context.grid.world):
+        rows, added = context.train.calibrated(state)
+        for channel, number in enumerate(context.channels):
+            used = whitened.used[channel]
+            held = (np.where(used, one[channel], 0.0) for one in (whitened.z, whitened.model, whitened.root))
+            add(context.test, number, context.test.rows.tile.times, *held)
+            for _, block, _ in context.train.row_blocks(channel, state, added[channel], rows):
+                root = np.sqrt(2 * block.weights)
+                add(context.train, number, block.times, root * block.residual, root * block.vis, root)
+    world = context.grid.world
+    return (*coherences(like_model.reduce(world)), *transients(like_sky.reduce(world)))

@@ -1,0 +1,1 @@
+"""Which effect is tried, accepted and kept, round after round."""

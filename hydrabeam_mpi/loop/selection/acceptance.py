@@ -1,0 +1,190 @@
+"""What may be tried in a round, and by what rules it is preferred, accepted or refused."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydrabeam_mpi.config.effects import Loop as LoopSettings
+from hydrabeam_mpi.effects.instrument.basis_truncation import BasisTruncation
+from hydrabeam_mpi.effects.interface.effect import ScannedEffect
+from hydrabeam_mpi.fit.heldout import Whitened
+from hydrabeam_mpi.fit.state import State
+from hydrabeam_mpi.loop.attribution.control_models import BeamDrift
+from hydrabeam_mpi.loop.attribution.score_effects import Finding
+from hydrabeam_mpi.loop.attribution.score_noise import WeightsFound
+from hydrabeam_mpi.loop.residuals.remains import Remains
+from hydrabeam_mpi.loop.selection.heldout_score import HeldoutScore, gain_significance
+
+MAX_ABSORBED = 0.95
+"""Fraction of an effect's signature within the beam's own freedom above which it is claimed only if it explains all."""
+HOPELESS = 0.99
+"""Such a fraction above which it is not even fitted."""
+NEARLY_ABSORBED = 0.9
+"""Such a fraction before an effect is fitted from which on it is asked again afterwards.
+
+A strong one that changes the sky then is what the beam sees, and has much in common with it in any case.
+"""
+TOO_SMALL = 0.7
+"""Held-out reduced chi^2 below which predictions claim far less than they should."""
+NEAR = 0.1
+"""Effects with less than this part of the best one's evidence are not fitted."""
+NEAR_IF_LINEAR = 0.7
+"""The same for those whose evidence a fit does not change much."""
+UNDECIDED_NATS = 5.0
+"""Effects whose evidence is nearer than this to the best one's cannot be told from it."""
+
+
+@dataclass(frozen=True)
+class Checked:
+    """A fitted state and its held-out data."""
+
+    state: State
+    whitened: Whitened
+    score: HeldoutScore
+    remains: Remains
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Something to try: an effect or a change of weights."""
+
+    kind: str
+    title: str
+    log_bayes_factor: float
+    finding: Finding | None = None
+    weights: WeightsFound | None = None
+
+    @property
+    def is_control(self) -> bool:
+        """Whether it is weighed beside the effects without being one, so that it is never claimed."""
+        return self.finding is not None and isinstance(self.finding.effect, BeamDrift)
+
+
+@dataclass(frozen=True)
+class Round:
+    """An effect that was added, and what it changed."""
+
+    candidate: Candidate
+    ranking: tuple[Candidate, ...]
+    before: Checked
+    after: Checked
+    sigma: float
+    beam_change: float
+
+
+def is_absorbed(candidate: Candidate, limit: float = MAX_ABSORBED) -> bool:
+    """Whether nearly all of an effect's signature is what another beam would do, so that the data cannot tell it.
+
+    Not of a basis that is too small, which is about the beam itself.
+    """
+    if candidate.finding is None or isinstance(candidate.finding.effect, BasisTruncation):
+        return False
+    return candidate.finding.evidence.absorbed > limit
+
+
+def is_hopeless(candidate: Candidate, wanted: Sequence[Candidate]) -> bool:
+    """Whether what the beam can absorb of an effect is too much for it to be fitted.
+
+    That is worth while for what has the most evidence all the same and might explain everything.
+    """
+    best = max(one.log_bayes_factor for one in wanted)
+    return is_absorbed(candidate, HOPELESS) or (is_absorbed(candidate) and candidate.log_bayes_factor < best)
+
+
+def absorbed_reason(candidate: Candidate) -> str:
+    """Say why an effect that the beam can absorb is not claimed."""
+    assert candidate.finding is not None
+    share = candidate.finding.evidence.absorbed
+    return f"the beam can absorb {share:.1%} of it, so that these data cannot tell it from another beam"
+
+
+def in_order(wanted: Sequence[Candidate], most: int) -> list[Candidate]:
+    """Order candidates for trial: by evidence, but a change of the weights after all effects that come near it.
+
+    What has a structure is no noise, whereas a larger noise seems to explain anything. Of the effects there are the
+    ``most`` likely ones.
+    """
+    top = max((one.log_bayes_factor for one in wanted), default=0.0)
+
+    def place(one: Candidate) -> int:
+        return 1 if one.finding is None else 0 if one.log_bayes_factor >= NEAR * top else 2
+
+    tried = {id(one) for one in [one for one in wanted if one.finding is not None][:most]}
+    return [one for one in sorted(wanted, key=place) if one.finding is None or id(one) in tried]
+
+
+def is_better(fitted: Candidate, after: Checked, best: Round) -> bool:
+    """Whether a fitted effect is better than the best so far.
+
+    By the evidence of the fitted data and the predictive density of the others, which together are the evidence of all.
+    """
+    ahead = fitted.log_bayes_factor - best.candidate.log_bayes_factor
+    return ahead + after.score.log_density - best.after.score.log_density > 0
+
+
+def may_be_better(candidate: Candidate, best: Round, enough: bool) -> bool:
+    """Whether an effect with less evidence than the best one fitted so far may have more once it is fitted.
+
+    Most effects are only roughly linear, so that what comes near is fitted too. Where the best one leaves nothing
+    (``enough``) another can only be simpler, as may be what needs several elements until places or delays are refined.
+    A structure that was found is no noise.
+    """
+    if candidate.finding is None:
+        return False
+    near = NEAR_IF_LINEAR if candidate.finding.effect.linear else NEAR
+    if candidate.log_bayes_factor < near * best.candidate.log_bayes_factor:
+        return False
+    if not enough or _complexity(candidate) < _complexity(best.candidate):
+        return True
+    nonlinear = isinstance(candidate.finding.effect, ScannedEffect) and not candidate.finding.effect.linear
+    return nonlinear and candidate.log_bayes_factor > NEAR_IF_LINEAR * best.candidate.log_bayes_factor
+
+
+def _complexity(candidate: Candidate) -> float:
+    return candidate.finding.evidence.effective_parameters if candidate.finding else 0.0
+
+
+def improvement(before: Checked, after: Checked, candidate: Candidate) -> float:
+    """Return the significance with which held-out data got better."""
+    if candidate.finding is None:
+        return float(abs(before.score.chi2 - after.score.chi2) * np.sqrt(before.score.n_data))
+    return gain_significance(before.score, after.score, after.score.log_density - before.score.log_density)
+
+
+def refusal_of(
+    before: Checked, after: Checked, tried: Candidate, candidate: Candidate, sigma: float, settings: LoopSettings
+) -> str | None:
+    """Say why a candidate, as ``tried`` and as it has been fitted, is not kept; None where it is."""
+    if not candidate.log_bayes_factor >= settings.min_log_bayes_factor:
+        return f"its log Bayes factor is {candidate.log_bayes_factor:.4g} once it is fitted"
+    if candidate.weights is not None:
+        if abs(after.score.chi2 - 1) > abs(before.score.chi2 - 1):
+            return f"held-out chi^2 goes from {before.score.chi2:.4g} to {after.score.chi2:.4g}"
+        return None if after.remains.white else f"what is left is not white: {after.remains.why}"
+    absorbed = is_absorbed(tried) or (is_absorbed(tried, NEARLY_ABSORBED) and is_absorbed(candidate))
+    if absorbed and not after.remains.consistent:
+        return absorbed_reason(candidate if is_absorbed(candidate) else tried)
+    if candidate.finding is not None:
+        active = after.state.active[-1]
+        unphysical = active.effect.unphysical(active.x, active.std)
+        if unphysical is not None:
+            return unphysical
+    if after.score.chi2 < TOO_SMALL:
+        return f"it is so uncertain that it predicts nothing: held-out chi^2 {after.score.chi2:.4g}"
+    change = f"{before.score.chi2:.4g} to {after.score.chi2:.4g}"
+    if not after.score.chi2 < before.score.chi2:
+        return f"held-out chi^2 does not fall: {change}"
+    if not after.score.log_density_at_own_level > before.score.log_density_at_own_level:
+        return f"held-out chi^2 goes from {change} by predictions that get wider rather than nearer"
+    if sigma < settings.min_heldout_sigma:
+        return f"held-out chi^2 falls by {sigma:.1f} sigma only, {change}"
+    return None
+
+
+def indistinguishable(candidate: Candidate, ranking: Sequence[Candidate]) -> list[str]:
+    """Name the effects that explain the residual as well as the candidate, within the evidence's own reach."""
+    near = candidate.log_bayes_factor - UNDECIDED_NATS
+    return [one.kind for one in ranking if one.kind != candidate.kind and one.log_bayes_factor > near]

@@ -1,0 +1,99 @@
+"""Chi^2 of held-out rows in blocks of time and of redundant groups, and whether it got better."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.fit.gauss_newton import FitContext
+from hydrabeam_mpi.fit.heldout import Whitened
+from hydrabeam_mpi.infer.significance import sigma_of_log_p
+from hydrabeam_mpi.mpi import allreduce_sum
+
+NEARLY_NOISE = 1.1
+"""Held-out reduced chi^2 up to which the noise that the weights state is all that matters."""
+
+
+@dataclass(frozen=True)
+class HeldoutScore:
+    """Sums of |z|^2 / 2 over blocks of held-out data, summed over ranks.
+
+    Attributes
+    ----------
+    times, groups : ndarray, (2, N)
+        Sum and number for each time and each redundant group.
+    log_spread : float
+        See `Whitened`.
+    """
+
+    times: FloatArray
+    groups: FloatArray
+    log_spread: float = 0.0
+
+    @property
+    def log_density(self) -> float:
+        """Logarithm of the predictive density of all, up to a constant of the noise."""
+        return -float(self.times[0].sum()) - self.log_spread
+
+    @property
+    def chi2(self) -> float:
+        """Reduced chi^2 of all."""
+        total, n = self.times.sum(axis=1)
+        return float(total / n) if n else float("nan")
+
+    @property
+    def log_density_at_own_level(self) -> float:
+        """The same with all variances times the reduced chi^2, so that wider predictions gain nothing by that."""
+        return -self.n_data * float(np.log(self.chi2)) - self.log_spread if self.chi2 > 0 else -np.inf
+
+    @property
+    def n_data(self) -> int:
+        """Number of complex data."""
+        return round(float(self.times[1].sum()))
+
+
+def heldout_score(context: FitContext, whitened: Whitened) -> HeldoutScore:
+    """Sum |z|^2 / 2 by time and by redundant group. Collective: all ranks of the grid."""
+    observation, rows = context.setup.observation, context.test.rows
+    power = np.where(whitened.used, 0.5 * np.abs(whitened.z) ** 2, 0.0).sum(axis=0)
+    count = whitened.used.sum(axis=0).astype(float)
+    times = np.zeros((2, observation.Ntimes))
+    groups = np.zeros((2, context.setup.redundant.Ngroups))
+    for row, values in enumerate((power, count)):
+        np.add.at(times[row], rows.tile.times, values.sum(axis=1))
+        np.add.at(groups[row], rows.groups[rows.member], values.sum(axis=0))
+    allreduce_sum(context.grid.world, times)
+    allreduce_sum(context.grid.world, groups)
+    return HeldoutScore(times, groups, whitened.log_spread)
+
+
+def fall_significance(before: HeldoutScore, after: HeldoutScore) -> float:
+    """Return by how many standard errors chi^2 fell, over blocks of time or of redundant groups: the greater.
+
+    Each block's own fall is one draw of how much the change helps. What is wrong with few baselines shows in few groups
+    but at all times, what is wrong at few times in all groups.
+    """
+    scores = []
+    for one, two in ((before.times, after.times), (before.groups, after.groups)):
+        has = (one[1] > 0) & (two[1] > 0)
+        if has.sum() < 4:
+            continue
+        fall = one[0, has] - two[0, has] * (one[1, has] / two[1, has])
+        spread = float(np.std(fall, ddof=1)) * np.sqrt(has.sum())
+        scores.append(float(fall.sum()) / spread if spread > 0 else 0.0)
+    return max(scores, default=0.0)
+
+
+def gain_significance(before: HeldoutScore, after: HeldoutScore, log_ratio: float) -> float:
+    """Return the significance with which held-out data got better.
+
+    From blocks, whose falls differ however large they are. Where little but noise is left the predictive densities
+    tell more: a ratio of these of e^k, ``log_ratio`` being k, has a probability of e^-k at most if the effect is not
+    there, however it was fitted.
+    """
+    by_blocks = fall_significance(before, after)
+    if log_ratio > 0 and after.chi2 <= NEARLY_NOISE:
+        return max(by_blocks, sigma_of_log_p(-log_ratio))
+    return by_blocks

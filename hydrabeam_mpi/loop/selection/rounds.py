@@ -1,0 +1,249 @@
+"""The rounds: weigh all effects, try the best, keep it if held-out data agree, until nothing is left to find."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.effects.instrument.basis_truncation import BasisTruncation
+from hydrabeam_mpi.effects.interface.effect import Effect
+from hydrabeam_mpi.effects.interface.reweighting import Reweighting, ReweightingFit
+from hydrabeam_mpi.effects.noise.noise_level import NoiseLevel
+from hydrabeam_mpi.fit.channels import Clock
+from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
+from hydrabeam_mpi.fit.heldout import whiten
+from hydrabeam_mpi.fit.state import Active, Reweighted, State
+from hydrabeam_mpi.loop.attribution.score_effects import Finding, attribute, reconsider
+from hydrabeam_mpi.loop.attribution.score_noise import WeightsFound, fit_reweightings, refit_reweighting
+from hydrabeam_mpi.loop.residuals.remains import remains_of
+from hydrabeam_mpi.loop.selection.acceptance import (
+    Candidate,
+    Checked,
+    Round,
+    absorbed_reason,
+    improvement,
+    in_order,
+    is_better,
+    is_hopeless,
+    may_be_better,
+    refusal_of,
+)
+from hydrabeam_mpi.loop.selection.heldout_score import heldout_score
+from hydrabeam_mpi.result.summary import evaluate_on_grid
+from hydrabeam_mpi.terminal.progress import say
+
+MAX_TRIES = 6
+"""Effects that are fitted in one round at most."""
+TIMES_SCALED = 2
+"""Times that scales of the noise are fitted again to the residuals of a fit with them."""
+MAX_PRUNED = 3
+"""Times at most that an effect is fitted again with another prior, or with fewer elements."""
+WEAK_SIGMA = 4.0
+"""Significance below which an element with a place is given up; among so many places noise has this now and then."""
+
+
+@dataclass
+class History:
+    """How the loop went.
+
+    Attributes
+    ----------
+    first, last : Checked
+        Before the first and after the last round.
+    rounds : list of Round
+    tried : list of (Candidate, str)
+        What evidence wanted and held-out data refused, with the reason.
+    ranking : tuple of Candidate
+        Of the last search, in which nothing more was found.
+    control : Round, optional
+        What explained the data better than any effect in the last search, and is none of them; not added.
+    """
+
+    first: Checked
+    last: Checked
+    rounds: list[Round] = field(default_factory=list)
+    tried: list[tuple[Candidate, str]] = field(default_factory=list)
+    ranking: tuple[Candidate, ...] = ()
+    control: Round | None = None
+
+
+def run_rounds(
+    context: FitContext, state: State, effects: Sequence[Effect], changes: Sequence[Reweighting], clock: Clock
+) -> History:
+    """Look for effects until there is none left that the data want.
+
+    Collective: all ranks of the grid.
+    """
+    settings = context.problem.job.loop
+    with clock.time("fit"):
+        checked = check(context, refit(context, state))
+    history = History(checked, checked)
+    speaks = context.grid.is_world_root
+    for number in range(settings.max_rounds + 1):
+        say(f"round {number + 1}: held-out chi^2 {checked.score.chi2:.4g}; weighing effects", speaks)
+        with clock.time("attribution"):
+            ranking = rank(context, checked.state, effects, changes)
+        history.ranking = ranking
+        if number == settings.max_rounds:
+            break
+        with clock.time("trials"):
+            added = _try(context, checked, ranking, history)
+        if added is not None and added.candidate.is_control:
+            history.control = added
+            say(f"  nothing is added: no effect comes near {added.candidate.title}", speaks)
+            break
+        if added is None:
+            break
+        history.rounds.append(added)
+        effects = [_next_of(context, effect, added.after.state) for effect in effects]
+        history.last = checked = added.after
+    return history
+
+
+def _next_of(context: FitContext, effect: Effect, state: State) -> Effect:
+    """Return the effect to look for after those of the state: more modes where all of the next ones are in use."""
+    last = state.active[-1].effect if state.active else None
+    if isinstance(effect, BasisTruncation) and isinstance(last, BasisTruncation):
+        return BasisTruncation(last.n_before + len(last.parameters(context.setup)))
+    return effect
+
+
+def check(context: FitContext, state: State) -> Checked:
+    """Predict the held-out rows of a fitted state. Collective: all ranks of the grid."""
+    whitened = whiten(context, state)
+    return Checked(state, whitened, heldout_score(context, whitened), remains_of(context, state, whitened))
+
+
+def rank(
+    context: FitContext, state: State, effects: Sequence[Effect], changes: Sequence[Reweighting]
+) -> tuple[Candidate, ...]:
+    """Order everything that may be tried by its evidence. Collective: all ranks of the grid."""
+    candidates = [
+        Candidate(finding.kind, finding.effect.title, finding.evidence.log_bayes_factor, finding)
+        for finding in attribute(context, state, effects)
+    ]
+    done = {one.change.kind for one in state.reweighted}
+    candidates += [
+        Candidate(found.change.kind, found.change.title, found.fit.log_bayes_factor, weights=found)
+        for found in fit_reweightings(context, state, [one for one in changes if one.kind not in done])
+    ]
+    return tuple(sorted(candidates, key=lambda one: -one.log_bayes_factor))
+
+
+def _try(context: FitContext, checked: Checked, ranking: Sequence[Candidate], history: History) -> Round | None:
+    """Fit the candidates that may be the best; return the best of those that held-out data confirm."""
+    settings = context.problem.job.loop
+    wanted = [one for one in ranking if one.log_bayes_factor >= settings.min_log_bayes_factor]
+    best: Round | None = None
+    enough = False
+    history.tried += [(one, absorbed_reason(one)) for one in wanted if is_hopeless(one, wanted)]
+    for candidate in in_order([one for one in wanted if not is_hopeless(one, wanted)], MAX_TRIES):
+        if best is not None and not may_be_better(candidate, best, enough):
+            continue
+        say(f"  trying {candidate.title} (ln BF {candidate.log_bayes_factor:.4g})", context.grid.is_world_root)
+        fitted, after = _fit(context, checked, candidate)
+        sigma = improvement(checked, after, fitted)
+        reason = refusal_of(checked, after, candidate, fitted, sigma, settings)
+        say(
+            f"    held-out chi^2 {after.score.chi2:.4g} (ln BF {fitted.log_bayes_factor:.4g})"
+            + (f", refused: {reason}" if reason else ""),
+            context.grid.is_world_root,
+        )
+        if reason is not None:
+            history.tried.append((fitted, reason))
+        elif best is None or is_better(fitted, after, best):
+            change = _beam_change(context, checked.state, after.state)
+            best = Round(fitted, tuple(ranking), checked, after, sigma, change)
+            enough = after.remains.consistent
+    return best
+
+
+def _fit(context: FitContext, checked: Checked, candidate: Candidate) -> tuple[Candidate, Checked]:
+    """Fit a candidate and weigh it again where it has been fitted, as no effect is quite linear."""
+    state = checked.state
+    if candidate.finding is None:
+        assert candidate.weights is not None
+        return _fit_weights(context, state, candidate, candidate.weights)
+    effect, evidence = candidate.finding.effect, candidate.finding.evidence
+    fitted = refit(context, state.extended(Active.start(effect, context.setup, evidence.prior_var, evidence.x)))
+    again = reconsider(context, fitted)
+    for _ in range(MAX_PRUNED):
+        prior_var = _without_weak(context, fitted.active[-1], again.prior_var)
+        same = np.array_equal(prior_var > 0, evidence.prior_var > 0)
+        if same and np.allclose(prior_var, evidence.prior_var, rtol=1.0, atol=0.0):
+            break
+        evidence = replace(again, prior_var=prior_var)
+        fitted = refit(context, state.extended(_restarted(context, fitted.active[-1], prior_var)))
+        again = reconsider(context, fitted)
+    gained = _gain(context, state, fitted)
+    log_bayes_factor = again.log_bayes_factor - again.linear_gain + gained
+    finding = Finding(effect, replace(again, log_bayes_factor=log_bayes_factor))
+    return replace(candidate, finding=finding, log_bayes_factor=log_bayes_factor), check(context, fitted)
+
+
+def _fit_weights(
+    context: FitContext, state: State, candidate: Candidate, found: WeightsFound
+) -> tuple[Candidate, Checked]:
+    """Fit with other weights, and scales of the noise again to what that leaves."""
+
+    def weighted(start: State, fit: ReweightingFit) -> State:
+        added = Reweighted(found.change, fit.x, fit.std)
+        return refit(context, replace(start, reweighted=[*state.reweighted, added]))
+
+    fit = found.fit
+    fitted = weighted(found.start, fit)
+    for _ in range(TIMES_SCALED if isinstance(found.change, NoiseLevel) else 0):
+        fit = refit_reweighting(context, fitted, found.change)
+        fitted = weighted(fitted, fit)
+    weights = replace(found, fit=replace(fit, log_bayes_factor=found.fit.log_bayes_factor))
+    return replace(candidate, weights=weights), check(context, fitted)
+
+
+def _without_weak(context: FitContext, active: Active, prior_var: FloatArray) -> FloatArray:
+    """Take the prior from elements with a place or the like that have nothing there once they have been fitted to it.
+
+    Such are the ghosts of a source in the lobes of an array, which stand in for an error of its first position.
+    """
+    parameters = active.effect.parameters(context.setup)
+    told = (active.std > 0) & ~parameters.nonlinear
+    sigmas = np.where(told, np.abs(active.x) / np.where(told, active.std, 1.0), 0.0).max(axis=0)
+    n_elements = int(parameters.element.max(initial=-1)) + 1
+    best, placed = np.zeros(n_elements), np.zeros(n_elements, dtype=bool)
+    np.maximum.at(best, parameters.element, sigmas)
+    np.logical_or.at(placed, parameters.element, parameters.nonlinear)
+    weak = (placed & (best < WEAK_SIGMA))[parameters.element]
+    return np.where(weak, 0.0, prior_var) if np.any(prior_var[~weak] > 0) else prior_var
+
+
+def _restarted(context: FitContext, active: Active, prior_var: FloatArray) -> Active:
+    """Begin again with another prior from where the effect has been fitted."""
+    nonlinear = active.effect.parameters(context.setup).nonlinear
+    start = np.where((prior_var > 0) | nonlinear, active.x, 0.0)
+    return Active.start(active.effect, context.setup, prior_var, start)
+
+
+def _gain(context: FitContext, before: State, after: State) -> float:
+    """Return by how much the last active effect raised ln(likelihood x prior), over all channels."""
+    last = after.active[-1]
+    used = last.used
+    rows = last.x[:1] if last.effect.shared else last.x
+    nonlinear = last.effect.parameters(context.setup).nonlinear[used]
+    penalty = 0.5 * float(np.sum((rows[:, used] ** 2 / last.prior_var[used])[:, ~nonlinear]))
+    return context.over_channels(after.log_joint - before.log_joint) - penalty
+
+
+def _beam_change(context: FitContext, before: State, after: State) -> float:
+    """Return by how much the beam moved at most, on the one-degree grid and over channels."""
+    basis, largest = context.problem.basis, 0.0
+    for one, two in zip(before.posteriors, after.posteriors, strict=True):
+        moved: FloatArray = two.mean - one.mean
+
+        def change(za: FloatArray, az: FloatArray, moved: FloatArray = moved) -> Any:
+            return basis.synthesize(moved, za, az)
+
+        largest = max(largest, float(np.abs(evaluate_on_grid(change)).max()))
+    return float(max(context.grid.world.allgather(largest)))

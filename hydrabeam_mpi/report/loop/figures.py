@@ -1,0 +1,150 @@
+"""The course of the loop: how all effects were ranked in each round, and how the held-out error fell."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Iterator
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import NullFormatter
+
+from hydrabeam_mpi.report.loop.record import Entry, effect_name, entries, number, title_of, written
+from hydrabeam_mpi.report.page.scales import scale_values, tick_label
+from hydrabeam_mpi.report.page.style import INFERRED, MODEL, REFERENCE, Drawing, new_figure
+
+LINEAR = 10.0  # ln Bayes factors are drawn on a linear scale below this, on a logarithmic one above
+SHOWN = 24  # effects in a panel
+ABREAST = 3  # panels side by side
+
+
+def draw_ranking(loop: Entry) -> Drawing | None:
+    """Draw the ln Bayes factors of all effects, one panel a round; the last one is what was left, where it is known."""
+    panels = [
+        (f"Round {count}: {title_of(entry)}", entry, scores)
+        for count, entry in enumerate(entries(loop, "rounds"), 1)
+        if (scores := _scores(entry))
+    ]
+    if left := _scores(loop, "last_ranking"):
+        panels.append(("After the last round" if panels else "All effects", {}, left))
+    if not panels:
+        return None
+    best: dict[str, float] = {}
+    for _, _, scores in panels[::-1]:  # the first round decides the order
+        best |= scores
+    kinds = sorted(best, key=lambda kind: best[kind], reverse=True)[:SHOWN]
+    kinds += [str(chosen) for _, entry, _ in panels if (chosen := entry.get("effect")) in best and chosen not in kinds]
+    columns = min(ABREAST, len(panels))
+    rows = -(-len(panels) // columns)
+    figure = new_figure(rows * (0.175 * len(kinds) + 0.75) + 0.2)
+    grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+    drawn = [value for _, _, scores in panels for kind, value in scores.items() if kind in kinds]
+    for axes, panel in zip(grid.ravel(), panels, strict=False):
+        _draw_round(axes, kinds, *panel)
+    _scale(grid[0, 0], min(drawn), max(drawn), columns)
+    grid[0, 0].set(ylim=(len(kinds) - 0.4, -0.6), yticks=range(len(kinds)))
+    grid[0, 0].set_yticklabels([effect_name(kind) for kind in kinds])
+    for index, axes in enumerate(grid.ravel()):
+        axes.spines["left"].set_visible(False)
+        axes.tick_params(labelbottom=index + columns >= len(panels), left=False)
+        axes.set_visible(index < len(panels))
+        if index + columns >= len(panels):
+            axes.set_xlabel("ln Bayes factor")
+    return Drawing(
+        "loop_ranking",
+        "How well each effect explains what is left",
+        "Natural logarithm of the Bayes factor of every effect against the model of that round, after the beam has had "
+        "its say, on a scale that is linear below 10. The effect that was added is orange, the runner-up dark; what is "
+        "not above zero explains nothing.",
+        f"{len(panels)} panels of horizontal bars, one bar for each of {len(kinds)} effects.",
+        figure,
+    )
+
+
+def _scores(entry: Entry, key: str = "ranking") -> dict[str, float]:
+    """Return the ln Bayes factors of a ranking by kind."""
+    scores = {str(candidate.get("effect")): number(candidate, "log_bayes_factor") for candidate in entries(entry, key)}
+    return {kind: score for kind, score in scores.items() if math.isfinite(score)}
+
+
+def _draw_round(axes: Axes, kinds: list[str], title: str, entry: Entry, scores: dict[str, float]) -> None:
+    colours = {str(entry.get("runner_up")): REFERENCE, str(entry.get("effect")): INFERRED}
+    for place, kind in enumerate(kinds):
+        score = scores.get(kind)
+        if score is None:
+            axes.text(0, place, " –", va="center", fontsize=7, color="0.6")
+            continue
+        axes.barh(place, score, height=0.72, color=colours.get(kind, MODEL if score > 0 else "0.75"))
+        axes.text(max(score, 0), place, f" {_short(score)}", va="center", fontsize=7, color="0.25")
+    axes.axvline(0, color="0.4", linewidth=0.7)
+    axes.set_title(title if len(title) < 36 else f"{title[:34]}…", fontsize=8.5)
+
+
+def _short(value: float) -> str:
+    """Write a ln Bayes factor in a few characters."""
+    text = f"{round(value, 1) + 0.0:.1f}" if abs(value) < 100 else f"{value:,.0f}"
+    if abs(value) >= 1e6:
+        text = f"{value:.1e}".replace("e+0", "e").replace("e+", "e")
+    return text.replace("-", "−")
+
+
+def _scale(axes: Axes, lowest: float, highest: float, columns: int) -> None:
+    """Set a symmetric logarithmic scale with few ticks, and room for the numbers at the bars' ends."""
+    axes.set_xscale("symlog", linthresh=LINEAR, linscale=1)
+    top = max(math.ceil(math.log10(max(highest, LINEAR))), 1)
+    room = 1 + 0.35 * columns * max(top, 2) / 4
+    bottom = min(1.3 * lowest, -1.0)
+    axes.set_xlim(bottom, 10 ** (math.log10(max(highest, LINEAR)) + room))
+    step = max(1, top // 3)
+    ticks = [0.0] + [10.0**power for power in range(step, top + 1, step)]
+    if bottom < -LINEAR:
+        ticks = [-(10.0 ** math.floor(math.log10(-bottom))), *ticks]
+    axes.set_xticks(ticks, [tick_label(tick) for tick in ticks])
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.minorticks_off()
+
+
+def draw_fall(loop: Entry) -> Drawing | None:
+    """Draw the held-out reduced χ² over the rounds; None without a round."""
+    stages = [*_stages(loop)]
+    if len(stages) < 2:
+        return None
+    names, values = [name for name, _ in stages], np.array([value for _, value in stages])
+    figure = new_figure(2.7)
+    axes = figure.subplots()
+    places = np.arange(len(values))
+    axes.axhline(1, color=REFERENCE, linestyle="--", linewidth=1)
+    axes.text(len(values) - 0.55, 1, "noise alone", va="bottom", ha="right", fontsize=8, color=REFERENCE)
+    axes.plot(places, values, "o-", color=INFERRED, markersize=5)
+    for place, value in zip(places, values, strict=True):
+        axes.annotate(
+            written(value), (place, value), (0, 7), textcoords="offset points", ha="center", fontsize=8, zorder=5
+        )
+    slanted = len(values) > 5
+    axes.set_xticks(places, names, rotation=25 if slanted else 0, ha="right" if slanted else "center")
+    axes.set(xlim=(-0.5, len(values) - 0.5), ylabel="held-out reduced χ²")
+    scale_values(axes, [1.0, *values.tolist()])
+    axes.grid(axis="y")
+    return Drawing(
+        "loop_heldout",
+        "The error on data that no fit has seen",
+        "Reduced χ² of the held-out visibilities under the posterior predictive, at first and after each "
+        "effect that was added. Noise alone gives 1.",
+        f"A line from {written(float(values[0]))} to {written(float(values[-1]))} over {len(values) - 1} rounds.",
+        figure,
+    )
+
+
+def _stages(loop: Entry) -> Iterator[tuple[str, float]]:
+    """Yield a name and the held-out reduced χ² of the first model and of each round's."""
+    rounds = entries(loop, "rounds")
+    first = number(loop, "error_before")
+    first = number(rounds[0], "heldout_before") if rounds and math.isnan(first) else first
+    if math.isfinite(first):
+        yield "at first", first
+    for count, entry in enumerate(rounds, 1):
+        after = number(entry, "heldout_after")
+        if math.isfinite(after):
+            name = title_of(entry)
+            yield "\n".join(textwrap.wrap(f"{count}: + {name}", 18)), after

@@ -1,0 +1,188 @@
+"""The parameters of the effects that the loop added, with their error bars."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from hydrabeam_mpi.report.loop.record import Entry, entries, number, title_of
+from hydrabeam_mpi.report.page.style import AZ_0, AZ_90, INFERRED, MODEL, REFERENCE, UNCERTAINTY, Drawing, new_figure
+
+Array = NDArray[Any]
+NUMBER = re.compile(r"(?<![\w.])[-−+]?\d+(?:\.\d+)?")
+LISTED, NUMBERED, LINES, PANELS = 20, 400, 6, 8
+COLOURS = (INFERRED, MODEL, AZ_0, AZ_90, UNCERTAINTY, REFERENCE)
+
+
+@dataclass(frozen=True, eq=False)
+class _Family:
+    """Parameters that differ only by the numbers in their names.
+
+    Attributes
+    ----------
+    title, unit : str
+    labels : list of str
+        What tells them apart.
+    freqs : ndarray, (Nfreqs,)
+        Hz; NaN alone where they are shared by all channels.
+    values, errors : ndarray, (Nparams, Nfreqs)
+    """
+
+    title: str
+    unit: str
+    labels: list[str]
+    freqs: Array
+    values: Array
+    errors: Array
+
+    def most_significant(self, n: int) -> Array:
+        """Return the places of the ``n`` farthest from zero in their standard deviations, ascending."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            size = np.nansum((self.values / self.errors) ** 2, axis=1)
+        return np.sort(np.argsort(-np.nan_to_num(size, posinf=1e300), kind="stable")[:n])
+
+
+def draw_parameters(entry: Entry, count: int) -> Drawing | None:
+    """Draw the parameters of the effect that round ``count`` added; None where none are known."""
+    families = _families(entries(entry, "parameters"))
+    if not families:
+        return None
+    shown = families[:PANELS]
+    columns = min(len(shown), 2)
+    rows = [shown[start : start + columns] for start in range(0, len(shown), columns)]
+    heights = [max(_height(family) for family in row) for row in rows]
+    figure = new_figure(sum(heights))
+    grid = figure.subplots(len(rows), columns, squeeze=False, height_ratios=heights)
+    for axes, family in zip(grid.ravel(), shown, strict=False):
+        if len(family.freqs) > 1:
+            _draw_lines(axes, family)
+        elif _numbered(family):
+            _draw_numbered(axes, family)
+        else:
+            _draw_list(axes, family)
+    for axes in grid.ravel()[len(shown) :]:
+        axes.set_visible(False)
+    n = sum(len(family.labels) for family in families)
+    title = title_of(entry)
+    return Drawing(
+        f"loop_parameters_{count}",
+        f"Round {count}: {title}",
+        _caption(n, any(len(family.freqs) > 1 and len(family.labels) > LINES for family in shown)),
+        f"{len(shown)} panels with the parameters of {title}.",
+        figure,
+    )
+
+
+def _caption(n: int, in_grey: bool) -> str:
+    if n == 1:
+        return "The parameter of the effect with its standard deviation, as fitted together with the beam."
+    text = f"The {n:,} parameters of the effect with their standard deviations, as fitted together with the beam."
+    return text + (f" In colour the {LINES} farthest from zero, in grey the others." if in_grey else "")
+
+
+def _families(parameters: list[Entry]) -> list[_Family]:
+    """Sort parameters by their names without numbers; single ones of a unit join."""
+    by_name: dict[tuple[str, str], dict[str, dict[float, tuple[float, float]]]] = {}
+    for parameter in parameters:
+        name, unit = str(parameter.get("name", "")), str(parameter.get("unit") or "")
+        cells = by_name.setdefault((_without_numbers(name), unit), {}).setdefault(name, {})
+        cells[number(parameter, "freq_hz")] = (number(parameter, "value"), number(parameter, "std"))
+    families: dict[tuple[str, str], dict[str, dict[float, tuple[float, float]]]] = {}
+    for (title, unit), members in by_name.items():
+        families.setdefault((title if len(members) > 1 else "", unit), {}).update(members)
+    return [_family(title, unit, members) for (title, unit), members in families.items()]
+
+
+def _family(title: str, unit: str, members: dict[str, dict[float, tuple[float, float]]]) -> _Family:
+    # NaN stands for "all channels" and is a key like any other once it is replaced.
+    keyed = [{-1.0 if math.isnan(freq) else freq: cell for freq, cell in cells.items()} for cells in members.values()]
+    freqs = sorted({freq for cells in keyed for freq in cells})
+    table = np.array([[cells.get(freq, (math.nan, math.nan)) for freq in freqs] for cells in keyed])
+    labels = ["–".join(NUMBER.findall(name)) if title else name for name in members]
+    return _Family(title, unit, labels, np.array(freqs), table[..., 0], table[..., 1])
+
+
+def _without_numbers(name: str) -> str:
+    return re.sub(r"[\s,–-]+", " ", NUMBER.sub("", name)).strip(" =") if NUMBER.search(name) else name
+
+
+def _numbered(family: _Family) -> bool:
+    return len(family.labels) > 6 and all(NUMBER.fullmatch(label) for label in family.labels)
+
+
+def _height(family: _Family) -> float:
+    if len(family.freqs) > 1 or _numbered(family):
+        return 2.1
+    return 0.17 * min(len(family.labels), LISTED) + 0.75
+
+
+def _label(family: _Family, what: str = "") -> str:
+    return f"{what or 'value'} ({family.unit})" if family.unit else what or "value"
+
+
+def _heading(axes: Axes, family: _Family, shown: int) -> None:
+    of_all = f"the {shown} of {len(family.labels):,} farthest from 0" if shown < len(family.labels) else ""
+    axes.set_title(": ".join(part for part in (family.title, of_all) if part), fontsize=8.5)
+    axes.grid()
+
+
+def _draw_numbered(axes: Axes, family: _Family) -> None:
+    """Draw values over the numbers of antennas or the like."""
+    chosen = family.most_significant(NUMBERED)
+    places = np.array([float(family.labels[place].replace("−", "-")) for place in chosen])
+    axes.axhline(0, color="0.4", linewidth=0.7)
+    size = 3.5 if len(chosen) <= 100 else 2
+    values, errors = family.values[chosen, 0], np.nan_to_num(family.errors[chosen, 0])
+    axes.errorbar(places, values, errors, fmt="o", markersize=size, color=INFERRED, elinewidth=0.8)
+    axes.set(xlabel=family.title.split(" ")[0], ylabel=_label(family))
+    _heading(axes, family, len(chosen))
+
+
+def _draw_list(axes: Axes, family: _Family) -> None:
+    """Draw values one below the other with their names."""
+    chosen = family.most_significant(LISTED)
+    values, errors = family.values[chosen, 0], np.nan_to_num(family.errors[chosen, 0])
+    places = np.arange(len(chosen))
+    axes.axvline(0, color="0.4", linewidth=0.7)
+    axes.errorbar(values, places, xerr=errors, fmt="o", markersize=3.5, color=INFERRED, elinewidth=0.8)
+    axes.set_yticks(places, [family.labels[place] for place in chosen])
+    axes.set(ylim=(len(chosen) - 0.4, -0.6), xlabel=_label(family))
+    written = axes.secondary_yaxis("right")
+    texts = [f"{_short(value)} ± {_short(error, 2)}" for value, error in zip(values, errors, strict=True)]
+    written.set_yticks(places, texts, fontsize=7)
+    written.tick_params(length=0)
+    written.spines["right"].set_visible(False)
+    axes.margins(x=0.12)
+    _heading(axes, family, len(chosen))
+
+
+def _short(value: float, digits: int = 4) -> str:
+    return f"{value:.{digits}g}".replace("-", "−")
+
+
+def _draw_lines(axes: Axes, family: _Family) -> None:
+    """Draw the few most significant parameters over frequency, the others faintly."""
+    chosen = family.most_significant(LINES)
+    others = np.setdiff1d(family.most_significant(NUMBERED), chosen)
+    freqs = family.freqs / 1e6
+    axes.axhline(0, color="0.4", linewidth=0.7)
+    axes.plot(freqs, family.values[others].T, color="0.8", linewidth=0.5)
+    for place, colour in zip(chosen, COLOURS, strict=False):
+        errors = np.nan_to_num(family.errors[place])
+        label = family.labels[place]
+        axes.errorbar(
+            freqs, family.values[place], errors, fmt="o-", markersize=2.5, linewidth=0.8, elinewidth=0.8,
+            color=colour, label=label,
+        )  # fmt: skip
+    if len(family.labels) > 1:
+        above: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0, 0.98), "borderpad": 0, "borderaxespad": 0}
+        axes.legend(fontsize=7, ncols=LINES, handlelength=1, columnspacing=0.8, handletextpad=0.3, **above)
+    axes.set(xlabel="frequency (MHz)", ylabel=_label(family))
+    axes.set_title(family.title, fontsize=8.5, pad=14)
+    axes.grid()

@@ -1,0 +1,112 @@
+"""``loop.json`` as the report needs it: read once, and asked for numbers that may be missing."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.report.page.key_numbers import format_value
+
+Entry = dict[str, Any]
+VERDICTS = ("consistent", "explained", "unexplained", "convention")
+REMEDY = "run 'hydrabeam loop' again"
+
+
+def load_loop(directory: Path) -> Entry | None:
+    """Read ``loop.json`` of a result folder; None where there is none.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or has no verdict.
+    """
+    path = directory / "loop.json"
+    if not path.exists():
+        return None
+    try:
+        loop = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror})", file=path, remedy=REMEDY) from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"is not JSON ({error})", file=path, remedy=REMEDY) from error
+    if not isinstance(loop, dict) or loop.get("verdict") not in VERDICTS:
+        raise InputError(f"is none of {', '.join(VERDICTS)}", file=path, field="verdict", remedy=REMEDY)
+    return loop
+
+
+@contextmanager
+def as_written(directory: Path) -> Iterator[None]:
+    """Tell of ``loop.json`` whose values are not of the kind that their names say, as of wrong input.
+
+    Any key may be missing or null, and is left out; what stands there in its place may be anything.
+
+    Raises
+    ------
+    InputError
+        If the block raises anything else.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        reason = f"is not as 'hydrabeam loop' writes it ({type(error).__name__}: {error})"
+        raise InputError(reason, file=directory / "loop.json", remedy=REMEDY) from error
+
+
+def entries(record: Entry | None, key: str) -> list[Entry]:
+    """Return the records listed under a key; none where the key is missing or null."""
+    return [entry for entry in ((record or {}).get(key) or []) if isinstance(entry, dict)]
+
+
+def number(record: Entry | None, key: str) -> float:
+    """Return the number under a key; NaN where there is none."""
+    value = (record or {}).get(key)
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
+
+
+def written(value: float, missing: str = "–") -> str:
+    """Write a number with three digits, and a dash where there is none."""
+    return format_value(value) if math.isfinite(value) else missing
+
+
+def sigmas(value: float) -> str:
+    """Write a significance in standard deviations: one decimal, and none where there are many."""
+    return f"{value:,.1f}" if abs(value) < 100 else written(value)
+
+
+def effect_name(kind: str) -> str:
+    """Write the kind of an effect as words: "antenna_gains" as "antenna gains"."""
+    return kind.replace("_", " ")
+
+
+def title_of(entry: Entry) -> str:
+    """Return the name of a record's effect, as it is used within sentences."""
+    return str(entry.get("title") or effect_name(str(entry.get("effect", "an effect without a name"))))
+
+
+def joined(names: list[str]) -> str:
+    """Join names as in a sentence: "a", "a and b", "a, b and c"."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}" if names else ""
+
+
+def first_statistics(loop: Entry) -> Entry | None:
+    """Return the statistics of the residual before the first round; None where there was no round."""
+    rounds = entries(loop, "rounds")
+    return rounds[0].get("residual") if rounds else None
+
+
+def axis_entries(statistics: Entry | None, name: str) -> list[Entry]:
+    """Return the entries of an axis of the statistics of a residual."""
+    return entries((statistics or {}).get("axes"), name)
+
+
+def is_complete(statistics: Entry | None, name: str) -> bool:
+    """Tell whether all entries of an axis are listed, not only its most significant ones."""
+    total = number((statistics or {}).get("entries"), name)
+    return not total > len(axis_entries(statistics, name))

@@ -1,0 +1,84 @@
+"""The section of the page on what the model lacked: the verdict, the rounds, and what is left."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from hydrabeam_mpi.report.loop.baselines import draw_baselines
+from hydrabeam_mpi.report.loop.figures import draw_fall, draw_ranking
+from hydrabeam_mpi.report.loop.parameters import draw_parameters
+from hydrabeam_mpi.report.loop.record import Entry, entries
+from hydrabeam_mpi.report.loop.residuals import draw_residuals
+from hydrabeam_mpi.report.loop.statistics import statistics_table
+from hydrabeam_mpi.report.loop.structures import draw_singular_values, draw_structures
+from hydrabeam_mpi.report.loop.tables import left_out, parameters_table, rounds_table, seconds
+from hydrabeam_mpi.report.loop.where import where_tables
+from hydrabeam_mpi.report.loop.words import further_words, verdict_words
+from hydrabeam_mpi.report.page.sections import as_html
+from hydrabeam_mpi.report.page.style import Drawing
+
+Place = Callable[[Drawing], str]
+
+
+def loop_section(loop: Entry, place: Place) -> str:
+    """Return the section as HTML.
+
+    Parameters
+    ----------
+    loop : dict
+        Of ``loop.json``.
+    place : callable
+        Turns a figure into its element.
+    """
+    return "".join(
+        [
+            "<h2>What the model lacked</h2>\n"
+            if entries(loop, "rounds")
+            else "<h2>Does the model lack anything?</h2>\n",
+            _verdict(loop),
+            rounds_table(loop),
+            _placed(place, draw_fall(loop), draw_ranking(loop)),
+            _parameters(loop, place),
+            _residual(loop, place),
+            _unexplained(loop, place),
+            _left_out(loop),
+        ]
+    )
+
+
+def _placed(place: Place, *drawings: Drawing | None) -> str:
+    return "".join(place(drawing) for drawing in drawings if drawing is not None)
+
+
+def _verdict(loop: Entry) -> str:
+    """State the verdict, and where an unexplained residual lives."""
+    sentence = (loop.get("where") or {}).get("sentence")
+    where = f"<p>{as_html(str(sentence))}</p>" if sentence else ""
+    return f'<div class="finding verdict"><p>{as_html(verdict_words(loop))}</p>{where}</div>\n'
+
+
+def _parameters(loop: Entry, place: Place) -> str:
+    parts = [
+        _placed(place, draw_parameters(entry, count)) + parameters_table(entry)
+        for count, entry in enumerate(entries(loop, "rounds"), 1)
+    ]
+    inside = "".join(parts)
+    return f"<h3>What was added</h3>\n{inside}" if inside else ""
+
+
+def _residual(loop: Entry, place: Place) -> str:
+    inside = statistics_table(loop) + _placed(place, draw_residuals(loop), draw_baselines(loop))
+    return f"<h2>What is left</h2>\n{inside}" if inside else ""
+
+
+def _unexplained(loop: Entry, place: Place) -> str:
+    structures = loop.get("structures")
+    inside = where_tables(loop) + _placed(place, draw_singular_values(structures), draw_structures(structures))
+    return f"<h3>What no effect explains</h3>\n{inside}" if inside else ""
+
+
+def _left_out(loop: Entry) -> str:
+    said = "".join(f"<li>{as_html(line)}</li>" for line in further_words(loop))
+    closing = f"<details><summary>How the loop put it</summary><ul>{said}</ul></details>\n"
+    inside = left_out(loop) + (closing if said else "") + seconds(loop)
+    return f"<h2>What was not added, and why</h2>\n{inside}" if inside else ""

@@ -1,0 +1,143 @@
+"""The tables of the loop: rounds, the largest parameters, and what was not added; each function returns HTML."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from html import escape
+
+from hydrabeam_mpi.report.loop.record import Entry, effect_name, entries, joined, number, sigmas, title_of, written
+from hydrabeam_mpi.report.loop.words import round_words
+from hydrabeam_mpi.report.page.key_numbers import format_value
+from hydrabeam_mpi.report.page.sections import as_html, set_table
+from hydrabeam_mpi.report.page.words import megahertz
+
+LISTED = 12
+"""Parameters of an effect that the page lists."""
+
+
+def lines_of(rows: Sequence[Sequence[str]], values: Sequence[int]) -> list[str]:
+    """Set the lines of a table; the columns ``values`` hold numbers."""
+    return [
+        "<tr>"
+        + "".join(
+            f'<td class="value">{as_html(cell)}</td>' if column in values else f"<td>{as_html(cell)}</td>"
+            for column, cell in enumerate(row)
+        )
+        + "</tr>"
+        for row in rows
+    ]
+
+
+def head_of(names: Sequence[str], values: Sequence[int]) -> str:
+    """Set the head of such a table."""
+    cells = (
+        f'<th class="value">{escape(name)}</th>' if column in values else f"<th>{escape(name)}</th>"
+        for column, name in enumerate(names)
+    )
+    return f"<tr>{''.join(cells)}</tr>"
+
+
+def _change(entry: Entry, name: str) -> str:
+    return f"{written(number(entry, f'{name}_before'))} → {written(number(entry, f'{name}_after'))}"
+
+
+def rounds_table(loop: Entry) -> str:
+    """Set the rounds, two lines each: the numbers, and the sentence below them."""
+    names = ["", "added", "ln Bayes factor", "absorbed by beam", "χ² fitted", "χ² held out", "runner-up"]
+    names += ["indistinguishable from"]
+    values = (2, 3, 4, 5)
+    lines = []
+    for count, entry in enumerate(entries(loop, "rounds"), 1):
+        absorbed = number(entry, "absorbed_by_beam")
+        cells = (
+            str(count),
+            title_of(entry),
+            written(number(entry, "log_bayes_factor")),
+            format_value(absorbed, "percent") if math.isfinite(absorbed) else "–",
+            _change(entry, "chi2"),
+            _change(entry, "heldout"),
+            effect_name(str(entry.get("runner_up") or "–")),
+            joined([effect_name(str(kind)) for kind in entry.get("indistinguishable_from") or []]) or "–",
+        )
+        lines += lines_of([cells], values)
+        words = round_words(entry)
+        if words:
+            lines.append(f'<tr class="said"><td></td><td colspan="{len(names) - 1}">{as_html(words)}</td></tr>')
+    return f"<h3>Rounds</h3>\n{set_table('', head_of(names, values), lines, 'channels rounds')}" if lines else ""
+
+
+def parameters_table(entry: Entry) -> str:
+    """Fold away those parameters of an effect that are farthest from zero."""
+    parameters = entries(entry, "parameters")
+    largest = sorted(parameters, key=_significance, reverse=True)[:LISTED]
+    if not largest:
+        return ""
+    rows = []
+    for parameter in largest:
+        freq, significance = number(parameter, "freq_hz"), _significance(parameter)
+        rows.append(
+            (
+                str(parameter.get("name", "")),
+                megahertz(freq) if math.isfinite(freq) else "all",
+                written(number(parameter, "value")),
+                written(number(parameter, "std")),
+                str(parameter.get("unit") or ""),
+                sigmas(significance) if math.isfinite(significance) else "–",
+            )
+        )
+    values = (2, 3, 5)
+    head = head_of(("parameter", "frequency", "value", "std", "unit", "in std"), values)
+    what = f"{len(largest)} of {len(parameters):,} values, the farthest from zero in their standard deviations"
+    if len(largest) == len(parameters):
+        what = "The values"
+    if not_told := len(entries(entry, "parameters_not_told")):
+        what += f" ({not_told:,} more that the data do not tell)"
+    return f"<details><summary>{what}</summary>\n{set_table('', head, lines_of(rows, values), 'channels')}</details>\n"
+
+
+def _significance(parameter: Entry) -> float:
+    value, std = number(parameter, "value"), number(parameter, "std")
+    return abs(value) / std if std > 0 and math.isfinite(value) else -math.inf
+
+
+def left_out(loop: Entry) -> str:
+    """Set what was not added: refused, not decidable, not looked for; and the conventions that were tested."""
+    refused = [
+        (title_of(entry), written(number(entry, "log_bayes_factor")), str(entry.get("reason") or "–"))
+        for entry in entries(loop, "tried")
+    ]
+    degenerate_directions = [
+        (effect_name(str(entry.get("what", "–"))), str(entry.get("why") or "–"))
+        for entry in entries(loop, "undecidable")
+    ]
+    skipped = [(title_of(entry), str(entry.get("reason") or "–")) for entry in entries(loop, "skipped")]
+    tested = [
+        (effect_name(str(entry.get("name", "–"))), written(number(entry, "chi2")), _share(number(entry, "explained")))
+        for entry in entries(loop.get("conventions"), "tested")
+    ]
+    return (
+        _titled("Liked by the fitted data, refused by the held-out data", ("effect", "ln Bayes factor", "why"), refused)
+        + _titled("What these data cannot decide", ("what", "why"), degenerate_directions)
+        + _titled("Effects that were not looked for", ("effect", "why"), skipped)
+        + _titled("Conventions that were tested", ("the data taken", "reduced χ²", "power explained"), tested)
+    )
+
+
+def _titled(title: str, names: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Set a table under a heading; empty without rows."""
+    numeric = ("ln Bayes factor", "reduced χ²", "power explained")
+    values = [column for column, name in enumerate(names) if name in numeric]
+    table = set_table("", head_of(names, values), lines_of(rows, values), "channels")
+    return f"<h3>{title}</h3>\n{table}" if rows else ""
+
+
+def _share(value: float) -> str:
+    return format_value(value, "percent") if math.isfinite(value) else "–"
+
+
+def seconds(loop: Entry) -> str:
+    """Tell what took how long."""
+    spent = loop.get("seconds") or {}
+    known = [f"{effect_name(name)} {written(number(spent, name))} s" for name in spent if number(spent, name) >= 0]
+    return f"<p>Time: {as_html(', '.join(known))}.</p>\n" if known else ""

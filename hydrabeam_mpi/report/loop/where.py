@@ -1,0 +1,64 @@
+"""Where the unexplained residual lives, as tables."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from hydrabeam_mpi.report.loop.record import Entry, effect_name, entries, number, sigmas, written
+from hydrabeam_mpi.report.loop.tables import head_of, lines_of
+from hydrabeam_mpi.report.page.key_numbers import format_value
+from hydrabeam_mpi.report.page.places import place_words
+from hydrabeam_mpi.report.page.sections import set_table
+
+NAMED, LISTED = 3, 10
+
+
+def where_tables(loop: Entry) -> str:
+    """Set how the residual spreads over every axis, and fold away the entries that carry it."""
+    axes = {name: axis for name, axis in (loop.get("where") or {}).items() if isinstance(axis, dict)}
+    if not axes:
+        return ""
+    overview = [(effect_name(name), *_overview(name, axis)) for name, axis in axes.items()]
+    heads = ["over", "the excess is", "carry 2/3 of it", "unevenness, σ", "the strongest, with their shares"]
+    parts = [set_table("", head_of(heads, (2, 3)), lines_of(overview, (2, 3)), "channels")]
+    rows = [row for name, axis in axes.items() for row in _rows(name, axis)]
+    if rows:
+        heads, values = ["where", "χ²", "σ", "share of the excess"], (1, 2, 3)
+        table = set_table("", head_of(heads, values), lines_of(rows, values), "channels")
+        parts.append(f"<details><summary>Up to {LISTED} of each, the strongest first</summary>\n{table}</details>\n")
+    return "".join(parts)
+
+
+def _overview(name: str, axis: Entry) -> tuple[str, str, str, str]:
+    count, total = number(axis, "count"), number(axis, "of")
+    carried = f"{count:,.0f} of {total:,.0f}" if math.isfinite(count) and math.isfinite(total) else "–"
+    strongest = ", ".join(
+        f"{place_words(name, entry.get('what'))} ({_share(number(entry, 'share'))})"
+        for entry in entries(axis, "entries")[:NAMED]
+    )
+    return str(axis.get("state", "–")), carried, sigmas(number(axis, "sigma")), strongest or "–"
+
+
+def _rows(name: str, axis: Entry) -> list[tuple[str, ...]]:
+    return [
+        (
+            f"{place_words(name, entry.get('what'))}{_more(entry)}",
+            written(number(entry, "chi2")),
+            sigmas(number(entry, "sigma")),
+            _share(number(entry, "share")),
+        )
+        for entry in entries(axis, "entries")[:LISTED]
+    ]
+
+
+def _more(entry: Entry) -> str:
+    """Tell the vector of a redundant group or the range of a bin of lengths."""
+    vector: Any = entry.get("vector_m")
+    if isinstance(vector, list) and len(vector) >= 2:
+        return f" ({vector[0]:.1f} m East, {vector[1]:.1f} m North)"
+    return ""
+
+
+def _share(value: float) -> str:
+    return format_value(value, "percent") if math.isfinite(value) else "–"

@@ -1,0 +1,1 @@
+"""The page: its sections, words, style, and what it reads."""

@@ -1,0 +1,35 @@
+"""All figures of a result, in the order of the page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from hydrabeam_mpi.report.beam.coefficients import draw_coefficients
+from hydrabeam_mpi.report.beam.correlation import draw_correlation
+from hydrabeam_mpi.report.beam.eigenbeams import draw_eigenbeams
+from hydrabeam_mpi.report.beam.predictive_checks import draw_heldout_scores
+from hydrabeam_mpi.report.beam.sky import draw_map_scores, draw_maps, draw_slices
+from hydrabeam_mpi.report.page.result import Channel
+from hydrabeam_mpi.report.page.style import Drawing
+
+
+def shown_channels(channels: list[Channel]) -> list[Channel]:
+    """Choose the channels that are drawn in full: all, or the first, the middle and the last of more than three."""
+    if len(channels) <= 3:
+        return channels
+    return [channels[0], channels[len(channels) // 2], channels[-1]]
+
+
+def draw_channel(channel: Channel) -> Iterator[Drawing]:
+    """Draw one channel: on the sky first, then held-out data, then the coefficients."""
+    covariance = channel.covariance()
+    drawings = (
+        draw_maps(channel),
+        draw_slices(channel),
+        draw_map_scores(channel),
+        draw_heldout_scores(channel),
+        draw_coefficients(channel),
+        draw_correlation(channel, covariance),
+        draw_eigenbeams(channel, covariance),
+    )
+    yield from (drawing for drawing in drawings if drawing is not None)

@@ -1,0 +1,1 @@
+"""What is written of an inference: numbers, maps, files."""

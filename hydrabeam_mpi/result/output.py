@@ -1,0 +1,170 @@
+"""What a run leaves: a folder that appears when all is well, the result first in it, conversions of it after."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+
+from hydrabeam_mpi.cautions import cautions_of_flags
+from hydrabeam_mpi.commands.job_file import read_files, unread_files
+from hydrabeam_mpi.config import Job
+from hydrabeam_mpi.config.named import for_inference, for_simulation
+from hydrabeam_mpi.data.observation import Observation
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.beamfits import write_power_beam
+from hydrabeam_mpi.io.finite import INFERENCE, MODEL, SIMULATION, check_finite
+from hydrabeam_mpi.io.posterior_file import ChannelRecord, PosteriorFile, least_bytes, write_posterior
+from hydrabeam_mpi.io.staging import StagedDirectory
+from hydrabeam_mpi.mpi import Comm, together
+from hydrabeam_mpi.result.summary import GRID_AZ, GRID_ZA, warnings_of
+from hydrabeam_mpi.setup.problem import Problem
+from hydrabeam_mpi.terminal.progress import warn
+
+
+@contextmanager
+def staged(
+    world: Comm, job_path: Path, job: Job, out: Path, overwrite: bool, only_simulates: bool = False
+) -> Iterator[Path]:
+    """Give a folder to write into that becomes ``out`` when all went well, and vanishes otherwise.
+
+    Collective: all ranks of `world`. An `InputError` that names no file is about a key of the job file.
+    """
+    folder = None
+    with together(world):
+        if world.rank == 0:
+            folder = StagedDirectory(out, overwrite, read_files(job, only_simulates), unread_files(job, job_path))
+    others = world.bcast(folder)
+    folder = folder or others  # rank 0 keeps its own, which holds the lock
+    try:
+        yield folder.partial
+    except BaseException as error:
+        # By every rank: one that fails alone ends the others before they could.
+        folder.discard()
+        if isinstance(error, InputError):
+            error.locate(job_path)
+        raise
+    with together(world):
+        if world.rank == 0:
+            folder.publish()
+
+
+def input_files(job: Job, problem: Problem) -> list[Path]:
+    """List the files that the result depends on, but for those that were simulated for it."""
+    data = () if job.data.simulate else problem.files
+    # Not looked at again: one that has gone meanwhile is told when the result is published.
+    return [*data, *problem.gain_files, *(named.path for named in (*for_simulation(job), *for_inference(job)))]
+
+
+def least_result_bytes(job: Job, n_channels: int | None = None) -> int:
+    """Return how many bytes the result of a job has at least, for as many channels as the job tells of by default."""
+    if n_channels is None:
+        chosen = job.data.simulate.freqs if job.data.simulate else job.data.freqs or job.data.channels
+        n_channels = len(chosen) if chosen else 1
+    basis = job.basis
+    if basis.kind == "zernike":
+        n_modes, is_complex = (basis.max_degree + 1) * (basis.max_degree + 2) // 2, False
+    else:
+        n_modes, is_complex = basis.n_modes, basis.form == "complex"
+    return least_bytes(n_channels, n_modes, np.dtype(complex if is_complex else float).itemsize, job.output.draws)
+
+
+def check_records(records: Sequence[ChannelRecord]) -> None:
+    """Make sure that all numbers of all channels are finite, before any of them is written.
+
+    Raises
+    ------
+    InputError
+        If one is not; names the channel and what it is.
+    """
+    for number, record in enumerate(records):
+        where = f"channel {number} ({record.freq / 1e6:.10g} MHz)"
+        arrays = dict(record.arrays)
+        if np.isposinf(arrays["prior_std"]).all():  # a flat prior
+            del arrays["prior_std"]
+        check_finite(where, {"map_model": arrays.pop("map_model")}, MODEL)
+        if "map_truth" in arrays:
+            check_finite(where, {"map_truth": arrays.pop("map_truth")}, SIMULATION)
+        check_finite(where, {**arrays, "log_evidence": record.log_evidence, **record.summary}, INFERENCE)
+
+
+def write_result(
+    folder: Path,
+    job: Job,
+    problem: Problem,
+    records: list[ChannelRecord],
+    about: dict[str, Any],
+    run: dict[str, Any],
+    warnings: Sequence[str] = (),
+) -> None:
+    """Write what has been computed: posterior, summary (further ``warnings`` first), job and provenance."""
+    pol = problem.observation.pols[0]
+    write_posterior(
+        folder / "posterior.h5", PosteriorFile(problem.basis.describe(), about, pol, GRID_ZA, GRID_AZ, records)
+    )
+    common = {
+        "flux_removed": problem.flux_removed,
+        "ranks": about["ranks"],
+        "threads_per_rank": about["threads_per_rank"],
+        **run,
+    }
+    channels = [record.summary for record in records]
+    flagged = cautions_of_flags(channels, holds_out=job.holdout.kind != "none")
+    warn(flagged)
+    summary = {
+        "name": job.name,
+        **channels[0],
+        **common,
+        "channels": channels,
+        "warnings": [*warnings, *problem.cautions, *flagged, *warnings_of(channels)],
+    }
+    _write_json(folder / "summary.json", summary)
+    write_job_and_provenance(folder, job, about)
+
+
+def write_job_and_provenance(folder: Path, job: Job, about: dict[str, Any]) -> None:
+    """Write the resolved job and where the result comes from."""
+    (folder / "job.toml").write_text(tomli_w.dumps(job.model_dump(mode="json", exclude_none=True)))
+    _write_json(folder / "provenance.json", about)
+
+
+def write_conversions(folder: Path, observation: Observation, records: list[ChannelRecord], version: str) -> None:
+    """Write the MAP beam in another format; what stands in its way is one more warning of the summary."""
+    try:
+        write_power_beam(
+            folder / "beam.beamfits",
+            np.array([[record.arrays["map_mean"] for record in records]]),
+            observation.freqs,
+            [observation.pols[0]],
+            telescope_name=observation.telescope_name,
+            history=f"Maximum a posteriori beam inferred by hydrabeam_mpi {version}.",
+        )
+    except Exception as error:  # whatever it is, the result itself is there
+        for part in folder.glob("beam*.beamfits"):
+            part.unlink()
+        reason = " ".join(str(error).split())
+        caution = f"beam.beamfits could not be written ({reason}); the beam is in posterior.h5, as map_mean."
+        warn([caution])
+        _add_warning(folder / "summary.json", caution)
+
+
+def _add_warning(path: Path, caution: str) -> None:
+    """Add a warning to a summary that is there already; it stays as it is where the disk takes no more."""
+    summary = json.loads(path.read_text())
+    summary["warnings"].append(caution)
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        _write_json(partial, summary)
+        partial.replace(path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        warn([f"nor could that be added to summary.json ({error.strerror})"])
+
+
+def _write_json(path: Path, content: dict[str, Any]) -> None:
+    path.write_text(json.dumps(content, indent=2) + "\n")

@@ -1,0 +1,242 @@
+"""From a job file to everything that the inference needs besides the visibilities themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from hydrabeam_mpi.cautions import cautions_of_data
+from hydrabeam_mpi.config import Job
+from hydrabeam_mpi.config.named import expand
+from hydrabeam_mpi.data.observation import FloatArray, IntArray, Observation
+from hydrabeam_mpi.data.partition import Tile, make_tiles
+from hydrabeam_mpi.data.redundancy import RedundantGroups, check_tolerance, find_redundant_groups
+from hydrabeam_mpi.data.selection import HoldoutRule, Selection, split_holdout
+from hydrabeam_mpi.infer.prior import Prior
+from hydrabeam_mpi.io.noise import difference_variance
+from hydrabeam_mpi.io.uvmeta import read_observation
+from hydrabeam_mpi.model.bases.base import LinearBasis
+from hydrabeam_mpi.model.beam import Beam
+from hydrabeam_mpi.model.engines import make_engine
+from hydrabeam_mpi.model.rime import ForwardModel
+from hydrabeam_mpi.model.sky import Sky
+from hydrabeam_mpi.mpi import Comm, together
+from hydrabeam_mpi.setup.beams import fit_model_beams, load_beams, make_prior
+from hydrabeam_mpi.setup.skies import count_sources, load_sky, source_positions
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A job made concrete. Built on one rank, shared by all, and cut down to a rank group's channels.
+
+    Attributes
+    ----------
+    job : Job
+    files, gain_files : tuple of Path
+        The visibilities and their gains.
+    observation : Observation
+    redundant : RedundantGroups
+        Of the observation's baselines.
+    train, test : Tile
+        Rows to infer from and rows held out.
+    sky : Sky
+        The sky model at the observation's channels.
+    flux_removed : float
+        Fraction of the sky's flux that the model leaves out.
+    basis : LinearBasis
+    beams : tuple of callable
+        The model beam of each channel, before the inference.
+    priors : tuple of Prior
+        On the coefficients of each channel.
+    fit_rms : tuple of float
+        Root mean square of model beam minus its fit in the basis, each channel.
+    time_costs : ndarray, (Ntimes,)
+        To balance ranks: sources above the horizon.
+    truths : tuple of callable
+        The beams that the data were simulated with; empty for measured data.
+    noise_variance : ndarray, (Nfreqs, Nbls, Npols), optional
+        Of one sample, where the noise is estimated from differences.
+    channel_numbers : ndarray of int, (Nfreqs,)
+        Which of the job's channels these are.
+    cautions : tuple of str
+        What a user should not overlook about the data.
+    """
+
+    job: Job
+    files: tuple[Path, ...]
+    gain_files: tuple[Path, ...]
+    observation: Observation
+    redundant: RedundantGroups
+    train: Tile
+    test: Tile
+    sky: Sky
+    flux_removed: float
+    basis: LinearBasis
+    beams: tuple[Beam, ...]
+    priors: tuple[Prior, ...]
+    fit_rms: tuple[float, ...]
+    time_costs: FloatArray
+    channel_numbers: IntArray
+    truths: tuple[Beam, ...] = ()
+    noise_variance: FloatArray | None = None
+    cautions: tuple[str, ...] = ()
+
+    def of_channels(self, channels: Sequence[int]) -> Problem:
+        """Keep some channels."""
+        index = np.array(channels, dtype=int)
+
+        def chosen(items: tuple[Any, ...]) -> tuple[Any, ...]:
+            return tuple(items[i] for i in channels) if items else ()
+
+        return replace(
+            self,
+            observation=replace(
+                self.observation,
+                freqs=self.observation.freqs[index],
+                channel_width=self.observation.channel_width[index],
+            ),
+            sky=self.sky.channels(index),
+            beams=chosen(self.beams),
+            priors=chosen(self.priors),
+            fit_rms=chosen(self.fit_rms),
+            truths=chosen(self.truths),
+            noise_variance=None if self.noise_variance is None else self.noise_variance[index],
+            channel_numbers=self.channel_numbers[index],
+        )
+
+    def tile_of(self, rows: Tile, rank: int, size: int, whole_times: bool = False) -> Tile:
+        """Return a rank's share of some rows, among ``size`` ranks; ``whole_times`` keeps those of a time together."""
+        costs, group = self.time_costs[rows.times], self.redundant.group[rows.bls]
+        if whole_times:
+            group = np.zeros_like(group)
+        return make_tiles(rows.times, costs, rows.bls, group, size)[rank]
+
+    @property
+    def n_unique_baselines(self) -> int:
+        """Number of different baseline vectors."""
+        return self.redundant.Ngroups
+
+    def forward_model(self, groups: IntArray) -> ForwardModel:
+        """Return the forward model of some redundant groups."""
+        job = self.job
+        engine = make_engine(job.solver.engine, self.redundant.vectors[groups])
+        return ForwardModel(
+            source_positions(job, self.sky, self.observation), self.sky.flux, self.observation.freqs, engine
+        )
+
+
+def select(job: Job) -> Selection:
+    """Turn the data section into a selection in radians and Hz."""
+    data = job.data
+    return Selection(
+        pols=(data.polarization,),
+        antennas=data.antennas,
+        exclude_antennas=data.exclude_antennas,
+        antpairs=data.antpairs,
+        min_bl_length=data.min_bl_length or None,
+        max_bl_length=data.max_bl_length,
+        channels=data.channels,
+        freqs=data.freqs,
+        freq_range=data.freq_range,
+        time_range=data.time_range,
+        lst_range=None if data.lst_range is None else _radians(data.lst_range),
+        every_time=data.every_time,
+    )
+
+
+def _radians(hours: tuple[float, float]) -> tuple[float, float]:
+    return hours[0] * np.pi / 12, hours[1] * np.pi / 12
+
+
+def _holdout_rule(job: Job) -> HoldoutRule:
+    """Turn the hold-out section into a rule in radians."""
+    holdout = job.holdout
+    return HoldoutRule(
+        kind=holdout.kind,
+        every=holdout.every,
+        lst_ranges=tuple(_radians(lst_range) for lst_range in holdout.lst_ranges),
+        jd_ranges=holdout.jd_ranges,
+        antpairs=holdout.antpairs,
+    )
+
+
+def find_groups(job: Job, observation: Observation) -> RedundantGroups:
+    """Group redundant baselines, or keep each alone where the job says not to compress."""
+    pol = observation.pols[0]
+    redundant = find_redundant_groups(observation.bl_vectors, job.data.redundancy_tol, either_sign=pol[0] == pol[1])
+    if job.solver.compress:
+        check_tolerance(observation, redundant, job.data.redundancy_tol)
+        return redundant
+    signs = np.where(redundant.flipped, -1.0, 1.0)[:, np.newaxis]
+    return RedundantGroups(signs * observation.bl_vectors, np.arange(observation.Nbls), redundant.flipped)
+
+
+def prepare(job: Job, files: tuple[Path, ...], truths: tuple[Beam, ...] = ()) -> Problem:
+    """Read and fit everything but the visibilities. Serial.
+
+    Parameters
+    ----------
+    job : Job
+    files : tuple of Path
+        The visibilities.
+    truths : tuple of callable
+        The beams that they were simulated with, where they were.
+
+    Raises
+    ------
+    InputError
+        If a file or a setting cannot be used.
+    """
+    observation = replace(read_observation(files, select(job)), pol_convention=job.data.pol_convention)
+    if job.data.channel_width is not None:
+        width = np.full(observation.Nfreqs, job.data.channel_width)
+        observation = replace(observation, channel_width=width)
+    holdout = split_holdout(observation, _holdout_rule(job))
+    whole_sky = load_sky(job, observation.freqs)
+    sky = whole_sky.brighter_than(job.sky.model_flux_min)
+    time_costs = count_sources(sky, observation)
+    beams = load_beams(job, observation.freqs, observation.pols[0])
+    basis, fits = fit_model_beams(job, beams)
+    return Problem(
+        job=job,
+        files=files,
+        gain_files=expand(job.data.gains, "[data] gains", "file"),
+        observation=observation,
+        redundant=find_groups(job, observation),
+        train=Tile(np.flatnonzero(holdout.train_times), np.flatnonzero(holdout.train_bls)),
+        test=Tile(np.flatnonzero(holdout.test_times), np.flatnonzero(holdout.test_bls)),
+        sky=sky,
+        flux_removed=1 - float(sky.flux.sum() / whole_sky.flux.sum()),
+        basis=basis,
+        beams=tuple(beams),
+        priors=tuple(make_prior(job, fit) for fit in fits),
+        fit_rms=tuple(fit.rms_residual for fit in fits),
+        time_costs=time_costs,
+        channel_numbers=np.arange(observation.Nfreqs),
+        truths=truths,
+        cautions=cautions_of_data(job, observation),
+    )
+
+
+def estimate_noise(world: Comm, problem: Problem) -> Problem:
+    """Estimate the noise from differences of the data, where the job says so.
+
+    Collective: all ranks of `world`, which share out the baselines.
+    """
+    how: Literal["time", "frequency"]
+    match problem.job.noise.kind:
+        case "time-differences":
+            how = "time"
+        case "frequency-differences":
+            how = "frequency"
+        case _:
+            return problem
+    observation = problem.observation
+    mine = np.array_split(np.arange(observation.Nbls), world.size)[world.rank]
+    with together(world):
+        part = difference_variance(problem.files, observation, mine, how, problem.gain_files)
+    return replace(problem, noise_variance=np.concatenate(world.allgather(part), axis=1))

@@ -1,0 +1,1 @@
+"""Mock data, with or without effects in them."""

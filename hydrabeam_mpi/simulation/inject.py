@@ -1,0 +1,219 @@
+"""Effects in mock data: what the model lacks, put there on purpose."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from hydrabeam_mpi.config import Job
+from hydrabeam_mpi.config.effects import Injected
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray, Observation
+from hydrabeam_mpi.data.redundancy import RedundantGroups
+from hydrabeam_mpi.effects.instrument.leakage import Leakage
+from hydrabeam_mpi.effects.interface.effect import Cause, Effect
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.registry import REWEIGHTINGS, make_cause, make_reweighting
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.model.bases.base import LinearBasis
+from hydrabeam_mpi.model.beam import Beam
+from hydrabeam_mpi.model.sky import Sky
+from hydrabeam_mpi.random import generator
+from hydrabeam_mpi.setup.skies import source_positions
+
+Truth = dict[str, Any]
+Visibilities = Mapping[str, ComplexArray]
+"""By polarisation."""
+
+
+class Injection:
+    """Puts effects into simulated visibilities.
+
+    Parameters
+    ----------
+    job : Job
+        With ``[[data.simulate.effects]]``.
+    observation : Observation
+        With all polarisations that are simulated.
+    redundant : RedundantGroups
+    sky : Sky
+    beams : mapping of str to sequence of callable
+        By polarisation the beam of each channel that the array has; the job's own polarisation comes first.
+    basis : LinearBasis
+        Of the job, and its fits, for effects that speak of them.
+    prior_mean : sequence of ndarray
+    """
+
+    def __init__(
+        self,
+        job: Job,
+        observation: Observation,
+        redundant: RedundantGroups,
+        sky: Sky,
+        beams: Mapping[str, Sequence[Beam]],
+        basis: LinearBasis,
+        prior_mean: Sequence[Any],
+    ) -> None:
+        self.job, self.beams, self.pol = job, beams, next(iter(beams))
+        assert job.data.simulate is not None
+        self.entries = job.data.simulate.effects
+        times: IntArray = np.arange(observation.Ntimes)
+        positions = partial(source_positions, job)
+        own = replace(observation, pols=(self.pol,))
+        self.setup = ObservingSetup(own, redundant, sky, basis, tuple(prior_mean), observation.pols, times, positions)
+        self.groups, self.member = np.unique(redundant.group, return_inverse=True)
+
+    def before_noise(self, crosses: Visibilities) -> tuple[dict[str, ComplexArray], list[Truth]]:
+        """Return what is measured of visibilities by polarisation, each (Nfreqs, Ntimes, Nbls), and what was put in.
+
+        Both feeds have the same effects; what is so measured leaks.
+        """
+        causes: dict[int, tuple[Cause, FloatArray]] = {}
+        for number, entry in enumerate(self.entries):
+            if entry.kind not in REWEIGHTINGS:
+                with _told_of(number, entry):
+                    causes[number] = self._draw(number, entry)
+        ordinary = {number: (cause, x) for number, (cause, x) in causes.items() if isinstance(cause, Effect)}
+        data = {pol: self._with_effects(pol, vis, ordinary) for pol, vis in crosses.items()}
+        leaks = [x for cause, x in causes.values() if isinstance(cause, Leakage)]
+        if leaks:
+            data = self._leaked(data, np.sum(leaks, axis=0))
+        return data, [self._truth(cause, x) for cause, x in causes.values()]
+
+    def _with_effects(
+        self, pol: str, crosses: ComplexArray, effects: Mapping[int, tuple[Effect, FloatArray]]
+    ) -> ComplexArray:
+        """Return C (V + E), (Nfreqs, Ntimes, Nbls)."""
+        data = crosses.copy()
+        for f in range(len(data)):
+            block = self._scene(pol, f, crosses[f])
+            added, factor = np.zeros(block.shape, dtype=complex), np.ones(block.shape, dtype=complex)
+            block.integrate_for([effect for effect, _ in effects.values()])
+            for number, (effect, x) in effects.items():
+                with _told_of(number, self.entries[number]), _finite():
+                    added += effect.added(block, x[f])
+                    factor *= effect.factor(block, x[f])
+            data[f] = self._as_measured(factor * (block.vis + added))
+        return data
+
+    def _leaked(self, copols: Visibilities, x: FloatArray) -> dict[str, ComplexArray]:
+        """Return all polarisations, with D-terms (Nfreqs, n_params)."""
+        channels = [
+            Leakage().leaked(self.setup, {pol: vis[f] for pol, vis in copols.items()}, terms)
+            for f, terms in enumerate(x)
+        ]
+        return {pol: np.array([channel[pol] for channel in channels]) for pol in channels[0]}
+
+    def after_noise(self, data: Visibilities, variance: Mapping[str, FloatArray]) -> tuple[Visibilities, list[Truth]]:
+        """Return data with what their weights do not tell; ``variance`` is that of visibilities, (Nfreqs, Ntimes)."""
+        noisy, truths = {pol: vis.copy() for pol, vis in data.items()}, []
+        for number, entry in enumerate(self.entries):
+            if entry.kind not in REWEIGHTINGS:
+                continue
+            with _told_of(number, entry):
+                if not variance:
+                    raise InputError(
+                        f"'{self.pol}' has no noise here that could differ", remedy="simulate 'ee' or 'nn'"
+                    )
+                change = make_reweighting(entry.kind, entry.settings)
+                for f in range(len(noisy[self.pol])):
+                    rng = generator(self.job.seed, "injected", number, f)
+                    if entry.parameters:
+                        x = _by_name(change.neutral(self.setup), entry)
+                    else:
+                        x = change.draw(self.setup, rng, entry.strength)
+                    for pol, vis in noisy.items():
+                        block = self._scene(pol, f, vis[f])
+                        block.weights = np.broadcast_to(1 / variance[pol][f][:, np.newaxis], block.shape).copy()
+                        own = rng if pol == self.pol else generator(self.job.seed, "injected", number, f, pol)
+                        vis[f] = self._as_measured(change.inject(block.vis, block, x, own))
+                    truths.append({"kind": change.kind, "channel": f, "values": x.tolist()})
+        return noisy, truths
+
+    def _scene(self, pol: str, channel: int, crosses: ComplexArray) -> RowBlock:
+        setup = self.setup
+        flipped = setup.redundant.flipped
+        block = RowBlock(
+            setup=setup,
+            channel=channel,
+            times=setup.times,
+            bls=np.arange(setup.observation.Nbls),
+            groups=self.groups,
+            member=self.member,
+            positions=source_positions(self.job, setup.sky, setup.observation),
+            beam=self.beams.get(pol, self.beams[self.pol])[channel],
+            engine_kind=self.job.solver.engine,
+            vis=np.where(flipped, crosses.conj(), crosses),
+        )
+        block.weights = np.ones(block.shape)
+        block.residual = np.zeros(block.shape, dtype=complex)
+        return block
+
+    def _as_measured(self, oriented: ComplexArray) -> ComplexArray:
+        """Turn groups' sense back into the baselines' own."""
+        return np.where(self.setup.redundant.flipped, oriented.conj(), oriented)
+
+    def _draw(self, number: int, entry: Injected) -> tuple[Cause, FloatArray]:
+        """Make an effect and its parameters, (Nfreqs, n_params)."""
+        n_freqs = self.setup.observation.Nfreqs
+        cause = make_cause(entry.kind, entry.settings)
+        not_applicable = cause.not_applicable(self.setup)
+        if not_applicable is not None:
+            raise InputError(not_applicable, remedy="remove it")
+        if isinstance(cause, Effect) and not entry.settings:
+            cause = cause.drawn(self.setup, generator(self.job.seed, "injected elements", number))
+        if entry.parameters:
+            nothing = dict.fromkeys(cause.parameters(self.setup).names, 0.0)
+            return cause, np.tile(_by_name(nothing, entry), (n_freqs, 1))
+        keys = [0] * n_freqs if cause.shared else list(range(n_freqs))
+        draws = [
+            cause.draw(self.setup, generator(self.job.seed, "injected", number, key), entry.strength) for key in keys
+        ]
+        return cause, np.array(draws)
+
+    def _truth(self, cause: Cause, x: FloatArray) -> Truth:
+        names = cause.parameters(self.setup).names
+        return {"kind": cause.kind, "settings": cause.describe(), "names": list(names), "values": x.tolist()}
+
+
+@contextmanager
+def _told_of(number: int, entry: Injected) -> Iterator[None]:
+    """Say in which table the input is wrong."""
+    try:
+        yield
+    except InputError as error:
+        error.within(f"[[data.simulate.effects]] number {number + 1} ({entry.kind})")
+        raise
+
+
+@contextmanager
+def _finite() -> Iterator[None]:
+    """Refuse parameters so large that the arithmetic fails.
+
+    Raises
+    ------
+    InputError
+        If a number is not finite any more.
+    """
+    try:
+        with np.errstate(over="raise", divide="raise", invalid="raise"):
+            yield
+    except FloatingPointError as error:
+        message = f"changes the data by more than numbers can tell ({error})"
+        raise InputError(message, remedy="lower its strength or parameters") from error
+
+
+def _by_name(nothing: dict[str, float], entry: Injected) -> FloatArray:
+    """Return the parameters that an entry gives by name, the others as in ``nothing``."""
+    for name in entry.parameters:
+        if name not in nothing:
+            near = difflib.get_close_matches(name, nothing, n=3) or list(nothing)[:3]
+            remedy = f"there are {', '.join(map(repr, near))} ..." if near else "give those that it has in 'settings'"
+            raise InputError(f"no '{name}'", field="parameters", remedy=remedy)
+    return np.array(list({**nothing, **entry.parameters}.values()))

@@ -1,0 +1,233 @@
+"""Mock data as in HDBI II, section 3, from any array, sky and beam."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from astropy import units
+from astropy.coordinates import EarthLocation
+from astropy.time import Time
+
+from hydrabeam_mpi.config import Job, Simulate
+from hydrabeam_mpi.config.sizes import check_fits, simulated_bytes
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, Observation
+from hydrabeam_mpi.data.partition import make_tiles
+from hydrabeam_mpi.data.redundancy import RedundantGroups, check_apart, check_tolerance, find_redundant_groups
+from hydrabeam_mpi.effects.instrument.leakage import FEEDS
+from hydrabeam_mpi.effects.registry import SEPARATE
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.disk import check_space, writing
+from hydrabeam_mpi.io.finite import SIMULATION, check_finite
+from hydrabeam_mpi.io.hdf5 import new_hdf5
+from hydrabeam_mpi.io.uvdata import feeds_of
+from hydrabeam_mpi.io.uvwrite import write_uvh5
+from hydrabeam_mpi.model.arrays import hexagon, read_layout
+from hydrabeam_mpi.model.beam import Beam
+from hydrabeam_mpi.model.engines import make_engine
+from hydrabeam_mpi.model.rime import ForwardModel
+from hydrabeam_mpi.model.sky import Sky
+from hydrabeam_mpi.mpi import Comm, bcast_object, memory_per_rank, together
+from hydrabeam_mpi.random import complex_normal, generator
+from hydrabeam_mpi.result.summary import GRID_AZ, GRID_ZA, evaluate_on_grid
+from hydrabeam_mpi.setup.beams import TurnedBeam, fit_model_beams, load_beams, perturb
+from hydrabeam_mpi.setup.skies import count_sources, load_sky, source_positions
+from hydrabeam_mpi.simulation.inject import Injection, Truth, Visibilities
+from hydrabeam_mpi.terminal.progress import say
+
+SIDEREAL_DAY = 0.99726956632908  # days of UT1
+
+
+def simulate_to(world: Comm, job: Job, folder: Path) -> tuple[Beam, ...]:
+    """Write ``data.uvh5`` and ``truth.h5`` into ``folder`` and return the true beams, one a channel.
+
+    Collective: all ranks of `world`, which share out the times.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if the job cannot be simulated.
+    """
+    assert job.data.simulate is not None
+    block, memory = None, memory_per_rank(world)
+    with together(world):
+        if world.rank == 0:
+            say("simulating")
+            block = _set_scene(job, job.data.simulate, memory)
+            check_space(folder, _least_bytes(block[0]))
+    observation, sky, beams = bcast_object(world, block)
+    with together(world):
+        redundant = find_redundant_groups(
+            observation.bl_vectors, job.data.redundancy_tol, either_sign=_is_copol(observation)
+        )
+        check_tolerance(observation, redundant, job.data.redundancy_tol)
+        vectors = np.concatenate([redundant.vectors, np.zeros((1, 3))])
+        engine = make_engine(job.solver.engine, vectors)
+        model = ForwardModel(source_positions(job, sky, observation), sky.flux, observation.freqs, engine)
+        alone = np.zeros(1, dtype=int)
+        costs = count_sources(sky, observation)
+        tiles = make_tiles(np.arange(observation.Ntimes), costs, alone, alone, world.size)
+        part = {pol: model.visibilities(own, tiles[world.rank].times) for pol, own in beams.items()}
+    parts = world.gather(part)
+    with together(world):
+        if parts is not None:
+            unique = {pol: np.concatenate([of_rank[pol] for of_rank in parts], axis=1) for pol in beams}
+            with writing(folder):
+                _write(folder, job, observation, redundant, sky, beams, unique)
+    return beams[job.data.polarization]
+
+
+def _is_copol(observation: Observation) -> bool:
+    """Whether the one polarisation is of equal feeds."""
+    return observation.pols[0][0] == observation.pols[0][1]
+
+
+def _set_scene(job: Job, settings: Simulate, memory: int) -> tuple[Observation, Sky, dict[str, tuple[Beam, ...]]]:
+    """Lay out what is observed, with which sky, and with which beams in which polarisations."""
+    pol: str = job.data.polarization
+    observation = mock_observation(settings, pol)
+    needed = simulated_bytes(observation.Nants, observation.Ntimes, observation.Nfreqs)
+    check_fits("[data.simulate]", needed, memory)
+    check_apart(observation, job.data.redundancy_tol)
+    if not _is_copol(observation) and settings.noise:
+        raise InputError(
+            f"'{observation.pols[0]}' has no autocorrelations from which to draw noise",
+            field="[data] polarization",
+            remedy="simulate 'ee' or 'nn', or set noise = false in [data.simulate]",
+        )
+    own = load_beams(job, observation.freqs, pol)
+    if settings.perturb is not None:
+        own = tuple(perturb(job, beam, settings.perturb) for beam in own)
+    beams = {pol: own}
+    if _is_copol(observation) and any(entry.kind in SEPARATE for entry in settings.effects):
+        one, other = next(feeds for feeds in FEEDS if pol[0] in feeds)
+        observation = replace(observation, pols=(2 * one, 2 * other, one + other, other + one))
+        second = 2 * (other if pol[0] == one else one)
+        beams[second] = tuple(TurnedBeam(beam, second) for beam in own)
+    return observation, load_sky(job, observation.freqs), beams
+
+
+def _least_bytes(observation: Observation) -> int:
+    """Return how many bytes the visibilities have, the autocorrelations included."""
+    n_bls = observation.Nbls + observation.Nants
+    return observation.Ntimes * n_bls * observation.Nfreqs * observation.Npols * np.dtype(complex).itemsize
+
+
+def mock_observation(settings: Simulate, pol: str) -> Observation:
+    """Lay out array, channels and times: evenly spaced in sidereal time from the first LST, the last excluded."""
+    array = settings.array
+    layout = read_layout(array.file) if array.file else hexagon(*array.hex, array.spacing)
+    location = EarthLocation.from_geodetic(
+        settings.longitude * units.deg, settings.latitude * units.deg, settings.height * units.m
+    )
+    first, last = settings.lst_range
+    span = (last - first) % 24 or 24.0
+    wait = (first - _lst_hours(settings.start, location)) % 24
+    hours = wait + span * np.arange(settings.n_times) / settings.n_times
+    times = settings.start + hours / 24 * SIDEREAL_DAY
+    n_freqs = len(settings.freqs)
+    one, two = np.triu_indices(len(layout.numbers), 1)
+    return Observation(
+        telescope_name="hydrabeam mock",
+        location=location,
+        antenna_numbers=layout.numbers,
+        antenna_names=layout.names,
+        antpos=layout.antpos,
+        antpairs=np.stack([layout.numbers[one], layout.numbers[two]], axis=1),
+        freqs=np.array(settings.freqs),
+        channel_width=np.full(n_freqs, settings.channel_width),
+        times=times,
+        lsts=np.deg2rad(15 * _lst_hours(times, location)),
+        integration_time=np.full(settings.n_times, settings.integration_time),
+        pols=(pol,),
+    )
+
+
+def _lst_hours(times: FloatArray | float, location: EarthLocation) -> FloatArray:
+    """Local apparent sidereal time in hours."""
+    return np.asarray(Time(times, format="jd", location=location).sidereal_time("apparent").hour)
+
+
+def radiometer_variance(
+    autos: Mapping[str, FloatArray], observation: Observation, nsamples: float
+) -> dict[str, FloatArray]:
+    """sigma^2 = V_jj V_kk / (dt dnu) of identical antennas (HDBI II, eq. 22), (Nfreqs, Ntimes) by polarisation."""
+    samples = nsamples * observation.channel_width[:, np.newaxis] * observation.integration_time
+    return {pol: autos[2 * pol[0]] * autos[2 * pol[1]] / samples for pol in observation.pols}
+
+
+def add_noise(data: ComplexArray, variance: FloatArray, seed: int, *key: str) -> ComplexArray:
+    """Add circular Gaussian noise, drawn by channel and time so that no rank count changes it."""
+    noisy = data.copy()
+    for f, t in np.ndindex(variance.shape):
+        noise = complex_normal(generator(seed, "noise", f, t, *key), (data.shape[2],))
+        noisy[f, t] += noise * np.sqrt(variance[f, t])
+    return noisy
+
+
+def _write(
+    folder: Path,
+    job: Job,
+    observation: Observation,
+    redundant: RedundantGroups,
+    sky: Sky,
+    beams: Mapping[str, tuple[Beam, ...]],
+    unique: Mapping[str, ComplexArray],
+) -> None:
+    """Add noise and write the data and the truth. The last of the unique baselines is an antenna with itself."""
+    settings = job.data.simulate
+    assert settings is not None
+    crosses = {pol: vis[:, :, redundant.group] for pol, vis in unique.items()}
+    data: Visibilities = {pol: np.where(redundant.flipped, vis.conj(), vis) for pol, vis in crosses.items()}
+    autos = {pol: vis[:, :, -1].real for pol, vis in unique.items() if pol[0] == pol[1]}
+    variance = radiometer_variance(autos, observation, settings.nsamples) if autos else {}
+    injection = _injection(job, observation, redundant, sky, beams) if settings.effects else None
+    truths: list[Truth] = []
+    if injection:
+        data, truths = injection.before_noise(data)
+    if settings.noise:
+        own = job.data.polarization
+        data = {pol: add_noise(vis, variance[pol], job.seed, *[pol] * (pol != own)) for pol, vis in data.items()}
+    if injection:
+        data, more = injection.after_noise(data, variance)
+        truths += more
+    for f, freq in enumerate(observation.freqs):
+        numbers = {f"simulated {pol}": vis[f] for pol, vis in (*data.items(), *autos.items())}
+        check_finite(f"channel {f} ({freq / 1e6:.10g} MHz)", numbers, SIMULATION)
+    check_finite("truth.h5", {"effects": [truth["values"] for truth in truths]}, SIMULATION)
+    _write_data(folder / "data.uvh5", observation, data, autos, settings.nsamples)
+    with new_hdf5(folder / "truth.h5") as file:
+        own_beams = beams[job.data.polarization]
+        file["freqs"], file["grid_za"], file["grid_az"] = observation.freqs, GRID_ZA, GRID_AZ
+        file["beam"] = np.array([evaluate_on_grid(beam) for beam in own_beams])
+        file["ra"], file["dec"], file["flux"] = sky.ra, sky.dec, sky.flux
+        file.attrs["beam_names"] = [beam.info.name for beam in own_beams]
+        file.attrs["polarization"] = job.data.polarization
+        file.attrs["effects"] = json.dumps(truths)
+
+
+def _write_data(
+    path: Path, observation: Observation, data: Visibilities, autos: Mapping[str, FloatArray], nsamples: float
+) -> None:
+    """Write visibilities, and the autocorrelations that all antennas have alike."""
+    values = np.stack([data[pol] for pol in observation.pols], axis=-1)
+    shared = None
+    if autos:
+        of_feeds = np.stack([autos[2 * feed] for feed in feeds_of(observation.pols)], axis=-1)
+        shared = np.repeat(of_feeds[:, :, np.newaxis], observation.Nants, axis=2)
+    write_uvh5(path, observation, values, np.zeros(values.shape, bool), np.full(values.shape, nsamples), shared)
+
+
+def _injection(
+    job: Job,
+    observation: Observation,
+    redundant: RedundantGroups,
+    sky: Sky,
+    beams: Mapping[str, tuple[Beam, ...]],
+) -> Injection:
+    """Prepare the effects that the job wants in its data."""
+    basis, fits = fit_model_beams(job, load_beams(job, observation.freqs, job.data.polarization))
+    return Injection(job, observation, redundant, sky, beams, basis, [fit.coeffs for fit in fits])

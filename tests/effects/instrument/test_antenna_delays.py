@@ -1,0 +1,46 @@
+import numpy as np
+
+from hydrabeam_mpi.effects.instrument.antenna_delays import AntennaDelays
+from hydrabeam_mpi.random import complex_normal, generator
+from tests.effects.small import matrix_at, small_block, small_setup, with_effect
+
+C = 299792458.0
+
+
+def test_delay_makes_up_for_the_way_to_the_source() -> None:
+    """An antenna nearer to a source by r.s hears it r.s/c early; delayed by as much, all hear it at once."""
+    setup = small_setup()
+    antpos = setup.observation.antpos
+    towards = np.array([0.3, -0.5, np.sqrt(1 - 0.34)])
+    order = np.argsort(setup.observation.antenna_numbers)
+    index = order[np.searchsorted(setup.observation.antenna_numbers, setup.observation.antpairs, sorter=order)]
+    for channel, freq in enumerate(setup.observation.freqs):
+        block = small_block(setup, channel)
+        path = (antpos[index[:, 1]] - antpos[index[:, 0]]) @ towards
+        fringe = np.exp(2j * np.pi * freq * path / C)
+        fringe = np.where(setup.redundant.flipped, fringe.conj(), fringe)
+        x = (antpos @ towards)[setup.antennas_in_use] / C * 1e9
+        np.testing.assert_allclose(AntennaDelays().factor(block, x) * fringe, np.ones(block.shape), atol=1e-6)
+
+
+def test_one_law_for_all_channels() -> None:
+    """With phases far beyond a turn, several channels together have the delays, but for what all share."""
+    setup = small_setup(freqs=(131e6, 151e6))
+    effect = AntennaDelays()
+    row_blocks = [small_block(setup, channel) for channel in range(2)]
+    n = len(effect.parameters(setup))
+    truth = 20 * generator(4, "delays").standard_normal(n)
+    sigma = 0.01 * float(np.abs(row_blocks[0].vis).max())
+    rng = generator(5, "delays")
+    data = [with_effect(effect, block, truth) + sigma * complex_normal(rng, block.shape) for block in row_blocks]
+    x = truth + 0.2 * rng.standard_normal(n)
+    for _ in range(6):
+        design = np.concatenate([matrix_at(effect, block, x).reshape(-1, n) for block in row_blocks])
+        left = np.concatenate(
+            [(d - with_effect(effect, s, x)).reshape(-1) for d, s in zip(data, row_blocks, strict=True)]
+        )
+        fisher = 2 * (design.conj().T @ design).real / sigma**2
+        x = x + np.linalg.pinv(fisher, rcond=1e-9) @ (2 * (design.conj().T @ left).real / sigma**2)
+    error = (x - x.mean()) - (truth - truth.mean())
+    assert np.sqrt(error @ fisher @ error / (n - 1)) < 2.5
+    assert np.abs(error).max() < 0.05

@@ -1,0 +1,18 @@
+import numpy as np
+
+from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
+from hydrabeam_mpi.random import generator
+from tests.effects.small import small_block, small_setup
+
+
+def test_flipped_baselines_are_conjugated() -> None:
+    """The gains that multiply V_jk as g_j g_k* multiply the group's V_kj as g_k g_j*."""
+    setup = small_setup()
+    block = small_block(setup)
+    x = AntennaGains().draw(setup, generator(2, "gains"), 0.3)
+    gains = np.exp(x[0::2] + 1j * x[1::2])
+    numbers = setup.observation.antenna_numbers.tolist()
+    first, second = (gains[[numbers.index(number) for number in column]] for column in setup.observation.antpairs.T)
+    factor = AntennaGains().factor(block, x)[0]
+    flipped = setup.redundant.flipped
+    np.testing.assert_allclose(np.where(flipped, factor.conj(), factor), first * second.conj(), rtol=1e-12)

@@ -1,0 +1,93 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hydrabeam_mpi.config.sections import Basis
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.effects.instrument.basis_truncation import BasisTruncation
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
+from hydrabeam_mpi.model.bases.zernike import Zernike
+from hydrabeam_mpi.model.fit import fit_beam
+from hydrabeam_mpi.random import generator
+from hydrabeam_mpi.tables import embedded_beam
+from tests.effects.direct import assert_same, visibilities
+from tests.effects.small import small_block, small_setup, with_effect
+
+EDGE = np.deg2rad(92)
+
+
+def with_basis(basis) -> ObservingSetup:
+    """The small experiment with the embedded beam in another basis."""
+    fit = fit_beam(embedded_beam(), basis)
+    return replace(small_setup(), basis=basis, prior_mean=(fit.coeffs, fit.coeffs))
+
+
+BASES = {
+    "real": FourierBessel.full(6, 4, form="real", edge=EDGE, boundary="neumann"),
+    "complex": FourierBessel.full(4, 3, form="complex", edge=EDGE, boundary="dirichlet"),
+    "zernike": Zernike(6, EDGE),
+}
+
+
+@pytest.mark.parametrize("basis", BASES.values(), ids=BASES)
+def test_beam_of_a_larger_basis_is_whole(basis) -> None:
+    """A beam with modes that the basis lacks gives the visibilities that the effect says."""
+    setup = with_basis(basis)
+    block = small_block(setup)
+    effect = BasisTruncation()
+    modes = effect.next_modes(setup).modes
+    assert not set(modes) & set(basis.modes)
+    assert 0 < len(modes) <= basis.n_modes
+    x = effect.draw(setup, generator(2, "truncation"), 1.0)
+    at_edge = [m for k, m in modes if k == 0]
+    if isinstance(basis, Zernike):
+        extra = Zernike(max(n for n, _ in modes), EDGE)
+        coeffs = np.concatenate([np.zeros(basis.n_modes), x])
+    else:
+        extra, coeffs = basis.with_modes(modes[len(at_edge) :], form="real"), x[len(at_edge) :]
+
+    def beam(directions, row: int):
+        za, az = np.arccos(directions[2]), np.arctan2(directions[1], directions[0])
+        # Constant in radius with unit norm on the disc, as are cosine and sine of 360 azimuths.
+        constant = [
+            np.sqrt(2 * (2 - (m == 0)) / 360) * (np.cos(m * az) if m >= 0 else np.sin(-m * az)) for m in at_edge
+        ]
+        known = np.asarray(block.beam(za, az)).real + extra.synthesize(coeffs, za, az)
+        return known + sum(value * row for value, row in zip(x, constant, strict=False))
+
+    assert_same(with_effect(effect, block, x), visibilities(block, beam=beam), block)
+
+
+@pytest.mark.parametrize("basis", BASES.values(), ids=BASES)
+def test_amended_settings_hold_all_modes(basis) -> None:
+    """Those of three rounds."""
+    setup = with_basis(basis)
+    n_more = 0
+    for _ in range(3):
+        effect = BasisTruncation(n_more)
+        n_more += len(effect.parameters(setup))
+    settings = effect.amended_basis_settings(setup)
+    n_modes = basis.n_modes + n_more
+    if isinstance(basis, Zernike):
+        assert Zernike(settings["max_degree"]).n_modes == n_modes
+        assert Basis(kind="zernike", **settings).max_degree > basis.degree
+    else:
+        assert Basis(**settings).n_modes == n_modes
+        if basis.boundary == "dirichlet":
+            assert settings["boundary"] == "neumann"
+
+
+class Unknown(FourierBessel):
+    """A basis that does not say what comes next."""
+
+    def next_modes(self, amplitudes: FloatArray, n_before: int, most: int) -> None:
+        return None
+
+
+def test_a_basis_that_does_not_know_its_next_modes_is_refused() -> None:
+    reason = BasisTruncation().not_applicable(with_basis(Unknown([(1, 0), (2, 0)], edge=EDGE)))
+    assert reason is not None
+    assert "not known which functions come next" in reason
+    assert all(BasisTruncation().not_applicable(with_basis(basis)) is None for basis in BASES.values())

@@ -1,0 +1,97 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.shared.point_sources import resolution
+from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
+from hydrabeam_mpi.effects.sky.horizon import Horizon
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.model.sky import Sky, separation
+from hydrabeam_mpi.random import generator
+from tests.effects.small import small_block, small_setup
+
+
+def pinned(setup: ObservingSetup, index: list[int]) -> CatalogueFlux:
+    sky = setup.sky
+    return CatalogueFlux(np.rad2deg([sky.ra[index], sky.dec[index]]).T.tolist())
+
+
+def test_equals_another_catalogue() -> None:
+    setup = small_setup()
+    index = [4, 17, 42]
+    np.testing.assert_allclose(np.abs(pinned(setup, index).draw(setup, generator(1, "flux"), 2.0)), 0.2)
+    x = np.array([0.3, -0.2, 0.5])
+    flux = setup.sky.flux.copy()
+    flux[:, index] *= 1 + x
+    for channel in (0, 1):
+        block = small_block(setup, channel)
+        other = small_block(setup, channel, sky=replace(setup.sky, flux=flux))
+        added = pinned(setup, index).added(block, x)
+        np.testing.assert_allclose(block.vis + added, other.vis, rtol=0, atol=1e-11 * np.abs(block.vis).max())
+
+
+def test_scan_finds_the_source() -> None:
+    setup = small_setup()
+    block = small_block(setup)
+    truth = CatalogueFlux().drawn(setup, generator(2, "pick"))
+    block.residual = truth.added(block, truth.draw(setup, generator(3, "draw"), 1.0))
+    effect = CatalogueFlux()
+    projection, power = effect.scan(block)
+    score = projection[:, 0] ** 2 / np.maximum(power[:, 0], 1e-9 * power.max())
+    best_first = effect.at(setup, np.argsort(-score))
+    np.testing.assert_allclose(best_first.sources[0], truth.sources[0], rtol=0, atol=1e-10)
+    assert len(best_first.sources) == 40
+    assert best_first.parameters(setup).trials == 60
+
+
+def test_sources_too_close_to_tell_apart() -> None:
+    setup = small_setup()
+    sky = setup.sky
+    close = Sky(
+        np.append(sky.ra, sky.ra[:2]),
+        np.append(sky.dec, sky.dec[:2] + np.array([0.05, 0.2]) * resolution(setup)),
+        np.concatenate([sky.flux, sky.flux[:, :2]], axis=1),
+    )
+    effect = CatalogueFlux().at(replace(setup, sky=close), np.array([60, 0, 61, 1]))
+    np.testing.assert_allclose(np.deg2rad(effect.sources), np.stack([close.ra, close.dec], 1)[[60, 61, 1]], rtol=1e-12)
+    ra, dec = np.deg2rad(effect.sources).T
+    assert separation(ra[0], dec[0], sky.ra[0], sky.dec[0]) > 0
+
+
+def test_only_the_brightest_of_many() -> None:
+    setup = small_setup()
+    rng = generator(11, "many")
+    n = 20_500
+    flux = np.exp(rng.standard_normal(n))
+    many = Sky(rng.uniform(0, 2 * np.pi, n), np.arcsin(rng.uniform(-1, 1, n)), np.stack([flux, flux]))
+    setup = replace(setup, sky=many)
+    effect = CatalogueFlux()
+    assert effect.n_hypotheses(setup) == 20_000
+    everything = [effect.at(setup, np.array([i])).sources[0] for i in (0, 19_999)]
+    kept = np.flatnonzero(flux >= np.sort(flux)[500])
+    np.testing.assert_allclose(np.deg2rad(everything), np.stack([many.ra, many.dec], 1)[kept[[0, -1]]], rtol=1e-12)
+
+
+def test_names_and_unknown_sources() -> None:
+    setup = small_setup()
+    named = replace(setup, sky=replace(setup.sky, names=("", "Fornax A", *("",) * 58)))
+    names = pinned(setup, [0, 1]).parameters(named).names
+    assert names[1] == "Fornax A: relative flux error"
+    assert names[0].startswith(f"source ra={np.rad2deg(setup.sky.ra[0]):.3f} dec=")
+    with pytest.raises(InputError, match="no source at"):
+        CatalogueFlux([(1.0, 2.0)]).parameters(setup)
+
+
+def test_sources_behind_a_wall() -> None:
+    """What is hidden has no flux to be wrong about."""
+    setup = small_setup()
+    block = small_block(setup)
+    effect = pinned(setup, list(range(setup.sky.Nsrc)))
+    x = np.full(setup.sky.Nsrc, 0.1)
+    behind = replace(block, sky_effects=[(Horizon([(0, 360, 0, 10)]), np.array([-0.4]))])
+    expected = 0.1 * behind.spread(behind.integrate(lambda sources: sources.beam[np.newaxis])[..., 0])
+    largest = np.abs(block.vis).max()
+    np.testing.assert_allclose(effect.added(behind, x), expected, rtol=0, atol=1e-12 * largest)
+    assert np.abs(effect.added(block, x) - expected).max() > 1e-6 * largest

@@ -1,0 +1,230 @@
+"""The joint fit of beams and effects: what was injected comes back."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
+from hydrabeam_mpi.effects.instrument.antenna_positions import AntennaPositions
+from hydrabeam_mpi.effects.instrument.basis_truncation import BasisTruncation
+from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
+from hydrabeam_mpi.effects.instrument.nonredundant_beams import NonredundantBeams
+from hydrabeam_mpi.effects.interface.effect import Effect
+from hydrabeam_mpi.effects.noise.noise_level import NoiseLevel
+from hydrabeam_mpi.effects.registry import make_effect
+from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
+from hydrabeam_mpi.fit import heldout
+from hydrabeam_mpi.fit.channels import Clock, infer_channels
+from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
+from hydrabeam_mpi.fit.heldout import whiten
+from hydrabeam_mpi.fit.joint import channel_results
+from hydrabeam_mpi.fit.state import Active, Reweighted, State
+from hydrabeam_mpi.loop.selection.heldout_score import heldout_score
+from hydrabeam_mpi.result.summary import evaluate_on_grid
+from tests.loop.mock import FREQ, context_of, mock_job, truth_of
+
+TWO = (FREQ, FREQ + 8e6)
+
+
+def free(context: FitContext, effect: Effect, width: float, only: Sequence[int] | None = None) -> Active:
+    """Start at zero with a prior of ``width`` natural sizes for all parameters with a derivative, or only for some."""
+    parameters = effect.parameters(context.setup)
+    chosen = np.isin(np.arange(len(parameters)), np.arange(len(parameters)) if only is None else only)
+    prior_var = np.where(chosen & ~parameters.nonlinear, (width * parameters.scale) ** 2, 0.0)
+    return Active.start(effect, context.setup, prior_var, np.zeros(len(parameters)))
+
+
+def heldout_chi2(context: FitContext, state: State) -> float:
+    return heldout_score(context, whiten(context, state)).chi2
+
+
+def beam_error(context: FitContext, state: State, folder: Path) -> float:
+    """Return the root mean square difference from the true beam of the first channel."""
+    with h5py.File(folder / "truth.h5") as file:
+        truth = file["beam"][0]
+    found = evaluate_on_grid(lambda za, az: context.problem.basis.synthesize(state.posteriors[0].mean, za, az))
+    return float(np.sqrt(np.mean((found - truth) ** 2)))
+
+
+# What is injected, by name; the effect that is fitted; and the prior's width in natural sizes.
+GAINS = {"antenna 2 ln amplitude": 0.06, "antenna 2 phase": -0.05, "antenna 5 phase": 0.04}
+POSITIONS = {"antenna 1 displaced East": 0.08, "antenna 6 displaced North": -0.05, "antenna 3 displaced Up": 0.1}
+COUPLING = {"baseline 1-4 real": 0.8, "baseline 1-4 imaginary": -0.5, "baseline 0-6 imaginary": 0.6}
+CASES: dict[str, tuple[dict[str, Any], Effect, float]] = {
+    "antenna_gains": ({"kind": "antenna_gains", "parameters": GAINS}, AntennaGains(), 0.1),
+    "antenna_positions": ({"kind": "antenna_positions", "parameters": POSITIONS}, AntennaPositions(), 1.0),
+    "cross_coupling": (
+        {"kind": "cross_coupling", "settings": {"baselines": [[1, 4], [0, 6]]}, "parameters": COUPLING},
+        CrossCoupling([[1, 4], [0, 6]]),
+        1.0,
+    ),
+}
+
+
+@pytest.mark.parametrize("freqs", [(FREQ,), TWO], ids=["one channel", "two channels"])
+@pytest.mark.parametrize("kind", CASES)
+def test_what_was_injected_comes_back(kind: str, freqs: tuple[float, ...], tmp_path: Path) -> None:
+    injected, effect, width = CASES[kind]
+    context = context_of(mock_job(injected, freqs=freqs), tmp_path)
+    without = refit(context, State())
+    state = refit(context, without.extended(free(context, effect, width)))
+    (truth,) = truth_of(tmp_path)
+    names = effect.parameters(context.setup).names
+    assert truth["kind"] == kind
+    assert truth["names"] == list(names)
+    (active,) = state.active
+    error, std = active.x - np.array(truth["values"]), active.std
+    # What the data cannot tell is in the beam, or nowhere.
+    held = effect.degenerate_directions(context.setup)
+    error -= (error @ held.T) @ held
+    assert error.shape == std.shape == (len(freqs), len(names))
+    assert np.all(np.abs(error) < 4 * std)
+    strong = np.abs(truth["values"]) > 0
+    assert np.all(np.abs(np.array(truth["values"]))[strong] > 5 * std[strong]), "should be detectable"
+    assert heldout_chi2(context, without) > 1.5
+    assert heldout_chi2(context, state) < 1.4
+    assert beam_error(context, state, tmp_path) < beam_error(context, without, tmp_path)
+
+
+def test_predictions_are_as_wide_where_columns_are_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each row has its own variance then; with too many parameters it is too large, as no beam follows them."""
+    context = context_of(mock_job(freqs=TWO), tmp_path)
+    state = refit(context, refit(context, State()).extended(free(context, BasisTruncation(), 10.0)))
+    together = heldout_chi2(context, state)
+    monkeypatch.setattr(heldout, "SHARED_BYTES", 0)
+    apart = heldout_chi2(context, state)
+    monkeypatch.setattr(heldout, "MAX_FOLLOWED", 0)
+    alone = heldout_chi2(context, state)
+    assert apart == pytest.approx(together, rel=0.25)
+    assert alone < 0.6 * apart
+
+
+@pytest.mark.parametrize("freqs", [(FREQ,), TWO], ids=["one channel", "two channels"])
+def test_a_missing_source_is_found_where_it_is(freqs: tuple[float, ...], tmp_path: Path) -> None:
+    """It is sought 0.8 degrees away, a third of the distance of candidates."""
+    ra, dec, flux, bend = 130.0, -25.0, 2.0, 0.4
+    values = {f"source at ra={ra:.3f} dec={dec:.3f}: flux": flux}
+    if len(freqs) > 1:
+        values[f"source at ra={ra:.3f} dec={dec:.3f}: change of spectral index"] = bend
+    injected = {"kind": "missing_sources", "settings": {"sources": [[ra, dec]]}, "parameters": values}
+    context = context_of(mock_job(injected, freqs=freqs), tmp_path)
+    ra0, dec0 = ra + 0.7, dec - 0.5
+    without = refit(context, State())
+    effect = MissingSources([(ra0, dec0)])
+    start = free(context, effect, 1.0)
+    start.x[:, 0] = 0.5
+    state = refit(context, without.extended(start))
+    (active,) = state.active
+    # Gnomonic projection about the place where it was sought.
+    a, d, d0 = np.deg2rad([ra - ra0, dec, dec0])
+    cosine = np.sin(d0) * np.sin(d) + np.cos(d0) * np.cos(d) * np.cos(a)
+    east = np.rad2deg(np.cos(d) * np.sin(a) / cosine)
+    north = np.rad2deg((np.cos(d0) * np.sin(d) - np.sin(d0) * np.cos(d) * np.cos(a)) / cosine)
+    truth = np.array([flux, east, north, bend][: active.x.shape[1]])
+    assert np.all(active.x == active.x[0])
+    error = active.x[0] - truth
+    assert np.all(np.abs(error) < 4 * active.std[0])
+    assert active.std[0, 0] < flux / 10
+    assert np.all(active.std[0, 1:3] < 0.2)
+    assert heldout_chi2(context, without) > 1.5
+    assert heldout_chi2(context, state) < 1.4
+
+
+def test_without_effects_it_is_plain_inference(tmp_path: Path) -> None:
+    context = context_of(mock_job(freqs=TWO), tmp_path)
+    state = refit(context, State())
+    plain = infer_channels(context.grid, context.problem, Clock())
+    for f, (posterior, one, result) in enumerate(
+        zip(state.posteriors, plain, channel_results(context, state), strict=True)
+    ):
+        np.testing.assert_array_equal(posterior.mean, one.posterior.mean)
+        np.testing.assert_array_equal(posterior.factor, one.posterior.factor)
+        assert result.heldout.summary() == one.heldout.summary()
+        assert state.train_chi2[f] > 0.7
+
+
+def test_it_comes_back_from_afar(tmp_path: Path) -> None:
+    """A phase of more than a radian, from zero: no single step is linear."""
+    injected = {"kind": "antenna_gains", "parameters": {"antenna 2 phase": 1.3, "antenna 5 ln amplitude": -0.5}}
+    context = context_of(mock_job(injected), tmp_path)
+    state = refit(context, State(active=[free(context, AntennaGains(), 1.0, [4, 5, 10, 11])]))
+    (active,) = state.active
+    truth = np.array(truth_of(tmp_path)[0]["values"])
+    used = active.used
+    assert used.tolist() == [4, 5, 10, 11]
+    assert np.all(np.abs(active.x - truth)[:, used] < 4 * active.std[:, used])
+    assert heldout_chi2(context, state) < 1.4
+
+
+def fitted_chi2(context: FitContext, state: State) -> float:
+    """Return chi^2 of the fitted rows of the first channel, with E as the state's own beam sees it."""
+    rows, added = context.train.calibrated(state)
+    row_blocks = [block for _, block, _ in context.train.row_blocks(0, state, added[0], rows)]
+    return float(sum(np.sum(block.weights * np.abs(block.residual) ** 2) for block in row_blocks))
+
+
+@pytest.mark.parametrize("effect", [NonredundantBeams(), AntennaPositions()], ids=lambda effect: effect.kind)
+def test_what_cannot_explain_the_data_makes_them_no_worse(effect: Effect, tmp_path: Path) -> None:
+    """Gains that are badly wrong, and a beam that gives way: what is added changes as much as the beam does."""
+    amplitudes = {f"antenna {i} ln amplitude": 0.5 * (-1) ** i for i in range(7)}
+    injected = {"kind": "antenna_gains", "parameters": amplitudes | {"antenna 3 phase": 1.0}}
+    context = context_of(mock_job(injected, prior={"kind": "fraction", "fraction": 1.0}), tmp_path)
+    without = refit(context, State())
+    state = refit(context, without.extended(free(context, effect, 10.0)))
+    assert fitted_chi2(context, state) < fitted_chi2(context, without)
+
+
+def test_a_fit_leaves_the_state_before_as_it_was(tmp_path: Path) -> None:
+    context = context_of(mock_job(CASES["antenna_gains"][0]), tmp_path)
+    before = refit(context, State(active=[free(context, AntennaGains(), 0.1)]))
+    x, mean = before.active[0].x.copy(), before.posteriors[0].mean.copy()
+    refit(context, before.extended(free(context, CrossCoupling([[0, 1]]), 1.0)))
+    np.testing.assert_array_equal(before.active[0].x, x)
+    np.testing.assert_array_equal(before.posteriors[0].mean, mean)
+    assert len(before.active) == 1
+
+
+def test_weights_that_are_wrong_scale_the_errors(tmp_path: Path) -> None:
+    """Noise twice as large as told."""
+    context = context_of(mock_job(), tmp_path)
+    plain = refit(context, State(active=[free(context, CrossCoupling([[0, 1]]), 1.0)]))
+    scale = np.array([[2.0]])
+    double = Reweighted(NoiseLevel(), scale, np.zeros_like(scale))
+    scaled = refit(context, State([free(context, CrossCoupling([[0, 1]]), 1.0)], [double]))
+    assert scaled.train_chi2[0] == pytest.approx(plain.train_chi2[0] / 4, rel=0.25)
+    np.testing.assert_allclose(scaled.active[0].std, 2 * plain.active[0].std, rtol=0.05)
+    data = [result.normal.n_data for result in channel_results(context, scaled)]
+    assert data == [8 * 21]
+
+
+@pytest.mark.mpi
+def test_any_number_of_ranks_fits_the_same(comm: MPI.Comm, common_tmp_path: Path) -> None:
+    """Two channels with effects that they share and that they do not."""
+    injected = [CASES["antenna_gains"][0], CASES["antenna_positions"][0]]
+    states = []
+    for name, world in (("all", comm), ("one", MPI.COMM_SELF)):
+        folder = common_tmp_path / (name if world is comm else f"{name}{comm.rank}")
+        context = context_of(mock_job(*injected, freqs=TWO, n_times=9), folder, world)
+        active = [free(context, AntennaGains(), 0.1), free(context, AntennaPositions(), 1.0)]
+        states.append((context, refit(context, State(active=active))))
+    (context, many), (_, one) = states
+    for mine, other in zip(many.active, one.active, strict=True):
+        used = other.used
+        assert np.all(np.abs(mine.x - other.x)[:, used] < 1e-6 * other.std[:, used])
+        np.testing.assert_allclose(mine.std, other.std, rtol=1e-6)
+    for channel, number in enumerate(context.channels):
+        posterior, expected = many.posteriors[channel], one.posteriors[number]
+        assert np.all(np.abs(posterior.mean - expected.mean) < 1e-6 * expected.std)
+
+
+def test_an_effect_comes_back_from_its_description() -> None:
+    effect = make_effect("missing_sources", MissingSources([(10.0, -30.0)], trials=50).describe())
+    assert isinstance(effect, MissingSources)
+    assert effect.sources == ((10.0, -30.0),)

@@ -1,0 +1,157 @@
+"""The Newton step of all effects is the dense solution of one system of all channels."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.effects.instrument.antenna_delays import AntennaDelays
+from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
+from hydrabeam_mpi.effects.instrument.antenna_positions import AntennaPositions
+from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
+from hydrabeam_mpi.effects.interface.effect import Effect
+from hydrabeam_mpi.fit.joint_step import HELD, solve_jointly
+from hydrabeam_mpi.fit.state import Active, State
+from hydrabeam_mpi.infer.likelihood import Likelihood
+from hydrabeam_mpi.random import generator
+
+
+def active(effect: Effect, n: int, unused: int = 0, held: FloatArray | None = None, limit: float = np.inf) -> Active:
+    """An effect with parameters of very different natural sizes, the last ``unused`` of which are held at zero."""
+    prior_var = np.append(np.geomspace(1e-4, 1e4, n), np.zeros(unused))
+    zeros = np.zeros((1, n + unused))
+    combinations = np.zeros((0, n + unused)) if held is None else np.pad(held, ((0, 0), (0, unused)))
+    return Active(effect, prior_var, zeros, zeros, np.full(n + unused, limit), combinations)
+
+
+COMMON = np.array([[1.0, 1.0, 1.0, 1.0]]) / 2
+TWO_COMMON = np.array([[1.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 1.0]]) / np.sqrt(2)
+CASES: dict[str, tuple[int, list[Active]]] = {
+    "one channel, its own parameters": (1, [active(AntennaGains(), 4)]),
+    "three channels, their own parameters": (3, [active(AntennaGains(), 4, unused=2)]),
+    "three channels, shared parameters": (3, [active(AntennaDelays(), 5)]),
+    "three channels, shared beside their own": (3, [active(AntennaGains(), 4), active(AntennaDelays(), 3, unused=1)]),
+    "two shared with others between": (
+        2,
+        [active(AntennaDelays(), 2), active(CrossCoupling(), 3), active(AntennaPositions(), 3)],
+    ),
+    "what is undecidable is held, of own parameters": (2, [active(AntennaGains(), 4, held=TWO_COMMON)]),
+    "what is undecidable is held, of shared parameters": (3, [active(AntennaDelays(), 4, unused=1, held=COMMON)]),
+    "what is undecidable is held, of either": (
+        3,
+        [active(AntennaDelays(), 4, held=COMMON), active(AntennaGains(), 4, held=TWO_COMMON)],
+    ),
+}
+
+
+def likelihoods(n_freqs: int, width: FloatArray) -> list[Likelihood]:
+    """Random information, some of it far weaker and some far stronger than the prior, and a score."""
+    made = []
+    for f in range(n_freqs):
+        rng = generator(f, "newton")
+        root = rng.standard_normal((len(width), 2 * len(width))) * np.geomspace(0.03, 30, len(width))[:, np.newaxis]
+        root = rng.permutation(root) / width[:, np.newaxis]
+        score = root @ rng.standard_normal(2 * len(width))
+        made.append(Likelihood(root @ root.T, score, root @ root.T))
+    return made
+
+
+def held_combinations(state: State) -> FloatArray:
+    """All of them, over the parameters in use side by side."""
+    n = len(state.prior_var)
+    rows, start = [np.zeros((0, n))], 0
+    for one in state.active:
+        part = np.zeros((len(one.degenerate_directions), n))
+        part[:, start : start + len(one.used)] = one.degenerate_directions[:, one.used]
+        rows.append(part)
+        start += len(one.used)
+    return np.concatenate(rows)
+
+
+def dense(state: State, x: FloatArray, found: list[Likelihood]) -> tuple[FloatArray, list[FloatArray]]:
+    """Maximise the posterior of the parameters of all channels at once, with held combinations exactly zero.
+
+    Returns new parameters, (Nfreqs, q), and each channel's covariance.
+    """
+    shared, n_freqs = state.shared, len(x)
+    n_shared, n_own = int(shared.sum()), int((~shared).sum())
+    # To each channel's parameters from all unknowns: those that channels share, then each channel's own.
+    maps = np.zeros((n_freqs, len(shared), n_shared + n_freqs * n_own))
+    for f, one in enumerate(maps):
+        one[np.flatnonzero(shared), np.arange(n_shared)] = 1
+        one[np.flatnonzero(~shared), n_shared + f * n_own + np.arange(n_own)] = 1
+    precision = np.concatenate([1 / state.prior_var[shared], *([1 / state.prior_var[~shared]] * n_freqs)])
+    here = np.concatenate([x[0, shared], *(x[:, ~shared])])
+    matrix, score = np.diag(precision), np.zeros(len(here))
+    for one, likelihood in zip(maps, found, strict=True):
+        matrix += one.T @ likelihood.information @ one
+        score += one.T @ (likelihood.score + likelihood.information @ (one @ here))
+    held = np.concatenate([held_combinations(state) @ one for one in maps])
+    # In units of the prior, in which directions are told apart; those that are free.
+    width = 1 / np.sqrt(precision)
+    _, values, right = np.linalg.svd(held * width)
+    free = width[:, np.newaxis] * right[int(np.sum(values > 1e-9)) :].T
+    covariance = free @ np.linalg.solve(free.T @ matrix @ free, free.T)
+    best = covariance @ score
+    return np.array([one @ best for one in maps]), [one @ covariance @ one.T for one in maps]
+
+
+@pytest.mark.parametrize(("n_freqs", "effects"), CASES.values(), ids=CASES)
+def test_the_step_is_that_of_one_system_of_all_channels(n_freqs: int, effects: list[Active]) -> None:
+    state = State(active=effects)
+    width = np.sqrt(state.prior_var)
+    x = width * generator(9, "start").standard_normal((n_freqs, len(width)))
+    x[:, state.shared] = x[0, state.shared]
+    found = likelihoods(n_freqs, width)
+    new, std, covariances, moved = solve_jointly(state, x, found)
+    expected, dense_covariances = dense(state, x, found)
+    # What is held gives way by as much as information is to the precision that holds it.
+    largest = max(float(np.linalg.norm(width[:, np.newaxis] * one.information * width)) for one in found)
+    yields = largest / HELD if len(held_combinations(state)) else 1e-10
+    np.testing.assert_allclose(new / width, expected / width, rtol=0, atol=10 * yields)
+    for one, other in zip(covariances, dense_covariances, strict=True):
+        np.testing.assert_allclose(one / np.outer(width, width), other / np.outer(width, width), rtol=0, atol=yields)
+    np.testing.assert_allclose(std, np.sqrt([np.diag(one) for one in covariances]), rtol=1e-12)
+    assert moved == pytest.approx(np.max(np.abs(new - x) / std), rel=1e-12)
+    assert np.ptp(new[:, state.shared], axis=0).max(initial=0) == 0
+    held = held_combinations(state) * width
+    across = (new / width) @ held.T / np.linalg.norm(held, axis=1)
+    np.testing.assert_allclose(across, 0, atol=10 * yields)
+
+
+def test_at_the_maximum_nothing_moves() -> None:
+    n_freqs, effects = CASES["three channels, shared beside their own"]
+    state = State(active=effects)
+    found = likelihoods(n_freqs, np.sqrt(state.prior_var))
+    best, *_ = solve_jointly(state, np.zeros((n_freqs, len(state.prior_var))), found)
+    there = [
+        Likelihood(one.information, one.score - one.information @ values, one.signal)
+        for one, values in zip(found, best, strict=True)
+    ]
+    again, _, _, moved = solve_jointly(state, best, there)
+    np.testing.assert_allclose(again, best, rtol=1e-9)
+    assert moved < 1e-9
+
+
+@pytest.mark.parametrize("limit", [1e-3, 0.5, np.inf])
+def test_steps_of_few_parameters_are_limited(limit: float) -> None:
+    """Those that have a natural size beyond which they are no longer linear; the others go their way."""
+    free, held_back = active(AntennaGains(), 3), active(AntennaPositions(), 3, limit=limit)
+    state, unlimited = (State(active=[free, one]) for one in (held_back, active(AntennaPositions(), 3)))
+    found = likelihoods(2, np.sqrt(state.prior_var))
+    x = np.zeros((2, 6))
+    new, std, _, moved = solve_jointly(state, x, found)
+    full, full_std, _, _ = solve_jointly(unlimited, x, found)
+    np.testing.assert_array_equal(new[:, :3], full[:, :3])
+    np.testing.assert_array_equal(new[:, 3:], np.clip(full[:, 3:], -limit, limit))
+    np.testing.assert_array_equal(std, full_std)
+    assert moved == pytest.approx(np.max(np.abs(new) / std))
+
+
+def test_nothing_in_use_moves_nothing() -> None:
+    empty = Likelihood(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)))
+    new, std, covariances, moved = solve_jointly(State(), np.zeros((2, 0)), [empty, empty])
+    assert new.shape == std.shape == (2, 0)
+    assert [one.shape for one in covariances] == [(0, 0)] * 2
+    assert moved == 0

@@ -1,0 +1,64 @@
+"""Where a fit of effects begins, and what of them is free."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hydrabeam_mpi.effects.instrument.antenna_delays import AntennaDelays
+from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
+from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
+from hydrabeam_mpi.fit.state import Active, State
+from hydrabeam_mpi.random import generator
+from tests.effects.small import small_setup
+
+EXPERIMENT = small_setup(n_times=2)
+N_ANTENNAS = len(EXPERIMENT.antennas_in_use)
+
+
+def test_elements_in_use_bring_what_is_refined_of_them() -> None:
+    """With a prior of three natural sizes, and steps of one at most."""
+    sources = MissingSources([(10.0, -30.0), (40.0, -25.0)])
+    parameters = sources.parameters(EXPERIMENT)
+    flux = np.where(np.arange(8) == 4, 2.0, 0.0)  # of the second source
+    found = Active.start(sources, EXPERIMENT, flux, 1.5 * (flux > 0))
+    assert found.used.tolist() == [4, 5, 6, 7]
+    np.testing.assert_allclose(found.prior_var[4:], [2.0, *(9 * parameters.scale[5:] ** 2)])
+    np.testing.assert_array_equal(found.step_limit, np.where(parameters.nonlinear, parameters.scale, np.inf))
+    np.testing.assert_array_equal(found.x, [[0, 0, 0, 0, 1.5, 0, 0, 0]] * 2)
+    assert found.std.shape == (2, 8)
+    assert not found.std.any()
+
+
+HELD = [
+    pytest.param([], 2, id="all are free: amplitude and phase in common are held"),
+    pytest.param([0], 1, id="one amplitude is not: the phase in common is held"),
+    pytest.param([0, 3], 0, id="an amplitude and a phase are not: nothing is held"),
+]
+
+
+@pytest.mark.parametrize(("left_out", "n_held"), HELD)
+@pytest.mark.parametrize("n_blocks", [1, 2])
+def test_what_is_undecidable_is_held_where_all_of_it_is_free(left_out: list[int], n_held: int, n_blocks: int) -> None:
+    prior_var = np.ones(2 * N_ANTENNAS)
+    prior_var[left_out] = 0.0
+    x = generator(1, "held").standard_normal((n_blocks, 2 * N_ANTENNAS)) * prior_var
+    found = Active.start(AntennaGains(), EXPERIMENT, prior_var, x)
+    assert len(found.degenerate_directions) == n_held
+    np.testing.assert_allclose(found.x @ found.degenerate_directions.T, 0, atol=1e-12)
+    # Nothing else of the values is changed.
+    kept = np.eye(2 * N_ANTENNAS) - found.degenerate_directions.T @ found.degenerate_directions
+    np.testing.assert_allclose(found.x, np.broadcast_to(x @ kept, (2, 2 * N_ANTENNAS)), atol=1e-12)
+
+
+def test_what_is_in_use_of_all_effects_side_by_side() -> None:
+    gains = Active.start(AntennaGains(), EXPERIMENT, np.arange(14.0), np.zeros(14))
+    delays = Active.start(AntennaDelays(), EXPERIMENT, np.array([0, 3.0, 0, 5, 0, 0, 0]), np.zeros(7))
+    state = State().extended(gains)
+    both = state.extended(delays)
+    assert [one.kind for one in state.active] == ["antenna_gains"]
+    assert [one.kind for one in both.active] == ["antenna_gains", "antenna_delays"]
+    np.testing.assert_array_equal(both.prior_var, [*np.arange(1.0, 14), 3.0, 5.0])
+    np.testing.assert_array_equal(both.shared, [False] * 13 + [True] * 2)
+    assert State().shared.dtype == bool
+    assert len(State().prior_var) == len(State().shared) == 0

@@ -1,0 +1,180 @@
+"""Residuals whitened by their predictive distribution, against roots and determinants of whole covariances."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.fit.whitening import SharedErrors, root_of, whiten_time
+from hydrabeam_mpi.infer.posterior import Posterior
+from hydrabeam_mpi.mpi import allreduce_sum
+from hydrabeam_mpi.random import complex_normal, generator
+
+MEMBER = np.array([0, 0, 0, 1, 2, 2, 3, 1])
+
+
+def parts(rows: ComplexArray) -> FloatArray:
+    """Real parts before imaginary ones, along the first axis."""
+    return np.concatenate([rows.real, rows.imag])
+
+
+def symmetric_root(covariance: FloatArray) -> FloatArray:
+    """The inverse of the symmetric root of 1 + a covariance."""
+    values, vectors = np.linalg.eigh(np.eye(len(covariance)) + covariance)
+    return (vectors / np.sqrt(values)) @ vectors.T
+
+
+@dataclass(frozen=True)
+class Time:
+    """The rows of one time: weights, the design of their groups as the package has it and as plain complex rows."""
+
+    weights: FloatArray
+    design: np.ndarray
+    rows: ComplexArray
+    posterior: Posterior
+
+    def covariance(self) -> FloatArray:
+        """Of the predictions' parts over the noise, by the parts of the coefficients."""
+        root = np.tile(np.sqrt(2 * self.weights), 2)
+        rows = self.rows[MEMBER]
+        inverse = np.linalg.inv(self.posterior.factor @ self.posterior.factor.conj().T)
+        if self.posterior.is_complex:
+            jacobian = np.block([[rows.real, -rows.imag], [rows.imag, rows.real]])
+            inverse = 0.5 * np.block([[inverse.real, -inverse.imag], [inverse.imag, inverse.real]])
+        else:
+            jacobian = parts(rows)
+        return root[:, np.newaxis] * (jacobian @ inverse @ jacobian.T) * root
+
+
+def time_of(is_complex: bool, n_modes: int, flagged: IntArray, strength: float) -> Time:
+    rng = generator(1, "predictive", int(is_complex), n_modes)
+    rows = complex_normal(rng, (4, n_modes))
+    design = rows if is_complex else np.stack([rows.real, rows.imag])
+    factor = np.tril(complex_normal(rng, (n_modes, n_modes)) if is_complex else rng.standard_normal((n_modes,) * 2))
+    factor[np.diag_indices(n_modes)] = rng.uniform(1, 2, n_modes)
+    weights = rng.uniform(0.5, 2.0, len(MEMBER))
+    weights[flagged] = 0.0
+    mean = np.zeros(n_modes, dtype=factor.dtype)
+    return Time(weights, design, rows, Posterior(mean, factor / strength))
+
+
+FLAGGED = {
+    "no row flagged": np.zeros(0, dtype=int),
+    "some rows flagged": np.array([1, 4]),
+    "whole groups flagged": np.array([0, 4, 5, 6]),
+    "one row left": np.arange(1, 8),
+}
+
+
+@pytest.mark.parametrize(
+    "strength", [1e-6, 1.0, 100.0], ids=["a known beam", "as uncertain as noise", "an unknown beam"]
+)
+@pytest.mark.parametrize("n_modes", [2, 12], ids=["fewer modes than rows", "more modes than rows"])
+@pytest.mark.parametrize("flagged", FLAGGED.values(), ids=FLAGGED)
+@pytest.mark.parametrize("is_complex", [False, True], ids=["real coefficients", "complex coefficients"])
+def test_a_time_is_whitened_by_the_symmetric_root(
+    is_complex: bool, flagged: IntArray, n_modes: int, strength: float
+) -> None:
+    time = time_of(is_complex, n_modes, flagged, strength)
+    residuals = complex_normal(generator(2, "residuals"), (len(MEMBER), 3))
+    z, share, log_spread = whiten_time(residuals, time.weights, MEMBER, time.design, time.posterior)
+    covariance = time.covariance()
+    expected = symmetric_root(covariance) @ (np.tile(np.sqrt(2 * time.weights), 2)[:, np.newaxis] * parts(residuals))
+    np.testing.assert_allclose(parts(z), expected, rtol=0, atol=1e-7)
+    assert log_spread == pytest.approx(0.5 * np.linalg.slogdet(np.eye(16) + covariance)[1], rel=1e-6, abs=1e-9)
+    shares = np.diag(np.linalg.solve(np.eye(16) + covariance, covariance))
+    np.testing.assert_allclose(share, shares.reshape(2, -1).mean(axis=0), rtol=0, atol=1e-6)
+    assert not z[flagged].any()
+
+
+def test_a_time_that_is_wholly_flagged_says_nothing() -> None:
+    time = time_of(False, 3, np.arange(8), 1.0)
+    z, share, log_spread = whiten_time(np.ones((8, 2), complex), time.weights, MEMBER, time.design, time.posterior)
+    assert not z.any()
+    assert not share.any()
+    assert log_spread == 0
+
+
+@pytest.mark.parametrize("is_complex", [False, True], ids=["real coefficients", "complex coefficients"])
+def test_draws_from_the_predictive_distribution_become_white(is_complex: bool) -> None:
+    """Noise of the data's own and errors as the posterior draws them."""
+    time = time_of(is_complex, 5, FLAGGED["some rows flagged"], 1.0)
+    rng = generator(3, "draws")
+    errors = np.array([time.posterior.draw(rng) for _ in range(20000)]).T
+    used = time.weights > 0
+    sigma = np.where(used, 1 / np.sqrt(np.where(used, time.weights, 1.0)), 0.0)
+    rows = time.rows[MEMBER] @ errors + sigma[:, np.newaxis] * complex_normal(rng, (8, 20000))
+    z, _, _ = whiten_time(rows, time.weights, MEMBER, time.design, time.posterior)
+    white = parts(z[used])
+    # The errors of 20000 draws: 0.007 of covariances, 0.01 of variances.
+    np.testing.assert_allclose(white @ white.T / 20000, np.eye(len(white)), rtol=0, atol=0.05)
+
+
+COLUMNS = {
+    "fewer parameters than rows": (3, 3),
+    "more parameters than rows": (40, 40),
+    "parameters that are the same": (4, 2),
+    "one parameter": (1, 1),
+}
+
+
+def shared_rows(q: int, rank: int) -> tuple[list[ComplexArray], list[ComplexArray], FloatArray]:
+    """Rows of four times, their columns, and the covariance of the parameters."""
+    rng = generator(4, "shared", q)
+    mixed = rng.standard_normal((rank, q))
+    columns = [complex_normal(rng, (5, rank)) @ mixed for _ in range(4)]
+    root = rng.standard_normal((q, q))
+    return [complex_normal(rng, (5,)) for _ in range(4)], columns, root @ root.T
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(("q", "rank"), COLUMNS.values(), ids=COLUMNS)
+def test_shared_errors_are_whitened_over_all_rows(q: int, rank: int, comm: MPI.Comm) -> None:
+    """Whichever rank has which times."""
+    z, columns, covariance = shared_rows(q, rank)
+    errors = SharedErrors(covariance)
+    mine = range(comm.rank, 4, comm.size)
+    for t in mine:
+        errors.add(z[t], columns[t])
+    allreduce_sum(comm, errors.gram)
+    allreduce_sum(comm, errors.projection)
+    jacobian = parts(np.concatenate(columns))
+    whole = jacobian @ covariance @ jacobian.T
+    white = symmetric_root(whole) @ parts(np.concatenate(z))
+    expected = (white[:20] + 1j * white[20:]).reshape(4, 5)
+    for t, change in zip(mine, errors.changes(), strict=True):
+        np.testing.assert_allclose(z[t] + change, expected[t], rtol=0, atol=1e-9)
+    felt = np.trace(np.linalg.solve(np.eye(40) + whole, whole))
+    assert errors.n_shared == pytest.approx(felt, rel=1e-9)
+    assert errors.n_shared <= rank
+    assert errors.log_spread == pytest.approx(0.5 * np.linalg.slogdet(np.eye(40) + whole)[1], rel=1e-9)
+
+
+def test_errors_that_nothing_feels_change_nothing() -> None:
+    errors = SharedErrors(np.eye(2))
+    errors.add(np.ones(3, complex), np.zeros((3, 2), complex))
+    assert not errors.changes()[0].any()
+    assert errors.n_shared == errors.log_spread == 0
+
+
+COVARIANCES = {
+    "regular": np.array([[2.0, 0.3], [0.3, 1.0]]),
+    "singular": np.array([[1.0, 1.0], [1.0, 1.0]]),
+    "of nothing": np.zeros((0, 0)),
+}
+
+
+@pytest.mark.parametrize("covariance", COVARIANCES.values(), ids=COVARIANCES)
+def test_roots_give_the_covariance_back(covariance: FloatArray) -> None:
+    root = root_of(covariance)
+    np.testing.assert_allclose(root @ root.T, covariance, atol=1e-14)
+
+
+def test_variances_that_rounding_made_negative_are_none() -> None:
+    root = root_of(np.diag([1.0, -1e-16]))
+    assert np.all(np.isfinite(root))
+    np.testing.assert_allclose(root @ root.T, np.diag([1.0, 0.0]), atol=1e-15)

@@ -1,0 +1,119 @@
+"""The amended job, written, read and restored, has the state that it was made of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tomli_w
+
+from hydrabeam_mpi.config import Job, load_job
+from hydrabeam_mpi.config.sections import Basis, Data
+from hydrabeam_mpi.effects.instrument.basis_truncation import BasisTruncation
+from hydrabeam_mpi.effects.interface.effect import Effect
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.registry import EFFECTS, REWEIGHTINGS, make_effect, make_reweighting
+from hydrabeam_mpi.fit.joint import restore
+from hydrabeam_mpi.fit.state import Active, Reweighted, State
+from hydrabeam_mpi.loop.output.amendment import amended_job
+from hydrabeam_mpi.random import generator
+from tests.effects.cases import set_up
+from tests.effects.small import small_setup
+
+JOB = Job(data=Data(files=("/nowhere/data.uvh5",)), basis=Basis(n_modes=60, k_max=20, m_max=8))
+LONG = small_setup(freqs=(140e6, 141e6, 142e6, 143e6), n_times=2)
+
+
+def written_and_read(job: Job, folder: Path) -> Job:
+    """As `hydrabeam loop` writes ``amended.toml`` and `hydrabeam infer` reads it."""
+    (folder / "amended.toml").write_text(tomli_w.dumps(job.model_dump(mode="json", exclude_none=True)))
+    return load_job(folder / "amended.toml")
+
+
+def fitted(effect: Effect, setup: ObservingSetup) -> Active:
+    """The effect with every other element in use, at values and with errors that no short number has."""
+    parameters = effect.parameters(setup)
+    n, n_freqs = len(parameters), setup.observation.Nfreqs
+    rng = generator(1, "amended", effect.kind)
+    prior_var = np.where(parameters.element % 2 == 0, (0.3 * parameters.scale) ** 2, 0.0)
+    start = Active.start(effect, setup, prior_var, np.zeros(n))
+    used = start.prior_var > 0
+    x = np.where(used, parameters.scale * rng.standard_normal((1 if effect.shared else n_freqs, n)), 0.0)
+    std = np.where(used, parameters.scale * rng.uniform(0.01, 0.1, (n_freqs, n)), 0.0)
+    start.x, start.std = np.broadcast_to(x, (n_freqs, n)).copy(), std
+    return start
+
+
+@pytest.mark.parametrize("kind", [kind for kind in EFFECTS if kind != "basis_truncation"])
+def test_every_effect_comes_back(kind: str, tmp_path: Path) -> None:
+    effect, block, _ = set_up(kind)
+    one = fitted(effect, block.setup)
+    assert len(one.used) > 0
+    job = written_and_read(amended_job(JOB, State(active=[one]), block.setup), tmp_path)
+    (entry,) = job.effects
+    names = effect.parameters(block.setup).names
+    assert entry.names == tuple(names[i] for i in one.used)
+    np.testing.assert_array_equal(entry.std, one.std[:, one.used])
+    (again,) = restore(job, block.setup).active
+    assert again.kind == kind
+    assert again.effect.describe() == effect.describe()
+    np.testing.assert_array_equal(again.x, one.x)
+    np.testing.assert_allclose(again.prior_var, one.prior_var, rtol=1e-15)
+    np.testing.assert_array_equal(again.step_limit, one.step_limit)
+    np.testing.assert_array_equal(again.degenerate_directions, one.degenerate_directions)
+    assert not again.std.any()  # they are fitted again
+
+
+@pytest.mark.parametrize("n_parameters", ["fewest", "most"])
+@pytest.mark.parametrize("kind", REWEIGHTINGS)
+def test_every_reweighting_comes_back(kind: str, n_parameters: str, tmp_path: Path) -> None:
+    change = make_reweighting(kind, {})
+    size = (min if n_parameters == "fewest" else max)(change.sizes(LONG))
+    x = generator(2, kind).uniform(0.5, 2.0, (4, size))
+    state = State(reweighted=[Reweighted(change, x, 0.1 * x)])
+    (again,) = restore(written_and_read(amended_job(JOB, state, LONG), tmp_path), LONG).reweighted
+    assert again.change.kind == kind
+    np.testing.assert_array_equal(again.x, x)
+    np.testing.assert_array_equal(again.std, 0.1 * x)
+
+
+def test_several_keep_their_order_and_the_rest_of_the_job_stays(tmp_path: Path) -> None:
+    """Two of a kind are two, and weights come after effects."""
+    effects = [make_effect(kind, {}) for kind in ("antenna_gains", "timestamp", "antenna_gains")]
+    reweighted = [Reweighted(make_reweighting("noise_level", {}), np.full((4, 1), 1.5), np.full((4, 1), 0.1))]
+    state = State(active=[fitted(effect, LONG) for effect in effects], reweighted=reweighted)
+    amended = amended_job(JOB, state, LONG)
+    assert [entry.kind for entry in amended.effects] == ["antenna_gains", "timestamp", "antenna_gains", "noise_level"]
+    assert amended.model_copy(update={"effects": ()}) == JOB
+    assert [one.kind for one in restore(written_and_read(amended, tmp_path), LONG).active] == [
+        one.kind for one in effects
+    ]
+    # What the loop adds to a job that had effects takes their place: the state has them.
+    assert amended_job(amended, State(), LONG).effects == ()
+
+
+def test_a_state_without_anything_leaves_the_job_as_it_is() -> None:
+    assert amended_job(JOB, State(), LONG) == JOB
+
+
+def test_a_basis_that_is_too_small_becomes_a_larger_one(tmp_path: Path) -> None:
+    """With the modes of two rounds, beside an effect that stays one."""
+    rounds = [BasisTruncation(), BasisTruncation(len(BasisTruncation().parameters(LONG)))]
+    effects: list[Effect] = [rounds[0], make_effect("antenna_gains", {}), rounds[1]]
+    state = State(active=[fitted(effect, LONG) for effect in effects])
+    job = written_and_read(amended_job(JOB, state, LONG), tmp_path)
+    assert [entry.kind for entry in job.effects] == ["antenna_gains"]
+    n_modes = LONG.basis.n_modes + sum(len(one.parameters(LONG)) for one in rounds)
+    assert job.basis.n_modes == n_modes
+    assert job.basis.k_max >= JOB.basis.k_max
+    assert job.basis.m_max >= JOB.basis.m_max
+
+
+def test_a_basis_never_gets_smaller() -> None:
+    """Where the job asks for more orders, of which the largest modes were taken."""
+    large = JOB.model_copy(update={"basis": Basis(n_modes=60, k_max=300, m_max=200)})
+    state = State(active=[fitted(BasisTruncation(), LONG)])
+    basis = amended_job(large, state, LONG).basis
+    assert (basis.k_max, basis.m_max) == (300, 200)
+    assert basis.n_modes > 60

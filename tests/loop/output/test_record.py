@@ -1,0 +1,247 @@
+"""What ``loop.json`` says of a course that is made by hand."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.effects.instrument.antenna_delays import AntennaDelays
+from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
+from hydrabeam_mpi.effects.instrument.timestamp import Timestamp
+from hydrabeam_mpi.effects.interface.effect import Effect
+from hydrabeam_mpi.fit.gauss_newton import FitContext
+from hydrabeam_mpi.fit.state import Active, State
+from hydrabeam_mpi.loop.attribution.control_models import BeamDrift
+from hydrabeam_mpi.loop.output.record import known_effects, make_record, parameters_of
+from hydrabeam_mpi.loop.selection.acceptance import Candidate
+from hydrabeam_mpi.loop.selection.rounds import History
+from tests.loop.made import checked, effect_candidate, round_of, weights_candidate
+from tests.loop.mock import FREQ, context_of, mock_job
+
+FREQS = (FREQ, FREQ + 8e6)
+
+
+@pytest.fixture(scope="module")
+def context(comm: MPI.Comm, tmp_path_factory: pytest.TempPathFactory) -> FitContext:
+    """Two channels of a small array, on all ranks."""
+    return context_of(mock_job(freqs=FREQS), comm.bcast(tmp_path_factory.mktemp("record")), comm)
+
+
+def active(context: FitContext, effect: Effect, used: list[int], x: Any, std: Any) -> Active:
+    """An effect of which some parameters are in use, with a prior of variance 0.02."""
+    n = len(effect.parameters(context.setup))
+    prior_var, values, errors = np.zeros(n), np.zeros((2, n)), np.zeros((2, n))
+    prior_var[used], values[:, used], errors[:, used] = 0.02, x, std
+    return Active(effect, prior_var, values, errors, np.full(n, np.inf), np.zeros((0, n)))
+
+
+def gains(context: FitContext, std: Any = ((0.01, 0.02), (0.03, 0.04))) -> Active:
+    return active(context, AntennaGains(), [4, 5], [[0.06, -0.05], [0.07, -0.04]], std)
+
+
+def train_chi2(context: FitContext, mean: float) -> FloatArray:
+    """Of the rank group's channels, so that the mean over both channels is as given."""
+    return np.array([mean - 0.5 + number for number in context.channels])
+
+
+def history(context: FitContext, consistent: bool = True, control: bool = False, n_rounds: int = 1) -> History:
+    """Gains and then a larger noise, beside which delays, a timestamp and a beam that drifts are weighed."""
+    first = checked(4.0, consistent=consistent and n_rounds == 0, train_chi2=train_chi2(context, 3.5))
+    state = State(active=[gains(context)])
+    second = checked(1.5, consistent=consistent and n_rounds == 1, train_chi2=train_chi2(context, 1.25), state=state)
+    third = checked(1.0, consistent=consistent, train_chi2=train_chi2(context, 1.0), state=state)
+    drift = effect_candidate(BeamDrift(), 120.0)
+    others = [drift, effect_candidate(AntennaDelays(), 96.0), effect_candidate(Timestamp(), 30.0)]
+    rounds = [
+        round_of(effect_candidate(AntennaGains(), 100.0), first, second, *others),
+        round_of(weights_candidate(60.0, n_freqs=2), second, third, drift),
+    ][:n_rounds]
+    made = History(
+        first, rounds[-1].after if rounds else first, rounds, ranking=(drift, weights_candidate(2.0, "of times"))
+    )
+    made.tried = [(drift, "wide"), (effect_candidate(Timestamp(), 30.0), "held-out chi^2 does not fall: 4 to 5")]
+    made.control = round_of(drift, made.last, checked(1.2), *others) if control else None
+    return made
+
+
+NONE_FOUND = {"found": None, "tested": [], "remedy": None}
+
+
+def record_of(
+    context: FitContext, made: History, leakage: dict[str, Any] | None = None, **conventions: Any
+) -> dict[str, Any]:
+    record = make_record(context, made, [("diffuse", "too long")], {**NONE_FOUND, **conventions}, leakage)
+    assert json.loads(json.dumps(record, allow_nan=False)) == record
+    return record
+
+
+VERDICTS = [
+    pytest.param(0, True, False, "consistent", id="noise from the start is consistent"),
+    pytest.param(1, True, False, "explained", id="noise after a round is explained"),
+    pytest.param(2, True, False, "explained", id="noise after two rounds is explained"),
+    pytest.param(0, False, False, "unexplained", id="more than noise without a round is unexplained"),
+    pytest.param(2, False, False, "unexplained", id="more than noise after rounds is unexplained"),
+    pytest.param(1, True, True, "unexplained", id="what no effect explains as well is unexplained"),
+]
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(("n_rounds", "consistent", "control", "verdict"), VERDICTS)
+def test_the_verdict(n_rounds: int, consistent: bool, control: bool, verdict: str, context: FitContext) -> None:
+    record = record_of(context, history(context, consistent, control, n_rounds))
+    assert record["verdict"] == verdict
+    assert record["error_before"] == pytest.approx(4.0)
+    assert record["error_after"] == pytest.approx([4.0, 1.5, 1.0][n_rounds])
+    assert len(record["rounds"]) == n_rounds
+    assert len(record["said"]) == n_rounds + 1
+    assert record["warnings"] == []
+    assert [record["where"] is not None, record["structures"] is not None] == [verdict == "unexplained"] * 2
+    assert (record["foreign"] is not None) == control
+    if control:
+        assert record["foreign"]["effect"] == "beam_drift"
+        assert record["foreign"]["heldout_after"] == pytest.approx(1.2)
+        assert "A beam that changes in time would explain more" in record["said"][-1]
+
+
+@pytest.mark.mpi
+def test_a_round_is_told_in_full(context: FitContext) -> None:
+    one, two = record_of(context, history(context, n_rounds=2))["rounds"]
+    expected = {
+        "effect": "antenna_gains",
+        "title": "antenna gains",
+        "log_bayes_factor": 100.0,
+        "absorbed_by_beam": 0.1,
+        "runner_up": "antenna_delays",
+        "runner_up_log_bayes_factor": 96.0,
+        "indistinguishable_from": ["antenna_delays"],
+        "beam_change_max": 1e-3,
+        "heldout_sigma": 12.0,
+        "n_parameters": 3,
+        "effective_parameters": 2.0,
+        "chi2_drop": 200.0,
+        "rank": 3,
+        "prior_scale": 0.2,
+    }
+    assert {key: one[key] for key in expected} == expected
+    fell = {key: [one[key], two[key]] for key in ("chi2_before", "chi2_after", "heldout_before", "heldout_after")}
+    assert fell["chi2_before"] == pytest.approx([3.5, 1.25])
+    assert fell["chi2_after"] == pytest.approx([1.25, 1.0])
+    assert fell["heldout_before"] == pytest.approx([4.0, 1.5])
+    assert fell["heldout_after"] == pytest.approx([1.5, 1.0])
+    assert one["residual"] == {"overall": {"chi2": 4.0}}
+    assert [line["effect"] for line in one["ranking"]] == ["antenna_gains", "antenna_delays", "timestamp"]
+    assert [two[key] for key in ("runner_up", "indistinguishable_from", "prior_scale")] == [None, [], None]
+    assert [two[key] for key in ("effect", "n_parameters", "rank", "chi2_drop")] == ["noise_level", 1, 1, 210.0]
+
+
+def test_what_is_no_effect_is_neither_ranked_nor_tried(context: FitContext) -> None:
+    record = record_of(context, history(context))
+    (line,) = record["last_ranking"]
+    assert [line["effect"], line["reason"]] == ["noise_level", "of times"]
+    reason = "held-out chi^2 does not fall: 4 to 5"
+    assert record["tried"] == [{"effect": "timestamp", "log_bayes_factor": 30.0, "reason": reason}]
+    assert record["skipped"] == [{"effect": "diffuse", "reason": "too long"}]
+    some: list[Candidate] = [effect_candidate(BeamDrift()), effect_candidate(AntennaGains()), weights_candidate()]
+    assert known_effects(some) == some[1:]
+
+
+LEAKAGE = {
+    "found": ({"effect": "leakage", "parameters": [], "sentence": "Leakage."}, "rounds", 4),
+    "refused": ({"effect": "leakage", "log_bayes_factor": 1.0, "reason": "it is little"}, "tried", 3),
+    "not looked for": ({"effect": "leakage", "reason": "the files have ee"}, "skipped", 3),
+}
+
+
+@pytest.mark.parametrize(("leakage", "place", "n_undecidable"), LEAKAGE.values(), ids=LEAKAGE)
+def test_leakage_comes_first_where_it_belongs(
+    leakage: dict[str, Any], place: str, n_undecidable: int, context: FitContext
+) -> None:
+    """What all antennas have of it in common is undecidable where there is some."""
+    record, without = record_of(context, history(context), leakage), record_of(context, history(context))
+    assert record[place] == [leakage, *without[place]]
+    assert len(record["undecidable"]) == n_undecidable
+    unchanged = {"rounds", "tried", "skipped"} - {place}
+    assert {key: record[key] for key in unchanged} == {key: without[key] for key in unchanged}
+
+
+@pytest.mark.parametrize("found", ["conjugated", "of another catalogue"])
+def test_a_broken_convention_takes_the_place_of_all_rounds(found: str, context: FitContext) -> None:
+    tested = [{"name": "as stated", "chi2": 90.0}, {"name": "conjugated", "chi2": 1.1}]
+    remedy = "conjugate the data"
+    record = record_of(
+        context, history(context, consistent=False, n_rounds=0), None, found=found, tested=tested, remedy=remedy
+    )
+    assert record["verdict"] == "convention"
+    assert record["where"] is record["structures"] is None
+    (warning,) = record["warnings"]
+    assert f"({found}): conjugate the data. Nothing was fitted to it" in warning
+    (one,) = record["rounds"]
+    assert one["effect"] == f"convention: {found}"
+    assert one["chi2_before"] == 90.0
+    assert one["chi2_after"] == (1.1 if found == "conjugated" else 90.0)
+    assert one["heldout_before"] == one["heldout_after"] == pytest.approx(4.0)
+    assert f"another convention: {found}. Nothing was fitted: conjugate the data" in record["said"][0]
+
+
+def test_numbers_that_json_does_not_know_are_null(context: FitContext) -> None:
+    made = history(context, consistent=False)
+    remains = replace(made.last.remains, statistics={"inf": np.float64(np.inf), "n": np.int64(3), 5: (np.nan, 1.0)})
+    made.last = replace(made.last, remains=remains)
+    made.rounds[-1] = replace(made.rounds[-1], after=made.last, sigma=np.inf)
+    record = record_of(context, made)
+    assert record["residual"] == {"inf": None, "n": 3, "5": [None, 1.0]}
+    assert record["rounds"][-1]["heldout_sigma"] is None
+
+
+TOLD = [
+    pytest.param(((0.01, 0.02), (0.03, 0.04)), 4, 0, id="what the data tell"),
+    pytest.param(((0.0999, 0.02), (0.03, 0.04)), 4, 0, id="less than half of the prior's variance is told"),
+    pytest.param(((0.1001, 0.02), (0.03, 0.04)), 3, 1, id="more than half comes apart"),
+    pytest.param(((0.14, 0.02), (0.14, 0.04)), 2, 2, id="what no channel tells comes apart"),
+    pytest.param(((0.14, 0.14), (0.14, 0.14)), 4, 0, id="where nothing is told all are given"),
+]
+
+
+@pytest.mark.parametrize(("std", "n_told", "n_not_told"), TOLD)
+def test_parameters_that_the_data_do_not_tell_come_apart(
+    std: Any, n_told: int, n_not_told: int, context: FitContext
+) -> None:
+    last = State(active=[gains(context, std)])
+    one = round_of(effect_candidate(AntennaGains()), checked(2.0), checked(1.0, state=last))
+    told, not_told = parameters_of(context.setup, one, last)
+    assert (len(told), len(not_told)) == (n_told, n_not_told)
+    number = context.setup.observation.antenna_numbers[2]
+    entries = {(entry["name"], entry["freq_hz"]): entry for entry in (*told, *not_told)}
+    phase = entries[f"antenna {number} phase", FREQS[1]]
+    assert phase == {
+        "name": f"antenna {number} phase",
+        "unit": "rad",
+        "value": -0.04,
+        "std": std[1][1],
+        "freq_hz": FREQS[1],
+    }
+
+
+def test_parameters_are_those_of_the_last_joint_fit(context: FitContext) -> None:
+    """Of the round's own effect, whichever others came after; those that channels share come once."""
+    before = State(active=[active(context, AntennaDelays(), [1], 9.0, 0.01)])
+    last = State(active=[active(context, AntennaDelays(), [1], 3.0, 0.02), gains(context)])
+    one = round_of(effect_candidate(AntennaDelays()), checked(2.0), checked(1.0, state=before))
+    (told,), not_told = parameters_of(context.setup, one, last)
+    assert not not_told
+    assert [told[key] for key in ("unit", "value", "std", "freq_hz")] == ["ns", 3.0, 0.02, None]
+
+
+def test_scales_of_the_noise_are_always_told(context: FitContext) -> None:
+    (_, two) = history(context, n_rounds=2).rounds
+    told, not_told = parameters_of(context.setup, two, State(active=[gains(context)]))
+    assert [(one["name"], one["value"], one["freq_hz"]) for one in told] == [
+        ("noise scale", 1.5, freq) for freq in FREQS
+    ]
+    assert not not_told

@@ -1,0 +1,113 @@
+"""What the loop says of parameters, rounds and verdicts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from hydrabeam_mpi.loop.output.sentences import say_parameter, say_round, say_verdict
+
+PARAMETERS: dict[str, tuple[dict[str, Any], str]] = {
+    "with a unit and a channel": (
+        {"name": "antenna 2 phase", "value": -0.05123, "std": 0.00123, "unit": "rad", "freq_hz": 131e6},
+        "antenna 2 phase -0.05123 +- 0.0012 rad at 131 MHz",
+    ),
+    "a pure number": (
+        {"name": "antenna 2 ln amplitude", "value": 0.04, "std": 1.2e-5, "unit": "", "freq_hz": 157.507e6},
+        "antenna 2 ln amplitude 0.04 +- 1.2e-05 at 157.507 MHz",
+    ),
+    "of all channels": (
+        {"name": "antenna 2 delay", "value": 3.0, "std": 0.5, "unit": "ns", "freq_hz": None},
+        "antenna 2 delay 3 +- 0.5 ns",
+    ),
+}
+
+
+@pytest.mark.parametrize(("parameter", "said"), PARAMETERS.values(), ids=PARAMETERS)
+def test_parameters(parameter: dict[str, Any], said: str) -> None:
+    assert say_parameter(parameter) == said
+
+
+def parameter(name: str, value: float, std: float = 1.0) -> dict[str, Any]:
+    return {"name": name, "value": value, "std": std, "unit": "", "freq_hz": None}
+
+
+def told(**given: Any) -> dict[str, Any]:
+    usual = {
+        "title": "antenna gains",
+        "parameters": [parameter("one", 2)],
+        "parameters_not_told": [],
+        "log_bayes_factor": 5110910.4,
+        "absorbed_by_beam": 0.071,
+        "heldout_before": 257.12,
+        "heldout_after": 1.1678,
+        "beam_change_max": 3.62e-3,
+        "indistinguishable_from": [],
+    }
+    return {**usual, **given}
+
+
+FEW = [parameter("one", 2), parameter("two", -9), parameter("three", 5), parameter("four", 3)]
+ROUNDS: dict[str, tuple[dict[str, Any], str]] = {
+    "the whole of it": (
+        {},
+        "Antenna gains: one 2 +- 1 (log Bayes factor 5,110,910; the beam can absorb 7% of it). Added. "
+        "Held-out reduced chi^2 257 -> 1.17; the beam moves by up to 3.6e-03.",
+    ),
+    "the three most significant": ({"parameters": FEW}, "gains: two -9 +- 1; three 5 +- 1; four 3 +- 1; and 1 more ("),
+    "those that are not told are among the others": (
+        {"parameters_not_told": FEW[:2]},
+        "Antenna gains: one 2 +- 1; and 2 more (",
+    ),
+    "what is chosen, without an error, comes last": (
+        {"parameters": [parameter("threshold", 25, 0.0), *FEW[:2]]},
+        "two -9 +- 1; one 2 +- 1; threshold 25 +- 0 (",
+    ),
+    "what it is not told from": (
+        {"indistinguishable_from": ["antenna_delays", "timestamp"]},
+        "3.6e-03. These data do not tell it from antenna_delays or timestamp.",
+    ),
+}
+
+
+@pytest.mark.parametrize(("given", "said"), ROUNDS.values(), ids=ROUNDS)
+def test_rounds(given: dict[str, Any], said: str) -> None:
+    sentence = say_round(told(**given))
+    assert said in sentence
+    assert sentence.endswith(".")
+
+
+WHERE = {"sentence": "It is on antenna 5."}
+DRIFT = {"title": "a beam that changes in time", "log_bayes_factor": 1234.5, "heldout_after": 1.23456}
+VERDICTS: dict[str, tuple[str, dict[str, Any] | None, str]] = {
+    "nothing is missing": (
+        "consistent",
+        None,
+        "Nothing is missing: the data agree with the model within the noise (held-out reduced chi^2 1.012).",
+    ),
+    "nothing is left": ("explained", None, "Nothing significant is left (held-out reduced chi^2 1.012)."),
+    "a convention is broken": (
+        "convention",
+        None,
+        "Nothing was fitted or added, and nothing is explained (held-out reduced chi^2 1.012): "
+        "mend the convention first.",
+    ),
+    "something is left": (
+        "unexplained",
+        None,
+        "What is left (held-out reduced chi^2 1.012) is explained by no effect in the catalogue. It is on antenna 5.",
+    ),
+    "something that is no effect would explain it": (
+        "unexplained",
+        DRIFT,
+        "What is left (held-out reduced chi^2 1.012) is explained by no effect in the catalogue. A beam that changes "
+        "in time would explain more than any of them (log Bayes factor 1,234, held-out reduced chi^2 1.235). "
+        "It is on antenna 5.",
+    ),
+}
+
+
+@pytest.mark.parametrize(("verdict", "control", "said"), VERDICTS.values(), ids=VERDICTS)
+def test_verdicts(verdict: str, control: dict[str, Any] | None, said: str) -> None:
+    assert say_verdict(verdict, 1.01234, WHERE, control) == said

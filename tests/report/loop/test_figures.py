@@ -1,0 +1,199 @@
+"""The figures of the loop show the numbers of ``loop.json``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import matplotlib
+import numpy as np
+import pytest
+
+from hydrabeam_mpi.report.loop.baselines import draw_baselines
+from hydrabeam_mpi.report.loop.figures import draw_fall, draw_ranking
+from hydrabeam_mpi.report.loop.parameters import draw_parameters
+from hydrabeam_mpi.report.loop.residuals import draw_residuals
+from hydrabeam_mpi.report.loop.structures import draw_singular_values, draw_structures
+from hydrabeam_mpi.report.page.places import place_words
+from hydrabeam_mpi.report.page.scales import tick_label, ticks_between
+from hydrabeam_mpi.report.page.style import STYLE, Drawing, render
+from tests.report import loops
+
+
+@pytest.fixture(autouse=True)
+def style() -> Iterator[None]:
+    """Draw as the report does."""
+    with matplotlib.rc_context(STYLE):
+        yield
+
+
+def test_bars_of_the_ranking() -> None:
+    drawing = draw_ranking(loops.explained())
+    assert drawing is not None
+    panels = drawing.figure.axes
+    assert [axes.get_title(loc="left") for axes in panels] == [
+        "Round 1: antenna gains",
+        "Round 2: missing sources",
+        "After the last round",
+    ]
+    names = [text.get_text() for text in panels[0].get_yticklabels()]
+    assert names[:3] == ["antenna gains", "antenna positions", "missing sources"]
+    for axes, entries in zip(panels, [one["ranking"] for one in loops.explained()["rounds"]], strict=False):
+        widths = {names[round(bar.get_y() + 0.36)]: bar.get_width() for bar in axes.patches}
+        assert widths == {one["effect"].replace("_", " "): one["log_bayes_factor"] for one in entries}
+    assert all(axes.get_xscale() == "symlog" for axes in panels)
+
+
+def test_the_fall() -> None:
+    drawing = draw_fall(loops.explained())
+    assert drawing is not None
+    reference, curve = drawing.figure.axes[0].lines
+    np.testing.assert_array_equal(curve.get_ydata(), [11.4, 2.31, 1.03])
+    np.testing.assert_array_equal(reference.get_ydata(), [1, 1])
+    assert draw_fall(loops.consistent()) is None
+
+
+def test_parameters_over_antennas() -> None:
+    drawing = draw_parameters(loops.gains_round(), 1)
+    assert drawing is not None
+    assert [axes.get_title(loc="left") for axes in drawing.figure.axes] == ["antenna ln amplitude", "antenna phase"]
+    x, y = drawing.figure.axes[0].lines[1].get_data()
+    np.testing.assert_array_equal(x, loops.ANTENNAS)
+    expected = [one["value"] for one in loops.gains_round()["parameters"] if one["name"].endswith("amplitude")]
+    np.testing.assert_array_equal(y, expected)
+
+
+def test_many_parameters_are_bounded() -> None:
+    rng = np.random.default_rng(0)
+    pairs = [(i, j) for i in range(40) for j in range(i)]
+    parameters = [loops.parameter(f"baseline {i}-{j} real", rng.normal(), 1.0) for i, j in pairs]
+    parameters[123]["value"] = 50.0
+    drawing = draw_parameters(loops.gains_round() | {"parameters": parameters}, 1)
+    assert drawing is not None
+    labels = [text.get_text() for text in drawing.figure.axes[0].get_yticklabels()]
+    assert len(labels) == 20
+    assert "–".join(map(str, pairs[123])) in labels
+    assert drawing.figure.get_figheight() < 8
+
+
+def test_parameters_over_frequency() -> None:
+    freqs = 150e6 + 1e5 * np.arange(30)
+    parameters = [
+        loops.parameter(f"antenna {antenna} phase", antenna * 0.01 + f / 1e9, 0.01, "rad", float(f))
+        for antenna in range(50)
+        for f in freqs
+    ]
+    drawing = draw_parameters(loops.gains_round() | {"parameters": parameters}, 1)
+    assert drawing is not None
+    axes = drawing.figure.axes[0]
+    _, labels = axes.get_legend_handles_labels()
+    assert labels == ["44", "45", "46", "47", "48", "49"]
+    assert axes.get_xlabel() == "frequency (MHz)"
+    render(drawing.figure)
+
+
+def points(drawing: Drawing | None, label: str) -> list[np.ndarray]:
+    """Before and after on the panel with this label, as (N, 2)."""
+    assert drawing is not None
+    (axes,) = [axes for axes in drawing.figure.axes if axes.get_xlabel().startswith(label)]
+    return [np.asarray(scatter.get_offsets()) for scatter in axes.collections]
+
+
+def test_residuals_before_and_after() -> None:
+    loop = loops.explained()
+    drawing = draw_residuals(loop)
+    for state, shown in zip((loop["rounds"][0]["residual"], loop["residual"]), points(drawing, "antenna"), strict=True):
+        expected = [[entry["what"], entry["chi2"]] for entry in state["axes"]["antennas"]]
+        np.testing.assert_allclose(shown, expected)
+    rates = [entry["what"] for entry in loop["residual"]["axes"]["fringe_rates"]]
+    np.testing.assert_allclose(points(drawing, "fringe rate (mHz)")[0][:, 0], np.array(rates) * 1e3)
+    assert "are not joined" not in drawing.caption
+
+
+def test_one_night_is_drawn_over_sidereal_time_through_midnight() -> None:
+    loop = loops.consistent()
+    times = loop["residual"]["axes"]["times"]
+    for place, entry in enumerate(times):
+        entry["what"] = {"jd": 2458098.4 + place / 24, "lst_h": (20 + place * 1.00273791) % 24}
+    shown = points(draw_residuals(loop), "local sidereal time")[0]
+    np.testing.assert_allclose(shown[:, 0], 20 + np.arange(20) * 1.00273791, rtol=1e-9)
+
+
+def test_several_nights_have_both_times() -> None:
+    loop = loops.consistent()
+    for place, entry in enumerate(loop["residual"]["axes"]["times"]):
+        entry["what"]["jd"] = 2458098.25 + place
+    drawing = draw_residuals(loop)
+    np.testing.assert_allclose(points(drawing, "days since JD 2458098")[0][:, 0], 0.25 + np.arange(20))
+    assert len(points(drawing, "local sidereal time")[0]) == 4
+
+
+def test_lists_of_the_most_significant_are_not_joined() -> None:
+    loop = loops.explained()
+    loop["residual"]["entries"]["fringe_rates"] = 400
+    drawing = draw_residuals(loop)
+    assert drawing is not None
+    assert "not joined" in drawing.caption
+
+
+def test_baselines_are_a_symmetric_map() -> None:
+    loop = loops.explained()
+    drawing = draw_baselines(loop)
+    assert drawing is not None
+    before, after = (np.ma.filled(axes.images[0].get_array(), np.nan) for axes in drawing.figure.axes[:2])
+    np.testing.assert_array_equal(before, before.T)
+    entry = loop["residual"]["axes"]["baselines"][3]
+    first, second = (loops.ANTENNAS.index(antenna) for antenna in entry["what"])
+    assert after[first, second] == entry["chi2"]
+    for state in (loop["residual"], loop["rounds"][0]["residual"]):
+        del state["axes"]["baselines"]
+    assert draw_baselines(loop) is None
+
+
+@pytest.mark.parametrize("n_freqs", [1, 6])
+def test_structures_over_time_and_frequency(n_freqs: int) -> None:
+    structures = loops.structures(n_freqs)
+    drawing = draw_structures(structures)
+    assert drawing is not None
+    render(drawing.figure)
+    axes = drawing.figure.axes[0]
+    expected = np.array(structures["structures"][0]["pattern"]["real"])
+    if n_freqs == 1:
+        np.testing.assert_allclose(axes.lines[1].get_ydata(), expected[0])
+        assert axes.get_xlabel() == "LST (h)"
+    else:
+        np.testing.assert_allclose(np.asarray(axes.collections[0].get_array()).reshape(expected.shape), expected)
+    values = draw_singular_values(structures)
+    assert values is not None
+    np.testing.assert_allclose(values.figure.axes[0].lines[-1].get_ydata(), structures["singular_values"])
+
+
+@pytest.mark.parametrize(
+    ("axis", "what", "words"),
+    [
+        ("antennas", 23, "antenna 23"),
+        ("baselines", [3, 5], "baseline 3–5"),
+        ("groups", 4, "redundant group 4"),
+        ("freqs", 150.25e6, "150.25 MHz"),
+        ("delays", -2.5e-7, "delay −250 ns"),
+        ("fringe_rates", 1e-3, "fringe rate 1.00 mHz"),
+        ("times", {"jd": 2458098.5, "lst_h": 3.2}, "LST 3.20 h (JD 2458098.50000)"),
+        ("unevenness", "fringe_rates", "the unevenness over fringe rates"),
+        ("overall", "all", "the sum of all data"),
+    ],
+)
+def test_places_in_words(axis: str, what: Any, words: str) -> None:
+    assert place_words(axis, what) == words
+
+
+def test_ticks_are_plain_numbers() -> None:
+    assert ticks_between(0.9, 12) == [1, 2, 5, 10]
+    assert ticks_between(0.5, 2000) == [1, 10, 100, 1000]
+    assert len(ticks_between(1e-3, 1e12)) <= 6
+    assert ticks_between(0.8, 1.5) == pytest.approx([0.8, 1.0, 1.2, 1.4])
+    assert [tick_label(value) for value in (0.5, 1000, 2e5, -1e6)] == [
+        "0.5",
+        "1,000",
+        r"$2\times 10^{5}$",
+        "$-10^{6}$",
+    ]
