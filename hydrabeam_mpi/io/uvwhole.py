@@ -16,6 +16,8 @@ from hydrabeam_mpi.io.reading import DAMAGED, reading
 
 _SAMPLES = {"Data/visdata": "complex numbers", "Data/flags": "true or false", "Data/nsamples": "real numbers"}
 
+# What the library says before it ends the process.
+_LAST_WORDS = "### Fatal Error:"
 # Reads files one after another, and says of which before it does.
 _READ_MIRIAD = """
 import sys, warnings
@@ -25,8 +27,8 @@ for path in sys.argv[1:]:
     print(path, flush=True)
     try:
         UVData().read(path, file_type="miriad", run_check=False, background_lsts=False)
-    except Exception:
-        pass
+    except Exception as error:
+        sys.exit(f"### Fatal Error: {error}")
 """
 
 
@@ -58,7 +60,7 @@ def _holds(dtype: np.dtype[Any], wanted: str) -> bool:
 def check_miriad(paths: Sequence[Path]) -> None:
     """Make sure that miriad files can be read, in a process of its own.
 
-    The miriad library ends the process in which it meets a damaged file.
+    The miriad library ends the process in which it meets a damaged file, and speaks past Python.
 
     Raises
     ------
@@ -71,6 +73,6 @@ def check_miriad(paths: Sequence[Path]) -> None:
     done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
     if done.returncode:
         begun = done.stdout.splitlines()
-        said = [line.removeprefix("### Fatal Error:").strip(' ."') for line in done.stderr.splitlines()]
+        said = [line.split(":", 1)[1].strip(" .") for line in done.stderr.splitlines() if line.startswith(_LAST_WORDS)]
         reason = f" ({said[-1]})" if said else ""
         raise InputError(f"cannot be read as miriad{reason}", file=begun[-1] if begun else paths[0], remedy=DAMAGED)
