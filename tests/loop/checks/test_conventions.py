@@ -13,7 +13,8 @@ from pyuvdata import UVData
 
 from hydrabeam_mpi.config import Job, load_job
 from hydrabeam_mpi.fit.rows import read_rows
-from hydrabeam_mpi.io.uvfile import enu_axes, quiet
+from hydrabeam_mpi.io.reading import quiet
+from hydrabeam_mpi.io.uvfile import enu_axes
 from hydrabeam_mpi.loop.checks.conventions import check_conventions, sample_times
 from hydrabeam_mpi.mpi import ProcessGrid
 from hydrabeam_mpi.setup.problem import Problem, prepare

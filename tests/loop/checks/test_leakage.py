@@ -13,7 +13,7 @@ from mpi4py import MPI
 from hydrabeam_mpi.cli import main
 from hydrabeam_mpi.config import load_job
 from hydrabeam_mpi.fit.joint import find_setup
-from hydrabeam_mpi.io.uvfile import quiet
+from hydrabeam_mpi.io.reading import quiet
 from hydrabeam_mpi.loop.checks.leakage import check_leakage
 from hydrabeam_mpi.mpi import ProcessGrid
 from hydrabeam_mpi.setup.problem import prepare
