@@ -93,20 +93,21 @@ def _run(world: MPI.Comm, options: argparse.Namespace) -> None:
     if options.command in ("simulate", "infer", "loop"):
         # A mistake in the job or its paths is told before the packages that the work needs are imported: that takes
         # seconds.
-        from hydrabeam_mpi.commands.job_file import check_paths, load
+        from hydrabeam_mpi.setup.job_file import check_paths, load
 
         simulates = options.command == "simulate"
         job = load(world, options.job, simulates, options.command == "loop")
         check_paths(world, job, options.job, options.output, options.overwrite, simulates)
-        from hydrabeam_mpi.commands import infer as run
+        from hydrabeam_mpi.commands.infer import infer
         from hydrabeam_mpi.commands.loop import close_loop
+        from hydrabeam_mpi.commands.simulate import simulate
 
-        command = {"simulate": run.simulate, "infer": run.infer, "loop": close_loop}[options.command]
+        command = {"simulate": simulate, "infer": infer, "loop": close_loop}[options.command]
         command(world, job, options.job, options.output, options.overwrite, threads)
         return
     with together(world):
         if world.rank == 0 and options.command == "report":
-            from hydrabeam_mpi.report.page.page import write_report
+            from hydrabeam_mpi.report.document import write_report
 
             write_report(options.directory)
         elif world.rank == 0:

@@ -10,12 +10,51 @@ import pytest
 
 PACKAGE = "hydrabeam_mpi"
 ROOT = Path(__file__).parents[1]
-SERIAL = ("beams", "config", "console", "data", "infer", "init", "io", "model", "progress", "report", "tables")
-# What knows of processes: the layer that runs.
+LAYERS = (
+    ("errors", "random"),
+    ("data",),
+    ("mpi", "terminal"),
+    ("model.bases", "model.engines"),
+    ("model",),
+    ("infer", "tables"),
+    ("config",),
+    ("io",),
+    ("setup",),
+    ("effects.interface",),
+    ("effects.shared",),
+    ("effects.instrument", "effects.sky", "effects.noise"),
+    ("effects",),
+    ("fit",),
+    ("result",),
+    ("simulation",),
+    ("loop.residuals",),
+    ("loop.attribution",),
+    ("loop.selection",),
+    ("loop.output",),
+    ("loop.checks",),
+    ("loop",),
+    ("report.page",),
+    ("report.beam", "report.loop"),
+    ("report",),
+    ("commands",),
+    ("cli",),
+    ("__main__",),
+)
+"""The rooms from the ground up: what is in one may import from its own and from those in the layers before it."""
+SERIAL = ("config", "data", "effects", "infer", "io", "model", "report", "tables", "terminal")
+# What knows of processes: the layers that run.
 RUNNING = (
-    "mpi", "run", "output", "job_file", "cli", "inference", "accumulate", "problem", "rows", "simulate", "diagnose",
+    "mpi",
+    "setup.problem",
+    "setup.job_file",
+    "fit",
+    "result",
+    "simulation",
+    "loop",
+    "commands",
+    "cli",
     "__main__",
-)  # fmt: skip
+)
 
 
 def modules() -> dict[str, Path]:
@@ -53,11 +92,24 @@ def in_any(name: str, parts: tuple[str, ...]) -> bool:
     return any(name == f"{PACKAGE}.{part}" or name.startswith(f"{PACKAGE}.{part}.") for part in parts)
 
 
+def room_of(name: str) -> tuple[int, str]:
+    """Return the layer and the room of a module, the innermost room that it is in."""
+    rooms = [(layer, room) for layer, rooms in enumerate(LAYERS) for room in rooms if in_any(name, (room,))]
+    return max(rooms, key=lambda one: len(one[1]))
+
+
 def test_modules_are_found() -> None:
     assert {f"{PACKAGE}.cli", f"{PACKAGE}.mpi", f"{PACKAGE}.model.fit", f"{PACKAGE}.random"} <= set(MODULES)
     assert "mpi4py.MPI.Comm" in set(imported(MODULES[f"{PACKAGE}.mpi"]))
-    assert f"{PACKAGE}.run" in set(imported(MODULES[f"{PACKAGE}.cli"]))
-    assert f"{PACKAGE}.run" not in set(imported(MODULES[f"{PACKAGE}.cli"], at_load=True))
+    assert f"{PACKAGE}.commands.infer" in set(imported(MODULES[f"{PACKAGE}.cli"]))
+    assert f"{PACKAGE}.commands.infer" not in set(imported(MODULES[f"{PACKAGE}.cli"], at_load=True))
+
+
+@pytest.mark.parametrize("name", [name for name in MODULES if name != PACKAGE])
+def test_imports_run_one_way_between_rooms(name: str) -> None:
+    layer, room = room_of(name)
+    found = {one: room_of(one) for one in inner_imports(name) if one != PACKAGE}
+    assert [one for one, (below, other) in found.items() if other != room and below >= layer] == []
 
 
 @pytest.mark.parametrize("name", MODULES)

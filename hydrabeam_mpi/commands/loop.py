@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from hydrabeam_mpi.commands.infer import gather_records, prepare_shared
+from hydrabeam_mpi.commands.job_run import prepare_shared
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.reweighting import Reweighting
 from hydrabeam_mpi.effects.registry import EFFECTS, REWEIGHTINGS, SEPARATE
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.fit.channels import Clock, describe_channels
+from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.gauss_newton import FitContext
 from hydrabeam_mpi.fit.joint import channel_results, find_setup, read_context, restore
 from hydrabeam_mpi.io.disk import write_computed
@@ -30,6 +30,7 @@ from hydrabeam_mpi.loop.output.amendment import amended_job
 from hydrabeam_mpi.loop.output.record import make_record
 from hydrabeam_mpi.loop.selection.rounds import run_rounds
 from hydrabeam_mpi.mpi import Comm, ProcessGrid, bcast_object, library_version, peak_rss_mb, together
+from hydrabeam_mpi.result.describe import describe_channels, gather_records
 from hydrabeam_mpi.result.output import check_records, input_files, staged, write_conversions, write_result
 from hydrabeam_mpi.terminal.progress import say
 

@@ -1,52 +1,21 @@
-"""The inference of the channels of a rank group: accumulate, sum over ranks, solve, check, describe."""
+"""The inference of the channels of a rank group: read, accumulate, sum over ranks, solve, check."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from hydrabeam_mpi.fit.accumulate import accumulate, check_heldout
+from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.rows import Rows, read_rows
 from hydrabeam_mpi.infer.posterior import Posterior
-from hydrabeam_mpi.infer.predictive_checks import Z_EDGES, HeldoutStatistics
+from hydrabeam_mpi.infer.predictive_checks import HeldoutStatistics
 from hydrabeam_mpi.io.finite import INFERENCE, check_finite
 from hydrabeam_mpi.io.noise import check_weights
-from hydrabeam_mpi.io.posterior_file import ChannelRecord
 from hydrabeam_mpi.mpi import ProcessGrid, allreduce_max, allreduce_sum, bcast_array, together
-from hydrabeam_mpi.random import generator
-from hydrabeam_mpi.result.summary import (
-    SkyMaps,
-    eigenbeams,
-    evaluate_on_grid,
-    map_posterior,
-    summarise_coefficients,
-    summarise_maps,
-)
 from hydrabeam_mpi.setup.problem import Problem
-
-
-@dataclass
-class Clock:
-    """Wall-clock seconds a phase, as one rank sees them."""
-
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    @contextmanager
-    def time(self, phase: str) -> Iterator[None]:
-        """Add the time that the block takes to ``phase``."""
-        start = time.perf_counter()
-        yield
-        self.seconds[phase] = self.seconds.get(phase, 0.0) + time.perf_counter() - start
-
-    @property
-    def inference(self) -> float:
-        """Seconds from the data in memory to the posterior mean and covariance (HDBI II, section 4.1)."""
-        return self.seconds["design"] + self.seconds["solve"]
 
 
 @dataclass(frozen=True)
@@ -162,64 +131,6 @@ def reduce_heldout(grid: ProcessGrid, statistics: list[HeldoutStatistics]) -> No
         allreduce_sum(grid.group, one.sums)
         allreduce_sum(grid.group, one.counts)
         allreduce_max(grid.group, one.largest)
-
-
-def describe_channels(grid: ProcessGrid, problem: Problem, results: list[ChannelResult]) -> list[ChannelRecord]:
-    """Collect what is written of each channel: maps, eigenbeams, draws and summary numbers.
-
-    Collective: all ranks of `grid.group`, which share out the maps.
-
-    Returns
-    -------
-    list of ChannelRecord
-        On the group's root; empty on other ranks.
-    """
-    records = []
-    for f, result in enumerate(results):
-        mean, std = map_posterior(grid.group, result.posterior, problem.basis)
-        if grid.is_group_root:
-            truth = evaluate_on_grid(problem.truths[f]) if problem.truths else None
-            maps = SkyMaps(mean, std, evaluate_on_grid(problem.beams[f]), truth)
-            records.append(_record(problem, f, result, maps))
-    return records
-
-
-def _record(problem: Problem, f: int, result: ChannelResult, maps: SkyMaps) -> ChannelRecord:
-    """Put together one channel's numbers and arrays; see `hydrabeam_mpi.io.posterior_file`."""
-    prior, posterior = problem.priors[f], result.posterior
-    variances, beams = eigenbeams(posterior, problem.basis)
-    draws = [
-        posterior.draw(generator(problem.job.seed, "posterior draw", int(problem.channel_numbers[f]), draw))
-        for draw in range(problem.job.output.draws)
-    ]
-    summary = {
-        "freq_hz": float(problem.observation.freqs[f]),
-        "n_data": result.normal.n_data,
-        "n_unique_baselines": problem.n_unique_baselines,
-        "n_modes": problem.basis.n_modes,
-        "log_evidence": posterior.log_evidence,
-        "train_chi2": reduced_chi2(result.normal, posterior),
-        "fit_rms": problem.fit_rms[f],
-    }
-    summary |= summarise_coefficients(posterior, prior) | summarise_maps(maps) | result.heldout.summary()
-    arrays = {
-        "mean": posterior.mean,
-        "covariance": posterior.covariance,
-        "std": posterior.std,
-        "prior_mean": prior.mean,
-        "prior_std": prior.std(),
-        "draws": np.array(draws).reshape(len(draws), len(posterior.mean)),
-        "map_mean": maps.mean,
-        "map_std": maps.std,
-        "map_model": maps.model,
-        "eigen_variances": variances,
-        "eigen_beams": beams,
-        "z_edges": Z_EDGES,
-        "z_counts": result.heldout.counts,
-    }
-    if maps.truth is not None:
-        arrays["map_truth"] = maps.truth
-    return ChannelRecord(float(problem.observation.freqs[f]), summary, arrays, posterior.log_evidence)
 
 
 def reduced_chi2(normal: NormalEquations, posterior: Posterior) -> float:

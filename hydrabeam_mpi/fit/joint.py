@@ -15,7 +15,8 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.registry import EFFECTS, REWEIGHTINGS, make_effect, make_reweighting
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.accumulate import accumulate_designs, check_designs
-from hydrabeam_mpi.fit.channels import ChannelResult, Clock, read_shares, reduce_heldout
+from hydrabeam_mpi.fit.channels import ChannelResult, read_shares, reduce_heldout
+from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
 from hydrabeam_mpi.fit.heldout import variance_by_effects
 from hydrabeam_mpi.fit.rank_data import RankData

@@ -16,8 +16,8 @@ from pyuvdata.utils import polstr2num
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases.base import LinearBasis
+from hydrabeam_mpi.model.bases.rings import Pixels
 from hydrabeam_mpi.model.interpolate import AzZaGrid, HealpixMap
-from hydrabeam_mpi.model.rings import Pixels
 
 
 @dataclass(frozen=True)

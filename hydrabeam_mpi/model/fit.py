@@ -17,8 +17,8 @@ import numpy as np
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases.base import LinearBasis, Selection
-from hydrabeam_mpi.model.ring_fit import RCOND
-from hydrabeam_mpi.model.rings import Pixels, RingGrid, degree_grid
+from hydrabeam_mpi.model.bases.ring_fit import RCOND
+from hydrabeam_mpi.model.bases.rings import Pixels, RingGrid, degree_grid
 
 _POINTS_AT_ONCE = 4096
 

@@ -97,12 +97,6 @@ class RotatedPositions:
         return RotatedPositions(sky, self._observation)
 
 
-def enu(za: FloatArray, az: FloatArray) -> FloatArray:
-    """Return the unit vectors towards (za, az), (3, N): east, north, up."""
-    sin_za = np.sin(za)
-    return np.stack([sin_za * np.cos(az), sin_za * np.sin(az), np.cos(za)])
-
-
 def count_above_horizon(sky: Sky, observation: Observation, max_sample: int = 2000) -> FloatArray:
     """Estimate cheaply how many sources are up at each time, to balance the load of ranks.
 

@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from hydrabeam_mpi.cautions import cautions_of_flags
-from hydrabeam_mpi.commands.job_file import read_files, unread_files
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.named import for_inference, for_simulation
 from hydrabeam_mpi.data.observation import Observation
@@ -23,6 +21,8 @@ from hydrabeam_mpi.io.posterior_file import ChannelRecord, PosteriorFile, least_
 from hydrabeam_mpi.io.staging import StagedDirectory
 from hydrabeam_mpi.mpi import Comm, together
 from hydrabeam_mpi.result.summary import GRID_AZ, GRID_ZA, warnings_of
+from hydrabeam_mpi.setup.cautions import cautions_of_flags
+from hydrabeam_mpi.setup.job_file import read_files, unread_files
 from hydrabeam_mpi.setup.problem import Problem
 from hydrabeam_mpi.terminal.progress import warn
 

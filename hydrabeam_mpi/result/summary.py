@@ -11,6 +11,7 @@ from scipy.linalg import eigh
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.infer.posterior import Posterior
+from hydrabeam_mpi.infer.predictive_checks import LARGEST_PREDICTIVE
 from hydrabeam_mpi.infer.prior import Prior
 from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.rime import Beam
@@ -165,13 +166,6 @@ def warnings_of(channels: list[dict[str, Any]]) -> list[str]:
     if imaginary > 1e-3:
         said.append(f"The inferred beam has imaginary parts up to {imaginary:.1e}, which no co-polarised beam has.")
     return said
-
-
-LARGEST_PREDICTIVE = 2.0
-"""Held-out reduced chi^2 under the posterior predictive above which a posterior claims too much to go unsaid.
-
-Standard deviations are then too small by 1.4 or more, which no number of data makes up for.
-"""
 
 
 def _warnings_of_heldout(channels: list[dict[str, Any]]) -> list[str]:

@@ -9,7 +9,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from hydrabeam_mpi.cautions import cautions_of_data
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.named import expand
 from hydrabeam_mpi.data.observation import FloatArray, IntArray, Observation
@@ -26,6 +25,7 @@ from hydrabeam_mpi.model.rime import ForwardModel
 from hydrabeam_mpi.model.sky import Sky
 from hydrabeam_mpi.mpi import Comm, together
 from hydrabeam_mpi.setup.beams import fit_model_beams, load_beams, make_prior
+from hydrabeam_mpi.setup.cautions import cautions_of_data
 from hydrabeam_mpi.setup.skies import count_sources, load_sky, source_positions
 
 

@@ -25,7 +25,6 @@ from hydrabeam_mpi.io.finite import SIMULATION, check_finite
 from hydrabeam_mpi.io.hdf5 import new_hdf5
 from hydrabeam_mpi.io.uvdata import feeds_of
 from hydrabeam_mpi.io.uvwrite import write_uvh5
-from hydrabeam_mpi.model.arrays import hexagon, read_layout
 from hydrabeam_mpi.model.beam import Beam
 from hydrabeam_mpi.model.engines import make_engine
 from hydrabeam_mpi.model.rime import ForwardModel
@@ -35,6 +34,7 @@ from hydrabeam_mpi.random import complex_normal, generator
 from hydrabeam_mpi.result.summary import GRID_AZ, GRID_ZA, evaluate_on_grid
 from hydrabeam_mpi.setup.beams import TurnedBeam, fit_model_beams, load_beams, perturb
 from hydrabeam_mpi.setup.skies import count_sources, load_sky, source_positions
+from hydrabeam_mpi.simulation.arrays import hexagon, read_layout
 from hydrabeam_mpi.simulation.inject import Injection, Truth, Visibilities
 from hydrabeam_mpi.terminal.progress import say
 

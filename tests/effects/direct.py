@@ -9,7 +9,7 @@ import numpy as np
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.model.positions import enu
+from hydrabeam_mpi.model.engines.fringes import enu
 
 C = 299792458.0
 BeamOfDirection = Callable[[FloatArray], FloatArray]

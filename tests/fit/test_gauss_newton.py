@@ -21,7 +21,8 @@ from hydrabeam_mpi.effects.noise.noise_level import NoiseLevel
 from hydrabeam_mpi.effects.registry import make_effect
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
 from hydrabeam_mpi.fit import heldout
-from hydrabeam_mpi.fit.channels import Clock, infer_channels
+from hydrabeam_mpi.fit.channels import infer_channels
+from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
 from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.joint import channel_results

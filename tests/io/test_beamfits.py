@@ -11,8 +11,8 @@ from pyuvdata import AiryBeam, BeamInterface, ShortDipoleBeam, UVBeam
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.beamfits import BeamFile, write_power_beam
 from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
+from hydrabeam_mpi.model.bases.rings import RingGrid
 from hydrabeam_mpi.model.fit import fit_beam
-from hydrabeam_mpi.model.rings import RingGrid
 
 DEG = np.pi / 180
 

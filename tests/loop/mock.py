@@ -10,12 +10,12 @@ import h5py
 import tomli_w
 from mpi4py import MPI
 
-from hydrabeam_mpi.commands.infer import prepare_shared
-from hydrabeam_mpi.commands.job_file import load
-from hydrabeam_mpi.fit.channels import Clock
+from hydrabeam_mpi.commands.job_run import prepare_shared
+from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.gauss_newton import FitContext
 from hydrabeam_mpi.fit.joint import find_setup, read_context
 from hydrabeam_mpi.mpi import ProcessGrid
+from hydrabeam_mpi.setup.job_file import load
 
 FREQ = 131e6
 

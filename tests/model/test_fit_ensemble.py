@@ -15,9 +15,9 @@ from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.beamfits import write_power_beam
 from hydrabeam_mpi.model.bases import basis_from_description
 from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
+from hydrabeam_mpi.model.bases.rings import degree_grid
 from hydrabeam_mpi.model.beam import analytic_beam
 from hydrabeam_mpi.model.ensemble import fit_ensemble, summarise_ensemble
-from hydrabeam_mpi.model.rings import degree_grid
 from hydrabeam_mpi.random import complex_normal, generator
 from hydrabeam_mpi.setup.beams import fit_model_beams, load_beams, make_prior
 

@@ -7,7 +7,8 @@ from astropy.coordinates import AltAz, EarthLocation, SkyCoord
 from astropy.time import Time
 
 from hydrabeam_mpi.data.observation import Observation
-from hydrabeam_mpi.model.positions import ApparentPositions, RotatedPositions, count_above_horizon, enu
+from hydrabeam_mpi.model.engines.fringes import enu
+from hydrabeam_mpi.model.positions import ApparentPositions, RotatedPositions, count_above_horizon
 from hydrabeam_mpi.model.sky import Sky, mock_sky
 
 HERA = EarthLocation.from_geodetic(21.42830 * units.deg, -30.72152 * units.deg, 1051.69 * units.m)

@@ -13,9 +13,10 @@ import pytest
 import tomli_w
 from mpi4py import MPI
 
-from hydrabeam_mpi.commands.infer import infer, simulate
+from hydrabeam_mpi.commands.infer import infer
+from hydrabeam_mpi.commands.simulate import simulate
 from hydrabeam_mpi.config import load_job
-from hydrabeam_mpi.report.page.page import write_report
+from hydrabeam_mpi.report.document import write_report
 from hydrabeam_mpi.report.page.result import Channel, load_result
 
 PAPER: dict[str, Any] = {

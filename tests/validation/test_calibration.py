@@ -22,13 +22,13 @@ from hydrabeam_mpi.fit.equations import BEAM
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.infer.predictive_checks import Z_EDGES
 from hydrabeam_mpi.infer.prior import DiagonalPrior
-from hydrabeam_mpi.model.arrays import hexagon
 from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
 from hydrabeam_mpi.model.engines import make_engine
 from hydrabeam_mpi.model.positions import RotatedPositions
 from hydrabeam_mpi.model.rime import ForwardModel
 from hydrabeam_mpi.model.sky import mock_sky
 from hydrabeam_mpi.random import complex_normal, generator
+from hydrabeam_mpi.simulation.arrays import hexagon
 
 N_MOCKS = 600
 N_DRAWS = 63

@@ -19,7 +19,8 @@ from mpi4py import MPI
 from pyuvdata import UVData
 from scipy.special import jn_zeros, jv
 
-from hydrabeam_mpi.commands.infer import infer, simulate
+from hydrabeam_mpi.commands.infer import infer
+from hydrabeam_mpi.commands.simulate import simulate
 from hydrabeam_mpi.config import load_job
 
 TABLE = Path(__file__).parents[2] / "hydrabeam_mpi" / "tables" / "hera_vivaldi_131MHz.h5"

@@ -24,16 +24,16 @@ from pyradiosky import SkyModel
 from pyuvdata import AiryBeam, UniformBeam, UVBeam, UVData
 from pyuvdata.analytic_beam import AnalyticBeam
 
-from hydrabeam_mpi.commands.infer import simulate
+from hydrabeam_mpi.commands.simulate import simulate
 from hydrabeam_mpi.config import load_job
 from hydrabeam_mpi.data.observation import Observation
 from hydrabeam_mpi.io.beamfits import write_power_beam
 from hydrabeam_mpi.io.uvwrite import write_uvh5
-from hydrabeam_mpi.model.arrays import hexagon
 from hydrabeam_mpi.model.engines import make_engine
 from hydrabeam_mpi.model.positions import ApparentPositions
 from hydrabeam_mpi.model.rime import ForwardModel
 from hydrabeam_mpi.model.sky import Sky
+from hydrabeam_mpi.simulation.arrays import hexagon
 from hydrabeam_mpi.tables import embedded_beam
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning:pyuvsim", "ignore::UserWarning:pyuvdata")

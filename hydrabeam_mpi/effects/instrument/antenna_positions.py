@@ -13,7 +13,7 @@ from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.shared.displaced import need_real_beam
 from hydrabeam_mpi.effects.shared.per_antenna import antenna_parameters, common_values, row_antennas, row_parameters
-from hydrabeam_mpi.model.fringes import C_M_PER_S
+from hydrabeam_mpi.model.engines.fringes import C_M_PER_S
 
 _VECTORS_AT_ONCE = 2048
 

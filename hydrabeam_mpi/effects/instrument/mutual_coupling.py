@@ -15,7 +15,7 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.shared.beam_visibilities import beam_visibilities, is_copolar
 from hydrabeam_mpi.effects.shared.per_antenna import row_antennas
-from hydrabeam_mpi.model.fringes import C_M_PER_S
+from hydrabeam_mpi.model.engines.fringes import C_M_PER_S
 
 SHELL_WIDTH = 0.02
 """Distances up to this fraction above the shortest of a shell belong to it."""

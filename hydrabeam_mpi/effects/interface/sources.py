@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
-from hydrabeam_mpi.model.positions import enu
+from hydrabeam_mpi.model.engines.fringes import enu
 from hydrabeam_mpi.model.rime import Beam
 
 EARTH_RATE = 7.292115e-5  # rad/s

@@ -21,7 +21,7 @@ from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.shared.per_antenna import row_antennas
 from hydrabeam_mpi.model.engines.base import amplitude
-from hydrabeam_mpi.model.fringes import plane_waves
+from hydrabeam_mpi.model.engines.fringes import plane_waves
 
 
 def added_by_beams(block: RowBlock, antennas: IntArray, beams: Callable[[Sources], FloatArray]) -> ComplexArray:

@@ -19,8 +19,8 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.shared.beam_visibilities import is_copolar
-from hydrabeam_mpi.model.fringes import C_M_PER_S
-from hydrabeam_mpi.model.positions import SourcePositions, enu
+from hydrabeam_mpi.model.engines.fringes import C_M_PER_S, enu
+from hydrabeam_mpi.model.positions import SourcePositions
 from hydrabeam_mpi.model.rime import Beam
 from hydrabeam_mpi.model.sky import Sky
 

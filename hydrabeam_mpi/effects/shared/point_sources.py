@@ -14,8 +14,7 @@ from hydrabeam_mpi.effects.interface.effect import ScannedEffect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.model.engines.base import amplitude
-from hydrabeam_mpi.model.fringes import C_M_PER_S
-from hydrabeam_mpi.model.positions import enu
+from hydrabeam_mpi.model.engines.fringes import C_M_PER_S, enu
 from hydrabeam_mpi.model.rime import Beam
 from hydrabeam_mpi.model.sky import Sky, separation
 

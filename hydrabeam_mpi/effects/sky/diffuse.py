@@ -20,8 +20,7 @@ from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import GivenColumns, RowBlock
 from hydrabeam_mpi.model.engines import make_engine
-from hydrabeam_mpi.model.fringes import C_M_PER_S
-from hydrabeam_mpi.model.positions import enu
+from hydrabeam_mpi.model.engines.fringes import C_M_PER_S, enu
 from hydrabeam_mpi.model.sky import Sky
 
 MAX_LENGTH = 100.0  # wavelengths

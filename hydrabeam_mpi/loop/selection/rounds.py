@@ -13,7 +13,7 @@ from hydrabeam_mpi.effects.instrument.basis_truncation import BasisTruncation
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.reweighting import Reweighting, ReweightingFit
 from hydrabeam_mpi.effects.noise.noise_level import NoiseLevel
-from hydrabeam_mpi.fit.channels import Clock
+from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
 from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.state import Active, Reweighted, State

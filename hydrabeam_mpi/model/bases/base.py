@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Protocol, Self
 import numpy as np
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
-from hydrabeam_mpi.model.rings import RingGrid
+from hydrabeam_mpi.model.bases.rings import RingGrid
 
 NEGLIGIBLE = 1e-9
 """Coefficients below this part of the largest are rounding errors."""

@@ -27,8 +27,8 @@ from hydrabeam_mpi.model.bases.bessel import BesselRows
 from hydrabeam_mpi.model.bases.disc import EDGE, azimuthal_rows
 from hydrabeam_mpi.model.bases.expected import largest_expected
 from hydrabeam_mpi.model.bases.plans import complex_columns, plan_mixing, plan_products
-from hydrabeam_mpi.model.ring_fit import fit_rings
-from hydrabeam_mpi.model.rings import RingGrid
+from hydrabeam_mpi.model.bases.ring_fit import fit_rings
+from hydrabeam_mpi.model.bases.rings import RingGrid
 
 Form = Literal["real", "complex"]
 Boundary = Literal["dirichlet", "neumann"]

@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
-from hydrabeam_mpi.model.fringes import Fringes, plane_waves
+from hydrabeam_mpi.model.engines.fringes import Fringes, plane_waves
 
 SOURCES_AT_ONCE = 1024
 """Sources whose fringes are in cache together."""

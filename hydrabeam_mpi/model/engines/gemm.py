@@ -9,7 +9,7 @@ from scipy.linalg.blas import dgemm
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.model.engines.base import Columns, Engine, amplitude
-from hydrabeam_mpi.model.positions import enu
+from hydrabeam_mpi.model.engines.fringes import enu
 
 
 class GemmEngine(Engine):

@@ -8,8 +8,7 @@ from threadpoolctl import threadpool_info
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.model.engines.base import Columns, Engine, amplitude
-from hydrabeam_mpi.model.fringes import C_M_PER_S
-from hydrabeam_mpi.model.positions import enu
+from hydrabeam_mpi.model.engines.fringes import C_M_PER_S, enu
 
 
 class NufftEngine(Engine):

@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from hydrabeam_mpi.infer.predictive_checks import LARGEST_PREDICTIVE
 from hydrabeam_mpi.model.bases import BASES
 from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.report.page.key_numbers import format_value
 from hydrabeam_mpi.report.page.result import Channel, Result
-from hydrabeam_mpi.result.summary import LARGEST_PREDICTIVE
 
 NEARLY_ONE = 1.1
 """Reduced chi^2 up to which residuals are as large as expected, for words."""

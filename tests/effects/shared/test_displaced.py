@@ -3,7 +3,7 @@ import pytest
 from scipy.linalg import expm
 
 from hydrabeam_mpi.effects.shared.displaced import TILTS, BeamToHorizon, angles, rotate, rotation_rate
-from hydrabeam_mpi.model.positions import enu
+from hydrabeam_mpi.model.engines.fringes import enu
 from hydrabeam_mpi.random import generator
 
 

@@ -8,10 +8,9 @@ from threadpoolctl import threadpool_limits
 from hydrabeam_mpi.config.sections import Solver
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.engines import ENGINES, make_engine
+from hydrabeam_mpi.model.engines.fringes import Fringes, enu, find_lattice
 from hydrabeam_mpi.model.engines.gemm import GemmEngine
 from hydrabeam_mpi.model.engines.nufft import NufftEngine
-from hydrabeam_mpi.model.fringes import Fringes, find_lattice
-from hydrabeam_mpi.model.positions import enu
 from hydrabeam_mpi.random import generator
 
 FREQS = np.array([100e6, 163.7e6])

@@ -14,14 +14,14 @@ import matplotlib
 import pytest
 
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.report.document import write_report
 from hydrabeam_mpi.report.loop.record import VERDICTS
 from hydrabeam_mpi.report.loop.section import loop_section
 from hydrabeam_mpi.report.loop.words import verdict_words
-from hydrabeam_mpi.report.page.page import write_report
 from hydrabeam_mpi.report.page.style import STYLE, Drawing, render
 from tests.report import loops
 from tests.report.conftest import BULK, Edit, drop_arrays
-from tests.report.page.test_page import Page
+from tests.report.test_document import Page
 
 Entry = dict[str, Any]
 MADE_UP = {"consistent": loops.consistent, "explained": loops.explained, "unexplained": loops.unexplained}

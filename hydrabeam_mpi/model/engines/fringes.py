@@ -46,6 +46,12 @@ def find_lattice(vectors: FloatArray, tol: float) -> Lattice | None:
     return Lattice(generators, index)
 
 
+def enu(za: FloatArray, az: FloatArray) -> FloatArray:
+    """Return the unit vectors towards (za, az), (3, N): east, north, up."""
+    sin_za = np.sin(za)
+    return np.stack([sin_za * np.cos(az), sin_za * np.sin(az), np.cos(za)])
+
+
 def plane_waves(vectors: FloatArray, directions: FloatArray, freq: float) -> ComplexArray:
     """Return exp(+2 pi i freq b.s/c) of every vector and source.
 

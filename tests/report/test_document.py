@@ -14,7 +14,7 @@ import pytest
 
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.manifest import find_strangers, read_manifest
-from hydrabeam_mpi.report.page.page import write_report
+from hydrabeam_mpi.report.document import write_report
 from tests.report.conftest import BULK, Edit, drop_arrays
 
 FIGURES = {"maps", "slices", "map_scores", "heldout_scores", "coefficients", "correlation", "eigenbeams"}

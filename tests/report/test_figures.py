@@ -18,7 +18,7 @@ from hydrabeam_mpi.report.beam.eigenbeams import draw_eigenbeams, with_real_peak
 from hydrabeam_mpi.report.beam.frequencies import draw_frequencies
 from hydrabeam_mpi.report.beam.predictive_checks import draw_heldout_scores, merge_bins
 from hydrabeam_mpi.report.beam.sky import difference, draw_map_scores, draw_maps, draw_slices, expected_scores, scores
-from hydrabeam_mpi.report.page.figures import shown_channels
+from hydrabeam_mpi.report.figures import shown_channels
 from hydrabeam_mpi.report.page.projection import to_disc
 from hydrabeam_mpi.report.page.result import Channel, load_result
 from hydrabeam_mpi.report.page.style import STYLE, Drawing, render

@@ -17,10 +17,10 @@ import matplotlib
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.manifest import MANIFEST, add_to_manifest
 from hydrabeam_mpi.report.beam.frequencies import draw_frequencies
+from hydrabeam_mpi.report.figures import draw_channel, shown_channels
 from hydrabeam_mpi.report.loop.record import as_written, load_loop
 from hydrabeam_mpi.report.loop.section import loop_section
 from hydrabeam_mpi.report.loop.words import verdict_words
-from hydrabeam_mpi.report.page.figures import draw_channel, shown_channels
 from hydrabeam_mpi.report.page.key_numbers import table, text_table
 from hydrabeam_mpi.report.page.result import Result, load_result
 from hydrabeam_mpi.report.page.sections import channel_table, finding, key_numbers, provenance, warnings
@@ -113,7 +113,7 @@ class _Album:
 
 
 def _page(result: Result, of_loop: str, album: _Album) -> str:
-    style = files("hydrabeam_mpi.report").joinpath("page.css").read_text(encoding="utf-8")
+    style = files("hydrabeam_mpi.report.page").joinpath("page.css").read_text(encoding="utf-8")
     title = f"Beam posterior: {result.name}"
     body = [
         f"<h1>{escape(title)}</h1>\n<p>{escape(introduction(result))}</p>\n",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hydrabeam_mpi.cautions import cautions_of_flags
+from hydrabeam_mpi.setup.cautions import cautions_of_flags
 
 GOOD = {"freq_hz": 131e6, "n_data": 42, "heldout_n": 40.0}
 EMPTY = {"freq_hz": 131.1e6, "n_data": 0}

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
-from hydrabeam_mpi.model.rings import RingGrid
+from hydrabeam_mpi.model.bases.rings import RingGrid
 
 RCOND = 1e-6
 """Relative size of the singular values that are treated as zero."""

@@ -7,7 +7,7 @@ from pyuvdata import UVData, utils
 from pyuvdata.telescopes import Telescope
 
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.model.arrays import hexagon, read_layout
+from hydrabeam_mpi.simulation.arrays import hexagon, read_layout
 
 
 def unique_vectors(antpos):

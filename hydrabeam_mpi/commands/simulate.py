@@ -1,0 +1,41 @@
+"""`hydrabeam simulate`: mock data and their truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hydrabeam_mpi.config import Job
+from hydrabeam_mpi.config.named import for_simulation
+from hydrabeam_mpi.io.disk import writing
+from hydrabeam_mpi.io.provenance import provenance
+from hydrabeam_mpi.mpi import (
+    Comm,
+    library_version,
+    together,
+)
+from hydrabeam_mpi.result.output import (
+    staged,
+    write_job_and_provenance,
+)
+from hydrabeam_mpi.setup.cautions import cautions_of_times
+from hydrabeam_mpi.simulation.mock import mock_observation, simulate_to
+from hydrabeam_mpi.terminal.progress import say, warn
+
+
+def simulate(world: Comm, job: Job, job_path: Path, out: Path, overwrite: bool, threads: int) -> None:
+    """Write mock data and their truth, ``data.uvh5`` and ``truth.h5``, into ``out``.
+
+    Collective: all ranks of `world`. Parameters and errors as of `hydrabeam_mpi.commands.infer.infer`.
+    """
+    with staged(world, job_path, job, out, overwrite, only_simulates=True) as folder:
+        simulate_to(world, job, folder)
+        with together(world):
+            if world.rank == 0:
+                assert job.data.simulate is not None
+                warn(cautions_of_times(job, mock_observation(job.data.simulate, job.data.polarization)))
+                record = provenance(
+                    job, [named.path for named in for_simulation(job)], world.size, threads, library_version()
+                )
+                with writing(folder):
+                    write_job_and_provenance(folder, job, record)
+    say(f"wrote {out}", world.rank == 0)

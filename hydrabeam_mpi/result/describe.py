@@ -1,0 +1,88 @@
+"""What is written of each channel: maps, eigenbeams, draws and summary numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hydrabeam_mpi.fit.channels import ChannelResult, reduced_chi2
+from hydrabeam_mpi.infer.predictive_checks import Z_EDGES
+from hydrabeam_mpi.io.posterior_file import ChannelRecord
+from hydrabeam_mpi.mpi import ProcessGrid, recv_object, send_object
+from hydrabeam_mpi.random import generator
+from hydrabeam_mpi.result.summary import (
+    SkyMaps,
+    eigenbeams,
+    evaluate_on_grid,
+    map_posterior,
+    summarise_coefficients,
+    summarise_maps,
+)
+from hydrabeam_mpi.setup.problem import Problem
+
+
+def describe_channels(grid: ProcessGrid, problem: Problem, results: list[ChannelResult]) -> list[ChannelRecord]:
+    """Collect what is written of each channel: maps, eigenbeams, draws and summary numbers.
+
+    Collective: all ranks of `grid.group`, which share out the maps.
+
+    Returns
+    -------
+    list of ChannelRecord
+        On the group's root; empty on other ranks.
+    """
+    records = []
+    for f, result in enumerate(results):
+        mean, std = map_posterior(grid.group, result.posterior, problem.basis)
+        if grid.is_group_root:
+            truth = evaluate_on_grid(problem.truths[f]) if problem.truths else None
+            maps = SkyMaps(mean, std, evaluate_on_grid(problem.beams[f]), truth)
+            records.append(_record(problem, f, result, maps))
+    return records
+
+
+def _record(problem: Problem, f: int, result: ChannelResult, maps: SkyMaps) -> ChannelRecord:
+    """Put together one channel's numbers and arrays; see `hydrabeam_mpi.io.posterior_file`."""
+    prior, posterior = problem.priors[f], result.posterior
+    variances, beams = eigenbeams(posterior, problem.basis)
+    draws = [
+        posterior.draw(generator(problem.job.seed, "posterior draw", int(problem.channel_numbers[f]), draw))
+        for draw in range(problem.job.output.draws)
+    ]
+    summary = {
+        "freq_hz": float(problem.observation.freqs[f]),
+        "n_data": result.normal.n_data,
+        "n_unique_baselines": problem.n_unique_baselines,
+        "n_modes": problem.basis.n_modes,
+        "log_evidence": posterior.log_evidence,
+        "train_chi2": reduced_chi2(result.normal, posterior),
+        "fit_rms": problem.fit_rms[f],
+    }
+    summary |= summarise_coefficients(posterior, prior) | summarise_maps(maps) | result.heldout.summary()
+    arrays = {
+        "mean": posterior.mean,
+        "covariance": posterior.covariance,
+        "std": posterior.std,
+        "prior_mean": prior.mean,
+        "prior_std": prior.std(),
+        "draws": np.array(draws).reshape(len(draws), len(posterior.mean)),
+        "map_mean": maps.mean,
+        "map_std": maps.std,
+        "map_model": maps.model,
+        "eigen_variances": variances,
+        "eigen_beams": beams,
+        "z_edges": Z_EDGES,
+        "z_counts": result.heldout.counts,
+    }
+    if maps.truth is not None:
+        arrays["map_truth"] = maps.truth
+    return ChannelRecord(float(problem.observation.freqs[f]), summary, arrays, posterior.log_evidence)
+
+
+def gather_records(grid: ProcessGrid, records: list[ChannelRecord]) -> list[ChannelRecord]:
+    """Bring the channels' records to rank 0, one after the other."""
+    if grid.is_world_root:
+        elsewhere = range(len(records), grid.n_channels)
+        return records + [recv_object(grid.world, grid.root_of(channel)) for channel in elsewhere]
+    for record in records:
+        send_object(grid.world, record, dest=0)
+    return []
