@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
-from hydrabeam_mpi.fit.equations import BEAM, NormalEquations, RowBuffer
+from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
+from hydrabeam_mpi.fit.row_buffer import RowBuffer
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.infer.gaussian import Block
 from hydrabeam_mpi.infer.posterior import Posterior

@@ -12,25 +12,22 @@ are all that inference needs; they add up over rows, hence over ranks (HDBI II, 
 the same for real unknowns and for complex ones; between real blocks only the real parts of G and p count and are kept.
 That is the only convention of factors. What else follows, such as the Fisher information 2 G of real unknowns, is
 derived where it is needed.
-
-Redundant baselines share the columns of a beam that all antennas have in common. Such columns are given by group, and
-the data of a group's rows are summed before; columns of antennas or of single baselines are given by row.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.linalg.blas import dsyrk, zherk
-from scipy.sparse import csr_array, diags_array, issparse
+from scipy.sparse import issparse
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.fit.columns import Columns
 from hydrabeam_mpi.infer.gaussian import Block, Gaussian, spans_of
 from hydrabeam_mpi.infer.likelihood import Likelihood
 from hydrabeam_mpi.infer.matrices import complete_hermitian
@@ -39,119 +36,9 @@ from hydrabeam_mpi.infer.prior import Prior
 from hydrabeam_mpi.mpi import Comm, allreduce_sum
 
 Array = NDArray[Any]
-Matrix = Any
-"""A NumPy array or a SciPy sparse one."""
 
 BEAM = "beam"
 """Name of the block of the beam's coefficients."""
-
-
-class RowSet:
-    """Rows of data that are added together.
-
-    Parameters
-    ----------
-    weighted_data : ndarray of complex, (Nrows,)
-        w d; or the sum of it over data that share all their columns.
-    weights : ndarray, (Nrows,)
-        w, or its sum over these data.
-    member : ndarray of int, (Nrows,), optional
-        To which group each row belongs; by default each is a group of its own.
-    n_groups : int, optional
-    """
-
-    def __init__(
-        self,
-        weighted_data: ComplexArray,
-        weights: FloatArray,
-        member: IntArray | None = None,
-        n_groups: int = 0,
-    ) -> None:
-        self.weighted_data, self.weights = weighted_data, weights
-        self._gather = None
-        if member is not None:
-            ones = np.ones(len(member))
-            self._gather = csr_array((ones, (member, np.arange(len(member)))), shape=(n_groups, len(member)))
-
-    def summed(self, by_row: Matrix) -> Matrix:
-        """Sum over the rows of each group, (Nrows, ...) to (Ngroups, ...)."""
-        return by_row if self._gather is None else self._gather @ by_row
-
-    @cached_property
-    def group_data(self) -> ComplexArray:
-        """Sum of w d over each group, (Ngroups,)."""
-        return np.asarray(self.summed(self.weighted_data))
-
-    @cached_property
-    def group_weights(self) -> FloatArray:
-        """Sum of w over each group, (Ngroups,)."""
-        return np.asarray(self.summed(self.weights))
-
-
-class Columns:
-    """A block's columns at the rows of a set.
-
-    Parameters
-    ----------
-    rows : RowSet
-    values : ndarray or sparse array
-        (Nrows, n), or (Ngroups, n) with ``by_group``. Of a block with real unknowns by group also (2, Ngroups, n): real
-        parts, then imaginary ones.
-    by_group : bool
-    """
-
-    def __init__(self, rows: RowSet, values: Matrix, by_group: bool) -> None:
-        self.rows, self.values, self.by_group = rows, values, by_group
-        self.in_parts = values.ndim == 3
-
-    @cached_property
-    def weighted(self) -> Matrix:
-        """Columns times w, by row where they are so."""
-        weights = self.rows.group_weights if self.by_group else self.rows.weights
-        if issparse(self.values):
-            return diags_array(weights) @ self.values
-        return weights[:, np.newaxis] * self.values
-
-    @cached_property
-    def group_weighted(self) -> Matrix:
-        """Columns times w, summed over each group."""
-        return self.weighted if self.by_group else self.rows.summed(self.weighted)
-
-    def times_data(self, is_complex: bool) -> Array:
-        """Return A^H N^-1 d, its real part for real unknowns, (n,)."""
-        data = self.rows.group_data if self.by_group else self.rows.weighted_data
-        if self.in_parts:
-            real, imag = self.values
-            return np.asarray(real.T @ data.real + imag.T @ data.imag)
-        product = np.asarray(self.values.conj().T @ data)
-        return product if is_complex else product.real
-
-    def times(self, other: Columns, is_complex: bool) -> Array:
-        """Return A_1^H N^-1 A_2, (n_1, n_2); its real part unless unknowns of either are complex."""
-        if other.in_parts and not self.in_parts:
-            return other.times(self, is_complex).conj().T
-        if self.in_parts:
-            real, imag = (part.T for part in self.values)
-            if other.in_parts:
-                return _product(real, other.weighted[0]) + _product(imag, other.weighted[1])
-            two = other.group_weighted
-            product = _product(real, two.real) + _product(imag, two.imag)
-            return product + 1j * (_product(real, two.imag) - _product(imag, two.real)) if is_complex else product
-        if self.by_group:
-            product = _product(self.values.conj().T, other.group_weighted)
-        elif other.by_group:
-            product = _product(self.group_weighted.conj().T, other.values)
-        else:
-            product = _product(self.values.conj().T, other.weighted)
-        return product if is_complex else product.real
-
-
-def _product(one: Matrix, two: Matrix) -> Array:
-    """Return a product of dense or sparse matrices as a dense one."""
-    if issparse(two) and not issparse(one):
-        return np.asarray((two.T @ one.T).T)
-    product = one @ two
-    return np.asarray(product.toarray() if issparse(product) else product)
 
 
 class NormalEquations:
@@ -379,49 +266,3 @@ def _matrix_in_parts(matrix: Array, rows: bool, columns: bool) -> FloatArray:
     """Return the real matrix M with Re x^H G y = x'^T M y', where x', y' have complex vectors in parts."""
     lines = [[matrix.real, -matrix.imag], [matrix.imag, matrix.real]]
     return np.block([line[: 1 + columns] for line in lines[: 1 + rows]])
-
-
-class RowBuffer:
-    """Collects rows of one block, with columns by group, so that the rank-k updates of its Gram matrix are large ones.
-
-    Parameters
-    ----------
-    equations : NormalEquations
-        Where full buffers are added.
-    name : str
-        Of the block.
-    capacity : int
-        Rows held before they are added.
-    """
-
-    def __init__(self, equations: NormalEquations, name: str, capacity: int = 512) -> None:
-        self.equations, self.name, self.capacity = equations, name, capacity
-        self._held: list[tuple[Array, ComplexArray, FloatArray]] = []
-
-    def add(self, rows: Array, weighted_data: ComplexArray, weights: FloatArray) -> None:
-        """Take rows, of which those without weight are left out.
-
-        Parameters
-        ----------
-        rows : ndarray of complex, (Nrows, n); or of real, (2, Nrows, n)
-            For real coefficients the real and the imaginary parts of the rows, one after the other.
-        weighted_data : ndarray of complex, (Nrows,)
-            Sum of w d over the data that share the row.
-        weights : ndarray, (Nrows,)
-            Sum of w over them.
-        """
-        used = weights > 0
-        if not used.all():
-            rows, weighted_data, weights = rows[..., used, :], weighted_data[used], weights[used]
-        self._held.append((rows, weighted_data, weights))
-        if sum(len(held[2]) for held in self._held) >= self.capacity:
-            self.flush()
-
-    def flush(self) -> None:
-        """Add what is held."""
-        if self._held:
-            rows, weighted_data, weights = zip(*self._held, strict=True)
-            self._held = []
-            together = RowSet(np.concatenate(weighted_data), np.concatenate(weights))
-            values = np.concatenate(rows, axis=-2)
-            self.equations.add_rows({self.name: Columns(together, values, by_group=True)})

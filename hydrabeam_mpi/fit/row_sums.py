@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from hydrabeam_mpi.data.observation import IntArray
 from hydrabeam_mpi.effects.interface.effect import Columns as EffectColumns
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.fit.equations import BEAM, Columns, NormalEquations, RowSet
+from hydrabeam_mpi.fit.columns import Columns, RowSet
+from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.state import State
 from hydrabeam_mpi.infer.gaussian import Block
 from hydrabeam_mpi.model.bases.base import LinearBasis

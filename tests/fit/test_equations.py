@@ -5,7 +5,9 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.fit.equations import BEAM, Columns, NormalEquations, RowBuffer, RowSet
+from hydrabeam_mpi.fit.columns import Columns, RowSet
+from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
+from hydrabeam_mpi.fit.row_buffer import RowBuffer
 from hydrabeam_mpi.infer.gaussian import Block
 from hydrabeam_mpi.infer.prior import CovariancePrior, DiagonalPrior, FlatPrior
 from hydrabeam_mpi.random import complex_normal, generator

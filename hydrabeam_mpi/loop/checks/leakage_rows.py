@@ -11,7 +11,8 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.effects.instrument.leakage import Leakage
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
-from hydrabeam_mpi.fit.equations import Columns, NormalEquations, RowSet
+from hydrabeam_mpi.fit.columns import Columns, RowSet
+from hydrabeam_mpi.fit.equations import NormalEquations
 from hydrabeam_mpi.fit.rows import read_rows
 from hydrabeam_mpi.infer.gaussian import Block
 from hydrabeam_mpi.infer.likelihood import Likelihood
