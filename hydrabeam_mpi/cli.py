@@ -12,12 +12,17 @@ from mpi4py import MPI
 
 from hydrabeam_mpi import __version__
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.mpi import install_abort_hook, limit_blas_threads, refuse, together
+from hydrabeam_mpi.mpi import (
+    INTERRUPTED_STATUS,
+    end_interrupted,
+    install_abort_hook,
+    limit_blas_threads,
+    refuse,
+    together,
+)
 from hydrabeam_mpi.terminal.console import console
 from hydrabeam_mpi.terminal.interrupt import interruptible
 from hydrabeam_mpi.terminal.progress import say
-
-INTERRUPTED_STATUS = 130
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -41,7 +46,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options = _parser().parse_args(arguments)
         install_abort_hook(world)
         try:
-            with interruptible():
+            # What starts ranks passes a signal on to all of them; rank 0 may be waiting for another one.
+            alone = world.size == 1 or world.rank > 0
+            with interruptible(None if alone else lambda: end_interrupted(world)):
                 _run(world, options)
         except InputError as error:
             return refuse(world, error)
@@ -93,11 +100,12 @@ def _run(world: MPI.Comm, options: argparse.Namespace) -> None:
     if options.command in ("simulate", "infer", "loop"):
         # A mistake in the job or its paths is told before the packages that the work needs are imported: that takes
         # seconds.
-        from hydrabeam_mpi.setup.job_file import check_paths, load
+        from hydrabeam_mpi.setup.job_file import check_paths, load, may_go_on
 
         simulates = options.command == "simulate"
         job = load(world, options.job, simulates, options.command == "loop")
-        check_paths(world, job, options.job, options.output, options.overwrite, simulates)
+        overwrite = options.overwrite or (options.command == "loop" and may_go_on(job, options.output))
+        check_paths(world, job, options.job, options.output, overwrite, simulates)
         from hydrabeam_mpi.commands.infer import infer
         from hydrabeam_mpi.commands.loop import close_loop
         from hydrabeam_mpi.commands.simulate import simulate

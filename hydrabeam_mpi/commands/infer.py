@@ -11,14 +11,8 @@ from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.joint import infer_with_effects
 from hydrabeam_mpi.io.disk import write_computed
 from hydrabeam_mpi.io.provenance import provenance
-from hydrabeam_mpi.mpi import (
-    Comm,
-    ProcessGrid,
-    library_version,
-    peak_rss_mb,
-    together,
-)
-from hydrabeam_mpi.result.describe import describe_channels, gather_records
+from hydrabeam_mpi.mpi import Comm, ProcessGrid, gather_by_channel, library_version, peak_rss_mb, together
+from hydrabeam_mpi.result.describe import describe_channels
 from hydrabeam_mpi.result.output import (
     check_records,
     input_files,
@@ -61,7 +55,7 @@ def infer(world: Comm, job: Job, job_path: Path, out: Path, overwrite: bool, thr
         mine = problem.of_channels(grid.channels)
         results = infer_with_effects(grid, problem, mine, clock) if job.effects else infer_channels(grid, mine, clock)
         with clock.time("describe"):
-            records = gather_records(grid, describe_channels(grid, mine, results))
+            records = gather_by_channel(grid, describe_channels(grid, mine, results))
         memory = peak_rss_mb(world)
         with together(world):
             if world.rank == 0:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tomli_w
 
 from hydrabeam_mpi.commands.job_run import prepare_shared
 from hydrabeam_mpi.config import Job
@@ -28,10 +27,13 @@ from hydrabeam_mpi.loop.checks.conventions import check_conventions
 from hydrabeam_mpi.loop.checks.leakage import check_leakage
 from hydrabeam_mpi.loop.output.amendment import amended_job
 from hydrabeam_mpi.loop.output.record import make_record
-from hydrabeam_mpi.loop.selection.rounds import run_rounds
-from hydrabeam_mpi.mpi import Comm, ProcessGrid, bcast_object, library_version, peak_rss_mb, together
-from hydrabeam_mpi.result.describe import describe_channels, gather_records
+from hydrabeam_mpi.loop.output.resume import Keeper, find_earlier, loop_texts
+from hydrabeam_mpi.loop.selection.rounds import begin, run_rounds
+from hydrabeam_mpi.mpi import Comm, ProcessGrid, bcast_object, gather_by_channel, library_version, peak_rss_mb, together
+from hydrabeam_mpi.result.describe import describe_channels
 from hydrabeam_mpi.result.output import check_records, input_files, staged, write_conversions, write_result
+from hydrabeam_mpi.setup.job_file import may_go_on
+from hydrabeam_mpi.setup.problem import Problem
 from hydrabeam_mpi.terminal.progress import say
 
 
@@ -61,45 +63,63 @@ def close_loop(world: Comm, job: Job, job_path: Path, out: Path, overwrite: bool
     Collective: all ranks of `world`. Parameters and errors as of `hydrabeam_mpi.commands.infer.infer`.
     """
     clock = Clock()
-    with staged(world, job_path, job, out, overwrite) as folder:
-        with clock.time("prepare"):
-            problem = prepare_shared(world, job, folder)
-            setup = None
-            with together(world):
-                if world.rank == 0:
-                    setup = find_setup(problem)
-            setup = bcast_object(world, setup)
-        grid = ProcessGrid.split(world, problem.observation.Nfreqs)
-        context = read_context(grid, problem.of_channels(grid.channels), setup, clock)
-        _check_can_confirm(context)
+    earlier, replaces = None, overwrite
+    with together(world):
+        if world.rank == 0:
+            earlier, replaces = find_earlier(job, out), overwrite or may_go_on(job, out)
+    with staged(world, job_path, job, out, replaces) as folder:
+        problem, context = _set_up(world, job, folder, clock)
+        grid, setup = context.grid, context.setup
         with together(world):
             choice = choose(job, setup)
             state = restore(job, setup)
         with clock.time("conventions"):
             conventions = check_conventions(grid, context.problem, context.train.rows)
         wanted = () if conventions["found"] else ([*choice.effects, *control_models(setup)], choice.changes)
-        history = run_rounds(context, state, *(wanted or ([], [])), clock)
+
+        @cache
+        def origin() -> dict[str, Any]:
+            return provenance(job, input_files(job, problem), world.size, threads, library_version())
+
+        keep = Keeper(context, folder, choice.skipped, conventions, clock, origin)
+        history = keep.go_on(earlier, out, overwrite) or begin(context, state, clock)
+        run_rounds(context, history, *(wanted or ([], [])), clock, keep)
         with clock.time("leakage"):
             leakage = check_leakage(grid, context.problem, setup) if choice.leakage else None
         with clock.time("describe"):
             results = channel_results(context, history.last.state)
-            records = gather_records(grid, describe_channels(grid, context.problem, results))
+            records = gather_by_channel(grid, describe_channels(grid, context.problem, results))
         record = make_record(context, history, choice.skipped, conventions, leakage)
         memory = peak_rss_mb(world)
         with together(world):
             if world.rank == 0:
                 check_records(records)
-                about = provenance(job, input_files(job, problem), world.size, threads, library_version())
                 run = {"phases_s": clock.seconds, "peak_rss_mb": memory}
-                amended = amended_job(job, history.last.state, setup)
+                texts = loop_texts(record | {"seconds": clock.seconds}, amended_job(job, history.last.state, setup))
 
                 def write(place: Path) -> None:
-                    write_result(place, job, problem, records, about, run, record["warnings"])
-                    _write_loop(place, {**record, "seconds": clock.seconds}, amended)
+                    write_result(place, job, problem, records, origin(), run, record["warnings"])
+                    for name, text in texts.items():
+                        (place / name).write_text(text)
 
                 write_computed(folder, write)
-                write_conversions(folder, problem.observation, records, about["versions"]["hydrabeam_mpi"])
+                write_conversions(folder, problem.observation, records, origin()["versions"]["hydrabeam_mpi"])
     say(f"wrote {out}", world.rank == 0)
+
+
+def _set_up(world: Comm, job: Job, folder: Path, clock: Clock) -> tuple[Problem, FitContext]:
+    """Return the problem of all channels, and the rank's part of it with its rows. Collective: all ranks of `world`."""
+    with clock.time("prepare"):
+        problem = prepare_shared(world, job, folder)
+        setup = None
+        with together(world):
+            if world.rank == 0:
+                setup = find_setup(problem)
+        setup = bcast_object(world, setup)
+    grid = ProcessGrid.split(world, problem.observation.Nfreqs)
+    context = read_context(grid, problem.of_channels(grid.channels), setup, clock)
+    _check_can_confirm(context)
+    return problem, context
 
 
 def _check_can_confirm(context: FitContext) -> None:
@@ -135,10 +155,3 @@ def choose(job: Job, setup: ObservingSetup) -> Choice:
         elif kind in REWEIGHTINGS and kind not in present:
             choice.changes.append(REWEIGHTINGS[kind]())
     return choice
-
-
-def _write_loop(folder: Path, record: dict[str, Any], amended: Job) -> None:
-    """Write what the loop found and the job that has it."""
-    (folder / "loop.json").write_text(json.dumps(record, indent=1, allow_nan=False) + "\n")
-    text = tomli_w.dumps(amended.model_dump(mode="json", exclude_none=True))
-    (folder / "amended.toml").write_text(text)

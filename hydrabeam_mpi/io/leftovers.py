@@ -17,6 +17,7 @@ import shutil
 from pathlib import Path
 from typing import Literal
 
+from hydrabeam_mpi.io.kept_rounds import latest_round
 from hydrabeam_mpi.io.manifest import MANIFEST, RUNNING, remove_result
 
 logger = logging.getLogger(__name__)
@@ -40,18 +41,21 @@ def claim(folder: Path) -> int:
 
 def find_abandoned(path: Path) -> list[Path]:
     """List the folders beside ``path`` that runs, which have ended, were filling when they did."""
-    return [folder for folder in _beside(path, "partial") if _state(folder) == "abandoned"]
+    return [folder for folder in _beside(path, "partial") if _state_by_lock(folder) == "abandoned"]
 
 
 def clear_leftovers(path: Path) -> None:
     """Remove what killed runs have left beside ``path``, and bring back what one of them had moved away.
 
-    What may belong to a run that goes on, or is a finished result, stays. Each is told in one line.
+    What may belong to a run that goes on, or is a finished result, stays, as does what has rounds of a loop. Each is
+    told in one line.
     """
     sure = True
     for folder in _beside(path, "partial"):
         state = _state(folder)
         sure = sure and state not in ("running", "unknown")
+        if latest_round(folder) is not None:
+            continue  # a loop goes on from there
         if state == "abandoned":
             shutil.rmtree(folder, ignore_errors=True)
             logger.info("removed %s, which a run that was killed had left", folder)

@@ -12,6 +12,7 @@ from typing import Any
 
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.checksums import stamp_of
+from hydrabeam_mpi.io.kept_rounds import latest_round, number_of, settle
 from hydrabeam_mpi.io.leftovers import claim, clear_leftovers, new_name
 from hydrabeam_mpi.io.manifest import MANIFEST, RUNNING, find_strangers, read_manifest, remove_result, write_manifest
 
@@ -106,6 +107,25 @@ class StagedDirectory:
         self._release(self.path)
         if old.exists() and not remove_result(old):
             logger.warning("of the earlier result not all could be removed: the rest is in %s", old)
+
+    def leave(self, interrupted: bool) -> None:
+        """End without a result; what is there goes, but for the rounds of a loop that have ended.
+
+        After a signal these are published, as a result that says so. Else they stay where a later run finds them.
+        """
+        kept = latest_round(self.partial)
+        if kept is None:
+            self.discard()
+            return
+        where, n_rounds = self.partial, number_of(kept)
+        if interrupted:
+            try:
+                settle(self.partial)
+                self.publish()
+                where = self._asked
+            except (OSError, InputError) as error:
+                logger.warning("%s", error)
+        logger.info("kept in %s: %d round(s), from where the same command goes on", where, n_rounds)
 
     def discard(self) -> None:
         """Remove what has been written so far; any process may do so, also several at once."""

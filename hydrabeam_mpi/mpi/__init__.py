@@ -2,7 +2,8 @@
 
 from mpi4py.MPI import Comm
 
-from hydrabeam_mpi.mpi.abort import install_abort_hook, refuse
+from hydrabeam_mpi.mpi.abort import INTERRUPTED_STATUS, end_interrupted, install_abort_hook, refuse
+from hydrabeam_mpi.mpi.by_channel import gather_by_channel
 from hydrabeam_mpi.mpi.collectives import (
     allreduce_max,
     allreduce_sum,
@@ -19,12 +20,15 @@ from hydrabeam_mpi.mpi.memory import memory_per_rank, peak_rss_mb
 from hydrabeam_mpi.mpi.threads import limit_blas_threads
 
 __all__ = [
+    "INTERRUPTED_STATUS",
     "Comm",
     "ProcessGrid",
     "allreduce_max",
     "allreduce_sum",
     "bcast_array",
     "bcast_object",
+    "end_interrupted",
+    "gather_by_channel",
     "gather_objects",
     "install_abort_hook",
     "library_version",

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
+import threading
 import time
 import traceback
 from types import TracebackType
@@ -13,8 +16,13 @@ from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.mpi.failure import how_shared
 
 INPUT_ERROR_STATUS = 2
+INTERRUPTED_STATUS = 130
+LEAVING_S = 5.0
+"""Seconds that rank 0 has after a signal, before another rank that has got it ends all."""
 HEARD_S = 0.2
 """Seconds that a launcher has to pass on what a rank has said: when one aborts it may drop what it has not read yet."""
+
+_saying = threading.Lock()
 
 
 def install_abort_hook(comm: MPI.Comm) -> None:
@@ -44,10 +52,28 @@ def refuse(comm: MPI.Comm, error: InputError) -> int:
     return INPUT_ERROR_STATUS
 
 
+def end_interrupted(comm: MPI.Comm) -> None:
+    """End all ranks after a signal, by rank 0 if it has got it too: it says so, and may have something to save."""
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
+    if comm.rank > 0:
+        time.sleep(LEAVING_S)
+    else:
+        # Only once, whichever thread is first.
+        _saying.acquire()
+        sys.stdout.flush()
+        print("hydrabeam: interrupted", file=sys.__stderr__, flush=True)
+        time.sleep(HEARD_S)
+    if MPI.Query_thread() == MPI.THREAD_MULTIPLE or threading.current_thread() is threading.main_thread():
+        comm.Abort(INTERRUPTED_STATUS)
+    os._exit(INTERRUPTED_STATUS)  # the launcher then ends the others
+
+
 def _end_all(comm: MPI.Comm, error: BaseException) -> None:
     """Tell of ``error`` and abort, unless another rank does so for this one."""
     if isinstance(error, KeyboardInterrupt):
-        comm.Abort(130)
+        end_interrupted(comm)
     if not how_shared(error).speaks:
         return
     # A bug often shows on all ranks at once: rank 0 then ends the others before they say the same.

@@ -45,7 +45,13 @@ def write_report(directory: Path) -> None:
     InputError
         If it is no such folder, or cannot be written.
     """
-    result, loop = load_result(directory), load_loop(directory)
+    loop = load_loop(directory)
+    if loop is not None and loop["verdict"] == "interrupted":
+        remedy = "run its command again to go on, or 'hydrabeam infer' with its amended.toml"
+        raise InputError(
+            "is of a loop that was interrupted: it has rounds, and no posterior", file=directory, remedy=remedy
+        )
+    result = load_result(directory)
     contents: dict[Path, bytes] = {}
     album = _Album(contents, directory / "figures")
     of_loop = verdict = ""

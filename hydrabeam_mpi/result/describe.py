@@ -7,7 +7,7 @@ import numpy as np
 from hydrabeam_mpi.fit.channels import ChannelResult, reduced_chi2
 from hydrabeam_mpi.infer.predictive_checks import Z_EDGES
 from hydrabeam_mpi.io.posterior_file import ChannelRecord
-from hydrabeam_mpi.mpi import ProcessGrid, recv_object, send_object
+from hydrabeam_mpi.mpi import ProcessGrid
 from hydrabeam_mpi.random import generator
 from hydrabeam_mpi.result.summary import (
     SkyMaps,
@@ -76,13 +76,3 @@ def _record(problem: Problem, f: int, result: ChannelResult, maps: SkyMaps) -> C
     if maps.truth is not None:
         arrays["map_truth"] = maps.truth
     return ChannelRecord(float(problem.observation.freqs[f]), summary, arrays, posterior.log_evidence)
-
-
-def gather_records(grid: ProcessGrid, records: list[ChannelRecord]) -> list[ChannelRecord]:
-    """Bring the channels' records to rank 0, one after the other."""
-    if grid.is_world_root:
-        elsewhere = range(len(records), grid.n_channels)
-        return records + [recv_object(grid.world, grid.root_of(channel)) for channel in elsewhere]
-    for record in records:
-        send_object(grid.world, record, dest=0)
-    return []

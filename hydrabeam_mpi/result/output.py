@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from hydrabeam_mpi.data.observation import Observation
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.beamfits import write_power_beam
 from hydrabeam_mpi.io.finite import INFERENCE, MODEL, SIMULATION, check_finite
+from hydrabeam_mpi.io.kept_rounds import drop_rounds, latest_round
 from hydrabeam_mpi.io.posterior_file import ChannelRecord, PosteriorFile, least_bytes, write_posterior
 from hydrabeam_mpi.io.staging import StagedDirectory
 from hydrabeam_mpi.mpi import Comm, together
@@ -24,6 +26,7 @@ from hydrabeam_mpi.result.summary import GRID_AZ, GRID_ZA, warnings_of
 from hydrabeam_mpi.setup.cautions import cautions_of_flags
 from hydrabeam_mpi.setup.job_file import read_files, unread_files
 from hydrabeam_mpi.setup.problem import Problem
+from hydrabeam_mpi.terminal.interrupt import leaving, unbroken
 from hydrabeam_mpi.terminal.progress import warn
 
 
@@ -33,7 +36,8 @@ def staged(
 ) -> Iterator[Path]:
     """Give a folder to write into that becomes ``out`` when all went well, and vanishes otherwise.
 
-    Collective: all ranks of `world`. An `InputError` that names no file is about a key of the job file.
+    Rounds of a loop that have ended stay; see `StagedDirectory.leave`. Collective: all ranks of `world`. An
+    `InputError` that names no file is about a key of the job file.
     """
     folder = None
     with together(world):
@@ -42,16 +46,23 @@ def staged(
     others = world.bcast(folder)
     folder = folder or others  # rank 0 keeps its own, which holds the lock
     try:
-        yield folder.partial
+        with leaving(partial(folder.leave, interrupted=True)):
+            yield folder.partial
     except BaseException as error:
-        # By every rank: one that fails alone ends the others before they could.
-        folder.discard()
+        if world.rank == 0:
+            with unbroken():
+                folder.leave(isinstance(error, KeyboardInterrupt))
+        elif latest_round(folder.partial) is None:
+            # By every rank: one that fails alone ends the others before they could.
+            folder.discard()
         if isinstance(error, InputError):
             error.locate(job_path)
         raise
     with together(world):
         if world.rank == 0:
-            folder.publish()
+            with unbroken():
+                drop_rounds(folder.partial)
+                folder.publish()
 
 
 def input_files(job: Job, problem: Problem) -> list[Path]:

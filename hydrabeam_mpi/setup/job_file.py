@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from hydrabeam_mpi.config import Job, load_job
 from hydrabeam_mpi.config.named import for_inference, named_files, simulation_files
 from hydrabeam_mpi.config.sizes import check_sizes
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.kept_rounds import latest_round, origin_of
 from hydrabeam_mpi.io.staging import check_place
 from hydrabeam_mpi.mpi import Comm, memory_per_rank, together
 
@@ -56,6 +58,12 @@ def check_paths(world: Comm, job: Job, path: Path, out: Path, overwrite: bool, o
         if world.rank == 0:
             kept = (*read_files(job, only_simulates), *unread_files(job, path))
             check_place(out, overwrite, kept)
+
+
+def may_go_on(job: Job, out: Path) -> bool:
+    """Tell whether there is the result of a loop of this job that was interrupted, so that it may be replaced."""
+    kept = latest_round(Path(os.path.realpath(out)))
+    return kept is not None and origin_of(kept).get("job") == job.model_dump(mode="json", exclude_none=True)
 
 
 def read_files(job: Job, only_simulates: bool = False) -> list[Path]:

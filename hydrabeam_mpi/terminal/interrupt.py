@@ -2,22 +2,75 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from types import FrameType
 
 AGAIN_S = 0.05
+LISTENS_S = 1.0
+"""Seconds within which a main thread that listens at all begins to leave by itself.
+
+It may be writing into what it leaves, which another thread had better not remove meanwhile.
+"""
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class _Unbroken:
+    """What must not be left half done: no signal ends it, and no other thread ends the process meanwhile."""
+
+    def __init__(self) -> None:
+        self.lock = threading.RLock()
+        self.depth = 0
+        self.pending = False
+
+
+_unbroken = _Unbroken()
+_leaving: list[Callable[[], None]] = []
 
 
 @contextmanager
-def interruptible() -> Iterator[None]:
+def unbroken() -> Iterator[None]:
+    """Put off the `KeyboardInterrupt` of a signal that comes in the block to its end. For the main thread."""
+    _unbroken.depth += 1
+    try:
+        with _unbroken.lock:
+            yield
+    finally:
+        _unbroken.depth -= 1
+        came = _unbroken.pending and not _unbroken.depth
+        if came:
+            _unbroken.pending = False
+    if came:
+        raise KeyboardInterrupt
+
+
+@contextmanager
+def leaving(leave: Callable[[], None]) -> Iterator[None]:
+    """Have ``leave`` called where a signal must end the process although the main thread does not listen."""
+    _leaving.append(leave)
+    try:
+        yield
+    finally:
+        _leaving.remove(leave)
+
+
+@contextmanager
+def interruptible(end: Callable[[], None] | None = None) -> Iterator[None]:
     """Let SIGINT and SIGTERM end the block with `KeyboardInterrupt`, whatever code they meet.
 
     Where a module is being imported, Python turns the exception into another; where an object is being deleted,
     it prints the exception and goes on.
+
+    Parameters
+    ----------
+    end : callable, optional
+        Ends the process. With it a second thread listens as well, calls what `leaving` has been given, and then this:
+        the main thread may be waiting for other ranks within MPI, where Python's signals do not reach it.
 
     Raises
     ------
@@ -29,7 +82,10 @@ def interruptible() -> Iterator[None]:
     def interrupt(number: int, frame: FrameType | None) -> None:
         nonlocal came
         came = True
-        raise KeyboardInterrupt
+        if _unbroken.depth:
+            _unbroken.pending = True
+        else:
+            raise KeyboardInterrupt
 
     def again(lost: sys.UnraisableHookArgs) -> None:
         if isinstance(lost.exc_value, KeyboardInterrupt):
@@ -37,15 +93,46 @@ def interruptible() -> Iterator[None]:
         else:
             previous_hook(lost)
 
-    previous = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
-    previous_hook, sys.unraisablehook = sys.unraisablehook, again
+    with ExitStack() as stack:
+        if end is not None:
+            stack.enter_context(_listening(end))
+        previous = {number: signal.signal(number, interrupt) for number in SIGNALS}
+        previous_hook, sys.unraisablehook = sys.unraisablehook, again
+        try:
+            yield
+        except Exception:
+            if came:
+                raise KeyboardInterrupt from None
+            raise
+        finally:
+            sys.unraisablehook = previous_hook
+            for number, handler in previous.items():
+                signal.signal(number, handler)
+
+
+@contextmanager
+def _listening(end: Callable[[], None]) -> Iterator[None]:
+    """Let another thread do what a signal asks for, as soon as nothing is unbroken."""
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+
+    def listen() -> None:
+        while number := os.read(reader, 1):
+            if number[0] in SIGNALS:
+                time.sleep(LISTENS_S)
+                # Held to the end of the process: the main thread must not begin anything else.
+                _unbroken.lock.acquire()
+                for leave in reversed(_leaving):
+                    leave()
+                end()
+        os.close(reader)
+
+    previous = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+    thread = threading.Thread(target=listen, daemon=True)
+    thread.start()
     try:
         yield
-    except Exception:
-        if came:
-            raise KeyboardInterrupt from None
-        raise
     finally:
-        sys.unraisablehook = previous_hook
-        for number, handler in previous.items():
-            signal.signal(number, handler)
+        signal.set_wakeup_fd(previous)
+        os.close(writer)
+        thread.join()

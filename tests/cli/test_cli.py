@@ -206,9 +206,9 @@ def test_a_run_that_is_ended_keeps_the_earlier_result(
     assert (out / "provenance.json").read_bytes() == before
     if how != signal.SIGKILL:  # which leaves no time to clean up
         wait_for(lambda: {path.name for path in workspace.folder.iterdir()} == {"job.toml", "long.toml", "result"})
-    if how == signal.SIGINT and ranks == 1:
+    if how != signal.SIGKILL:
         assert process.returncode == 130
-        assert err.splitlines()[-1] == "hydrabeam: interrupted"
+        assert err.splitlines().count("hydrabeam: interrupted") == 1
 
 
 def wait_for(condition: Callable[[], bool], seconds: float = 30.0) -> None:

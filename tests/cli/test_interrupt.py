@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
+import threading
 import time
+from typing import Any
 
 import pytest
 
-from hydrabeam_mpi.terminal.interrupt import interruptible
+from hydrabeam_mpi.terminal.interrupt import interruptible, leaving, unbroken
 
 SIGNALS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 
@@ -57,3 +61,62 @@ def test_other_errors_and_handlers_stay_as_they_are() -> None:
     with pytest.raises(ValueError, match="plain"), interruptible():
         raise ValueError("plain")
     assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
+
+
+@SIGNALS
+def test_what_is_unbroken_comes_to_its_end(number: signal.Signals) -> None:
+    done = []
+
+    def work() -> None:
+        with unbroken():
+            with unbroken():
+                os.kill(os.getpid(), number)
+                time.sleep(0.1)
+            done.append("all")
+        done.append("more")
+
+    with pytest.raises(KeyboardInterrupt), interruptible():
+        work()
+    assert done == ["all"]
+
+
+WAITS = """
+import time
+from mpi4py import MPI
+from hydrabeam_mpi.terminal.interrupt import interruptible, leaving
+from hydrabeam_mpi.mpi import end_interrupted, install_abort_hook
+
+world = MPI.COMM_WORLD
+install_abort_hook(world)
+with interruptible(None if world.rank else lambda: end_interrupted(world)), leaving(lambda: print("left", flush=True)):
+    world.Barrier()
+    if world.rank:
+        print("ready", flush=True)
+        time.sleep(60)
+    world.Barrier()
+"""
+
+
+@SIGNALS
+def test_rank_0_leaves_though_it_waits_for_another(number: signal.Signals, mpiexec: Any) -> None:
+    """In MPI, where no exception reaches it; and the other, which has got one, does not end it before."""
+    words = ["mpiexec", "-n", "2", sys.executable, "-c", WAITS]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(words, text=True, start_new_session=True, **pipes) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        started = time.monotonic()
+        os.kill(process.pid, number)
+        out, err = process.communicate(timeout=30)
+    assert time.monotonic() - started < 5
+    assert "left" in out.splitlines()
+    assert "hydrabeam: interrupted" in err.splitlines()
+    assert "Traceback" not in err
+    assert process.returncode == 130
+
+
+def test_a_second_thread_goes_with_the_block() -> None:
+    before = threading.active_count()
+    with interruptible(lambda: None), leaving(lambda: None):
+        assert threading.active_count() == before + 1
+    assert threading.active_count() == before

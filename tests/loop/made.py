@@ -11,7 +11,6 @@ from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.reweighting import ReweightingFit
 from hydrabeam_mpi.effects.noise.noise_level import NoiseLevel
-from hydrabeam_mpi.fit.heldout import Whitened
 from hydrabeam_mpi.fit.state import State
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.attribution.score_effects import Finding
@@ -69,12 +68,10 @@ def checked(
     train_chi2: FloatArray | None = None,
 ) -> Checked:
     """A fit with held-out data of this reduced chi^2."""
-    none = np.zeros((1, 0, 0))
-    whitened = Whitened(none.astype(complex), none.astype(bool), none, none.astype(complex), none, log_spread)
     why = "it has no structure beyond chance" if white else "its times differ (9.0 sigma)"
     remains = Remains(consistent, white, why, {"overall": {"chi2": chi2}}, WHERE, {"largest": []})
     state = replace(state or State(), train_chi2=np.array([chi2]) if train_chi2 is None else train_chi2)
-    return Checked(state, whitened, blocks(chi2, log_spread), remains)
+    return Checked(state, blocks(chi2, log_spread), remains)
 
 
 def round_of(candidate: Candidate, before: Checked, after: Checked, *ranking: Candidate) -> Round:

@@ -34,6 +34,7 @@ def make_record(
     skipped: Sequence[tuple[str, str]],
     conventions: dict[str, Any],
     leakage: dict[str, Any] | None,
+    interrupted: bool = False,
 ) -> dict[str, Any]:
     """Put together ``loop.json``. Collective: all ranks of the grid.
 
@@ -47,6 +48,8 @@ def make_record(
         Of `hydrabeam_mpi.loop.checks.conventions.check_conventions`.
     leakage : dict, optional
         Of `hydrabeam_mpi.loop.checks.leakage.check_leakage`: a round, or why there is none.
+    interrupted : bool
+        Whether this is told of a loop that has not come to its end.
 
     Returns
     -------
@@ -71,7 +74,9 @@ def make_record(
         rounds = [_convention(history, conventions)]
     last, control = remains[-1], _foreign(history)
     verdict = "unexplained"
-    if conventions["found"]:
+    if interrupted:
+        verdict = "interrupted"
+    elif conventions["found"]:
         verdict = "convention"
     elif last.consistent and control is None:
         verdict = "explained" if rounds else "consistent"

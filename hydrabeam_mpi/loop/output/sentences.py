@@ -37,6 +37,8 @@ def say_verdict(verdict: str, chi2: float, where: dict[str, Any], control: dict[
     error = f"held-out reduced chi^2 {chi2:.4g}"
     if verdict == "consistent":
         return f"Nothing is missing: the data agree with the model within the noise ({error})."
+    if verdict == "interrupted":
+        return f"Interrupted: what is left ({error}) was not looked at. The same command goes on from here."
     if verdict == "convention":
         return f"Nothing was fitted or added, and nothing is explained ({error}): mend the convention first."
     if verdict == "explained":

@@ -10,7 +10,6 @@ import numpy as np
 from hydrabeam_mpi.config.effects import Loop as LoopSettings
 from hydrabeam_mpi.effects.instrument.basis_truncation import BasisTruncation
 from hydrabeam_mpi.effects.interface.effect import ScannedEffect
-from hydrabeam_mpi.fit.heldout import Whitened
 from hydrabeam_mpi.fit.state import State
 from hydrabeam_mpi.loop.attribution.control_models import BeamDrift
 from hydrabeam_mpi.loop.attribution.score_effects import Finding
@@ -42,7 +41,6 @@ class Checked:
     """A fitted state and its held-out data."""
 
     state: State
-    whitened: Whitened
     score: HeldoutScore
     remains: Remains
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -71,19 +71,42 @@ class History:
     control: Round | None = None
 
 
+def begin(context: FitContext, state: State, clock: Clock) -> History:
+    """Fit what is known before the first round. Collective: all ranks of the grid."""
+    with clock.time("fit"):
+        checked = check(context, refit(context, state))
+    return History(checked, checked)
+
+
 def run_rounds(
-    context: FitContext, state: State, effects: Sequence[Effect], changes: Sequence[Reweighting], clock: Clock
-) -> History:
+    context: FitContext,
+    history: History,
+    effects: Sequence[Effect],
+    changes: Sequence[Reweighting],
+    clock: Clock,
+    keep: Callable[[History], None],
+) -> None:
     """Look for effects until there is none left that the data want.
 
     Collective: all ranks of the grid.
+
+    Parameters
+    ----------
+    context : FitContext
+    history : History
+        So far; it goes on.
+    effects, changes
+        To look for.
+    clock : Clock
+        Receives the phases "attribution", "trials" and "keep".
+    keep : callable
+        Gets the course whenever a round has ended that has found something.
     """
-    settings = context.problem.job.loop
-    with clock.time("fit"):
-        checked = check(context, refit(context, state))
-    history = History(checked, checked)
+    settings, checked = context.problem.job.loop, history.last
     speaks = context.grid.is_world_root
-    for number in range(settings.max_rounds + 1):
+    for one in history.rounds:
+        effects = [_next_of(context, effect, one.after.state) for effect in effects]
+    for number in range(len(history.rounds), settings.max_rounds + 1):
         say(f"round {number + 1}: held-out chi^2 {checked.score.chi2:.4g}; weighing effects", speaks)
         with clock.time("attribution"):
             ranking = rank(context, checked.state, effects, changes)
@@ -101,7 +124,8 @@ def run_rounds(
         history.rounds.append(added)
         effects = [_next_of(context, effect, added.after.state) for effect in effects]
         history.last = checked = added.after
-    return history
+        with clock.time("keep"):
+            keep(history)
 
 
 def _next_of(context: FitContext, effect: Effect, state: State) -> Effect:
@@ -115,7 +139,7 @@ def _next_of(context: FitContext, effect: Effect, state: State) -> Effect:
 def check(context: FitContext, state: State) -> Checked:
     """Predict the held-out rows of a fitted state. Collective: all ranks of the grid."""
     whitened = whiten(context, state)
-    return Checked(state, whitened, heldout_score(context, whitened), remains_of(context, state, whitened))
+    return Checked(state, heldout_score(context, whitened), remains_of(context, state, whitened))
 
 
 def rank(

@@ -13,7 +13,7 @@ from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.report.page.key_numbers import format_value
 
 Entry = dict[str, Any]
-VERDICTS = ("consistent", "explained", "unexplained", "convention")
+VERDICTS = ("consistent", "explained", "unexplained", "convention", "interrupted")
 REMEDY = "run 'hydrabeam loop' again"
 
 

@@ -23,6 +23,8 @@ def verdict_words(loop: Entry) -> str:
 def _what_it_lacked(loop: Entry, names: str, fall: str) -> str:
     if loop["verdict"] == "consistent" and not names:
         return f"The model explains the data to the noise; nothing significant is left: {fall}."
+    if loop["verdict"] == "interrupted":
+        return f"The loop was interrupted; so far the model lacked {names or 'nothing that was found'}: {fall}."
     if loop["verdict"] != "unexplained":
         return f"The model lacked {names or 'something'}, and with that added nothing significant is left: {fall}."
     better = _foreign(loop)

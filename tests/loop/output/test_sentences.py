@@ -87,6 +87,12 @@ VERDICTS: dict[str, tuple[str, dict[str, Any] | None, str]] = {
         "Nothing is missing: the data agree with the model within the noise (held-out reduced chi^2 1.012).",
     ),
     "nothing is left": ("explained", None, "Nothing significant is left (held-out reduced chi^2 1.012)."),
+    "it was interrupted": (
+        "interrupted",
+        None,
+        "Interrupted: what is left (held-out reduced chi^2 1.012) was not looked at. "
+        "The same command goes on from here.",
+    ),
     "a convention is broken": (
         "convention",
         None,

@@ -1,0 +1,129 @@
+"""Rounds of a loop that have ended, on disk: in a folder that is filled, or in the result of a loop that was ended.
+
+The last round alone is kept, as it has all before it. It is a folder that appears whole, with the files that a result
+of it would have and with Python objects, whose files begin with the checksum of what follows.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import pickle
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from hydrabeam_mpi.errors import InputError
+
+ROUNDS = "rounds"
+PACKAGE = "hydrabeam_mpi"
+OF_NUMPY = {"ndarray", "dtype", "_reconstruct", "scalar", "_frombuffer"}
+"""What NumPy's own objects are made with."""
+READABLE = ("loop.json", "amended.toml", "job.toml", "provenance.json")
+"""Files of a round that are those of a result."""
+OBJECT = ".object"
+
+
+@contextmanager
+def new_round(folder: Path, number: int) -> Iterator[Path]:
+    """Give a folder to write a round into, which then takes the place of the round before."""
+    place = folder / ROUNDS
+    partial = place / ".new"
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir(parents=True)
+    yield partial
+    partial.rename(place / f"{number:04d}")
+    for older in _numbered(folder)[:-1]:
+        shutil.rmtree(older)
+
+
+def latest_round(folder: Path) -> Path | None:
+    """Return the folder of the last round that is kept in ``folder``; None where there is none."""
+    return next(reversed(_numbered(folder)), None)
+
+
+def number_of(kept: Path) -> int:
+    """Return how many rounds had ended."""
+    return int(kept.name)
+
+
+def settle(folder: Path) -> None:
+    """Make a result of the last round: its files beside it."""
+    kept = latest_round(folder)
+    assert kept is not None
+    shutil.rmtree(folder / ROUNDS / ".new", ignore_errors=True)
+    for name in READABLE:
+        shutil.copyfile(kept / name, folder / name)
+
+
+def drop_rounds(folder: Path) -> None:
+    """Remove what is kept of the rounds, now that there is a result."""
+    shutil.rmtree(folder / ROUNDS, ignore_errors=True)
+
+
+def take_over(kept: Path, folder: Path) -> None:
+    """Copy a round that is kept elsewhere into ``folder``."""
+    with new_round(folder, number_of(kept)) as place:
+        shutil.copytree(kept, place, dirs_exist_ok=True)
+
+
+def origin_of(kept: Path) -> dict[str, Any]:
+    """Return the job, the checksums and the versions of a round's provenance; empty where that is damaged."""
+    try:
+        about = json.loads((kept / "provenance.json").read_text(encoding="utf-8"))
+        return {key: about[key] for key in ("job", "sha256", "versions")}
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}
+
+
+def write_object(path: Path, value: object) -> None:
+    """Write a Python object with its checksum."""
+    content = pickle.dumps(value)
+    path.with_suffix(OBJECT).write_bytes(hashlib.sha256(content).digest() + content)
+
+
+def read_object(path: Path) -> Any:
+    """Read a Python object, if it is whole and made of nothing but this package's classes and arrays.
+
+    Raises
+    ------
+    InputError
+        If it is not.
+    """
+    path = path.with_suffix(OBJECT)
+    try:
+        content = path.read_bytes()
+        size = hashlib.sha256().digest_size
+        if hashlib.sha256(content[size:]).digest() != content[:size]:
+            raise pickle.UnpicklingError("its checksum does not match")
+        return _OwnClasses(io.BytesIO(content[size:])).load()
+    except (OSError, pickle.UnpicklingError, EOFError, AttributeError, ImportError) as error:
+        remedy = "remove that folder to begin anew"
+        raise InputError(f"cannot be read ({error})", file=path, remedy=remedy) from error
+
+
+class _OwnClasses(pickle.Unpickler):
+    """Makes no objects but those that this package writes: others could do anything."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        """Return a class of this package, or what NumPy makes arrays with."""
+        root = module.split(".")[0]
+        if root == "numpy" and name in OF_NUMPY:
+            return super().find_class(module, name)
+        if root == PACKAGE:
+            found = getattr(import_module(module), name)
+            if isinstance(found, type):
+                return found
+        raise pickle.UnpicklingError(f"{module}.{name} has no business here")
+
+
+def _numbered(folder: Path) -> list[Path]:
+    """List the rounds in a folder, the last one at the end."""
+    place = folder / ROUNDS
+    if not place.is_dir():
+        return []
+    return sorted(found for found in place.iterdir() if found.name.isdecimal() and found.is_dir())

@@ -1,0 +1,181 @@
+"""What a loop needs to go on after a round: everything that it has found, and the last state by channel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.fit.gauss_newton import FitContext
+from hydrabeam_mpi.fit.state import State
+from hydrabeam_mpi.infer.posterior import Posterior
+from hydrabeam_mpi.io.disk import writing
+from hydrabeam_mpi.io.kept_rounds import new_round, read_object, write_object
+from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
+from hydrabeam_mpi.loop.selection.rounds import History
+from hydrabeam_mpi.mpi import bcast_object, gather_by_channel, together
+from hydrabeam_mpi.terminal.interrupt import unbroken
+
+
+@dataclass(frozen=True)
+class ChannelState:
+    """What the last state knows of one channel; see `State`."""
+
+    posterior: Posterior
+    covariance: FloatArray | None
+    beam_response: NDArray[Any] | None
+    log_joint: float
+    effective_parameters: float
+
+
+@dataclass(frozen=True)
+class Kept:
+    """A round as it is kept.
+
+    Attributes
+    ----------
+    history : History
+        Its states have neither posteriors nor what belongs to them, and the chi^2 of all channels.
+    seconds : dict
+        Spent so far, by phase.
+    """
+
+    history: History
+    seconds: dict[str, float]
+
+
+def keep_round(
+    context: FitContext, history: History, folder: Path, texts: dict[str, str], seconds: dict[str, float]
+) -> None:
+    """Write down a round that has ended.
+
+    Collective: all ranks of the grid.
+
+    Parameters
+    ----------
+    context : FitContext
+    history : History
+    folder : Path
+        That is filled; the round appears whole in it.
+    texts : dict
+        Files for people to read, by name; of rank 0.
+    seconds : dict
+        Spent so far, by phase.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if the disk takes no more.
+    """
+    kept = Kept(_lightened(context, history), dict(seconds))
+    channels = gather_by_channel(context.grid, _channels_of(history.last.state, context.grid.is_group_root))
+    with together(context.grid.world):
+        if context.grid.is_world_root:
+            with unbroken(), writing(folder), new_round(folder, len(history.rounds)) as place:
+                write_object(place / "course", kept)
+                for number, channel in enumerate(channels):
+                    write_object(place / _name(number), channel)
+                for name, text in texts.items():
+                    (place / name).write_text(text)
+
+
+def restore_round(context: FitContext, place: Path) -> Kept:
+    """Read the round that is kept in ``place``, which rank 0 sees.
+
+    Collective: all ranks of the grid.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if it is damaged.
+    """
+    world = context.grid.world
+    kept = None
+    with together(world):
+        if context.grid.is_world_root:
+            kept = read_object(place / "course")
+    whole: Kept = bcast_object(world, kept)
+    mine = []
+    for number in range(context.setup.observation.Nfreqs):
+        channel = None
+        with together(world):
+            if context.grid.is_world_root:
+                channel = read_object(place / _name(number))
+        channel = bcast_object(world, channel)
+        if number in context.channels:
+            mine.append(channel)
+    return replace(whole, history=_complete(context, whole.history, mine))
+
+
+def _name(channel: int) -> str:
+    return f"channel_{channel:04d}"
+
+
+def _lightened(context: FitContext, history: History) -> History:
+    """Leave out what is large or one rank's, and give every state the chi^2 of all channels."""
+    before = first = _light_check(context, history.first)
+    rounds = []
+    for one in history.rounds:
+        after = _light_check(context, one.after)
+        candidate, ranking = _light(one.candidate), tuple(map(_light, one.ranking))
+        rounds.append(replace(one, candidate=candidate, ranking=ranking, before=before, after=after))
+        before = after
+    tried = [(_light(candidate), reason) for candidate, reason in history.tried]
+    return History(first, before, rounds, tried)
+
+
+def _light(candidate: Candidate) -> Candidate:
+    """Leave out the state that has told the weights."""
+    return replace(candidate, weights=candidate.weights and replace(candidate.weights, start=State()))
+
+
+def _light_check(context: FitContext, checked: Checked) -> Checked:
+    """Keep of a state what its effects are. Collective: all ranks of the grid."""
+    state = checked.state
+    mine = state.train_chi2.tolist() if context.grid.is_group_root else []
+    train_chi2 = np.concatenate(context.grid.world.allgather(mine))
+    return replace(checked, state=State(state.active, state.reweighted, train_chi2=train_chi2))
+
+
+def _channels_of(state: State, is_group_root: bool) -> list[ChannelState]:
+    """Return what a state knows of the rank group's channels; nothing on other ranks than its root."""
+    if not is_group_root:
+        return []
+    return [
+        ChannelState(
+            # Without what may be cached beside these.
+            Posterior(posterior.mean, posterior.factor, posterior.log_evidence),
+            state.covariances[f] if state.covariances else None,
+            state.beam_response[f] if state.beam_response else None,
+            float(state.log_joint[f]),
+            float(state.effective_parameters[f]),
+        )
+        for f, posterior in enumerate(state.posteriors)
+    ]
+
+
+def _complete(context: FitContext, history: History, mine: list[ChannelState]) -> History:
+    """Give every state the rank group's chi^2, and the last one all that is known of the group's channels."""
+
+    def local(checked: Checked) -> Checked:
+        return replace(checked, state=replace(checked.state, train_chi2=checked.state.train_chi2[context.channels]))
+
+    first = before = local(history.first)
+    rounds: list[Round] = []
+    for one in history.rounds:
+        rounds.append(replace(one, before=before, after=local(one.after)))
+        before = rounds[-1].after
+    last = replace(
+        before.state,
+        posteriors=[one.posterior for one in mine],
+        covariances=[one.covariance for one in mine if one.covariance is not None],
+        beam_response=[one.beam_response for one in mine if one.beam_response is not None],
+        log_joint=np.array([one.log_joint for one in mine]),
+        effective_parameters=np.array([one.effective_parameters for one in mine]),
+    )
+    rounds[-1] = replace(rounds[-1], after=replace(before, state=last))
+    return History(first, rounds[-1].after, rounds, list(history.tried))
