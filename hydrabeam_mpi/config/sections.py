@@ -192,6 +192,8 @@ class Beam(Section):
 FOURIER_BESSEL = ("kind", "fourier-bessel")
 MOST_ZEROS = 1200
 """Of a Bessel function, as SciPy's `jn_zeros` finds them."""
+MOST_ORDERS = 180
+"""Higher ones look like lower ones on the one-degree grid, on which beams are fitted and told."""
 
 
 class Basis(Section):
@@ -201,7 +203,7 @@ class Basis(Section):
     form: Literal["real", "complex"] = key("real", "fourier-bessel: of the coefficients", FOURIER_BESSEL)
     n_modes: int = key(2048, "fourier-bessel: coefficients kept, the largest of the model beam's", FOURIER_BESSEL, ge=1)
     k_max: int = key(80, "fourier-bessel: radial orders 1 to k_max", FOURIER_BESSEL, ge=1, le=MOST_ZEROS)
-    m_max: int = key(45, "fourier-bessel: azimuthal orders -m_max to m_max", FOURIER_BESSEL, ge=0)
+    m_max: int = key(45, "fourier-bessel: azimuthal orders -m_max to m_max", FOURIER_BESSEL, ge=0, le=MOST_ORDERS)
     edge: Degrees = key(92.0, "deg of zenith angle where the functions end", ge=90, le=180)
     boundary: Literal["dirichlet", "neumann"] = key(
         "neumann", "fourier-bessel: zero at the edge, or flat", FOURIER_BESSEL
@@ -228,7 +230,7 @@ class Prior(Section):
 
     kind: Literal["fraction", "flat", "file"] = key("fraction", "independent coefficients, none, or from a file")
     fraction: float = key(1.0, "standard deviation over the amplitude of the fitted coefficient", FRACTION, gt=0)
-    floor: float = key(0.0, "least amplitude taken for that, relative to the largest", FRACTION, ge=0, le=1)
+    floor: float = key(0.0, "least amplitude taken for that, relative to the largest", FRACTION, ge=0, le=1 / RESOLVED)
     file: File | None = key(None, "kind = 'file': mean and covariance")
 
     @model_validator(mode="after")

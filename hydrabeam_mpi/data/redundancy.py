@@ -113,7 +113,7 @@ def check_apart(observation: Observation, tol: float) -> None:
         raise InputError(
             f"antennas {one} and {two} stand in one place, within redundancy_tol = {tol:g} m",
             field="[data.simulate.array]",
-            remedy="place them apart, or leave one out",
+            remedy="place them apart, or make the tolerance smaller",
         )
 
 

@@ -220,6 +220,76 @@ def complaint(text: str, folder: Path) -> str:
         ("[data.simulate.array]\nhex = [1, 1]", "[data.simulate.array]: hex = [1, 1] is no array"),
         ("[data]\nchannels = [0]\n" + SIMULATE, "[data]: channels is for data from files; leave it out, or set it in"),
         ("[data]\npol_convention = 'avg'\n" + SIMULATE, "[data]: pol_convention is for data from files; leave it out"),
+        # Keys that would not be used.
+        (
+            DATA + "[sky]\nkind = 'catalogue'\nfile = 'a.vot'\nn_sources = 3",
+            "[sky]: n_sources = 3 is for kind = 'mock', not 'catalogue'; leave it out",
+        ),
+        (
+            DATA + "[basis]\nkind = 'zernike'\nform = 'complex'",
+            "[basis]: form = \"complex\" is for kind = 'fourier-bessel', not 'zernike'; leave it out",
+        ),
+        (DATA + "[basis]\nmax_degree = 3", "[basis]: max_degree = 3 is for kind = 'zernike', not 'fourier-bessel'"),
+        (
+            DATA + "[prior]\nkind = 'flat'\nfraction = 0.1",
+            "[prior]: fraction = 0.1 is for kind = 'fraction', not 'flat'",
+        ),
+        (DATA + "[beam]\neast_feed = 'x'", "[beam]: east_feed = \"x\" is for a beam file, not 'hera-vivaldi-131MHz'"),
+        (
+            DATA + "[beam]\nsource = 'airy'\ndiameter = 14\nfrequency = 'scale'",
+            "[beam]: frequency = \"scale\" is for a beam with channels of its own, not 'airy'; leave it out",
+        ),
+        (
+            "[data.simulate.array]\nfile = 'a.csv'\nspacing = 10",
+            "[data.simulate.array]: spacing = 10.0 is for a hexagon, not positions from a file; leave it out",
+        ),
+        (
+            SIMULATE + INJECTED + "strength = 1\nparameters = {x = 1}",
+            "[[data.simulate.effects]] number 1: strength = 1.0 is for parameters drawn at random, not those that are",
+        ),
+        (
+            TABLES["sky.columns"] + "[sky.columns]\nfreqs = ['1 MHz']\n" + DATA,
+            "[sky.columns]: freqs = [1000000.0] is for several flux columns, not a single one; leave it out",
+        ),
+        (
+            TABLES["sky.columns"]
+            + "[sky.columns]\nflux = ['a', 'b']\nfreqs = [1e8, 2e8]\nspectral_index = 'c'\n"
+            + DATA,
+            '[sky.columns]: spectral_index = "c" is for a single one, not several flux columns; leave it out',
+        ),
+        # Numbers that are no measure of anything.
+        (DATA + "freqs = [1e-300]", "[data] freqs: is 1e-300; it should be at least 3000"),
+        (DATA + "freqs = [1e300]", "[data] freqs: is 1e+300; it should be at most 3e+12"),
+        (DATA + "freqs = ['1e400 Hz']", "[data] freqs: is Infinity; it should be "),
+        (DATA + "freqs = ['1 Hz(1/0)']", '[data] freqs: is "1 Hz(1/0)"; it should be a frequency'),
+        (DATA + "[noise]\nkind = 'constant'\nsigma = 1e300", "[noise] sigma: is 1e+300; it should be at most 1e+30"),
+        (
+            DATA + "[noise]\nkind = 'constant'\nsigma = 1e-300",
+            "[noise]: sigma is 1e-300 Jy, of which no sum has a digit",
+        ),
+        (DATA + "[sky]\nflux_range = [1e-300, 1]", "[sky] flux_range: is 1e-300; it should be at least 1e-30"),
+        (DATA + "[prior]\nfraction = 1e-200", "[prior]: fraction = 1e-200 lets no coefficient move by a digit that a"),
+        (DATA + "[prior]\nfraction = 1e200", "[prior]: fraction = 1e+200 is no prior; set kind = 'flat' to have none"),
+        (DATA + "[prior]\nfloor = 1e200", "[prior] floor: is 1e+200; it should be at most 4.503599627e+15"),
+        (DATA + "[basis]\nk_max = 1201", "[basis] k_max: is 1201; it should be at most 1200"),
+        (DATA + "[basis]\nm_max = 181", "[basis] m_max: is 181; it should be at most 180"),
+        (SIMULATE + "height = 1e300", "[data.simulate] height: is 1e+300; it should be at most 100000"),
+        (
+            SIMULATE + "integration_time = '2 d'",
+            "[data.simulate] integration_time: is 172800.0; it should be at most 86400",
+        ),
+        (
+            SIMULATE + "channel_width = 1\nintegration_time = 0.1\nnsamples = 1",
+            "[data.simulate]: channel_width, integration_time and nsamples give 0.1 independent samples, less than",
+        ),
+        (
+            SIMULATE + "perturb = {sidelobe = 1e300}",
+            "[data.simulate.perturb] sidelobe: is 1e+300; it should be at most",
+        ),
+        (
+            "[data.simulate.array]\nspacing = 1e9",
+            "[data.simulate.array] spacing: is 1000000000.0; it should be at most",
+        ),
     ],
 )
 def test_complaint(text: str, expected: str, tmp_path: Path) -> None:

@@ -1,7 +1,10 @@
 import numpy as np
 import pytest
 
-from hydrabeam_mpi.data.redundancy import find_redundant_groups
+from hydrabeam_mpi.config.simulation import Array, Simulate
+from hydrabeam_mpi.data.redundancy import check_apart, check_tolerance, find_redundant_groups
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.simulation.mock import mock_observation
 
 
 def hexagon_vectors(spacing=14.6):
@@ -56,3 +59,30 @@ def test_tolerance_decides():
     vectors = np.array([[14.6, 0, 0], [14.6, 0.01, 0]])
     assert find_redundant_groups(vectors, 1e-3).Ngroups == 2
     assert find_redundant_groups(vectors, 2e-2).Ngroups == 1
+
+
+def displaced(path, offset):
+    """Observe at 150 MHz, 2 m, with three antennas in a row 14 m apart, the last of them displaced."""
+    path.write_text(f"E,N,U\n0,0,0\n14,0,0\n{28 + offset},0,0\n")
+    return mock_observation(Simulate(array=Array(file=path), freqs=(75e6, 150e6)), "ee")
+
+
+@pytest.mark.parametrize(("offset", "right"), [(0.0, True), (1.9, True), (2.1, False)])
+def test_a_group_sees_the_same_fringes(offset, right, tmp_path):
+    """The mean of two baselines that differ by the offset is half of it away from either."""
+    observation = displaced(tmp_path / "layout.csv", offset)
+    groups = find_redundant_groups(observation.bl_vectors, 3.0)
+    assert groups.Ngroups == 2
+    if right:
+        check_tolerance(observation, groups, 3.0)
+        return
+    said = r"\[data\] redundancy_tol: within 3 m baseline \d-\d counts as one that differs by 1.05 m, 0.53 wavelengths"
+    with pytest.raises(InputError, match=said):
+        check_tolerance(observation, groups, 3.0)
+
+
+def test_antennas_stand_apart(tmp_path):
+    observation = displaced(tmp_path / "layout.csv", -13.9)
+    check_apart(observation, 0.09)
+    with pytest.raises(InputError, match=r"antennas 1 and 2 stand in one place, within redundancy_tol = 0.11 m"):
+        check_apart(observation, 0.11)
