@@ -162,7 +162,7 @@ def analytic_beam(formula: str, freq: float, pol: str = "ee", **parameters: Any)
     Raises
     ------
     InputError
-        If the formula or a parameter is unknown.
+        If the formula or a parameter is unknown, or the formula gives no beam at this frequency.
     """
     if formula not in _FORMULAE:
         raise InputError(f"unknown formula {formula!r}", field="beam", remedy=f"known: {', '.join(_FORMULAE)}")
@@ -172,6 +172,10 @@ def analytic_beam(formula: str, freq: float, pol: str = "ee", **parameters: Any)
         raise InputError(f"{formula} beam: {error}", field="beam") from error
     unscaled = AnalyticBeam(made, BeamInfo(formula, float(freq), pol))
     zenith = abs(unscaled(np.zeros(1), np.zeros(1))[0])
+    if not np.isfinite(zenith):
+        settings = ", ".join(f"{name} = {value:g}" for name, value in parameters.items())
+        message = f"a {formula} beam with {settings} does not exist at {freq / 1e6:g} MHz"
+        raise InputError(message, field="[beam] diameter", remedy="give one of a wavelength or more")
     if zenith < 1e-12:
         zenith = 1.0
     return AnalyticBeam(made, BeamInfo(formula, float(freq), pol, peak=float(zenith)))

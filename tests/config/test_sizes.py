@@ -10,7 +10,7 @@ import pytest
 from hydrabeam_mpi.config import Job, load_job
 from hydrabeam_mpi.config.sizes import check_sizes, simulated_bytes
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.model.arrays import hexagon
+from hydrabeam_mpi.simulation.arrays import hexagon
 
 GB = 10**9
 SIMULATE = "[data.simulate]\n"

@@ -64,3 +64,12 @@ def test_coefficient_beam_is_real_where_a_power_beam_is(pol):
     expected = coeffs @ basis.evaluate(ZA, AZ)
     np.testing.assert_allclose(beam(ZA, AZ), expected.real if pol == "ee" else expected, atol=1e-14)
     assert np.iscomplexobj(beam(ZA, AZ)) == (pol == "en")
+
+
+@pytest.mark.parametrize("diameter", [1e-320, 1e-30, 1.0])
+def test_a_dish_too_small_for_the_formula_is_refused(diameter: float) -> None:
+    """The half-power angle of a Gaussian is an arcsine of wavelengths over the diameter."""
+    with pytest.raises(
+        InputError, match=rf"diameter = {diameter:g} does not exist at 131 MHz; give one of a wavelength"
+    ):
+        analytic_beam("gaussian", 131e6, "ee", diameter=diameter)
