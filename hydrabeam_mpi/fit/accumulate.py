@@ -42,8 +42,8 @@ def accumulate_designs(rows: Rows, by_time: Iterable[NDArray[Any]], basis: Linea
     normals = [NormalEquations([Block(BEAM, basis.n_modes, basis.is_complex)]) for _ in rows.data]
     buffers = [RowBuffer(normal, BEAM) for normal in normals]
     weighted, weights = rows.compressed()
-    for normal, data, inv_noise_var in zip(normals, rows.data, rows.inv_noise_var, strict=True):
-        normal.add_data(data, inv_noise_var)
+    for f, normal in enumerate(normals):
+        normal.add_data(rows.data[f], rows.inv_noise_var[f], None if rows.divisor is None else rows.divisor[f])
     for t, design in enumerate(by_time):
         for f, buffer in enumerate(buffers):
             buffer.add(design[f], weighted[f, t], weights[f, t])

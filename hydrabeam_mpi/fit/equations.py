@@ -58,7 +58,7 @@ class NormalEquations:
     projection : dict of str to ndarray
         p_i.
     scalars : ndarray, (3,)
-        d^H N^-1 d, ln|N^-1| and the number of (complex) data.
+        d^H N^-1 d, ln|N^-1| (of the data as read; see `add_data`) and the number of (complex) data.
     """
 
     def __init__(self, blocks: Sequence[Block], pairs: Iterable[tuple[str, str]] | None = None) -> None:
@@ -85,7 +85,7 @@ class NormalEquations:
 
     @property
     def log_det_inv_noise(self) -> float:
-        """ln|N^-1| over the data with non-zero weight."""
+        """ln|N^-1| over the data with non-zero weight, as they were read."""
         return float(self.scalars[1])
 
     @property
@@ -93,11 +93,22 @@ class NormalEquations:
         """Number of complex data with non-zero weight."""
         return round(float(self.scalars[2]))
 
-    def add_data(self, data: ComplexArray, inv_noise_var: FloatArray) -> None:
-        """Account for data, each by itself, in the scalar sums; their columns follow by `add_rows`, summed or not."""
+    def add_data(self, data: ComplexArray, inv_noise_var: FloatArray, divisor: FloatArray | None = None) -> None:
+        """Account for data, each by itself, in the scalar sums; their columns follow by `add_rows`, summed or not.
+
+        Parameters
+        ----------
+        data : ndarray of complex, any shape
+        inv_noise_var : ndarray, same shape
+            Zero for data that do not count.
+        divisor : ndarray, same shape, optional
+            |d_read / d|^2 where ``data`` are those that were read divided by gains. The density of those read, which
+            the evidence is, is that of ``data`` over this.
+        """
         used = inv_noise_var > 0
         weights = inv_noise_var[used]
-        self.scalars += (np.sum(weights * np.abs(data[used]) ** 2), np.sum(np.log(weights)), weights.size)
+        of_read = weights if divisor is None else weights / divisor[used]
+        self.scalars += (np.sum(weights * np.abs(data[used]) ** 2), np.sum(np.log(of_read)), weights.size)
 
     def add_rows(self, columns: Mapping[str, Columns], beside: Mapping[str, Columns] | None = None) -> None:
         """Add the products of blocks' columns with the data, with each other, and with those of other blocks.

@@ -197,7 +197,9 @@ class RankData:
         power = np.abs(factor) ** 2
         usable = power > 1e-12
         data = np.where(usable, self.rows.data / np.where(usable, factor, 1.0), 0.0) - added
-        rows = replace(self.rows, data=data, inv_noise_var=np.where(usable, self.rows.inv_noise_var * power, 0.0))
+        weights = np.where(usable, self.rows.inv_noise_var * power, 0.0)
+        divisor = power if self.rows.divisor is None else power * self.rows.divisor
+        rows = replace(self.rows, data=data, inv_noise_var=weights, divisor=divisor)
         if state.reweighted:
             weights = rows.inv_noise_var.copy()
             for channel, number in enumerate(self.problem.channel_numbers.tolist()):

@@ -32,6 +32,8 @@ class Rows:
         Position in ``groups`` of each baseline's group.
     n_unflagged : int
         Number of visibilities that are not flagged, whether or not their noise is known.
+    divisor : ndarray, (Nfreqs, Ntimes, Nbls), optional
+        |d_read / d|^2, where gains or effects that multiply have been divided out of the data that were read.
     """
 
     tile: Tile
@@ -40,15 +42,27 @@ class Rows:
     groups: IntArray
     member: IntArray
     n_unflagged: int
+    divisor: FloatArray | None = None
 
     @classmethod
-    def of(cls, tile: Tile, visibilities: Visibilities, redundant: RedundantGroups, n_unflagged: int) -> Rows:
-        """Take the visibilities of ``tile`` in the one polarisation of the job."""
+    def of(
+        cls,
+        tile: Tile,
+        visibilities: Visibilities,
+        redundant: RedundantGroups,
+        n_unflagged: int,
+        divisor: FloatArray | None = None,
+    ) -> Rows:
+        """Take the visibilities of ``tile`` in the one polarisation of the job.
+
+        ``divisor``, if any, is in the shape of the visibilities' data.
+        """
         data = visibilities.data[..., 0]
         flipped = redundant.flipped[tile.bls]
         groups, member = np.unique(redundant.group[tile.bls], return_inverse=True)
         oriented = np.where(flipped, data.conj(), data)
-        return cls(tile, oriented, visibilities.inv_noise_var[..., 0], groups, member, n_unflagged)
+        of_pol = None if divisor is None else divisor[..., 0]
+        return cls(tile, oriented, visibilities.inv_noise_var[..., 0], groups, member, n_unflagged, of_pol)
 
     def compressed(self) -> tuple[ComplexArray, FloatArray]:
         """Return sum(w d) and sum(w) over each group, (Nfreqs, Ntimes, Nlocal): exact sufficient statistics."""
@@ -70,8 +84,9 @@ def read_rows(problem: Problem, tile: Tile) -> Rows:
     """
     files, observation, job = problem.files, problem.observation, problem.job
     data, flags, nsamples = read_visibilities(files, observation, tile)
+    divisor = None
     if problem.gain_files:
-        data, flags = apply_gains(data, flags, observation, tile, problem.gain_files)
+        data, flags, divisor = apply_gains(data, flags, observation, tile, problem.gain_files)
     if job.noise.sigma is not None:
         weights = noise.constant_weights(job.noise.sigma, flags, nsamples)
     elif job.noise.file is not None:
@@ -80,4 +95,4 @@ def read_rows(problem: Problem, tile: Tile) -> Rows:
         weights = noise.variance_weights(problem.noise_variance[:, tile.bls], flags, nsamples)
     else:
         weights = noise.radiometer_weights(files, observation, tile, flags, nsamples, problem.gain_files)
-    return Rows.of(tile, Visibilities(data, weights), problem.redundant, int(np.sum(~flags)))
+    return Rows.of(tile, Visibilities(data, weights), problem.redundant, int(np.sum(~flags)), divisor)

@@ -29,7 +29,8 @@ class Posterior:
     factor : ndarray, (n, n)
         Lower L with L L^H the posterior precision.
     log_evidence : float or None
-        ln p(d), natural logarithm of a density in Jy^(-2 n_data); None with a flat prior.
+        ln p(d), natural logarithm of a density in Jy^(-2 n_data) of the data as read, before any gains are divided
+        out; None with a flat prior.
     """
 
     mean: Array

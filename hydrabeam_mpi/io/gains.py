@@ -42,7 +42,7 @@ class _Solution:
 
 def apply_gains(
     data: ComplexArray, flags: BoolArray, observation: Observation, tile: Tile, gain_files: Sequence[Path]
-) -> tuple[ComplexArray, BoolArray]:
+) -> tuple[ComplexArray, BoolArray, FloatArray]:
     """Calibrate the visibilities of a tile: V_true = V_obs / (g_i g_j*).
 
     Parameters
@@ -59,6 +59,8 @@ def apply_gains(
     -------
     data, flags : ndarray, same shape
         Flagged, and zero, where the data or one of the gains is.
+    power : ndarray, same shape
+        |g_i g_j*|^2, the variance of V_obs over that of V_true.
 
     Raises
     ------
@@ -76,22 +78,24 @@ def calibrate(
     antpairs: IntArray,
     gain_files: Sequence[Path],
     pols: Sequence[str] | None = None,
-) -> tuple[ComplexArray, BoolArray]:
+) -> tuple[ComplexArray, BoolArray, FloatArray]:
     """Calibrate any baselines, (a, a) being an autocorrelation; see `apply_gains`."""
     gains, gain_flags = read_gains(gain_files, observation, times)
     feeds = feeds_of(observation.pols)
     ant_1, ant_2 = match(antpairs, observation.antenna_numbers, 0).T
-    data, flags = np.array(data), np.array(flags)
+    data, flags, power = np.array(data), np.array(flags), np.ones(data.shape)
     for index, pol in enumerate(pols or observation.pols):
         end_1 = (..., ant_1, feeds.index(pol[0]))
         end_2 = (..., ant_2, feeds.index(pol[1]))
-        data[..., index] /= gains[end_1] * gains[end_2].conj()
+        product = gains[end_1] * gains[end_2].conj()
+        data[..., index] /= product
+        power[..., index] = np.abs(product) ** 2
         flags[..., index] |= gain_flags[end_1] | gain_flags[end_2]
     largest = np.max(size(data), where=~flags, initial=0.0)
     if largest > LARGEST:
         message = f"makes a visibility of {largest:.1e} Jy, which no source and no transmitter has"
         raise InputError(message, file=gain_files[0], field="gain_array", remedy="correct or flag the gains")
-    return np.where(flags, 0.0, data), flags
+    return np.where(flags, 0.0, data), flags, power
 
 
 def read_gains(files: Sequence[Path], observation: Observation, times: IntArray) -> tuple[ComplexArray, BoolArray]:

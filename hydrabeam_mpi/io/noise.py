@@ -68,7 +68,7 @@ def radiometer_weights(
         antpairs = np.repeat(observation.antenna_numbers[:, None], 2, axis=1)
         pols = tuple(2 * feed for feed in feeds)
         bad = np.zeros(autos.shape, bool)
-        data, _ = calibrate(autos.astype(complex), bad, observation, tile.times, antpairs, gain_files, pols)
+        data, *_ = calibrate(autos.astype(complex), bad, observation, tile.times, antpairs, gain_files, pols)
         autos = data.real
     ants = match(observation.antpairs[tile.bls], observation.antenna_numbers, 0)
     first, second = (
@@ -204,7 +204,7 @@ def difference_variance(
     middle = _middles(observation, how)
     data, flags, nsamples, _ = read_block(files, observation, times, antpairs, observation.pols)
     if gain_files:
-        data, flags = calibrate(data, flags, observation, times, antpairs, gain_files)
+        data, flags, _ = calibrate(data, flags, observation, times, antpairs, gain_files)
     # A flag makes the expected power infinite: such a difference counts as nothing.
     expected = np.divide(1.0, nsamples, out=np.full(nsamples.shape, np.inf), where=~flags)
     if how == "time":

@@ -43,7 +43,7 @@ def test_calibration_is_that_of_pyuvdata(read, extension, convention):
     cal = make_uvcal(uv, convention=convention)
     obs, data, flags, files = read(uv, cal, extension=extension)
     calibrated = uvcalibrate(uv, cal, inplace=False)
-    found, found_flags = apply_gains(data, flags, obs, whole(obs), files)
+    found, found_flags, _ = apply_gains(data, flags, obs, whole(obs), files)
     wanted, wanted_flags, _ = expected(calibrated, obs)
     np.testing.assert_array_equal(found_flags, wanted_flags)
     np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=0)
@@ -54,7 +54,7 @@ def test_cross_hands_use_both_feeds(read):
     uv = make_uvdata(pols=(-5, -6, -7, -8))
     cal = make_uvcal(uv)
     obs, data, flags, files = read(uv, cal, selection=Selection(pols=("ne", "ee", "en")))
-    found, _ = apply_gains(data, flags, obs, whole(obs), files)
+    found, *_ = apply_gains(data, flags, obs, whole(obs), files)
     wanted, _, _ = expected(uvcalibrate(uv, cal, inplace=False), obs)
     np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=0)
 
@@ -70,7 +70,7 @@ def test_corrupted_data_are_recovered(read):
         t = np.argmin(abs(TIMES - uv.time_array[row]))
         uv.data_array[row] *= cal.gain_array[i, :, t] * cal.gain_array[j, :, t].conj()
     obs, data, flags, files = read(uv, cal)
-    found, found_flags = apply_gains(data, flags, obs, whole(obs), files)
+    found, found_flags, _ = apply_gains(data, flags, obs, whole(obs), files)
     wanted, wanted_flags, _ = expected(true, obs)
     np.testing.assert_array_equal(found_flags, wanted_flags)
     np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=0)
@@ -141,11 +141,11 @@ def test_gains_in_the_average_convention_leave_half(read):
     uv = make_uvdata()
     cal = make_uvcal(uv)
     obs, data, flags, files = read(uv, cal)
-    plain, _ = apply_gains(data, flags, obs, whole(obs), files)
+    plain, *_ = apply_gains(data, flags, obs, whole(obs), files)
     cal.pol_convention = "avg"
     cal.gain_scale = "Jy"
     obs, data, flags, files = read(uv, cal, extension="calh5")
-    half, _ = apply_gains(data, flags, obs, whole(obs), files)
+    half, *_ = apply_gains(data, flags, obs, whole(obs), files)
     np.testing.assert_allclose(half, plain / 2, rtol=1e-14)
 
 
@@ -154,12 +154,12 @@ def test_the_convention_that_gains_state_replaces_that_of_the_job(read, tmp_path
     uv = make_uvdata()
     cal = make_uvcal(uv)
     obs, data, flags, files = read(uv, cal)
-    plain, _ = apply_gains(data, flags, obs, whole(obs), files)
+    plain, *_ = apply_gains(data, flags, obs, whole(obs), files)
     cal.pol_convention, cal.gain_scale = stated, "Jy" if stated else None
     obs, *_, files = read(uv, cal, extension="calh5")
     job = dataclasses.replace(obs, pol_convention="avg")
     halved, flags, _ = read_visibilities([tmp_path / "a.uvh5"], job, whole(job))
-    found, _ = apply_gains(halved, flags, job, whole(job), files)
+    found, *_ = apply_gains(halved, flags, job, whole(job), files)
     np.testing.assert_allclose(found, factor * plain, rtol=1e-14)
 
 
@@ -243,7 +243,7 @@ def test_flagged_gains_may_be_anything(read):
     cal.gain_array[0, 0, 0, 0], cal.flag_array[0, 0, 0, 0] = np.nan, True
     cal.gain_array[1, 0, 0, 0], cal.flag_array[1, 0, 0, 0] = 0, True
     obs, data, flags, files = read(uv, cal)
-    found, _ = apply_gains(data, flags, obs, whole(obs), files)
+    found, *_ = apply_gains(data, flags, obs, whole(obs), files)
     assert np.isfinite(found).all()
 
 
@@ -296,7 +296,7 @@ def test_measured_raw_data_become_the_calibrated_ones(data_dir):
     raw, gains, calibrated = (folder / f"{name}{end}" for end in (".uncalibrated.uvh5", ".abs.calfits", ".uvh5"))
     obs = read_observation([raw], Selection())
     data, flags, _ = read_visibilities([raw], obs, whole(obs))
-    found, found_flags = apply_gains(data, flags, obs, whole(obs), [gains])
+    found, found_flags, _ = apply_gains(data, flags, obs, whole(obs), [gains])
     wanted, wanted_flags, _ = read_visibilities([calibrated], obs, whole(obs))
     good = ~found_flags & ~wanted_flags & (wanted != 0)
     assert good.mean() > 0.6

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from astropy.time import Time
 from numpy.typing import NDArray
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray, Observation
@@ -23,8 +24,7 @@ from hydrabeam_mpi.model.rime import Beam, ForwardModel
 from hydrabeam_mpi.setup.problem import Problem
 from hydrabeam_mpi.setup.skies import source_positions
 
-TAI_MINUS_UTC = 37.0  # s, since 2017
-TT_MINUS_UTC = 69.184
+TT_MINUS_TAI = 32.184  # s
 HALF_DAY = 43200.0
 CLOCK_TOLERANCE = 1.5  # s: UT1 - UTC, which a file's sidereal times may lack, is up to 0.9 s
 HALF_TOLERANCE = 0.02  # of an integration
@@ -97,13 +97,15 @@ def basic_alternatives() -> list[Alternative]:
 def time_alternatives(observation: Observation) -> list[Alternative]:
     """Return clocks that the times may have been read from."""
     ones = np.ones(observation.Ntimes)
+    tai = _tai_minus_utc(observation.times)
+    tt = tai + TT_MINUS_TAI
     half = 0.5 * observation.integration_time
     brief = HALF_TOLERANCE * float(observation.integration_time.mean())
     shifts = {
-        "times in TAI": (-TAI_MINUS_UTC * ones, CLOCK_TOLERANCE, "TAI - UTC"),
-        "times early by TAI - UTC": (TAI_MINUS_UTC * ones, CLOCK_TOLERANCE, "TAI - UTC, taken off twice"),
-        "times in TT": (-TT_MINUS_UTC * ones, CLOCK_TOLERANCE, "TT - UTC"),
-        "times early by TT - UTC": (TT_MINUS_UTC * ones, CLOCK_TOLERANCE, "TT - UTC, taken off twice"),
+        "times in TAI": (-tai, CLOCK_TOLERANCE, "TAI - UTC"),
+        "times early by TAI - UTC": (tai, CLOCK_TOLERANCE, "TAI - UTC, taken off twice"),
+        "times in TT": (-tt, CLOCK_TOLERANCE, "TT - UTC"),
+        "times early by TT - UTC": (tt, CLOCK_TOLERANCE, "TT - UTC, taken off twice"),
         "times of the integrations' starts": (half, brief, "half an integration"),
         "times of the integrations' ends": (-half, brief, "half an integration"),
         "times early by half a day": (HALF_DAY * ones, None, "JD = MJD + 2400000.5"),
@@ -113,6 +115,13 @@ def time_alternatives(observation: Observation) -> list[Alternative]:
         Alternative(name, _shifted(float(shift.mean()), why), shift=shift, tolerance=tolerance)
         for name, (shift, tolerance, why) in shifts.items()
     ]
+
+
+def _tai_minus_utc(times: FloatArray) -> FloatArray:
+    """Return the leap seconds so far (and before 1972 what stood for them) at Julian dates, (Ntimes,), in s."""
+    utc = Time(times, format="jd", scale="utc")
+    # In two parts each, as a single double of a Julian date is good to 4e-5 s only.
+    return np.asarray(86400 * ((utc.tai.jd1 - utc.jd1) + (utc.tai.jd2 - utc.jd2)))
 
 
 def _shifted(shift: float, why: str) -> str:
