@@ -17,13 +17,13 @@ LAYERS = (
     ("model.bases", "model.engines"),
     ("model",),
     ("infer", "tables"),
-    ("config",),
-    ("io",),
-    ("setup",),
     ("effects.interface",),
     ("effects.shared",),
     ("effects.instrument", "effects.sky", "effects.noise"),
     ("effects",),
+    ("config",),
+    ("io",),
+    ("setup",),
     ("fit",),
     ("result",),
     ("simulation",),
@@ -110,6 +110,13 @@ def test_imports_run_one_way_between_rooms(name: str) -> None:
     layer, room = room_of(name)
     found = {one: room_of(one) for one in inner_imports(name) if one != PACKAGE}
     assert [one for one, (below, other) in found.items() if other != room and below >= layer] == []
+
+
+@pytest.mark.parametrize("name", [name for name in MODULES if not in_any(name, ("effects", "loop.checks"))])
+def test_effects_are_known_by_what_all_of_them_offer(name: str) -> None:
+    """Nobody speaks to a single one, except for the check of leakage, which has rows of its own."""
+    single = ("effects.instrument", "effects.sky", "effects.noise")
+    assert [found for found in inner_imports(name) if in_any(found, single)] == []
 
 
 @pytest.mark.parametrize("name", MODULES)

@@ -2,37 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
 from hydrabeam_mpi.config.base import Section, key, refuse_unused
+from hydrabeam_mpi.effects.registry import KINDS, REWEIGHTINGS
 
-Kind = Literal[
-    "antenna_gains",
-    "antenna_delays",
-    "cable_reflections",
-    "cross_coupling",
-    "auto_coupling",
-    "mutual_coupling",
-    "missing_sources",
-    "catalogue_flux",
-    "diffuse",
-    "antenna_positions",
-    "timestamp",
-    "antenna_pointing",
-    "nonredundant_beams",
-    "basis_truncation",
-    "ionosphere",
-    "horizon",
-    "leakage",
-    "outliers",
-    "noise_level",
-]
-
-
-OF_WEIGHTS = ("outliers", "noise_level")
-"""Those whose parameters have neither names nor priors in a job."""
+if TYPE_CHECKING:
+    Kind = str
+else:  # a job may name what there is
+    Kind = Literal[KINDS]
 
 
 class Effect(Section):
@@ -49,7 +29,7 @@ class Effect(Section):
     @model_validator(mode="after")
     def _belongs_together(self) -> Self:
         lengths = {len(row) for row in (*self.values, *self.std)}
-        if self.kind not in OF_WEIGHTS:
+        if self.kind not in REWEIGHTINGS:  # their parameters have neither names nor priors in a job
             lengths |= {len(self.names), len(set(self.index)), len(self.index), len(self.prior_std)}
         if 0 in lengths or len(lengths) > 1 or len(self.std) not in (0, len(self.values)):
             raise ValueError(

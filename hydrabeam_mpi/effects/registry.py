@@ -1,4 +1,4 @@
-"""All effects by name."""
+"""All effects by the names that jobs give them; a new one has a file beside these and its line here."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hydrabeam_mpi.effects.instrument.leakage import Leakage
 from hydrabeam_mpi.effects.instrument.mutual_coupling import MutualCoupling
 from hydrabeam_mpi.effects.instrument.nonredundant_beams import NonredundantBeams
 from hydrabeam_mpi.effects.instrument.timestamp import Timestamp
-from hydrabeam_mpi.effects.interface.effect import Cause, Effect
+from hydrabeam_mpi.effects.interface.effect import Cause, CrossPolarised, Effect
 from hydrabeam_mpi.effects.interface.reweighting import Reweighting
 from hydrabeam_mpi.effects.noise.noise_level import NoiseLevel
 from hydrabeam_mpi.effects.noise.outliers import Outliers
@@ -55,8 +55,11 @@ EFFECTS: Mapping[str, type[Effect]] = {
 REWEIGHTINGS: Mapping[str, type[Reweighting]] = {change.kind: change for change in (NoiseLevel, Outliers)}
 """Changes of how much the data weigh."""
 
-SEPARATE: Mapping[str, type[Leakage]] = {Leakage.kind: Leakage}
+SEPARATE: Mapping[str, type[CrossPolarised]] = {cause.kind: cause for cause in (Leakage,)}
 """Causes that are seen in other rows than those of the job's polarisation."""
+
+KINDS = (*EFFECTS, *SEPARATE, *REWEIGHTINGS)
+"""All that a job may name."""
 
 
 def make_effect(kind: str, settings: Mapping[str, Any]) -> Effect:

@@ -15,11 +15,10 @@ from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.effects import Injected
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.redundancy import RedundantGroups
-from hydrabeam_mpi.effects.instrument.leakage import Leakage
-from hydrabeam_mpi.effects.interface.effect import Cause, Effect
+from hydrabeam_mpi.effects.interface.effect import Cause, CrossPolarised, Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.effects.registry import REWEIGHTINGS, make_cause, make_reweighting
+from hydrabeam_mpi.effects.registry import REWEIGHTINGS, SEPARATE, make_cause, make_reweighting
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.beam import Beam
@@ -72,7 +71,7 @@ class Injection:
     def before_noise(self, crosses: Visibilities) -> tuple[dict[str, ComplexArray], list[Truth]]:
         """Return what is measured of visibilities by polarisation, each (Nfreqs, Ntimes, Nbls), and what was put in.
 
-        Both feeds have the same effects; what is so measured leaks.
+        Both feeds have the same effects, and what is measured so is what causes in other polarisations work on.
         """
         causes: dict[int, tuple[Cause, FloatArray]] = {}
         for number, entry in enumerate(self.entries):
@@ -81,9 +80,10 @@ class Injection:
                     causes[number] = self._draw(number, entry)
         ordinary = {number: (cause, x) for number, (cause, x) in causes.items() if isinstance(cause, Effect)}
         data = {pol: self._with_effects(pol, vis, ordinary) for pol, vis in crosses.items()}
-        leaks = [x for cause, x in causes.values() if isinstance(cause, Leakage)]
-        if leaks:
-            data = self._leaked(data, np.sum(leaks, axis=0))
+        for kind, separate in SEPARATE.items():
+            of_kind = [x for cause, x in causes.values() if cause.kind == kind]
+            if of_kind:
+                data = self._in_all_polarisations(separate(), data, np.sum(of_kind, axis=0))
         return data, [self._truth(cause, x) for cause, x in causes.values()]
 
     def _with_effects(
@@ -102,11 +102,13 @@ class Injection:
             data[f] = self._as_measured(factor * (block.vis + added))
         return data
 
-    def _leaked(self, copols: Visibilities, x: FloatArray) -> dict[str, ComplexArray]:
-        """Return all polarisations, with D-terms (Nfreqs, n_params)."""
+    def _in_all_polarisations(
+        self, cause: CrossPolarised, copols: Visibilities, x: FloatArray
+    ) -> dict[str, ComplexArray]:
+        """Return what a cause with parameters (Nfreqs, n_params) makes of each polarisation."""
         channels = [
-            Leakage().leaked(self.setup, {pol: vis[f] for pol, vis in copols.items()}, terms)
-            for f, terms in enumerate(x)
+            cause.measured(self.setup, {pol: vis[f] for pol, vis in copols.items()}, of_channel)
+            for f, of_channel in enumerate(x)
         ]
         return {pol: np.array([channel[pol] for channel in channels]) for pol in channels[0]}
 
@@ -166,7 +168,7 @@ class Injection:
         not_applicable = cause.not_applicable(self.setup)
         if not_applicable is not None:
             raise InputError(not_applicable, remedy="remove it")
-        if isinstance(cause, Effect) and not entry.settings:
+        if not entry.settings:
             cause = cause.drawn(self.setup, generator(self.job.seed, "injected elements", number))
         if entry.parameters:
             nothing = dict.fromkeys(cause.parameters(self.setup).names, 0.0)

@@ -17,7 +17,7 @@ from hydrabeam_mpi.config.sizes import check_fits, simulated_bytes
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, Observation
 from hydrabeam_mpi.data.partition import make_tiles
 from hydrabeam_mpi.data.redundancy import RedundantGroups, check_apart, check_tolerance, find_redundant_groups
-from hydrabeam_mpi.effects.instrument.leakage import FEEDS
+from hydrabeam_mpi.effects.interface.observing_setup import FEEDS
 from hydrabeam_mpi.effects.registry import SEPARATE
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.disk import check_space, writing

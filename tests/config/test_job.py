@@ -10,8 +10,7 @@ import tomli_w
 from pydantic import BaseModel, ValidationError
 
 from hydrabeam_mpi.config import Job, Section, load_job
-from hydrabeam_mpi.config.effects import Effect, Injected, Kind
-from hydrabeam_mpi.effects.registry import EFFECTS, REWEIGHTINGS, SEPARATE
+from hydrabeam_mpi.config.effects import Effect, Injected
 
 JOBS = sorted((Path(__file__).parents[2] / "jobs").glob("*/*.toml"))
 
@@ -265,10 +264,6 @@ def test_every_key_has_a_meaning() -> None:
                 assert not field.is_required() or (section in (Effect, Injected) and name == "kind")
         assert section.__doc__
     assert tables == 16
-
-
-def test_every_effect_has_a_name_in_the_job() -> None:
-    assert set(get_args(Kind)) == {*EFFECTS, *REWEIGHTINGS, *SEPARATE}
 
 
 def test_sections_do_not_change(tmp_path: Path) -> None:

@@ -6,24 +6,23 @@ import json
 import pickle
 from collections.abc import Callable
 from dataclasses import replace
-from typing import get_args
 
 import numpy as np
 import pytest
 
-from hydrabeam_mpi.config.effects import Kind
+from hydrabeam_mpi.config.sections import Basis
 from hydrabeam_mpi.effects.interface.effect import Cause, Effect, ScannedEffect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.effects.registry import EFFECTS, REWEIGHTINGS, SEPARATE, make_cause, make_effect
+from hydrabeam_mpi.effects.registry import EFFECTS, KINDS, REWEIGHTINGS, SEPARATE, make_cause, make_effect
 from hydrabeam_mpi.random import generator
 from tests.effects.cases import CASES, Case, candidates, draw, experiment_of, places, set_up
 from tests.effects.direct import C, assert_same, row_vectors, seen_by_the_beam, unit_vectors
 from tests.effects.small import check_adjoint, check_derivative, check_recovery, matrix_at, part_of, with_effect
 
 
-def test_the_catalogue_is_that_of_job_files() -> None:
-    assert {*EFFECTS, *REWEIGHTINGS, *SEPARATE} == set(get_args(Kind))
+def test_no_two_have_one_name() -> None:
+    assert len(set(KINDS)) == len(KINDS) == len(EFFECTS) + len(REWEIGHTINGS) + len(SEPARATE)
     assert set(CASES) <= set(EFFECTS)
     titles = [one.title for one in (*EFFECTS.values(), *REWEIGHTINGS.values(), *SEPARATE.values())]
     assert len(set(titles)) == len(titles)
@@ -71,6 +70,34 @@ def test_it_is_what_its_kind_and_description_say(kind: str) -> None:
             np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
 
 
+@pytest.mark.parametrize("kind", EFFECTS)
+def test_what_comes_next_is_new_and_follows_its_own_kind_alone(kind: str) -> None:
+    effect, setup = make_effect(kind, {}), set_up(kind)[1].setup
+    for other in EFFECTS:
+        following = effect.next_after(setup, make_effect(other, {}))
+        assert following.kind == kind
+        if other != kind:
+            assert following is effect
+        elif following is not effect:
+            assert not set(following.parameters(setup).names) & set(effect.parameters(setup).names)
+            assert following.next_after(setup, effect).describe() == following.describe()
+
+
+@pytest.mark.parametrize("kind", EFFECTS)
+def test_a_basis_is_amended_by_its_own_keys_for_what_is_about_the_beam(kind: str) -> None:
+    effect, block, _ = set_up(kind)
+    amended = effect.amended_basis(block.setup)
+    assert amended is None or (amended and effect.is_about_the_beam)
+    Basis.model_validate(Basis().model_dump() | dict(amended or {}))
+
+
+@pytest.mark.parametrize("kind", EFFECTS)
+def test_effects_may_be_claimed(kind: str) -> None:
+    effect = make_effect(kind, {})
+    assert not effect.is_control_model
+    assert not (effect.gets_simpler_when_fitted and effect.linear)
+
+
 @pytest.mark.parametrize("kind", [*EFFECTS, *SEPARATE])
 def test_draws_are_told_by_their_seed(kind: str) -> None:
     effect, setup = cause_of(kind)
@@ -79,10 +106,10 @@ def test_draws_are_told_by_their_seed(kind: str) -> None:
     assert np.all(np.isfinite(x))
     assert x.any()
     np.testing.assert_array_equal(draw(effect, setup, 1.0), x)
+    one, two = (effect.drawn(setup, generator(3, "drawn")) for _ in range(2))
+    assert one.describe() == two.describe()
+    assert len(one.parameters(setup)) > 0
     if isinstance(effect, Effect):
-        one, two = (effect.drawn(setup, generator(3, "drawn")) for _ in range(2))
-        assert one.describe() == two.describe()
-        assert len(one.parameters(setup)) > 0
         n_freqs = setup.observation.Nfreqs
         assert effect.unphysical(np.tile(x, (n_freqs, 1)), np.tile(0.01 * np.abs(x), (n_freqs, 1))) is None
 

@@ -38,6 +38,15 @@ def test_neutral_weights_change_nothing(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", REWEIGHTINGS)
+def test_it_knows_which_of_its_parameters_are_of_antennas(kind: str) -> None:
+    change, setup = make_reweighting(kind, {}), noisy().setup
+    neutral = change.neutral(setup)
+    for size in change.sizes(setup):
+        of_antennas = any(name.startswith("antenna ") for name in list(neutral)[:size])
+        assert change.scales_antennas(np.tile(list(neutral.values())[:size], (2, 1))) == of_antennas
+
+
+@pytest.mark.parametrize("kind", REWEIGHTINGS)
 def test_reweightings_are_drawn_and_put_into_data_by_a_seed(kind: str) -> None:
     change, block = make_reweighting(kind, {}), noisy()
     x, again, nothing = (change.draw(block.setup, generator(1, kind), size) for size in (0.3, 0.3, 0.0))

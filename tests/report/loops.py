@@ -6,14 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from hydrabeam_mpi.effects.registry import EFFECTS, REWEIGHTINGS
+
+KINDS = (*EFFECTS, *REWEIGHTINGS)
 Entry = dict[str, Any]
 ANTENNAS = [0, 1, 2, 11, 12, 13, 23, 24]
 FREQ = 150e6
-KINDS = (
-    "antenna_gains", "missing_sources", "antenna_delays", "cable_reflections", "cross_coupling", "mutual_coupling",
-    "catalogue_flux", "diffuse", "antenna_positions", "timestamp", "antenna_pointing", "nonredundant_beams",
-    "basis_truncation", "ionosphere", "outliers", "noise_level", "horizon",
-)  # fmt: skip
 
 
 def statistics(level: float, antenna: int = 23, boost: float = 1.0, seed: int = 0) -> Entry:

@@ -27,6 +27,7 @@ class BasisTruncation(Effect):
     kind = "basis_truncation"
     title = "a basis that is too small"
     linear = True
+    is_about_the_beam = True
 
     def __init__(self, n_before: int = 0) -> None:
         self.n_before = n_before
@@ -59,8 +60,14 @@ class BasisTruncation(Effect):
         values = block.integrals[key]
         return Columns(values, values.shape[-1], by_group=True)
 
-    def amended_basis_settings(self, setup: ObservingSetup) -> dict[str, Any]:
-        """Return the keys of the job's ``[basis]`` table for a basis with more modes; numbers may be larger.
+    def next_after(self, setup: ObservingSetup, newest: Effect) -> Effect:
+        """Return the modes after those that the model got last."""
+        if not isinstance(newest, BasisTruncation):
+            return self
+        return BasisTruncation(newest.n_before + len(newest.parameters(setup)))
+
+    def amended_basis(self, setup: ObservingSetup) -> dict[str, Any]:
+        """Return the keys of the job's ``[basis]`` table for a basis with more modes.
 
         For a Fourier-Bessel basis the job then takes the largest modes of the model beam, so many as there are here. If
         it has to be free at the edge it has the Neumann condition there.

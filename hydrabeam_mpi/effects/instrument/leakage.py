@@ -17,13 +17,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
-from hydrabeam_mpi.effects.interface.effect import Cause, Columns, Parameters
-from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
-
-FEEDS = (("e", "n"), ("x", "y"), ("r", "l"))
+from hydrabeam_mpi.effects.interface.effect import Columns, CrossPolarised, Parameters
+from hydrabeam_mpi.effects.interface.observing_setup import FEEDS, ObservingSetup
 
 
-class Leakage(Cause):
+class Leakage(CrossPolarised):
     """D-terms of all antennas and both feeds, constant in time, each channel its own.
 
     Not an `Effect`, as its rows are of other polarisations than those from which the beam is inferred.
@@ -128,19 +126,10 @@ class Leakage(Cause):
             other: scale * (copols[other] - into_other * copols[one]),
         }
 
-    def leaked(
+    def measured(
         self, setup: ObservingSetup, copols: Mapping[str, ComplexArray], x: FloatArray
     ) -> dict[str, ComplexArray]:
-        """Return what is measured of an unpolarised sky in all four polarisations, exact.
-
-        Parameters
-        ----------
-        setup : ObservingSetup
-        copols : mapping of str to ndarray of complex, (Ntimes, Nbls)
-            Visibilities without leakage, such as of "ee" and "nn", Jy, in the sense of the observation's antpairs.
-        x : ndarray, (n_params,)
-            D-terms.
-        """
+        """Return what is measured in the co-polarisations and in the cross-polarisations that the files have."""
         bls = np.arange(setup.observation.Nbls)
         into_one, into_other = self._from_copols(setup, bls, x)
         one, other = self.copols(setup)

@@ -14,7 +14,7 @@ effect.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
@@ -156,9 +156,32 @@ class Cause(ABC):
         parameters = self.parameters(setup)
         return strength * parameters.scale * rng.standard_normal(len(parameters))
 
+    def drawn(self, setup: ObservingSetup, rng: np.random.Generator) -> Cause:
+        """Return the cause to simulate: itself, or where there are candidates, one of them at random."""
+        return self
+
     def describe(self) -> dict[str, Any]:
         """Return what, besides its kind, makes this effect: keyword arguments of its class, JSON-able."""
         return {}
+
+
+class CrossPolarised(Cause):
+    """A cause that is seen in rows of other polarisations than that from which the beam is inferred."""
+
+    @abstractmethod
+    def measured(
+        self, setup: ObservingSetup, copols: Mapping[str, ComplexArray], x: FloatArray
+    ) -> dict[str, ComplexArray]:
+        """Return what is measured of an unpolarised sky in all polarisations, exact, each (Ntimes, Nbls).
+
+        Parameters
+        ----------
+        setup : ObservingSetup
+        copols : mapping of str to ndarray of complex, (Ntimes, Nbls)
+            Visibilities without this cause, such as of "ee" and "nn", Jy, in the sense of the observation's antpairs.
+        x : ndarray, (n_params,)
+            Of one channel; those of several causes of one kind add up.
+        """
 
 
 class Effect(Cause):
@@ -176,6 +199,15 @@ class Effect(Cause):
     """Whether the data are so nearly linear in the parameters that a fit gains about what the columns promise."""
     local: ClassVar[Literal["times", "baselines"] | None] = None
     """Whether the parameters belong to single times or baselines, so that other rows do not tell them."""
+    is_about_the_beam: ClassVar[bool] = False
+    """Whether it is a fault of the beam's model itself, so that it may well look like another beam."""
+    is_control_model: ClassVar[bool] = False
+    """Whether it is weighed beside the effects for these to beat it, and never claimed itself."""
+
+    @property
+    def gets_simpler_when_fitted(self) -> bool:
+        """Whether a fit may need fewer elements than the search did, once places or delays are refined."""
+        return False
 
     def sky_columns(self, sources: Sources) -> FloatArray | None:
         """Return what the effect needs integrated over the sky at one time, (K, Nsrc) real.
@@ -217,13 +249,28 @@ class Effect(Cause):
         """Say why fitted parameters, (Nfreqs, n_params), cannot be this effect's; None where they can."""
         return None
 
-    def drawn(self, setup: ObservingSetup, rng: np.random.Generator) -> Effect:
-        """Return the effect to simulate: itself, or where there are candidates, one of them at random."""
+    def next_after(self, setup: ObservingSetup, newest: Effect) -> Effect:
+        """Return what to look for where ``newest`` is the last effect that the model got.
+
+        That is this effect itself, or where it has a successor and ``newest`` is of its kind, the one after that.
+        """
         return self
+
+    def amended_basis(self, setup: ObservingSetup) -> Mapping[str, Any] | None:
+        """Return keys of the job's ``[basis]`` table by which later runs of the job have the effect in their model.
+
+        Of numbers the larger of these and the job's own count. None where the job gets an ``[[effects]]`` entry.
+        """
+        return None
 
 
 class ScannedEffect(Effect):
     """An effect of which there are too many candidates to treat together: they are scanned one by one first."""
+
+    @property
+    def gets_simpler_when_fitted(self) -> bool:
+        """Whether the candidates are but the nearest ones to what a fit finds between them."""
+        return not self.linear
 
     @abstractmethod
     def n_hypotheses(self, setup: ObservingSetup) -> int:

@@ -16,6 +16,9 @@ from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.positions import ApparentPositions, SourcePositions
 from hydrabeam_mpi.model.sky import Sky
 
+FEEDS = (("e", "n"), ("x", "y"), ("r", "l"))
+"""The two feeds of an element, by the names that polarisations have."""
+
 
 @dataclass(frozen=True)
 class ObservingSetup:

@@ -55,6 +55,14 @@ class Reweighting(ABC):
     """Name in job files and in ``loop.json``."""
     title: ClassVar[str]
     """Name in sentences."""
+    searched_again_with_heavy_tails: ClassVar[bool] = False
+    """Whether, where it is refused, it is looked for once more in what a fit leaves that large residuals pull less."""
+    times_refitted: ClassVar[int] = 0
+    """How often it is fitted again to the residuals of a fit that has it."""
+
+    def scales_antennas(self, x: FloatArray) -> bool:
+        """Whether parameters, (Nfreqs, n_params), scale the noise of single antennas."""
+        return False
 
     @abstractmethod
     def sizes(self, setup: ObservingSetup) -> tuple[int, ...]:

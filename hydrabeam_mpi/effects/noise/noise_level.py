@@ -54,6 +54,11 @@ class NoiseLevel(Reweighting):
 
     kind = "noise_level"
     title = "noise level"
+    times_refitted = 2
+
+    def scales_antennas(self, x: FloatArray) -> bool:
+        """Whether there are more parameters than the one of all data."""
+        return x.shape[1] > 1
 
     def sizes(self, setup: ObservingSetup) -> tuple[int, ...]:
         """Return one, or one more than there are antennas in use."""

@@ -9,11 +9,11 @@ from __future__ import annotations
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
-from hydrabeam_mpi.effects.instrument.nonredundant_beams import MODES, sidelobes, stretches
 from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
+from hydrabeam_mpi.effects.shared.beam_shapes import MODES, sidelobes, stretches
 from hydrabeam_mpi.effects.shared.displaced import TILTS, need_real_beam, torque
 
 MOST_MODES = 64
@@ -30,6 +30,7 @@ class BeamDrift(Effect):
     kind = "beam_drift"
     title = "a beam that changes in time"
     linear = True
+    is_control_model = True
 
     def not_applicable(self, setup: ObservingSetup) -> str | None:
         """Refuse where there are too few times."""

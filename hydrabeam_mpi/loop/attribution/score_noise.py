@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.reweighting import Reweighting, ReweightingFit
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.effects.noise.outliers import Outliers
 from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
 from hydrabeam_mpi.fit.state import Reweighted, State
 from hydrabeam_mpi.infer.posterior import Posterior
@@ -46,7 +45,7 @@ def fit_reweightings(context: FitContext, state: State, changes: Sequence[Reweig
     """
     found = _fit_all(context, state, changes)
     for i, one in enumerate(found):
-        if isinstance(one.change, Outliers) and one.fit.reason is not None:
+        if one.change.searched_again_with_heavy_tails and one.fit.reason is not None:
             n_freqs = context.setup.observation.Nfreqs
             tails = Reweighted(HeavyTails(), np.zeros((n_freqs, 0)), np.zeros((n_freqs, 0)))
             robust = refit(context, replace(state, reweighted=[*state.reweighted, tails]))

@@ -7,7 +7,6 @@ import numpy as np
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.effects import Effect as EffectEntry
 from hydrabeam_mpi.data.observation import FloatArray
-from hydrabeam_mpi.effects.instrument.basis_truncation import BasisTruncation
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.fit.state import State
 
@@ -17,10 +16,11 @@ def amended_job(job: Job, state: State, setup: ObservingSetup) -> Job:
     entries = []
     basis = job.basis
     for one in state.active:
-        if isinstance(one.effect, BasisTruncation):
-            wanted = one.effect.amended_basis_settings(setup)
-            larger = {key: max(value, getattr(basis, key)) for key, value in wanted.items() if key != "boundary"}
-            basis = basis.model_copy(update=wanted | larger)
+        wanted = one.effect.amended_basis(setup)
+        if wanted is not None:
+            numbers = {key: value for key, value in wanted.items() if isinstance(value, int | float)}
+            larger = {key: max(value, getattr(basis, key)) for key, value in numbers.items()}
+            basis = basis.model_copy(update={**wanted, **larger})
             continue
         used, parameters = one.used, one.effect.parameters(setup)
         entries.append(

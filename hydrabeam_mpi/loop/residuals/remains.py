@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
-from hydrabeam_mpi.effects.noise.noise_level import NoiseLevel
 from hydrabeam_mpi.fit.gauss_newton import FitContext
 from hydrabeam_mpi.fit.heldout import Whitened
 from hydrabeam_mpi.fit.rank_data import RankData
@@ -62,7 +61,7 @@ def remains_of(context: FitContext, state: State, whitened: Whitened) -> Remains
     coherent = _coherent(context, state, whitened)
     told = statistics(sums, layout, whitened.n_shared, coherent)
     own_level = sums
-    if any(isinstance(one.change, NoiseLevel) and one.x.shape[1] > 1 for one in state.reweighted):
+    if any(one.change.scales_antennas(one.x) for one in state.reweighted):
         # Scales that the fitted rows have told are not exactly those of the others.
         divided = residuals.divided(antenna_scales(sums, layout), layout)
         own_level = ResidualSums.of(whole_baselines(world, divided, layout)).reduce(world)

@@ -8,10 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydrabeam_mpi.config.effects import Loop as LoopSettings
-from hydrabeam_mpi.effects.instrument.basis_truncation import BasisTruncation
-from hydrabeam_mpi.effects.interface.effect import ScannedEffect
 from hydrabeam_mpi.fit.state import State
-from hydrabeam_mpi.loop.attribution.control_models import BeamDrift
 from hydrabeam_mpi.loop.attribution.score_effects import Finding
 from hydrabeam_mpi.loop.attribution.score_noise import WeightsFound
 from hydrabeam_mpi.loop.residuals.remains import Remains
@@ -58,7 +55,7 @@ class Candidate:
     @property
     def is_control(self) -> bool:
         """Whether it is weighed beside the effects without being one, so that it is never claimed."""
-        return self.finding is not None and isinstance(self.finding.effect, BeamDrift)
+        return self.finding is not None and self.finding.effect.is_control_model
 
 
 @dataclass(frozen=True)
@@ -76,9 +73,9 @@ class Round:
 def is_absorbed(candidate: Candidate, limit: float = MAX_ABSORBED) -> bool:
     """Whether nearly all of an effect's signature is what another beam would do, so that the data cannot tell it.
 
-    Not of a basis that is too small, which is about the beam itself.
+    Not of what is about the beam itself, such as a basis that is too small.
     """
-    if candidate.finding is None or isinstance(candidate.finding.effect, BasisTruncation):
+    if candidate.finding is None or candidate.finding.effect.is_about_the_beam:
         return False
     return candidate.finding.evidence.absorbed > limit
 
@@ -137,8 +134,8 @@ def may_be_better(candidate: Candidate, best: Round, enough: bool) -> bool:
         return False
     if not enough or _complexity(candidate) < _complexity(best.candidate):
         return True
-    nonlinear = isinstance(candidate.finding.effect, ScannedEffect) and not candidate.finding.effect.linear
-    return nonlinear and candidate.log_bayes_factor > NEAR_IF_LINEAR * best.candidate.log_bayes_factor
+    simpler = candidate.finding.effect.gets_simpler_when_fitted
+    return simpler and candidate.log_bayes_factor > NEAR_IF_LINEAR * best.candidate.log_bayes_factor
 
 
 def _complexity(candidate: Candidate) -> float:

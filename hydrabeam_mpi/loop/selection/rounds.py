@@ -9,10 +9,8 @@ from typing import Any
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
-from hydrabeam_mpi.effects.instrument.basis_truncation import BasisTruncation
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.reweighting import Reweighting, ReweightingFit
-from hydrabeam_mpi.effects.noise.noise_level import NoiseLevel
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
 from hydrabeam_mpi.fit.heldout import whiten
@@ -38,8 +36,6 @@ from hydrabeam_mpi.terminal.progress import say
 
 MAX_TRIES = 6
 """Effects that are fitted in one round at most."""
-TIMES_SCALED = 2
-"""Times that scales of the noise are fitted again to the residuals of a fit with them."""
 MAX_PRUNED = 3
 """Times at most that an effect is fitted again with another prior, or with fewer elements."""
 WEAK_SIGMA = 4.0
@@ -105,7 +101,7 @@ def run_rounds(
     settings, checked = context.problem.job.loop, history.last
     speaks = context.grid.is_world_root
     for one in history.rounds:
-        effects = [_next_of(context, effect, one.after.state) for effect in effects]
+        effects = _next_of(context, effects, one.after.state)
     for number in range(len(history.rounds), settings.max_rounds + 1):
         say(f"round {number + 1}: held-out chi^2 {checked.score.chi2:.4g}; weighing effects", speaks)
         with clock.time("attribution"):
@@ -122,18 +118,17 @@ def run_rounds(
         if added is None:
             break
         history.rounds.append(added)
-        effects = [_next_of(context, effect, added.after.state) for effect in effects]
+        effects = _next_of(context, effects, added.after.state)
         history.last = checked = added.after
         with clock.time("keep"):
             keep(history)
 
 
-def _next_of(context: FitContext, effect: Effect, state: State) -> Effect:
-    """Return the effect to look for after those of the state: more modes where all of the next ones are in use."""
-    last = state.active[-1].effect if state.active else None
-    if isinstance(effect, BasisTruncation) and isinstance(last, BasisTruncation):
-        return BasisTruncation(last.n_before + len(last.parameters(context.setup)))
-    return effect
+def _next_of(context: FitContext, effects: Sequence[Effect], state: State) -> Sequence[Effect]:
+    """Return the effects to look for after those of the state."""
+    if not state.active:
+        return effects
+    return [effect.next_after(context.setup, state.active[-1].effect) for effect in effects]
 
 
 def check(context: FitContext, state: State) -> Checked:
@@ -220,7 +215,7 @@ def _fit_weights(
 
     fit = found.fit
     fitted = weighted(found.start, fit)
-    for _ in range(TIMES_SCALED if isinstance(found.change, NoiseLevel) else 0):
+    for _ in range(found.change.times_refitted):
         fit = refit_reweighting(context, fitted, found.change)
         fitted = weighted(fitted, fit)
     weights = replace(found, fit=replace(fit, log_bayes_factor=found.fit.log_bayes_factor))

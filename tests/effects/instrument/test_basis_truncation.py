@@ -68,7 +68,7 @@ def test_amended_settings_hold_all_modes(basis) -> None:
     for _ in range(3):
         effect = BasisTruncation(n_more)
         n_more += len(effect.parameters(setup))
-    settings = effect.amended_basis_settings(setup)
+    settings = effect.amended_basis(setup)
     n_modes = basis.n_modes + n_more
     if isinstance(basis, Zernike):
         assert Zernike(settings["max_degree"]).n_modes == n_modes

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from hydrabeam_mpi.data.observation import FloatArray
-from hydrabeam_mpi.effects.instrument.nonredundant_beams import MODES, NonredundantBeams
+from hydrabeam_mpi.effects.instrument.nonredundant_beams import NonredundantBeams
+from hydrabeam_mpi.effects.shared.beam_shapes import MODES
 from hydrabeam_mpi.random import generator
 from tests.effects.direct import visibilities
 from tests.effects.small import small_block, small_setup, with_effect

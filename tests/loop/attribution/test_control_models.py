@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hydrabeam_mpi.cli import main
-from hydrabeam_mpi.effects.registry import EFFECTS
+from hydrabeam_mpi.effects.registry import EFFECTS, REWEIGHTINGS
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Active, State
 from hydrabeam_mpi.loop.attribution.control_models import SHAPE, BeamDrift, ShapeDrift
@@ -68,7 +68,7 @@ def test_a_drifting_beam_is_given_no_other_name(tmp_path: Path) -> None:
     assert loop["foreign"]["effect"] == "beam_drift"
     assert loop["foreign"]["heldout_after"] < loop["error_after"]
     assert "a beam that changes in time" in loop["said"][-1].lower()
-    assert {one["effect"] for one in loop["last_ranking"]} <= {*EFFECTS, "noise_level", "outliers"}
+    assert {one["effect"] for one in loop["last_ranking"]} <= {*EFFECTS, *REWEIGHTINGS}
 
 
 def test_few_times_cannot_tell(tmp_path: Path) -> None:
