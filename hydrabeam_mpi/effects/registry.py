@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, get_type_hints
+
+from pydantic import ConfigDict, TypeAdapter
 
 from hydrabeam_mpi.effects.instrument.antenna_delays import AntennaDelays
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
@@ -87,9 +89,16 @@ def make_reweighting(kind: str, settings: Mapping[str, Any]) -> Reweighting:
 
 
 def _make(of_kind: Any, settings: Mapping[str, Any]) -> Any:
+    kinds = get_type_hints(of_kind.__init__, include_extras=True)
     try:
-        return of_kind(**settings)
+        values = {name: _checked(kinds[name], value) if name in kinds else value for name, value in settings.items()}
+        return of_kind(**values)
     except (TypeError, ValueError) as error:
         known = ", ".join(inspect.signature(of_kind).parameters)
         remedy = f"there are {known}, as 'hydrabeam loop' writes them" if known else "leave them out"
         raise InputError("are not understood", field="settings", remedy=remedy) from error
+
+
+def _checked(kind: Any, value: Any) -> Any:
+    """Make sure that a setting is what its type says, or raise `ValueError`."""
+    return TypeAdapter(kind, config=ConfigDict(allow_inf_nan=False)).validate_python(value)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from astropy.time import Time
 
 from hydrabeam_mpi.config import Job, Simulate
 from hydrabeam_mpi.config.sizes import check_fits, simulated_bytes
+from hydrabeam_mpi.data.limits import LARGEST
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, Observation
 from hydrabeam_mpi.data.partition import make_tiles
 from hydrabeam_mpi.data.redundancy import RedundantGroups, check_apart, check_tolerance, find_redundant_groups
@@ -194,10 +195,7 @@ def _write(
     if injection:
         data, more = injection.after_noise(data, variance)
         truths += more
-    for f, freq in enumerate(observation.freqs):
-        numbers = {f"simulated {pol}": vis[f] for pol, vis in (*data.items(), *autos.items())}
-        check_finite(f"channel {f} ({freq / 1e6:.10g} MHz)", numbers, SIMULATION)
-    check_finite("truth.h5", {"effects": [truth["values"] for truth in truths]}, SIMULATION)
+    _check_simulated(observation, data, autos, truths)
     _write_data(folder / "data.uvh5", observation, data, autos, settings.nsamples)
     with new_hdf5(folder / "truth.h5") as file:
         own_beams = beams[job.data.polarization]
@@ -207,6 +205,20 @@ def _write(
         file.attrs["beam_names"] = [beam.info.name for beam in own_beams]
         file.attrs["polarization"] = job.data.polarization
         file.attrs["effects"] = json.dumps(truths)
+
+
+def _check_simulated(
+    observation: Observation, data: Visibilities, autos: Mapping[str, FloatArray], truths: Sequence[Truth]
+) -> None:
+    """Make sure that what is written are numbers, and such as are read again."""
+    for f, freq in enumerate(observation.freqs):
+        where = f"channel {f} ({freq / 1e6:.10g} MHz)"
+        for pol, vis in (*data.items(), *autos.items()):
+            check_finite(where, {f"simulated {pol}": vis[f]}, SIMULATION)
+            if (reached := np.abs(vis[f]).max()) > LARGEST:
+                message = f"simulated {pol}: reaches {reached:.3g} Jy, more than is read of any file"
+                raise InputError(message, field=where, remedy=SIMULATION)
+    check_finite("truth.h5", {"effects": [truth["values"] for truth in truths]}, SIMULATION)
 
 
 def _write_data(

@@ -273,6 +273,12 @@ SIMULATIONS = [
          {"sky.spectral_index": 1e4}),
     Case("effects too strong for numbers", ("job.toml", "number 1 (antenna_gains)", "overflow", "lower its strength"),
          {"data.simulate.effects": [{"kind": "antenna_gains", "strength": 1e4}]}),
+    Case("effects beyond what is read of a file", ("job.toml", "channel 0 (131 MHz)", "simulated ee: reaches", "Jy"),
+         {"data.simulate.effects": [{"kind": "antenna_gains", "parameters": {"antenna 1 ln amplitude": 500.0}}]}),
+    Case("settings of another kind", ("job.toml", "number 1 (diffuse) settings", "are not understood", "l_max"),
+         {"data.simulate.effects": [{"kind": "diffuse", "settings": {"l_max": 10**12}}]}),
+    Case("modes beyond the last", ("job.toml", "number 1 (basis_truncation)", "no modes come after", "remove it"),
+         {"data.simulate.effects": [{"kind": "basis_truncation", "settings": {"n_before": 10**12}}]}),
     Case("nothing to simulate", ("job.toml", "[data.simulate]", "is missing", "add it"),
          {"data.simulate": None, "data.files": ["data.uvh5"]}),
 ]  # fmt: skip

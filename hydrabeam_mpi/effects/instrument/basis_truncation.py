@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
@@ -29,7 +30,7 @@ class BasisTruncation(Effect):
     linear = True
     is_about_the_beam = True
 
-    def __init__(self, n_before: int = 0) -> None:
+    def __init__(self, n_before: Annotated[int, Field(ge=0)] = 0) -> None:
         self.n_before = n_before
 
     def describe(self) -> dict[str, Any]:
@@ -40,6 +41,8 @@ class BasisTruncation(Effect):
         """Refuse complex beams, and bases of which it is not known what comes next."""
         if self._next(setup) is None:
             return "it is not known which functions come next; a Fourier-Bessel or Zernike basis would tell"
+        if not self.next_modes(setup).modes:
+            return f"no modes come after the next {self.n_before}; fewer before them would leave some"
         return need_real_beam(setup)
 
     def parameters(self, setup: ObservingSetup) -> Parameters:

@@ -15,6 +15,7 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.shared.beam_visibilities import beam_visibilities, is_copolar
 from hydrabeam_mpi.effects.shared.per_antenna import row_antennas
+from hydrabeam_mpi.effects.shared.settings import Count
 from hydrabeam_mpi.model.engines.fringes import C_M_PER_S
 
 SHELL_WIDTH = 0.02
@@ -49,7 +50,7 @@ class MutualCoupling(Effect):
     kind = "mutual_coupling"
     title = "mutual coupling"
 
-    def __init__(self, n_shells: int = 12) -> None:
+    def __init__(self, n_shells: Count = 12) -> None:
         self.n_shells = n_shells
 
     def describe(self) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import ScannedEffect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.shared.settings import Azimuth, Count, Elevation
 from hydrabeam_mpi.model.engines.base import amplitude
 from hydrabeam_mpi.model.engines.fringes import C_M_PER_S, enu
 from hydrabeam_mpi.model.rime import Beam
@@ -35,7 +36,7 @@ class PointSources(ScannedEffect):
     changes_sky = True
     shared = True
 
-    def __init__(self, sources: Sequence[tuple[float, float]] = (), trials: int = 1) -> None:
+    def __init__(self, sources: Sequence[tuple[Azimuth, Elevation]] = (), trials: Count = 1) -> None:
         self.sources = tuple((float(ra), float(dec)) for ra, dec in sources)
         self.trials = trials
 

@@ -10,9 +10,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import factorial
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 from scipy.special import lpmv
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
@@ -26,6 +27,7 @@ from hydrabeam_mpi.model.sky import Sky
 MAX_LENGTH = 100.0  # wavelengths
 BEAM_NODES, BEAM_ORDERS = 60, 110  # what a beam's own structure adds to the quadrature in cos za and az
 POINTS_AT_ONCE = 16384
+MOST_DEGREES = 85  # beyond, the norm of the harmonics has a (2 l)! that no double holds
 GALACTIC_SLOPE = -1.25  # of a_lm with l: the power of the Galaxy's emission falls as l^-2.5
 MONOPOLE = 4.5  # relative to l = 1: no emission is negative, so that the mean is twice the rms about it, or more
 
@@ -49,7 +51,7 @@ class Diffuse(Effect):
     title = "diffuse emission"
     changes_sky = True
 
-    def __init__(self, l_max: int = 6) -> None:
+    def __init__(self, l_max: Annotated[int, Field(ge=0, le=MOST_DEGREES)] = 6) -> None:
         self.l_max = l_max
 
     def describe(self) -> dict[str, Any]:

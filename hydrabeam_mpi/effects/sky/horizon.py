@@ -13,6 +13,7 @@ from hydrabeam_mpi.effects.interface.effect import Columns, Parameters, ScannedE
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
+from hydrabeam_mpi.effects.shared.settings import Azimuth, Count, Elevation
 
 HIGHEST = 10.0  # elevation up to which something may stand, degrees
 HEIGHTS = 40
@@ -26,7 +27,7 @@ SAME = 0.6  # part of their joint area that two walls share beyond which they ar
 STRIPS = 10  # on either side of an edge
 UNKNOWN = 0.33  # natural size of what a strip transmits otherwise than its wall has it
 
-Box = tuple[float, float, float, float]
+Box = tuple[Azimuth, Azimuth, Elevation, Elevation]
 """First and last azimuth, lowest and highest elevation, degrees."""
 
 
@@ -54,10 +55,12 @@ class Horizon(ScannedEffect):
     title = "obstruction near the horizon"
     changes_sky = True
 
-    def __init__(self, walls: Sequence[Box] = (), strips: Sequence[tuple[int, Box]] = (), trials: int = 1) -> None:
+    def __init__(self, walls: Sequence[Box] = (), strips: Sequence[tuple[int, Box]] = (), trials: Count = 1) -> None:
         self.walls = [_box(wall) for wall in walls]
         self.strips = [(int(wall), _box(strip)) for wall, strip in strips]
         self.trials = trials
+        if any(not 0 <= wall < len(self.walls) for wall, _ in self.strips):
+            raise ValueError("a strip is of a wall that there is not")
 
     def describe(self) -> dict[str, Any]:
         """Return which walls with which strips, and from how many they were picked."""
