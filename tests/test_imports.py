@@ -11,7 +11,7 @@ import pytest
 PACKAGE = "hydrabeam_mpi"
 ROOT = Path(__file__).parents[1]
 LAYERS = (
-    ("errors", "random"),
+    ("errors", "memory", "random"),
     ("data",),
     ("mpi", "terminal"),
     ("model.bases", "model.engines"),

@@ -93,12 +93,17 @@ class Observation:
         """Number of polarisations."""
         return len(self.pols)
 
+    @cached_property
+    def antenna_index(self) -> IntArray:
+        """Indices into ``antenna_numbers`` of each baseline's antennas, (Nbls, 2)."""
+        order = np.argsort(self.antenna_numbers)
+        return order[np.searchsorted(self.antenna_numbers, self.antpairs, sorter=order)]
+
     @property
     def bl_vectors(self) -> FloatArray:
         """Baseline vectors pos(ant2) - pos(ant1), (Nbls, 3) in metres ENU."""
-        order = np.argsort(self.antenna_numbers)
-        index = order[np.searchsorted(self.antenna_numbers, self.antpairs, sorter=order)]
-        return self.antpos[index[:, 1]] - self.antpos[index[:, 0]]
+        one, two = self.antenna_index.T
+        return self.antpos[two] - self.antpos[one]
 
 
 @dataclass(frozen=True)

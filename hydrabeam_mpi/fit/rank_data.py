@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.effects.shared.beam_visibilities import InferredBeam
 from hydrabeam_mpi.fit.accumulate import designs
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import State
 from hydrabeam_mpi.infer.posterior import Posterior
+from hydrabeam_mpi.model.beam import BeamInfo, CoefficientBeam
 from hydrabeam_mpi.model.rime import Beam, ForwardModel
 from hydrabeam_mpi.setup.problem import Problem
 
@@ -55,11 +55,6 @@ class RankData:
         if self._model is None:
             self._model = self.problem.forward_model(self.rows.groups)
         return self._model
-
-    def forget(self) -> None:
-        """Drop what is kept, to begin anew."""
-        self._plain, self._kept, self._kept_for, self._places, self._model = None, None, b"", {}, None
-        self._memo = {}
 
     @property
     def keeps_designs(self) -> bool:
@@ -148,13 +143,19 @@ class RankData:
             span = slice(t + 1 - len(held), t + 1)
             rows_of_design = np.array(held)
             held = []
-            block = self.block(channel, span, InferredBeam(self.problem.basis, posterior.mean), state)
+            block = self.block(channel, span, self._beam(channel, posterior), state)
             beam_alone = block.spread(_visibilities(rows_of_design, posterior))
             block.vis = beam_alone + added[span]
             block.weights = rows.inv_noise_var[channel, span]
             block.residual = rows.data[channel, span] - beam_alone
             block.design = rows_of_design
             yield span, block, rows_of_design
+
+    def _beam(self, channel: int, posterior: Posterior) -> CoefficientBeam:
+        """Return the mean beam of a channel of the rank group."""
+        observation = self.problem.observation
+        info = BeamInfo("inferred", float(observation.freqs[channel]), observation.pols[0])
+        return CoefficientBeam(self.problem.basis, posterior.mean, info)
 
     def block(self, channel: int, span: slice, beam: Beam, state: State) -> RowBlock:
         """Return the block of some of the rank's times, without data."""

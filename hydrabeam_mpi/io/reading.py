@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.memory import free_bytes
 
 DAMAGED = "check it, or copy or write it again"
 """The remedy where nothing better is known."""
@@ -143,7 +144,7 @@ def _within_memory(path: Path) -> Iterator[None]:
     Without it the system would grant them and end the process, or another one, once they are filled. The file's own
     size comes on top, as it may be mapped into memory. Systems other than Linux do not tell what is free.
     """
-    free = _free_memory()
+    free = free_bytes()
     if free is None:
         yield
         return
@@ -158,16 +159,6 @@ def _within_memory(path: Path) -> Iterator[None]:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
-
-
-def _free_memory() -> int | None:
-    """Return what this process has and may still get, in bytes; None where the system does not tell."""
-    try:
-        lines = Path("/proc/meminfo").read_text().splitlines() + Path("/proc/self/status").read_text().splitlines()
-        known = dict(line.split(":", 1) for line in lines if ":" in line)
-        return 1024 * sum(int(known[key].split()[0]) for key in ("MemAvailable", "SwapFree", "VmData"))
-    except (OSError, KeyError, ValueError):
-        return None
 
 
 def _size(path: Path) -> int:

@@ -44,11 +44,6 @@ class ForwardModel:
             index, za, az = self.positions.above_horizon(time)
             yield self.engine.design(basis, za, az, np.take(self.flux, index, axis=1), self.freqs)
 
-    def design(self, basis: LinearBasis, times: IntArray) -> Iterator[ComplexArray]:
-        """Yield, time by time, the design matrix in coefficients, (Nfreqs, Nvectors, n_modes)."""
-        for parts in self.design_columns(basis, times):
-            yield basis.mix(parts[:, 0]) + 1j * basis.mix(parts[:, 1])
-
     def visibilities(self, beams: Sequence[Beam], times: IntArray) -> ComplexArray:
         """Simulate the visibilities that given beams see.
 

@@ -74,10 +74,6 @@ class Sky:
         """Keep the sources whose `brightness`, of either sign, is at least ``flux_min`` Jy."""
         return self.select(np.abs(self.brightness) >= flux_min)
 
-    def within(self, ra: float, dec: float, radius: float) -> Sky:
-        """Keep the sources at most ``radius`` radians from a direction."""
-        return self.select(separation(self.ra, self.dec, ra, dec) <= radius)
-
 
 def separation(ra1: ArrayLike, dec1: ArrayLike, ra2: ArrayLike, dec2: ArrayLike) -> FloatArray:
     """Return the angle between directions, all in radians; exact at small angles (haversine)."""

@@ -51,7 +51,11 @@ class ScaledBeam:
 
 @dataclass(frozen=True)
 class TurnedBeam:
-    """The beam of an element's other feed, where both are alike and at right angles: B(za, az - 90 deg)."""
+    """The beam of an element's other feed ``pol``, where both are alike and at right angles.
+
+    Azimuth counts from East through North: the feed that points North has B(za, az - 90 deg) where B is that of the
+    one that points East, and the other way round. Feeds x point East.
+    """
 
     base: Beam
     pol: str
@@ -62,8 +66,14 @@ class TurnedBeam:
         return replace(self.base.info, name=f"{self.base.info.name} turned", pol=self.pol)
 
     def __call__(self, za: FloatArray, az: FloatArray) -> Array:
-        """Evaluate the base a quarter turn back, (Npoints,)."""
-        return self.base(za, (az - np.pi / 2) % (2 * np.pi))
+        """Evaluate the base a quarter turn away, (Npoints,)."""
+        quarter = np.pi / 2 if self.pol[0] in "ex" else -np.pi / 2
+        return self.base(za, (az + quarter) % (2 * np.pi))
+
+
+def other_feed(pol: str) -> str:
+    """Return the polarisation of which both feeds are the other one: "nn" for "ee", "xx" for "yy"."""
+    return pol.translate(str.maketrans("enxy", "neyx"))
 
 
 def load_beams(job: Job, freqs: FloatArray, pol: str) -> tuple[Beam, ...]:

@@ -8,7 +8,7 @@ from mpi4py import MPI
 from hydrabeam_mpi.config.simulation import Array, Simulate
 from hydrabeam_mpi.data.partition import make_tiles
 from hydrabeam_mpi.data.redundancy import find_redundant_groups
-from hydrabeam_mpi.loop.residuals.cube import Layout, Residuals
+from hydrabeam_mpi.loop.residuals.cube import Layout, Residuals, whole_baselines
 from hydrabeam_mpi.loop.residuals.sums import ResidualSums
 from hydrabeam_mpi.random import complex_normal, generator
 from hydrabeam_mpi.simulation.mock import mock_observation
@@ -34,7 +34,7 @@ def noise(layout: Layout, seed: int = 0) -> np.ndarray:
 
 
 def sums_of(layout: Layout, z: np.ndarray, used: np.ndarray | None = None) -> ResidualSums:
-    return ResidualSums.over_ranks(MPI.COMM_SELF, everything(layout, z, used), layout)
+    return ResidualSums.of(whole_baselines(MPI.COMM_SELF, everything(layout, z, used), layout))
 
 
 def everything(layout: Layout, z: np.ndarray, used: np.ndarray | None = None) -> Residuals:

@@ -71,10 +71,8 @@ def test_channels_keeps_frequencies():
     np.testing.assert_array_equal(small_sky().channels(np.array([1])).flux, [[5.0, 4.0, 1.0]])
 
 
-def test_within_keeps_sources_near_a_direction_across_ra_zero():
-    # Sources at ra 0.1 and 6.2 lie on either side of ra = 0.
-    assert small_sky().within(0.0, 0.0, 0.55).names == ("a", "b", "c")
-    assert small_sky().within(0.0, 0.0, 0.45).names == ("b",)
+def test_separation_across_ra_zero():
+    np.testing.assert_allclose(separation([0.1, 6.2], 0.0, 0.0, 0.0), [0.1, 2 * np.pi - 6.2], rtol=1e-12)
 
 
 def test_concatenate_joins_point_sources_and_unnamed_pixels():

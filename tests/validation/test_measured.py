@@ -108,8 +108,11 @@ def test_unseen_baselines_tell_an_error_of_the_beam_from_one_of_the_antennas(wri
     problem = estimate_noise(MPI.COMM_SELF, prepare(job, tuple(files)))
     train, test = read_rows(problem, problem.train), read_rows(problem, problem.test)
     train_design, test_design = (
-        np.array(list(problem.forward_model(rows.groups).design(problem.basis, rows.tile.times)))[:, 0, rows.member]
+        np.array([problem.basis.mix(parts[0, 0]) + 1j * problem.basis.mix(parts[0, 1]) for parts in columns])[
+            :, rows.member
+        ]
         for rows in (train, test)
+        for columns in [problem.forward_model(rows.groups).design_columns(problem.basis, rows.tile.times)]
     )
     prior = problem.priors[0]
     antennas = np.searchsorted(problem.observation.antenna_numbers, problem.observation.antpairs)

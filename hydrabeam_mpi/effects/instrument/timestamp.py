@@ -8,8 +8,8 @@ from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.effect import Columns, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.effects.interface.sources import EARTH_RATE
 from hydrabeam_mpi.effects.shared.displaced import TurningSky
+from hydrabeam_mpi.model.earth_orientation import EARTH_RATE
 
 
 class Timestamp(TurningSky):

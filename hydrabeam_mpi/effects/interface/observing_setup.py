@@ -61,9 +61,7 @@ class ObservingSetup:
     @cached_property
     def antenna_index(self) -> IntArray:
         """Indices into ``observation.antenna_numbers`` of the baselines' antennas, (Nbls, 2), in the groups' sense."""
-        numbers = self.observation.antenna_numbers
-        order = np.argsort(numbers)
-        index = order[np.searchsorted(numbers, self.observation.antpairs, sorter=order)]
+        index = self.observation.antenna_index
         return np.where(self.redundant.flipped[:, np.newaxis], index[:, ::-1], index)
 
     @cached_property

@@ -11,7 +11,6 @@ from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.model.engines.fringes import enu
 from hydrabeam_mpi.model.rime import Beam
 
-EARTH_RATE = 7.292115e-5  # rad/s
 STEP = 1e-5  # rad, of numerical derivatives of beams
 
 
@@ -29,8 +28,6 @@ class Sources:
         Jy at the block's channel, as the sky model has them.
     beam_function : callable
         The current beam.
-    latitude : float
-        Radians.
     factors : dict of str to ndarray, (Nsrc,)
         What effects of each kind multiply the fluxes with.
     """
@@ -40,7 +37,6 @@ class Sources:
     az: FloatArray
     flux: FloatArray
     beam_function: Beam
-    latitude: float
     factors: dict[str, FloatArray] = field(default_factory=dict)
 
     def flux_without(self, kind: str = "") -> FloatArray:
@@ -60,13 +56,6 @@ class Sources:
     def beam(self) -> FloatArray:
         """Real part of the power beam, (Nsrc,)."""
         return np.asarray(self.beam_function(self.za, self.az)).real
-
-    @cached_property
-    def velocity(self) -> FloatArray:
-        """How the sources' unit vectors turn with the sky, (3, Nsrc), per second."""
-        axis = np.array([0.0, np.cos(self.latitude), np.sin(self.latitude)])
-        # The sky turns about the celestial pole opposite to the Earth.
-        return -EARTH_RATE * np.cross(axis, self.enu, axisa=0, axisb=0, axisc=0)
 
     @cached_property
     def slope(self) -> FloatArray:

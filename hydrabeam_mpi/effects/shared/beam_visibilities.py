@@ -2,36 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.model.bases.base import LinearBasis
+from hydrabeam_mpi.model.beam import CoefficientBeam
 from hydrabeam_mpi.model.rime import Beam
 
 FEW = 4
 """Vectors up to which the visibilities of all modes, which serve any beam, are worth their making and their room."""
-
-
-@dataclass(frozen=True)
-class InferredBeam:
-    """A beam by its coefficients in the basis.
-
-    Attributes
-    ----------
-    basis : LinearBasis
-    coeffs : ndarray, (n_modes,)
-    """
-
-    basis: LinearBasis
-    coeffs: Array
-
-    def __call__(self, za: FloatArray, az: FloatArray) -> Array:
-        """Evaluate it, (Npoints,)."""
-        return np.asarray(self.basis.synthesize(self.coeffs, za, az))
 
 
 def beam_visibilities(block: RowBlock, vectors: FloatArray) -> ComplexArray:
@@ -56,7 +36,7 @@ def beam_visibilities(block: RowBlock, vectors: FloatArray) -> ComplexArray:
         if beam is block.beam and times is block.times:
             return values
     lasts = block.memo is not None and not block.sky_effects
-    if lasts and isinstance(block.beam, InferredBeam) and len(vectors) <= FEW:
+    if lasts and isinstance(block.beam, CoefficientBeam) and len(vectors) <= FEW:
         basis = block.beam.basis
         modes = block.fixed_integral(f"modes on {key!r}", lambda at: basis.columns(at.za, at.az), vectors)
         integrals = modes @ basis.column_coeffs(block.beam.coeffs).real

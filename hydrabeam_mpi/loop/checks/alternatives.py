@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from astropy.time import Time
@@ -20,7 +20,8 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray, O
 from hydrabeam_mpi.data.redundancy import find_redundant_groups
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.model.engines import make_engine
-from hydrabeam_mpi.model.rime import Beam, ForwardModel
+from hydrabeam_mpi.model.rime import ForwardModel
+from hydrabeam_mpi.setup.beams import TurnedBeam, other_feed
 from hydrabeam_mpi.setup.problem import Problem
 from hydrabeam_mpi.setup.skies import source_positions
 
@@ -68,17 +69,6 @@ class AntennaTable(NamedTuple):
     numbers: IntArray
     names: tuple[str, ...]
     antpos: FloatArray
-
-
-@dataclass(frozen=True)
-class TurnedBeam:
-    """A beam turned by 90 degrees, as that of the other feed."""
-
-    base: Beam
-
-    def __call__(self, za: FloatArray, az: FloatArray) -> NDArray[Any]:
-        """Evaluate the base at the turned azimuth, (Npoints,)."""
-        return self.base(za, (az + 0.5 * np.pi) % (2 * np.pi))
 
 
 def basic_alternatives() -> list[Alternative]:
@@ -199,7 +189,7 @@ def predictions(
         Numbers of times of ``rows.tile.times``.
     """
     times = rows.tile.times[chosen]
-    turned = tuple(map(TurnedBeam, problem.beams))
+    turned = tuple(TurnedBeam(beam, other_feed(problem.observation.pols[0])) for beam in problem.beams)
     for n, alternative in enumerate(alternatives):
         cached = _view(problem, rows, alternative, times)
         for k, t in enumerate(chosen.tolist()):

@@ -126,7 +126,7 @@ def all_axes(sums: ResidualSums, layout: Layout) -> dict[str, Axis]:
     """Return the axes by name, those with data."""
     observation, redundant = layout.observation, layout.redundant
     group, n_groups = redundant.group, redundant.Ngroups
-    antennas = sum(_binned(sums.by_baseline, index, observation.Nants) for index in layout.antenna_index.T)
+    antennas = sum(_binned(sums.by_baseline, index, observation.Nants) for index in layout.observation.antenna_index.T)
     numbers = observation.antenna_numbers
     groups = _binned(sums.by_baseline, group, n_groups)
     east_norths = [{"vector_m": vector} for vector in np.round(redundant.vectors, 3).tolist()]

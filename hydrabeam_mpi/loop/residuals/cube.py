@@ -45,13 +45,6 @@ class Layout:
         return self.observation.Nfreqs, len(self.times), self.observation.Nbls
 
     @cached_property
-    def antenna_index(self) -> IntArray:
-        """Indices into ``observation.antenna_numbers`` of the baselines' antennas, (Nbls, 2)."""
-        numbers = self.observation.antenna_numbers
-        order = np.argsort(numbers)
-        return order[np.searchsorted(numbers, self.observation.antpairs, sorter=order)]
-
-    @cached_property
     def fringe_rates(self) -> Spectrum:
         """The transform over times, in Hz."""
         return Spectrum.of(self.observation.times[self.times] * 86400.0)
@@ -90,7 +83,7 @@ class Residuals:
 
     def divided(self, antenna_scales: FloatArray, layout: Layout) -> Residuals:
         """Divide by the scales of both antennas: variances s_i s_j for ``antenna_scales`` s, (Nants,)."""
-        one, two = layout.antenna_index[self.bls].T
+        one, two = layout.observation.antenna_index[self.bls].T
         return replace(self, z=self.z / np.sqrt(antenna_scales[one] * antenna_scales[two]))
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
-from hydrabeam_mpi.infer.significance import chi2_sigma, log_p_two_sided, sigma_of_log_p
+from hydrabeam_mpi.infer.significance import SIGNIFICANT_P, chi2_sigma, log_p_two_sided, sigma_of_log_p
 from hydrabeam_mpi.loop.residuals.axes import Axis, Freedom, all_axes
 from hydrabeam_mpi.loop.residuals.coherent import OF_BASELINES, OF_TIMES, SPOTS, Coherence
 from hydrabeam_mpi.loop.residuals.cube import Layout
@@ -18,7 +18,6 @@ from hydrabeam_mpi.loop.residuals.statistics import Look, coherent_look, largest
 from hydrabeam_mpi.loop.residuals.sums import ResidualSums
 
 CARRIED = 2 / 3
-SMALLEST_P = 1e-3
 COMPARABLE = 1 / 2
 CONCENTRATED = 1 / 4
 """Fraction of an axis's entries, at most, that a concentrated excess lives in. Gaussian amplitudes everywhere would
@@ -94,7 +93,7 @@ def where(
     looks = [(coherent_look(one, layout, 1.0 if one.name in OF_TIMES else level), one) for one in coherent]
     for look, one in sorted(looks, key=lambda pair: pair[0].log_p):
         name = "baselines" if one.name in OF_BASELINES else "times" if one.name in OF_TIMES else "antennas"
-        if look.log_p < np.log(SMALLEST_P) and name in described and described[name]["state"] == "even":
+        if look.log_p < np.log(SIGNIFICANT_P) and name in described and described[name]["state"] == "even":
             # Spots of all times are told by the single ones.
             single = next((two for two in coherent if two.name == SPOTS), one) if name == "times" else one
             _tell_coherent(single, look, layout, axes[name], described, found, 1.0 if name == "times" else level)
@@ -121,7 +120,7 @@ def _antenna_carriers(sums: ResidualSums, layout: Layout, axis: Axis) -> Carrier
     """Choose antennas one by one, each by the excess of those of its baselines that are not yet accounted for."""
     excess = sums.by_baseline[1] - 2 * sums.by_baseline[0]
     total = max(float(excess.sum()), float(np.max(axis.power - 2 * axis.n)), 1.0)
-    numbers = layout.observation.antenna_numbers[layout.antenna_index]
+    numbers = layout.observation.antenna_numbers[layout.observation.antenna_index]
     place = {what: k for k, what in enumerate(axis.what)}
     index = np.array([[place.get(one, 0), place.get(two, 0)] for one, two in numbers.tolist()])
     left = excess.copy()
@@ -202,7 +201,7 @@ def _listed(axis: Axis, carriers: Carriers, sigma: FloatArray) -> list[dict[str,
 
 
 def _beyond_chance(sigma: float) -> bool:
-    return sigma > 0 and bool(log_p_two_sided(sigma) < np.log(SMALLEST_P))
+    return sigma > 0 and bool(log_p_two_sided(sigma) < np.log(SIGNIFICANT_P))
 
 
 def _of_few_baselines(layout: Layout, axes: dict[str, Axis], chosen: dict[str, IntArray]) -> bool:

@@ -12,6 +12,7 @@ from hydrabeam_mpi.fit.gauss_newton import FitContext
 from hydrabeam_mpi.fit.heldout import Whitened
 from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.state import State
+from hydrabeam_mpi.infer.significance import SIGNIFICANT_P
 from hydrabeam_mpi.loop.residuals.coherent import Coherence, CoherentRows, CoherentSums, coherences
 from hydrabeam_mpi.loop.residuals.cube import Layout, Residuals, whole_baselines
 from hydrabeam_mpi.loop.residuals.localise import where
@@ -21,9 +22,6 @@ from hydrabeam_mpi.loop.residuals.sums import ResidualSums
 from hydrabeam_mpi.loop.residuals.transients import TransientSums, transients
 from hydrabeam_mpi.loop.residuals.whiteness import antenna_scales, is_white
 from hydrabeam_mpi.mpi import together
-
-MIN_P = 1e-3
-"""Look-corrected probability below which something is left."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +65,7 @@ def remains_of(context: FitContext, state: State, whitened: Whitened) -> Remains
         own_level = ResidualSums.of(whole_baselines(world, divided, layout)).reduce(world)
     white, why = is_white(own_level, layout, whitened.n_shared, coherent)
     return Remains(
-        consistent=told["significance"]["p"] >= MIN_P,
+        consistent=told["significance"]["p"] >= SIGNIFICANT_P,
         white=white,
         why=why,
         statistics=told,

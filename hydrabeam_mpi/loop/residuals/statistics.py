@@ -21,12 +21,12 @@ from hydrabeam_mpi.loop.residuals.axes import Axis, Freedom, all_axes
 from hydrabeam_mpi.loop.residuals.coherent import Coherence
 from hydrabeam_mpi.loop.residuals.cube import Layout
 from hydrabeam_mpi.loop.residuals.sums import ResidualSums
+from hydrabeam_mpi.model.earth_orientation import EARTH_RATE
 
 MOST_LISTED = 64
 LISTED_OF_MORE = 32
 PAIRS = ("within redundant groups", "neighbouring times", "neighbouring channels")
 SPEED_OF_LIGHT = 299792458.0
-EARTH_RATE = 7.292115e-5
 
 
 @dataclass(frozen=True)

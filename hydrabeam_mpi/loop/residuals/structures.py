@@ -133,7 +133,7 @@ def structures(comm: Comm, cube: Cube) -> dict[str, Any] | None:
 
 def _describe(found: Decomposition, k: int, sigma: float, layout: Layout) -> dict[str, Any]:
     observation, share = layout.observation, found.by_baseline[k]
-    antennas = sum(np.bincount(one, share, observation.Nants) for one in layout.antenna_index.T) / 2
+    antennas = sum(np.bincount(one, share, observation.Nants) for one in layout.observation.antenna_index.T) / 2
     return {
         "singular_value": float(found.values[k]),
         "sigma": sigma,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
-from hydrabeam_mpi.loop.residuals.cube import BoolArray, Cube, Layout, Residuals, whole_baselines
+from hydrabeam_mpi.loop.residuals.cube import BoolArray, Cube, Layout
 from hydrabeam_mpi.loop.residuals.spectra import Spectrum
 from hydrabeam_mpi.mpi import Comm, allreduce_sum
 
@@ -68,11 +68,6 @@ class ResidualSums:
             common=np.zeros(4),
             quartic=np.zeros(1),
         )
-
-    @classmethod
-    def over_ranks(cls, comm: Comm, residuals: Residuals, layout: Layout) -> ResidualSums:
-        """Return the sums over the residuals of all ranks, on all of them. Collective: all ranks of `comm`."""
-        return cls.of(whole_baselines(comm, residuals, layout)).reduce(comm)
 
     @classmethod
     def of(cls, cube: Cube) -> ResidualSums:

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.infer.significance import SIGNIFICANT_P
 from hydrabeam_mpi.loop.residuals.axes import Freedom, all_axes
 from hydrabeam_mpi.loop.residuals.coherent import KINDS, Coherence
 from hydrabeam_mpi.loop.residuals.cube import Layout
 from hydrabeam_mpi.loop.residuals.statistics import coherent_look, most_significant, shape_looks, significance
 from hydrabeam_mpi.loop.residuals.sums import ResidualSums
 
-SMALLEST_P = 1e-3
 WORDS = {
     "unevenness": "it is uneven over {}",
     "correlations": "it is correlated {}",
@@ -57,7 +57,7 @@ def is_white(
     if not looks:
         return True, "there is too little to tell"
     found = significance(looks)
-    if found["p"] >= SMALLEST_P:
+    if found["p"] >= SIGNIFICANT_P:
         return True, "it has no structure beyond chance"
     what = str(found["what"])
     where = PLACES.get(what, f"between {what}" if what.startswith("neighbouring") else what)
@@ -74,7 +74,7 @@ def antenna_scales(sums: ResidualSums, layout: Layout) -> FloatArray:
     """
     has = (sums.by_baseline[0] > 0) & (sums.by_baseline[1] > 0)
     n, power = sums.by_baseline[:, has]
-    one, two = layout.antenna_index[has].T
+    one, two = layout.observation.antenna_index[has].T
     n_ants = layout.observation.Nants
     # The logarithm of chi^2 with 2n degrees of freedom over 2n has variance 1/n, and mean -1/(2n).
     logs = np.log(power / (2 * n)) + 0.5 / n

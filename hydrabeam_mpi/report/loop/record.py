@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.reading import reading
 from hydrabeam_mpi.report.page.key_numbers import format_value
 
 Entry = dict[str, Any]
@@ -28,12 +29,8 @@ def load_loop(directory: Path) -> Entry | None:
     path = directory / "loop.json"
     if not path.exists():
         return None
-    try:
+    with reading(path, "JSON", remedy=REMEDY):
         loop = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", file=path, remedy=REMEDY) from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"is not JSON ({error})", file=path, remedy=REMEDY) from error
     if not isinstance(loop, dict) or loop.get("verdict") not in VERDICTS:
         raise InputError(f"is none of {', '.join(VERDICTS)}", file=path, field="verdict", remedy=REMEDY)
     return loop

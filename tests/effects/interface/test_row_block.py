@@ -9,8 +9,9 @@ import pytest
 
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
-from hydrabeam_mpi.effects.shared.beam_visibilities import InferredBeam, beam_visibilities
+from hydrabeam_mpi.effects.shared.beam_visibilities import beam_visibilities
 from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
+from hydrabeam_mpi.model.beam import BeamInfo, CoefficientBeam
 from tests.effects.small import small_block, small_setup
 
 EXPERIMENT = small_setup()
@@ -45,7 +46,7 @@ def test_integrals_without_a_beam_are_found_once_for_each_sky_and_channel() -> N
 def test_a_beam_of_modes_is_seen_by_what_is_kept_of_these(vectors: np.ndarray) -> None:
     memo: dict = {}
     for factor in (1.0, 0.7):
-        beam = InferredBeam(EXPERIMENT.basis, factor * EXPERIMENT.prior_mean[0])
+        beam = CoefficientBeam(EXPERIMENT.basis, factor * EXPERIMENT.prior_mean[0], BeamInfo("two", 1e8, "ee"))
         block = replace(small_block(EXPERIMENT), beam=beam)
         kept = beam_visibilities(replace(block, memo=memo), vectors)
         expected = beam_visibilities(block, vectors)

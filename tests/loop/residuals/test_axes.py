@@ -23,7 +23,7 @@ def flagged(layout: Layout) -> tuple[np.ndarray, np.ndarray]:
     """Residuals in single precision, as they are summed, and which there are: none of one antenna and of one time."""
     used = generator(1, "axes").random(layout.shape) < 0.8
     used[:, 3] = False
-    used[..., np.any(layout.antenna_index == 2, axis=1)] = False
+    used[..., np.any(layout.observation.antenna_index == 2, axis=1)] = False
     return noise(layout).astype(np.complex64).astype(complex), used
 
 

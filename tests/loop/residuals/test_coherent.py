@@ -29,7 +29,7 @@ SHAPE = (2, LAYOUT.observation.Ntimes, NBLS)
 
 def rows_of() -> CoherentRows:
     flipped = LAYOUT.redundant.flipped[:, np.newaxis]
-    antennas = np.where(flipped, LAYOUT.antenna_index[:, ::-1], LAYOUT.antenna_index)
+    antennas = np.where(flipped, LAYOUT.observation.antenna_index[:, ::-1], LAYOUT.observation.antenna_index)
     return CoherentRows(np.arange(NBLS), antennas, LAYOUT.redundant.group)
 
 

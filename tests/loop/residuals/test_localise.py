@@ -38,7 +38,7 @@ def test_noise_is_everywhere(seed: int) -> None:
 @pytest.mark.parametrize("strength", [0.5, 1.0, 30.0])
 def test_an_antenna(strength: float) -> None:
     z = noise(LAYOUT)
-    z[:, :, (LAYOUT.antenna_index == 2).any(axis=1)] += strength * noise(LAYOUT, 1)[:, :, :6]
+    z[:, :, (LAYOUT.observation.antenna_index == 2).any(axis=1)] += strength * noise(LAYOUT, 1)[:, :, :6]
     found = found_in(z)
     number = int(OBSERVATION.antenna_numbers[2])
     assert whats(found, "antennas") == [number]
@@ -142,7 +142,7 @@ def test_a_length() -> None:
 
 def test_one_antenna_above_noise_that_was_overestimated() -> None:
     z = 0.6 * noise(LAYOUT)
-    z[:, :, (LAYOUT.antenna_index == 2).any(axis=1)] *= 2
+    z[:, :, (LAYOUT.observation.antenna_index == 2).any(axis=1)] *= 2
     found = found_in(z)
     assert whats(found, "antennas") == [OBSERVATION.antenna_numbers[2]]
     assert sum(entry["share"] for entry in found["antennas"]["entries"]) == pytest.approx(1.0)

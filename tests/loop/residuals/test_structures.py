@@ -39,7 +39,7 @@ def test_edge_against_drawn_matrices() -> None:
 
 def test_a_planted_structure() -> None:
     pattern = noise(LAYOUT, 1)[:, :, 0]
-    left = np.where((LAYOUT.antenna_index == 3).any(axis=1), 1.0, 0.0)
+    left = np.where((LAYOUT.observation.antenna_index == 3).any(axis=1), 1.0, 0.0)
     z = noise(LAYOUT) + 2 * pattern[..., np.newaxis] * left
     found = described(LAYOUT, z)
     first = found["structures"][0]

@@ -82,7 +82,7 @@ def test_ranks_agree(comm: MPI.Comm, n_groups: int, max_bytes: int) -> None:
 def test_more_ranks_than_times(comm: MPI.Comm) -> None:
     layout = make_layout(n_freqs=1, n_times=4)
     z, used = noise(layout), np.ones(layout.shape, dtype=bool)
-    together = ResidualSums.over_ranks(comm, share_of(comm, layout, z, used, 1), layout)
+    together = ResidualSums.of(whole_baselines(comm, share_of(comm, layout, z, used, 1), layout)).reduce(comm)
     np.testing.assert_allclose(together.by_baseline, sums_of(layout, z).by_baseline, rtol=1e-6)
 
 

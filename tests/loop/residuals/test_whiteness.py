@@ -19,7 +19,7 @@ def test_noise_of_any_scale_is_white(seed: int, scale: float) -> None:
 
 def test_noise_of_each_antenna() -> None:
     scales = np.exp(generator(1, "scales").uniform(-0.7, 0.7, 7))
-    one, two = LAYOUT.antenna_index.T
+    one, two = LAYOUT.observation.antenna_index.T
     z = noise(LAYOUT) * np.sqrt(scales[one] * scales[two])
     sums = sums_of(LAYOUT, z)
     assert not is_white(sums, LAYOUT)[0]
@@ -42,7 +42,7 @@ def structured(kind: str) -> np.ndarray:
         case "channels":
             z += 0.5 * other[:1]
         case "antenna":
-            z[:, :, (LAYOUT.antenna_index == 2).any(axis=1)] *= 1.3
+            z[:, :, (LAYOUT.observation.antenna_index == 2).any(axis=1)] *= 1.3
         case "tail":
             z = np.where(generator(2, "tail").random(z.shape) < 0.01, 4 * z, z)
     return z
