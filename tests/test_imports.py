@@ -132,7 +132,7 @@ def test_serial_modules_never_see_processes(name: str) -> None:
 
 @pytest.mark.parametrize("name", [name for name in MODULES if in_any(name, ("mpi",))])
 def test_processes_know_nothing_of_beams(name: str) -> None:
-    allowed = ("mpi", "data", "errors")
+    allowed = ("mpi", "data", "errors", "memory")
     within = [found for found in imported(MODULES[name]) if found.split(".")[0] == PACKAGE and found in MODULES]
     assert [found for found in within if found != PACKAGE and not in_any(found, allowed)] == []
 
