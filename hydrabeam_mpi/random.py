@@ -32,6 +32,6 @@ def generator(seed: int, *key: int | str) -> np.random.Generator:
 
 
 def complex_normal(rng: np.random.Generator, shape: tuple[int, ...]) -> NDArray[np.complex128]:
-    """Draw circular complex Gaussian numbers with ``E|z|^2 = 1``."""
+    """Draw circular complex Gaussian numbers with ``E|z|^2 = 1``, an array of any shape."""
     parts = rng.standard_normal((*shape, 2))
     return np.ascontiguousarray(parts).view(np.complex128)[..., 0] * np.sqrt(0.5)

@@ -32,7 +32,7 @@ class Tile:
 
 
 def split_by_cost(costs: FloatArray, n_parts: int) -> list[slice]:
-    """Cut a sequence into ``n_parts`` contiguous parts of nearly equal cost; parts may be empty.
+    """Cut a sequence with ``costs``, (N,), into ``n_parts`` contiguous parts of nearly equal cost, some perhaps empty.
 
     Each cut is put where the running cost is nearest to its share of the total.
     """

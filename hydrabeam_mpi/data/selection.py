@@ -83,7 +83,7 @@ def match(values: ArrayLike, axis: ArrayLike, tolerance: ArrayLike) -> IntArray:
 
 
 def distinct(values: ArrayLike, tolerance: float) -> IntArray:
-    """Return the indices of the values that differ by more than ``tolerance``, ascending in value."""
+    """Return the indices of the values that differ by more than ``tolerance``, ascending in value, (Ndistinct,)."""
     values = np.asarray(values, dtype=float)
     order = np.argsort(values, kind="stable")
     return order[np.diff(values[order], prepend=-np.inf) > tolerance]
@@ -161,7 +161,7 @@ def select_baselines(
 
 
 def select_channels(freqs: FloatArray, channel_width: FloatArray, selection: Selection) -> BoolArray:
-    """Tell which of the ascending channels (Hz) the selection keeps.
+    """Tell which of the ascending channels (Hz) the selection keeps, (Nfreqs,).
 
     Raises
     ------

@@ -172,7 +172,7 @@ class Gaussian:
         return Posterior(mean, factor, log_evidence)
 
     def draw(self, rng: np.random.Generator) -> dict[str, Array]:
-        """Draw values of all blocks from the normalised Gaussian."""
+        """Draw values of all blocks from the normalised Gaussian, each (size,)."""
         return self.values(self.solve().draw(rng))
 
     def log_evidence(self) -> float | None:

@@ -14,7 +14,7 @@ Array = NDArray[Any]
 
 
 def complete_hermitian(matrix: Array, block: int = 128) -> None:
-    """Fill the lower triangle of a Hermitian matrix from its upper one, in place and block by block."""
+    """Fill the lower triangle of a Hermitian matrix from its upper one, in place and block by block; (n, n)."""
     for lo in range(0, len(matrix), block):
         hi = lo + block
         corner = np.triu(matrix[lo:hi, lo:hi])
@@ -23,7 +23,7 @@ def complete_hermitian(matrix: Array, block: int = 128) -> None:
 
 
 def cholesky_lower(matrix: Array) -> Array:
-    """Return L with L L^H = ``matrix``, whose memory may be used for it.
+    """Return L with L L^H = ``matrix``, whose memory may be used for it; both are (n, n).
 
     Raises
     ------

@@ -55,7 +55,7 @@ class Posterior:
 
     @property
     def std(self) -> FloatArray:
-        """Standard deviation of each coefficient, sqrt(E|x - mean|^2)."""
+        """Standard deviation of each coefficient, sqrt(E|x - mean|^2), (n,)."""
         return np.sqrt(np.diag(self.covariance).real)
 
     def predictive_variance(self, rows: Array) -> FloatArray:
@@ -64,7 +64,7 @@ class Posterior:
         return np.einsum("ij,ij->j", half, half.conj()).real
 
     def draw(self, rng: np.random.Generator) -> Array:
-        """Draw coefficients.
+        """Draw coefficients, (n,).
 
         The Gaussian constrained realisation solves P x = h + Sigma^(-1/2) w0 + A^H N^(-1/2) w1; its two noise
         terms together have covariance P = L L^H, so they are drawn as one, L w, and x = mean + L^-H w.

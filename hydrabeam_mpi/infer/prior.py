@@ -27,13 +27,13 @@ class Prior(Protocol):
         """ln|Sigma^-1|, or None where the prior is flat."""
 
     def add_precision(self, matrix: Array) -> None:
-        """Add Sigma^-1 to ``matrix`` in place."""
+        """Add Sigma^-1 to ``matrix``, (n, n), in place."""
 
     def precision_times(self, vector: Array) -> Array:
-        """Return Sigma^-1 ``vector``."""
+        """Return Sigma^-1 ``vector``, (n,)."""
 
     def std(self) -> FloatArray:
-        """Return the standard deviation of each coefficient; infinite where flat."""
+        """Return the standard deviation of each coefficient; infinite where flat, (n,)."""
 
 
 @dataclass(frozen=True)
@@ -48,14 +48,14 @@ class FlatPrior:
         return None
 
     def add_precision(self, matrix: Array) -> None:
-        """Add nothing."""
+        """Add nothing to the (n, n) matrix."""
 
     def precision_times(self, vector: Array) -> Array:
-        """Return zeros."""
+        """Return zeros, (n,)."""
         return np.zeros_like(vector)
 
     def std(self) -> FloatArray:
-        """Return infinities."""
+        """Return infinities, (n,)."""
         return np.full(len(self.mean), np.inf)
 
 
@@ -72,15 +72,15 @@ class DiagonalPrior:
         return float(-2 * np.sum(np.log(self.sigma)))
 
     def add_precision(self, matrix: Array) -> None:
-        """Add the inverse variances to the diagonal."""
+        """Add the inverse variances to the diagonal of the (n, n) matrix."""
         matrix[np.diag_indices_from(matrix)] += self.sigma**-2.0
 
     def precision_times(self, vector: Array) -> Array:
-        """Return ``vector`` over the variances."""
+        """Return ``vector`` over the variances, (n,)."""
         return vector / self.sigma**2
 
     def std(self) -> FloatArray:
-        """Return ``sigma``."""
+        """Return ``sigma``, (n,)."""
         return self.sigma
 
 
@@ -111,13 +111,13 @@ class CovariancePrior:
         return float(-2 * np.sum(np.log(np.diag(self._factor[0]).real)))
 
     def add_precision(self, matrix: Array) -> None:
-        """Add the inverse covariance."""
+        """Add the inverse covariance to the (n, n) matrix."""
         matrix += cho_solve(self._factor, np.eye(len(self.mean), dtype=matrix.dtype))
 
     def precision_times(self, vector: Array) -> Array:
-        """Return the inverse covariance times ``vector``."""
+        """Return the inverse covariance times ``vector``, (n,)."""
         return cho_solve(self._factor, vector)
 
     def std(self) -> FloatArray:
-        """Return the square root of the diagonal."""
+        """Return the square root of the diagonal, (n,)."""
         return self._std

@@ -73,7 +73,10 @@ def kurtosis_sigma(kurtosis: float, n: float) -> float:
 
 
 def log_p_two_sided(sigma: ArrayLike) -> FloatArray:
-    """Return the natural log of the probability of as large a significance of either sign."""
+    """Return the natural log of the probability of as large a significance of either sign.
+
+    The result has the shape of ``sigma``.
+    """
     return np.minimum(np.log(2) + special.log_ndtr(-np.abs(np.asarray(sigma, dtype=float))), 0.0)
 
 

@@ -73,7 +73,7 @@ class BeamFile:
 
     @property
     def freqs(self) -> FloatArray:
-        """Frequencies of the file, Hz."""
+        """Frequencies of the file, Hz, (Nfreqs,)."""
         return np.array(self._uvbeam.freq_array)
 
     @property

@@ -157,6 +157,8 @@ def check_values(values: Array, what: str, path: Path) -> None:
 def check_peak(values: FloatArray, what: str, path: Path) -> None:
     """Make sure that the peak of a co-polarised power beam is one, and no single sample that stands out.
 
+    ``values`` is (Npoints,).
+
     Raises
     ------
     InputError

@@ -117,7 +117,10 @@ def check_weights(n_unflagged: int, n_weighted: int, files: Sequence[Path]) -> N
 
 
 def constant_weights(sigma: float, flags: BoolArray, nsamples: FloatArray) -> FloatArray:
-    """Noise of one sigma (Jy) for every visibility V = 1/2 I B, whatever its nsamples."""
+    """Noise of one sigma (Jy) for every visibility V = 1/2 I B, whatever its nsamples.
+
+    The result is (Nfreqs, Ntimes, Nbls, Npols).
+    """
     if not sigma > 0:
         raise InputError(f"must be positive, not {sigma:g}", field="[noise] sigma", remedy="give it in Jy")
     return np.where(flags | ~(nsamples > 0), 0.0, sigma**-2.0)

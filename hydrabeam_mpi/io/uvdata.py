@@ -157,5 +157,5 @@ def _checked(data: ComplexArray, flags: BoolArray, nsamples: FloatArray, path: P
 
 
 def size(values: ComplexArray) -> FloatArray:
-    """Return the larger of real and imaginary parts, whose squares may be too large."""
+    """Return the larger of real and imaginary parts, whose squares may be too large; in the shape of ``values``."""
     return np.maximum(np.abs(values.real), np.abs(values.imag))

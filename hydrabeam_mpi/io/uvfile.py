@@ -92,7 +92,7 @@ class UVHeader:
 
 
 def enu_axes(location: EarthLocation) -> FloatArray:
-    """Return the unit vectors east, north and up at a place, the rows of a matrix, in ECEF.
+    """Return the unit vectors east, north and up at a place, the rows of a matrix, (3, 3), in ECEF.
 
     Relative ECEF positions turn into ENU by this matrix alone. Adding the Earth's radius first, as general
     conversions do, would cost a nanometre.
@@ -137,7 +137,10 @@ def file_kind(path: Path) -> str:
 
 
 def may_hold(path: Path, times: FloatArray, tolerance: float) -> bool:
-    """Tell quickly that a file has no rows at some times (JD); True where only all metadata can tell."""
+    """Tell quickly that a file has no rows at some times (JD); True where only all metadata can tell.
+
+    ``times`` is (Ntimes,).
+    """
     if file_kind(path) != "uvh5":
         return True
     with reading(path, "uvh5"), h5py.File(path, "r") as file:

@@ -33,7 +33,7 @@ def read_rows(
     Parameters
     ----------
     header : UVHeader
-    rows, channels, pols : ndarray of int
+    rows, channels, pols : ndarray of int, (N,) each of its own length
         Indices of distinct rows, channels and polarisations in the file, in any order.
     pol_convention : {"sum", "avg"}, optional
         Of a file that does not state it; "sum" if that is not given either.

@@ -76,7 +76,7 @@ class CoefficientBeam:
     info: BeamInfo
 
     def __call__(self, za: FloatArray, az: FloatArray) -> Array:
-        """Return the sum of the basis functions: its real part for a co-polarised beam."""
+        """Return the sum of the basis functions: its real part for a co-polarised beam, (Npoints,)."""
         values = self.basis.synthesize(self.coeffs, za, az)
         return np.ascontiguousarray(values.real) if self.info.is_copol else values
 
@@ -99,7 +99,7 @@ class SampledBeam:
     info: BeamInfo
 
     def __call__(self, za: FloatArray, az: FloatArray) -> Array:
-        """Interpolate the samples.
+        """Interpolate the samples, (Npoints,).
 
         Raises
         ------
@@ -126,7 +126,7 @@ class AnalyticBeam:
     info: BeamInfo
 
     def __call__(self, za: FloatArray, az: FloatArray) -> Array:
-        """Evaluate the formula."""
+        """Evaluate the formula, (Npoints,)."""
         values = self._power(np.asarray(za, dtype=float), np.asarray(az, dtype=float)) / self.info.peak
         return values.real if self.info.is_copol else values
 

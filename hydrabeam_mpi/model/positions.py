@@ -57,7 +57,7 @@ class ApparentPositions:
         self._contexts = erfa_astrom.get().apco(AltAz(obstime=times, location=observation.location))
 
     def above_horizon(self, itime: int, below: float = 0.0) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Find the sources above the horizon; see `SourcePositions.above_horizon`."""
+        """Find the sources above the horizon, each (Nup,); see `SourcePositions.above_horizon`."""
         context = self._contexts[itime]
         az_from_north, za, *_ = erfa.atioq(*erfa.atciqz(self._ra, self._dec, context), context)
         index = np.flatnonzero(za <= np.pi / 2 + below)
@@ -81,7 +81,7 @@ class RotatedPositions:
         self._lsts = observation.lsts
 
     def above_horizon(self, itime: int, below: float = 0.0) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Find the sources above the horizon; see `SourcePositions.above_horizon`."""
+        """Find the sources above the horizon, each (Nup,); see `SourcePositions.above_horizon`."""
         hour_angle = self._lsts[itime] - self._ra
         to_meridian = self._cos_dec * np.cos(hour_angle)
         up = np.sin(self._lat) * self._sin_dec + np.cos(self._lat) * to_meridian

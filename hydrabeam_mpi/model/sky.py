@@ -56,7 +56,7 @@ class Sky:
         return self.flux.mean(axis=0) if self.reference_flux is None else self.reference_flux
 
     def select(self, sources: IntArray | NDArray[np.bool_]) -> Sky:
-        """Keep the sources of an index or mask."""
+        """Keep the sources of an index or mask; ``sources`` is (Nkept,) or (Nsrc,)."""
         index = np.flatnonzero(sources) if sources.dtype == bool else sources
         return Sky(
             ra=self.ra[index],
@@ -67,7 +67,7 @@ class Sky:
         )
 
     def channels(self, index: IntArray) -> Sky:
-        """Keep the frequencies of an index."""
+        """Keep the frequencies of an index, (Nkept,)."""
         return replace(self, flux=self.flux[index])
 
     def brighter_than(self, flux_min: float) -> Sky:
@@ -76,7 +76,7 @@ class Sky:
 
 
 def separation(ra1: ArrayLike, dec1: ArrayLike, ra2: ArrayLike, dec2: ArrayLike) -> FloatArray:
-    """Return the angle between directions, all in radians; exact at small angles (haversine)."""
+    """Return the angle between directions, all in radians and of one shape, (N,); exact at small angles (haversine)."""
     ra1, dec1, ra2, dec2 = (np.asarray(angle, dtype=float) for angle in (ra1, dec1, ra2, dec2))
     squared = np.sin((dec2 - dec1) / 2) ** 2 + np.cos(dec1) * np.cos(dec2) * np.sin((ra2 - ra1) / 2) ** 2
     return 2 * np.arcsin(np.sqrt(np.minimum(squared, 1.0)))

@@ -95,7 +95,7 @@ def bcast_array(comm: MPI.Comm, array: Array | None, root: int = 0, max_bytes: i
     Parameters
     ----------
     comm : mpi4py.MPI.Comm
-    array : ndarray or None
+    array : ndarray, any shape, or None
         Read on ``root`` alone; the others need not know its shape or dtype.
     root : int
     max_bytes : int

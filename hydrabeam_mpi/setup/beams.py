@@ -77,7 +77,7 @@ def other_feed(pol: str) -> str:
 
 
 def load_beams(job: Job, freqs: FloatArray, pol: str) -> tuple[Beam, ...]:
-    """Return the model beam of each channel.
+    """Return the model beam of each channel, for ``freqs`` (Nfreqs,).
 
     Raises
     ------

@@ -121,7 +121,7 @@ class Problem:
         return self.redundant.Ngroups
 
     def forward_model(self, groups: IntArray) -> ForwardModel:
-        """Return the forward model of some redundant groups."""
+        """Return the forward model of some redundant ``groups``, (Ngroups,)."""
         job = self.job
         engine = make_engine(job.solver.engine, self.redundant.vectors[groups])
         return ForwardModel(

@@ -26,7 +26,7 @@ def are_apparent(job: Job) -> bool:
 
 
 def load_sky(job: Job, freqs: FloatArray) -> Sky:
-    """Read or draw the whole sky, before the model's flux cut."""
+    """Read or draw the whole sky, before the model's flux cut, at ``freqs`` (Nfreqs,)."""
     settings = job.sky
     if settings.file is not None:
         cut = settings.flux_min > 0 or settings.model_flux_min > 0

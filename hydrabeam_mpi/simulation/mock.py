@@ -161,7 +161,7 @@ def radiometer_variance(
 
 
 def add_noise(data: ComplexArray, variance: FloatArray, seed: int, *key: str) -> ComplexArray:
-    """Add circular Gaussian noise, drawn by channel and time so that no rank count changes it."""
+    """Add circular Gaussian noise to (Nfreqs, Ntimes, Nbls), drawn so that no rank count changes it."""
     noisy = data.copy()
     for f, t in np.ndindex(variance.shape):
         noise = complex_normal(generator(seed, "noise", f, t, *key), (data.shape[2],))

@@ -38,17 +38,17 @@ class AntennaDelays(Effect):
         return antenna_parameters(setup, ["delay"], "ns", 1.0)
 
     def degenerate_directions(self, setup: ObservingSetup) -> FloatArray:
-        """Return the delay that all antennas have in common."""
+        """Return the delay that all antennas have in common, (n_directions, n_params)."""
         return common_values(len(setup.antennas_in_use), 1)
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
-        """Return 2 pi i nu m for the first antenna of a row and its negative for the second."""
+        """Return 2 pi i nu m for the first antenna of a row and its negative for the second; ``x`` is (n_params,)."""
         turn = 2j * np.pi * block.freq * NS
         values = block.vis[..., np.newaxis] * np.array([turn, -turn])
         return Columns(values, len(block.setup.antennas_in_use), row_antennas(block))
 
     def factor(self, block: RowBlock, x: FloatArray) -> ComplexArray:
-        """Return exp(2 pi i nu (tau_j - tau_k))."""
+        """Return exp(2 pi i nu (tau_j - tau_k)), (Ntimes, Nbls)."""
         delays = np.zeros(len(block.setup.observation.antenna_numbers))
         delays[block.setup.antennas_in_use] = x
         rows = np.exp(2j * np.pi * block.freq * NS * (delays[block.ant1] - delays[block.ant2]))

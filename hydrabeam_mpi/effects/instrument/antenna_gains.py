@@ -31,18 +31,18 @@ class AntennaGains(Effect):
         return Parameters.of(names, ["", "rad"] * len(antennas), 1.0, np.repeat(np.arange(len(antennas)), 2))
 
     def degenerate_directions(self, setup: ObservingSetup) -> FloatArray:
-        """Return the amplitude and the phase that all antennas have in common."""
+        """Return the amplitude and the phase that all antennas have in common, (n_directions, n_params)."""
         return common_values(len(setup.antennas_in_use), 2)
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
-        """Return m, i m for the first antenna of a row and m, -i m for the second."""
+        """Return m, i m for the first antenna of a row and m, -i m for the second; ``x`` is (n_params,)."""
         first, second = (np.searchsorted(block.setup.antennas_in_use, ant) for ant in (block.ant1, block.ant2))
         index = np.stack([2 * first, 2 * first + 1, 2 * second, 2 * second + 1], axis=-1)
         values = block.vis[..., np.newaxis] * np.array([1, 1j, 1, -1j])
         return Columns(values, 2 * len(block.setup.antennas_in_use), index)
 
     def factor(self, block: RowBlock, x: FloatArray) -> ComplexArray:
-        """Return g_j g_k*."""
+        """Return g_j g_k*, (Ntimes, Nbls)."""
         gains = np.zeros(len(block.setup.observation.antenna_numbers), dtype=complex)
         gains[block.setup.antennas_in_use] = x[0::2] + 1j * x[1::2]
         rows = np.exp(gains[block.ant1] + gains[block.ant2].conj())

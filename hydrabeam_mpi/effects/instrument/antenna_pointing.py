@@ -44,11 +44,11 @@ class AntennaPointing(Effect):
         return -TILTS.T @ torque(sources)
 
     def degenerate_directions(self, setup: ObservingSetup) -> FloatArray:
-        """Return the tilts that all antennas have in common."""
+        """Return the tilts that all antennas have in common, (n_directions, n_params)."""
         return common_values(len(setup.antennas_in_use), 2)
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
-        """Return half of what tilting further does, for a row's first and second antenna."""
+        """Return half of what tilting further does, for a row's first and second antenna; ``x`` is (n_params,)."""
         values: ComplexArray = np.repeat(block.spread(block.integrals[self.kind])[:, :, np.newaxis], 2, axis=2)
         rotations = _rotations(x)
         tilted = np.flatnonzero(rotations.any(axis=1))

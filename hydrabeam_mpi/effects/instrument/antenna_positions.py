@@ -43,11 +43,14 @@ class AntennaPositions(Effect):
         return np.concatenate([beam, beam * sources.enu])
 
     def degenerate_directions(self, setup: ObservingSetup) -> FloatArray:
-        """Return the shift that all antennas have in common."""
+        """Return the shift that all antennas have in common, (n_directions, n_params)."""
         return common_values(len(setup.antennas_in_use), 3)
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
-        """Return minus and plus i k times the moments of the unit vector, for a row's first and second antenna."""
+        """Return minus and plus i k times the moments of the unit vector, for a row's first and second antenna.
+
+        ``x`` is (n_params,).
+        """
         moments = block.spread(block.integrals[self.kind][..., 1:])
         moved, vectors = self._moved(block, x)
         if len(moved):

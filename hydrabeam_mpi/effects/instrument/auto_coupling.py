@@ -37,5 +37,5 @@ class AutoCoupling(PerBaseline):
         return None
 
     def history(self, block: RowBlock) -> FloatArray:
-        """Return the model's autocorrelation, Jy."""
+        """Return the model's autocorrelation, Jy, (Ntimes,)."""
         return beam_visibilities(block, np.zeros((1, 3)))[:, 0].real

@@ -55,7 +55,7 @@ class BasisTruncation(Effect):
         )
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
-        """Return the visibilities of the modes."""
+        """Return the visibilities of the modes; ``x`` is (n_params,)."""
         key = f"{self.kind} {self.n_before}"
         if key not in block.integrals:
             modes = self.next_modes(block.setup)

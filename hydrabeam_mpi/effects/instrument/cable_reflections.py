@@ -76,7 +76,10 @@ class CableReflections(ScannedEffect):
         )
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
-        """Return m d ln g for the echoes of a row's first antenna, and m (d ln g)* for those of its second."""
+        """Return m d ln g for the echoes of a row's first antenna, and m (d ln g)* for those of its second.
+
+        ``x`` is (n_params,).
+        """
         n = len(self.reflections)
         if not n:
             return Columns(np.zeros((*block.shape, 0), dtype=complex), 0)
@@ -97,7 +100,7 @@ class CableReflections(ScannedEffect):
         return Columns(values, 3 * n, index.reshape(n_rows, -1))
 
     def factor(self, block: RowBlock, x: FloatArray) -> ComplexArray:
-        """Return g_j g_k*."""
+        """Return g_j g_k*, (Ntimes, Nbls)."""
         gains = self._gains(block, x)
         return np.broadcast_to(gains[block.ant1] * gains[block.ant2].conj(), block.shape)
 
@@ -121,6 +124,8 @@ class CableReflections(ScannedEffect):
 
     def at(self, setup: ObservingSetup, hypotheses: IntArray) -> CableReflections:
         """Return the effect with these echoes, of each antenna with the first few alone, none beside a better one.
+
+        ``hypotheses`` is (Nchosen,).
 
         Delays are refined later, so that echoes within a resolution of each other would become the same.
         """
@@ -161,7 +166,10 @@ class CableReflections(ScannedEffect):
 
 
 def candidate_delays(setup: ObservingSetup) -> FloatArray:
-    """Return the delays that are scanned, ns, ascending; of the two at the limit, which are one, the late one."""
+    """Return the delays that are scanned, ns, ascending; of the two at the limit, which are one, the late one.
+
+    The result is (Ndelays,).
+    """
     if len(np.unique(setup.observation.freqs)) < MIN_CHANNELS:
         return np.zeros(0)
     limit = 0.5 / (NS * np.diff(np.unique(setup.observation.freqs)).min())

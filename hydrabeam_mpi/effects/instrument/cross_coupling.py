@@ -31,5 +31,5 @@ class CrossCoupling(PerBaseline):
         return None
 
     def history(self, block: RowBlock) -> FloatArray:
-        """Return ones."""
+        """Return ones, (Ntimes,)."""
         return np.ones(len(block.times))

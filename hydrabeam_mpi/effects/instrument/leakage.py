@@ -129,7 +129,10 @@ class Leakage(CrossPolarised):
     def measured(
         self, setup: ObservingSetup, copols: Mapping[str, ComplexArray], x: FloatArray
     ) -> dict[str, ComplexArray]:
-        """Return what is measured in the co-polarisations and in the cross-polarisations that the files have."""
+        """Return what is measured in the co-polarisations and in the cross-polarisations that the files have.
+
+        By polarisation, each (Ntimes, Nbls) at one channel, with ``x`` (n_params,).
+        """
         bls = np.arange(setup.observation.Nbls)
         into_one, into_other = self._from_copols(setup, bls, x)
         one, other = self.copols(setup)

@@ -71,7 +71,10 @@ class MutualCoupling(Effect):
         return Parameters.of(names, "", 1e-3, np.repeat(np.arange(len(shells)), 2))
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
-        """Return X V + V X^H of every shell for x = 1 and x = i; time by time, for one matrix V at a time."""
+        """Return X V + V X^H of every shell for x = 1 and x = i; time by time, for one matrix V at a time.
+
+        ``x`` is (n_params,).
+        """
         setup = block.setup
         positions = _positions(setup)
         n = len(positions)
@@ -100,7 +103,7 @@ class MutualCoupling(Effect):
 
 
 def find_shells(positions: FloatArray, n_shells: int) -> list[tuple[IntArray, IntArray, FloatArray]]:
-    """Find the pairs of the shortest distances.
+    """Find the pairs of the shortest distances among ``positions``, (N, 3).
 
     Returns
     -------

@@ -52,11 +52,11 @@ class NonredundantBeams(Effect):
         return np.concatenate([stretches(sources), sidelobes(sources)])
 
     def degenerate_directions(self, setup: ObservingSetup) -> FloatArray:
-        """Return the shape that all antennas have in common."""
+        """Return the shape that all antennas have in common, (n_directions, n_params)."""
         return common_values(len(setup.antennas_in_use), len(MODES))
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
-        """Return half the modes' visibilities, for a row's first and second antenna."""
+        """Return half the modes' visibilities, for a row's first and second antenna; ``x`` is (n_params,)."""
         values = block.spread(0.5 * np.tile(block.integrals[self.kind], 2))
         n_params = len(MODES) * len(block.setup.antennas_in_use)
         return Columns(values, n_params, row_parameters(block, len(MODES)))

@@ -27,11 +27,11 @@ class Timestamp(TurningSky):
         return Parameters.of(["time by which data are later than their timestamps"], "s", 1.0)
 
     def rotations(self, block: RowBlock, x: FloatArray) -> FloatArray:
-        """Return the same rotation for every time."""
+        """Return the same rotation for every time, (Ntimes, 3)."""
         return np.tile(x[0] * self._per_second(block), (len(block.times), 1))
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
-        """Return what turning on about the pole does; the axis does not depend on ``x``."""
+        """Return what turning on about the pole does; the axis does not depend on ``x``, (n_params,)."""
         values = self.rates(block, x) @ self._per_second(block)
         return Columns(values[..., np.newaxis], 1, by_group=True)
 

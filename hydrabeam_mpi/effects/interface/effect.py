@@ -69,7 +69,10 @@ class Parameters:
         nonlinear: Sequence[bool] | None = None,
         trials: int | None = None,
     ) -> Parameters:
-        """Fill in defaults: one unit and one scale for all; all parameters of one element; nothing refined later."""
+        """Fill in defaults: one unit and one scale for all; all parameters of one element; nothing refined later.
+
+        Arrays are (n_params,).
+        """
         n = len(names)
         element = np.zeros(n, dtype=int) if element is None else np.asarray(element, dtype=int)
         return cls(
@@ -226,12 +229,15 @@ class Effect(Cause):
         return np.ones(len(sources.za))
 
     def extra_sky(self, block: RowBlock, itime: int, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-        """Return further sources at one time, za, az (radians) and flux (Jy), for effects that change the sky."""
+        """Return further sources at one time, za, az (radians) and flux (Jy), for effects that change the sky.
+
+        Each is (Nsrc,).
+        """
         return None
 
     @abstractmethod
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
-        """Return dE/dx, or d ln C/dx (A b + E), at the parameters ``x``."""
+        """Return dE/dx, or d ln C/dx (A b + E), at the parameters ``x``, (n_params,)."""
 
     def added(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return E at ``x``, (Ntimes, Nbls); zero for effects that multiply. Exact, not linearised."""
@@ -286,7 +292,7 @@ class ScannedEffect(Effect):
 
     @abstractmethod
     def at(self, setup: ObservingSetup, hypotheses: IntArray) -> Effect:
-        """Return the effect with these candidates as its elements, in this order."""
+        """Return the effect with these candidates as its elements, in this order; ``hypotheses`` is (Nchosen,)."""
 
     def drawn(self, setup: ObservingSetup, rng: np.random.Generator) -> Effect:
         """Pick a candidate at random."""

@@ -66,5 +66,8 @@ class ObservingSetup:
 
     @cached_property
     def antennas_in_use(self) -> IntArray:
-        """Indices of the antennas that have a baseline, ascending; per-antenna effects have elements for these."""
+        """Indices of the antennas that have a baseline, ascending; per-antenna effects have elements for these.
+
+        The result is (Nused,).
+        """
         return np.unique(self.antenna_index)

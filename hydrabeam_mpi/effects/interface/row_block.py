@@ -171,6 +171,8 @@ class RowBlock:
     ) -> ComplexArray:
         """Integrate columns that do not depend on the beam: once for each sky, where there is room to keep it.
 
+        The result is (Ntimes, N, K).
+
         Parameters
         ----------
         name : str
@@ -221,7 +223,7 @@ class GivenColumns:
         self._next = 0
 
     def columns(self, za: FloatArray, az: FloatArray, out: FloatArray | None = None) -> FloatArray:
-        """Return the next ``len(za)`` sources' columns."""
+        """Return the next ``len(za)`` sources' columns, (n_columns, Npoints)."""
         part = self.values[:, self._next : self._next + len(za)]
         self._next += len(za)
         if out is None:

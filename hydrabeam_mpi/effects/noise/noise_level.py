@@ -57,7 +57,7 @@ class NoiseLevel(Reweighting):
     times_refitted = 2
 
     def scales_antennas(self, x: FloatArray) -> bool:
-        """Whether there are more parameters than the one of all data."""
+        """Whether there are more parameters than the one of all data in ``x``, (Nfreqs, n_params)."""
         return x.shape[1] > 1
 
     def sizes(self, setup: ObservingSetup) -> tuple[int, ...]:
@@ -74,11 +74,14 @@ class NoiseLevel(Reweighting):
         return 5 * setup.observation.Nbls + 2 * setup.observation.Ntimes + 2
 
     def sums(self, block: RowBlock, z: ComplexArray) -> FloatArray:
-        """Return numbers of rows and powers by baseline and by time, and what tells whether they are white."""
+        """Return numbers of rows and powers by baseline and by time, and what tells whether they are white.
+
+        The result is (n_sums,).
+        """
         return whiteness_sums(block, z)
 
     def fit(self, setup: ObservingSetup, sums: FloatArray, effective_parameters: FloatArray) -> ReweightingFit:
-        """Weigh one scale, then a scale of each antenna; see `Reweighting.fit`."""
+        """Weigh one scale, then a scale of each antenna, with ``sums`` (Nfreqs, n_sums); see `Reweighting.fit`."""
         n_bls = setup.observation.Nbls
         power = sums[:, n_bls : 2 * n_bls]
         expected = np.array([fitted_counts(*pair) for pair in zip(sums[:, :n_bls], effective_parameters, strict=True)])
@@ -115,15 +118,15 @@ class NoiseLevel(Reweighting):
         return None if worst is None else f"the residuals {worst.what}, as noise does not"
 
     def weight_factor(self, block: RowBlock, x: FloatArray) -> FloatArray:
-        """Return 1 / (s^2 s_j s_k)."""
+        """Return 1 / (s^2 s_j s_k), (Ntimes, Nbls)."""
         return np.broadcast_to(1 / _variance(block.setup, x)[block.bls], block.shape)
 
     def draw(self, setup: ObservingSetup, rng: np.random.Generator, strength: float) -> FloatArray:
-        """Draw one scale, larger than one by ``strength`` rms."""
+        """Draw one scale, larger than one by ``strength`` rms, (n_params,)."""
         return np.array([1 + strength * abs(rng.standard_normal())])
 
     def inject(self, data: ComplexArray, block: RowBlock, x: FloatArray, rng: np.random.Generator) -> ComplexArray:
-        """Add noise of variance (s^2 s_j s_k - 1) sigma^2.
+        """Add noise of variance (s^2 s_j s_k - 1) sigma^2, (Ntimes, Nbls).
 
         Raises
         ------

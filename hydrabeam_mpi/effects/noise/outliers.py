@@ -86,7 +86,7 @@ class Outliers(Reweighting):
         return len(EDGES) - 1 + 2 * (observation.Ntimes + observation.Nbls) + N_MOMENTS
 
     def sums(self, block: RowBlock, z: ComplexArray) -> FloatArray:
-        """Return the histogram of |z|^2; rows and hits by time; rows and large ones by baseline; moments.
+        """Return the histogram of |z|^2; rows and hits by time; rows and large ones by baseline; moments, (n_sums,).
 
         The moments: sums of 1, a and a^2 with a = ln |m|^2 w, the model's, over all rows, and of 1, a, a^2, b, b^2 and
         a b with b = ln |z|^2 over those that are hit.
@@ -107,7 +107,7 @@ class Outliers(Reweighting):
         return np.concatenate([counts, by_time.reshape(-1), by_bl.reshape(-1), moments])
 
     def fit(self, setup: ObservingSetup, sums: FloatArray, effective_parameters: FloatArray) -> ReweightingFit:
-        """Weigh the mixture against noise alone; see `Reweighting.fit`."""
+        """Weigh the mixture against noise alone, with ``sums`` (Nfreqs, n_sums); see `Reweighting.fit`."""
         n_bins, n_bls = len(EDGES) - 1, setup.observation.Nbls
         fits, reasons = [], []
         for of_channel, taken in zip(sums, effective_parameters, strict=True):
@@ -133,6 +133,8 @@ class Outliers(Reweighting):
     def weight_factor(self, block: RowBlock, x: FloatArray) -> FloatArray:
         """Return zero for rows beyond the threshold by the block's residuals, and for times where most are; else one.
 
+        The result is (Ntimes, Nbls).
+
         A time is judged by the block's own baselines.
         """
         used = block.weights > 0
@@ -140,11 +142,14 @@ class Outliers(Reweighting):
         return np.where(beyond | mostly(beyond.sum(axis=1), used.sum(axis=1))[:, np.newaxis], 0.0, 1.0)
 
     def draw(self, setup: ObservingSetup, rng: np.random.Generator, strength: float) -> FloatArray:
-        """Draw bursts in a tenth of ``strength`` of the rows, 5% at most, of a power between 100 and 10,000."""
+        """Draw bursts in a tenth of ``strength`` of the rows, 5% at most, of a power between 100 and 10,000.
+
+        The result is (n_params,).
+        """
         return np.array([HIT, min(0.1 * strength, MAX_FRACTION), 10 ** rng.uniform(2, 4)])
 
     def inject(self, data: ComplexArray, block: RowBlock, x: FloatArray, rng: np.random.Generator) -> ComplexArray:
-        """Add bursts to a fraction ``x[1]`` of the rows, of the scale ``x[2]`` in |z|^2."""
+        """Add bursts to a fraction ``x[1]`` of the rows, of the scale ``x[2]`` in |z|^2, (Ntimes, Nbls)."""
         chosen = (rng.random(block.shape) < x[1]) & (block.weights > 0)
         burst = complex_normal(rng, block.shape) * np.sqrt(x[2] / rng.standard_exponential(block.shape))
         sigma = np.sqrt(np.where(chosen, 1 / np.where(chosen, block.weights, 1.0), 0.0))
@@ -152,7 +157,7 @@ class Outliers(Reweighting):
 
 
 def mostly(hits: FloatArray, rows: FloatArray) -> BoolArray:
-    """Tell where hits are the majority of rows, and these are enough to say so."""
+    """Tell where hits are the majority of rows, and these are enough to say so; all are of one shape, (N,)."""
     return np.asarray((rows >= MIN_BASELINES) & (2 * hits > rows))
 
 
@@ -163,7 +168,7 @@ def _log_bulk(scale: float) -> FloatArray:
 
 
 def log_broad(log_scale: float) -> FloatArray:
-    """Return ln probability of each bin for the density S / (S + u)^2, which is S (b - a) / (S + a) (S + b).
+    """Return ln probability of each bin for the density S / (S + u)^2, which is S (b - a) / (S + a) (S + b), (Nbins,).
 
     The logarithms are added: a difference of the probabilities beyond either edge is zero where S is large.
     """

@@ -88,7 +88,10 @@ class TurnedPositions:
     rotations: dict[int, FloatArray]
 
     def above_horizon(self, itime: int, below: float = 0.0) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Find the sources that are above the horizon once they are turned; see `SourcePositions.above_horizon`."""
+        """Find the sources that are above the horizon once they are turned; see `SourcePositions.above_horizon`.
+
+        Each is (Nup,).
+        """
         rotation = self.rotations[itime]
         index, za, az = self.positions.above_horizon(itime, below + float(np.linalg.norm(rotation)))
         za, az = angles(rotate(enu(za, az), rotation))

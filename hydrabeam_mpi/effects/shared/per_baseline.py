@@ -50,7 +50,7 @@ class PerBaseline(ScannedEffect):
         return Parameters.of(names, self.unit, self.scale, element, trials=self.n_hypotheses(setup))
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
-        """Return p and i p, where a row is one of the baselines."""
+        """Return p and i p, where a row is one of the baselines; ``x`` is (n_params,)."""
         n = len(self.baselines)
         if not n:
             return Columns(np.zeros((*block.shape, 0), dtype=complex), 0)
@@ -76,7 +76,7 @@ class PerBaseline(ScannedEffect):
         return sums, norms
 
     def at(self, setup: ObservingSetup, hypotheses: IntArray) -> Self:
-        """Return the effect on these baselines."""
+        """Return the effect on these baselines; ``hypotheses`` is (Nchosen,)."""
         return type(self)(_group_pairs(setup)[hypotheses].tolist())
 
     def _places(self, setup: ObservingSetup) -> IntArray:

@@ -52,7 +52,10 @@ def resolution(setup: ObservingSetup) -> float:
 
 
 def keep_apart(ra: FloatArray, dec: FloatArray, distance: float, at_most: int) -> IntArray:
-    """Choose directions, the first ones first, that are farther than ``distance`` radians from those chosen before."""
+    """Choose directions, the first ones first, that are farther than ``distance`` radians from those chosen before.
+
+    All are (N,), of which the indices (Nchosen,) are returned.
+    """
     chosen: list[int] = []
     left = np.arange(len(ra))
     while len(left) and len(chosen) < at_most:

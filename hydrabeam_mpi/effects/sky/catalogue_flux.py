@@ -57,13 +57,13 @@ class CatalogueFlux(PointSources):
         return Parameters.of([f"{name}: relative flux error" for name in names], "", 0.1, np.arange(n), trials=trials)
 
     def sky_factor(self, setup: ObservingSetup, sources: Sources, x: FloatArray) -> FloatArray:
-        """Return one plus the relative error of those sources that are in error."""
+        """Return one plus the relative error of those sources that are in error, (Nsrc,)."""
         factor = np.ones(setup.sky.Nsrc)
         np.add.at(factor, find(setup.sky, self.sources), x)
         return factor[sources.index]
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
-        """Return the sources' visibilities, less what other effects take of their fluxes."""
+        """Return the sources' visibilities, less what other effects take of their fluxes; ``x`` is (n_params,)."""
         sky = block.setup.sky
         index = find(sky, self.sources)
         values = responses(block, sky.ra[index], sky.dec[index])
@@ -78,12 +78,15 @@ class CatalogueFlux(PointSources):
         return min(setup.sky.Nsrc, MAX_CANDIDATES)
 
     def scan(self, block: RowBlock) -> tuple[FloatArray, FloatArray]:
-        """Correlate the residual with every source."""
+        """Correlate the residual with every source, each (n_hypotheses, p)."""
         projection, power = dirty_map(block, block.setup.sky.select(_brightest(block.setup.sky)))
         return projection[:, np.newaxis], power[:, np.newaxis]
 
     def at(self, setup: ObservingSetup, hypotheses: IntArray) -> CatalogueFlux:
-        """Take these sources, the best first, leaving out those that better ones cannot be told from."""
+        """Take these sources, the best first, leaving out those that better ones cannot be told from.
+
+        ``hypotheses`` is (Nchosen,).
+        """
         sky = setup.sky
         index = _brightest(sky)[hypotheses]
         kept = index[keep_apart(sky.ra[index], sky.dec[index], APART * resolution(setup), AT_MOST)]
@@ -102,7 +105,7 @@ class CatalogueFlux(PointSources):
         return CatalogueFlux(in_degrees(sky.ra[chosen], sky.dec[chosen]))
 
     def draw(self, setup: ObservingSetup, rng: np.random.Generator, strength: float) -> FloatArray:
-        """Draw errors of ``strength`` x scale, of either sign."""
+        """Draw errors of ``strength`` x scale, of either sign, (n_params,)."""
         scale = self.parameters(setup).scale
         return strength * scale * rng.choice([-1.0, 1.0], size=len(scale))
 

@@ -78,7 +78,7 @@ class Diffuse(Effect):
         return replace(Parameters.of(names, "Jy/sr", 1e4 * sizes, degree), nested=True)
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
-        """Return the visibilities of every harmonic."""
+        """Return the visibilities of every harmonic; ``x`` is (n_params,)."""
         n = (self.l_max + 1) ** 2
         values = np.zeros((len(block.times), len(block.groups), n), dtype=complex)
         short = np.flatnonzero(_wavenumber(block) * np.linalg.norm(block.vectors, axis=1) <= 2 * np.pi * MAX_LENGTH)
@@ -89,7 +89,7 @@ class Diffuse(Effect):
         return Columns(values, n, by_group=True)
 
     def extra_sky(self, block: RowBlock, itime: int, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the points of the quadrature with the flux that each stands for."""
+        """Return the points of the quadrature with the flux that each stands for, each (Nsrc,)."""
         up, az, area = _hemisphere(block, block.vectors)
         turn = self._turns(replace(block, times=np.array([itime])))[0]
         flux = area * np.tensordot(turn.T @ x, harmonics(self.l_max, up, az), axes=1)
@@ -147,7 +147,7 @@ def harmonics(l_max: int, z: FloatArray, azimuth: FloatArray) -> FloatArray:
     Parameters
     ----------
     l_max : int
-    z : ndarray
+    z : ndarray, any shape
         Cosine of the polar angle.
     azimuth : ndarray
         Radians; broadcast with ``z``.

@@ -78,14 +78,14 @@ class Horizon(ScannedEffect):
         return Parameters.of(names, "", scale, element, nonlinear, max(self.trials, n) if n else 0)
 
     def sky_factor(self, setup: ObservingSetup, sources: Sources, x: FloatArray) -> FloatArray:
-        """Return each source's transmission."""
+        """Return each source's transmission, (Nsrc,)."""
         factor = np.ones(len(sources.za))
         low, inside = self._inside(sources)
         factor[low] += inside.T @ x
         return factor
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
-        """Return the visibilities of what is in each wall and strip."""
+        """Return the visibilities of what is in each wall and strip; ``x`` is (n_params,)."""
         values = np.zeros((len(block.times), len(block.groups), len(x)), dtype=complex)
         for t, itime in enumerate(block.times.tolist()):
             sources = block.sources(itime)
@@ -94,7 +94,10 @@ class Horizon(ScannedEffect):
         return Columns(values, len(x), by_group=True)
 
     def unphysical(self, x: FloatArray, std: FloatArray) -> str | None:
-        """Object to what mostly makes sources brighter: nothing that stands there does, but another beam may."""
+        """Object to what mostly makes sources brighter: nothing that stands there does, but another beam may.
+
+        Both are (Nfreqs, n_params).
+        """
         boxes = np.array([*self.walls, *(strip for _, strip in self.strips)])
         middle = 0.5 * (boxes[:, ::2] + boxes[:, 1::2])
         # What is seen in the middle of each box is changed by all boxes that hold it.
@@ -129,7 +132,7 @@ class Horizon(ScannedEffect):
         return len(STARTS) * HEIGHTS
 
     def scan(self, block: RowBlock) -> tuple[FloatArray, FloatArray]:
-        """Correlate the residual with every wall, its sources taken as orthogonal."""
+        """Correlate the residual with every wall, its sources taken as orthogonal, each (n_hypotheses, p)."""
         n_bls = len(block.bls)
         members = csr_array((np.ones(n_bls), (block.member, np.arange(n_bls))), (len(block.groups), n_bls))
         residual = (members @ (block.weights * block.residual).T).T
@@ -151,7 +154,10 @@ class Horizon(ScannedEffect):
         return projection, power
 
     def at(self, setup: ObservingSetup, hypotheses: IntArray) -> Horizon:
-        """Take these walls, the best first, leaving out those that are much the same as better ones."""
+        """Take these walls, the best first, leaving out those that are much the same as better ones.
+
+        ``hypotheses`` is (Nchosen,).
+        """
         window, height = np.divmod(hypotheses, HEIGHTS)
         chosen: list[int] = []
         for one in range(len(hypotheses)):
@@ -171,7 +177,10 @@ class Horizon(ScannedEffect):
         return self.at(setup, rng.choice(quarter, size=1))
 
     def draw(self, setup: ObservingSetup, rng: np.random.Generator, strength: float) -> FloatArray:
-        """Draw losses of rms ``strength`` x scale behind walls, at most all; their rims are as they are."""
+        """Draw losses of rms ``strength`` x scale behind walls, at most all; their rims are as they are.
+
+        The result is (n_params,).
+        """
         parameters = self.parameters(setup)
         losses = np.minimum(strength * np.abs(rng.standard_normal(len(parameters))), 1.0)
         return np.where(parameters.nonlinear, 0.0, -losses)

@@ -33,12 +33,12 @@ class Ionosphere(TurningSky):
         return Parameters.of(names, "arcmin", 1.0, np.repeat(np.arange(n_times), 2))
 
     def rotations(self, block: RowBlock, x: FloatArray) -> FloatArray:
-        """Return the rotation of each time at the block's frequency."""
+        """Return the rotation of each time at the block's frequency, (Ntimes, 3)."""
         shifts = x.reshape(-1, 2)[scene_times(block)]
         return np.asarray(self._per_arcmin(block) * shifts @ TILTS.T)
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
-        """Return what small further shifts of a time do to it."""
+        """Return what small further shifts of a time do to it; ``x`` is (n_params,)."""
         turns = np.array([rotation_rate(rotation) @ TILTS for rotation in self.rotations(block, x)])
         values = self._per_arcmin(block) * (self.rates(block, x) @ turns)
         index = 2 * scene_times(block)[:, np.newaxis, np.newaxis] + np.arange(2)

@@ -64,7 +64,7 @@ class MissingSources(PointSources):
         return Parameters.of(names, units, np.array(scale, dtype=float), element, nonlinear, trials)
 
     def extra_sky(self, block: RowBlock, itime: int, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the sources that are up."""
+        """Return the sources that are up, each (Nsrc,)."""
         part = x.reshape(-1, _n_each(block.setup))
         flux = part[:, 0] * _spectrum(part, block)
         sky = Sky(*self._places(part), np.ones((1, len(flux))))
@@ -72,7 +72,10 @@ class MissingSources(PointSources):
         return za, az, flux[index]
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
-        """Return derivatives: the source itself, its central difference by position, and its growth with ln nu."""
+        """Return derivatives: the source itself, its central difference by position, and its growth with ln nu.
+
+        ``x`` is (n_params,).
+        """
         each = _n_each(block.setup)
         part = x.reshape(-1, each)
         step = STEP * resolution(block.setup)
@@ -94,7 +97,7 @@ class MissingSources(PointSources):
         return Columns(values.reshape(*seen.shape[:2], len(x)), len(x), by_group=True)
 
     def added(self, block: RowBlock, x: FloatArray) -> ComplexArray:
-        """Return the sources' visibilities."""
+        """Return the sources' visibilities, (Ntimes, Nbls)."""
         part = x.reshape(-1, _n_each(block.setup))
         return block.spread(responses(block, *self._places(part)) @ (part[:, 0] * _spectrum(part, block)))
 
@@ -111,7 +114,7 @@ class MissingSources(PointSources):
         return len(candidates(setup)[0])
 
     def scan(self, block: RowBlock) -> tuple[FloatArray, FloatArray]:
-        """Correlate the residual with a source at every grid point."""
+        """Correlate the residual with a source at every grid point, each (n_hypotheses, p)."""
         ra, dec = candidates(block.setup)
         spectrum = (block.setup.observation.freqs / block.setup.reference_freq) ** SPECTRAL_INDEX
         sky = Sky(ra, dec, np.broadcast_to(spectrum[:, np.newaxis], (len(spectrum), len(ra))))
@@ -119,7 +122,10 @@ class MissingSources(PointSources):
         return projection[:, np.newaxis], power[:, np.newaxis]
 
     def at(self, setup: ObservingSetup, hypotheses: IntArray) -> MissingSources:
-        """Place sources at these points, the best first, leaving out those within a resolution of better ones."""
+        """Place sources at these points, the best first, leaving out those within a resolution of better ones.
+
+        ``hypotheses`` is (Nchosen,).
+        """
         ra, dec = candidates(setup)
         trials = max(MIN_TRIALS, round(len(ra) * (_spacing(setup) / resolution(setup)) ** 2))
         ra, dec = ra[hypotheses], dec[hypotheses]
@@ -133,7 +139,7 @@ class MissingSources(PointSources):
         return MissingSources(in_degrees(ra[chosen], dec[chosen]))
 
     def draw(self, setup: ObservingSetup, rng: np.random.Generator, strength: float) -> FloatArray:
-        """Draw offsets within half a grid spacing and spectral indices; every flux is ``strength`` Jy."""
+        """Draw offsets within half a grid spacing and spectral indices; every flux is ``strength`` Jy, (n_params,)."""
         parameters = self.parameters(setup)
         x = parameters.scale * rng.uniform(-0.5, 0.5, len(parameters))
         x[:: _n_each(setup)] = strength
@@ -141,7 +147,10 @@ class MissingSources(PointSources):
 
 
 def candidates(setup: ObservingSetup, altitude: float = MIN_ALTITUDE) -> tuple[FloatArray, FloatArray]:
-    """Return right ascension and declination of the grid points that rise to ``altitude`` in the times in use."""
+    """Return right ascension and declination of the grid points that rise to ``altitude`` in the times in use.
+
+    Each is (Npoints,).
+    """
     ra, dec = _grid(_spacing(setup))
     observation = setup.observation
     zenith = observation.latitude

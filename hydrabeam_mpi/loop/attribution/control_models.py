@@ -48,7 +48,7 @@ class BeamDrift(Effect):
         return Parameters.of(names, "", scale)
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
-        """Return the design's columns times the time, from -1 to 1."""
+        """Return the design's columns times the time, from -1 to 1, (Nrows, n)."""
         modes = _largest(block.setup)[1]
         columns = block.design[..., modes]
         if np.iscomplexobj(columns):
@@ -80,7 +80,7 @@ class ShapeDrift(BeamDrift):
         return np.concatenate([sources.beam[np.newaxis], tilts, stretches(sources), sidelobes(sources)])
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
-        """Return these columns' visibilities times the time, from -1 to 1."""
+        """Return these columns' visibilities times the time, from -1 to 1, (Nrows, n)."""
         values = block.integrals[self.kind] * _time(block)[:, np.newaxis, np.newaxis]
         return Columns(values, len(SHAPE), by_group=True)
 

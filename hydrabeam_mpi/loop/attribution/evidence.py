@@ -224,7 +224,10 @@ def _precision(block: Likelihood, used: IntArray, width: FloatArray) -> FloatArr
 
 
 def log_evidence(blocks: Sequence[Likelihood], prior_var: FloatArray) -> float:
-    """Return ln of the marginal likelihood with a prior that was not chosen by it, over that without the effect."""
+    """Return ln of the marginal likelihood with a prior that was not chosen by it, over that without the effect.
+
+    ``prior_var`` is (q,).
+    """
     used = np.flatnonzero(prior_var)
     width = np.sqrt(prior_var[used])
     total = 0.0

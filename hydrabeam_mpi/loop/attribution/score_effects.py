@@ -229,7 +229,7 @@ class CachedRowBlocks:
         return cls(context, state, *context.train.calibrated(state), {})
 
     def row_blocks(self, channel: int) -> Iterator[tuple[RowBlock, NDArray[Any]]]:
-        """Yield the blocks of one channel with their design rows."""
+        """Yield the blocks of one channel with their design rows, (Ntimes, 2, Ngroups, n)."""
         if channel in self.kept:
             yield from self.kept[channel]
             return

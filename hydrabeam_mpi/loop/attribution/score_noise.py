@@ -33,7 +33,10 @@ class HeavyTails:
     kind = "heavy_tails"
 
     def weight_factor(self, block: RowBlock, x: FloatArray) -> FloatArray:
-        """Return 3 / (1 + 2 |z|^2), as for a complex Student t distribution with one degree of freedom."""
+        """Return 3 / (1 + 2 |z|^2), as for a complex Student t distribution with one degree of freedom.
+
+        The result is (Ntimes, Nbls).
+        """
         return np.asarray(3 / (1 + 2 * np.abs(block.residual) ** 2 * block.weights))
 
 

@@ -159,7 +159,7 @@ def _antenna_table(problem: Problem) -> AntennaTable:
 
 
 def sample_times(times: IntArray, most: int = N_TIMES) -> IntArray:
-    """Choose up to ``most`` of some times, evenly spread, first and last among them."""
+    """Choose up to ``most`` of some times, evenly spread, first and last among them, (Nchosen,)."""
     return times[np.unique(np.linspace(0, len(times) - 1, min(most, len(times))).round().astype(int))]
 
 

@@ -54,7 +54,7 @@ class CrossRows:
     power: float
 
     def without(self, check: Leakage, setup: ObservingSetup, x: FloatArray) -> CrossRows:
-        """Return the rows with regressors from which D-terms have been taken."""
+        """Return the rows with regressors from which D-terms have been taken, ``x`` being (n_params,)."""
         return replace(self, copols=check.without(setup, self.bls, self.measured, x))
 
 

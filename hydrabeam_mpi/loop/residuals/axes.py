@@ -93,7 +93,7 @@ class Axis:
 
     @property
     def chi2(self) -> FloatArray:
-        """Reduced chi^2."""
+        """Reduced chi^2, (Nentries,)."""
         return self.power / (2 * self.n)
 
     @property
@@ -102,7 +102,7 @@ class Axis:
         return float(self.power.sum() / (2 * self.n.sum()))
 
     def sigma(self, freedom: Freedom, level: float = 1.0) -> FloatArray:
-        """Return each entry's significance against a common reduced chi^2.
+        """Return each entry's significance against a common reduced chi^2, (Nentries,).
 
         Spectra of model errors are not white: an expectation within the limits of `SPECTRAL_CONCENTRATION` is taken
         that fits best.
@@ -151,7 +151,10 @@ def all_axes(sums: ResidualSums, layout: Layout) -> dict[str, Axis]:
 
 
 def length_bins(layout: Layout) -> tuple[IntArray, int]:
-    """Put each baseline into a bin of lengths: one a length where these are few, else equally many baselines each."""
+    """Put each baseline into a bin of lengths: one a length where these are few, else equally many baselines each.
+
+    Returns the bin of each, (Nbls,), and how many bins there are.
+    """
     lengths = np.round(np.linalg.norm(layout.redundant.vectors[layout.redundant.group], axis=1), 1)
     distinct = np.unique(lengths)
     if len(distinct) > MAX_LENGTHS:

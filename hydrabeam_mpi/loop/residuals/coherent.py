@@ -161,7 +161,7 @@ class Coherence:
     dof: FloatArray
 
     def sigma(self, level: float = 1.0) -> FloatArray:
-        """Return the significance of each look, where noise has variance ``level``."""
+        """Return the significance of each look, where noise has variance ``level``, (Nlooks,)."""
         return chi2_sigma(self.chi2 / max(level, 1e-300), self.dof)
 
     def words(self, k: int, observation: Observation) -> str:

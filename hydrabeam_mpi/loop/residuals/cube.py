@@ -55,7 +55,7 @@ class Layout:
         return Spectrum.of(self.observation.freqs, whole=True)
 
     def shares(self, n_ranks: int) -> list[IntArray]:
-        """Share out the baselines among ranks, in whole redundant groups."""
+        """Return the baselines of each rank, (Nown,): whole redundant groups."""
         group = self.redundant.group
         parts = split_by_cost(np.bincount(group).astype(float), n_ranks)
         return [np.flatnonzero((group >= part.start) & (group < part.stop)) for part in parts]

@@ -47,7 +47,7 @@ class Carriers:
 
     @classmethod
     def of(cls, entries: IntArray, shares: FloatArray) -> Carriers:
-        """Choose from all entries, strongest first."""
+        """Choose from all entries, strongest first; both arguments are (Nentries,)."""
         reached = np.flatnonzero(np.cumsum(shares) >= CARRIED)
         fewest = int(reached[0]) + 1 if len(reached) else len(shares)
         weaker = np.flatnonzero(shares[fewest:] < COMPARABLE * shares[fewest - 1])

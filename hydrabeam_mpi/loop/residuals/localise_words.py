@@ -37,7 +37,7 @@ def sentence(axes: dict[str, Axis], described: dict[str, Any], chosen: dict[str,
     axes : dict of str to Axis
     described : dict
         Of each axis with two entries or more, as in ``where``.
-    chosen : dict of str to ndarray of int
+    chosen : dict of str to ndarray of int, (Nchosen,)
         The entries that carry most, of axes that are not even.
     of_baselines : bool
         Whether to name baselines rather than antennas.

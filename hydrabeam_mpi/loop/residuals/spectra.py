@@ -35,7 +35,7 @@ class Spectrum:
 
     @classmethod
     def of(cls, x: FloatArray, whole: bool = False) -> Spectrum:
-        """Lay out the spectra of samples at ``x``.
+        """Lay out the spectra of samples at ``x``, (Nsamples,).
 
         Unless ``whole``, samples are cut into runs where a step differs from the usual one by more than half, as
         between nights. Runs shorter than half the longest are left out.

@@ -137,6 +137,8 @@ class FourierBessel(LinearBasis):
     def largest(self, coeffs: Array, n_modes: int) -> FourierBessel:
         """Return the basis of the modes with the largest coefficients, sorted by amplitude |a_km|.
 
+        ``coeffs`` is (n_modes,).
+
         The modes +-m of a real beam, which have equal amplitude, are kept or dropped together, in either form:
         one of them alone would make the beam complex. Where only one place is left for a pair, the next mode with
         m = 0 takes it.
@@ -153,7 +155,7 @@ class FourierBessel(LinearBasis):
         return self.with_modes(kept)
 
     def next_modes(self, amplitudes: FloatArray, n_before: int, most: int) -> NextModes:
-        """Return the modes that are expected to be largest of those that are lacking; see :class:`LinearBasis`.
+        """Return the modes expected to be largest of those that are lacking, from ``amplitudes``, (n_modes,).
 
         With the Dirichlet condition all functions are zero at the edge, so that those of constant radius, which are
         not, come first, with k = 0: it would take very many others to follow a beam that is not.
@@ -190,7 +192,7 @@ class FourierBessel(LinearBasis):
         return max(self._ks)
 
     def fit_rings(self, rings: RingGrid) -> tuple[Array, int]:
-        """Fit the modes of each m on its own; see :class:`LinearBasis`."""
+        """Fit the modes of each m on its own, (n_modes,); see :class:`LinearBasis`."""
         return fit_rings(rings, self.modes, lambda za: self.radial_functions(self.rho(za)), self.n_az, self.is_complex)
 
     def radial_functions(self, rho: FloatArray) -> FloatArray:
@@ -199,7 +201,7 @@ class FourierBessel(LinearBasis):
         return np.asarray(j0(u[:, None] * rho) / q[:, None])
 
     def rho(self, za: FloatArray) -> FloatArray:
-        """Return the radius on the disc, ``sqrt(1 - cos za) / alpha``."""
+        """Return the radius on the disc, ``sqrt(1 - cos za) / alpha``, (Npoints,)."""
         return np.sqrt(self._rho_squared(za))
 
     def columns(self, za: FloatArray, az: FloatArray, out: FloatArray | None = None) -> FloatArray:
@@ -215,7 +217,7 @@ class FourierBessel(LinearBasis):
         return out
 
     def mix(self, rows: Array) -> Array:
-        """Turn columns into functions; see :meth:`LinearBasis.mix`."""
+        """Turn columns, (..., n_columns), into functions, (..., n_modes); see :meth:`LinearBasis.mix`."""
         if self._mixing is None:
             return rows
         cos, sin, sign = self._mixing
@@ -224,7 +226,7 @@ class FourierBessel(LinearBasis):
         return mixed
 
     def column_coeffs(self, coeffs: Array) -> Array:
-        """Return the equivalent coefficients of the columns; see :meth:`LinearBasis.column_coeffs`."""
+        """Return the equivalent coefficients of the columns, (n_columns,); see :meth:`LinearBasis.column_coeffs`."""
         if self._mixing is None:
             return coeffs
         cos, sin, sign = self._mixing
@@ -234,7 +236,7 @@ class FourierBessel(LinearBasis):
         return np.moveaxis(folded, 0, -1)
 
     def amplitudes(self, coeffs: Array) -> FloatArray:
-        """Return |b|, in real form that of the equivalent complex mode, which cosine and sine share.
+        """Return |b|, in real form that of the equivalent complex mode, which cosine and sine share, (n_modes,).
 
         A beam that is even in azimuth has no sine terms; a width from each term alone would pin it there.
         """
@@ -279,7 +281,7 @@ class FourierBessel(LinearBasis):
 
 
 def radial_zeros(k_max: int, boundary: Boundary) -> tuple[FloatArray, FloatArray]:
-    """Return the radial frequencies u_k and norms q_k for k = 1..k_max."""
+    """Return the radial frequencies u_k and norms q_k for k = 1..k_max, each (k_max,)."""
     if boundary == "dirichlet":
         u = jn_zeros(0, k_max)
         return u, j1(u) / np.sqrt(2)

@@ -38,7 +38,7 @@ class Pixels:
 
     @classmethod
     def above_horizon(cls, za: FloatArray, az: FloatArray, values: Array) -> Pixels:
-        """Keep the samples with za <= 90 degrees that are not NaN."""
+        """Keep the samples with za <= 90 degrees that are not NaN; each is (Npoints,)."""
         keep = (za <= np.pi / 2 + SAME_ANGLE) & ~np.isnan(values)
         return cls(za[keep], az[keep], values[keep])
 

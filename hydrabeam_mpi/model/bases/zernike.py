@@ -77,7 +77,7 @@ class Zernike(LinearBasis):
         return cls(description["degree"], description["edge"])
 
     def next_modes(self, amplitudes: FloatArray, n_before: int, most: int) -> NextModes:
-        """Return those of the next whole degrees, one or more; see :class:`LinearBasis`."""
+        """Return those of the next whole degrees, one or more, whatever the ``amplitudes``, (n_modes,)."""
         first = self.degree + 1
         while sum(n + 1 for n in range(self.degree + 1, first)) < n_before:
             first += 1

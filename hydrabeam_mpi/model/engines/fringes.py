@@ -21,7 +21,7 @@ class Lattice:
 
 
 def find_lattice(vectors: FloatArray, tol: float) -> Lattice | None:
-    """Find the plane lattice on which all vectors lie within ``tol`` metres, if there is one.
+    """Find the plane lattice on which all vectors, (Nvectors, 3), lie within ``tol`` metres, if there is one.
 
     The two shortest vectors that are not parallel are tried as generators, which is what a filled array has;
     the generators are then fitted to all vectors.

@@ -30,7 +30,7 @@ class GemmEngine(Engine):
         self.chunk = chunk
 
     def design(self, basis: Columns, za: FloatArray, az: FloatArray, flux: FloatArray, freqs: FloatArray) -> FloatArray:
-        """Compute the design of one time; see `Engine.design`."""
+        """Compute the design of one time, (Nfreqs, 2, Nvectors, n_columns); see `Engine.design`."""
         n_vectors = self.n_vectors
         out = np.zeros((len(freqs), 2 * n_vectors, basis.n_columns))
         directions = enu(za, az)

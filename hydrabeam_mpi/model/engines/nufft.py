@@ -34,7 +34,7 @@ class NufftEngine(Engine):
         self.threads = max((pool["num_threads"] for pool in pools if pool["user_api"] == "openmp"), default=0)
 
     def design(self, basis: Columns, za: FloatArray, az: FloatArray, flux: FloatArray, freqs: FloatArray) -> FloatArray:
-        """Compute the design of one time; see `Engine.design`."""
+        """Compute the design of one time, (Nfreqs, 2, Nvectors, n_columns); see `Engine.design`."""
         n_vectors, n_columns = self.n_vectors, basis.n_columns
         out = np.zeros((len(freqs), 2, n_vectors, n_columns))
         if not len(za):

@@ -72,7 +72,7 @@ def _colour_steps(correlation: Array) -> BoundaryNorm:
 
 
 def strongest(matrix: Array, block: int) -> Array:
-    """Reduce a matrix to the entries of largest magnitude in blocks of ``block`` x ``block``."""
+    """Reduce a matrix, (n, n), to the entries of largest magnitude in blocks of ``block`` x ``block``."""
     if block == 1:
         return matrix
     n = -(-len(matrix) // block)

@@ -20,7 +20,7 @@ Array = NDArray[Any]
 
 
 def draw_eigenbeams(channel: Channel, covariance: Array) -> Drawing | None:
-    """Draw the best-constrained eigenvectors on the sky, and the spectrum of all eigenvalues."""
+    """Draw the best-constrained eigenvectors of a covariance, (n, n), on the sky, and the spectrum of eigenvalues."""
     if "eigen_beams" not in channel.arrays:
         return None
     parts = 2 if channel.is_complex else 1
@@ -66,7 +66,7 @@ def _draw_beams(figure: SubFigure, channel: Channel, parts: int) -> None:
 
 
 def with_real_peak(beam: Array) -> Array:
-    """Turn an eigenvector's free phase (or sign) so that its largest value is real and positive."""
+    """Turn an eigenvector's free phase (or sign), (Nza, Naz), so that its largest value is real and positive."""
     peak = beam.ravel()[np.abs(beam).argmax()]
     return beam * (np.conj(peak) / np.abs(peak)) if peak else beam
 

@@ -65,7 +65,7 @@ def merge_bins(edges: Array, counts: Array) -> tuple[Array, Array]:
 
     Returns
     -------
-    edges, counts : ndarray
+    edges, counts : ndarray, (Nbins + 1,) and (Nbins,)
     """
     middle = counts[len(counts) // 2 - 10 : len(counts) // 2 + 10].mean()
     step = next((step for step in (1, 2, 5) if step * middle >= 250), 10)

@@ -198,7 +198,7 @@ def _score_caption(channel: Channel, z: Array, end: float, law: str) -> str:
 
 
 def expected_scores(z: Array, is_complex: bool) -> tuple[Array, str]:
-    """Return the density of |z| of a perfect inference and its name.
+    """Return the density of |z| of a perfect inference at ``z``, (N,), and its name.
 
     E|z|^2 = 1: Rayleigh with scale 1/sqrt 2 where the coefficients are complex, half-normal where they are real.
     """

@@ -60,7 +60,10 @@ def to_disc(values: Array, za: Array, az: Array, pixels: int = 360) -> Array:
 def draw_disc(
     axes: Axes, square: Array, cmap: str, norm: Normalize, ink: str = "white", directions: str = "ENWS"
 ) -> AxesImage:
-    """Draw a resampled map; ``ink`` colours the circles, ``directions`` says which letters stand at the rim."""
+    """Draw a map resampled to (Npixels, Npixels).
+
+    ``ink`` colours the circles, ``directions`` says which letters stand at the rim.
+    """
     image = axes.imshow(
         square, cmap=colour_map(cmap), norm=norm, extent=(-1, 1, -1, 1), origin="lower", interpolation="nearest"
     )
@@ -75,7 +78,7 @@ def draw_disc(
 
 
 def add_colorbar(figure: FigureBase, axes: Axes | Array, image: AxesImage, label: str, extend: str = "neither") -> None:
-    """Put a thin colour bar beside a disc, or beside several that share their colours."""
+    """Put a thin colour bar beside a disc, or beside several, (Nrows, Ncolumns), that share their colours."""
     bar = figure.colorbar(image, ax=axes, shrink=0.8, aspect=24, pad=0.02, extend=extend)
     if isinstance(image.norm, SymLogNorm):
         decades = 10.0 ** np.arange(np.log10(image.norm.linthresh), np.log10(image.norm.vmax or 1.0))

@@ -55,7 +55,7 @@ class Channel:
 
     @property
     def truth(self) -> Array | None:
-        """The beam that the data were simulated with, on the grid, or None."""
+        """The beam that the data were simulated with on the grid, (Nza, Naz), or None."""
         return self.arrays.get("map_truth")
 
     def covariance(self) -> Array:
