@@ -72,7 +72,7 @@ def close_loop(world: Comm, job: Job, job_path: Path, out: Path, overwrite: bool
         grid, setup = context.grid, context.setup
         with together(world):
             choice = choose(job, setup)
-            state = restore(job, setup)
+            values = restore(job, setup)
         with clock.time("conventions"):
             conventions = check_conventions(grid, context.problem, context.train.rows)
         wanted = () if conventions["found"] else ([*choice.effects, *control_models(setup)], choice.changes)
@@ -82,12 +82,12 @@ def close_loop(world: Comm, job: Job, job_path: Path, out: Path, overwrite: bool
             return provenance(job, input_files(job, problem), world.size, threads, library_version())
 
         keep = Keeper(context, folder, choice.skipped, conventions, clock, origin)
-        history = keep.go_on(earlier, out, overwrite) or begin(context, state, clock)
+        history = keep.go_on(earlier, out, overwrite) or begin(context, values, clock)
         run_rounds(context, history, *(wanted or ([], [])), clock, keep)
         with clock.time("leakage"):
             leakage = check_leakage(grid, context.problem, setup) if choice.leakage else None
         with clock.time("describe"):
-            results = channel_results(context, history.last.state)
+            results = channel_results(context, history.last.fitted)
             records = gather_by_channel(grid, describe_channels(grid, context.problem, results))
         record = make_record(context, history, choice.skipped, conventions, leakage)
         memory = peak_rss_mb(world)
@@ -95,7 +95,7 @@ def close_loop(world: Comm, job: Job, job_path: Path, out: Path, overwrite: bool
             if world.rank == 0:
                 check_records(records)
                 run = {"phases_s": clock.seconds, "peak_rss_mb": memory}
-                texts = loop_texts(record | {"seconds": clock.seconds}, amended_job(job, history.last.state, setup))
+                texts = loop_texts(record | {"seconds": clock.seconds}, amended_job(job, history.last.fitted, setup))
 
                 def write(place: Path) -> None:
                     write_result(place, job, problem, records, origin(), run, record["warnings"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +16,7 @@ from hydrabeam_mpi.fit.joint_step import solve_jointly
 from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.row_sums import active_columns, active_names, beam_columns, effect_equations, row_set
 from hydrabeam_mpi.fit.rows import Rows
-from hydrabeam_mpi.fit.state import Active, State
+from hydrabeam_mpi.fit.state import Diagnostics, Estimate, Fit, Fitted, Values
 from hydrabeam_mpi.infer.posterior import Posterior
 from hydrabeam_mpi.infer.prior import Prior
 from hydrabeam_mpi.mpi import ProcessGrid, bcast_object, gather_objects, together
@@ -72,116 +73,142 @@ class FitContext:
         return float(sum(self.grid.world.allgather(mine)))
 
 
-def refit(context: FitContext, state: State) -> State:
-    """Fit beams and effects jointly, from the values that the state has.
+def refit(context: FitContext, values: Values, before: Fitted | None = None) -> Fitted:
+    """Fit beams and effects jointly, beginning with the effects' ``values``.
 
     Collective: all ranks of the grid. Given the effects the beams are solved for exactly; given the beams, the effects
     take a Gauss-Newton step in which the beams follow (the Schur complement). That step does not know how E changes
     with the beams, which may be a lot; so E is computed with the beams as they have followed, and the step is shortened
     until beams and effects together are likelier than before. Where no part of it is, the fit ends where it was best.
 
-    Returns
-    -------
-    State
-        A new one.
+    Parameters
+    ----------
+    context : FitContext
+    values : Values
+    before : Fitted, optional
+        A fit of the first of these effects, whose beams are where this one begins.
     """
-    state = replace(state, active=[_at_start(one) for one in state.active])
-    best: tuple[float, list[FloatArray], list[Posterior]] | None = None
+    start = _start(values, before)
+    if not values.active and not values.reweighted:
+        solved = _solve_beams(context, start)
+        return Fitted(values, Fit(solved.beams), solved.diagnostics)
+    end, step, converged = _search(context, start)
+    # Not converged: the beams that E is seen by stay, as E may be another one with those solved for.
+    solved = _solve_beams(context, end, keep=not converged and end.values.adds)
+    return Fitted(end.values, replace(step.fit, posteriors=solved.beams), solved.diagnostics)
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """The beams given the effects.
+
+    ``reached`` is ln(likelihood x prior) of the effects with the beams that E is seen by, or with ``beams`` if there is
+    no E.
+    """
+
+    beams: tuple[Posterior, ...]
+    rows: Rows
+    added: ComplexArray
+    diagnostics: Diagnostics
+    reached: float
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A Gauss-Newton step: where it leads, what it tells of the effects, and how many standard deviations it is long.
+
+    Its ``fit`` is without posteriors.
+    """
+
+    to: Estimate
+    fit: Fit
+    moved: float
+
+
+def _start(values: Values, before: Fitted | None) -> Estimate:
+    """Begin from zero where E was never fitted: how large it may be depends on how the beams give way."""
+    n_fitted = len(before.fit.std) if before else 0
+    active = [
+        replace(one, x=np.zeros_like(one.x)) if one.adds and number >= n_fitted else one
+        for number, one in enumerate(values.active)
+    ]
+    return Estimate(replace(values, active=tuple(active)), before.fit.posteriors if before else ())
+
+
+def _search(context: FitContext, at: Estimate) -> tuple[Estimate, _Step, bool]:
+    """Take steps until nothing moves; return where they end, the last of them, and whether they have converged."""
+    best: tuple[float, Estimate, _Step] | None = None
     flat = halved = 0
     length = 1.0
     for _ in range(MAX_STEPS):
-        here, seen = [one.x for one in state.active], state.posteriors
-        rows, added, reached = _fit_beams(context, state)
-        if not state.active and not state.reweighted:
-            return state
-        if not seen:
-            continue  # there were no beams to see E by
-        misfit = max(1.0, context.over_channels(state.train_chi2) / context.setup.observation.Nfreqs)
-        rise = np.inf if best is None else reached - best[0]
-        # As weights change so does what is compared, and only a great loss is one.
-        least = -STEPS_BACK * abs(best[0]) if best is not None and state.reweighted else -FLAT_NATS * misfit
-        if best is not None and rise < least:
+        solved = _solve_beams(context, at)
+        if not at.beams:
+            # There were no beams to see E by.
+            at = replace(at, beams=solved.beams)
+            continue
+        misfit = max(1.0, context.over_channels(solved.diagnostics.train_chi2) / context.setup.observation.Nfreqs)
+        rise = np.inf if best is None else solved.reached - best[0]
+        if best is not None and rise < _least_rise(best[0], at.values, misfit):
             if halved == MAX_HALVED:
                 break
             halved, length = halved + 1, 0.5 * length
-            state.posteriors = seen
-            _shorten(state, best[1], best[2], 0.5)
+            at = best[1].towards(at, 0.5)
             continue
-        flat = flat + 1 if rise < FLAT_NATS * misfit else 0
-        best, halved = (reached, here, seen if _adds(state) else state.posteriors), 0
-        beam_moved = _beam_moved(context, seen, state.posteriors)
-        moved = _step(context, state, rows, added) if state.active else 0.0
-        if max(moved, beam_moved) < STEP_SIGMAS * np.sqrt(misfit) or flat == FLAT_STEPS:
-            best = None
-            break
+        flat, halved = flat + 1 if rise < FLAT_NATS * misfit else 0, 0
+        step = _step(context, replace(at, beams=solved.beams), solved)
+        best = (solved.reached, at if at.values.adds else replace(at, beams=solved.beams), step)
+        moved = max(step.moved, _beam_moved(context, at.beams, solved.beams))
+        if moved < STEP_SIGMAS * np.sqrt(misfit) or flat == FLAT_STEPS:
+            return step.to, step, True
         # What was too long once is begun with again at twice the length at which it was not.
         length = min(1.0, 2 * length)
-        _shorten(state, best[1], best[2], length)
-    if best is not None:
-        # Not converged: to where it was best, and not where the last attempt led.
-        for one, x in zip(state.active, best[1], strict=True):
-            one.x = x
-        state.posteriors = best[2]
-    _fit_beams(context, state, keep=best is not None and _adds(state))
-    return state
+        at = best[1].towards(step.to, length)
+    assert best is not None
+    return best[1], best[2], False
 
 
-def _adds(state: State) -> bool:
-    """Whether E may depend on the beams."""
-    return any(not one.effect.multiplies and not one.effect.changes_sky for one in state.active)
+def _least_rise(best: float, values: Values, misfit: float) -> float:
+    """Return the rise of ln(likelihood x prior) below which a step was too long.
+
+    As weights change so does what is compared, and only a great loss is one.
+    """
+    return -STEPS_BACK * abs(best) if values.reweighted else -FLAT_NATS * misfit
 
 
-def _at_start(one: Active) -> Active:
-    """Return a copy, from zero where E was never fitted: how large it may be depends on how the beams give way."""
-    adds = not one.effect.multiplies and not one.effect.changes_sky
-    return replace(one, x=np.zeros_like(one.x)) if adds and not one.std.any() else replace(one)
-
-
-def _shorten(state: State, x: list[FloatArray], beams: list[Posterior], length: float) -> None:
-    """Take only part of a step from ``x`` and ``beams``, of the effects and of the beams that see E."""
-    if length == 1.0:
-        return
-    for one, start in zip(state.active, x, strict=True):
-        one.x = start + length * (one.x - start)
-    pairs = zip(beams, state.posteriors, strict=True)
-    state.posteriors = [replace(two, mean=one.mean + length * (two.mean - one.mean)) for one, two in pairs]
-
-
-def _objective(context: FitContext, state: State, of_beams: FloatArray) -> float:
+def _objective(context: FitContext, values: Values, of_beams: FloatArray) -> float:
     """Return ln(likelihood x prior) of beams and effects, over all channels."""
     penalty = sum(
         float(np.sum((one.x[:1] if one.effect.shared else one.x)[:, one.used] ** 2 / one.prior_var[one.used]))
-        for one in state.active
+        for one in values.active
     )
     return context.over_channels(of_beams) - 0.5 * penalty
 
 
-def _fit_beams(context: FitContext, state: State, keep: bool = False) -> tuple[Rows, ComplexArray, float]:
-    """Solve for the beams given the effects; return the calibrated rows, E, and what was reached before solving.
+def _solve_beams(context: FitContext, at: Estimate, keep: bool = False) -> _Solved:
+    """Solve for the beams given the effects, E as seen by the beams ``at``; with ``keep`` these stay.
 
-    The last is ln(likelihood x prior) of the effects with the beams that E is seen by, or the best ones if there is
-    no E. With ``keep`` the beams that E is seen by stay: E may be another one with those solved for.
+    Collective: all ranks of the grid.
     """
-    grid, share = context.grid, context.train
+    grid, share, priors = context.grid, context.train, context.problem.priors
     with together(grid.world):
-        rows, added = share.calibrated(state) if state.posteriors else (share.rows, np.zeros_like(share.rows.data))
-        show = grid.world.rank == 0 and not state.posteriors
-        normals = accumulate_designs(rows, share.designs(state, show), context.problem.basis)
+        rows, added = share.calibrated(at) if at.beams else (share.rows, np.zeros_like(share.rows.data))
+        show = grid.world.rank == 0 and not at.beams
+        normals = accumulate_designs(rows, share.designs(at.values, show), context.problem.basis)
     for normal in normals:
         normal.reduce(grid.group)
-    seen, state.posteriors = state.posteriors, solve_channels(grid, context.problem, normals)
+    beams = tuple(solve_channels(grid, context.problem, normals))
     if keep:
-        pairs = zip(state.posteriors, seen, strict=True)
-        state.posteriors = [replace(solved, mean=one.mean) for solved, one in pairs]
-    fitted = list(zip(normals, state.posteriors, context.problem.priors, strict=True))
-    state.train_chi2 = np.array([reduced_chi2(normal, posterior) for normal, posterior, _ in fitted])
-    state.log_joint = np.array([_log_joint(*one) for one in fitted])
-    if grid.is_group_root:
-        state.effective_parameters = np.array([_effective(normal, posterior) for normal, posterior, _ in fitted])
+        beams = tuple(replace(two, mean=one.mean) for one, two in zip(at.beams, beams, strict=True))
+    effective = list(map(_effective, normals, beams)) if grid.is_group_root else []
+    diagnostics = Diagnostics(
+        np.array(list(map(reduced_chi2, normals, beams))),
+        np.array(list(map(_log_joint, normals, beams, priors))),
+        np.array(effective),
+    )
     # E is that of the beams before, so that only those tell what beams and effects reach together.
-    together_with = seen if seen and _adds(state) else state.posteriors
-    reached = np.array([_log_joint(*one) for one in zip(normals, together_with, context.problem.priors, strict=True)])
-    return rows, added, _objective(context, state, reached)
+    seen_by = at.beams if at.beams and at.values.adds else beams
+    reached = _objective(context, at.values, np.array(list(map(_log_joint, normals, seen_by, priors))))
+    return _Solved(beams, rows, added, diagnostics, reached)
 
 
 def _log_joint(normal: NormalEquations, posterior: Posterior, prior: Prior) -> float:
@@ -196,15 +223,16 @@ def _effective(normal: NormalEquations, posterior: Posterior) -> float:
     return 2 * float(np.sum(posterior.covariance * normal.own(BEAM).T).real)
 
 
-def _step(context: FitContext, state: State, rows: Rows, added: ComplexArray) -> float:
-    """Move the effects; return by how many standard deviations at most."""
-    likelihoods = []
-    state.beam_response = []
-    for channel in range(len(context.channels)):
-        sums = active_sums(context, context.train, state, channel, rows, added)
-        posterior = state.posteriors[channel]
-        names = active_names(state)
-        state.beam_response.append(sums.response(BEAM, names, posterior))
+def _step(context: FitContext, at: Estimate, solved: _Solved) -> _Step:
+    """Move the effects, with the beams ``at`` following them. Collective: all ranks of the grid."""
+    values = at.values
+    if not values.active:
+        return _Step(at, Fit(), 0.0)
+    likelihoods, response = [], []
+    names = active_names(values)
+    for channel, posterior in enumerate(at.beams):
+        sums = active_sums(context, context.train, at, channel, solved.rows, solved.added)
+        response.append(sums.response(BEAM, names, posterior))
         if context.grid.is_group_root:
             likelihoods.append((context.channels[channel], sums.likelihood(names, BEAM, posterior)))
     gathered = gather_objects(context.grid.world, likelihoods)
@@ -212,48 +240,33 @@ def _step(context: FitContext, state: State, rows: Rows, added: ComplexArray) ->
     with together(context.grid.world):
         if gathered is not None:
             by_channel = dict(pair for part in gathered for pair in part)
-            answer = solve_jointly(state, current(state), [by_channel[f] for f in sorted(by_channel)])
+            answer = solve_jointly(values, [by_channel[f] for f in sorted(by_channel)])
     x, std, covariances, moved = bcast_object(context.grid.world, answer)
-    change = x - current(state)
-    place(state, x, std)
-    state.covariances = [covariances[f] for f in context.channels]
+    change = x - values.x
     # E of the next step is seen by the beams that belong to these parameters, not by those before.
-    followed = zip(state.posteriors, state.beam_response, context.channels, strict=True)
-    state.posteriors = [replace(one, mean=one.mean + beam_response @ change[f]) for one, beam_response, f in followed]
-    return float(moved)
+    followed = zip(at.beams, response, context.channels, strict=True)
+    beams = tuple(replace(one, mean=one.mean + by_effects @ change[f]) for one, by_effects, f in followed)
+    of_channels = tuple(covariances[f] for f in context.channels)
+    fit = Fit(covariances=of_channels, beam_response=tuple(response), std=values.by_effect(std))
+    return _Step(Estimate(values.at(x), beams), fit, float(moved))
 
 
 def active_sums(
-    context: FitContext, share: RankData, state: State, channel: int, rows: Rows, added: ComplexArray
+    context: FitContext, share: RankData, at: Estimate, channel: int, rows: Rows, added: ComplexArray
 ) -> NormalEquations:
     """Sum over a group's rows what the active effects need. Collective: all ranks of `grid.world`."""
-    total = effect_equations(context.problem.basis, state)
+    total = effect_equations(context.problem.basis, at.values)
     with together(context.grid.world):
-        for _, block, design in share.row_blocks(channel, state, added[channel], rows):
-            block.integrate_for([one.effect for one in state.active])
+        for _, block, design in share.row_blocks(channel, at, added[channel], rows):
+            block.integrate_for([one.effect for one in at.values.active])
             rows_of_scene = row_set(block)
             beside = {BEAM: beam_columns(rows_of_scene, design)}
-            total.add_rows(active_columns(rows_of_scene, block, state), beside)
+            total.add_rows(active_columns(rows_of_scene, block, at.values), beside)
     total.reduce(context.grid.group)
     return total
 
 
-def current(state: State) -> FloatArray:
-    """Return the active parameters in use, side by side, (Nfreqs, q)."""
-    return np.concatenate([one.x[:, one.used] for one in state.active], axis=1)
-
-
-def place(state: State, x: FloatArray, std: FloatArray) -> None:
-    """Put parameters back where `current` took them from."""
-    start = 0
-    for one in state.active:
-        span = slice(start, start + len(one.used))
-        one.x, one.std = one.x.copy(), np.zeros_like(one.x)
-        one.x[:, one.used], one.std[:, one.used] = x[:, span], std[:, span]
-        start = span.stop
-
-
-def _beam_moved(context: FitContext, before: list[Posterior], after: list[Posterior]) -> float:
+def _beam_moved(context: FitContext, before: Sequence[Posterior], after: Sequence[Posterior]) -> float:
     """Return the largest move of a channel's beam, rms over coefficients in standard deviations."""
     moved = 0.0 if len(before) == len(after) else np.inf
     for old, new in zip(before, after, strict=False):

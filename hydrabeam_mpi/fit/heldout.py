@@ -12,11 +12,11 @@ from scipy.sparse import csr_array, hstack
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.fit.gauss_newton import FitContext, active_sums, current, place
+from hydrabeam_mpi.fit.gauss_newton import FitContext, active_sums
 from hydrabeam_mpi.fit.rank_data import KEPT_BYTES
 from hydrabeam_mpi.fit.row_sums import active_names
 from hydrabeam_mpi.fit.rows import Rows
-from hydrabeam_mpi.fit.state import State
+from hydrabeam_mpi.fit.state import Estimate, Fitted, Values
 from hydrabeam_mpi.fit.whitening import SharedErrors, root_of, whiten_time
 from hydrabeam_mpi.mpi import allreduce_sum, together
 
@@ -60,28 +60,24 @@ class Whitened:
     n_shared: float = 0.0
 
 
-def whiten(context: FitContext, state: State) -> Whitened:
+def whiten(context: FitContext, fitted: Fitted) -> Whitened:
     """Predict the held-out rows. Collective: all ranks of the grid.
 
     Parameters that belong to single times or baselines are not told by the fitted rows where those times or baselines
     are held out. Then they are fitted on one half of the held-out rows and the other half is predicted, either way.
     """
-    local = _untold(context, state)
+    local = _untold(context, fitted.values)
     if local is None:
-        return _with_total(context, _whiten(context, state))
+        return _with_total(context, _whiten(context, fitted))
     folds = _fold(context, local)
-    result, spread = None, 0.0
-    for fold in (0, 1):
-        fitted = _fit_local(context, state, local, folds != fold)
-        part = _whiten(context, fitted)
-        if result is None:
-            result = part
-        chosen = np.broadcast_to(folds == fold, part.z.shape)
-        for name in ("z", "used", "share", "model", "root"):
-            getattr(result, name)[chosen] = getattr(part, name)[chosen]
-        spread += 0.5 * part.log_spread
-    assert result is not None
-    return _with_total(context, replace(result, log_spread=spread))
+    one, two = (_whiten(context, _fit_local(context, fitted, local, folds != fold)) for fold in (0, 1))
+
+    def of_either(name: str) -> NDArray[Any]:
+        return np.where(folds == 0, getattr(one, name), getattr(two, name))
+
+    z, used, share, model, root = map(of_either, ("z", "used", "share", "model", "root"))
+    log_spread = 0.5 * one.log_spread + 0.5 * two.log_spread
+    return _with_total(context, Whitened(z, used, share, model, root, log_spread))
 
 
 def _with_total(context: FitContext, whitened: Whitened) -> Whitened:
@@ -91,10 +87,10 @@ def _with_total(context: FitContext, whitened: Whitened) -> Whitened:
     return replace(whitened, n_shared=float(mine[0]), log_spread=float(mine[1]))
 
 
-def _untold(context: FitContext, state: State) -> str | None:
+def _untold(context: FitContext, values: Values) -> str | None:
     """Say which kind of held-out data active effects have parameters of their own for."""
     by_baselines = context.problem.job.holdout.kind == "baselines"
-    kinds = {one.effect.local for one in state.active}
+    kinds = {one.effect.local for one in values.active}
     if by_baselines:
         return "baselines" if "baselines" in kinds else None
     return "times" if "times" in kinds else None
@@ -107,59 +103,79 @@ def _fold(context: FitContext, local: str) -> NDArray[np.int64]:
     return (context.test.rows.tile.times % 2)[:, np.newaxis]
 
 
-def _fit_local(context: FitContext, state: State, local: str, kept: NDArray[np.bool_]) -> State:
+def _fit_local(context: FitContext, fitted: Fitted, local: str, kept: NDArray[np.bool_]) -> Fitted:
     """Fit the parameters that belong to held-out times or baselines, with all else as it is, on the rows ``kept``."""
-    state = replace(state, active=[replace(one) for one in state.active], covariances=list(state.covariances))
-    sizes = [len(one.used) for one in state.active]
-    mine = np.repeat([one.effect.local == local for one in state.active], sizes)
-    shared, prior_var = state.shared, state.prior_var
+    values, posteriors = fitted.values, fitted.fit.posteriors
     for _ in range(LOCAL_STEPS):
-        with together(context.grid.world):
-            rows, added = context.test.calibrated(state)
-        rows = replace(rows, inv_noise_var=rows.inv_noise_var * kept)
-        signals = np.zeros((state.active[0].x.shape[0], len(prior_var), len(prior_var)))
-        scores = np.zeros((len(signals), len(prior_var)))
-        for channel, number in enumerate(context.channels):
-            sums = active_sums(context, context.test, state, channel, rows, added).likelihood_alone(active_names(state))
-            if context.grid.is_group_root:
-                signals[number], scores[number] = sums.signal, sums.score
-        allreduce_sum(context.grid.world, signals)
-        allreduce_sum(context.grid.world, scores)
-        x = current(state)
-        std = np.concatenate([one.std[:, one.used] for one in state.active], axis=1)
-        covariances = []
-        for f in range(len(x)):
-            own = mine & (np.diag(signals.sum(axis=0)) > 0)
-            signal = np.where(np.outer(shared, shared), signals.sum(axis=0), signals[f])[np.ix_(own, own)]
-            score = np.where(shared, scores.sum(axis=0), scores[f])[own] - x[f, own] / prior_var[own]
-            covariance = np.linalg.inv(signal + np.diag(1 / prior_var[own]))
-            x[f, own] += covariance @ score
-            covariances.append((own, covariance))
-        place(state, x, std)
-    for channel, number in enumerate(context.channels):
-        own, covariance = covariances[number]
-        state.covariances[channel] = state.covariances[channel].copy()
-        state.covariances[channel][own] = state.covariances[channel][:, own] = 0.0
-        state.covariances[channel][np.ix_(own, own)] = covariance
-    return state
+        values, found = _local_step(context, Estimate(values, posteriors), local, kept)
+    covariances = []
+    for covariance, number in zip(fitted.fit.covariances, context.channels, strict=True):
+        free, own = found[number]
+        known = ~free
+        covariance = np.where(np.outer(known, known), covariance, 0.0)
+        covariance[np.ix_(free, free)] = own
+        covariances.append(covariance)
+    return replace(fitted, values=values, fit=replace(fitted.fit, covariances=tuple(covariances)))
 
 
-def _whiten(context: FitContext, state: State) -> Whitened:
-    """Whiten the rank's rows with the state's parameters. Collective: all ranks of `grid.group`."""
-    share = context.test
+def _local_step(
+    context: FitContext, at: Estimate, local: str, kept: NDArray[np.bool_]
+) -> tuple[Values, list[tuple[NDArray[np.bool_], FloatArray]]]:
+    """Take a Newton step of these parameters, with the beams as they are.
+
+    Returns
+    -------
+    values : Values
+    found : list
+        For each of the job's channels which parameters have been fitted, (q,), and their covariance.
+    """
+    x, shared, prior_var = at.values.x, at.values.shared, at.values.prior_var
+    signals, scores = _local_sums(context, at, kept)
+    of_kind = np.concatenate([np.full(len(one.used), one.effect.local == local) for one in at.values.active])
+    free = of_kind & (np.diag(signals.sum(axis=0)) > 0)
+    found = []
+    for f in range(len(x)):
+        signal = np.where(np.outer(shared, shared), signals.sum(axis=0), signals[f])[np.ix_(free, free)]
+        score = np.where(shared, scores.sum(axis=0), scores[f])[free] - x[f, free] / prior_var[free]
+        covariance = np.linalg.inv(signal + np.diag(1 / prior_var[free]))
+        x[f, free] += covariance @ score
+        found.append((free, covariance))
+    return at.values.at(x), found
+
+
+def _local_sums(context: FitContext, at: Estimate, kept: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
+    """Return what the held-out rows ``kept`` say, with the beams as they are: information and score of all channels."""
     with together(context.grid.world):
-        rows, added = share.calibrated(state)
+        rows, added = context.test.calibrated(at)
+    rows = replace(rows, inv_noise_var=rows.inv_noise_var * kept)
+    n_freqs, q = at.values.x.shape
+    signals, scores = np.zeros((n_freqs, q, q)), np.zeros((n_freqs, q))
+    for channel, number in enumerate(context.channels):
+        sums = active_sums(context, context.test, at, channel, rows, added)
+        if context.grid.is_group_root:
+            likelihood = sums.likelihood_alone(active_names(at.values))
+            signals[number], scores[number] = likelihood.signal, likelihood.score
+    allreduce_sum(context.grid.world, signals)
+    allreduce_sum(context.grid.world, scores)
+    return signals, scores
+
+
+def _whiten(context: FitContext, fitted: Fitted) -> Whitened:
+    """Whiten the rank's rows with what has been fitted. Collective: all ranks of the grid."""
+    share, has_effects = context.test, bool(fitted.values.active)
+    with together(context.grid.world):
+        rows, added = share.calibrated(fitted.estimate)
     z, model, share_of_model = np.zeros_like(rows.data), np.zeros_like(rows.data), np.zeros(rows.data.shape)
     root = np.sqrt(2 * rows.inv_noise_var)
     log_spread = 0.0
     for channel in range(len(context.channels)):
-        covariance = state.covariances[channel] if state.active else np.zeros((0, 0))
+        covariance = fitted.fit.covariances[channel] if has_effects else np.zeros((0, 0))
         errors = SharedErrors(covariance) if _is_shared(context, len(covariance)) else None
         own_root = np.zeros((0, 0)) if errors else _followed_root(covariance)
         with together(context.grid.world):
-            for span, block, design in share.row_blocks(channel, state, added[channel], rows):
+            for span, block, design in share.row_blocks(channel, fitted.estimate, added[channel], rows):
                 model[channel, span] = root[channel, span] * block.vis
-                felt = _felt(context, state, channel, block, design) if state.active else None
+                felt = _felt(context, fitted, channel, block, design) if has_effects else None
                 for t, row in enumerate(range(span.start, span.stop)):
                     stack, weights = block.residual[t][:, np.newaxis], block.weights[t]
                     if felt is not None:
@@ -170,7 +186,7 @@ def _whiten(context: FitContext, state: State) -> Whitened:
                             variance = _variances(columns, own, own_root).mean(axis=0)
                             weights = weights / (1 + 2 * weights * variance)
                     white, share_of_model[channel, row], spread = whiten_time(
-                        stack, weights, block.member, design[t], state.posteriors[channel]
+                        stack, weights, block.member, design[t], fitted.fit.posteriors[channel]
                     )
                     log_spread += spread
                     z[channel, row] = white[:, 0]
@@ -196,7 +212,7 @@ def _is_shared(context: FitContext, n_params: int) -> bool:
 
 
 def _felt(
-    context: FitContext, state: State, channel: int, block: RowBlock, design: NDArray[Any]
+    context: FitContext, fitted: Fitted, channel: int, block: RowBlock, design: NDArray[Any]
 ) -> Iterator[tuple[ComplexArray, FloatArray]]:
     """Yield how predictions feel the parameters of the effects, time after time.
 
@@ -207,9 +223,10 @@ def _felt(
     own : ndarray, (Nbls,)
         With too many what each by itself adds to a row's variance, mean of that of its real and its imaginary part.
     """
-    covariance, number = state.covariances[channel], context.channels[channel]
-    block.integrate_for([one.effect for one in state.active])
-    columns = [(one, one.effect.columns(block, one.x[number])) for one in state.active]
+    fit, active, number = fitted.fit, fitted.values.active, context.channels[channel]
+    covariance = fit.covariances[channel]
+    block.integrate_for([one.effect for one in active])
+    columns = [(one, one.effect.columns(block, one.x[number])) for one in active]
     matrices = [(csr_array(made.matrix()[:, one.used]), made.by_group) for one, made in columns]
     followed = len(covariance) <= MAX_FOLLOWED
     for t in range(len(block.times)):
@@ -223,8 +240,8 @@ def _felt(
             yield np.zeros((len(block.bls), 0), dtype=complex), 0.5 * (abs(sparse).power(2) @ widths)
             continue
         felt = np.concatenate([part.toarray() for part in parts], axis=-1)
-        beam = design[t] @ state.beam_response[channel]
-        felt += (beam if state.posteriors[channel].is_complex else beam[0] + 1j * beam[1])[block.member]
+        beam = design[t] @ fit.beam_response[channel]
+        felt += (beam if fit.posteriors[channel].is_complex else beam[0] + 1j * beam[1])[block.member]
         yield felt, np.zeros(len(block.bls))
 
 
@@ -239,7 +256,9 @@ def _variances(felt: ComplexArray, own: FloatArray, root: FloatArray) -> FloatAr
     return own + np.stack([np.sum(part**2, axis=-1) for part in (half.real, half.imag)])
 
 
-def variance_by_effects(context: FitContext, state: State, rows: Rows, added: ComplexArray) -> tuple[FloatArray, bool]:
+def variance_by_effects(
+    context: FitContext, fitted: Fitted, rows: Rows, added: ComplexArray
+) -> tuple[FloatArray, bool]:
     """Return what the effects' uncertainty adds to the variance of predictions of single held-out rows.
 
     Serial.
@@ -247,8 +266,7 @@ def variance_by_effects(context: FitContext, state: State, rows: Rows, added: Co
     Parameters
     ----------
     context : FitContext
-    state : State
-        Fitted.
+    fitted : Fitted
     rows, added
         The rank's held-out rows as calibrated, and E.
 
@@ -260,10 +278,10 @@ def variance_by_effects(context: FitContext, state: State, rows: Rows, added: Co
         Whether that is with beams that follow the effects, so that it adds to the variance by beams that do not.
     """
     variance = np.zeros((len(context.channels), 2, *rows.data.shape[1:]))
-    with_beam = len(state.prior_var) <= MAX_FOLLOWED
-    for channel in range(len(context.channels) if state.active else 0):
-        root = _followed_root(state.covariances[channel])
-        for span, block, design in context.test.row_blocks(channel, state, added[channel], rows):
-            for t, (felt, own) in enumerate(_felt(context, state, channel, block, design), start=span.start):
+    with_beam = len(fitted.values.prior_var) <= MAX_FOLLOWED
+    for channel in range(len(context.channels) if fitted.values.active else 0):
+        root = _followed_root(fitted.fit.covariances[channel])
+        for span, block, design in context.test.row_blocks(channel, fitted.estimate, added[channel], rows):
+            for t, (felt, own) in enumerate(_felt(context, fitted, channel, block, design), start=span.start):
                 variance[channel, :, t] = _variances(felt, own, root)
     return variance, with_beam

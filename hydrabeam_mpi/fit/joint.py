@@ -20,7 +20,7 @@ from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
 from hydrabeam_mpi.fit.heldout import variance_by_effects
 from hydrabeam_mpi.fit.rank_data import RankData
-from hydrabeam_mpi.fit.state import Active, Reweighted, State
+from hydrabeam_mpi.fit.state import Active, Fit, Fitted, Reweighted, Values
 from hydrabeam_mpi.fit.whitening import root_of
 from hydrabeam_mpi.infer.posterior import Posterior
 from hydrabeam_mpi.io.uvmeta import read_observation
@@ -64,15 +64,15 @@ def read_context(grid: ProcessGrid, problem: Problem, setup: ObservingSetup, clo
     return FitContext(grid, problem, setup, RankData(problem, setup, train), RankData(problem, setup, test))
 
 
-def restore(job: Job, setup: ObservingSetup) -> State:
-    """Return the state that a job's ``[[effects]]`` describe, not yet fitted.
+def restore(job: Job, setup: ObservingSetup) -> Values:
+    """Return the values that a job's ``[[effects]]`` describe, not yet fitted.
 
     Raises
     ------
     InputError
         If an effect does not fit the data.
     """
-    state = State()
+    active, reweighted = [], []
     n_freqs = setup.observation.Nfreqs
     for number, entry in enumerate(job.effects):
         try:
@@ -82,13 +82,13 @@ def restore(job: Job, setup: ObservingSetup) -> State:
                     remedy="use the job as 'hydrabeam loop' wrote it, with the same channels",
                 )
             if entry.kind in REWEIGHTINGS:
-                state.reweighted.append(_restore_reweighting(entry, setup))
+                reweighted.append(_restore_reweighting(entry, setup))
             else:
-                state.active.append(_restore_effect(entry, setup))
+                active.append(_restore_effect(entry, setup))
         except InputError as error:
             error.within(f"[[effects]] number {number + 1} ({entry.kind})")
             raise
-    return state
+    return Values(tuple(active), tuple(reweighted))
 
 
 def _restore_reweighting(entry: EffectEntry, setup: ObservingSetup) -> Reweighted:
@@ -132,47 +132,47 @@ def infer_with_effects(grid: ProcessGrid, problem: Problem, mine: Problem, clock
         setup = find_setup(problem) if grid.is_world_root else None
     context = read_context(grid, mine, bcast_object(grid.world, setup), clock)
     with together(grid.world):
-        state = restore(problem.job, context.setup)
+        values = restore(problem.job, context.setup)
     with clock.time("design"):
-        state = refit(context, state)
+        fitted = refit(context, values)
     with clock.time("solve"):
         pass
     with clock.time("heldout"):
-        return channel_results(context, state)
+        return channel_results(context, fitted)
 
 
-def channel_results(context: FitContext, state: State) -> list[ChannelResult]:
+def channel_results(context: FitContext, fitted: Fitted) -> list[ChannelResult]:
     """Return what was inferred of each channel of the rank group, the effects' uncertainty included.
 
     Collective: all ranks of the grid.
     """
     grid, problem = context.grid, context.problem
     with together(grid.world):
-        train, _ = context.train.calibrated(state)
-        normals = accumulate_designs(train, context.train.designs(state), problem.basis)
+        train, _ = context.train.calibrated(fitted.estimate)
+        normals = accumulate_designs(train, context.train.designs(fitted.values), problem.basis)
     for normal in normals:
         normal.reduce(grid.group)
-    posteriors = _marginal(state)
+    posteriors = _marginal(fitted.fit)
     with together(grid.world):
-        test, added = context.test.calibrated(state)
+        test, added = context.test.calibrated(fitted.estimate)
         before = context.test.model.visibilities(problem.beams, test.tile.times)
-        variance, with_beam = variance_by_effects(context, state, test, added)
-        predicting = state.posteriors if with_beam else posteriors
-        heldout = check_designs(test, context.test.designs(state), predicting, before, variance)
+        variance, with_beam = variance_by_effects(context, fitted, test, added)
+        predicting = fitted.fit.posteriors if with_beam else posteriors
+        heldout = check_designs(test, context.test.designs(fitted.values), predicting, before, variance)
     reduce_heldout(grid, heldout)
     return [ChannelResult(*parts) for parts in zip(normals, posteriors, heldout, strict=True)]
 
 
-def _marginal(state: State) -> Sequence[Posterior]:
+def _marginal(fit: Fit) -> Sequence[Posterior]:
     """Return the beams' posteriors with the effects marginalised.
 
     The beam's covariance grows by M C M^T, with C that of the effects and M by how much the beam follows them. For
     complex coefficients this is the part of it that a circular Gaussian can have.
     """
-    if not state.active:
-        return state.posteriors
+    if not fit.covariances:
+        return fit.posteriors
     wider = []
-    for posterior, follow, covariance in zip(state.posteriors, state.beam_response, state.covariances, strict=True):
+    for posterior, follow, covariance in zip(fit.posteriors, fit.beam_response, fit.covariances, strict=True):
         spread = follow @ root_of(covariance)
         # (P^-1 + Z Z^H)^-1 = P - P Z (1 + Z^H P Z)^-1 Z^H P, and P = L L^H.
         half = posterior.factor.conj().T @ spread

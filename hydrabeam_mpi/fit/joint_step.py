@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
-from hydrabeam_mpi.fit.state import State
+from hydrabeam_mpi.fit.state import Values
 from hydrabeam_mpi.infer.likelihood import Likelihood
 
 HELD = 1e10
@@ -13,7 +13,7 @@ HELD = 1e10
 
 
 def solve_jointly(
-    state: State, x: FloatArray, likelihoods: list[Likelihood]
+    values: Values, likelihoods: list[Likelihood]
 ) -> tuple[FloatArray, FloatArray, list[FloatArray], float]:
     """Take the Newton step of all active parameters in use.
 
@@ -21,9 +21,8 @@ def solve_jointly(
 
     Parameters
     ----------
-    state : State
-    x : ndarray, (Nfreqs, q)
-        Where these parameters are, side by side.
+    values : Values
+        Where the parameters are.
     likelihoods : list of Likelihood
         Of each channel, linearised there, with the beam marginalised.
 
@@ -34,18 +33,17 @@ def solve_jointly(
     moved : float
         Largest step in standard deviations.
     """
-    prior_var = state.prior_var
-    width = np.sqrt(prior_var)
-    s, p = np.flatnonzero(state.shared), np.flatnonzero(~state.shared)
-    prior = _prior_precision(state, width)
+    x, width, shared = values.x, np.sqrt(values.prior_var), values.shared
+    s, p = np.flatnonzero(shared), np.flatnonzero(~shared)
+    prior = _prior_precision(values, width)
     top, gradient = prior[np.ix_(s, s)].copy(), -prior[np.ix_(s, s)] @ (x[0, s] / width[s])
     channels = []
-    for likelihood, values in zip(likelihoods, x, strict=True):
+    for likelihood, here in zip(likelihoods, x, strict=True):
         matrix = width[:, np.newaxis] * likelihood.information * width
         score = width * likelihood.score
         own = np.linalg.inv(matrix[np.ix_(p, p)] + prior[np.ix_(p, p)])
         across = matrix[np.ix_(s, p)] @ own
-        own_score = score[p] - prior[np.ix_(p, p)] @ (values[p] / width[p])
+        own_score = score[p] - prior[np.ix_(p, p)] @ (here[p] / width[p])
         top += matrix[np.ix_(s, s)] - across @ matrix[np.ix_(p, s)]
         gradient += score[s] - across @ own_score
         channels.append((own, across, own_score))
@@ -61,23 +59,20 @@ def solve_jointly(
         covariance[np.ix_(p, p)] = own + across.T @ common @ across
         covariances.append(width[:, np.newaxis] * covariance * width)
         std[f] = np.sqrt(np.diag(covariances[-1]))
-        new[f] += _limited(state, width * step)
+        new[f] += _limited(values, width * step)
     return new, std, covariances, float(np.max(np.abs(new - x) / std, initial=0.0))
 
 
-def _prior_precision(state: State, width: FloatArray) -> FloatArray:
+def _prior_precision(values: Values, width: FloatArray) -> FloatArray:
     """Return the precision of the prior in units of its widths, with what is undecidable held at zero."""
     precision = np.eye(len(width))
-    start = 0
-    for one in state.active:
-        span = slice(start, start + len(one.used))
+    for one, span in zip(values.active, values.spans, strict=True):
         for combination in one.degenerate_directions[:, one.used] * width[span]:
             precision[span, span] += HELD * np.outer(combination, combination) / np.vdot(combination, combination)
-        start = span.stop
     return precision
 
 
-def _limited(state: State, step: FloatArray) -> FloatArray:
+def _limited(values: Values, step: FloatArray) -> FloatArray:
     """Keep steps of strongly nonlinear parameters, such as positions, within their natural size."""
-    limits = np.concatenate([np.zeros(0), *(one.step_limit[one.used] for one in state.active)])
+    limits = np.concatenate([np.zeros(0), *(one.step_limit[one.used] for one in values.active)])
     return np.clip(step, -limits, limits)

@@ -14,7 +14,7 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.accumulate import designs
 from hydrabeam_mpi.fit.rows import Rows
-from hydrabeam_mpi.fit.state import State
+from hydrabeam_mpi.fit.state import Estimate, Values
 from hydrabeam_mpi.infer.posterior import Posterior
 from hydrabeam_mpi.model.beam import BeamInfo, CoefficientBeam
 from hydrabeam_mpi.model.rime import Beam, ForwardModel
@@ -63,12 +63,12 @@ class RankData:
         # Those of the sky as it is, and as it is with effects.
         return 2 * n_rows * self.problem.basis.n_modes * 16 <= KEPT_BYTES
 
-    def designs(self, state: State, show: bool = False) -> Iterator[NDArray[Any]]:
+    def designs(self, values: Values, show: bool = False) -> Iterator[NDArray[Any]]:
         """Yield the design rows of each time, for all channels, as `hydrabeam_mpi.fit.accumulate.designs` does.
 
-        Effects of the state that change the sky are part of them.
+        Effects that change the sky are part of them.
         """
-        key = b"".join(one.x.tobytes() for one in state.active if one.effect.changes_sky)
+        key = b"".join(one.x.tobytes() for one in values.active if one.effect.changes_sky)
         if not key:
             yield from self._plain_designs(show)
             return
@@ -78,7 +78,7 @@ class RankData:
             yield from self._kept
             return
         made = []
-        for plain, change in zip(self._plain_designs(), self._changes(state), strict=True):
+        for plain, change in zip(self._plain_designs(), self._changes(values), strict=True):
             design = plain + change
             if self.keeps_designs:
                 made.append(design)
@@ -99,13 +99,13 @@ class RankData:
         if self.keeps_designs:
             self._plain = made
 
-    def _changes(self, state: State) -> Iterator[NDArray[Any]]:
+    def _changes(self, values: Values) -> Iterator[NDArray[Any]]:
         """Yield what effects change of the design rows: of sources whose flux they change, and of further ones."""
         basis, engine = self.problem.basis, self.model.engine
         for t, time in enumerate(self.rows.tile.times.tolist()):
             by_channel = []
             for channel in range(len(self.rows.data)):
-                block = self.block(channel, slice(t, t + 1), _no_beam, state)
+                block = self.block(channel, slice(t, t + 1), _no_beam, values)
                 sources = block.sources(time)
                 change = sources.flux_without() - sources.flux
                 changed = np.flatnonzero(change)
@@ -117,7 +117,7 @@ class RankData:
             yield mixed[:, 0] + 1j * mixed[:, 1] if basis.is_complex else mixed
 
     def row_blocks(
-        self, channel: int, state: State, added: ComplexArray, rows: Rows
+        self, channel: int, at: Estimate, added: ComplexArray, rows: Rows
     ) -> Iterator[tuple[slice, RowBlock, NDArray[Any]]]:
         """Yield blocks of times of one channel with the current model and its design rows.
 
@@ -125,25 +125,25 @@ class RankData:
         ----------
         channel : int
             Among those of the rank group.
-        state : State
-            Gives the beam.
+        at : Estimate
+            The model.
         added : ndarray of complex, (Ntimes, Nbls)
             E of this channel.
         rows : Rows
             Calibrated; see `calibrated`.
         """
-        posterior = state.posteriors[channel]
+        posterior = at.beams[channel]
         times = self.rows.tile.times
         step = max(1, ROWS_AT_ONCE // max(len(self.rows.tile.bls), 1))
         held: list[NDArray[Any]] = []
-        for t, design in enumerate(self.designs(state)):
+        for t, design in enumerate(self.designs(at.values)):
             held.append(design[channel])
             if len(held) < step and t + 1 < len(times):
                 continue
             span = slice(t + 1 - len(held), t + 1)
             rows_of_design = np.array(held)
             held = []
-            block = self.block(channel, span, self._beam(channel, posterior), state)
+            block = self.block(channel, span, self._beam(channel, posterior), at.values)
             beam_alone = block.spread(_visibilities(rows_of_design, posterior))
             block.vis = beam_alone + added[span]
             block.weights = rows.inv_noise_var[channel, span]
@@ -157,7 +157,7 @@ class RankData:
         info = BeamInfo("inferred", float(observation.freqs[channel]), observation.pols[0])
         return CoefficientBeam(self.problem.basis, posterior.mean, info)
 
-    def block(self, channel: int, span: slice, beam: Beam, state: State) -> RowBlock:
+    def block(self, channel: int, span: slice, beam: Beam, values: Values) -> RowBlock:
         """Return the block of some of the rank's times, without data."""
         number = int(self.problem.channel_numbers[channel])
         room = self.setup.sky.Nsrc * len(self.rows.tile.times) * 24 <= KEPT_BYTES / 4
@@ -172,18 +172,18 @@ class RankData:
             beam=beam,
             engine_kind=self.problem.job.solver.engine,
             places=self._places if room else None,
-            sky_effects=[(one.effect, one.x[number]) for one in state.active if one.effect.changes_sky],
+            sky_effects=[(one.effect, one.x[number]) for one in values.active if one.effect.changes_sky],
             memo=self._memo if self.keeps_designs else None,
         )
 
-    def effects(self, state: State) -> tuple[ComplexArray, ComplexArray]:
+    def effects(self, at: Estimate) -> tuple[ComplexArray, ComplexArray]:
         """Return C and E of all rows, each (Nfreqs, Ntimes, Nbls)."""
         factor = np.ones(self.rows.data.shape, dtype=complex)
         added = np.zeros_like(factor)
-        others = [one for one in state.active if not one.effect.changes_sky]
+        others = [one for one in at.values.active if not one.effect.changes_sky]
         adding = [one.effect for one in others if not one.effect.multiplies]
         for channel, number in enumerate(self.problem.channel_numbers.tolist() if others else ()):
-            for span, block, _ in self.row_blocks(channel, state, added[channel], self.rows):
+            for span, block, _ in self.row_blocks(channel, at, added[channel], self.rows):
                 block.integrate_for(adding)
                 for one in others:
                     if one.effect.multiplies:
@@ -192,20 +192,20 @@ class RankData:
                         added[channel, span] += one.effect.added(block, one.x[number])
         return factor, added
 
-    def calibrated(self, state: State) -> tuple[Rows, ComplexArray]:
+    def calibrated(self, at: Estimate) -> tuple[Rows, ComplexArray]:
         """Return the rows as the beam alone would have given them, d/C - E with weights w |C|^2, and E."""
-        factor, added = self.effects(state)
+        factor, added = self.effects(at)
         power = np.abs(factor) ** 2
         usable = power > 1e-12
         data = np.where(usable, self.rows.data / np.where(usable, factor, 1.0), 0.0) - added
         weights = np.where(usable, self.rows.inv_noise_var * power, 0.0)
         divisor = power if self.rows.divisor is None else power * self.rows.divisor
         rows = replace(self.rows, data=data, inv_noise_var=weights, divisor=divisor)
-        if state.reweighted:
+        if at.values.reweighted:
             weights = rows.inv_noise_var.copy()
             for channel, number in enumerate(self.problem.channel_numbers.tolist()):
-                for span, block, _ in self.row_blocks(channel, state, added[channel], rows):
-                    for one in state.reweighted:
+                for span, block, _ in self.row_blocks(channel, at, added[channel], rows):
+                    for one in at.values.reweighted:
                         # One after the other: a threshold is about weights that the others have changed already.
                         block.weights = block.weights * one.change.weight_factor(block, one.x[number])
                     weights[channel, span] = block.weights

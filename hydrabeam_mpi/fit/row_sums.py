@@ -13,7 +13,7 @@ from hydrabeam_mpi.effects.interface.effect import Columns as EffectColumns
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.columns import Columns, RowSet
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
-from hydrabeam_mpi.fit.state import State
+from hydrabeam_mpi.fit.state import Values
 from hydrabeam_mpi.infer.gaussian import Block
 from hydrabeam_mpi.model.bases.base import LinearBasis
 
@@ -48,23 +48,23 @@ def effect_columns(rows: RowSet, columns: EffectColumns, used: IntArray | None =
     return Columns(rows, matrix if used is None else matrix[:, used], columns.by_group)
 
 
-def active_names(state: State) -> list[str]:
+def active_names(values: Values) -> list[str]:
     """Return the names of the blocks of the effects that are part of the model."""
-    return [f"{number} {one.kind}" for number, one in enumerate(state.active)]
+    return [f"{number} {one.kind}" for number, one in enumerate(values.active)]
 
 
-def active_columns(rows: RowSet, block: RowBlock, state: State) -> dict[str, Columns]:
+def active_columns(rows: RowSet, block: RowBlock, values: Values) -> dict[str, Columns]:
     """Return the columns of the effects that are part of the model, those in use."""
-    made = [effect_columns(rows, one.effect.columns(block, one.x[block.channel]), one.used) for one in state.active]
-    return dict(zip(active_names(state), made, strict=True))
+    made = [effect_columns(rows, one.effect.columns(block, one.x[block.channel]), one.used) for one in values.active]
+    return dict(zip(active_names(values), made, strict=True))
 
 
-def effect_equations(basis: LinearBasis, state: State, candidates: Sequence[Block] = ()) -> NormalEquations:
+def effect_equations(basis: LinearBasis, values: Values, candidates: Sequence[Block] = ()) -> NormalEquations:
     """Return empty sums for the effects of the model, and for candidates that are weighed one by one.
 
     They hold the products of the beam with all of them, but not with itself: the beam's posterior is known.
     """
-    active = [Block(name, len(one.used)) for name, one in zip(active_names(state), state.active, strict=True)]
+    active = [Block(name, len(one.used)) for name, one in zip(active_names(values), values.active, strict=True)]
     names = [one.name for one in active]
     pairs = [(one, two) for i, one in enumerate(names) for two in names[i:]]
     pairs += [(one, two.name) for two in candidates for one in (*names, two.name)]

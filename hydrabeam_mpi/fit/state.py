@@ -1,8 +1,10 @@
-"""The model as the loop has it so far: the beams and the effects that are part of it."""
+"""What is in the model beside the beams, what a fit of it gives, and how well it fits: values that do not change."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,7 +16,7 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.infer.posterior import Posterior
 
 
-@dataclass
+@dataclass(frozen=True)
 class Active:
     """An effect that is part of the model.
 
@@ -24,9 +26,7 @@ class Active:
     prior_var : ndarray, (n_params,)
         Prior variance of each parameter about zero; zero for those that are held at zero.
     x : ndarray, (Nfreqs, n_params)
-        Current values, of all the job's channels; shared parameters are repeated.
-    std : ndarray, (Nfreqs, n_params)
-        Posterior standard deviations.
+        Of all the job's channels; shared parameters are repeated.
     step_limit : ndarray, (n_params,)
         Largest step of one Gauss-Newton iteration.
     degenerate_directions : ndarray, (n, n_params)
@@ -36,7 +36,6 @@ class Active:
     effect: Effect
     prior_var: FloatArray
     x: FloatArray
-    std: FloatArray
     step_limit: FloatArray
     degenerate_directions: FloatArray
 
@@ -57,7 +56,6 @@ class Active:
             effect,
             np.where(nonlinear, (3 * parameters.scale) ** 2, prior_var),
             np.broadcast_to(x, (n_freqs, len(parameters))).copy(),
-            np.zeros((n_freqs, len(parameters))),
             np.where(parameters.nonlinear, parameters.scale, np.inf),
             held,
         )
@@ -72,8 +70,13 @@ class Active:
         """Indices of the parameters that are not held at zero."""
         return np.flatnonzero(self.prior_var)
 
+    @property
+    def adds(self) -> bool:
+        """Whether it gives an E, visibilities that are added to those of the beam and may depend on it."""
+        return not self.effect.multiplies and not self.effect.changes_sky
 
-@dataclass
+
+@dataclass(frozen=True)
 class Reweighted:
     """A change of the weights that is part of the model, parameters (Nfreqs, n_params)."""
 
@@ -82,49 +85,147 @@ class Reweighted:
     std: FloatArray
 
 
-@dataclass
-class State:
-    """Beams and effects.
+@dataclass(frozen=True)
+class Values:
+    """The effects and the changes of the weights that are part of the model: all channels, the same on all ranks.
 
     Attributes
     ----------
-    active : list of Active
-    reweighted : list of Reweighted
-    posteriors : list of Posterior
-        Of this rank group's channels, given the effects.
-    covariances : list of ndarray
-        Posterior covariance of all active parameters in use, side by side, of this rank group's channels.
-    beam_response : list of ndarray, (n_modes, q)
+    active : tuple of Active
+    reweighted : tuple of Reweighted
+    """
+
+    active: tuple[Active, ...] = ()
+    reweighted: tuple[Reweighted, ...] = ()
+
+    def extended(self, active: Active) -> Values:
+        """Return these and one more effect."""
+        return replace(self, active=(*self.active, active))
+
+    @property
+    def adds(self) -> bool:
+        """Whether there is an E that may depend on the beams."""
+        return any(one.adds for one in self.active)
+
+    @cached_property
+    def spans(self) -> tuple[slice, ...]:
+        """Where each effect's parameters in use are, when those of all are side by side."""
+        ends = np.cumsum([0, *(len(one.used) for one in self.active)]).tolist()
+        return tuple(map(slice, ends[:-1], ends[1:]))
+
+    @property
+    def shared(self) -> NDArray[np.bool_]:
+        """Whether channels share each of the active parameters in use, side by side."""
+        return _side_by_side([np.full(len(one.used), one.effect.shared) for one in self.active], bool)
+
+    @property
+    def prior_var(self) -> FloatArray:
+        """Prior variances of all active parameters in use, side by side."""
+        return _side_by_side([one.prior_var[one.used] for one in self.active], float)
+
+    @property
+    def x(self) -> FloatArray:
+        """The active parameters in use, side by side, (Nfreqs, q); there must be an effect."""
+        return np.concatenate([one.x[:, one.used] for one in self.active], axis=1)
+
+    def at(self, x: FloatArray) -> Values:
+        """Return the same effects with other values of the parameters in use, side by side, (Nfreqs, q)."""
+        moved = []
+        for one, span in zip(self.active, self.spans, strict=True):
+            values = one.x.copy()
+            values[:, one.used] = x[:, span]
+            moved.append(replace(one, x=values))
+        return replace(self, active=tuple(moved))
+
+    def by_effect(self, in_use: FloatArray) -> tuple[FloatArray, ...]:
+        """Give what is known of the parameters in use, (Nfreqs, q), to each effect's, zero where not in use."""
+        parts = [np.zeros_like(one.x) for one in self.active]
+        for part, one, span in zip(parts, self.active, self.spans, strict=True):
+            part[:, one.used] = in_use[:, span]
+        return tuple(parts)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Values and the beams that go with them: what the model's visibilities are made of.
+
+    Attributes
+    ----------
+    values : Values
+    beams : tuple of Posterior
+        Of this rank group's channels, given the values; empty before the first is solved for.
+    """
+
+    values: Values
+    beams: tuple[Posterior, ...] = ()
+
+    def towards(self, other: Estimate, length: float) -> Estimate:
+        """Return what is part of the way to another estimate, with the uncertainty of that one's beams."""
+        if length == 1.0:
+            return other
+        pairs = zip(self.values.active, other.values.active, strict=True)
+        active = tuple(replace(two, x=one.x + length * (two.x - one.x)) for one, two in pairs)
+        beams = tuple(
+            replace(two, mean=one.mean + length * (two.mean - one.mean))
+            for one, two in zip(self.beams, other.beams, strict=True)
+        )
+        return Estimate(replace(other.values, active=active), beams)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What a fit gives: of this rank group's channels, and the standard deviations of all.
+
+    Attributes
+    ----------
+    posteriors : tuple of Posterior
+        Of the beams, given the effects.
+    covariances : tuple of ndarray, (q, q)
+        Posterior covariance of all active parameters in use, side by side.
+    beam_response : tuple of ndarray, (n_modes, q)
         By how much the beam's coefficients move when one of these parameters does.
+    std : tuple of ndarray, (Nfreqs, n_params)
+        Posterior standard deviations of each active effect's parameters, of all the job's channels.
+    """
+
+    posteriors: tuple[Posterior, ...] = ()
+    covariances: tuple[FloatArray, ...] = ()
+    beam_response: tuple[NDArray[Any], ...] = ()
+    std: tuple[FloatArray, ...] = ()
+
+
+@dataclass(frozen=True)
+class Diagnostics:
+    """How well the fitted rows are fitted, for each of this rank group's channels.
+
+    Attributes
+    ----------
     train_chi2 : ndarray, (Nlocal,)
-        Reduced chi^2 of the fitted rows, this rank group's channels.
+        Reduced chi^2 of the fitted rows.
     log_joint : ndarray, (Nlocal,)
         Logarithm of the likelihood of the fitted rows times the prior of the beam at its mean, up to a constant.
     effective_parameters : ndarray, (Nlocal,)
         How many real parameters of the beam the fitted rows have decided, tr(P^-1 F^H N^-1 F); on group roots.
     """
 
-    active: list[Active] = field(default_factory=list)
-    reweighted: list[Reweighted] = field(default_factory=list)
-    posteriors: list[Posterior] = field(default_factory=list)
-    covariances: list[FloatArray] = field(default_factory=list)
-    beam_response: list[NDArray[Any]] = field(default_factory=list)
     train_chi2: FloatArray = field(default_factory=lambda: np.zeros(0))
     log_joint: FloatArray = field(default_factory=lambda: np.zeros(0))
     effective_parameters: FloatArray = field(default_factory=lambda: np.zeros(0))
 
-    def extended(self, active: Active) -> State:
-        """Return the state with one more effect, not yet fitted."""
-        return State([*self.active, active], list(self.reweighted), list(self.posteriors))
+
+@dataclass(frozen=True)
+class Fitted:
+    """Values where the model has been fitted, what the fit gave, and how well it fits."""
+
+    values: Values = Values()
+    fit: Fit = Fit()
+    diagnostics: Diagnostics = Diagnostics()
 
     @property
-    def shared(self) -> NDArray[np.bool_]:
-        """Whether channels share each of the active parameters in use, side by side."""
-        return np.concatenate(
-            [np.zeros(0, dtype=bool), *(np.full(len(one.used), one.effect.shared) for one in self.active)]
-        )
+    def estimate(self) -> Estimate:
+        """The fitted values and beams."""
+        return Estimate(self.values, self.fit.posteriors)
 
-    @property
-    def prior_var(self) -> FloatArray:
-        """Prior variances of all active parameters in use, side by side."""
-        return np.concatenate([np.zeros(0), *(one.prior_var[one.used] for one in self.active)])
+
+def _side_by_side(parts: Sequence[NDArray[Any]], kind: type) -> NDArray[Any]:
+    return np.concatenate([np.zeros(0, dtype=kind), *parts])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
 from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.joint import channel_results
-from hydrabeam_mpi.fit.state import Active, Reweighted, State
+from hydrabeam_mpi.fit.state import Active, Fitted, Reweighted, Values
 from hydrabeam_mpi.loop.selection.heldout_score import heldout_score
 from hydrabeam_mpi.result.summary import evaluate_on_grid
 from tests.loop.mock import FREQ, context_of, mock_job, truth_of
@@ -42,15 +43,15 @@ def free(context: FitContext, effect: Effect, width: float, only: Sequence[int] 
     return Active.start(effect, context.setup, prior_var, np.zeros(len(parameters)))
 
 
-def heldout_chi2(context: FitContext, state: State) -> float:
-    return heldout_score(context, whiten(context, state)).chi2
+def heldout_chi2(context: FitContext, fitted: Fitted) -> float:
+    return heldout_score(context, whiten(context, fitted)).chi2
 
 
-def beam_error(context: FitContext, state: State, folder: Path) -> float:
+def beam_error(context: FitContext, fitted: Fitted, folder: Path) -> float:
     """Return the root mean square difference from the true beam of the first channel."""
     with h5py.File(folder / "truth.h5") as file:
         truth = file["beam"][0]
-    found = evaluate_on_grid(lambda za, az: context.problem.basis.synthesize(state.posteriors[0].mean, za, az))
+    found = evaluate_on_grid(lambda za, az: context.problem.basis.synthesize(fitted.fit.posteriors[0].mean, za, az))
     return float(np.sqrt(np.mean((found - truth) ** 2)))
 
 
@@ -74,14 +75,14 @@ CASES: dict[str, tuple[dict[str, Any], Effect, float]] = {
 def test_what_was_injected_comes_back(kind: str, freqs: tuple[float, ...], tmp_path: Path) -> None:
     injected, effect, width = CASES[kind]
     context = context_of(mock_job(injected, freqs=freqs), tmp_path)
-    without = refit(context, State())
-    state = refit(context, without.extended(free(context, effect, width)))
+    without = refit(context, Values())
+    fitted = refit(context, without.values.extended(free(context, effect, width)), without)
     (truth,) = truth_of(tmp_path)
     names = effect.parameters(context.setup).names
     assert truth["kind"] == kind
     assert truth["names"] == list(names)
-    (active,) = state.active
-    error, std = active.x - np.array(truth["values"]), active.std
+    (active,), (std,) = fitted.values.active, fitted.fit.std
+    error = active.x - np.array(truth["values"])
     # What the data cannot tell is in the beam, or nowhere.
     held = effect.degenerate_directions(context.setup)
     error -= (error @ held.T) @ held
@@ -90,19 +91,20 @@ def test_what_was_injected_comes_back(kind: str, freqs: tuple[float, ...], tmp_p
     strong = np.abs(truth["values"]) > 0
     assert np.all(np.abs(np.array(truth["values"]))[strong] > 5 * std[strong]), "should be detectable"
     assert heldout_chi2(context, without) > 1.5
-    assert heldout_chi2(context, state) < 1.4
-    assert beam_error(context, state, tmp_path) < beam_error(context, without, tmp_path)
+    assert heldout_chi2(context, fitted) < 1.4
+    assert beam_error(context, fitted, tmp_path) < beam_error(context, without, tmp_path)
 
 
 def test_predictions_are_as_wide_where_columns_are_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each row has its own variance then; with too many parameters it is too large, as no beam follows them."""
     context = context_of(mock_job(freqs=TWO), tmp_path)
-    state = refit(context, refit(context, State()).extended(free(context, BasisTruncation(), 10.0)))
-    together = heldout_chi2(context, state)
+    without = refit(context, Values())
+    fitted = refit(context, without.values.extended(free(context, BasisTruncation(), 10.0)), without)
+    together = heldout_chi2(context, fitted)
     monkeypatch.setattr(heldout, "SHARED_BYTES", 0)
-    apart = heldout_chi2(context, state)
+    apart = heldout_chi2(context, fitted)
     monkeypatch.setattr(heldout, "MAX_FOLLOWED", 0)
-    alone = heldout_chi2(context, state)
+    alone = heldout_chi2(context, fitted)
     assert apart == pytest.approx(together, rel=0.25)
     assert alone < 0.6 * apart
 
@@ -117,12 +119,12 @@ def test_a_missing_source_is_found_where_it_is(freqs: tuple[float, ...], tmp_pat
     injected = {"kind": "missing_sources", "settings": {"sources": [[ra, dec]]}, "parameters": values}
     context = context_of(mock_job(injected, freqs=freqs), tmp_path)
     ra0, dec0 = ra + 0.7, dec - 0.5
-    without = refit(context, State())
+    without = refit(context, Values())
     effect = MissingSources([(ra0, dec0)])
     start = free(context, effect, 1.0)
-    start.x[:, 0] = 0.5
-    state = refit(context, without.extended(start))
-    (active,) = state.active
+    start = replace(start, x=0.5 * (np.arange(start.x.shape[1]) == 0) * np.ones_like(start.x))
+    fitted = refit(context, without.values.extended(start), without)
+    (active,), (std,) = fitted.values.active, fitted.fit.std
     # Gnomonic projection about the place where it was sought.
     a, d, d0 = np.deg2rad([ra - ra0, dec, dec0])
     cosine = np.sin(d0) * np.sin(d) + np.cos(d0) * np.cos(d) * np.cos(a)
@@ -131,43 +133,43 @@ def test_a_missing_source_is_found_where_it_is(freqs: tuple[float, ...], tmp_pat
     truth = np.array([flux, east, north, bend][: active.x.shape[1]])
     assert np.all(active.x == active.x[0])
     error = active.x[0] - truth
-    assert np.all(np.abs(error) < 4 * active.std[0])
-    assert active.std[0, 0] < flux / 10
-    assert np.all(active.std[0, 1:3] < 0.2)
+    assert np.all(np.abs(error) < 4 * std[0])
+    assert std[0, 0] < flux / 10
+    assert np.all(std[0, 1:3] < 0.2)
     assert heldout_chi2(context, without) > 1.5
-    assert heldout_chi2(context, state) < 1.4
+    assert heldout_chi2(context, fitted) < 1.4
 
 
 def test_without_effects_it_is_plain_inference(tmp_path: Path) -> None:
     context = context_of(mock_job(freqs=TWO), tmp_path)
-    state = refit(context, State())
+    fitted = refit(context, Values())
     plain = infer_channels(context.grid, context.problem, Clock())
     for f, (posterior, one, result) in enumerate(
-        zip(state.posteriors, plain, channel_results(context, state), strict=True)
+        zip(fitted.fit.posteriors, plain, channel_results(context, fitted), strict=True)
     ):
         np.testing.assert_array_equal(posterior.mean, one.posterior.mean)
         np.testing.assert_array_equal(posterior.factor, one.posterior.factor)
         assert result.heldout.summary() == one.heldout.summary()
-        assert state.train_chi2[f] > 0.7
+        assert fitted.diagnostics.train_chi2[f] > 0.7
 
 
 def test_it_comes_back_from_afar(tmp_path: Path) -> None:
     """A phase of more than a radian, from zero: no single step is linear."""
     injected = {"kind": "antenna_gains", "parameters": {"antenna 2 phase": 1.3, "antenna 5 ln amplitude": -0.5}}
     context = context_of(mock_job(injected), tmp_path)
-    state = refit(context, State(active=[free(context, AntennaGains(), 1.0, [4, 5, 10, 11])]))
-    (active,) = state.active
+    fitted = refit(context, Values((free(context, AntennaGains(), 1.0, [4, 5, 10, 11]),)))
+    (active,), (std,) = fitted.values.active, fitted.fit.std
     truth = np.array(truth_of(tmp_path)[0]["values"])
     used = active.used
     assert used.tolist() == [4, 5, 10, 11]
-    assert np.all(np.abs(active.x - truth)[:, used] < 4 * active.std[:, used])
-    assert heldout_chi2(context, state) < 1.4
+    assert np.all(np.abs(active.x - truth)[:, used] < 4 * std[:, used])
+    assert heldout_chi2(context, fitted) < 1.4
 
 
-def fitted_chi2(context: FitContext, state: State) -> float:
-    """Return chi^2 of the fitted rows of the first channel, with E as the state's own beam sees it."""
-    rows, added = context.train.calibrated(state)
-    row_blocks = [block for _, block, _ in context.train.row_blocks(0, state, added[0], rows)]
+def fitted_chi2(context: FitContext, fitted: Fitted) -> float:
+    """Return chi^2 of the fitted rows of the first channel, with E as the fit's own beam sees it."""
+    rows, added = context.train.calibrated(fitted.estimate)
+    row_blocks = [block for _, block, _ in context.train.row_blocks(0, fitted.estimate, added[0], rows)]
     return float(sum(np.sum(block.weights * np.abs(block.residual) ** 2) for block in row_blocks))
 
 
@@ -177,30 +179,46 @@ def test_what_cannot_explain_the_data_makes_them_no_worse(effect: Effect, tmp_pa
     amplitudes = {f"antenna {i} ln amplitude": 0.5 * (-1) ** i for i in range(7)}
     injected = {"kind": "antenna_gains", "parameters": amplitudes | {"antenna 3 phase": 1.0}}
     context = context_of(mock_job(injected, prior={"kind": "fraction", "fraction": 1.0}), tmp_path)
-    without = refit(context, State())
-    state = refit(context, without.extended(free(context, effect, 10.0)))
-    assert fitted_chi2(context, state) < fitted_chi2(context, without)
+    without = refit(context, Values())
+    fitted = refit(context, without.values.extended(free(context, effect, 10.0)), without)
+    assert fitted_chi2(context, fitted) < fitted_chi2(context, without)
 
 
-def test_a_fit_leaves_the_state_before_as_it_was(tmp_path: Path) -> None:
-    context = context_of(mock_job(CASES["antenna_gains"][0]), tmp_path)
-    before = refit(context, State(active=[free(context, AntennaGains(), 0.1)]))
-    x, mean = before.active[0].x.copy(), before.posteriors[0].mean.copy()
-    refit(context, before.extended(free(context, CrossCoupling([[0, 1]]), 1.0)))
-    np.testing.assert_array_equal(before.active[0].x, x)
-    np.testing.assert_array_equal(before.posteriors[0].mean, mean)
-    assert len(before.active) == 1
+def locked(values: Any) -> None:
+    """Let no array that values are made of be written to any more."""
+    if isinstance(values, np.ndarray):
+        values.setflags(write=False)
+    elif isinstance(values, tuple):
+        for one in values:
+            locked(one)
+    elif is_dataclass(values):
+        for field in fields(values):
+            locked(getattr(values, field.name))
+
+
+@pytest.mark.parametrize("every", [{"every": 3}, {"kind": "times", "every": 3}], ids=["baselines", "times"])
+def test_a_fit_writes_to_nothing_that_it_is_given(every: dict[str, Any], tmp_path: Path) -> None:
+    """Nor does the prediction of held-out rows, of which some parameters are fitted to the rows themselves."""
+    context = context_of(mock_job(CASES["antenna_gains"][0], holdout=every), tmp_path)
+    before = refit(context, Values((free(context, AntennaGains(), 0.1),)))
+    locked(before)
+    values = before.values.extended(free(context, CrossCoupling([[0, 1]]), 1.0))
+    locked(values)
+    after = refit(context, values, before)
+    locked(after)
+    assert heldout_chi2(context, after) < 1.4
+    assert np.any(after.values.active[0].x != before.values.active[0].x)
 
 
 def test_weights_that_are_wrong_scale_the_errors(tmp_path: Path) -> None:
     """Noise twice as large as told."""
     context = context_of(mock_job(), tmp_path)
-    plain = refit(context, State(active=[free(context, CrossCoupling([[0, 1]]), 1.0)]))
+    plain = refit(context, Values((free(context, CrossCoupling([[0, 1]]), 1.0),)))
     scale = np.array([[2.0]])
     double = Reweighted(NoiseLevel(), scale, np.zeros_like(scale))
-    scaled = refit(context, State([free(context, CrossCoupling([[0, 1]]), 1.0)], [double]))
-    assert scaled.train_chi2[0] == pytest.approx(plain.train_chi2[0] / 4, rel=0.25)
-    np.testing.assert_allclose(scaled.active[0].std, 2 * plain.active[0].std, rtol=0.05)
+    scaled = refit(context, Values((free(context, CrossCoupling([[0, 1]]), 1.0),), (double,)))
+    assert scaled.diagnostics.train_chi2[0] == pytest.approx(plain.diagnostics.train_chi2[0] / 4, rel=0.25)
+    np.testing.assert_allclose(scaled.fit.std[0], 2 * plain.fit.std[0], rtol=0.05)
     data = [result.normal.n_data for result in channel_results(context, scaled)]
     assert data == [8 * 21]
 
@@ -209,19 +227,19 @@ def test_weights_that_are_wrong_scale_the_errors(tmp_path: Path) -> None:
 def test_any_number_of_ranks_fits_the_same(comm: MPI.Comm, common_tmp_path: Path) -> None:
     """Two channels with effects that they share and that they do not."""
     injected = [CASES["antenna_gains"][0], CASES["antenna_positions"][0]]
-    states = []
+    fits = []
     for name, world in (("all", comm), ("one", MPI.COMM_SELF)):
         folder = common_tmp_path / (name if world is comm else f"{name}{comm.rank}")
         context = context_of(mock_job(*injected, freqs=TWO, n_times=9), folder, world)
-        active = [free(context, AntennaGains(), 0.1), free(context, AntennaPositions(), 1.0)]
-        states.append((context, refit(context, State(active=active))))
-    (context, many), (_, one) = states
-    for mine, other in zip(many.active, one.active, strict=True):
-        used = other.used
-        assert np.all(np.abs(mine.x - other.x)[:, used] < 1e-6 * other.std[:, used])
-        np.testing.assert_allclose(mine.std, other.std, rtol=1e-6)
+        values = Values((free(context, AntennaGains(), 0.1), free(context, AntennaPositions(), 1.0)))
+        fits.append((context, refit(context, values)))
+    (context, many), (_, one) = fits
+    for number, (mine, other) in enumerate(zip(many.values.active, one.values.active, strict=True)):
+        used, std = other.used, one.fit.std[number]
+        assert np.all(np.abs(mine.x - other.x)[:, used] < 1e-6 * std[:, used])
+        np.testing.assert_allclose(many.fit.std[number], std, rtol=1e-6)
     for channel, number in enumerate(context.channels):
-        posterior, expected = many.posteriors[channel], one.posteriors[number]
+        posterior, expected = many.fit.posteriors[channel], one.fit.posteriors[number]
         assert np.all(np.abs(posterior.mean - expected.mean) < 1e-6 * expected.std)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,7 +14,7 @@ from hydrabeam_mpi.effects.instrument.antenna_positions import AntennaPositions
 from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.joint_step import HELD, solve_jointly
-from hydrabeam_mpi.fit.state import Active, State
+from hydrabeam_mpi.fit.state import Active, Values
 from hydrabeam_mpi.infer.likelihood import Likelihood
 from hydrabeam_mpi.random import generator
 
@@ -22,7 +24,13 @@ def active(effect: Effect, n: int, unused: int = 0, held: FloatArray | None = No
     prior_var = np.append(np.geomspace(1e-4, 1e4, n), np.zeros(unused))
     zeros = np.zeros((1, n + unused))
     combinations = np.zeros((0, n + unused)) if held is None else np.pad(held, ((0, 0), (0, unused)))
-    return Active(effect, prior_var, zeros, zeros, np.full(n + unused, limit), combinations)
+    return Active(effect, prior_var, zeros, np.full(n + unused, limit), combinations)
+
+
+def placed(values: Values, x: FloatArray) -> Values:
+    """Put the parameters in use, (Nfreqs, q), in their places in all channels."""
+    wider = [replace(one, x=np.zeros((len(x), len(one.prior_var)))) for one in values.active]
+    return replace(values, active=tuple(wider)).at(x)
 
 
 COMMON = np.array([[1.0, 1.0, 1.0, 1.0]]) / 2
@@ -57,37 +65,35 @@ def likelihoods(n_freqs: int, width: FloatArray) -> list[Likelihood]:
     return made
 
 
-def held_combinations(state: State) -> FloatArray:
+def held_combinations(values: Values) -> FloatArray:
     """All of them, over the parameters in use side by side."""
-    n = len(state.prior_var)
-    rows, start = [np.zeros((0, n))], 0
-    for one in state.active:
-        part = np.zeros((len(one.degenerate_directions), n))
-        part[:, start : start + len(one.used)] = one.degenerate_directions[:, one.used]
+    rows = [np.zeros((0, len(values.prior_var)))]
+    for one, span in zip(values.active, values.spans, strict=True):
+        part = np.zeros((len(one.degenerate_directions), len(values.prior_var)))
+        part[:, span] = one.degenerate_directions[:, one.used]
         rows.append(part)
-        start += len(one.used)
     return np.concatenate(rows)
 
 
-def dense(state: State, x: FloatArray, found: list[Likelihood]) -> tuple[FloatArray, list[FloatArray]]:
+def dense(values: Values, found: list[Likelihood]) -> tuple[FloatArray, list[FloatArray]]:
     """Maximise the posterior of the parameters of all channels at once, with held combinations exactly zero.
 
     Returns new parameters, (Nfreqs, q), and each channel's covariance.
     """
-    shared, n_freqs = state.shared, len(x)
+    x, shared, n_freqs = values.x, values.shared, len(values.x)
     n_shared, n_own = int(shared.sum()), int((~shared).sum())
     # To each channel's parameters from all unknowns: those that channels share, then each channel's own.
     maps = np.zeros((n_freqs, len(shared), n_shared + n_freqs * n_own))
     for f, one in enumerate(maps):
         one[np.flatnonzero(shared), np.arange(n_shared)] = 1
         one[np.flatnonzero(~shared), n_shared + f * n_own + np.arange(n_own)] = 1
-    precision = np.concatenate([1 / state.prior_var[shared], *([1 / state.prior_var[~shared]] * n_freqs)])
+    precision = np.concatenate([1 / values.prior_var[shared], *([1 / values.prior_var[~shared]] * n_freqs)])
     here = np.concatenate([x[0, shared], *(x[:, ~shared])])
     matrix, score = np.diag(precision), np.zeros(len(here))
     for one, likelihood in zip(maps, found, strict=True):
         matrix += one.T @ likelihood.information @ one
         score += one.T @ (likelihood.score + likelihood.information @ (one @ here))
-    held = np.concatenate([held_combinations(state) @ one for one in maps])
+    held = np.concatenate([held_combinations(values) @ one for one in maps])
     # In units of the prior, in which directions are told apart; those that are free.
     width = 1 / np.sqrt(precision)
     _, values, right = np.linalg.svd(held * width)
@@ -99,37 +105,38 @@ def dense(state: State, x: FloatArray, found: list[Likelihood]) -> tuple[FloatAr
 
 @pytest.mark.parametrize(("n_freqs", "effects"), CASES.values(), ids=CASES)
 def test_the_step_is_that_of_one_system_of_all_channels(n_freqs: int, effects: list[Active]) -> None:
-    state = State(active=effects)
-    width = np.sqrt(state.prior_var)
+    values = Values(tuple(effects))
+    width, shared = np.sqrt(values.prior_var), values.shared
     x = width * generator(9, "start").standard_normal((n_freqs, len(width)))
-    x[:, state.shared] = x[0, state.shared]
+    x[:, shared] = x[0, shared]
+    values = placed(values, x)
     found = likelihoods(n_freqs, width)
-    new, std, covariances, moved = solve_jointly(state, x, found)
-    expected, dense_covariances = dense(state, x, found)
+    new, std, covariances, moved = solve_jointly(values, found)
+    expected, dense_covariances = dense(values, found)
     # What is held gives way by as much as information is to the precision that holds it.
     largest = max(float(np.linalg.norm(width[:, np.newaxis] * one.information * width)) for one in found)
-    yields = largest / HELD if len(held_combinations(state)) else 1e-10
+    yields = largest / HELD if len(held_combinations(values)) else 1e-10
     np.testing.assert_allclose(new / width, expected / width, rtol=0, atol=10 * yields)
     for one, other in zip(covariances, dense_covariances, strict=True):
         np.testing.assert_allclose(one / np.outer(width, width), other / np.outer(width, width), rtol=0, atol=yields)
     np.testing.assert_allclose(std, np.sqrt([np.diag(one) for one in covariances]), rtol=1e-12)
     assert moved == pytest.approx(np.max(np.abs(new - x) / std), rel=1e-12)
-    assert np.ptp(new[:, state.shared], axis=0).max(initial=0) == 0
-    held = held_combinations(state) * width
+    assert np.ptp(new[:, shared], axis=0).max(initial=0) == 0
+    held = held_combinations(values) * width
     across = (new / width) @ held.T / np.linalg.norm(held, axis=1)
     np.testing.assert_allclose(across, 0, atol=10 * yields)
 
 
 def test_at_the_maximum_nothing_moves() -> None:
     n_freqs, effects = CASES["three channels, shared beside their own"]
-    state = State(active=effects)
-    found = likelihoods(n_freqs, np.sqrt(state.prior_var))
-    best, *_ = solve_jointly(state, np.zeros((n_freqs, len(state.prior_var))), found)
+    values = Values(tuple(effects))
+    found = likelihoods(n_freqs, np.sqrt(values.prior_var))
+    best, *_ = solve_jointly(placed(values, np.zeros((n_freqs, len(values.prior_var)))), found)
     there = [
-        Likelihood(one.information, one.score - one.information @ values, one.signal)
-        for one, values in zip(found, best, strict=True)
+        Likelihood(one.information, one.score - one.information @ x, one.signal)
+        for one, x in zip(found, best, strict=True)
     ]
-    again, _, _, moved = solve_jointly(state, best, there)
+    again, _, _, moved = solve_jointly(placed(values, best), there)
     np.testing.assert_allclose(again, best, rtol=1e-9)
     assert moved < 1e-9
 
@@ -138,11 +145,12 @@ def test_at_the_maximum_nothing_moves() -> None:
 def test_steps_of_few_parameters_are_limited(limit: float) -> None:
     """Those that have a natural size beyond which they are no longer linear; the others go their way."""
     free, held_back = active(AntennaGains(), 3), active(AntennaPositions(), 3, limit=limit)
-    state, unlimited = (State(active=[free, one]) for one in (held_back, active(AntennaPositions(), 3)))
-    found = likelihoods(2, np.sqrt(state.prior_var))
     x = np.zeros((2, 6))
-    new, std, _, moved = solve_jointly(state, x, found)
-    full, full_std, _, _ = solve_jointly(unlimited, x, found)
+    both = (Values((free, one)) for one in (held_back, active(AntennaPositions(), 3)))
+    values, unlimited = (placed(one, x) for one in both)
+    found = likelihoods(2, np.sqrt(values.prior_var))
+    new, std, _, moved = solve_jointly(values, found)
+    full, full_std, _, _ = solve_jointly(unlimited, found)
     np.testing.assert_array_equal(new[:, :3], full[:, :3])
     np.testing.assert_array_equal(new[:, 3:], np.clip(full[:, 3:], -limit, limit))
     np.testing.assert_array_equal(std, full_std)
@@ -151,7 +159,8 @@ def test_steps_of_few_parameters_are_limited(limit: float) -> None:
 
 def test_nothing_in_use_moves_nothing() -> None:
     empty = Likelihood(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)))
-    new, std, covariances, moved = solve_jointly(State(), np.zeros((2, 0)), [empty, empty])
+    values = placed(Values((active(AntennaGains(), 0, unused=3),)), np.zeros((2, 0)))
+    new, std, covariances, moved = solve_jointly(values, [empty, empty])
     assert new.shape == std.shape == (2, 0)
     assert [one.shape for one in covariances] == [(0, 0)] * 2
     assert moved == 0

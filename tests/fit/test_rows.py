@@ -17,7 +17,7 @@ from hydrabeam_mpi.commands.simulate import simulate
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.fit.accumulate import accumulate_designs
 from hydrabeam_mpi.fit.gauss_newton import refit
-from hydrabeam_mpi.fit.state import Active, State
+from hydrabeam_mpi.fit.state import Active, Estimate, Values
 from hydrabeam_mpi.setup.job_file import load
 from tests.loop.mock import context_of, mock_job, write_job
 
@@ -108,9 +108,9 @@ def test_effects_that_multiply_leave_the_noise_of_the_data_as_it_was(tmp_path: P
     effect = AntennaGains()
     n_params = len(effect.parameters(context.setup))
     x = np.random.default_rng(3).normal(0, 0.2, n_params)
-    state = refit(context, State()).extended(Active.start(effect, context.setup, np.ones(n_params), x))
-    rows, _ = context.train.calibrated(state)
+    values = Values((Active.start(effect, context.setup, np.ones(n_params), x),))
+    rows, _ = context.train.calibrated(Estimate(values, refit(context, Values()).fit.posteriors))
     assert np.ptp(rows.inv_noise_var / context.train.rows.inv_noise_var) > 0.1
-    basis, designs = context.problem.basis, list(context.train.designs(state))
+    basis, designs = context.problem.basis, list(context.train.designs(values))
     before, after = (accumulate_designs(some, designs, basis)[0] for some in (context.train.rows, rows))
     assert after.log_det_inv_noise == pytest.approx(before.log_det_inv_noise, rel=1e-12)

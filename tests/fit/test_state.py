@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from hydrabeam_mpi.effects.instrument.antenna_delays import AntennaDelays
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
-from hydrabeam_mpi.fit.state import Active, State
+from hydrabeam_mpi.fit.state import Active, Estimate, Values
+from hydrabeam_mpi.infer.posterior import Posterior
 from hydrabeam_mpi.random import generator
 from tests.effects.small import small_setup
 
@@ -26,8 +29,6 @@ def test_elements_in_use_bring_what_is_refined_of_them() -> None:
     np.testing.assert_allclose(found.prior_var[4:], [2.0, *(9 * parameters.scale[5:] ** 2)])
     np.testing.assert_array_equal(found.step_limit, np.where(parameters.nonlinear, parameters.scale, np.inf))
     np.testing.assert_array_equal(found.x, [[0, 0, 0, 0, 1.5, 0, 0, 0]] * 2)
-    assert found.std.shape == (2, 8)
-    assert not found.std.any()
 
 
 HELD = [
@@ -54,11 +55,39 @@ def test_what_is_undecidable_is_held_where_all_of_it_is_free(left_out: list[int]
 def test_what_is_in_use_of_all_effects_side_by_side() -> None:
     gains = Active.start(AntennaGains(), EXPERIMENT, np.arange(14.0), np.zeros(14))
     delays = Active.start(AntennaDelays(), EXPERIMENT, np.array([0, 3.0, 0, 5, 0, 0, 0]), np.zeros(7))
-    state = State().extended(gains)
-    both = state.extended(delays)
-    assert [one.kind for one in state.active] == ["antenna_gains"]
-    assert [one.kind for one in both.active] == ["antenna_gains", "antenna_delays"]
+    one = Values().extended(gains)
+    both = one.extended(delays)
+    assert [effect.kind for effect in one.active] == ["antenna_gains"]
+    assert [effect.kind for effect in both.active] == ["antenna_gains", "antenna_delays"]
     np.testing.assert_array_equal(both.prior_var, [*np.arange(1.0, 14), 3.0, 5.0])
     np.testing.assert_array_equal(both.shared, [False] * 13 + [True] * 2)
-    assert State().shared.dtype == bool
-    assert len(State().prior_var) == len(State().shared) == 0
+    assert Values().shared.dtype == bool
+    assert len(Values().prior_var) == len(Values().shared) == 0
+
+
+def test_values_in_use_go_back_where_they_came_from() -> None:
+    """Into new values: those before stay as they are."""
+    gains = Active.start(AntennaGains(), EXPERIMENT, np.arange(14.0), np.zeros(14))
+    delays = Active.start(AntennaDelays(), EXPERIMENT, np.array([0, 3.0, 0, 5, 0, 0, 0]), np.zeros(7))
+    values = Values((gains, delays))
+    x = generator(2, "x").standard_normal((2, 15))
+    moved = values.at(x)
+    np.testing.assert_array_equal(moved.x, x)
+    np.testing.assert_array_equal(values.x, 0 * x)
+    assert [moved.x[:, span].shape[1] for span in moved.spans] == [13, 2]
+    np.testing.assert_array_equal(
+        moved.active[1].x[:, [0, 1, 2, 3]], np.stack([0 * x[:, 0], x[:, 13], 0 * x[:, 0], x[:, 14]], 1)
+    )
+    for one, part in zip(moved.active, values.by_effect(x), strict=True):
+        np.testing.assert_array_equal(part, one.x)
+
+
+@pytest.mark.parametrize("length", [0.25, 1.0])
+def test_part_of_the_way(length: float) -> None:
+    gains = Active.start(AntennaGains(), EXPERIMENT, np.ones(14), np.zeros(14))
+    one = Estimate(Values((gains,)), (Posterior(np.zeros(3), np.eye(3)),))
+    two = Estimate(Values((replace(gains, x=gains.x + 4),)), (Posterior(np.array([1.0, 2, 4]), 2 * np.eye(3)),))
+    between = one.towards(two, length)
+    np.testing.assert_array_equal(between.values.active[0].x, gains.x + 4 * length)
+    np.testing.assert_array_equal(between.beams[0].mean, length * np.array([1.0, 2, 4]))
+    np.testing.assert_array_equal(between.beams[0].factor, 2 * np.eye(3))

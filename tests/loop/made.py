@@ -11,7 +11,7 @@ from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.reweighting import ReweightingFit
 from hydrabeam_mpi.effects.noise.noise_level import NoiseLevel
-from hydrabeam_mpi.fit.state import State
+from hydrabeam_mpi.fit.state import Diagnostics, Fitted
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.attribution.score_effects import Finding
 from hydrabeam_mpi.loop.attribution.score_noise import WeightsFound
@@ -21,6 +21,7 @@ from hydrabeam_mpi.loop.selection.heldout_score import HeldoutScore
 from hydrabeam_mpi.random import generator
 
 N_DATA = 2000
+NOTHING = Fitted()
 
 
 def evidence(log_bayes_factor: float, absorbed: float = 0.1, effective: float = 2.0, **given: Any) -> Evidence:
@@ -42,7 +43,7 @@ def weights_candidate(log_bayes_factor: float = 100.0, reason: str | None = None
     change = NoiseLevel()
     x, std = np.full((n_freqs, 1), 1.5), np.full((n_freqs, 1), 0.02)
     fit = ReweightingFit(log_bayes_factor, x, std, ("noise scale",), ("",), 210.0, 1, reason)
-    return Candidate(change.kind, change.title, log_bayes_factor, weights=WeightsFound(change, fit, State()))
+    return Candidate(change.kind, change.title, log_bayes_factor, weights=WeightsFound(change, fit, Fitted()))
 
 
 def blocks(chi2: float, log_spread: float = 0.0, n_times: int = N_DATA // 100, seed: int = 1) -> HeldoutScore:
@@ -64,14 +65,14 @@ def checked(
     log_spread: float = 0.0,
     consistent: bool = False,
     white: bool = False,
-    state: State | None = None,
+    fitted: Fitted = NOTHING,
     train_chi2: FloatArray | None = None,
 ) -> Checked:
     """A fit with held-out data of this reduced chi^2."""
     why = "it has no structure beyond chance" if white else "its times differ (9.0 sigma)"
     remains = Remains(consistent, white, why, {"overall": {"chi2": chi2}}, WHERE, {"largest": []})
-    state = replace(state or State(), train_chi2=np.array([chi2]) if train_chi2 is None else train_chi2)
-    return Checked(state, blocks(chi2, log_spread), remains)
+    diagnostics = Diagnostics(np.array([chi2]) if train_chi2 is None else train_chi2)
+    return Checked(replace(fitted, diagnostics=diagnostics), blocks(chi2, log_spread), remains)
 
 
 def round_of(candidate: Candidate, before: Checked, after: Checked, *ranking: Candidate) -> Round:

@@ -20,7 +20,7 @@ from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
 from hydrabeam_mpi.fit.heldout import variance_by_effects
 from hydrabeam_mpi.fit.joint import channel_results
 from hydrabeam_mpi.fit.rank_data import RankData
-from hydrabeam_mpi.fit.state import Active, State
+from hydrabeam_mpi.fit.state import Active, Values
 from tests.fit.test_gauss_newton import CASES, TWO, free
 from tests.loop.mock import FREQ, context_of, mock_job
 
@@ -40,14 +40,14 @@ class Dense:
     """
 
     context: FitContext
-    state: State
+    values: Values
     model: Callable[[int, FloatArray], tuple[Any, Any]]
 
     def __post_init__(self) -> None:
         rows = self.context.train.rows
         self.design = design_of(self.context.train)
         self.data, self.root = rows.data, np.sqrt(2 * rows.inv_noise_var)
-        self.shared = np.concatenate([[one.effect.shared] * len(one.used) for one in self.state.active]).astype(bool)
+        self.shared = self.values.shared
         self.n_freqs, self.n_modes = len(self.data), self.design.shape[-1]
 
     def split(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -58,7 +58,7 @@ class Dense:
         x[:, self.shared], x[:, ~self.shared] = common, own.reshape(self.n_freqs, -1)
         mean = np.array([prior.mean for prior in self.context.problem.priors])
         std = np.array([prior.std() for prior in self.context.problem.priors])
-        return mean + std * beams.reshape(self.n_freqs, -1), np.sqrt(self.state.prior_var) * x
+        return mean + std * beams.reshape(self.n_freqs, -1), np.sqrt(self.values.prior_var) * x
 
     def residuals(self, p: FloatArray) -> FloatArray:
         """Return whitened residuals, those of the priors, and what is held at zero."""
@@ -68,13 +68,10 @@ class Dense:
             factor, added = self.model(f, x[f])
             left = self.root[f] * (self.data[f] - factor * (self.design[f] @ beams[f] + added))
             parts += [left.real.ravel(), left.imag.ravel()]
-        start = 0
-        for one in self.state.active:
-            span = slice(start, start + len(one.used))
+        for one, span in zip(self.values.active, self.values.spans, strict=True):
             parts.append(
                 1e5 * (x[:, span] / np.sqrt(one.prior_var[one.used]) @ one.degenerate_directions[:, one.used].T).ravel()
             )
-            start = span.stop
         return np.concatenate([*parts, p])
 
     def solve(self) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
@@ -186,27 +183,28 @@ def test_the_fit_is_dense_least_squares(
     """Means and covariances of beams and effects, in whatever blocks they are solved for."""
     context = context_of(mock_job(*injected, freqs=freqs), tmp_path)
     active, model = make(context)
-    state = refit(context, State(active=active))
-    dense = Dense(context, state, model)
+    fitted = refit(context, Values(tuple(active)))
+    fit, values = fitted.fit, fitted.values
+    dense = Dense(context, values, model)
     beams, x, covariances = dense.solve()
-    found = np.concatenate([one.x[:, one.used] for one in state.active], axis=1)
-    std = np.concatenate([one.std[:, one.used] for one in state.active], axis=1)
+    found = values.x
+    std = np.concatenate([std[:, one.used] for one, std in zip(values.active, fit.std, strict=True)], axis=1)
     n = beams.shape[1]
-    results = channel_results(context, state)
+    results = channel_results(context, fitted)
     for f, covariance in enumerate(covariances):
         expected = np.sqrt(np.diag(covariance))
         np.testing.assert_allclose(found[f], x[f], atol=0.01 * expected[n:].min(), rtol=0)
         np.testing.assert_allclose(std[f], expected[n:], rtol=2e-3)
         scaled = np.outer(expected[n:], expected[n:])
-        np.testing.assert_allclose(state.covariances[f] / scaled, covariance[n:, n:] / scaled, atol=2e-3)
-        posterior = state.posteriors[f]
+        np.testing.assert_allclose(fit.covariances[f] / scaled, covariance[n:, n:] / scaled, atol=2e-3)
+        posterior = fit.posteriors[f]
         assert np.all(np.abs(posterior.mean - beams[f]) < 0.01 * expected[:n])
         # Given the effects the beam is known better than with them free, which is what `infer` tells.
         assert np.all(posterior.std < expected[:n] * (1 + 1e-6))
         scaled = np.outer(expected[:n], expected[:n])
         np.testing.assert_allclose(results[f].posterior.covariance / scaled, covariance[:n, :n] / scaled, atol=2e-3)
-        rows, added = context.test.calibrated(state)
-        more, with_beam = variance_by_effects(context, state, rows, added)
+        rows, added = context.test.calibrated(fitted.estimate)
+        more, with_beam = variance_by_effects(context, fitted, rows, added)
         assert with_beam
         design = design_of(context.test)[f]
         by_beam = [np.sum((part @ posterior.covariance) * part, axis=-1) for part in (design.real, design.imag)]

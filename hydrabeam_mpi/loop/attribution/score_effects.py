@@ -13,7 +13,7 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Effect, ScannedEffect
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
-from hydrabeam_mpi.fit.gauss_newton import FitContext, current
+from hydrabeam_mpi.fit.gauss_newton import FitContext
 from hydrabeam_mpi.fit.row_sums import (
     active_columns,
     active_names,
@@ -23,7 +23,7 @@ from hydrabeam_mpi.fit.row_sums import (
     row_set,
 )
 from hydrabeam_mpi.fit.rows import Rows
-from hydrabeam_mpi.fit.state import State
+from hydrabeam_mpi.fit.state import Estimate, Fitted, Values
 from hydrabeam_mpi.infer.gaussian import Block
 from hydrabeam_mpi.infer.likelihood import Likelihood
 from hydrabeam_mpi.loop.attribution.evidence import Evidence, find_evidence
@@ -53,7 +53,7 @@ class Finding:
         return self.effect.kind
 
 
-def attribute(context: FitContext, state: State, effects: Sequence[Effect]) -> list[Finding]:
+def attribute(context: FitContext, fitted: Fitted, effects: Sequence[Effect]) -> list[Finding]:
     """Weigh effects that are not part of the model, best first.
 
     Collective: all ranks of the grid.
@@ -61,23 +61,23 @@ def attribute(context: FitContext, state: State, effects: Sequence[Effect]) -> l
     Parameters
     ----------
     context : FitContext
-    state : State
-        Fitted.
+    fitted : Fitted
     effects : list of Effect
         Those that these data can carry.
     """
+    values = fitted.values
     with together(context.grid.world):
-        cached = CachedRowBlocks.of(context, state)
+        cached = CachedRowBlocks.of(context, fitted.estimate)
     picked = _pick(context, cached, effects)
-    picked = [effect for effect in picked if _has_more(context, state, effect)]
+    picked = [effect for effect in picked if _has_more(context, values, effect)]
     likelihoods: list[tuple[int, list[Likelihood]]] = []
     for channel, number in enumerate(context.channels):
         zeros = [np.zeros(len(effect.parameters(context.setup))) for effect in picked]
-        sums = _candidate_sums(context, state, cached, channel, list(zip(picked, zeros, strict=True)))
+        sums = _candidate_sums(context, values, cached, channel, list(zip(picked, zeros, strict=True)))
         if context.grid.is_group_root:
-            names = active_names(state)
+            names = active_names(values)
             found = [
-                sums.likelihood([*names, one], BEAM, state.posteriors[channel]) for one in _candidate_names(picked)
+                sums.likelihood([*names, one], BEAM, fitted.fit.posteriors[channel]) for one in _candidate_names(picked)
             ]
             likelihoods.append((number, found))
     gathered = gather_objects(context.grid.world, likelihoods)
@@ -87,7 +87,7 @@ def attribute(context: FitContext, state: State, effects: Sequence[Effect]) -> l
             by_channel = dict(pair for part in gathered for pair in part)
             ordered = [by_channel[number] for number in sorted(by_channel)]
             findings = [
-                Finding(effect, _weigh(context, state, effect, [found[i] for found in ordered]))
+                Finding(effect, _weigh(context, values, effect, [found[i] for found in ordered]))
                 for i, effect in enumerate(picked)
             ]
             findings.sort(key=lambda finding: -finding.evidence.log_bayes_factor)
@@ -95,27 +95,27 @@ def attribute(context: FitContext, state: State, effects: Sequence[Effect]) -> l
     return result
 
 
-def _taken(state: State, effect: Effect) -> IntArray:
+def _taken(values: Values, effect: Effect) -> IntArray:
     """Return the parameters of an effect that are part of the model already."""
-    same = [one.used for one in state.active if one.kind == effect.kind and one.effect.describe() == effect.describe()]
+    same = [one.used for one in values.active if one.kind == effect.kind and one.effect.describe() == effect.describe()]
     return np.concatenate([np.zeros(0, dtype=int), *same])
 
 
-def _has_more(context: FitContext, state: State, effect: Effect) -> bool:
+def _has_more(context: FitContext, values: Values, effect: Effect) -> bool:
     """Whether an effect has parameters that are not part of the model yet."""
-    return len(_taken(state, effect)) < len(effect.parameters(context.setup))
+    return len(_taken(values, effect)) < len(effect.parameters(context.setup))
 
 
-def _weigh(context: FitContext, state: State, effect: Effect, by_channel: list[Likelihood]) -> Evidence:
+def _weigh(context: FitContext, values: Values, effect: Effect, by_channel: list[Likelihood]) -> Evidence:
     """Weigh one effect over all channels, with the active effects marginalised and without what is part of them."""
     parameters = effect.parameters(context.setup)
     scale = parameters.scale.copy()
-    scale[_taken(state, effect)] = 0.0
-    blocks = _without_active(state, effect, by_channel) if state.active else by_channel
+    scale[_taken(values, effect)] = 0.0
+    blocks = _without_active(values, effect, by_channel) if values.active else by_channel
     if effect.shared:
         blocks = [sum(blocks[1:], start=blocks[0])] if len(blocks) > 1 else blocks
     evidence = find_evidence(blocks, replace(parameters, scale=scale), effect.degenerate_directions(context.setup))
-    return replace(evidence, absorbed=_absorbed(evidence, by_channel)) if state.active else evidence
+    return replace(evidence, absorbed=_absorbed(evidence, by_channel)) if values.active else evidence
 
 
 def _absorbed(evidence: Evidence, by_channel: list[Likelihood]) -> float:
@@ -128,17 +128,17 @@ def _absorbed(evidence: Evidence, by_channel: list[Likelihood]) -> float:
     return float(np.clip(1 - seen / present, 0.0, 1.0)) if present > 0 else 0.0
 
 
-def _without_active(state: State, effect: Effect, by_channel: list[Likelihood]) -> list[Likelihood]:
+def _without_active(values: Values, effect: Effect, by_channel: list[Likelihood]) -> list[Likelihood]:
     """Marginalise the active effects, whose likelihood comes first, with their priors.
 
     Those with parameters for each channel are marginalised in each. So are those that channels share, for an effect
     that is each channel's own, where every channel counts its part of their prior; else after the sum over channels.
     """
-    shared, x, n_freqs = state.shared, current(state), len(by_channel)
-    prior_var = np.where(shared, n_freqs, 1.0) * state.prior_var
+    shared, n_freqs = values.shared, len(by_channel)
+    prior_var = np.where(shared, n_freqs, 1.0) * values.prior_var
     blocks = []
-    for likelihood, values in zip(by_channel, x, strict=True):
-        pull = np.concatenate([-values / prior_var, np.zeros(len(likelihood.score) - len(values))])
+    for likelihood, x in zip(by_channel, values.x, strict=True):
+        pull = np.concatenate([-x / prior_var, np.zeros(len(likelihood.score) - len(x))])
         one = replace(likelihood, score=likelihood.score + pull)
         blocks.append(one.marginalised(np.flatnonzero(~shared), prior_var[~shared]))
     n_shared = int(shared.sum())
@@ -148,22 +148,22 @@ def _without_active(state: State, effect: Effect, by_channel: list[Likelihood]) 
     return [block.marginalised(np.arange(n_shared), prior_var[shared]) for block in blocks]
 
 
-def reconsider(context: FitContext, state: State) -> Evidence:
+def reconsider(context: FitContext, fitted: Fitted) -> Evidence:
     """Weigh the last of the active effects again, linearised where it has been fitted.
 
     Collective: all ranks of the grid. What the linear model expects of it is replaced by what the fit has gained, which
-    is `log_joint` beyond that of a state without it; see `Evidence.linear_gain`.
+    is `log_joint` beyond that of a fit without it; see `Evidence.linear_gain`.
     """
-    *others, last = state.active
+    *others, last = fitted.values.active
     with together(context.grid.world):
-        cached = CachedRowBlocks.of(context, state)
-    rest = replace(state, active=others)
+        cached = CachedRowBlocks.of(context, fitted.estimate)
+    rest = replace(fitted.values, active=tuple(others))
     found = []
     for channel, number in enumerate(context.channels):
         sums = _candidate_sums(context, rest, cached, channel, [(last.effect, last.x[number])])
         if context.grid.is_group_root:
             names = [*active_names(rest), *_candidate_names([last.effect])]
-            one = sums.likelihood(names, BEAM, state.posteriors[channel])
+            one = sums.likelihood(names, BEAM, fitted.fit.posteriors[channel])
             n = len(rest.prior_var)
             score = one.score + one.information[:, n:] @ last.x[number]
             found.append((number, replace(one, score=score)))
@@ -185,21 +185,21 @@ def _candidate_names(candidates: Sequence[Effect]) -> list[str]:
 
 def _candidate_sums(
     context: FitContext,
-    state: State,
+    values: Values,
     cached: CachedRowBlocks,
     channel: int,
     candidates: Sequence[tuple[Effect, FloatArray]],
 ) -> NormalEquations:
-    """Sum one channel's columns of the state's effects and of candidates, each linearised at its x, over the group."""
+    """Sum one channel's columns of the model's effects and of candidates, each linearised at its x, over the group."""
     names = _candidate_names([effect for effect, _ in candidates])
     blocks = [Block(name, len(x)) for name, (_, x) in zip(names, candidates, strict=True)]
-    total = effect_equations(context.problem.basis, state, blocks)
+    total = effect_equations(context.problem.basis, values, blocks)
     with together(context.grid.world):
         for block, design in cached.row_blocks(channel):
             rows = row_set(block)
             block.integrals = {}
-            block.integrate_for([one.effect for one in state.active])
-            beam, active = {BEAM: beam_columns(rows, design)}, active_columns(rows, block, state)
+            block.integrate_for([one.effect for one in values.active])
+            beam, active = {BEAM: beam_columns(rows, design)}, active_columns(rows, block, values)
             total.add_rows(active, beam)
             # One pass over the sky serves all candidates.
             block.integrals = {}
@@ -218,15 +218,15 @@ class CachedRowBlocks:
     """
 
     context: FitContext
-    state: State
+    at: Estimate
     rows: Rows
     added: ComplexArray
     kept: dict[int, list[tuple[RowBlock, NDArray[Any]]]]
 
     @classmethod
-    def of(cls, context: FitContext, state: State) -> CachedRowBlocks:
-        """Calibrate the rank's rows by the state's effects."""
-        return cls(context, state, *context.train.calibrated(state), {})
+    def of(cls, context: FitContext, at: Estimate) -> CachedRowBlocks:
+        """Calibrate the rank's rows by the model's effects."""
+        return cls(context, at, *context.train.calibrated(at), {})
 
     def row_blocks(self, channel: int) -> Iterator[tuple[RowBlock, NDArray[Any]]]:
         """Yield the blocks of one channel with their design rows, (Ntimes, 2, Ngroups, n)."""
@@ -234,7 +234,7 @@ class CachedRowBlocks:
             yield from self.kept[channel]
             return
         share, made = self.context.train, []
-        for _, block, design in share.row_blocks(channel, self.state, self.added[channel], self.rows):
+        for _, block, design in share.row_blocks(channel, self.at, self.added[channel], self.rows):
             if share.keeps_designs:
                 made.append((block, design))
             yield block, design

@@ -13,18 +13,18 @@ from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.reweighting import Reweighting, ReweightingFit
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
-from hydrabeam_mpi.fit.state import Reweighted, State
+from hydrabeam_mpi.fit.state import Fitted, Reweighted
 from hydrabeam_mpi.infer.posterior import Posterior
 from hydrabeam_mpi.mpi import allreduce_sum, bcast_object, together
 
 
 @dataclass(frozen=True)
 class WeightsFound:
-    """A change of the weights, its evidence, and the state whose residuals have told it."""
+    """A change of the weights, its evidence, and the fit whose residuals have told it."""
 
     change: Reweighting
     fit: ReweightingFit
-    start: State
+    start: Fitted
 
 
 class HeavyTails:
@@ -40,25 +40,26 @@ class HeavyTails:
         return np.asarray(3 / (1 + 2 * np.abs(block.residual) ** 2 * block.weights))
 
 
-def fit_reweightings(context: FitContext, state: State, changes: Sequence[Reweighting]) -> list[WeightsFound]:
+def fit_reweightings(context: FitContext, fitted: Fitted, changes: Sequence[Reweighting]) -> list[WeightsFound]:
     """Fit every change of the weights. Collective: all ranks of the grid.
 
     A few strong outliers pull a fit so far off that all rows seem to be outliers. Where these are refused they are
     therefore looked for once more, in the residuals of a fit to which rows count the less the further off they are.
     """
-    found = _fit_all(context, state, changes)
+    found = _fit_all(context, fitted, changes)
     for i, one in enumerate(found):
         if one.change.searched_again_with_heavy_tails and one.fit.reason is not None:
             n_freqs = context.setup.observation.Nfreqs
             tails = Reweighted(HeavyTails(), np.zeros((n_freqs, 0)), np.zeros((n_freqs, 0)))
-            robust = refit(context, replace(state, reweighted=[*state.reweighted, tails]))
-            again = _fit_all(context, replace(robust, reweighted=state.reweighted), [one.change])[0]
+            reweighted = fitted.values.reweighted
+            robust = refit(context, replace(fitted.values, reweighted=(*reweighted, tails)), fitted)
+            again = _fit_all(context, _reweighted(robust, reweighted), [one.change])[0]
             if again.fit.reason is None:
                 found[i] = again
     return found
 
 
-def refit_reweighting(context: FitContext, state: State, change: Reweighting) -> ReweightingFit:
+def refit_reweighting(context: FitContext, fitted: Fitted, change: Reweighting) -> ReweightingFit:
     """Fit a change of the weights again, to the residuals of a fit with these weights.
 
     What the beam has taken from each baseline is counted exactly, which is too long a sum for what is only weighed.
@@ -67,21 +68,26 @@ def refit_reweighting(context: FitContext, state: State, change: Reweighting) ->
     Parameters
     ----------
     context : FitContext
-    state : State
-        Fitted with the weights that the change makes; these are taken from it again.
+    fitted : Fitted
+        With the weights that the change makes; these are taken from it again.
     change : Reweighting
     """
     observation = context.setup.observation
     effective = np.zeros((observation.Nfreqs, observation.Nbls))
     with together(context.grid.world):
-        rows, added = context.train.calibrated(state)
+        rows, added = context.train.calibrated(fitted.estimate)
         for channel, number in enumerate(context.channels):
-            for _, block, design in context.train.row_blocks(channel, state, added[channel], rows):
-                variance = _variance(state.posteriors[channel], design)
+            for _, block, design in context.train.row_blocks(channel, fitted.estimate, added[channel], rows):
+                variance = _variance(fitted.fit.posteriors[channel], design)
                 effective[number, block.bls] += 2 * np.sum(block.weights * variance[:, block.member], axis=0)
     allreduce_sum(context.grid.world, effective)
-    others = [one for one in state.reweighted if one.change is not change]
-    return _fit_all(context, replace(state, reweighted=others), [change], effective)[0].fit
+    others = tuple(one for one in fitted.values.reweighted if one.change is not change)
+    return _fit_all(context, _reweighted(fitted, others), [change], effective)[0].fit
+
+
+def _reweighted(fitted: Fitted, by: tuple[Reweighted, ...]) -> Fitted:
+    """Return what has been fitted, with other weights."""
+    return replace(fitted, values=replace(fitted.values, reweighted=by))
 
 
 def _variance(posterior: Posterior, design: NDArray[Any]) -> FloatArray:
@@ -92,20 +98,20 @@ def _variance(posterior: Posterior, design: NDArray[Any]) -> FloatArray:
 
 
 def _fit_all(
-    context: FitContext, state: State, changes: Sequence[Reweighting], effective: FloatArray | None = None
+    context: FitContext, fitted: Fitted, changes: Sequence[Reweighting], effective: FloatArray | None = None
 ) -> list[WeightsFound]:
-    """Fit changes of the weights to the residuals of a state. Collective: all ranks of the grid."""
+    """Fit changes of the weights to the residuals of a fit. Collective: all ranks of the grid."""
     n_freqs = context.setup.observation.Nfreqs
     if effective is None:
         effective = np.zeros(n_freqs)
         if context.grid.is_group_root:
-            effective[context.channels] = state.effective_parameters
+            effective[context.channels] = fitted.diagnostics.effective_parameters
         allreduce_sum(context.grid.world, effective)
     sums = [np.zeros((n_freqs, change.n_sums(context.setup))) for change in changes]
     with together(context.grid.world):
-        rows, added = context.train.calibrated(state)
+        rows, added = context.train.calibrated(fitted.estimate)
         for channel, number in enumerate(context.channels):
-            for _, block, _ in context.train.row_blocks(channel, state, added[channel], rows):
+            for _, block, _ in context.train.row_blocks(channel, fitted.estimate, added[channel], rows):
                 z = block.residual * np.sqrt(block.weights)
                 for change, total in zip(changes, sums, strict=True):
                     total[number] += change.sums(block, z)
@@ -116,4 +122,4 @@ def _fit_all(
         if context.grid.is_world_root:
             fits = [change.fit(context.setup, total, effective) for change, total in zip(changes, sums, strict=True)]
     told: list[ReweightingFit] = bcast_object(context.grid.world, fits)
-    return [WeightsFound(change, fit, state) for change, fit in zip(changes, told, strict=True)]
+    return [WeightsFound(change, fit, fitted) for change, fit in zip(changes, told, strict=True)]

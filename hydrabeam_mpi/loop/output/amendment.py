@@ -8,14 +8,14 @@ from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.effects import Effect as EffectEntry
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
-from hydrabeam_mpi.fit.state import State
+from hydrabeam_mpi.fit.state import Fitted
 
 
-def amended_job(job: Job, state: State, setup: ObservingSetup) -> Job:
-    """Return the job with the state's effects; a basis that is too small becomes a larger one."""
+def amended_job(job: Job, fitted: Fitted, setup: ObservingSetup) -> Job:
+    """Return the job with the fitted effects; a basis that is too small becomes a larger one."""
     entries = []
     basis = job.basis
-    for one in state.active:
+    for one, std in zip(fitted.values.active, fitted.fit.std, strict=True):
         wanted = one.effect.amended_basis(setup)
         if wanted is not None:
             numbers = {key: value for key, value in wanted.items() if isinstance(value, int | float)}
@@ -30,11 +30,11 @@ def amended_job(job: Job, state: State, setup: ObservingSetup) -> Job:
                 names=tuple(parameters.names[i] for i in used),
                 index=tuple(int(i) for i in used),
                 values=_rows(one.x[:, used]),
-                std=_rows(one.std[:, used]),
+                std=_rows(std[:, used]),
                 prior_std=tuple(float(value) for value in np.sqrt(one.prior_var[used])),
             )
         )
-    for change in state.reweighted:
+    for change in fitted.values.reweighted:
         kind = change.change.kind
         entry = EffectEntry.model_construct(kind=kind, values=_rows(change.x), std=_rows(change.std))
         entries.append(entry)

@@ -1,4 +1,4 @@
-"""What a loop needs to go on after a round: everything that it has found, and the last state by channel."""
+"""What a loop needs to go on after a round: everything that it has found, and the last fit by channel."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.fit.gauss_newton import FitContext
-from hydrabeam_mpi.fit.state import State
+from hydrabeam_mpi.fit.state import Diagnostics, Fit, Fitted
 from hydrabeam_mpi.infer.posterior import Posterior
 from hydrabeam_mpi.io.disk import writing
 from hydrabeam_mpi.io.kept_rounds import new_round, read_object, write_object
@@ -22,8 +22,8 @@ from hydrabeam_mpi.terminal.interrupt import unbroken
 
 
 @dataclass(frozen=True)
-class ChannelState:
-    """What the last state knows of one channel; see `State`."""
+class KeptChannel:
+    """What the last fit knows of one channel; see `Fit` and `Diagnostics`."""
 
     posterior: Posterior
     covariance: FloatArray | None
@@ -39,7 +39,7 @@ class Kept:
     Attributes
     ----------
     history : History
-        Its states have neither posteriors nor what belongs to them, and the chi^2 of all channels.
+        Its fits have neither posteriors nor what belongs to them, and the chi^2 of all channels.
     seconds : dict
         Spent so far, by phase.
     """
@@ -72,7 +72,7 @@ def keep_round(
         On all ranks, if the disk takes no more.
     """
     kept = Kept(_lightened(context, history), dict(seconds))
-    channels = gather_by_channel(context.grid, _channels_of(history.last.state, context.grid.is_group_root))
+    channels = gather_by_channel(context.grid, _channels_of(history.last.fitted, context.grid.is_group_root))
     with together(context.grid.world):
         if context.grid.is_world_root:
             with unbroken(), writing(folder), new_round(folder, len(history.rounds)) as place:
@@ -116,7 +116,7 @@ def _name(channel: int) -> str:
 
 
 def _lightened(context: FitContext, history: History) -> History:
-    """Leave out what is large or one rank's, and give every state the chi^2 of all channels."""
+    """Leave out what is large or one rank's, and give every fit the chi^2 of all channels."""
     before = first = _light_check(context, history.first)
     rounds = []
     for one in history.rounds:
@@ -129,53 +129,59 @@ def _lightened(context: FitContext, history: History) -> History:
 
 
 def _light(candidate: Candidate) -> Candidate:
-    """Leave out the state that has told the weights."""
-    return replace(candidate, weights=candidate.weights and replace(candidate.weights, start=State()))
+    """Leave out the fit that has told the weights."""
+    return replace(candidate, weights=candidate.weights and replace(candidate.weights, start=Fitted()))
 
 
 def _light_check(context: FitContext, checked: Checked) -> Checked:
-    """Keep of a state what its effects are. Collective: all ranks of the grid."""
-    state = checked.state
-    mine = state.train_chi2.tolist() if context.grid.is_group_root else []
+    """Keep of a fit what its effects are. Collective: all ranks of the grid."""
+    fitted = checked.fitted
+    mine = fitted.diagnostics.train_chi2.tolist() if context.grid.is_group_root else []
     train_chi2 = np.concatenate(context.grid.world.allgather(mine))
-    return replace(checked, state=State(state.active, state.reweighted, train_chi2=train_chi2))
+    return replace(checked, fitted=Fitted(fitted.values, Fit(std=fitted.fit.std), Diagnostics(train_chi2)))
 
 
-def _channels_of(state: State, is_group_root: bool) -> list[ChannelState]:
-    """Return what a state knows of the rank group's channels; nothing on other ranks than its root."""
+def _channels_of(fitted: Fitted, is_group_root: bool) -> list[KeptChannel]:
+    """Return what a fit knows of the rank group's channels; nothing on other ranks than its root."""
     if not is_group_root:
         return []
+    fit, diagnostics = fitted.fit, fitted.diagnostics
     return [
-        ChannelState(
+        KeptChannel(
             # Without what may be cached beside these.
             Posterior(posterior.mean, posterior.factor, posterior.log_evidence),
-            state.covariances[f] if state.covariances else None,
-            state.beam_response[f] if state.beam_response else None,
-            float(state.log_joint[f]),
-            float(state.effective_parameters[f]),
+            fit.covariances[f] if fit.covariances else None,
+            fit.beam_response[f] if fit.beam_response else None,
+            float(diagnostics.log_joint[f]),
+            float(diagnostics.effective_parameters[f]),
         )
-        for f, posterior in enumerate(state.posteriors)
+        for f, posterior in enumerate(fit.posteriors)
     ]
 
 
-def _complete(context: FitContext, history: History, mine: list[ChannelState]) -> History:
-    """Give every state the rank group's chi^2, and the last one all that is known of the group's channels."""
+def _complete(context: FitContext, history: History, mine: list[KeptChannel]) -> History:
+    """Give every fit the rank group's chi^2, and the last one all that is known of the group's channels."""
 
     def local(checked: Checked) -> Checked:
-        return replace(checked, state=replace(checked.state, train_chi2=checked.state.train_chi2[context.channels]))
+        train_chi2 = checked.fitted.diagnostics.train_chi2[context.channels]
+        return replace(checked, fitted=replace(checked.fitted, diagnostics=Diagnostics(train_chi2)))
 
     first = before = local(history.first)
     rounds: list[Round] = []
     for one in history.rounds:
         rounds.append(replace(one, before=before, after=local(one.after)))
         before = rounds[-1].after
-    last = replace(
-        before.state,
-        posteriors=[one.posterior for one in mine],
-        covariances=[one.covariance for one in mine if one.covariance is not None],
-        beam_response=[one.beam_response for one in mine if one.beam_response is not None],
-        log_joint=np.array([one.log_joint for one in mine]),
-        effective_parameters=np.array([one.effective_parameters for one in mine]),
+    fit = Fit(
+        posteriors=tuple(one.posterior for one in mine),
+        covariances=tuple(one.covariance for one in mine if one.covariance is not None),
+        beam_response=tuple(one.beam_response for one in mine if one.beam_response is not None),
+        std=before.fitted.fit.std,
     )
-    rounds[-1] = replace(rounds[-1], after=replace(before, state=last))
+    diagnostics = Diagnostics(
+        before.fitted.diagnostics.train_chi2,
+        np.array([one.log_joint for one in mine]),
+        np.array([one.effective_parameters for one in mine]),
+    )
+    last = Fitted(before.fitted.values, fit, diagnostics)
+    rounds[-1] = replace(rounds[-1], after=replace(before, fitted=last))
     return History(first, rounds[-1].after, rounds, list(history.tried))

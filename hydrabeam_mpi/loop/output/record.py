@@ -9,7 +9,7 @@ import numpy as np
 
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.fit.gauss_newton import FitContext
-from hydrabeam_mpi.fit.state import State
+from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.loop.output.sentences import say_round, say_verdict
 from hydrabeam_mpi.loop.residuals.remains import Remains
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round, indistinguishable
@@ -60,7 +60,7 @@ def make_record(
     remains = [checked.remains for checked in checks]
     chi2 = [_train_chi2(context, checked) for checked in checks]
     rounds = [
-        _round(context.setup, one, chi2[i : i + 2], remains[i], history.last.state)
+        _round(context.setup, one, chi2[i : i + 2], remains[i], history.last.fitted)
         for i, one in enumerate(history.rounds)
     ]
     tried = [_refused(one, reason) for one, reason in history.tried if not one.is_control]
@@ -168,11 +168,11 @@ def _warning_of(conventions: dict[str, Any]) -> str:
 
 def _train_chi2(context: FitContext, checked: Checked) -> float:
     """Return the mean reduced chi^2 of the fitted rows over all channels. Collective: all ranks of the grid."""
-    mine = checked.state.train_chi2.tolist() if context.grid.is_group_root else []
+    mine = checked.fitted.diagnostics.train_chi2.tolist() if context.grid.is_group_root else []
     return float(np.mean(np.concatenate(context.grid.world.allgather(mine))))
 
 
-def _round(setup: ObservingSetup, one: Round, chi2: list[float], before: Remains, last: State) -> dict[str, Any]:
+def _round(setup: ObservingSetup, one: Round, chi2: list[float], before: Remains, last: Fitted) -> dict[str, Any]:
     """Tell one round."""
     candidate = one.candidate
     ranking = known_effects(one.ranking)
@@ -250,10 +250,10 @@ def _prior_scale(one: Round) -> float | None:
     return float(widths.max()) if widths.size else None
 
 
-def parameters_of(setup: ObservingSetup, one: Round, last: State) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+def parameters_of(setup: ObservingSetup, one: Round, last: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Return the parameters in use with their posterior standard deviations, channel by channel where they differ.
 
-    They are those of the last state, in which all effects are fitted jointly. Those whose variance is more than half of
+    They are those of the last fit, in which all effects are fitted jointly. Those whose variance is more than half of
     the prior's come apart: they are no measurements, as what is said of them depends on the prior. Where all are such,
     all are returned as parameters.
     """
@@ -262,11 +262,12 @@ def parameters_of(setup: ObservingSetup, one: Round, last: State) -> tuple[list[
         names, units, x, std = fit.names, fit.units, fit.x, fit.std
         prior_var = np.full(len(names), np.inf)
     else:
-        active = last.active[len(one.after.state.active) - 1]
+        number = len(one.after.fitted.values.active) - 1
+        active, std = last.values.active[number], last.fit.std[number]
         parameters, used = active.effect.parameters(setup), active.used
         names = tuple(parameters.names[i] for i in used)
         units = tuple(parameters.units[i] for i in used)
-        x, std, shared = active.x[:, used], active.std[:, used], active.effect.shared
+        x, std, shared = active.x[:, used], std[:, used], active.effect.shared
         prior_var = active.prior_var[used]
     told: list[dict[str, Any]] = []
     not_told: list[dict[str, Any]] = []

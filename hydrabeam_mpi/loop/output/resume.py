@@ -123,7 +123,7 @@ class Keeper:
                     "provenance.json": json.dumps(about, indent=2) + "\n",
                     **loop_texts(
                         {**record, "seconds": self.clock.seconds},
-                        amended_job(job, history.last.state, self.context.setup),
+                        amended_job(job, history.last.fitted, self.context.setup),
                     ),
                 }
         keep_round(self.context, history, self.folder, texts, self.clock.seconds)

@@ -11,7 +11,7 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.fit.gauss_newton import FitContext
 from hydrabeam_mpi.fit.heldout import Whitened
 from hydrabeam_mpi.fit.rank_data import RankData
-from hydrabeam_mpi.fit.state import State
+from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.infer.significance import SIGNIFICANT_P
 from hydrabeam_mpi.loop.residuals.coherent import Coherence, CoherentRows, CoherentSums, coherences
 from hydrabeam_mpi.loop.residuals.cube import Layout, Residuals, whole_baselines
@@ -49,17 +49,17 @@ class Remains:
     structures: dict[str, Any] | None
 
 
-def remains_of(context: FitContext, state: State, whitened: Whitened) -> Remains:
+def remains_of(context: FitContext, fitted: Fitted, whitened: Whitened) -> Remains:
     """Describe the held-out residuals. Collective: all ranks of the grid."""
     world, setup, tile = context.grid.world, context.setup, context.test.rows.tile
     layout = Layout(setup.observation, setup.redundant, context.problem.test.times)
     residuals = Residuals(whitened.z, whitened.used, context.problem.channel_numbers, tile.times, tile.bls)
     cube = whole_baselines(world, residuals, layout)
     sums = ResidualSums.of(cube).reduce(world)
-    coherent = _coherent(context, state, whitened)
+    coherent = _coherent(context, fitted, whitened)
     told = statistics(sums, layout, whitened.n_shared, coherent)
     own_level = sums
-    if any(one.change.scales_antennas(one.x) for one in state.reweighted):
+    if any(one.change.scales_antennas(one.x) for one in fitted.values.reweighted):
         # Scales that the fitted rows have told are not exactly those of the others.
         divided = residuals.divided(antenna_scales(sums, layout), layout)
         own_level = ResidualSums.of(whole_baselines(world, divided, layout)).reduce(world)
@@ -74,7 +74,7 @@ def remains_of(context: FitContext, state: State, whitened: Whitened) -> Remains
     )
 
 
-def _coherent(context: FitContext, state: State, whitened: Whitened) -> tuple[Coherence, ...]:
+def _coherent(context: FitContext, fitted: Fitted, whitened: Whitened) -> tuple[Coherence, ...]:
     """Look for what residuals have in common with the model or the sky. Collective: all ranks of the grid.
 
     In fitted rows as well: there the part that redundant baselines do not share is no less noise, as the beam has not
@@ -93,12 +93,12 @@ def _coherent(context: FitContext, state: State, whitened: Whitened) -> tuple[Co
         like_sky.add(times, z, root, vectors[share.rows.groups], member, float(observation.freqs[number]))
 
     with together(context.grid.world):
-        rows, added = context.train.calibrated(state)
+        rows, added = context.train.calibrated(fitted.estimate)
         for channel, number in enumerate(context.channels):
             used = whitened.used[channel]
             held = (np.where(used, one[channel], 0.0) for one in (whitened.z, whitened.model, whitened.root))
             add(context.test, number, context.test.rows.tile.times, *held)
-            for _, block, _ in context.train.row_blocks(channel, state, added[channel], rows):
+            for _, block, _ in context.train.row_blocks(channel, fitted.estimate, added[channel], rows):
                 root = np.sqrt(2 * block.weights)
                 add(context.train, number, block.times, root * block.residual, root * block.vis, root)
     world = context.grid.world

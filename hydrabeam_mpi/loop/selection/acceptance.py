@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydrabeam_mpi.config.effects import Loop as LoopSettings
-from hydrabeam_mpi.fit.state import State
+from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.loop.attribution.score_effects import Finding
 from hydrabeam_mpi.loop.attribution.score_noise import WeightsFound
 from hydrabeam_mpi.loop.residuals.remains import Remains
@@ -35,9 +35,9 @@ UNDECIDED_NATS = 5.0
 
 @dataclass(frozen=True)
 class Checked:
-    """A fitted state and its held-out data."""
+    """A fit and its held-out data."""
 
-    state: State
+    fitted: Fitted
     score: HeldoutScore
     remains: Remains
 
@@ -163,8 +163,8 @@ def refusal_of(
     if absorbed and not after.remains.consistent:
         return absorbed_reason(candidate if is_absorbed(candidate) else tried)
     if candidate.finding is not None:
-        active = after.state.active[-1]
-        unphysical = active.effect.unphysical(active.x, active.std)
+        active = after.fitted.values.active[-1]
+        unphysical = active.effect.unphysical(active.x, after.fitted.fit.std[-1])
         if unphysical is not None:
             return unphysical
     if after.score.chi2 < TOO_SMALL:

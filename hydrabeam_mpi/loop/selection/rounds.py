@@ -14,7 +14,7 @@ from hydrabeam_mpi.effects.interface.reweighting import Reweighting, Reweighting
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
 from hydrabeam_mpi.fit.heldout import whiten
-from hydrabeam_mpi.fit.state import Active, Reweighted, State
+from hydrabeam_mpi.fit.state import Active, Fitted, Reweighted, Values
 from hydrabeam_mpi.loop.attribution.score_effects import Finding, attribute, reconsider
 from hydrabeam_mpi.loop.attribution.score_noise import WeightsFound, fit_reweightings, refit_reweighting
 from hydrabeam_mpi.loop.residuals.remains import remains_of
@@ -67,10 +67,10 @@ class History:
     control: Round | None = None
 
 
-def begin(context: FitContext, state: State, clock: Clock) -> History:
+def begin(context: FitContext, values: Values, clock: Clock) -> History:
     """Fit what is known before the first round. Collective: all ranks of the grid."""
     with clock.time("fit"):
-        checked = check(context, refit(context, state))
+        checked = check(context, refit(context, values))
     return History(checked, checked)
 
 
@@ -101,11 +101,11 @@ def run_rounds(
     settings, checked = context.problem.job.loop, history.last
     speaks = context.grid.is_world_root
     for one in history.rounds:
-        effects = _next_of(context, effects, one.after.state)
+        effects = _next_of(context, effects, one.after.fitted.values)
     for number in range(len(history.rounds), settings.max_rounds + 1):
         say(f"round {number + 1}: held-out chi^2 {checked.score.chi2:.4g}; weighing effects", speaks)
         with clock.time("attribution"):
-            ranking = rank(context, checked.state, effects, changes)
+            ranking = rank(context, checked.fitted, effects, changes)
         history.ranking = ranking
         if number == settings.max_rounds:
             break
@@ -118,37 +118,37 @@ def run_rounds(
         if added is None:
             break
         history.rounds.append(added)
-        effects = _next_of(context, effects, added.after.state)
+        effects = _next_of(context, effects, added.after.fitted.values)
         history.last = checked = added.after
         with clock.time("keep"):
             keep(history)
 
 
-def _next_of(context: FitContext, effects: Sequence[Effect], state: State) -> Sequence[Effect]:
-    """Return the effects to look for after those of the state."""
-    if not state.active:
+def _next_of(context: FitContext, effects: Sequence[Effect], values: Values) -> Sequence[Effect]:
+    """Return the effects to look for after those of the model."""
+    if not values.active:
         return effects
-    return [effect.next_after(context.setup, state.active[-1].effect) for effect in effects]
+    return [effect.next_after(context.setup, values.active[-1].effect) for effect in effects]
 
 
-def check(context: FitContext, state: State) -> Checked:
-    """Predict the held-out rows of a fitted state. Collective: all ranks of the grid."""
-    whitened = whiten(context, state)
-    return Checked(state, heldout_score(context, whitened), remains_of(context, state, whitened))
+def check(context: FitContext, fitted: Fitted) -> Checked:
+    """Predict the held-out rows. Collective: all ranks of the grid."""
+    whitened = whiten(context, fitted)
+    return Checked(fitted, heldout_score(context, whitened), remains_of(context, fitted, whitened))
 
 
 def rank(
-    context: FitContext, state: State, effects: Sequence[Effect], changes: Sequence[Reweighting]
+    context: FitContext, fitted: Fitted, effects: Sequence[Effect], changes: Sequence[Reweighting]
 ) -> tuple[Candidate, ...]:
     """Order everything that may be tried by its evidence. Collective: all ranks of the grid."""
     candidates = [
         Candidate(finding.kind, finding.effect.title, finding.evidence.log_bayes_factor, finding)
-        for finding in attribute(context, state, effects)
+        for finding in attribute(context, fitted, effects)
     ]
-    done = {one.change.kind for one in state.reweighted}
+    done = {one.change.kind for one in fitted.values.reweighted}
     candidates += [
         Candidate(found.change.kind, found.change.title, found.fit.log_bayes_factor, weights=found)
-        for found in fit_reweightings(context, state, [one for one in changes if one.kind not in done])
+        for found in fit_reweightings(context, fitted, [one for one in changes if one.kind not in done])
     ]
     return tuple(sorted(candidates, key=lambda one: -one.log_bayes_factor))
 
@@ -175,7 +175,7 @@ def _try(context: FitContext, checked: Checked, ranking: Sequence[Candidate], hi
         if reason is not None:
             history.tried.append((fitted, reason))
         elif best is None or is_better(fitted, after, best):
-            change = _beam_change(context, checked.state, after.state)
+            change = _beam_change(context, checked.fitted, after.fitted)
             best = Round(fitted, tuple(ranking), checked, after, sigma, change)
             enough = after.remains.consistent
     return best
@@ -183,35 +183,37 @@ def _try(context: FitContext, checked: Checked, ranking: Sequence[Candidate], hi
 
 def _fit(context: FitContext, checked: Checked, candidate: Candidate) -> tuple[Candidate, Checked]:
     """Fit a candidate and weigh it again where it has been fitted, as no effect is quite linear."""
-    state = checked.state
+    before = checked.fitted
     if candidate.finding is None:
         assert candidate.weights is not None
-        return _fit_weights(context, state, candidate, candidate.weights)
+        return _fit_weights(context, before, candidate, candidate.weights)
     effect, evidence = candidate.finding.effect, candidate.finding.evidence
-    fitted = refit(context, state.extended(Active.start(effect, context.setup, evidence.prior_var, evidence.x)))
+    start = Active.start(effect, context.setup, evidence.prior_var, evidence.x)
+    fitted = refit(context, before.values.extended(start), before)
     again = reconsider(context, fitted)
     for _ in range(MAX_PRUNED):
-        prior_var = _without_weak(context, fitted.active[-1], again.prior_var)
+        prior_var = _without_weak(context, fitted, again.prior_var)
         same = np.array_equal(prior_var > 0, evidence.prior_var > 0)
         if same and np.allclose(prior_var, evidence.prior_var, rtol=1.0, atol=0.0):
             break
         evidence = replace(again, prior_var=prior_var)
-        fitted = refit(context, state.extended(_restarted(context, fitted.active[-1], prior_var)))
+        start = _restarted(context, fitted.values.active[-1], prior_var)
+        fitted = refit(context, before.values.extended(start), before)
         again = reconsider(context, fitted)
-    gained = _gain(context, state, fitted)
+    gained = _gain(context, before, fitted)
     log_bayes_factor = again.log_bayes_factor - again.linear_gain + gained
     finding = Finding(effect, replace(again, log_bayes_factor=log_bayes_factor))
     return replace(candidate, finding=finding, log_bayes_factor=log_bayes_factor), check(context, fitted)
 
 
 def _fit_weights(
-    context: FitContext, state: State, candidate: Candidate, found: WeightsFound
+    context: FitContext, before: Fitted, candidate: Candidate, found: WeightsFound
 ) -> tuple[Candidate, Checked]:
     """Fit with other weights, and scales of the noise again to what that leaves."""
 
-    def weighted(start: State, fit: ReweightingFit) -> State:
+    def weighted(start: Fitted, fit: ReweightingFit) -> Fitted:
         added = Reweighted(found.change, fit.x, fit.std)
-        return refit(context, replace(start, reweighted=[*state.reweighted, added]))
+        return refit(context, replace(start.values, reweighted=(*before.values.reweighted, added)), start)
 
     fit = found.fit
     fitted = weighted(found.start, fit)
@@ -222,14 +224,15 @@ def _fit_weights(
     return replace(candidate, weights=weights), check(context, fitted)
 
 
-def _without_weak(context: FitContext, active: Active, prior_var: FloatArray) -> FloatArray:
-    """Take the prior from elements with a place or the like that have nothing there once they have been fitted to it.
+def _without_weak(context: FitContext, fitted: Fitted, prior_var: FloatArray) -> FloatArray:
+    """Take the last effect's prior from elements with a place or the like that have nothing there once fitted to it.
 
     Such are the ghosts of a source in the lobes of an array, which stand in for an error of its first position.
     """
-    parameters = active.effect.parameters(context.setup)
-    told = (active.std > 0) & ~parameters.nonlinear
-    sigmas = np.where(told, np.abs(active.x) / np.where(told, active.std, 1.0), 0.0).max(axis=0)
+    last, std = fitted.values.active[-1], fitted.fit.std[-1]
+    parameters = last.effect.parameters(context.setup)
+    told = (std > 0) & ~parameters.nonlinear
+    sigmas = np.where(told, np.abs(last.x) / np.where(told, std, 1.0), 0.0).max(axis=0)
     n_elements = int(parameters.element.max(initial=-1)) + 1
     best, placed = np.zeros(n_elements), np.zeros(n_elements, dtype=bool)
     np.maximum.at(best, parameters.element, sigmas)
@@ -245,20 +248,20 @@ def _restarted(context: FitContext, active: Active, prior_var: FloatArray) -> Ac
     return Active.start(active.effect, context.setup, prior_var, start)
 
 
-def _gain(context: FitContext, before: State, after: State) -> float:
+def _gain(context: FitContext, before: Fitted, after: Fitted) -> float:
     """Return by how much the last active effect raised ln(likelihood x prior), over all channels."""
-    last = after.active[-1]
+    last = after.values.active[-1]
     used = last.used
     rows = last.x[:1] if last.effect.shared else last.x
     nonlinear = last.effect.parameters(context.setup).nonlinear[used]
     penalty = 0.5 * float(np.sum((rows[:, used] ** 2 / last.prior_var[used])[:, ~nonlinear]))
-    return context.over_channels(after.log_joint - before.log_joint) - penalty
+    return context.over_channels(after.diagnostics.log_joint - before.diagnostics.log_joint) - penalty
 
 
-def _beam_change(context: FitContext, before: State, after: State) -> float:
+def _beam_change(context: FitContext, before: Fitted, after: Fitted) -> float:
     """Return by how much the beam moved at most, on the one-degree grid and over channels."""
     basis, largest = context.problem.basis, 0.0
-    for one, two in zip(before.posteriors, after.posteriors, strict=True):
+    for one, two in zip(before.fit.posteriors, after.fit.posteriors, strict=True):
         moved: FloatArray = two.mean - one.mean
 
         def change(za: FloatArray, az: FloatArray, moved: FloatArray = moved) -> Any:

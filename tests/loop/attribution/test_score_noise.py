@@ -13,7 +13,7 @@ from hydrabeam_mpi.effects.interface.reweighting import Reweighting
 from hydrabeam_mpi.effects.noise.noise_level import NoiseLevel
 from hydrabeam_mpi.effects.noise.outliers import HIT, Outliers
 from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
-from hydrabeam_mpi.fit.state import Reweighted, State
+from hydrabeam_mpi.fit.state import Fitted, Reweighted, Values
 from hydrabeam_mpi.infer.posterior import Posterior
 from hydrabeam_mpi.loop.attribution.score_noise import HeavyTails, _variance, fit_reweightings, refit_reweighting
 from hydrabeam_mpi.random import complex_normal, generator
@@ -24,9 +24,9 @@ NOISE = {"kind": "noise_level", "parameters": {"noise scale": 2.0}}
 BURSTS = {"kind": "outliers", "parameters": {"fraction of rows hit": 0.03, "scale of |z|^2 where hit": 1e5}}
 
 
-def fitted(folder: Path, world: MPI.Comm, *injected: dict[str, Any], **changes: Any) -> tuple[FitContext, State]:
+def fitted(folder: Path, world: MPI.Comm, *injected: dict[str, Any], **changes: Any) -> tuple[FitContext, Fitted]:
     context = context_of(mock_job(*injected, n_times=30, **changes), folder, world)
-    return context, refit(context, State())
+    return context, refit(context, Values())
 
 
 FOUND: list[Any] = [
@@ -40,8 +40,8 @@ FOUND: list[Any] = [
 def test_the_level_of_the_noise(
     injected: list[dict[str, Any]], change: Reweighting, scale: float | None, comm: MPI.Comm, common_tmp_path: Path
 ) -> None:
-    context, state = fitted(common_tmp_path, comm, *injected)
-    (found,) = fit_reweightings(context, state, [change])
+    context, before = fitted(common_tmp_path, comm, *injected)
+    (found,) = fit_reweightings(context, before, [change])
     assert found.change is change
     assert found.start is not None
     assert found.fit.reason is None
@@ -50,7 +50,7 @@ def test_the_level_of_the_noise(
     assert abs(x - (scale or 1.0)) < 4 * std
     assert (found.fit.log_bayes_factor > 20) == (scale is not None)
     # Fitted again with these weights, and with what the beam has taken of each baseline, it is much the same.
-    weighted = refit(context, State(state.active, [Reweighted(change, found.fit.x, found.fit.std)], state.posteriors))
+    weighted = refit(context, Values(reweighted=(Reweighted(change, found.fit.x, found.fit.std),)), before)
     again = refit_reweighting(context, weighted, change)
     assert abs(float(again.x[0, 0]) - (scale or 1.0)) < 4 * std
     assert abs(float(again.x[0, 0]) - x) < std
@@ -58,15 +58,15 @@ def test_the_level_of_the_noise(
 
 @pytest.mark.mpi
 def test_strong_bursts_are_found_once_rows_far_out_count_less(comm: MPI.Comm, common_tmp_path: Path) -> None:
-    """They pull the plain fit so far that all rows seem to be outliers; the state that has told is another one."""
-    context, state = fitted(common_tmp_path, comm, BURSTS)
-    noise, bursts = fit_reweightings(context, state, [NoiseLevel(), Outliers()])
+    """They pull the plain fit so far that all rows seem to be outliers; the fit that has told is another one."""
+    context, before = fitted(common_tmp_path, comm, BURSTS)
+    noise, bursts = fit_reweightings(context, before, [NoiseLevel(), Outliers()])
     assert noise.fit.reason is not None
-    assert noise.start is state
+    assert noise.start is before
     assert bursts.fit.reason is None
     assert bursts.fit.log_bayes_factor > 100
-    assert bursts.start is not state
-    assert bursts.start.reweighted == []
+    assert bursts.start is not before
+    assert bursts.start.values.reweighted == ()
     assert abs(float(bursts.fit.x[0, 1]) - 0.03) < 4 * float(bursts.fit.std[0, 1])
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +11,13 @@ import tomli_w
 
 from hydrabeam_mpi.config import Job, load_job
 from hydrabeam_mpi.config.sections import Basis, Data
+from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.instrument.basis_truncation import BasisTruncation
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.registry import EFFECTS, REWEIGHTINGS, make_effect, make_reweighting
 from hydrabeam_mpi.fit.joint import restore
-from hydrabeam_mpi.fit.state import Active, Reweighted, State
+from hydrabeam_mpi.fit.state import Active, Fit, Fitted, Reweighted, Values
 from hydrabeam_mpi.loop.output.amendment import amended_job
 from hydrabeam_mpi.random import generator
 from tests.effects.cases import set_up
@@ -31,7 +33,13 @@ def written_and_read(job: Job, folder: Path) -> Job:
     return load_job(folder / "amended.toml")
 
 
-def fitted(effect: Effect, setup: ObservingSetup) -> Active:
+def fitted(*effects: Effect, setup: ObservingSetup, reweighted: tuple[Reweighted, ...] = ()) -> Fitted:
+    """Effects, as `one_fitted` gives them."""
+    active, std = zip(*(one_fitted(effect, setup) for effect in effects), strict=True) if effects else ((), ())
+    return Fitted(Values(active, reweighted), Fit(std=std))
+
+
+def one_fitted(effect: Effect, setup: ObservingSetup) -> tuple[Active, FloatArray]:
     """The effect with every other element in use, at values and with errors that no short number has."""
     parameters = effect.parameters(setup)
     n, n_freqs = len(parameters), setup.observation.Nfreqs
@@ -41,20 +49,20 @@ def fitted(effect: Effect, setup: ObservingSetup) -> Active:
     used = start.prior_var > 0
     x = np.where(used, parameters.scale * rng.standard_normal((1 if effect.shared else n_freqs, n)), 0.0)
     std = np.where(used, parameters.scale * rng.uniform(0.01, 0.1, (n_freqs, n)), 0.0)
-    start.x, start.std = np.broadcast_to(x, (n_freqs, n)).copy(), std
-    return start
+    return replace(start, x=np.broadcast_to(x, (n_freqs, n))), std
 
 
 @pytest.mark.parametrize("kind", [kind for kind in EFFECTS if not EFFECTS[kind].is_about_the_beam])
 def test_every_effect_comes_back(kind: str, tmp_path: Path) -> None:
     effect, block, _ = set_up(kind)
-    one = fitted(effect, block.setup)
+    made = fitted(effect, setup=block.setup)
+    (one,), (std,) = made.values.active, made.fit.std
     assert len(one.used) > 0
-    job = written_and_read(amended_job(JOB, State(active=[one]), block.setup), tmp_path)
+    job = written_and_read(amended_job(JOB, made, block.setup), tmp_path)
     (entry,) = job.effects
     names = effect.parameters(block.setup).names
     assert entry.names == tuple(names[i] for i in one.used)
-    np.testing.assert_array_equal(entry.std, one.std[:, one.used])
+    np.testing.assert_array_equal(entry.std, std[:, one.used])
     (again,) = restore(job, block.setup).active
     assert again.kind == kind
     assert again.effect.describe() == effect.describe()
@@ -62,7 +70,6 @@ def test_every_effect_comes_back(kind: str, tmp_path: Path) -> None:
     np.testing.assert_allclose(again.prior_var, one.prior_var, rtol=1e-15)
     np.testing.assert_array_equal(again.step_limit, one.step_limit)
     np.testing.assert_array_equal(again.degenerate_directions, one.degenerate_directions)
-    assert not again.std.any()  # they are fitted again
 
 
 @pytest.mark.parametrize("n_parameters", ["fewest", "most"])
@@ -71,8 +78,8 @@ def test_every_reweighting_comes_back(kind: str, n_parameters: str, tmp_path: Pa
     change = make_reweighting(kind, {})
     size = (min if n_parameters == "fewest" else max)(change.sizes(LONG))
     x = generator(2, kind).uniform(0.5, 2.0, (4, size))
-    state = State(reweighted=[Reweighted(change, x, 0.1 * x)])
-    (again,) = restore(written_and_read(amended_job(JOB, state, LONG), tmp_path), LONG).reweighted
+    made = fitted(setup=LONG, reweighted=(Reweighted(change, x, 0.1 * x),))
+    (again,) = restore(written_and_read(amended_job(JOB, made, LONG), tmp_path), LONG).reweighted
     assert again.change.kind == kind
     np.testing.assert_array_equal(again.x, x)
     np.testing.assert_array_equal(again.std, 0.1 * x)
@@ -81,28 +88,28 @@ def test_every_reweighting_comes_back(kind: str, n_parameters: str, tmp_path: Pa
 def test_several_keep_their_order_and_the_rest_of_the_job_stays(tmp_path: Path) -> None:
     """Two of a kind are two, and weights come after effects."""
     effects = [make_effect(kind, {}) for kind in ("antenna_gains", "timestamp", "antenna_gains")]
-    reweighted = [Reweighted(make_reweighting("noise_level", {}), np.full((4, 1), 1.5), np.full((4, 1), 0.1))]
-    state = State(active=[fitted(effect, LONG) for effect in effects], reweighted=reweighted)
-    amended = amended_job(JOB, state, LONG)
+    scales = Reweighted(make_reweighting("noise_level", {}), np.full((4, 1), 1.5), np.full((4, 1), 0.1))
+    made = fitted(*effects, setup=LONG, reweighted=(scales,))
+    amended = amended_job(JOB, made, LONG)
     assert [entry.kind for entry in amended.effects] == ["antenna_gains", "timestamp", "antenna_gains", "noise_level"]
     assert amended.model_copy(update={"effects": ()}) == JOB
     assert [one.kind for one in restore(written_and_read(amended, tmp_path), LONG).active] == [
         one.kind for one in effects
     ]
-    # What the loop adds to a job that had effects takes their place: the state has them.
-    assert amended_job(amended, State(), LONG).effects == ()
+    # What the loop adds to a job that had effects takes their place: the fit has them.
+    assert amended_job(amended, Fitted(), LONG).effects == ()
 
 
-def test_a_state_without_anything_leaves_the_job_as_it_is() -> None:
-    assert amended_job(JOB, State(), LONG) == JOB
+def test_a_fit_without_anything_leaves_the_job_as_it_is() -> None:
+    assert amended_job(JOB, Fitted(), LONG) == JOB
 
 
 def test_a_basis_that_is_too_small_becomes_a_larger_one(tmp_path: Path) -> None:
     """With the modes of two rounds, beside an effect that stays one."""
     rounds = [BasisTruncation(), BasisTruncation(len(BasisTruncation().parameters(LONG)))]
     effects: list[Effect] = [rounds[0], make_effect("antenna_gains", {}), rounds[1]]
-    state = State(active=[fitted(effect, LONG) for effect in effects])
-    job = written_and_read(amended_job(JOB, state, LONG), tmp_path)
+    made = fitted(*effects, setup=LONG)
+    job = written_and_read(amended_job(JOB, made, LONG), tmp_path)
     assert [entry.kind for entry in job.effects] == ["antenna_gains"]
     n_modes = LONG.basis.n_modes + sum(len(one.parameters(LONG)) for one in rounds)
     assert job.basis.n_modes == n_modes
@@ -113,7 +120,6 @@ def test_a_basis_that_is_too_small_becomes_a_larger_one(tmp_path: Path) -> None:
 def test_a_basis_never_gets_smaller() -> None:
     """Where the job asks for more orders, of which the largest modes were taken."""
     large = JOB.model_copy(update={"basis": Basis(n_modes=60, k_max=300, m_max=170)})
-    state = State(active=[fitted(BasisTruncation(), LONG)])
-    basis = amended_job(large, state, LONG).basis
+    basis = amended_job(large, fitted(BasisTruncation(), setup=LONG), LONG).basis
     assert (basis.k_max, basis.m_max) == (300, 170)
     assert basis.n_modes > 60

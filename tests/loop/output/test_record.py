@@ -16,7 +16,7 @@ from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.instrument.timestamp import Timestamp
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.gauss_newton import FitContext
-from hydrabeam_mpi.fit.state import Active, State
+from hydrabeam_mpi.fit.state import Active, Fit, Fitted, Values
 from hydrabeam_mpi.loop.attribution.control_models import BeamDrift
 from hydrabeam_mpi.loop.output.record import known_effects, make_record, parameters_of
 from hydrabeam_mpi.loop.selection.acceptance import Candidate
@@ -33,16 +33,18 @@ def context(comm: MPI.Comm, tmp_path_factory: pytest.TempPathFactory) -> FitCont
     return context_of(mock_job(freqs=FREQS), comm.bcast(tmp_path_factory.mktemp("record")), comm)
 
 
-def active(context: FitContext, effect: Effect, used: list[int], x: Any, std: Any) -> Active:
+def fitted(context: FitContext, effect: Effect, used: list[int], x: Any, std: Any) -> Fitted:
     """An effect of which some parameters are in use, with a prior of variance 0.02."""
     n = len(effect.parameters(context.setup))
     prior_var, values, errors = np.zeros(n), np.zeros((2, n)), np.zeros((2, n))
     prior_var[used], values[:, used], errors[:, used] = 0.02, x, std
-    return Active(effect, prior_var, values, errors, np.full(n, np.inf), np.zeros((0, n)))
+    return Fitted(
+        Values((Active(effect, prior_var, values, np.full(n, np.inf), np.zeros((0, n))),)), Fit(std=(errors,))
+    )
 
 
-def gains(context: FitContext, std: Any = ((0.01, 0.02), (0.03, 0.04))) -> Active:
-    return active(context, AntennaGains(), [4, 5], [[0.06, -0.05], [0.07, -0.04]], std)
+def gains(context: FitContext, std: Any = ((0.01, 0.02), (0.03, 0.04))) -> Fitted:
+    return fitted(context, AntennaGains(), [4, 5], [[0.06, -0.05], [0.07, -0.04]], std)
 
 
 def train_chi2(context: FitContext, mean: float) -> FloatArray:
@@ -53,9 +55,9 @@ def train_chi2(context: FitContext, mean: float) -> FloatArray:
 def history(context: FitContext, consistent: bool = True, control: bool = False, n_rounds: int = 1) -> History:
     """Gains and then a larger noise, beside which delays, a timestamp and a beam that drifts are weighed."""
     first = checked(4.0, consistent=consistent and n_rounds == 0, train_chi2=train_chi2(context, 3.5))
-    state = State(active=[gains(context)])
-    second = checked(1.5, consistent=consistent and n_rounds == 1, train_chi2=train_chi2(context, 1.25), state=state)
-    third = checked(1.0, consistent=consistent, train_chi2=train_chi2(context, 1.0), state=state)
+    found = gains(context)
+    second = checked(1.5, consistent=consistent and n_rounds == 1, train_chi2=train_chi2(context, 1.25), fitted=found)
+    third = checked(1.0, consistent=consistent, train_chi2=train_chi2(context, 1.0), fitted=found)
     drift = effect_candidate(BeamDrift(), 120.0)
     others = [drift, effect_candidate(AntennaDelays(), 96.0), effect_candidate(Timestamp(), 30.0)]
     rounds = [
@@ -212,8 +214,8 @@ TOLD = [
 def test_parameters_that_the_data_do_not_tell_come_apart(
     std: Any, n_told: int, n_not_told: int, context: FitContext
 ) -> None:
-    last = State(active=[gains(context, std)])
-    one = round_of(effect_candidate(AntennaGains()), checked(2.0), checked(1.0, state=last))
+    last = gains(context, std)
+    one = round_of(effect_candidate(AntennaGains()), checked(2.0), checked(1.0, fitted=last))
     told, not_told = parameters_of(context.setup, one, last)
     assert (len(told), len(not_told)) == (n_told, n_not_told)
     number = context.setup.observation.antenna_numbers[2]
@@ -230,9 +232,11 @@ def test_parameters_that_the_data_do_not_tell_come_apart(
 
 def test_parameters_are_those_of_the_last_joint_fit(context: FitContext) -> None:
     """Of the round's own effect, whichever others came after; those that channels share come once."""
-    before = State(active=[active(context, AntennaDelays(), [1], 9.0, 0.01)])
-    last = State(active=[active(context, AntennaDelays(), [1], 3.0, 0.02), gains(context)])
-    one = round_of(effect_candidate(AntennaDelays()), checked(2.0), checked(1.0, state=before))
+    before = fitted(context, AntennaDelays(), [1], 9.0, 0.01)
+    delays, later = fitted(context, AntennaDelays(), [1], 3.0, 0.02), gains(context)
+    both = delays.values.extended(later.values.active[0])
+    last = Fitted(both, Fit(std=(*delays.fit.std, *later.fit.std)))
+    one = round_of(effect_candidate(AntennaDelays()), checked(2.0), checked(1.0, fitted=before))
     (told,), not_told = parameters_of(context.setup, one, last)
     assert not not_told
     assert [told[key] for key in ("unit", "value", "std", "freq_hz")] == ["ns", 3.0, 0.02, None]
@@ -240,7 +244,7 @@ def test_parameters_are_those_of_the_last_joint_fit(context: FitContext) -> None
 
 def test_scales_of_the_noise_are_always_told(context: FitContext) -> None:
     (_, two) = history(context, n_rounds=2).rounds
-    told, not_told = parameters_of(context.setup, two, State(active=[gains(context)]))
+    told, not_told = parameters_of(context.setup, two, gains(context))
     assert [(one["name"], one["value"], one["freq_hz"]) for one in told] == [
         ("noise scale", 1.5, freq) for freq in FREQS
     ]

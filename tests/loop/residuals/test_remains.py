@@ -13,7 +13,7 @@ from hydrabeam_mpi.data.observation import ComplexArray
 from hydrabeam_mpi.effects.noise.noise_level import NoiseLevel
 from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
 from hydrabeam_mpi.fit.heldout import Whitened, whiten
-from hydrabeam_mpi.fit.state import Reweighted, State
+from hydrabeam_mpi.fit.state import Fitted, Reweighted, Values
 from hydrabeam_mpi.loop.residuals.remains import remains_of
 from hydrabeam_mpi.random import complex_normal, generator
 from tests.loop.mock import FREQ, context_of, mock_job
@@ -29,8 +29,8 @@ def context(comm: MPI.Comm, tmp_path_factory: pytest.TempPathFactory) -> FitCont
 
 
 @pytest.fixture(scope="module")
-def state(context: FitContext) -> State:
-    return refit(context, State())
+def fitted(context: FitContext) -> Fitted:
+    return refit(context, Values())
 
 
 def with_residuals(context: FitContext, whitened: Whitened, z: ComplexArray) -> Whitened:
@@ -81,11 +81,11 @@ def test_what_is_left(
     is_white: bool,
     why: str,
     context: FitContext,
-    state: State,
+    fitted: Fitted,
 ) -> None:
     """On any number of ranks."""
-    whitened = with_residuals(context, whiten(context, state), residuals(context))
-    found = remains_of(context, replace(state, reweighted=reweighted), whitened)
+    whitened = with_residuals(context, whiten(context, fitted), residuals(context))
+    found = remains_of(context, replace(fitted, values=Values(reweighted=tuple(reweighted))), whitened)
     assert (found.consistent, found.white) == (consistent, is_white)
     assert why in found.why
     assert found.consistent == (found.statistics["significance"]["p"] >= 1e-3)

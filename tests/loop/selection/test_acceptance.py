@@ -19,7 +19,7 @@ from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
 from hydrabeam_mpi.effects.sky.horizon import Horizon
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
-from hydrabeam_mpi.fit.state import Active, State
+from hydrabeam_mpi.fit.state import Active, Fit, Fitted, Values
 from hydrabeam_mpi.infer.significance import sigma_of_log_p
 from hydrabeam_mpi.loop.attribution.control_models import BeamDrift, ShapeDrift
 from hydrabeam_mpi.loop.selection.acceptance import (
@@ -189,9 +189,9 @@ REFUSALS: list[tuple[str, dict[str, Any], str | None]] = [
 def test_effects_are_kept_or_refused(given: dict[str, Any], words: str | None) -> None:
     effect = given["effect"]
     x, std = np.full((1, 1), given.get("x", 0.1)), np.full((1, 1), 0.01)
-    state = State(active=[Active(effect, np.ones(1), x, std, np.ones(1), np.zeros((0, 1)))])
+    found = Fitted(Values((Active(effect, np.ones(1), x, np.ones(1), np.zeros((0, 1))),)), Fit(std=(std,)))
     tried, fitted = (effect_candidate(effect, given["lbf"], given[which]) for which in ("tried", "fitted"))
-    after = checked(**given["after"], state=state)
+    after = checked(**given["after"], fitted=found)
     reason = refusal_of(given["before"], after, tried, fitted, given["sigma"], Loop())
     assert reason is None if words is None else words in str(reason)
 
@@ -215,8 +215,9 @@ def test_weights_are_kept_or_refused(before: float, after: dict[str, Any], lbf: 
 
 def test_the_thresholds_are_the_jobs() -> None:
     candidate = effect_candidate(AntennaGains(), 8.0)
-    state = State(active=[Active(AntennaGains(), *np.ones((4, 1)), np.zeros((0, 1)))])
-    given = (checked(2.0), checked(1.2, state=state), candidate, candidate, 4.0)
+    active = Active(AntennaGains(), *np.ones((3, 1)), np.zeros((0, 1)))
+    found = Fitted(Values((active,)), Fit(std=(np.ones((1, 1)),)))
+    given = (checked(2.0), checked(1.2, fitted=found), candidate, candidate, 4.0)
     assert refusal_of(*given, Loop()) is None
     assert "log Bayes factor" in str(refusal_of(*given, Loop(min_log_bayes_factor=8.5)))
     assert "4.0 sigma only" in str(refusal_of(*given, Loop(min_heldout_sigma=4.5)))
