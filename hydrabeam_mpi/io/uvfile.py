@@ -9,7 +9,6 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from astropy.coordinates import EarthLocation
 from pyuvdata import UVData
@@ -20,12 +19,7 @@ from hydrabeam_mpi.data.selection import match
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.reading import check_file, mute, reading
 from hydrabeam_mpi.io.uvcheck import check_metadata
-from hydrabeam_mpi.io.uvwhole import check_uvh5
-
-# pyuvdata reads these in part; measurement sets and miriad files it can only read whole.
-READ_IN_PART = ("uvh5", "uvfits")
-# The libraries beneath these print what they think.
-TALKATIVE = ("ms", "miriad")
+from hydrabeam_mpi.io.uvformat import FORMATS, READ_IN_PART
 
 
 @dataclass(frozen=True)
@@ -53,7 +47,8 @@ class UVHeader:
     Attributes
     ----------
     path : Path
-    kind : {"uvh5", "uvfits", "ms", "miriad"}
+    kind : str
+        One of `FORMATS`.
     telescope_name : str
     location : astropy.coordinates.EarthLocation
     antenna_numbers : ndarray of int, (Nants,)
@@ -112,28 +107,27 @@ def file_kind(path: Path) -> str:
 
     Returns
     -------
-    {"uvh5", "uvfits", "ms", "miriad"}
+    str
+        One of `FORMATS`.
 
     Raises
     ------
     InputError
         If it is missing, unreadable, truncated or none of these.
     """
-    formats = "give a uvh5 or uvfits file, a measurement set or a miriad file"
-    if os.path.isdir(path):
-        for kind, member in (("miriad", "vartable"), ("ms", "OBSERVATION")):
-            if os.path.exists(path / member):
-                return kind
-        raise InputError("a folder that holds no visibilities", file=path, remedy=formats)
-    check_file(path)
-    with path.open("rb") as file:
-        magic = file.read(9)
-    if magic.startswith(b"\x89HDF\r\n\x1a\n"):
-        check_uvh5(path)
-        return "uvh5"
-    if magic == b"SIMPLE  =":
-        return "uvfits"
-    raise InputError("not a uvh5 file" if magic else "an empty file", file=path, remedy=formats)
+    is_folder = os.path.isdir(path)
+    if not is_folder:
+        check_file(path)
+    for kind, one in FORMATS.items():
+        if one.is_of(path):
+            if one.check is not None:
+                one.check(path)
+            return kind
+    *others, last = (one.called for one in FORMATS.values())
+    told = "a folder that holds no visibilities" if is_folder else "not a uvh5 file"
+    if not is_folder and not path.stat().st_size:
+        told = "an empty file"
+    raise InputError(told, file=path, remedy=f"give {', '.join(others)} or {last}")
 
 
 def may_hold(path: Path, times: FloatArray, tolerance: float) -> bool:
@@ -141,20 +135,18 @@ def may_hold(path: Path, times: FloatArray, tolerance: float) -> bool:
 
     ``times`` is (Ntimes,).
     """
-    if file_kind(path) != "uvh5":
-        return True
-    with reading(path, "uvh5"), h5py.File(path, "r") as file:
-        stored = np.asarray(file["Header/time_array"][()], dtype=float)
-    return bool(np.any(match(times, stored, tolerance) >= 0))
+    times_of = FORMATS[file_kind(path)].times
+    return times_of is None or bool(np.any(match(times, times_of(path), tolerance) >= 0))
 
 
 def read_uvdata(path: Path, kind: str, **select: Any) -> UVData:
     """Read through pyuvdata, without its checks: they are slow, and this module's own name the remedy."""
-    if kind == "ms" and find_spec("casacore") is None:
-        raise InputError("a measurement set, which python-casacore reads", file=path, remedy="install python-casacore")
+    one = FORMATS[kind]
+    if one.needs is not None and find_spec(one.needs[0]) is None:
+        raise InputError(f"{one.called}, which {one.needs[1]} reads", file=path, remedy=f"install {one.needs[1]}")
     uv = UVData()
     options = {"run_check": False, "background_lsts": False, "remove_flex_pol": False}
-    with reading(path, kind), mute() if kind in TALKATIVE else nullcontext():
+    with reading(path, kind), mute() if one.is_talkative else nullcontext():
         uv.read(str(path), file_type=kind, **options, **select)
     return uv
 

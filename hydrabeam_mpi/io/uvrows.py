@@ -10,7 +10,8 @@ import numpy as np
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.data.selection import BoolArray
 from hydrabeam_mpi.io.reading import reading
-from hydrabeam_mpi.io.uvfile import READ_IN_PART, UVHeader, read_uvdata
+from hydrabeam_mpi.io.uvfile import UVHeader, read_uvdata
+from hydrabeam_mpi.io.uvformat import FORMATS
 
 # To pick one scattered row takes h5py as long as to read this many bytes in line.
 SEEK_BYTES = 25_000
@@ -42,12 +43,12 @@ def read_rows(
     -------
     data, flags, nsamples : ndarray, (len(rows), len(channels), len(pols))
     """
-    if header.kind not in READ_IN_PART:
+    if not FORMATS[header.kind].in_part:
         return _samples(header, {}, np.ix_(rows, channels, pols), pol_convention)
     # pyuvdata returns what it selects in the order of the file.
     select: dict[str, Any] = {"freq_chans": np.sort(channels)}
     select["polarizations"] = [header.feed_pols[pol] for pol in np.sort(pols)]
-    if header.kind == "uvh5":
+    if FORMATS[header.kind].sample_by_sample:
         select["multidim_index"] = True
     picked = np.argsort(np.argsort(channels)), np.argsort(np.argsort(pols))
     parts = [

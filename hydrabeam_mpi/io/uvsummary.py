@@ -10,7 +10,8 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import IntArray, Observation
 from hydrabeam_mpi.data.selection import BoolArray, Selection, match
-from hydrabeam_mpi.io.uvfile import READ_IN_PART, UVHeader, read_metadata, read_uvdata
+from hydrabeam_mpi.io.uvfile import UVHeader, read_metadata, read_uvdata
+from hydrabeam_mpi.io.uvformat import READ_IN_PART
 from hydrabeam_mpi.io.uvmeta import FREQ_TOLERANCE, linear_pols, read_observation
 from hydrabeam_mpi.io.uvrows import SAMPLE_BYTES, WINDOW_BYTES, read_rows
 

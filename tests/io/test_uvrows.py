@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hydrabeam_mpi.io.uvfile import read_metadata
+from hydrabeam_mpi.io.uvformat import FORMATS
 from hydrabeam_mpi.io.uvrows import SEEK_BYTES, WINDOW_BYTES, _windows, read_rows
 from tests.visibilities import ENU, SECOND, make_uvdata
 
@@ -53,7 +54,7 @@ def test_convention_of_polarisation_is_one_half_of_i(tmp_path, stated, given, fa
 @pytest.mark.parametrize(
     ("kind", "phased"),
     # pyuvdata writes uvfits and measurement sets phased only.
-    [("uvh5", False), ("uvh5", True), ("uvfits", True), ("ms", True), ("miriad", False), ("miriad", True)],
+    [(kind, phased) for kind in FORMATS for phased in (False, True) if phased or kind not in ("uvfits", "ms")],
 )
 @pytest.mark.filterwarnings("ignore:UVData object contains a mix", "ignore:writing default values")
 def test_every_format_gives_the_same_drift_scan(tmp_path, kind, phased):
