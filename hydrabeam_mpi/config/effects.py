@@ -1,4 +1,4 @@
-"""The tables of a job file that are about effects: in the model, in a simulation, and how to look for more."""
+"""The tables of a job file about effects: in the model, in a simulation, and in the search of the loop."""
 
 from __future__ import annotations
 

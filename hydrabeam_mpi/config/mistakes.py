@@ -17,7 +17,7 @@ from hydrabeam_mpi.errors import InputError
 Model = type[BaseModel]
 Details = dict[str, Any]
 
-# The library's words are about its own types; these are about TOML. Its error types begin with these keys.
+# Replace pydantic's messages about its own types by ones about TOML; keys are the beginnings of its error types.
 SHOULD_BE: dict[str, Callable[[Details], str]] = {
     "bool_": lambda _: "true or false",
     "int_": lambda _: "a whole number",

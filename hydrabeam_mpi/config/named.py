@@ -1,4 +1,4 @@
-"""The files and folders that a job names, looked at before anything is read."""
+"""The files and folders that a job names, checked before anything is read."""
 
 from __future__ import annotations
 

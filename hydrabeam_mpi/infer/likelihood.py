@@ -1,4 +1,4 @@
-"""What data say of some real parameters: a Gaussian in them, up to its height.
+"""The likelihood of some real parameters: a Gaussian, up to its height.
 
     ln L(x) = u.x - x^T K x / 2 + const,
 
@@ -66,7 +66,7 @@ class Likelihood:
     def freed(self, combinations: FloatArray) -> Likelihood:
         """Return the likelihood with combinations of the parameters, (n, q), marginalised without a prior.
 
-        It says nothing of these any more. Those that the data do not tell at all change nothing.
+        It no longer depends on these. Combinations that the data do not constrain at all change nothing.
         """
         present = np.sqrt(combinations**2 @ np.maximum(np.diag(self.signal), 0.0))
         combinations = combinations[present > 0] / present[present > 0, np.newaxis]

@@ -11,7 +11,7 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 # z-scores are counted in bins that are even near zero and logarithmic far out, up to |z| of about 1e6.
 Z_EDGES: FloatArray = np.sinh(np.linspace(-14.5, 14.5, 581))
 LARGEST_PREDICTIVE = 2.0
-"""Held-out reduced chi^2 under the posterior predictive above which a posterior claims too much to go unsaid.
+"""Above this held-out reduced chi^2 under the posterior predictive a warning says that the posterior is too narrow.
 
 Standard deviations are then too small by 1.4 or more, which no number of data makes up for.
 """

@@ -12,9 +12,9 @@ from hydrabeam_mpi.data.observation import FloatArray
 
 SMALLEST_LOG_P = -600.0  # log of p-values below which the distribution functions of scipy underflow
 SIGNIFICANT_P = 1e-3
-"""Probability, corrected for the number of looks, below which data without an error are not expected to look like this.
+"""Probability, corrected for the number of looks, below which a structure is taken as real.
 
-One data set in a thousand without any error still does.
+One data set in a thousand without any error still has one.
 """
 LARGEST = 1e9  # bound of significances, so that what is written is finite
 

@@ -18,7 +18,7 @@ from hydrabeam_mpi.io.reading import check_file, reading
 LARGEST_GAP = 1.5
 """Azimuths go all around where no gap is larger than this many times the mean, as those of rings do."""
 FEWEST_AZIMUTHS = 3
-"""Fewer do not tell a beam's shape in azimuth, nor make a ring."""
+"""Fewer do not resolve a beam's shape in azimuth."""
 LARGEST_STEP = 16.0
 """From the peak to the next largest sample: what a Gaussian falls by within its own full width at half maximum.
 

@@ -1,4 +1,4 @@
-"""Whether files are what they were: checksums of their content, and stamps that are quick to take."""
+"""Whether files have changed: checksums of their content, and quick stamps (size, time, inode)."""
 
 from __future__ import annotations
 

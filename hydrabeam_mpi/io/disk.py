@@ -1,4 +1,4 @@
-"""Disks that take no more: found before the work begins, and told where it happens all the same."""
+"""Full disks: detected before the work begins, and reported in one line if they fill up later."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def _size(n_bytes: int) -> str:
 
 @contextmanager
 def writing(folder: Path) -> Iterator[None]:
-    """Tell of a disk that takes no more as of wrong input.
+    """Report a full disk as an `InputError`.
 
     Raises
     ------

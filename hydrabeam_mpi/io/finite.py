@@ -1,4 +1,4 @@
-"""No result with numbers that are not finite: the last look at what is about to be written."""
+"""The last check before a result is written: all its numbers are finite."""
 
 from __future__ import annotations
 

@@ -156,7 +156,7 @@ def _read_solution(path: Path, observation: Observation) -> _Solution:
     if cal.gain_convention == "multiply":
         gains = 1 / gains
     if cal.pol_convention is not None:
-        # What the gains say of the data that they calibrate stands in place of what the job says.
+        # The convention that the gain file states for calibrated data overrides the job's.
         gains *= np.sqrt(2) ** ((cal.pol_convention == "avg") - (observation.pol_convention == "avg"))
     with reading(path, "gains"):
         return _Solution(gains, flags, *_stamps(cal), _feed_names(cal))

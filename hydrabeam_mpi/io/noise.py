@@ -94,7 +94,7 @@ def _check_autos_stored(lacking: BoolArray, files: Sequence[Path], observation: 
 
 
 def check_weights(n_unflagged: int, n_weighted: int, files: Sequence[Path]) -> None:
-    """Refuse data that say nothing, given counts over all tiles.
+    """Refuse data without any unflagged or weighted visibility, given counts over all tiles.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Other packages' readers: whatever fails in them is told in one line, and none takes more memory than there is."""
+"""Reading with other packages: any failure becomes one line, and no reader takes more memory than there is."""
 
 from __future__ import annotations
 

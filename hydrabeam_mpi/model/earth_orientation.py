@@ -1,4 +1,4 @@
-"""What it costs that dates lie beyond the table of the Earth's orientation, which astropy brings along."""
+"""How far sources are misplaced for dates beyond astropy's table of the Earth's orientation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Processes: who treats which channel, how arrays travel between ranks, and how a failure ends them all."""
+"""Processes: which rank has which channels, how arrays are sent between ranks, and how a failure ends all ranks."""
 
 from mpi4py.MPI import Comm
 

@@ -1,4 +1,4 @@
-"""Failing together: what one rank cannot do, no rank goes on without."""
+"""Failing together: when one rank fails, all ranks raise the error."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a user should not overlook about the data: said on the console, and first among the summary's warnings."""
+"""Doubts about the data, said on the console and first among the summary's warnings."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Effects of antennas, cables, clocks and of the basis of the beam; one a module."""
+"""Effects of antennas, cables and clocks, and of the beam's basis; one per module."""

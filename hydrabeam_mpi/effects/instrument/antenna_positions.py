@@ -19,7 +19,7 @@ _VECTORS_AT_ONCE = 2048
 
 
 class AntennaPositions(Effect):
-    """Each antenna stands a little off, the same at all times and frequencies.
+    """Each antenna is displaced a little, the same at all times and frequencies.
 
     What all antennas have in common changes nothing. Phases grow with the frequency by themselves, as displacements are
     in metres.

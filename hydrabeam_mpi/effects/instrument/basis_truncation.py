@@ -38,7 +38,7 @@ class BasisTruncation(Effect):
         return {"n_before": self.n_before}
 
     def not_applicable(self, setup: ObservingSetup) -> str | None:
-        """Refuse complex beams, and bases of which it is not known what comes next."""
+        """Refuse complex beams, and bases that do not know their next modes."""
         if self._next(setup) is None:
             return "it is not known which functions come next; a Fourier-Bessel or Zernike basis would tell"
         if not self.next_modes(setup).modes:

@@ -18,7 +18,9 @@ from hydrabeam_mpi.errors import InputError
 MIN_CHANNELS = 4
 MAX_ECHOES = 16
 STEPS_APART = 2  # of the delays scanned: a resolution
-"""Candidates of one antenna that are looked at together; one faulty antenna would otherwise fill all places."""
+"""Most candidates of one antenna that are compared together; one faulty antenna would otherwise crowd out all
+others.
+"""
 
 
 class CableReflections(ScannedEffect):
@@ -166,7 +168,7 @@ class CableReflections(ScannedEffect):
 
 
 def candidate_delays(setup: ObservingSetup) -> FloatArray:
-    """Return the delays that are scanned, ns, ascending; of the two at the limit, which are one, the late one.
+    """Return the delays that are scanned, ns, ascending; of the two aliases at the Nyquist limit the positive one.
 
     The result is (Ndelays,).
     """

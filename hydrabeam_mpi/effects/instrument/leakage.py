@@ -1,4 +1,4 @@
-"""Polarisation leakage: each feed of an antenna picks up some of what the other one should, e_i + d^e_i n_i.
+"""Polarisation leakage: each feed of an antenna picks up part of the other one's signal, e_i + d^e_i n_i.
 
 It is seen in cross-polarised visibilities. To first order, of a sky that is not polarised,
 
@@ -31,7 +31,7 @@ class Leakage(CrossPolarised):
     title = "polarisation leakage"
 
     def not_applicable(self, setup: ObservingSetup) -> str | None:
-        """Say what polarisations the files lack; None where they have what it takes."""
+        """Say which polarisations the files lack; None where all that are needed are there."""
         if self.feeds(setup) is not None:
             return None
         return (
@@ -113,7 +113,7 @@ class Leakage(CrossPolarised):
 
         Parameters
         ----------
-        experiment, bls, copols
+        setup, bls, copols
             As for `columns`.
         x : ndarray, (n_params,)
             D-terms.

@@ -1,4 +1,4 @@
-"""Times that are off: the data were taken a little later, or earlier, than they say."""
+"""A clock offset: the data were taken a little later, or earlier, than their timestamps say."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hydrabeam_mpi.model.earth_orientation import EARTH_RATE
 
 
 class Timestamp(TurningSky):
-    """All data were taken by one number of seconds later than their timestamps.
+    """All data were taken the same number of seconds later than their timestamps.
 
     The sky is turned about the celestial pole by the Earth's rate times the offset. Sources keep to the model when that
     takes them below the horizon, and none rise (see `effects.displaced`): a rim of 15 arcsec per second.

@@ -140,7 +140,7 @@ class Cause(ABC):
     """Whether all channels have the same parameters, through a law in frequency."""
 
     def not_applicable(self, setup: ObservingSetup) -> str | None:
-        """Say why these data cannot carry the effect, and which would; None where they can."""
+        """Say why these data cannot show the effect, and which could; None where they can."""
         return None
 
     @abstractmethod
@@ -148,7 +148,7 @@ class Cause(ABC):
         """Return the parameters."""
 
     def degenerate_directions(self, setup: ObservingSetup) -> FloatArray:
-        """Return combinations of all parameters that the data can never tell from another beam, (n, n_params).
+        """Return combinations of parameters that no data can tell from another beam, (n, n_params).
 
         They are held at zero where all of their parameters are free.
         """
@@ -199,13 +199,13 @@ class Effect(Cause):
     changes_sky: ClassVar[bool] = False
     """Whether the effect changes the sky (see `sky_factor`, `extra_sky`), by which it is part of A rather than of E."""
     linear: ClassVar[bool] = False
-    """Whether the data are so nearly linear in the parameters that a fit gains about what the columns promise."""
+    """Whether the data are so nearly linear in the parameters that a fit gains about what the linear model predicts."""
     local: ClassVar[Literal["times", "baselines"] | None] = None
-    """Whether the parameters belong to single times or baselines, so that other rows do not tell them."""
+    """Whether each parameter belongs to a single time or baseline, so that other rows do not constrain it."""
     is_about_the_beam: ClassVar[bool] = False
     """Whether it is a fault of the beam's model itself, so that it may well look like another beam."""
     is_control_model: ClassVar[bool] = False
-    """Whether it is weighed beside the effects for these to beat it, and never claimed itself."""
+    """Whether it is a control model: effects must explain the data better, and it is never claimed itself."""
 
     @property
     def gets_simpler_when_fitted(self) -> bool:
@@ -252,7 +252,7 @@ class Effect(Cause):
         return np.ones(block.shape, dtype=complex)
 
     def unphysical(self, x: FloatArray, std: FloatArray) -> str | None:
-        """Say why fitted parameters, (Nfreqs, n_params), cannot be this effect's; None where they can."""
+        """Say why fitted parameters, (Nfreqs, n_params), are unphysical for this effect; None where they are not."""
         return None
 
     def next_after(self, setup: ObservingSetup, newest: Effect) -> Effect:
@@ -271,11 +271,11 @@ class Effect(Cause):
 
 
 class ScannedEffect(Effect):
-    """An effect of which there are too many candidates to treat together: they are scanned one by one first."""
+    """An effect with too many candidates to fit together: they are scanned one by one first."""
 
     @property
     def gets_simpler_when_fitted(self) -> bool:
-        """Whether the candidates are but the nearest ones to what a fit finds between them."""
+        """Whether candidates lie on a grid, from which a fit moves on to the best values in between."""
         return not self.linear
 
     @abstractmethod

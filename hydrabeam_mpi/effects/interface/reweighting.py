@@ -1,4 +1,4 @@
-"""What changes how much the data weigh rather than what they are expected to be: noise and outliers.
+"""Effects on the weights of the data rather than on their expectation: noise level and outliers.
 
 No column describes these. They are told by the sizes of the whitened residuals z = r sqrt(w), which in truth have
 E|z|^2 = 1, and every one of them is fitted from sums over the rows, which ranks add up.
@@ -56,7 +56,7 @@ class Reweighting(ABC):
     title: ClassVar[str]
     """Name in sentences."""
     searched_again_with_heavy_tails: ClassVar[bool] = False
-    """Whether, where it is refused, it is looked for once more in what a fit leaves that large residuals pull less."""
+    """Whether, where it is refused, it is looked for once more in the residuals of a robust fit."""
     times_refitted: ClassVar[int] = 0
     """How often it is fitted again to the residuals of a fit that has it."""
 
@@ -122,7 +122,7 @@ class Reweighting(ABC):
 
     @abstractmethod
     def inject(self, data: ComplexArray, block: RowBlock, x: FloatArray, rng: np.random.Generator) -> ComplexArray:
-        """Return data with this in them that their weights do not tell, (Ntimes, Nbls), Jy; for simulations.
+        """Return simulated data with this effect, which their weights do not account for, (Ntimes, Nbls), Jy.
 
         Parameters
         ----------
@@ -144,5 +144,6 @@ def fitted_counts(counts: FloatArray, effective_parameters: NDArray[Any]) -> Flo
     share = np.asarray(effective_parameters, dtype=float)
     if share.ndim == 0:
         share = share * counts / max(float(counts.sum()), 1.0)
-    # Never to nothing: a baseline that the beam fits altogether says little, but is no proof that noise is absent.
+    # Never zero: a baseline that the beam fits entirely says little of the noise, but does not prove that there is
+    # none.
     return np.asarray(np.maximum(counts - 0.5 * share, 0.01 * counts))

@@ -1,4 +1,4 @@
-"""The noise is not as large as its weights say: sigma_jk -> s sqrt(s_j s_k) sigma_jk, global and by antenna.
+"""The noise differs from what the weights state: sigma_jk -> s sqrt(s_j s_k) sigma_jk, overall and by antenna.
 
 With Q the sum of |z|^2 over the rows of a baseline and n the number of rows,
 
@@ -24,7 +24,7 @@ from hydrabeam_mpi.effects.shared.whiteness import Structure, structure_of, whit
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.random import complex_normal
 
-# Widths of the prior on logarithms of scales among which the evidence decides.
+# Candidate widths of the prior on ln(scale); the evidence chooses among them.
 WIDTHS: FloatArray = np.geomspace(0.003, 3.0, 13)
 # Width of that of single antennas' scales.
 WIDTH_OF_FEW = 1.0
@@ -47,7 +47,7 @@ class _Solution:
 
 
 class NoiseLevel(Reweighting):
-    """Scales of the noise: one of all data, and of all or of few antennas where the evidence wants them.
+    """Scales of the noise: one for all data, and one for each of some or all antennas if the evidence supports that.
 
     The parameters of a channel are s, or s followed by s_j of all antennas in use, the mean of ln s_j being zero.
     """
@@ -108,7 +108,7 @@ class NoiseLevel(Reweighting):
         )
 
     def _reason(self, setup: ObservingSetup, sums: FloatArray, expected: FloatArray, scales: FloatArray) -> str | None:
-        """Say why residuals are not noise, in the channel where that is plainest; None where they may be."""
+        """Say why residuals are not noise, for the channel where that is clearest; None where they may be."""
         worst: Structure | None = None
         for channel, x in enumerate(scales):
             variance = _variance(setup, x)

@@ -1,4 +1,4 @@
-"""A few rows that have nothing to do with the rest, as interference leaves them: a heavy tail of |z|^2.
+"""A few rows far from all others, such as residual radio interference: a heavy tail of |z|^2.
 
 Whitened residuals z of Gaussian noise have u = |z|^2 distributed as exp(-u). The alternative is that a fraction p of
 the rows, at most 5%, have instead

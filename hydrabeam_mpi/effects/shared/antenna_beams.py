@@ -1,4 +1,4 @@
-"""What baselines see whose antennas do not have the same beam.
+"""Visibilities of baselines whose two antennas have different beams.
 
 The power beam of a baseline is the product of its antennas' voltage beams. With their phases alike that of i and j is
 

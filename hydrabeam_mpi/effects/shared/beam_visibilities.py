@@ -1,4 +1,4 @@
-"""What the current beam sees on vectors that are not those of a block's groups."""
+"""Visibilities of the current beam on baseline vectors other than those of a block's groups."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from hydrabeam_mpi.model.beam import CoefficientBeam
 from hydrabeam_mpi.model.rime import Beam
 
 FEW = 4
-"""Vectors up to which the visibilities of all modes, which serve any beam, are worth their making and their room."""
+"""For up to this many vectors the visibilities of all modes, from which those of any beam follow, are computed and
+kept.
+"""
 
 
 def beam_visibilities(block: RowBlock, vectors: FloatArray) -> ComplexArray:

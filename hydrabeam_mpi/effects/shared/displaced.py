@@ -106,7 +106,7 @@ class TurnedPositions:
 def turned_sky(block: RowBlock, rotations: FloatArray) -> RowBlock:
     """Return a block of those times whose rotation, a row of (Ntimes, 3), is not zero, with the sky turned.
 
-    It is good for `Scene.integrate` only.
+    Only for `RowBlock.integrate`.
     """
     turned = rotations.any(axis=1)
     times = block.times[turned]
@@ -115,7 +115,7 @@ def turned_sky(block: RowBlock, rotations: FloatArray) -> RowBlock:
 
 
 def need_real_beam(setup: ObservingSetup) -> str | None:
-    """Say why an effect that needs a real power beam cannot be had; None where it can."""
+    """Say why an effect that needs a real power beam cannot be used; None where it can."""
     if is_copolar(setup):
         return None
     return f"the power beam of '{setup.observation.pols[0]}' is complex; equal feeds, such as 'ee', would tell"

@@ -16,7 +16,7 @@ from hydrabeam_mpi.errors import InputError
 
 
 class PerBaseline(ScannedEffect):
-    """A complex amplitude of each baseline and channel, with a course in time p(t) that all share: E_ij = x_ij p(t).
+    """A complex amplitude of each baseline and channel, with a time dependence p(t) that all share: E_ij = x_ij p(t).
 
     Amplitudes are those of the baseline in its group's sense, which is also that of the parameters' names; they are
     conjugated where the data have the baseline the other way round.

@@ -1,4 +1,4 @@
-"""Whether residuals are white: sums over rows, and what speaks against it."""
+"""Whether residuals are white: sums over rows, and tests on them."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from hydrabeam_mpi.effects.interface.row_block import RowBlock
 
 # A structure counts from this many standard deviations on ...
 MIN_SIGMA = 5.0
-# ... if it holds more than this share of what residuals have beyond the noise that they should be.
+# ... if it holds more than this share of the power of the residuals beyond the expected noise.
 MIN_SHARE = 0.25
 
 
 class Structure(NamedTuple):
-    """Something about residuals that is not noise: in words, its share of their excess, and its significance."""
+    """A structure in residuals that is not noise: in words, its share of their excess, and its significance."""
 
     what: str
     share: float

@@ -94,7 +94,7 @@ class Horizon(ScannedEffect):
         return Columns(values, len(x), by_group=True)
 
     def unphysical(self, x: FloatArray, std: FloatArray) -> str | None:
-        """Object to what mostly makes sources brighter: nothing that stands there does, but another beam may.
+        """Refuse fits that mostly make sources brighter: no obstruction does, but another beam may.
 
         Both are (Nfreqs, n_params).
         """
@@ -209,7 +209,7 @@ def _called(box: Box) -> str:
 
 
 def _overlap(windows: IntArray, heights: IntArray) -> float:
-    """Return which part of the area of two walls together is in both."""
+    """Return the overlap of two walls as a fraction of their joint area."""
     sectors = np.zeros((2, SECTORS), dtype=bool)
     for row, window in zip(sectors, windows.tolist(), strict=True):
         row[(STARTS[window] + np.arange(LENGTHS[window])) % SECTORS] = True

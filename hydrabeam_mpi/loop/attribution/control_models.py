@@ -1,4 +1,4 @@
-"""A beam that changes in time: no effect that is ever claimed, but one that others must beat.
+"""Control models: a beam that drifts in time. It is never claimed, but effects must explain the data better than it.
 
 All effects are constant, or follow the sky. A beam that changes does neither; sources' fluxes, or more of them, take up
 much of it. If its change, linear in time, explains data better than any effect does, then none of these is the cause.
@@ -21,7 +21,7 @@ LEAST_TIMES = 4
 SHAPE = ("level", "tilt towards East", "tilt towards North", *MODES)
 CHANGE = 0.05
 FLOOR = 1e-3
-"""Expected change of a mode at least, relative to the largest one."""
+"""Least expected change of a mode, relative to that of the largest one."""
 
 
 class BeamDrift(Effect):
@@ -62,7 +62,7 @@ class BeamDrift(Effect):
 class ShapeDrift(BeamDrift):
     """Change of the beam's level, pointing, widths and sidelobes from the middle to the end of the times.
 
-    Few numbers tell what the modes of a basis need many for; each may change by itself.
+    A few numbers describe what would take many modes of the basis; each changes independently.
     """
 
     def not_applicable(self, setup: ObservingSetup) -> str | None:
@@ -98,5 +98,5 @@ def _largest(setup: ObservingSetup) -> tuple[FloatArray, IntArray]:
 
 
 def control_models(setup: ObservingSetup) -> list[BeamDrift]:
-    """Return the ways in which these data can tell a beam that changes."""
+    """Return the control models that these data can constrain."""
     return [one for one in (BeamDrift(), ShapeDrift()) if one.not_applicable(setup) is None]

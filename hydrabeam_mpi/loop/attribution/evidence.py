@@ -1,4 +1,4 @@
-"""How much the data want an effect: evidence ratios of linear Gaussian models, maximised over the prior's width.
+"""The evidence for an effect: Bayes factors of linear Gaussian models, maximised over the width of the prior.
 
 With the beam marginalised the likelihood of an effect's parameters x is exp(u.x - x^T K x / 2) relative to that of no
 effect. With the prior x ~ N(0, T), T diagonal, the logarithm of the Bayes factor is
@@ -31,7 +31,7 @@ MIN_GAIN = 4.0
 
 @dataclass(frozen=True)
 class Evidence:
-    """What is found out about an effect.
+    """What the data say of an effect.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class Evidence:
 def find_evidence(
     blocks: Sequence[Likelihood], parameters: Parameters, degenerate_directions: FloatArray | None = None
 ) -> Evidence:
-    """Weigh an effect with the better of the two priors.
+    """Compute the evidence for an effect with the better of the two priors.
 
     Parameters
     ----------
@@ -80,7 +80,8 @@ def find_evidence(
     parameters : Parameters
         Those `nonlinear` have no part.
     degenerate_directions : ndarray, (n, q), optional
-        Combinations of parameters that are free whatever the prior, so that nothing is concluded from them.
+        Combinations that no data can tell from another beam. They are marginalised without a prior, so that they add
+        nothing to the evidence.
     """
     if degenerate_directions is not None and len(degenerate_directions):
         blocks = [block.freed(degenerate_directions) for block in blocks]
@@ -152,7 +153,7 @@ def _sparse(scaled: Sequence[tuple[FloatArray, FloatArray]], parameters: Paramet
 
 
 def _filled(widths: FloatArray) -> FloatArray:
-    """Give elements before the last one that was taken, and were not, widths as their neighbours have."""
+    """Give elements that were passed over before the last one taken the widths of their neighbours."""
     taken, place = np.flatnonzero(widths), np.arange(len(widths))
     return np.where(place > taken[-1], 0.0, np.exp(np.interp(place, taken, np.log(widths[taken]))))
 
@@ -171,7 +172,7 @@ def _members(parameters: Parameters) -> np.ndarray:
 def _element_gains(
     working: Sequence[tuple[FloatArray, FloatArray]], members: np.ndarray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return by how much each element alone would raise ln BF, and the width with which it does."""
+    """Return by how much each element alone would raise ln BF, and at which prior width."""
     present = members >= 0
     total = np.zeros((len(TAUS), len(members)))
     for information, score in working:
@@ -191,8 +192,8 @@ def _condition(
 ) -> tuple[FloatArray, FloatArray]:
     """Marginalise some parameters with their prior.
 
-    Along directions that the data do not tell there is nothing to take: what stands there is left by rounding, has
-    either sign, and would outweigh a wide prior's precision.
+    Directions that the data do not constrain are skipped: their entries are rounding errors of either sign, which would
+    outweigh the precision of a wide prior.
     """
     values, vectors = np.linalg.eigh(information[np.ix_(chosen, chosen)])
     told = values > RANK_RTOL * max(values[-1], 0.0)

@@ -1,4 +1,4 @@
-"""Which effect the residual comes from: every effect's evidence with the beam and all that is free marginalised."""
+"""Which effect the residual comes from: the evidence for each, with beam and all other parameters marginalised."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from hydrabeam_mpi.loop.attribution.evidence import Evidence, find_evidence
 from hydrabeam_mpi.mpi import allreduce_sum, bcast_object, gather_objects, together
 
 MAX_ELEMENTS = 350
-"""Elements of a scanned effect that are weighed together, the best of the scan."""
+"""How many of a scan's best candidates are compared together."""
 
 
 @dataclass(frozen=True)
@@ -214,7 +214,7 @@ def _candidate_sums(
 class CachedRowBlocks:
     """A rank's fitted rows with the current model of them, as blocks.
 
-    Where there is room for the design, the blocks stay, so that what effects have worked out of them serves again.
+    Where memory allows, the blocks are kept, so that what effects computed from them is reused.
     """
 
     context: FitContext

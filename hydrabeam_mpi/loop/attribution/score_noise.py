@@ -20,7 +20,7 @@ from hydrabeam_mpi.mpi import allreduce_sum, bcast_object, together
 
 @dataclass(frozen=True)
 class WeightsFound:
-    """A change of the weights, its evidence, and the fit whose residuals have told it."""
+    """A change of the weights, its evidence, and the fit to whose residuals it was fitted."""
 
     change: Reweighting
     fit: ReweightingFit
@@ -28,7 +28,7 @@ class WeightsFound:
 
 
 class HeavyTails:
-    """Weights of noise with the tails of a Cauchy distribution: rows count the less the further off they are."""
+    """Weights for noise with Cauchy tails, under which outlying rows count less."""
 
     kind = "heavy_tails"
 
@@ -43,8 +43,8 @@ class HeavyTails:
 def fit_reweightings(context: FitContext, fitted: Fitted, changes: Sequence[Reweighting]) -> list[WeightsFound]:
     """Fit every change of the weights. Collective: all ranks of the grid.
 
-    A few strong outliers pull a fit so far off that all rows seem to be outliers. Where these are refused they are
-    therefore looked for once more, in the residuals of a fit to which rows count the less the further off they are.
+    A few strong outliers can pull a fit so far off that all rows seem to be outliers. Where outliers are refused they
+    are therefore looked for once more, in the residuals of a fit in which outlying rows count less.
     """
     found = _fit_all(context, fitted, changes)
     for i, one in enumerate(found):

@@ -1,1 +1,1 @@
-"""What is looked for by itself: conventions, and leakage in the cross-polarisations."""
+"""Checks outside the joint fit: conventions, and leakage in the cross-polarisations."""

@@ -1,6 +1,6 @@
-"""Other conventions that data may follow than the one stated, and the model's visibilities under each.
+"""Conventions that data may follow instead of the one stated, and the model's visibilities under each.
 
-What one wrong convention does another may do too, and only one of them is listed. ant1 and ant2 exchanged, fringes of
+Of wrong conventions with the same consequence only one is listed. ant1 and ant2 exchanged, fringes of
 the other sign, and baselines taken as pos(ant1) - pos(ant2) all conjugate; so does a flat array turned by 180 degrees.
 An azimuth that a beam file counts from North through East mirrors the beam at the diagonal, which turns a beam with two
 mirror axes by 90 degrees, as exchanged polarisations do.

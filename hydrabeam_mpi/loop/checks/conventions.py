@@ -1,4 +1,4 @@
-"""Exact checks before any physics: whether the data follow another convention than the one stated.
+"""Checks before any fit: whether the data follow another convention than the one stated.
 
 The model beam's visibilities, nothing of which is fitted, are compared with the data as they are and under each
 alternative, at a few times. A wrong convention is no small error: under the right one most of the residual is gone.
@@ -87,7 +87,7 @@ class Score:
         return 1 - self.excess / (self.data - self.n) if self.data > self.n else 0.0
 
     def betters(self, stated: Score, left: float) -> bool:
-        """Tell whether this leaves less than a fraction of the stated convention's residual power, surely."""
+        """Tell whether this leaves significantly less than a fraction of the stated convention's residual power."""
         good = self.excess < left * stated.excess and stated.chi2 - self.chi2 > MIN_FALL
         return good and abs(self.amplitude - 1) < AMPLITUDE_TOLERANCE
 
@@ -182,7 +182,7 @@ def _scores(grid: ProcessGrid, problem: Problem, rows: Rows, alternatives: Seque
 
 
 def _factor(stated: Score) -> dict[str, tuple[Score, str]]:
-    """Return the factor by which the data are wrong as a whole, if they are."""
+    """Return the factor by which all data are wrong, if there is one."""
     found = {}
     for factor, (name, remedy) in FACTORS.items():
         unscaled = stated.chi2_unscaled
@@ -193,7 +193,7 @@ def _factor(stated: Score) -> dict[str, tuple[Score, str]]:
 
 
 def _is_met(grid: ProcessGrid, problem: Problem, rows: Rows, clock: Alternative, score: Score) -> bool:
-    """Tell whether the times are wrong by just what the clock is. Collective: all ranks of `grid.world`.
+    """Tell whether the times are wrong by exactly the offset of that clock. Collective: all ranks of `grid.world`.
 
     A parabola through chi^2 on both sides has its minimum there: a timestamp that is wrong by anything else is not a
     matter of convention.

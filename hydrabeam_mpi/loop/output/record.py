@@ -16,7 +16,7 @@ from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round, i
 from hydrabeam_mpi.loop.selection.rounds import History
 
 LEAST_TOLD = 0.5
-"""Part of the prior's variance up to which a parameter is told by the data."""
+"""A parameter counts as measured if its posterior variance is at most this fraction of the prior's."""
 UNDECIDABLE = (
     ("common flux scale", "all fluxes times a number are the same as the beam times that number"),
     ("common gain amplitude", "all gains times a number are the same as the beam times its square"),

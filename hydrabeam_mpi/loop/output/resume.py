@@ -1,4 +1,4 @@
-"""Going on where an earlier run of the same loop was ended, and leaving a later one the same."""
+"""Resuming an earlier run of the same loop, and keeping rounds for a later run to resume."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Keeper:
     about: Callable[[], dict[str, Any]]
 
     def go_on(self, earlier: Path | None, out: Path, overwrite: bool) -> History | None:
-        """Return the course that is kept in ``earlier``; None to begin anew.
+        """Return the history that is kept in ``earlier``; None to begin anew.
 
         Collective: all ranks of the grid.
 
@@ -112,7 +112,7 @@ class Keeper:
         return False
 
     def __call__(self, history: History) -> None:
-        """Keep a course whose last round has ended. Collective: all ranks of the grid."""
+        """Keep a history whose last round has ended. Collective: all ranks of the grid."""
         record = make_record(self.context, history, self.skipped, self.conventions, None, interrupted=True)
         texts = {}
         with together(self.context.grid.world):

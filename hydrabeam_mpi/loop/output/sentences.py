@@ -33,7 +33,7 @@ def _sigmas(one: dict[str, Any]) -> float:
 
 
 def say_verdict(verdict: str, chi2: float, where: dict[str, Any], control: dict[str, Any] | None = None) -> str:
-    """Tell how the loop ended; ``control`` is what explains more than any effect and is none."""
+    """Tell how the loop ended; ``control`` is a control model that explains more than any effect."""
     error = f"held-out reduced chi^2 {chi2:.4g}"
     if verdict == "consistent":
         return f"Nothing is missing: the data agree with the model within the noise ({error})."

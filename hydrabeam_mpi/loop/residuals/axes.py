@@ -19,8 +19,9 @@ MAX_LENGTHS = 16
 N_DIRECTIONS = 12
 N_LSTS = 48
 SPECTRAL_CONCENTRATION = 4.0
-"""The model's own uncertainty is smooth over times and channels. Its power is taken to fall into a quarter of the
-values of a spectrum at worst."""
+"""Fraction of a spectrum into which the power of the model's own uncertainty, smooth over times and channels, is
+assumed to fall at worst.
+"""
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ class Freedom:
         return 1 + self.share
 
     def heavier(self, sums: ResidualSums) -> Freedom:
-        """Allow for the scatter of sums over values whose distribution has the tails that it is found to have."""
+        """Allow for the scatter of sums over values with the tails that their distribution is found to have."""
         excess = sums.n * float(sums.quartic[0]) / max(sums.chi2, 1e-300) ** 2 - 2
         return Freedom(self.scale * (1 + max(excess, 0.0) / 2) - 1)
 
@@ -151,7 +152,7 @@ def all_axes(sums: ResidualSums, layout: Layout) -> dict[str, Axis]:
 
 
 def length_bins(layout: Layout) -> tuple[IntArray, int]:
-    """Put each baseline into a bin of lengths: one a length where these are few, else equally many baselines each.
+    """Bin baselines by length: one bin per length where there are few lengths, else bins of equally many baselines.
 
     Returns the bin of each, (Nbls,), and how many bins there are.
     """

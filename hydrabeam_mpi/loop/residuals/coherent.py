@@ -23,7 +23,7 @@ from hydrabeam_mpi.infer.significance import chi2_sigma
 from hydrabeam_mpi.mpi import Comm, allreduce_sum
 
 LEAST_LEFT = 1e-3
-"""Part of the best known parameter's information that a look must have."""
+"""Least information that a look must have, as a fraction of that of the best constrained parameter."""
 ROUNDING = 1e-9
 GAINS, CHANGES = "gains", "changes of gains"
 FACTORS, CONSTANTS = OF_BASELINES = "factors of baselines", "constants of baselines"

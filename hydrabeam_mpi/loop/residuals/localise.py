@@ -205,7 +205,7 @@ def _beyond_chance(sigma: float) -> bool:
 
 
 def _of_few_baselines(layout: Layout, axes: dict[str, Axis], chosen: dict[str, IntArray]) -> bool:
-    """Tell whether baselines say more than antennas: less than half of those that the chosen antennas have."""
+    """Tell whether to name baselines: whether fewer than half of the chosen antennas' baselines carry the excess."""
     if "baselines" not in chosen or "antennas" not in chosen:
         return "baselines" in chosen
     numbers = np.array(axes["antennas"].what)[chosen["antennas"]]

@@ -40,7 +40,7 @@ class Look:
 
     @property
     def log_p(self) -> float:
-        """Natural log of the probability of such a find on this axis by chance."""
+        """Natural log of the probability that noise gives so large a value anywhere on this axis."""
         return log_p_of_looks(float(log_p_two_sided(self.sigma)), self.n_looks)
 
 
@@ -133,7 +133,7 @@ def coherent_look(coherence: Coherence, layout: Layout, level: float = 1.0) -> L
 
 
 def shape_looks(sums: ResidualSums, axes: dict[str, Axis], freedom: Freedom) -> list[Look]:
-    """Return the looks that do not ask for the level: unevenness, correlations, kurtosis and the largest residual."""
+    """Return the looks that do not depend on the noise level: unevenness, correlations, kurtosis, largest residual."""
     # Entries too much alike, as after dividing by fitted scales, are no structure.
     uneven = {name: max(axis.unevenness(freedom), 0.0) for name, axis in axes.items() if len(axis) > 1}
     pairs = {entry["what"]: entry["sigma"] for entry in _correlations(sums, freedom)}

@@ -1,6 +1,6 @@
 """Bright spots: what is left at each single time as an image of the sky.
 
-A satellite, an aeroplane, the Sun or a transient is somewhere at every time and nowhere for long. No sum over times
+A satellite, an aeroplane, the Sun or a transient moves or lasts only briefly. No sum over times
 along the sky or along the ground finds it, and chi^2 of a time spreads it over all baselines. The matched filter of
 one direction s,
 

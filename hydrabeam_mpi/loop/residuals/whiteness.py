@@ -1,4 +1,4 @@
-"""Whether an excess has no structure at all, so that it is only a misjudged noise level."""
+"""Whether an excess has no structure at all, so that only the stated noise level is wrong."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def is_white(
 def antenna_scales(sums: ResidualSums, layout: Layout) -> FloatArray:
     """Return variances s_i, (Nants,), such that the mean |z_ij|^2 is nearest to 2 s_i s_j, in the logarithm.
 
-    Antennas without data, and combinations that the baselines do not tell, have the scale nearest to one.
+    Antennas without data, and combinations that the baselines do not constrain, get the scale nearest to one.
     """
     has = (sums.by_baseline[0] > 0) & (sums.by_baseline[1] > 0)
     n, power = sums.by_baseline[:, has]

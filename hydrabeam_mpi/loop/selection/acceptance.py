@@ -1,4 +1,4 @@
-"""What may be tried in a round, and by what rules it is preferred, accepted or refused."""
+"""The rules of a round: which effects are tried, in which order, and when one is accepted or refused."""
 
 from __future__ import annotations
 
@@ -15,22 +15,24 @@ from hydrabeam_mpi.loop.residuals.remains import Remains
 from hydrabeam_mpi.loop.selection.heldout_score import HeldoutScore, gain_significance
 
 MAX_ABSORBED = 0.95
-"""Fraction of an effect's signature within the beam's own freedom above which it is claimed only if it explains all."""
+"""Where the beam can absorb more than this fraction of an effect's signature, it is claimed only if nothing else is
+left.
+"""
 HOPELESS = 0.99
 """Such a fraction above which it is not even fitted."""
 NEARLY_ABSORBED = 0.9
-"""Such a fraction before an effect is fitted from which on it is asked again afterwards.
+"""Above this, check absorption again after the fit.
 
-A strong one that changes the sky then is what the beam sees, and has much in common with it in any case.
+A strong effect that changes the sky is then part of what the beam sees, so that the two always have much in common.
 """
 TOO_SMALL = 0.7
 """Held-out reduced chi^2 below which predictions claim far less than they should."""
 NEAR = 0.1
-"""Effects with less than this part of the best one's evidence are not fitted."""
+"""Effects with less than this fraction of the best one's evidence are not fitted."""
 NEAR_IF_LINEAR = 0.7
-"""The same for those whose evidence a fit does not change much."""
+"""The same for effects that are nearly linear, whose evidence a fit hardly changes."""
 UNDECIDED_NATS = 5.0
-"""Effects whose evidence is nearer than this to the best one's cannot be told from it."""
+"""Effects whose ln evidence differs by less than this from the best one's cannot be told from it."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ class Candidate:
 
     @property
     def is_control(self) -> bool:
-        """Whether it is weighed beside the effects without being one, so that it is never claimed."""
+        """Whether it is a control model: compared with the effects, but never claimed."""
         return self.finding is not None and self.finding.effect.is_control_model
 
 
@@ -71,9 +73,9 @@ class Round:
 
 
 def is_absorbed(candidate: Candidate, limit: float = MAX_ABSORBED) -> bool:
-    """Whether nearly all of an effect's signature is what another beam would do, so that the data cannot tell it.
+    """Whether another beam would explain nearly all of an effect's signature, so that data cannot tell them apart.
 
-    Not of what is about the beam itself, such as a basis that is too small.
+    Never so for faults of the beam model itself, such as a basis that is too small.
     """
     if candidate.finding is None or candidate.finding.effect.is_about_the_beam:
         return False
@@ -83,7 +85,7 @@ def is_absorbed(candidate: Candidate, limit: float = MAX_ABSORBED) -> bool:
 def is_hopeless(candidate: Candidate, wanted: Sequence[Candidate]) -> bool:
     """Whether what the beam can absorb of an effect is too much for it to be fitted.
 
-    That is worth while for what has the most evidence all the same and might explain everything.
+    The effect with the most evidence is fitted all the same, as it might explain everything.
     """
     best = max(one.log_bayes_factor for one in wanted)
     return is_absorbed(candidate, HOPELESS) or (is_absorbed(candidate) and candidate.log_bayes_factor < best)
@@ -99,8 +101,8 @@ def absorbed_reason(candidate: Candidate) -> str:
 def in_order(wanted: Sequence[Candidate], most: int) -> list[Candidate]:
     """Order candidates for trial: by evidence, but a change of the weights after all effects that come near it.
 
-    What has a structure is no noise, whereas a larger noise seems to explain anything. Of the effects there are the
-    ``most`` likely ones.
+    A residual with structure is not noise, but a higher noise level seems to explain any residual. At most ``most``
+    effects are returned.
     """
     top = max((one.log_bayes_factor for one in wanted), default=0.0)
 
@@ -114,7 +116,8 @@ def in_order(wanted: Sequence[Candidate], most: int) -> list[Candidate]:
 def is_better(fitted: Candidate, after: Checked, best: Round) -> bool:
     """Whether a fitted effect is better than the best so far.
 
-    By the evidence of the fitted data and the predictive density of the others, which together are the evidence of all.
+    Compares the evidence of the fitted data plus the predictive density of the held-out ones: together the evidence of
+    all data.
     """
     ahead = fitted.log_bayes_factor - best.candidate.log_bayes_factor
     return ahead + after.score.log_density - best.after.score.log_density > 0

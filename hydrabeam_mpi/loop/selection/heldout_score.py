@@ -13,7 +13,7 @@ from hydrabeam_mpi.infer.significance import sigma_of_log_p
 from hydrabeam_mpi.mpi import allreduce_sum
 
 NEARLY_NOISE = 1.1
-"""Held-out reduced chi^2 up to which the noise that the weights state is all that matters."""
+"""Up to this held-out reduced chi^2 the stated noise accounts for the residuals."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class HeldoutScore:
 
     @property
     def log_density_at_own_level(self) -> float:
-        """The same with all variances times the reduced chi^2, so that wider predictions gain nothing by that."""
+        """The same with all variances scaled by the reduced chi^2, so that merely wider predictions gain nothing."""
         return -self.n_data * float(np.log(self.chi2)) - self.log_spread if self.chi2 > 0 else -np.inf
 
     @property
@@ -89,9 +89,9 @@ def fall_significance(before: HeldoutScore, after: HeldoutScore) -> float:
 def gain_significance(before: HeldoutScore, after: HeldoutScore, log_ratio: float) -> float:
     """Return the significance with which held-out data got better.
 
-    From blocks, whose falls differ however large they are. Where little but noise is left the predictive densities
-    tell more: a ratio of these of e^k, ``log_ratio`` being k, has a probability of e^-k at most if the effect is not
-    there, however it was fitted.
+    Taken from the scatter of the improvement between blocks. Where little but noise is left the predictive densities
+    tell more: without the effect, a ratio of e^k (``log_ratio`` is k) occurs with a probability of e^-k at most,
+    however it was fitted.
     """
     by_blocks = fall_significance(before, after)
     if log_ratio > 0 and after.chi2 <= NEARLY_NOISE:

@@ -39,7 +39,9 @@ MAX_TRIES = 6
 MAX_PRUNED = 3
 """Times at most that an effect is fitted again with another prior, or with fewer elements."""
 WEAK_SIGMA = 4.0
-"""Significance below which an element with a place is given up; among so many places noise has this now and then."""
+"""Significance (sigma) below which an element with a position, such as a source, is dropped after the fit: among many
+trial positions noise alone reaches this now and then.
+"""
 
 
 @dataclass
@@ -52,11 +54,11 @@ class History:
         Before the first and after the last round.
     rounds : list of Round
     tried : list of (Candidate, str)
-        What evidence wanted and held-out data refused, with the reason.
+        Candidates that had the evidence but were refused by the held-out data, with the reason.
     ranking : tuple of Candidate
         Of the last search, in which nothing more was found.
     control : Round, optional
-        What explained the data better than any effect in the last search, and is none of them; not added.
+        Control model that explained the data better than any effect in the last search; not added.
     """
 
     first: Checked
@@ -82,7 +84,7 @@ def run_rounds(
     clock: Clock,
     keep: Callable[[History], None],
 ) -> None:
-    """Look for effects until there is none left that the data want.
+    """Look for effects until no further one improves the model.
 
     Collective: all ranks of the grid.
 
@@ -96,7 +98,7 @@ def run_rounds(
     clock : Clock
         Receives the phases "attribution", "trials" and "keep".
     keep : callable
-        Gets the course whenever a round has ended that has found something.
+        Gets the history after each round that has found something.
     """
     settings, checked = context.problem.job.loop, history.last
     speaks = context.grid.is_world_root
@@ -209,7 +211,7 @@ def _fit(context: FitContext, checked: Checked, candidate: Candidate) -> tuple[C
 def _fit_weights(
     context: FitContext, before: Fitted, candidate: Candidate, found: WeightsFound
 ) -> tuple[Candidate, Checked]:
-    """Fit with other weights, and scales of the noise again to what that leaves."""
+    """Fit with changed weights, then fit the noise scales again to the residuals."""
 
     def weighted(start: Fitted, fit: ReweightingFit) -> Fitted:
         added = Reweighted(found.change, fit.x, fit.std)
@@ -225,9 +227,9 @@ def _fit_weights(
 
 
 def _without_weak(context: FitContext, fitted: Fitted, prior_var: FloatArray) -> FloatArray:
-    """Take the last effect's prior from elements with a place or the like that have nothing there once fitted to it.
+    """Drop elements, such as sources, that turn out insignificant once their own positions have been fitted.
 
-    Such are the ghosts of a source in the lobes of an array, which stand in for an error of its first position.
+    An example are ghosts of a source in the array's sidelobes, which only made up for an error of its first position.
     """
     last, std = fitted.values.active[-1], fitted.fit.std[-1]
     parameters = last.effect.parameters(context.setup)
@@ -242,7 +244,7 @@ def _without_weak(context: FitContext, fitted: Fitted, prior_var: FloatArray) ->
 
 
 def _restarted(context: FitContext, active: Active, prior_var: FloatArray) -> Active:
-    """Begin again with another prior from where the effect has been fitted."""
+    """Restart the fit from the fitted values with another prior."""
     nonlinear = active.effect.parameters(context.setup).nonlinear
     start = np.where((prior_var > 0) | nonlinear, active.x, 0.0)
     return Active.start(active.effect, context.setup, prior_var, start)

@@ -19,12 +19,12 @@ from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.model.bases.rings import RingGrid
 
 NEGLIGIBLE = 1e-9
-"""Coefficients below this part of the largest are rounding errors."""
+"""Coefficients below this fraction of the largest are rounding errors."""
 
 
 @dataclass(frozen=True)
 class Selection:
-    """So many modes of a basis as a beam asks for.
+    """A number of modes to be selected from a basis by a beam's coefficients.
 
     Attributes
     ----------

@@ -44,7 +44,7 @@ def draw_coefficients(channel: Channel) -> Drawing:
 
 
 def _order(size: Array) -> str:
-    """Say so where the modes stand in the order of their size: nearly so, as a refit moves them a little."""
+    """Say so where modes are sorted by amplitude, which a refit changes a little."""
     rank = np.argsort(np.argsort(-size))
     in_order = len(size) > 2 and np.corrcoef(rank, np.arange(len(size)))[0, 1] > 0.9
     return ", the largest of the model beam first" if in_order else ""

@@ -38,9 +38,9 @@ def load_loop(directory: Path) -> Entry | None:
 
 @contextmanager
 def as_written(directory: Path) -> Iterator[None]:
-    """Tell of ``loop.json`` whose values are not of the kind that their names say, as of wrong input.
+    """Turn failures caused by wrong values in ``loop.json`` into an error about that file.
 
-    Any key may be missing or null, and is left out; what stands there in its place may be anything.
+    Keys that are missing or null are left out; values may be of any wrong type.
 
     Raises
     ------

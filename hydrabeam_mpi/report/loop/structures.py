@@ -92,7 +92,7 @@ def _pattern(one: Entry) -> Array | None:
 
 
 def _times(given: Entry) -> tuple[Array, str]:
-    """Return times that ascend, with a label: sidereal ones, or hours, or for several days their order alone."""
+    """Return an ascending time axis with its label: LST, hours, or for several days the order alone."""
     lsts, jds = np.asarray(given.get("lsts_h") or []), np.asarray(given.get("jds") or [])
     if len(lsts) and np.all(np.diff(lsts) > 0):
         return lsts, "LST (h)"

@@ -34,7 +34,7 @@ def _what_it_lacked(loop: Entry, names: str, fall: str) -> str:
 
 
 def _foreign(loop: Entry) -> str:
-    """Tell what would explain more than any effect and is none of them; empty where nothing would."""
+    """Name the control model that would explain more than any effect; empty where none would."""
     control = loop.get("foreign")
     if not isinstance(control, dict):
         return ""
@@ -67,7 +67,7 @@ def _fall(loop: Entry, amended: bool) -> str:
 
 
 def further_words(loop: Entry) -> list[str]:
-    """Return what the loop itself says, without the sentences that stand in the table of rounds."""
+    """Return the loop's own sentences except those in the table of rounds."""
     told = {str(entry.get("sentence")) for entry in entries(loop, "rounds")}
     return [str(line) for line in loop.get("said") or [] if line not in told]
 
