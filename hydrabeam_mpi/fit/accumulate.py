@@ -38,7 +38,7 @@ def accumulate(rows: Rows, model: ForwardModel, basis: LinearBasis, show: bool =
 
 
 def accumulate_designs(rows: Rows, by_time: Iterable[NDArray[Any]], basis: LinearBasis) -> list[NormalEquations]:
-    """Do as `accumulate` with the design of each time, as `designs` gives it."""
+    """Do as `accumulate` with the design of each time, (Nfreqs, ..., Nlocal, n_modes), as `designs` gives it."""
     normals = [NormalEquations([Block(BEAM, basis.n_modes, basis.is_complex)]) for _ in rows.data]
     buffers = [RowBuffer(normal, BEAM) for normal in normals]
     weighted, weights = rows.compressed()
@@ -84,7 +84,8 @@ def check_designs(
 ) -> list[HeldoutStatistics]:
     """Do as `check_heldout` with each time's design and the model beam's visibilities, (Nfreqs, Ntimes, Nlocal).
 
-    ``more_variance`` of the predictions' parts, (Nfreqs, 2, Ntimes, Nbls), Jy^2, is that by anything but the beam.
+    ``more_variance``, (Nfreqs, 2, Ntimes, Nbls) in Jy^2, is added to the variance of real and imaginary parts that the
+    beam's uncertainty gives.
     """
     statistics = [HeldoutStatistics() for _ in rows.data]
     for t, design in enumerate(by_time):
@@ -99,7 +100,7 @@ def check_designs(
 
 
 def designs(rows: Rows, model: ForwardModel, basis: LinearBasis, label: str, show: bool) -> Iterator[NDArray[Any]]:
-    """Yield a time's design rows as `RowBuffer.add` takes them, for each channel."""
+    """Yield each time's design, (Nfreqs, 2, Nlocal, n_modes) or complex (Nfreqs, Nlocal, n_modes)."""
     times = rows.tile.times
     for parts in track(model.design_columns(basis, times), len(times), label, show):
         mixed = basis.mix(parts)

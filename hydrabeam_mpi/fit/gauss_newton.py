@@ -24,22 +24,21 @@ from hydrabeam_mpi.setup.problem import Problem
 
 MAX_STEPS = 15
 MAX_HALVED = 5
-"""Times that a step is halved before the fit ends where it was best."""
+"""How often a step is halved before the fit stops at the best point so far."""
 STEP_SIGMAS = 0.03
-"""Converged when no parameter moves by more than this part of its standard deviation.
+"""Converged when no parameter moves by more than this fraction of its standard deviation.
 
-Standard deviations are those of the noise; where the model leaves a reduced chi^2 above one, all that can be known is
-worse by its root, and so is what counts as a move.
+Standard deviations are those by the stated noise; where reduced chi^2 is above one they are scaled by its root.
 """
 FLAT_NATS = 0.01
-"""Rise of ln(likelihood x prior), over reduced chi^2 where that is above one, that is none.
+"""A smaller rise of ln(likelihood x prior), over reduced chi^2 where that is above one, counts as none.
 
-Parameters that still move by then drift where the data do not tell.
+Parameters that still move then drift along directions that the data do not constrain.
 """
 FLAT_STEPS = 2
-"""Steps in a row without a rise after which the fit has ended."""
+"""The fit ends after this many steps in a row without a rise."""
 STEPS_BACK = 0.5
-"""Relative loss of ln(likelihood x prior) with which a step counts as a step too far where weights are fitted too."""
+"""A step counts as too long at this relative loss of ln(likelihood x prior), where weights are fitted too."""
 
 
 @dataclass(frozen=True)
@@ -170,7 +169,7 @@ def _search(context: FitContext, at: Estimate) -> tuple[Estimate, _Step, bool]:
 def _least_rise(best: float, values: Values, misfit: float) -> float:
     """Return the rise of ln(likelihood x prior) below which a step was too long.
 
-    As weights change so does what is compared, and only a great loss is one.
+    When weights change the likelihoods are not comparable, so that only a great loss counts.
     """
     return -STEPS_BACK * abs(best) if values.reweighted else -FLAT_NATS * misfit
 
@@ -254,7 +253,10 @@ def _step(context: FitContext, at: Estimate, solved: _Solved) -> _Step:
 def active_sums(
     context: FitContext, share: RankData, at: Estimate, channel: int, rows: Rows, added: ComplexArray
 ) -> NormalEquations:
-    """Sum over a group's rows what the active effects need. Collective: all ranks of `grid.world`."""
+    """Sum over a group's rows what the active effects need. Collective: all ranks of `grid.world`.
+
+    ``added`` is E of all rows, (Nlocal, Ntimes, Nbls).
+    """
     total = effect_equations(context.problem.basis, at.values)
     with together(context.grid.world):
         for _, block, design in share.row_blocks(channel, at, added[channel], rows):

@@ -22,12 +22,12 @@ from hydrabeam_mpi.mpi import allreduce_sum, together
 
 LOCAL_STEPS = 4
 MAX_FOLLOWED = 2000
-"""With more parameters than this only their own variances count, not how they vary together nor the beam that follows.
+"""With more parameters than this only their variances count, not their covariances nor the response of the beam.
 
-Without the beam predictions are the wider the more of an effect it absorbs.
+Without the response of the beam, predictions get the wider the more of an effect the beam absorbs.
 """
 SHARED_BYTES = KEPT_BYTES / 4
-"""Of the columns of all held-out rows of a rank, up to which what rows share of the effects' errors is whitened."""
+"""Errors of the effects shared by rows are whitened if the columns of a rank's held-out rows take less than this."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def _with_total(context: FitContext, whitened: Whitened) -> Whitened:
 
 
 def _untold(context: FitContext, values: Values) -> str | None:
-    """Say which kind of held-out data active effects have parameters of their own for."""
+    """Say for which kind of held-out data (times or baselines) active effects have parameters of their own."""
     by_baselines = context.problem.job.holdout.kind == "baselines"
     kinds = {one.effect.local for one in values.active}
     if by_baselines:

@@ -59,7 +59,7 @@ def read_context(grid: ProcessGrid, problem: Problem, setup: ObservingSetup, clo
         Receives the phase "read".
     """
     with clock.time("read"):
-        # What the prediction of one time is uncertain of is whitened together.
+        # Errors of the predictions of one time are whitened together.
         train, test = read_shares(grid, problem, whole_times=True)
     return FitContext(grid, problem, setup, RankData(problem, setup, train), RankData(problem, setup, test))
 

@@ -9,7 +9,7 @@ from hydrabeam_mpi.fit.state import Values
 from hydrabeam_mpi.infer.likelihood import Likelihood
 
 HELD = 1e10
-"""Precision, in units of the prior's, with which undecidable combinations are held at zero."""
+"""Precision, in units of the prior's, with which degenerate combinations are held at zero."""
 
 
 def solve_jointly(
@@ -64,7 +64,7 @@ def solve_jointly(
 
 
 def _prior_precision(values: Values, width: FloatArray) -> FloatArray:
-    """Return the precision of the prior in units of its widths, with what is undecidable held at zero."""
+    """Return the precision of the prior in units of its widths, with degenerate combinations held at zero."""
     precision = np.eye(len(width))
     for one, span in zip(values.active, values.spans, strict=True):
         for combination in one.degenerate_directions[:, one.used] * width[span]:

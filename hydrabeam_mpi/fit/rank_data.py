@@ -21,7 +21,7 @@ from hydrabeam_mpi.model.rime import Beam, ForwardModel
 from hydrabeam_mpi.setup.problem import Problem
 
 KEPT_BYTES = 2_000_000_000
-"""Design rows are kept in memory up to this size a rank, and made anew each time beyond it."""
+"""The design is kept in memory if a rank's share is smaller than this, else computed anew each time."""
 ROWS_AT_ONCE = 60_000
 
 
@@ -64,7 +64,7 @@ class RankData:
         return 2 * n_rows * self.problem.basis.n_modes * 16 <= KEPT_BYTES
 
     def designs(self, values: Values, show: bool = False) -> Iterator[NDArray[Any]]:
-        """Yield the design rows of each time, for all channels, as `hydrabeam_mpi.fit.accumulate.designs` does.
+        """Yield the design of each time, (Nfreqs, ..., Ngroups, n_modes), as the function `designs` does.
 
         Effects that change the sky are part of them.
         """
@@ -143,12 +143,17 @@ class RankData:
             span = slice(t + 1 - len(held), t + 1)
             rows_of_design = np.array(held)
             held = []
-            block = self.block(channel, span, self._beam(channel, posterior), at.values)
-            beam_alone = block.spread(_visibilities(rows_of_design, posterior))
-            block.vis = beam_alone + added[span]
-            block.weights = rows.inv_noise_var[channel, span]
-            block.residual = rows.data[channel, span] - beam_alone
-            block.design = rows_of_design
+            beam_alone = _visibilities(rows_of_design, posterior)[:, self.rows.member]
+            block = self.block(
+                channel,
+                span,
+                self._beam(channel, posterior),
+                at.values,
+                vis=beam_alone + added[span],
+                weights=rows.inv_noise_var[channel, span],
+                residual=rows.data[channel, span] - beam_alone,
+                design=rows_of_design,
+            )
             yield span, block, rows_of_design
 
     def _beam(self, channel: int, posterior: Posterior) -> CoefficientBeam:
@@ -157,8 +162,8 @@ class RankData:
         info = BeamInfo("inferred", float(observation.freqs[channel]), observation.pols[0])
         return CoefficientBeam(self.problem.basis, posterior.mean, info)
 
-    def block(self, channel: int, span: slice, beam: Beam, values: Values) -> RowBlock:
-        """Return the block of some of the rank's times, without data."""
+    def block(self, channel: int, span: slice, beam: Beam, values: Values, **data: Any) -> RowBlock:
+        """Return the block of some of the rank's times; ``data`` are fields of `RowBlock` about its rows."""
         number = int(self.problem.channel_numbers[channel])
         room = self.setup.sky.Nsrc * len(self.rows.tile.times) * 24 <= KEPT_BYTES / 4
         return RowBlock(
@@ -174,6 +179,7 @@ class RankData:
             places=self._places if room else None,
             sky_effects=[(one.effect, one.x[number]) for one in values.active if one.effect.changes_sky],
             memo=self._memo if self.keeps_designs else None,
+            **data,
         )
 
     def effects(self, at: Estimate) -> tuple[ComplexArray, ComplexArray]:
@@ -193,7 +199,7 @@ class RankData:
         return factor, added
 
     def calibrated(self, at: Estimate) -> tuple[Rows, ComplexArray]:
-        """Return the rows as the beam alone would have given them, d/C - E with weights w |C|^2, and E."""
+        """Return the rows with the effects removed, d/C - E with weights w |C|^2, and E, (Nfreqs, Ntimes, Nbls)."""
         factor, added = self.effects(at)
         power = np.abs(factor) ** 2
         usable = power > 1e-12

@@ -43,7 +43,7 @@ def beam_columns(rows: RowSet, design: NDArray[Any]) -> Columns:
 
 
 def effect_columns(rows: RowSet, columns: EffectColumns, used: IntArray | None = None) -> Columns:
-    """Return an effect's columns at the rows of a block, of which only those ``used`` count."""
+    """Return an effect's columns at the rows of a block, or only those of the parameters ``used``, (Nused,)."""
     matrix = columns.matrix()
     return Columns(rows, matrix if used is None else matrix[:, used], columns.by_group)
 

@@ -67,7 +67,7 @@ class Active:
 
     @property
     def used(self) -> NDArray[np.intp]:
-        """Indices of the parameters that are not held at zero."""
+        """Indices of the parameters that are not held at zero, (Nused,)."""
         return np.flatnonzero(self.prior_var)
 
     @property
@@ -115,12 +115,12 @@ class Values:
 
     @property
     def shared(self) -> NDArray[np.bool_]:
-        """Whether channels share each of the active parameters in use, side by side."""
+        """Whether channels share each of the active parameters in use, side by side, (q,)."""
         return _side_by_side([np.full(len(one.used), one.effect.shared) for one in self.active], bool)
 
     @property
     def prior_var(self) -> FloatArray:
-        """Prior variances of all active parameters in use, side by side."""
+        """Prior variances of all active parameters in use, side by side, (q,)."""
         return _side_by_side([one.prior_var[one.used] for one in self.active], float)
 
     @property

@@ -103,7 +103,7 @@ class SharedErrors:
         self.projection += (scaled.conj().T @ z).real
 
     def changes(self) -> list[ComplexArray]:
-        """Return what is to be added to the rows of each time, once the sums are complete."""
+        """Return what is to be added to the rows of each time, (Nbls,), once the sums are complete."""
         values, vectors = np.linalg.eigh(self.gram)
         values = np.maximum(values, 1e-12 * max(float(values.max(initial=0.0)), 1e-300))
         factor = (1 / np.sqrt(1 + values) - 1) / values
