@@ -92,11 +92,11 @@ FAILING = """
 import sys
 from mpi4py.MPI import COMM_WORLD as world
 from hydrabeam_mpi import cli
-from hydrabeam_mpi.commands import infer as run
+from hydrabeam_mpi.setup import job_file
 
 def fail(comm, *_):
     {body}
-run.infer = fail
+job_file.load = fail
 sys.exit(cli.main(["infer", "job.toml", "-o", "out"]))
 """
 
