@@ -1,17 +1,80 @@
-"""Infer the primary beam of an interferometer from its visibilities, distributed over MPI."""
+"""Infer the primary beam of an interferometer from its visibilities, distributed over MPI.
 
-from importlib.metadata import PackageNotFoundError, version
+    import hydrabeam_mpi as hb
 
-from astropy.utils import iers
+    result = hb.infer(hb.Setup(uvd, beam=uvbeam, sky=skymodel))
 
-# Compute nodes have no network: a missing IERS table must not stall a run, and the packaged one is good to
-# well below an arcsecond, however old: its predictions hold for the dates that they are of. What dates past its end
-# cost, `hydrabeam_mpi.model.earth_orientation` tells.
-iers.conf.auto_download = False
-iers.conf.auto_max_age = None
-iers.conf.iers_degraded_accuracy = "warn"
+What is public stands in ``__all__``, and is imported when it is first asked for: importing this package starts no MPI
+and waits for no astronomy packages.
+"""
 
-try:
-    __version__ = version("hydrabeam_mpi")
-except PackageNotFoundError:  # a source tree that was never installed
-    __version__ = "0+unknown"
+import sys
+from importlib import import_module
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+from hydrabeam_mpi.version import __version__
+
+if TYPE_CHECKING:
+    from hydrabeam_mpi.api.arguments import FourierBessel, Zernike
+    from hydrabeam_mpi.api.inference import infer
+    from hydrabeam_mpi.api.loop import close_loop
+    from hydrabeam_mpi.api.result import Found, InferredBeam, Result, load
+    from hydrabeam_mpi.api.setup import Setup
+    from hydrabeam_mpi.api.simulation import Mock, simulate
+    from hydrabeam_mpi.errors import InputError
+
+_HOMES = {
+    "FourierBessel": "api.arguments",
+    "Found": "api.result",
+    "InferredBeam": "api.result",
+    "InputError": "errors",
+    "Mock": "api.simulation",
+    "Result": "api.result",
+    "Setup": "api.setup",
+    "Zernike": "api.arguments",
+    "close_loop": "api.loop",
+    "infer": "api.inference",
+    "load": "api.result",
+    "simulate": "api.simulation",
+}
+
+__all__ = [
+    "Found",
+    "FourierBessel",
+    "InferredBeam",
+    "InputError",
+    "Mock",
+    "Result",
+    "Setup",
+    "Zernike",
+    "__version__",
+    "close_loop",
+    "infer",
+    "load",
+    "simulate",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is asked for."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
+class _Facade(ModuleType):
+    """The package, whose public names stay what they are where a room of it has the same name (``infer``)."""
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if not (name in _HOMES and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Facade

@@ -10,7 +10,6 @@ from typing import NoReturn
 
 from mpi4py import MPI
 
-from hydrabeam_mpi import __version__
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.mpi import (
     INTERRUPTED_STATUS,
@@ -23,6 +22,7 @@ from hydrabeam_mpi.mpi import (
 from hydrabeam_mpi.terminal.console import console
 from hydrabeam_mpi.terminal.interrupt import interruptible
 from hydrabeam_mpi.terminal.progress import say
+from hydrabeam_mpi.version import __version__
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

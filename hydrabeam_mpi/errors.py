@@ -12,8 +12,8 @@ class InputError(Exception):
     ----------
     message : str
         What is wrong.
-    file : str or Path, optional
-        The file in which it is wrong.
+    file : object, optional
+        The file in which it is wrong, or what else has a name as text.
     field : str, optional
         The field, key or column in which it is wrong.
     remedy : str, optional
@@ -24,7 +24,7 @@ class InputError(Exception):
         self,
         message: str,
         *,
-        file: str | Path | None = None,
+        file: object = None,
         field: str | None = None,
         remedy: str | None = None,
     ) -> None:

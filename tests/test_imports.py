@@ -11,7 +11,7 @@ import pytest
 PACKAGE = "hydrabeam_mpi"
 ROOT = Path(__file__).parents[1]
 LAYERS = (
-    ("errors", "memory", "random"),
+    ("errors", "memory", "random", "version"),
     ("data",),
     ("mpi", "terminal"),
     ("model.bases", "model.engines"),
@@ -36,6 +36,7 @@ LAYERS = (
     ("report.page",),
     ("report.beam", "report.loop"),
     ("report",),
+    ("api",),
     ("commands",),
     ("cli",),
     ("__main__",),
@@ -51,6 +52,11 @@ RUNNING = (
     "result",
     "simulation",
     "loop",
+    "api.setup",
+    "api.shared",
+    "api.inference",
+    "api.loop",
+    "api.simulation",
     "commands",
     "cli",
     "__main__",

@@ -73,7 +73,7 @@ class _Place:
         return " ".join([part for part in (self.table, self.number) if part] + self.names)
 
 
-def as_input_error(error: ValidationError, model: Model, path: Path) -> InputError:
+def as_input_error(error: ValidationError, model: Model, path: Path | None = None) -> InputError:
     """Tell of the first mistake in a job file; a misspelt key comes before what is missing because of it.
 
     Parameters
@@ -82,7 +82,7 @@ def as_input_error(error: ValidationError, model: Model, path: Path) -> InputErr
         Of ``model``.
     model : type
         The whole job.
-    path : Path
+    path : Path, optional
         The job file.
     """
     first = min(error.errors(), key=lambda details: details["type"] != "extra_forbidden")

@@ -45,24 +45,26 @@ def simulation_files(job: Job) -> list[Path]:
     return [_checked(named) for named in for_simulation(job)]
 
 
-def for_simulation(job: Job) -> list[Named]:
+def for_simulation(job: Job, in_memory: frozenset[str] = frozenset()) -> list[Named]:
     """List what a job names for a simulation or for the model: layout of the array, sky, beam."""
     array = job.data.simulate.array.file if job.data.simulate else None
     beam = None if job.beam.source in BUILT_IN_BEAMS else Path(job.beam.source)
-    return [
+    named = [
         *_named(array, "[data.simulate.array] file", "file"),
         *_named(job.sky.file, "[sky] file", "file"),
         *_named(job.sky.diffuse, "[sky] diffuse", "folder"),
         *_named(beam, "[beam] source", "file", f"{REMEDY}, or use {', '.join(BUILT_IN_BEAMS)}"),
     ]
+    return [one for one in named if one.field not in in_memory]
 
 
-def for_inference(job: Job) -> list[Named]:
+def for_inference(job: Job, in_memory: frozenset[str] = frozenset()) -> list[Named]:
     """List what a job names for an inference alone: noise and prior."""
-    return [
+    named = [
         *_named(job.noise.file, "[noise] file", "either"),
         *_named(job.prior.file, "[prior] file", "file"),
     ]
+    return [one for one in named if one.field not in in_memory]
 
 
 def expand(patterns: Sequence[str], field: str, kind: Kind = "either") -> tuple[Path, ...]:

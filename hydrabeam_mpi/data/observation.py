@@ -8,7 +8,16 @@ from typing import Any
 
 import numpy as np
 from astropy.coordinates import EarthLocation
+from astropy.utils import iers
 from numpy.typing import NDArray
+
+# Here, as all that follows the sky knows of observations: what merely imports the package waits for no astronomy.
+# Compute nodes have no network: a missing IERS table must not stall a run, and the packaged one is good to
+# well below an arcsecond, however old: its predictions hold for the dates that they are of. What dates past its end
+# cost, `hydrabeam_mpi.model.earth_orientation` tells.
+iers.conf.auto_download = False
+iers.conf.auto_max_age = None
+iers.conf.iers_degraded_accuracy = "warn"
 
 # float64 or complex128
 Array = NDArray[Any]

@@ -89,8 +89,8 @@ def read_rows(problem: Problem, tile: Tile) -> Rows:
         data, flags, divisor = apply_gains(data, flags, observation, tile, problem.gain_files)
     if job.noise.sigma is not None:
         weights = noise.constant_weights(job.noise.sigma, flags, nsamples)
-    elif job.noise.file is not None:
-        weights = noise.file_weights(job.noise.file, observation, tile, flags, nsamples)
+    elif problem.noise_file is not None:
+        weights = noise.file_weights(problem.noise_file, observation, tile, flags, nsamples)
     elif problem.noise_variance is not None:
         weights = noise.variance_weights(problem.noise_variance[:, tile.bls], flags, nsamples)
     else:

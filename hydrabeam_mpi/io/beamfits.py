@@ -11,16 +11,16 @@ import unicodedata
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from astropy.io import fits
 from pyuvdata import UVBeam
 from pyuvdata.utils import polnum2str, polstr2num
 
-from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.io.beamsamples import check_peak, check_values, pixel_directions, read_uvbeam
+from hydrabeam_mpi.io.beamsamples import check_peak, check_values, pixel_directions, read_uvbeam, usable_uvbeam
 from hydrabeam_mpi.io.feeds import orientation_from_field, pol_number, x_orientation
 from hydrabeam_mpi.io.reading import reading
 from hydrabeam_mpi.model.bases.rings import SAME_ANGLE, Pixels
@@ -61,7 +61,21 @@ class BeamFile:
 
     def __init__(self, path: Path, *, east_feed: str | None = None, options: Mapping[str, Any] | None = None) -> None:
         self.path = Path(path)
-        self._uvbeam = read_uvbeam(self.path, dict(options or {}))
+        self._take(read_uvbeam(self.path, dict(options or {})), east_feed)
+
+    @classmethod
+    def of(cls, uvbeam: UVBeam, name: str, *, east_feed: str | None = None) -> Self:
+        """Take a UVBeam in memory, which stays as it is; ``name`` is what messages call it."""
+        file = cls.__new__(cls)
+        file.path = Path(name)
+        with reading(file.path, "a beam"):
+            usable = usable_uvbeam(uvbeam.copy())
+        file._take(usable, east_feed)
+        return file
+
+    def _take(self, uvbeam: UVBeam, east_feed: str | None) -> None:
+        """Look at the samples and at what is said of the feeds."""
+        self._uvbeam = uvbeam
         self._za, self._az = pixel_directions(self._uvbeam, self.path)
         self._above = self._za <= np.pi / 2 + SAME_ANGLE
         with reading(self.path, "a beam"):
@@ -163,7 +177,7 @@ class BeamFile:
             warnings.warn(
                 f"{self.path}: {negative} of {values.size} samples above the horizon are negative, down to "
                 f"{np.nanmin(values) / np.nanmax(values):.2g} of the largest; no element receives negative power",
-                stacklevel=3,
+                stacklevel=4,
             )
 
     def _check_orientation(self) -> None:
@@ -174,7 +188,7 @@ class BeamFile:
             warnings.warn(
                 f"{self.path}: feed x is taken to point {self._orientation.title()}, but its field near the "
                 f'zenith points {found.title()}; if the field is right, set east_feed = "{east}"',
-                stacklevel=3,
+                stacklevel=4,
             )
 
 
@@ -221,38 +235,38 @@ def write_power_beam(
     float
         Largest absolute imaginary part of the co-polarised values.
     """
-    about = {"telescope_name": in_ascii(telescope_name), "history": in_ascii(history), "x_points": x_points}
+    about = {"telescope_name": telescope_name, "history": history, "x_points": x_points}
     if len(freqs) > 2 and np.ptp(np.diff(freqs)) > _UNEVEN:
         names = [path.with_name(f"{path.stem}.{freq / 1e6:.6f}MHz{path.suffix}") for freq in freqs]
         return max(
             write_power_beam(name, values[:, f : f + 1], freqs[f : f + 1], pols, **about)
             for f, name in enumerate(names)
         )
-    numbers = np.array([int(polstr2num(pol, x_orientation=x_points)) for pol in pols])
-    copol = np.isin(numbers, _COPOLS)
-    imag_max = float(np.abs(np.imag(values[copol])).max(initial=0.0))
-    data = np.array(values, dtype=np.complex128)
-    data[copol] = data[copol].real
-    uvbeam = _new_uvbeam(data.real if copol.all() else data, freqs, numbers, **about)
-    uvbeam.extra_keywords = {"IMAGMAX": imag_max}
+    uvbeam = power_uvbeam(values, freqs, pols, **about)
+    imag_max = float(uvbeam.extra_keywords["IMAGMAX"])
     uvbeam.write_beamfits(str(path), clobber=True)
     _put_polarisations_in_place(path)
     return imag_max
 
 
-def in_ascii(text: str) -> str:
-    """Return text as a FITS header may have it: letters without their accents, and "?" for what ASCII lacks."""
-    plain = (letter for letter in unicodedata.normalize("NFKD", text) if not unicodedata.combining(letter))
-    return "".join(letter if letter.isascii() and letter.isprintable() else "?" for letter in plain)
-
-
-def _new_uvbeam(
-    data: Array, freqs: FloatArray, numbers: IntArray, *, telescope_name: str, history: str, x_points: str
+def power_uvbeam(
+    values: Array,
+    freqs: FloatArray,
+    pols: list[str],
+    *,
+    telescope_name: str,
+    history: str = "",
+    x_points: str = "east",
 ) -> UVBeam:
-    """Return a power beam on the grid of :func:`write_power_beam`."""
+    """Return power beams on an azimuth x zenith angle grid as a UVBeam; see :func:`write_power_beam`."""
+    numbers = np.array([int(polstr2num(pol, x_orientation=x_points)) for pol in pols])
+    copol = np.isin(numbers, _COPOLS)
+    imag_max = float(np.abs(np.imag(values[copol])).max(initial=0.0))
+    data = np.array(values, dtype=np.complex128)
+    data[copol] = data[copol].real
     n_za, n_az = data.shape[2:]
-    return UVBeam.new(
-        telescope_name=telescope_name,
+    uvbeam = UVBeam.new(
+        telescope_name=in_ascii(telescope_name),
         data_normalization="physical",
         freq_array=np.asarray(freqs, dtype=float),
         feed_name="inferred",
@@ -263,9 +277,17 @@ def _new_uvbeam(
         polarization_array=numbers,
         axis1_array=np.arange(n_az) * (2 * np.pi / n_az),
         axis2_array=np.linspace(0, np.pi / 2, n_za),
-        data_array=data[None],
-        history=history,
+        data_array=(data.real if copol.all() else data)[None],
+        history=in_ascii(history),
     )
+    uvbeam.extra_keywords = {"IMAGMAX": imag_max}
+    return uvbeam
+
+
+def in_ascii(text: str) -> str:
+    """Return text as a FITS header may have it: letters without their accents, and "?" for what ASCII lacks."""
+    plain = (letter for letter in unicodedata.normalize("NFKD", text) if not unicodedata.combining(letter))
+    return "".join(letter if letter.isascii() and letter.isprintable() else "?" for letter in plain)
 
 
 def _put_polarisations_in_place(path: Path) -> None:

@@ -37,14 +37,24 @@ def read_uvbeam(path: Path, options: dict[str, Any]) -> UVBeam:
     """
     check_file(path, field="[beam] source")
     with reading(path, "a beam", remedy="give a file that pyuvdata reads, or write this one again"):
-        uvbeam: UVBeam = UVBeam.from_file(str(path), **options)
-        if uvbeam.beam_type not in ("efield", "power") or uvbeam.antenna_type != "simple":
-            kind = f"{uvbeam.antenna_type} {uvbeam.beam_type}"
-            raise InputError(f"a {kind} beam is not supported", remedy="give an E-field or power beam")
-        azimuths = uvbeam.axis1_array
-        if azimuths is not None and np.isclose(azimuths[-1] - azimuths[0], 2 * np.pi):
-            # The last azimuth repeats the first, which would spoil interpolation across it.
-            uvbeam.select(axis1_inds=np.arange(len(azimuths) - 1))
+        return usable_uvbeam(UVBeam.from_file(str(path), **options))
+
+
+def usable_uvbeam(uvbeam: UVBeam) -> UVBeam:
+    """Return a beam whose azimuths do not repeat, itself where they do not.
+
+    Raises
+    ------
+    InputError
+        If it is no E-field or power beam.
+    """
+    if uvbeam.beam_type not in ("efield", "power") or uvbeam.antenna_type != "simple":
+        kind = f"{uvbeam.antenna_type} {uvbeam.beam_type}"
+        raise InputError(f"a {kind} beam is not supported", remedy="give an E-field or power beam")
+    azimuths = uvbeam.axis1_array
+    if azimuths is not None and np.isclose(azimuths[-1] - azimuths[0], 2 * np.pi):
+        # The last azimuth repeats the first, which would spoil interpolation across it.
+        uvbeam = uvbeam.select(axis1_inds=np.arange(len(azimuths) - 1), inplace=False)
     return uvbeam
 
 
@@ -82,7 +92,7 @@ def _mend_nside(uvbeam: UVBeam, path: Path) -> None:
         warnings.warn(
             f"{path}: nside is said to be {uvbeam.nside}, but its pixels are the whole sky at nside "
             f"{whole_sky}, which is used",
-            stacklevel=5,
+            stacklevel=6,
         )
         uvbeam.nside = whole_sky
 

@@ -106,9 +106,43 @@ def read_catalogue(
         If the file is missing or unreadable, lacks a flux at these frequencies, or no source is left.
     """
     model = _read_model(path, columns)
+    return sky_of(model, path, freqs, reference_freq=reference_freq, flux_min=flux_min, interpolation=interpolation)
+
+
+def sky_of(
+    model: SkyModel,
+    path: Path,
+    freqs: FloatArray,
+    *,
+    reference_freq: float | None = None,
+    flux_min: float = 0.0,
+    interpolation: str = "cubic",
+) -> Sky:
+    """Evaluate a catalogue at some frequencies; it stays as it is.
+
+    Parameters
+    ----------
+    model : pyradiosky.SkyModel
+        Points or a HEALPix map, in Jy or K sr (a map also in K).
+    path : Path
+        What messages call it.
+    freqs, reference_freq, flux_min, interpolation
+        As of `read_catalogue`.
+
+    Returns
+    -------
+    Sky
+        As of `read_catalogue`.
+
+    Raises
+    ------
+    InputError
+        If it lacks a flux at these frequencies, or no source is left.
+    """
     is_map = model.component_type == "healpix"
     with reading(path, "a catalogue"):
         if is_map:
+            model = model.copy()
             model.healpix_to_point(to_jy=False, run_check=False)
         is_polarised = bool(np.any(model.stokes[1:] != 0))
         coordinates = model.skycoord.icrs

@@ -23,6 +23,7 @@ from hydrabeam_mpi.io.gains import calibrate
 from hydrabeam_mpi.io.noise_table import read_table, table_sigma
 from hydrabeam_mpi.io.uvdata import feeds_of, read_autos, read_block
 from hydrabeam_mpi.io.uvfile import file_kind
+from hydrabeam_mpi.io.uvsource import Data
 from hydrabeam_mpi.io.uvwhole import check_miriad
 
 # Fewer differences than this do not make a variance: its own error is 1 / sqrt(number).
@@ -32,7 +33,7 @@ MAX_GAP = 2.5
 
 
 def radiometer_weights(
-    files: Sequence[Path],
+    files: Sequence[Data],
     observation: Observation,
     tile: Tile,
     flags: BoolArray,
@@ -82,7 +83,7 @@ def radiometer_weights(
     return np.where(usable, weights, 0.0)
 
 
-def _check_autos_stored(lacking: BoolArray, files: Sequence[Path], observation: Observation, tile: Tile) -> None:
+def _check_autos_stored(lacking: BoolArray, files: Sequence[Data], observation: Observation, tile: Tile) -> None:
     if lacking.any():
         ant_1, ant_2 = observation.antpairs[tile.bls[np.argwhere(lacking)[0, 2]]]
         raise InputError(
@@ -93,7 +94,7 @@ def _check_autos_stored(lacking: BoolArray, files: Sequence[Path], observation: 
         )
 
 
-def check_weights(n_unflagged: int, n_weighted: int, files: Sequence[Path]) -> None:
+def check_weights(n_unflagged: int, n_weighted: int, files: Sequence[Data]) -> None:
     """Refuse data without any unflagged or weighted visibility, given counts over all tiles.
 
     Parameters
@@ -134,13 +135,13 @@ def variance_weights(variance: FloatArray, flags: BoolArray, nsamples: FloatArra
 
 
 def file_weights(
-    path: Path, observation: Observation, tile: Tile, flags: BoolArray, nsamples: FloatArray
+    path: Data, observation: Observation, tile: Tile, flags: BoolArray, nsamples: FloatArray
 ) -> FloatArray:
     """Noise from a file: of every visibility, or of one sample by channel and perhaps antenna.
 
     Parameters
     ----------
-    path : Path
+    path : Path or Source
         Either visibilities (uvh5, uvfits, ...) whose ``data_array`` holds the sigma (Jy) of each, whatever
         its nsamples. Or a table (see `read_table`) of the sigma of one sample, so that the variance is
         sigma^2 / nsamples, at frequencies within half a channel width of the data's; where it is by antenna,
@@ -151,12 +152,11 @@ def file_weights(
     InputError
         If the file lacks what is asked for, or a sigma is not positive.
     """
-    table = read_table(path)
-    if table is not None:
+    if isinstance(path, Path) and (table := read_table(path)) is not None:
         sigma = np.broadcast_to(table_sigma(table, path, observation, tile.bls), flags.shape)
         usable, samples = ~flags, nsamples
     else:
-        if file_kind(path) == "miriad":
+        if isinstance(path, Path) and file_kind(path) == "miriad":
             check_miriad([path])
         block = read_block([path], observation, tile.times, observation.antpairs[tile.bls], observation.pols)
         if np.any(~flags & ~block.stored):
@@ -171,7 +171,7 @@ def file_weights(
 
 
 def difference_variance(
-    files: Sequence[Path],
+    files: Sequence[Data],
     observation: Observation,
     bls: IntArray,
     how: Literal["time", "frequency"],

@@ -3,7 +3,7 @@
 Layout
 ------
 Root attributes: ``basis`` (JSON, see `hydrabeam_mpi.model.bases.base`), ``provenance`` (JSON: resolved job, versions,
-checksums, ranks), ``polarization``, ``grid_za`` and ``grid_az`` as data sets (radians).
+checksums, ranks), ``polarization``, ``telescope_name``, ``grid_za`` and ``grid_az`` as data sets (radians).
 One group a channel, ``channel_0000`` and so on, with attributes ``freq`` (Hz), ``log_evidence`` (absent with a flat
 prior), ``summary`` (JSON) and the data sets
 
@@ -66,6 +66,7 @@ class PosteriorFile:
     grid_za: NDArray[Any]
     grid_az: NDArray[Any]
     channels: list[ChannelRecord]
+    telescope_name: str = "unknown"
 
 
 def write_posterior(path: Path, content: PosteriorFile) -> None:
@@ -80,6 +81,7 @@ def write_posterior(path: Path, content: PosteriorFile) -> None:
         file.attrs["basis"] = json.dumps(content.basis)
         file.attrs["provenance"] = json.dumps(content.provenance)
         file.attrs["polarization"] = content.polarization
+        file.attrs["telescope_name"] = content.telescope_name
         file["grid_za"], file["grid_az"] = content.grid_za, content.grid_az
         for number, record in enumerate(content.channels):
             group = file.create_group(CHANNEL.format(number))
@@ -112,7 +114,8 @@ def read_posterior(path: Path) -> PosteriorFile:
         while (name := CHANNEL.format(len(channels))) in file:
             channels.append(_read_channel(file[name], name, (len(za), len(az))))
         basis, provenance = (_json(file, name, "") for name in ("basis", "provenance"))
-        return PosteriorFile(basis, provenance, str(file.attrs["polarization"]), za, az, channels)
+        telescope_name = str(file.attrs.get("telescope_name", "unknown"))
+        return PosteriorFile(basis, provenance, str(file.attrs["polarization"]), za, az, channels, telescope_name)
 
 
 def _read_channel(group: h5py.Group, name: str, grid: tuple[int, int]) -> ChannelRecord:

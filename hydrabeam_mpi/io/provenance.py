@@ -8,9 +8,9 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from hydrabeam_mpi import __version__
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.io.checksums import checksum
+from hydrabeam_mpi.version import __version__
 
 PACKAGES = ("numpy", "scipy", "h5py", "astropy", "pyuvdata", "pyradiosky", "mpi4py", "finufft")
 

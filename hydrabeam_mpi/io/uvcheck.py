@@ -46,7 +46,7 @@ def check_metadata(uv: UVData, path: Path) -> None:
             _check_array(owner, name, path)
     if len(uv.telescope.antenna_names) != len(uv.telescope.antenna_numbers):
         raise _wrong(path, "antenna_names", f"{len(uv.telescope.antenna_names)} names of antennas, not one for each")
-    if h5py.is_hdf5(path):
+    if uv.data_array is None and h5py.is_hdf5(path):
         _check_samples(uv, path)
     _check_times(uv, path)
     _check_place(uv, path)

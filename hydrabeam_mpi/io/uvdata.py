@@ -16,9 +16,8 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray, O
 from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.data.selection import BoolArray, match
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.io.uvfile import may_hold, read_metadata
 from hydrabeam_mpi.io.uvmeta import FREQ_TOLERANCE, TIME_TOLERANCE, pair_keys, read_observation
-from hydrabeam_mpi.io.uvrows import read_rows
+from hydrabeam_mpi.io.uvsource import Data, as_source
 
 __all__ = ["Block", "feeds_of", "read_autos", "read_block", "read_observation", "read_visibilities"]
 
@@ -44,7 +43,7 @@ class Block(NamedTuple):
 
 
 def read_visibilities(
-    files: Sequence[Path], observation: Observation, tile: Tile
+    files: Sequence[Data], observation: Observation, tile: Tile
 ) -> tuple[ComplexArray, BoolArray, FloatArray]:
     """Read the visibilities of a tile, and only those.
 
@@ -67,7 +66,7 @@ def feeds_of(pols: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys("".join(pols)))
 
 
-def read_autos(files: Sequence[Path], observation: Observation, times: IntArray) -> FloatArray:
+def read_autos(files: Sequence[Data], observation: Observation, times: IntArray) -> FloatArray:
     """Read autocorrelations.
 
     Parameters
@@ -87,7 +86,7 @@ def read_autos(files: Sequence[Path], observation: Observation, times: IntArray)
 
 
 def read_block(
-    files: Sequence[Path], observation: Observation, times: IntArray, antpairs: IntArray, pols: Sequence[str]
+    files: Sequence[Data], observation: Observation, times: IntArray, antpairs: IntArray, pols: Sequence[str]
 ) -> Block:
     """Read the samples at some times and baselines, at all of the observation's channels.
 
@@ -100,10 +99,10 @@ def read_block(
     pols : sequence of str
     """
     block = _empty((observation.Nfreqs, len(times) * len(antpairs), len(pols)))
-    for path in map(Path, files if block.data.size else ()):
-        if not may_hold(path, observation.times[times], TIME_TOLERANCE):
+    for source in map(as_source, files if block.data.size else ()):
+        if not source.may_hold(observation.times[times], TIME_TOLERANCE):
             continue
-        header, stored = read_metadata(path)
+        header, stored = source.metadata()
         time = match(stored.times, observation.times[times], TIME_TOLERANCE)
         baseline = match(pair_keys(stored.antpairs), pair_keys(antpairs), 0)
         rows = np.flatnonzero((time >= 0) & (baseline >= 0))
@@ -114,16 +113,16 @@ def read_block(
             continue
         if len(np.unique(here[1])) < len(rows) or block.stored[here].any():
             raise InputError(
-                "holds a sample twice, or one that an earlier file holds", file=path, remedy="remove the copy"
+                "holds a sample twice, or one that an earlier file holds", file=header.path, remedy="remove the copy"
             )
-        part = read_rows(
+        part = source.samples(
             header,
             rows,
             channels[channels >= 0],
             stored_pols[stored_pols >= 0],
             observation.pol_convention,
         )
-        for whole, values in zip(block, _checked(*part, path), strict=True):
+        for whole, values in zip(block, _checked(*part, header.path), strict=True):
             whole[here] = values.swapaxes(0, 1)
     shape = (observation.Nfreqs, len(times), len(antpairs), len(pols))
     return Block(

@@ -48,7 +48,7 @@ class UVHeader:
     ----------
     path : Path
     kind : str
-        One of `FORMATS`.
+        One of `FORMATS`, or "memory".
     telescope_name : str
     location : astropy.coordinates.EarthLocation
     antenna_numbers : ndarray of int, (Nants,)
@@ -163,10 +163,11 @@ def read_metadata(path: Path) -> tuple[UVHeader, UVRows]:
     uv = read_uvdata(path, kind, **({"read_data": False} if kind in READ_IN_PART else {}))
     with reading(path, kind):
         check_metadata(uv, path)
-        return _header(uv, path, kind), _rows(uv)
+        return header_of(uv, path, kind), rows_of(uv)
 
 
-def _header(uv: UVData, path: Path, kind: str) -> UVHeader:
+def header_of(uv: UVData, path: Path, kind: str) -> UVHeader:
+    """Return what is said of all rows."""
     telescope = uv.telescope
     orientation = telescope.get_x_orientation_from_feeds()
     return UVHeader(
@@ -185,7 +186,8 @@ def _header(uv: UVData, path: Path, kind: str) -> UVHeader:
     )
 
 
-def _rows(uv: UVData) -> UVRows:
+def rows_of(uv: UVData) -> UVRows:
+    """Return what is said of each row."""
     return UVRows(
         antpairs=np.stack([uv.ant_1_array, uv.ant_2_array], axis=1).astype(np.int64),
         times=np.asarray(uv.time_array, dtype=float),

@@ -15,7 +15,8 @@ import numpy as np
 from hydrabeam_mpi.data.observation import FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.selection import Selection, distinct, match, select_baselines, select_channels, select_times
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.io.uvfile import UVHeader, file_kind, read_metadata
+from hydrabeam_mpi.io.uvfile import UVHeader, file_kind
+from hydrabeam_mpi.io.uvsource import Data, Source, as_source, files_among
 from hydrabeam_mpi.io.uvwhole import check_miriad
 
 # Stamps closer than this are one integration or one channel; both far exceed the rounding of any format.
@@ -41,13 +42,13 @@ def pair_keys(antpairs: IntArray) -> IntArray:
     return (antpairs[:, 0] << 32) + antpairs[:, 1]
 
 
-def _survey(path: Path) -> _Survey:
+def _survey(source: Source) -> _Survey:
     """Reduce the metadata of a file to its distinct baselines and times."""
-    header, rows = read_metadata(path)
+    header, rows = source.metadata()
     _check_channels(header)
     cross = np.flatnonzero(rows.antpairs[:, 0] != rows.antpairs[:, 1])
     keys, baseline = np.unique(pair_keys(rows.antpairs[cross]), return_inverse=True)
-    _check_averaging(path, rows.integration_time[cross], baseline)
+    _check_averaging(header.path, rows.integration_time[cross], baseline)
     first = cross[distinct(rows.times[cross], TIME_TOLERANCE)]
     return _Survey(
         header,
@@ -83,16 +84,16 @@ def _check_averaging(path: Path, integration_time: FloatArray, baseline: IntArra
         )
 
 
-def read_observation(files: Sequence[Path], selection: Selection) -> Observation:
+def read_observation(files: Sequence[Data], selection: Selection) -> Observation:
     """Read the metadata of all files and apply a selection to them.
 
     The antennas are those of the selected baselines. Sidereal times are the files' own.
 
     Parameters
     ----------
-    files : sequence of Path
-        uvh5, uvfits, measurement sets or miriad, also mixed. Some may hold autocorrelations only, which have
-        no say in the axes.
+    files : sequence of Path or Source
+        uvh5, uvfits, measurement sets or miriad, also mixed, or data in memory. Some may hold
+        autocorrelations only, which have no say in the axes.
     selection : Selection
 
     Returns
@@ -107,11 +108,12 @@ def read_observation(files: Sequence[Path], selection: Selection) -> Observation
     """
     if not files:
         raise InputError("no files", field="[data] files", remedy="name at least one")
-    resolved = [Path(path).resolve() for path in files]
+    paths = files_among(files)
+    resolved = [path.resolve() for path in paths]
     if len(set(resolved)) < len(resolved):
         raise InputError("a file is named twice", field="[data] files", remedy="name it once")
-    check_miriad([path for path in map(Path, files) if os.path.isdir(path) and file_kind(path) == "miriad"])
-    surveys = [_survey(Path(path)) for path in files]
+    check_miriad([path for path in paths if os.path.isdir(path) and file_kind(path) == "miriad"])
+    surveys = [_survey(as_source(data)) for data in files]
     names, positions = _merge_antennas([survey.header for survey in surveys])
     surveys = [survey for survey in surveys if survey.antpairs.size]
     if not surveys:

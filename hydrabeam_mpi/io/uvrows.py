@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from pyuvdata import UVData
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.data.selection import BoolArray
@@ -60,6 +61,11 @@ def read_rows(
     return data, flags, nsamples
 
 
+def in_drift_scan(uv: UVData) -> bool:
+    """Tell whether no visibility is phased."""
+    return all(centre["cat_type"] == "unprojected" for centre in uv.phase_center_catalog.values())
+
+
 def _windows(rows: IntArray, row_bytes: int) -> Iterator[tuple[IntArray, IntArray]]:
     """Yield the rows to read at once and which of them are wanted, for ascending ``rows``.
 
@@ -80,7 +86,7 @@ def _samples(
     uv = read_uvdata(header.path, header.kind, **select)
     with reading(header.path, header.kind):
         uv.data_array = uv.data_array.astype(np.complex128)
-        if any(centre["cat_type"] != "unprojected" for centre in uv.phase_center_catalog.values()):
+        if not in_drift_scan(uv):
             uv.unproject_phase()
         if (uv.pol_convention or pol_convention) == "avg":
             uv.data_array.view(float)[:] *= 0.5

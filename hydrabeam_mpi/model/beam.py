@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 from pyuvdata import AiryBeam, GaussianBeam, ShortDipoleBeam, UniformBeam
-from pyuvdata.utils import polstr2num
+from pyuvdata.utils import polnum2str, polstr2num
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
@@ -170,12 +170,28 @@ def analytic_beam(formula: str, freq: float, pol: str = "ee", **parameters: Any)
         made = _FORMULAE[formula](x_orientation="east", **parameters)
     except (TypeError, ValueError) as error:
         raise InputError(f"{formula} beam: {error}", field="beam") from error
-    unscaled = AnalyticBeam(made, BeamInfo(formula, float(freq), pol))
-    zenith = abs(unscaled(np.zeros(1), np.zeros(1))[0])
-    if not np.isfinite(zenith):
+    beam = of_formula(made, formula, freq, pol)
+    if not np.isfinite(beam.info.peak):
         settings = ", ".join(f"{name} = {value:g}" for name, value in parameters.items())
         message = f"a {formula} beam with {settings} does not exist at {freq / 1e6:g} MHz"
         raise InputError(message, field="[beam] diameter", remedy="give one of a wavelength or more")
+    return beam
+
+
+def of_formula(made: Any, name: str, freq: float, pol: str) -> AnalyticBeam:
+    """Return one of pyuvdata's analytic beams at a frequency (Hz) and polarisation, one at the zenith.
+
+    Raises
+    ------
+    InputError
+        If it has no such polarisation.
+    """
+    unscaled = AnalyticBeam(made, BeamInfo(name, float(freq), pol))
+    try:
+        zenith = abs(unscaled(np.zeros(1), np.zeros(1))[0])
+    except (KeyError, ValueError) as error:
+        has = ", ".join(polnum2str(made.polarization_array, x_orientation=made.get_x_orientation_from_feeds()))
+        raise InputError(f"no polarisation '{pol}'", field="beam", remedy=f"it has {has}") from error
     if zenith < 1e-12:
         zenith = 1.0
-    return AnalyticBeam(made, BeamInfo(formula, float(freq), pol, peak=float(zenith)))
+    return AnalyticBeam(made, BeamInfo(name, float(freq), pol, peak=float(zenith)))

@@ -14,10 +14,10 @@ from hydrabeam_mpi.mpi.collectives import (
     send_object,
 )
 from hydrabeam_mpi.mpi.failure import together
-from hydrabeam_mpi.mpi.grid import ProcessGrid
+from hydrabeam_mpi.mpi.grid import ProcessGrid, alone
 from hydrabeam_mpi.mpi.library import library_version
 from hydrabeam_mpi.mpi.memory import memory_per_rank, peak_rss_mb
-from hydrabeam_mpi.mpi.threads import limit_blas_threads
+from hydrabeam_mpi.mpi.threads import blas_threads, limit_blas_threads
 
 __all__ = [
     "INTERRUPTED_STATUS",
@@ -25,8 +25,10 @@ __all__ = [
     "ProcessGrid",
     "allreduce_max",
     "allreduce_sum",
+    "alone",
     "bcast_array",
     "bcast_object",
+    "blas_threads",
     "end_interrupted",
     "gather_by_channel",
     "gather_objects",

@@ -7,6 +7,11 @@ from dataclasses import dataclass
 from mpi4py import MPI
 
 
+def alone() -> MPI.Comm:
+    """Return the communicator of this process alone."""
+    return MPI.COMM_SELF
+
+
 def _block(index: int, n_blocks: int, n_items: int) -> range:
     """Block ``index`` of ``n_items`` cut into ``n_blocks`` runs, whose lengths differ by at most one."""
     return range(index * n_items // n_blocks, (index + 1) * n_items // n_blocks)

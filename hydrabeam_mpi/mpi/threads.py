@@ -38,6 +38,11 @@ def limit_blas_threads(comm: MPI.Comm) -> int:
     if not any(os.environ.get(name) for name in _USER_SETTINGS):
         threadpoolctl.threadpool_limits(threads)
         os.environ["OMP_NUM_THREADS"] = str(threads)  # for libraries not loaded yet, and for child processes
+    return blas_threads()
+
+
+def blas_threads() -> int:
+    """Return how many threads BLAS uses on this rank."""
     pools = threadpoolctl.threadpool_info()
     return max((pool["num_threads"] for pool in pools if pool["user_api"] == "blas"), default=1)
 

@@ -14,15 +14,15 @@ import tomli_w
 
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.named import for_inference, for_simulation
-from hydrabeam_mpi.data.observation import Observation
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.beamfits import write_power_beam
 from hydrabeam_mpi.io.finite import INFERENCE, MODEL, SIMULATION, check_finite
 from hydrabeam_mpi.io.kept_rounds import drop_rounds, latest_round
 from hydrabeam_mpi.io.posterior_file import ChannelRecord, PosteriorFile, least_bytes, write_posterior
 from hydrabeam_mpi.io.staging import StagedDirectory
+from hydrabeam_mpi.io.uvsource import files_among
 from hydrabeam_mpi.mpi import Comm, together
-from hydrabeam_mpi.result.summary import GRID_AZ, GRID_ZA, warnings_of
+from hydrabeam_mpi.result.summary import warnings_of
 from hydrabeam_mpi.setup.cautions import cautions_of_flags
 from hydrabeam_mpi.setup.job_file import read_files, unread_files
 from hydrabeam_mpi.setup.problem import Problem
@@ -65,11 +65,20 @@ def staged(
                 folder.publish()
 
 
-def input_files(job: Job, problem: Problem) -> list[Path]:
-    """List the files that the result depends on, but for those that were simulated for it."""
-    data = () if job.data.simulate else problem.files
+def input_files(job: Job, problem: Problem, in_memory: frozenset[str] = frozenset()) -> list[Path]:
+    """List the files that the result depends on, but for those that were simulated for it.
+
+    Parameters
+    ----------
+    job : Job
+    problem : Problem
+    in_memory : frozenset of str
+        Keys of the job that name no file, as what they stand for is in memory.
+    """
+    data = () if job.data.simulate else files_among(problem.files)
     # Not looked at again: one that has gone meanwhile is told when the result is published.
-    return [*data, *problem.gain_files, *(named.path for named in (*for_simulation(job), *for_inference(job)))]
+    named = (*for_simulation(job, in_memory), *for_inference(job, in_memory))
+    return [*data, *problem.gain_files, *(one.path for one in named)]
 
 
 def least_result_bytes(job: Job, n_channels: int | None = None) -> int:
@@ -104,38 +113,46 @@ def check_records(records: Sequence[ChannelRecord]) -> None:
         check_finite(where, {**arrays, "log_evidence": record.log_evidence, **record.summary}, INFERENCE)
 
 
-def write_result(
-    folder: Path,
-    job: Job,
-    problem: Problem,
-    records: list[ChannelRecord],
-    about: dict[str, Any],
-    run: dict[str, Any],
-    warnings: Sequence[str] = (),
-) -> None:
-    """Write what has been computed: posterior, summary (further ``warnings`` first), job and provenance."""
-    pol = problem.observation.pols[0]
-    write_posterior(
-        folder / "posterior.h5", PosteriorFile(problem.basis.describe(), about, pol, GRID_ZA, GRID_AZ, records)
-    )
+def summarise(
+    job: Job, problem: Problem, content: PosteriorFile, run: dict[str, Any], warnings: Sequence[str] = ()
+) -> dict[str, Any]:
+    """Return what ``summary.json`` says.
+
+    Parameters
+    ----------
+    job : Job
+    problem : Problem
+        Of all channels.
+    content : PosteriorFile
+    run : dict
+        What is told of the run itself.
+    warnings : sequence of str
+        Further ones, first.
+    """
+    about = content.provenance
     common = {
         "flux_removed": problem.flux_removed,
         "ranks": about["ranks"],
         "threads_per_rank": about["threads_per_rank"],
         **run,
     }
-    channels = [record.summary for record in records]
+    channels = [record.summary for record in content.channels]
     flagged = cautions_of_flags(channels, holds_out=job.holdout.kind != "none")
     warn(flagged)
-    summary = {
+    return {
         "name": job.name,
         **channels[0],
         **common,
         "channels": channels,
         "warnings": [*warnings, *problem.cautions, *flagged, *warnings_of(channels)],
     }
+
+
+def write_result(folder: Path, job: Job, content: PosteriorFile, summary: dict[str, Any]) -> None:
+    """Write what has been computed: posterior, summary, job and provenance."""
+    write_posterior(folder / "posterior.h5", content)
     _write_json(folder / "summary.json", summary)
-    write_job_and_provenance(folder, job, about)
+    write_job_and_provenance(folder, job, content.provenance)
 
 
 def write_job_and_provenance(folder: Path, job: Job, about: dict[str, Any]) -> None:
@@ -144,17 +161,10 @@ def write_job_and_provenance(folder: Path, job: Job, about: dict[str, Any]) -> N
     _write_json(folder / "provenance.json", about)
 
 
-def write_conversions(folder: Path, observation: Observation, records: list[ChannelRecord], version: str) -> None:
+def write_conversions(folder: Path, content: PosteriorFile) -> None:
     """Write the MAP beam in another format; what stands in its way is one more warning of the summary."""
     try:
-        write_power_beam(
-            folder / "beam.beamfits",
-            np.array([[record.arrays["map_mean"] for record in records]]),
-            observation.freqs,
-            [observation.pols[0]],
-            telescope_name=observation.telescope_name,
-            history=f"Maximum a posteriori beam inferred by hydrabeam_mpi {version}.",
-        )
+        write_power_beam(folder / "beam.beamfits", **map_beams(content))
     except Exception as error:  # whatever it is, the result itself is there
         for part in folder.glob("beam*.beamfits"):
             part.unlink()
@@ -162,6 +172,18 @@ def write_conversions(folder: Path, observation: Observation, records: list[Chan
         caution = f"beam.beamfits could not be written ({reason}); the beam is in posterior.h5, as map_mean."
         warn([caution])
         _add_warning(folder / "summary.json", caution)
+
+
+def map_beams(content: PosteriorFile) -> dict[str, Any]:
+    """Return the MAP beams, (1, Nfreqs, 91, 360), and what is said of them, as `write_power_beam` takes them."""
+    version = content.provenance["versions"]["hydrabeam_mpi"]
+    return {
+        "values": np.array([[record.arrays["map_mean"] for record in content.channels]]),
+        "freqs": np.array([record.freq for record in content.channels]),
+        "pols": [content.polarization],
+        "telescope_name": content.telescope_name,
+        "history": f"Maximum a posteriori beam inferred by hydrabeam_mpi {version}.",
+    }
 
 
 def _add_warning(path: Path, caution: str) -> None:

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from pyuvdata import BeamInterface, UVBeam
 
 from hydrabeam_mpi.config import ANALYTIC_BEAMS, BUILT_IN_BEAMS, Job, Perturbation
 from hydrabeam_mpi.data.observation import Array, FloatArray
@@ -17,7 +19,7 @@ from hydrabeam_mpi.io.prior_file import read_prior
 from hydrabeam_mpi.io.reading import check_file
 from hydrabeam_mpi.model.bases import basis_from_settings
 from hydrabeam_mpi.model.bases.base import LinearBasis
-from hydrabeam_mpi.model.beam import Beam, BeamInfo, analytic_beam
+from hydrabeam_mpi.model.beam import Beam, BeamInfo, analytic_beam, of_formula
 from hydrabeam_mpi.model.fit import FittedBeam, fit_beam
 from hydrabeam_mpi.model.perturb import PerturbedBeam
 from hydrabeam_mpi.tables import embedded_beam
@@ -76,8 +78,17 @@ def other_feed(pol: str) -> str:
     return pol.translate(str.maketrans("enxy", "neyx"))
 
 
-def load_beams(job: Job, freqs: FloatArray, pol: str) -> tuple[Beam, ...]:
-    """Return the model beam of each channel, for ``freqs`` (Nfreqs,).
+def load_beams(job: Job, freqs: FloatArray, pol: str, given: Any = None) -> tuple[Beam, ...]:
+    """Return the model beam of each channel.
+
+    Parameters
+    ----------
+    job : Job
+    freqs : ndarray, (Nfreqs,)
+        Hz.
+    pol : str
+    given : pyuvdata.UVBeam, pyuvdata.BeamInterface or pyuvdata analytic beam, optional
+        Instead of the source that the job names.
 
     Raises
     ------
@@ -85,13 +96,28 @@ def load_beams(job: Job, freqs: FloatArray, pol: str) -> tuple[Beam, ...]:
         If the source has no beam at a frequency or in this polarisation.
     """
     settings = job.beam
+    if given is not None:
+        return _given_beams(job, freqs, pol, given)
     if settings.source in ANALYTIC_BEAMS:
         return tuple(analytic_beam(settings.source, float(freq), pol, diameter=settings.diameter) for freq in freqs)
     if settings.source == "hera-vivaldi-131MHz":
         return tuple(_embedded(float(freq), pol, settings.frequency == "scale") for freq in freqs)
     known = ", ".join(BUILT_IN_BEAMS)
     check_file(Path(settings.source), field="[beam] source", remedy=f"check the path, or use {known}")
-    file = BeamFile(Path(settings.source), east_feed=settings.east_feed)
+    return _beams_of(BeamFile(Path(settings.source), east_feed=settings.east_feed), job, freqs, pol)
+
+
+def _given_beams(job: Job, freqs: FloatArray, pol: str, given: Any) -> tuple[Beam, ...]:
+    """Return the beam of each channel of an object of pyuvdata."""
+    given = given.beam if isinstance(given, BeamInterface) else given
+    if isinstance(given, UVBeam):
+        return _beams_of(BeamFile.of(given, "beam", east_feed=job.beam.east_feed), job, freqs, pol)
+    return tuple(of_formula(given, type(given).__name__, float(freq), pol) for freq in freqs)
+
+
+def _beams_of(file: BeamFile, job: Job, freqs: FloatArray, pol: str) -> tuple[Beam, ...]:
+    """Return the beam of each channel, where it is not among the file's by the rule that the job has for that."""
+    settings = job.beam
     if settings.frequency != "scale":
         interpolate = settings.frequency == "interpolate"
         return tuple(file.beam(float(freq), pol, interpolate_frequency=interpolate) for freq in freqs)
@@ -153,3 +179,22 @@ def make_prior(job: Job, fit: FittedBeam) -> Prior:
     # A mode that the model beam lacks altogether still needs a width, if only one above rounding.
     floor = max(settings.floor, 1e-12) * amplitudes.max()
     return DiagonalPrior(fit.coeffs, settings.fraction * np.maximum(amplitudes, floor))
+
+
+def given_priors(priors: Sequence[Prior], fits: Sequence[FittedBeam]) -> tuple[Prior, ...]:
+    """Return the prior of each channel, where one for all or one for each is given.
+
+    Raises
+    ------
+    InputError
+        If they are neither, or are of coefficients of another basis.
+    """
+    if len(priors) not in (1, len(fits)):
+        message = f"{len(priors)} priors, and {len(fits)} channels"
+        raise InputError(message, file="prior", remedy="give one for all, or one for each")
+    n_modes = fits[0].basis.n_modes
+    for prior in priors:
+        if np.shape(prior.mean) != (n_modes,):
+            message = f"a mean of the shape {np.shape(prior.mean)}, and the basis has {n_modes} modes"
+            raise InputError(message, file="prior", remedy="give one of the coefficients of this basis")
+    return tuple(priors) if len(priors) == len(fits) else tuple(priors) * len(fits)

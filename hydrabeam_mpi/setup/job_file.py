@@ -37,11 +37,23 @@ def load(world: Comm, path: Path, needs_simulation: bool = False, needs_holdout:
             if needs_simulation and job.data.simulate is None:
                 remedy = "add it, see jobs/paper/job.toml"
                 raise InputError("is missing", file=path, field="[data.simulate]", remedy=remedy)
-            if needs_holdout and job.holdout.kind == "none":
-                message = "keeps no data from the fit, and only such data can confirm what the loop finds"
-                remedy = "use kind = \"times\" or another one, or 'hydrabeam infer'"
-                raise InputError(message, file=path, field="[holdout] kind", remedy=remedy)
+            if needs_holdout:
+                check_holds_out(job, path)
     return world.bcast(job)
+
+
+def check_holds_out(job: Job, path: Path | None = None) -> None:
+    """Make sure that a job keeps data from the fit.
+
+    Raises
+    ------
+    InputError
+        If it does not.
+    """
+    if job.holdout.kind == "none":
+        message = "keeps no data from the fit, and only such data can confirm what the loop finds"
+        remedy = "use kind = \"times\" or another one, or 'hydrabeam infer'"
+        raise InputError(message, file=path, field="[holdout] kind", remedy=remedy)
 
 
 def check_paths(world: Comm, job: Job, path: Path, out: Path, overwrite: bool, only_simulates: bool = False) -> None:

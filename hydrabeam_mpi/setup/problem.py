@@ -18,14 +18,16 @@ from hydrabeam_mpi.data.selection import HoldoutRule, Selection, split_holdout
 from hydrabeam_mpi.infer.prior import Prior
 from hydrabeam_mpi.io.noise import difference_variance
 from hydrabeam_mpi.io.uvmeta import read_observation
+from hydrabeam_mpi.io.uvsource import Data
 from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.beam import Beam
 from hydrabeam_mpi.model.engines import make_engine
 from hydrabeam_mpi.model.rime import ForwardModel
 from hydrabeam_mpi.model.sky import Sky
 from hydrabeam_mpi.mpi import Comm, together
-from hydrabeam_mpi.setup.beams import fit_model_beams, load_beams, make_prior
+from hydrabeam_mpi.setup.beams import fit_model_beams, given_priors, load_beams, make_prior
 from hydrabeam_mpi.setup.cautions import cautions_of_data
+from hydrabeam_mpi.setup.given import NOTHING, Given
 from hydrabeam_mpi.setup.skies import count_sources, load_sky, source_positions
 
 
@@ -36,8 +38,9 @@ class Problem:
     Attributes
     ----------
     job : Job
-    files, gain_files : tuple of Path
-        The visibilities and their gains.
+    files : tuple of Path or Source
+        The visibilities.
+    gain_files : tuple of Path
     observation : Observation
     redundant : RedundantGroups
         Of the observation's baselines.
@@ -64,10 +67,12 @@ class Problem:
         Which of the job's channels these are.
     cautions : tuple of str
         What a user should not overlook about the data.
+    noise_file : Path or Source, optional
+        Where the noise is from, if from a file.
     """
 
     job: Job
-    files: tuple[Path, ...]
+    files: tuple[Data, ...]
     gain_files: tuple[Path, ...]
     observation: Observation
     redundant: RedundantGroups
@@ -84,6 +89,7 @@ class Problem:
     truths: tuple[Beam, ...] = ()
     noise_variance: FloatArray | None = None
     cautions: tuple[str, ...] = ()
+    noise_file: Data | None = None
 
     def of_channels(self, channels: Sequence[int]) -> Problem:
         """Keep some channels."""
@@ -175,16 +181,18 @@ def find_groups(job: Job, observation: Observation) -> RedundantGroups:
     return RedundantGroups(signs * observation.bl_vectors, np.arange(observation.Nbls), redundant.flipped)
 
 
-def prepare(job: Job, files: tuple[Path, ...], truths: tuple[Beam, ...] = ()) -> Problem:
+def prepare(job: Job, files: tuple[Data, ...], truths: tuple[Beam, ...] = (), given: Given = NOTHING) -> Problem:
     """Read and fit everything but the visibilities. Serial.
 
     Parameters
     ----------
     job : Job
-    files : tuple of Path
+    files : tuple of Path or Source
         The visibilities.
     truths : tuple of callable
         The beams that they were simulated with, where they were.
+    given : Given
+        What is in memory: beam, sky, noise and priors; the visibilities are all in ``files``.
 
     Raises
     ------
@@ -196,10 +204,10 @@ def prepare(job: Job, files: tuple[Path, ...], truths: tuple[Beam, ...] = ()) ->
         width = np.full(observation.Nfreqs, job.data.channel_width)
         observation = replace(observation, channel_width=width)
     holdout = split_holdout(observation, _holdout_rule(job))
-    whole_sky = load_sky(job, observation.freqs)
+    whole_sky = load_sky(job, observation.freqs, given.sky)
     sky = whole_sky.brighter_than(job.sky.model_flux_min)
     time_costs = count_sources(sky, observation)
-    beams = load_beams(job, observation.freqs, observation.pols[0])
+    beams = load_beams(job, observation.freqs, observation.pols[0], given.beam)
     basis, fits = fit_model_beams(job, beams)
     return Problem(
         job=job,
@@ -213,12 +221,13 @@ def prepare(job: Job, files: tuple[Path, ...], truths: tuple[Beam, ...] = ()) ->
         flux_removed=1 - float(sky.flux.sum() / whole_sky.flux.sum()),
         basis=basis,
         beams=tuple(beams),
-        priors=tuple(make_prior(job, fit) for fit in fits),
+        priors=given_priors(given.priors, fits) if given.priors else tuple(make_prior(job, fit) for fit in fits),
         fit_rms=tuple(fit.rms_residual for fit in fits),
         time_costs=time_costs,
         channel_numbers=np.arange(observation.Nfreqs),
         truths=truths,
         cautions=cautions_of_data(job, observation),
+        noise_file=given.noise or job.noise.file,
     )
 
 

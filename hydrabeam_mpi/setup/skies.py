@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 
 from hydrabeam_mpi.config import Job, SkyColumns
@@ -9,7 +12,7 @@ from hydrabeam_mpi.config.sections import Sky as SkySettings
 from hydrabeam_mpi.data.limits import LARGEST
 from hydrabeam_mpi.data.observation import FloatArray, Observation
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.io.catalogue import VOTableColumns, read_catalogue
+from hydrabeam_mpi.io.catalogue import VOTableColumns, read_catalogue, sky_of
 from hydrabeam_mpi.io.gsm2016 import read_gsm2016
 from hydrabeam_mpi.model.positions import ApparentPositions, RotatedPositions, SourcePositions, count_above_horizon
 from hydrabeam_mpi.model.sky import Sky, concatenate, mock_sky
@@ -25,17 +28,20 @@ def are_apparent(job: Job) -> bool:
     return (job.sky.positions or ("lst" if job.sky.kind == "mock" else "apparent")) == "apparent"
 
 
-def load_sky(job: Job, freqs: FloatArray) -> Sky:
-    """Read or draw the whole sky, before the model's flux cut, at ``freqs`` (Nfreqs,)."""
+def load_sky(job: Job, freqs: FloatArray, given: Any = None) -> Sky:
+    """Read or draw the whole sky at ``freqs`` (Nfreqs,), before the model's flux cut.
+
+    A SkyModel that is given stands for the job's file.
+    """
     settings = job.sky
-    if settings.file is not None:
-        cut = settings.flux_min > 0 or settings.model_flux_min > 0
+    cut = settings.flux_min > 0 or settings.model_flux_min > 0
+    reference_freq = settings.reference_freq if cut else None
+    if given is not None:
+        sky = sky_of(given, Path("sky"), freqs, reference_freq=reference_freq, flux_min=settings.flux_min)
+    elif settings.file is not None:
+        columns = _votable_columns(settings.columns) if settings.columns else None
         sky = read_catalogue(
-            settings.file,
-            freqs,
-            reference_freq=settings.reference_freq if cut else None,
-            flux_min=settings.flux_min,
-            columns=_votable_columns(settings.columns) if settings.columns else None,
+            settings.file, freqs, reference_freq=reference_freq, flux_min=settings.flux_min, columns=columns
         )
     else:
         _check_spectrum(settings, freqs)

@@ -5,25 +5,21 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from pyuvdata import UVBeam
 
-from hydrabeam_mpi.config import Simulate
-from hydrabeam_mpi.data.observation import Observation
-from hydrabeam_mpi.io.posterior_file import ChannelRecord
+from hydrabeam_mpi.io.posterior_file import ChannelRecord, PosteriorFile
 from hydrabeam_mpi.result.output import write_conversions
-from hydrabeam_mpi.simulation.mock import mock_observation
-
-RECORD = ChannelRecord(131e6, {}, {"map_mean": np.ones((91, 360))})
+from hydrabeam_mpi.result.summary import GRID_AZ, GRID_ZA
 
 
-@pytest.fixture(scope="module")
-def observation() -> Observation:
-    return mock_observation(Simulate(n_times=1), "ee")
+def content(telescope_name: str = "HERA") -> PosteriorFile:
+    record = ChannelRecord(131e6, {}, {"map_mean": np.ones((91, 360))})
+    about = {"versions": {"hydrabeam_mpi": "1.0"}}
+    return PosteriorFile({}, about, "ee", GRID_ZA, GRID_AZ, [record], telescope_name)
 
 
 def summary_in(folder: Path) -> Path:
@@ -35,19 +31,17 @@ def summary_in(folder: Path) -> Path:
 @pytest.mark.parametrize(
     ("name", "in_header"), [("HERA", "HERA"), ("Mücke d\u0027Été", "Mucke d\u0027Ete"), ("天眼\nFAST", "???FAST")]
 )
-def test_any_telescope_has_its_beam(name: str, in_header: str, observation: Observation, tmp_path: Path) -> None:
+def test_any_telescope_has_its_beam(name: str, in_header: str, tmp_path: Path) -> None:
     summary = summary_in(tmp_path)
-    write_conversions(tmp_path, replace(observation, telescope_name=name), [RECORD], "1.0")
+    write_conversions(tmp_path, content(name))
     assert UVBeam.from_file(tmp_path / "beam.beamfits").telescope_name == in_header
     assert json.loads(summary.read_text())["warnings"] == ["first"]
 
 
-def test_a_conversion_that_fails_is_a_warning(
-    small_disk: Path, observation: Observation, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_conversion_that_fails_is_a_warning(small_disk: Path, capfd: pytest.CaptureFixture[str]) -> None:
     # 262 kB do not go onto 200 kB.
     summary = summary_in(small_disk)
-    write_conversions(small_disk, observation, [RECORD], "1.0")
+    write_conversions(small_disk, content())
     first, added = json.loads(summary.read_text())["warnings"]
     assert first == "first"
     assert added.startswith("beam.beamfits could not be written (")
@@ -56,13 +50,11 @@ def test_a_conversion_that_fails_is_a_warning(
     assert added in capfd.readouterr().err
 
 
-def test_a_warning_that_finds_no_room_is_said_all_the_same(
-    small_disk: Path, observation: Observation, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_warning_that_finds_no_room_is_said_all_the_same(small_disk: Path, capfd: pytest.CaptureFixture[str]) -> None:
     summary = summary_in(small_disk)
     before = summary.read_bytes()
     (small_disk / "filler").write_bytes(b"x" * shutil.disk_usage(small_disk).free)
-    write_conversions(small_disk, observation, [RECORD], "1.0")
+    write_conversions(small_disk, content())
     assert summary.read_bytes() == before
     said = capfd.readouterr().err
     assert "beam.beamfits could not be written" in said

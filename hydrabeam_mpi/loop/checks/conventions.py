@@ -15,7 +15,7 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import IntArray
 from hydrabeam_mpi.fit.rows import Rows
-from hydrabeam_mpi.io.uvfile import read_metadata
+from hydrabeam_mpi.io.uvsource import as_source
 from hydrabeam_mpi.loop.checks.alternatives import (
     Alternative,
     AntennaTable,
@@ -150,8 +150,8 @@ def _entry(name: str, score: Score) -> dict[str, Any]:
 def _antenna_table(problem: Problem) -> AntennaTable:
     """Read the antennas in the order of the first file that has all of the observation's."""
     wanted = set(problem.observation.antenna_numbers.tolist())
-    for path in problem.files:
-        header, _ = read_metadata(path)
+    for data in problem.files:
+        header, _ = as_source(data).metadata()
         if wanted <= set(header.antenna_numbers.tolist()):
             return AntennaTable(header.antenna_numbers, header.antenna_names, header.antpos)
     observation = problem.observation

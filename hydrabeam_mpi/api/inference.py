@@ -1,0 +1,72 @@
+"""The posterior beam of every channel: what `hydrabeam infer` and `infer` share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hydrabeam_mpi.api.result import Result
+from hydrabeam_mpi.api.setup import Setup
+from hydrabeam_mpi.api.shared import check_setup, make_result, origin_of, prepare_shared, scratch
+from hydrabeam_mpi.fit.channels import infer_channels
+from hydrabeam_mpi.fit.clock import Clock
+from hydrabeam_mpi.fit.joint import infer_with_effects
+from hydrabeam_mpi.mpi import ProcessGrid, gather_by_channel, peak_rss_mb, together
+from hydrabeam_mpi.result.describe import describe_channels
+
+
+def infer(setup: Setup) -> Result:
+    """Infer the beam of every channel.
+
+    With Gaussian noise N and prior (b_0, Sigma) the posterior of the coefficients is the Gaussian (HDBI II, eqs 10
+    to 14)
+
+        P = Sigma^-1 + A^H N^-1 A,        mean = P^-1 (Sigma^-1 b_0 + A^H N^-1 d).
+
+    Collective: all ranks of the setup's communicator.
+
+    Parameters
+    ----------
+    setup : Setup
+
+    Returns
+    -------
+    Result
+        What it holds is on rank 0.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if the data or another argument cannot be used.
+    """
+    with setup.telling():
+        threads = check_setup(setup)
+        with scratch(setup) as folder:
+            return run_inference(setup, folder, threads)
+
+
+def run_inference(setup: Setup, folder: Path | None, threads: int) -> Result:
+    """Infer the beam of every channel. Collective: all ranks of the setup.
+
+    Parameters
+    ----------
+    setup : Setup
+    folder : Path, optional
+        For simulated data; its disk must have room for the result.
+    threads : int
+        BLAS threads of this rank, for the record.
+    """
+    clock, world, job = Clock(), setup.comm, setup.job
+    with clock.time("prepare"):
+        problem = prepare_shared(world, job, folder, setup.given)
+    grid = ProcessGrid.split(world, problem.observation.Nfreqs)
+    mine = problem.of_channels(grid.channels)
+    results = infer_with_effects(grid, problem, mine, clock) if job.effects else infer_channels(grid, mine, clock)
+    with clock.time("describe"):
+        records = gather_by_channel(grid, describe_channels(grid, mine, results))
+    memory = peak_rss_mb(world)
+    result = Result(job)
+    with together(world):
+        if world.rank == 0:
+            run = {"wall_s": clock.inference, "phases_s": clock.seconds, "peak_rss_mb": memory}
+            result = make_result(setup, problem, records, origin_of(setup, problem, threads), run)
+    return result

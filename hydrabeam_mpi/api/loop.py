@@ -1,0 +1,155 @@
+"""Infer, trace the residual to effects and add them: what `hydrabeam loop` and `close_loop` share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hydrabeam_mpi.api.result import Found, Result
+from hydrabeam_mpi.api.setup import Setup
+from hydrabeam_mpi.api.shared import check_setup, make_result, origin_of, prepare_shared, scratch
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.fit.clock import Clock
+from hydrabeam_mpi.fit.gauss_newton import FitContext
+from hydrabeam_mpi.fit.joint import channel_results, find_setup, read_context, restore
+from hydrabeam_mpi.loop.attribution.control_models import control_models
+from hydrabeam_mpi.loop.checks.conventions import check_conventions
+from hydrabeam_mpi.loop.checks.leakage import check_leakage
+from hydrabeam_mpi.loop.output.amendment import amended_job
+from hydrabeam_mpi.loop.output.record import make_record
+from hydrabeam_mpi.loop.output.resume import Keeper
+from hydrabeam_mpi.loop.selection.choice import choose
+from hydrabeam_mpi.loop.selection.rounds import History, begin, run_rounds
+from hydrabeam_mpi.mpi import ProcessGrid, bcast_object, gather_by_channel, peak_rss_mb, together
+from hydrabeam_mpi.result.describe import describe_channels
+from hydrabeam_mpi.setup.job_file import check_holds_out
+from hydrabeam_mpi.setup.problem import Problem
+
+
+def close_loop(setup: Setup) -> Found:
+    """Infer the beam, find what the model lacks, and add it.
+
+    In each round all effects are weighed by their evidence, the beam marginalised; the best is fitted jointly with the
+    beam, and stays if held-out data are predicted better by it.
+
+    Collective: all ranks of the setup's communicator.
+
+    Parameters
+    ----------
+    setup : Setup
+        It must hold data out.
+
+    Returns
+    -------
+    Found
+        What it holds is on rank 0.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if the data or another argument cannot be used.
+    """
+    with setup.telling():
+        check_holds_out(setup.job)
+        threads = check_setup(setup)
+        with scratch(setup) as folder:
+            return run_loop(setup, folder, threads)
+
+
+def run_loop(
+    setup: Setup,
+    folder: Path | None,
+    threads: int,
+    out: Path | None = None,
+    earlier: Path | None = None,
+    overwrite: bool = False,
+) -> Found:
+    """Infer, trace the residual to effects, and add them. Collective: all ranks of the setup.
+
+    Parameters
+    ----------
+    setup : Setup
+    folder : Path, optional
+        For simulated data; its disk must have room for the result.
+    threads : int
+        BLAS threads of this rank, for the record.
+    out : Path, optional
+        Where the result will be. Rounds are kept in ``folder`` where it is given.
+    earlier : Path, optional
+        The round of an earlier run from which to go on, on rank 0.
+    overwrite : bool
+        Whether a result in ``out`` may be replaced.
+    """
+    clock, world, job = Clock(), setup.comm, setup.job
+    problem, context = _set_up(setup, folder, clock)
+    grid, known = context.grid, context.setup
+    with together(world):
+        choice = choose(job, known)
+        values = restore(job, known)
+    with clock.time("conventions"):
+        conventions = check_conventions(grid, context.problem, context.train.rows)
+    wanted = () if conventions["found"] else ([*choice.effects, *control_models(known)], choice.changes)
+
+    @cache
+    def origin() -> dict[str, Any]:
+        return origin_of(setup, problem, threads)
+
+    history = None
+    keep: Callable[[History], None] = _keep_nothing
+    if folder is not None and out is not None:
+        keeper = Keeper(context, folder, choice.skipped, conventions, clock, origin)
+        history, keep = keeper.go_on(earlier, out, overwrite), keeper
+    history = history or begin(context, values, clock)
+    run_rounds(context, history, *(wanted or ([], [])), clock, keep)
+    with clock.time("leakage"):
+        leakage = check_leakage(grid, context.problem, known) if choice.leakage else None
+    with clock.time("describe"):
+        results = channel_results(context, history.last.fitted)
+        records = gather_by_channel(grid, describe_channels(grid, context.problem, results))
+    record = make_record(context, history, choice.skipped, conventions, leakage)
+    memory = peak_rss_mb(world)
+    found = Found(Result(job))
+    with together(world):
+        if world.rank == 0:
+            run = {"phases_s": clock.seconds, "peak_rss_mb": memory}
+            result = make_result(setup, problem, records, origin(), run, record["warnings"])
+            amended = amended_job(job, history.last.fitted, known)
+            found = Found(result, {**record, "seconds": clock.seconds}, setup.amended(amended))
+    return found
+
+
+def _keep_nothing(history: History) -> None:
+    """Keep no round: there is no folder for it."""
+
+
+def _set_up(setup: Setup, folder: Path | None, clock: Clock) -> tuple[Problem, FitContext]:
+    """Return the problem of all channels, and the rank's part of it with its rows. Collective: all ranks."""
+    world = setup.comm
+    with clock.time("prepare"):
+        problem = prepare_shared(world, setup.job, folder, setup.given)
+        known = None
+        with together(world):
+            if world.rank == 0:
+                known = find_setup(problem)
+        known = bcast_object(world, known)
+    grid = ProcessGrid.split(world, problem.observation.Nfreqs)
+    context = read_context(grid, problem.of_channels(grid.channels), known, clock)
+    _check_can_confirm(context)
+    return problem, context
+
+
+def _check_can_confirm(context: FitContext) -> None:
+    """Make sure that some of the held-out data count. Collective: all ranks of the grid."""
+    counted = context.grid.world.allreduce(np.count_nonzero(context.test.rows.inv_noise_var))
+    with together(context.grid.world):
+        if not counted:
+            raise InputError(
+                "all held-out data are flagged, and only held-out data can confirm what the loop finds",
+                file=context.problem.files[0],
+                field="flag_array",
+                remedy="hold out others ([holdout] of the job), or correct the flags",
+            )

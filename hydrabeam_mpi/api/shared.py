@@ -1,0 +1,156 @@
+"""What all runs share: the problem on every rank, and the result on rank 0."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from hydrabeam_mpi.api.result import Result
+from hydrabeam_mpi.api.setup import Setup
+from hydrabeam_mpi.config import Job
+from hydrabeam_mpi.config.named import expand
+from hydrabeam_mpi.config.sizes import check_sizes
+from hydrabeam_mpi.io.disk import check_space
+from hydrabeam_mpi.io.posterior_file import ChannelRecord, PosteriorFile
+from hydrabeam_mpi.io.provenance import provenance
+from hydrabeam_mpi.mpi import (
+    Comm,
+    bcast_object,
+    blas_threads,
+    library_version,
+    limit_blas_threads,
+    memory_per_rank,
+    together,
+)
+from hydrabeam_mpi.result.output import check_records, input_files, least_result_bytes, summarise
+from hydrabeam_mpi.result.summary import GRID_AZ, GRID_ZA
+from hydrabeam_mpi.setup.given import NOTHING, Given
+from hydrabeam_mpi.setup.problem import Problem, estimate_noise, prepare
+from hydrabeam_mpi.simulation.mock import simulate_to
+from hydrabeam_mpi.terminal.progress import say, warn
+
+
+@contextmanager
+def scratch(setup: Setup) -> Iterator[Path | None]:
+    """Give a folder for simulated data that vanishes afterwards; None where there is nothing to simulate.
+
+    Collective: all ranks of the setup. On several nodes TMPDIR must name a folder that all of them see.
+    """
+    world = setup.comm
+    if setup.job.data.simulate is None:
+        yield None
+        return
+    made = TemporaryDirectory(prefix="hydrabeam-") if world.rank == 0 else None
+    try:
+        yield world.bcast(Path(made.name) if made else None)
+        world.Barrier()
+    finally:
+        if made:
+            made.cleanup()
+
+
+def check_setup(setup: Setup) -> int:
+    """Refuse what cannot fit into memory, and return how many threads BLAS has on this rank.
+
+    Collective: all ranks of the setup. Several ranks share out the cores, as the commands do.
+    """
+    world = setup.comm
+    memory = memory_per_rank(world)
+    with together(world):
+        check_sizes(setup.job, memory)
+    return limit_blas_threads(world) if world.size > 1 else blas_threads()
+
+
+def prepare_shared(world: Comm, job: Job, folder: Path | None, given: Given = NOTHING) -> Problem:
+    """Simulate where asked, and set up the problem on every rank.
+
+    Collective: all ranks of `world`.
+
+    Parameters
+    ----------
+    world : Comm
+    job : Job
+    folder : Path, optional
+        Where simulated data and the result go; None where neither is written.
+    given : Given
+        What is in memory, on rank 0.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if something in the job or in a file is wrong, or ``folder`` has no room for the result.
+    """
+    with together(world):
+        if world.rank == 0 and folder:
+            check_space(folder, least_result_bytes(job))
+    truths = simulate_to(world, job, folder) if job.data.simulate and folder else ()
+    problem = None
+    with together(world):
+        if world.rank == 0:
+            say("reading metadata, sky and beam")
+            files = (folder / "data.uvh5",) if job.data.simulate and folder else given.data
+            problem = prepare(job, files or expand(job.data.files, "[data] files"), truths, given)
+            if folder:
+                check_space(folder, least_result_bytes(job, problem.observation.Nfreqs))
+            say(_one_line(problem))
+            warn(problem.cautions)
+    problem = bcast_object(world, problem)
+    return estimate_noise(world, problem)
+
+
+def _one_line(problem: Problem) -> str:
+    """Say what is inferred from what."""
+    observation, basis = problem.observation, problem.basis
+    return (
+        f"{basis.n_modes} {'complex' if basis.is_complex else 'real'} coefficients in {observation.Nfreqs} channel(s)"
+        f" from {len(problem.train.times)} times x {len(problem.train.bls)} baselines"
+        f" ({problem.n_unique_baselines} unique), {problem.sky.Nsrc} sources"
+    )
+
+
+def origin_of(setup: Setup, problem: Problem, threads: int) -> dict[str, Any]:
+    """Return where a result comes from."""
+    inputs = input_files(setup.job, problem, setup.given.fields)
+    return provenance(setup.job, inputs, setup.comm.size, threads, library_version())
+
+
+def make_result(
+    setup: Setup,
+    problem: Problem,
+    records: list[ChannelRecord],
+    about: dict[str, Any],
+    run: dict[str, Any],
+    warnings: Sequence[str] = (),
+) -> Result:
+    """Put together what rank 0 has of a run.
+
+    Parameters
+    ----------
+    setup : Setup
+    problem : Problem
+        Of all channels.
+    records : list of ChannelRecord
+    about, run : dict
+        Where it comes from, and what is told of the run itself.
+    warnings : sequence of str
+        First in the summary.
+
+    Raises
+    ------
+    InputError
+        If not all numbers are finite.
+    """
+    check_records(records)
+    content = PosteriorFile(
+        problem.basis.describe(),
+        about,
+        problem.observation.pols[0],
+        GRID_ZA,
+        GRID_AZ,
+        records,
+        problem.observation.telescope_name,
+    )
+    return Result(setup.job, content, summarise(setup.job, problem, content, run, warnings))

@@ -1,0 +1,177 @@
+"""Where rows of visibilities come from: a file, of which only what is asked for is read, or a UVData in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol, Self, runtime_checkable
+
+import numpy as np
+from pyuvdata import UVData
+
+from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.selection import BoolArray
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.reading import quiet
+from hydrabeam_mpi.io.uvcheck import check_metadata
+from hydrabeam_mpi.io.uvfile import UVHeader, UVRows, header_of, may_hold, read_metadata, rows_of
+from hydrabeam_mpi.io.uvrows import Samples, in_drift_scan, read_rows
+
+
+@runtime_checkable
+class Source(Protocol):
+    """Rows of visibilities, a row being a baseline at a time. As text it is what messages call it."""
+
+    def metadata(self) -> tuple[UVHeader, UVRows]:
+        """Return what is said of all rows, and of each."""
+        ...
+
+    def may_hold(self, times: FloatArray, tolerance: float) -> bool:
+        """Tell quickly that there are no rows at some times (JD); True where only all metadata can tell."""
+        ...
+
+    def samples(
+        self, header: UVHeader, rows: IntArray, channels: IntArray, pols: IntArray, pol_convention: str | None
+    ) -> Samples:
+        """Return visibilities, flags and nsamples as `hydrabeam_mpi.io.uvrows.read_rows` does."""
+        ...
+
+
+@dataclass(frozen=True)
+class UVFile:
+    """A file of visibilities."""
+
+    path: Path
+
+    def __str__(self) -> str:
+        return str(self.path)
+
+    def metadata(self) -> tuple[UVHeader, UVRows]:
+        """Read the metadata."""
+        return read_metadata(self.path)
+
+    def may_hold(self, times: FloatArray, tolerance: float) -> bool:
+        """Look at the times of a uvh5 file."""
+        return may_hold(self.path, times, tolerance)
+
+    def samples(
+        self, header: UVHeader, rows: IntArray, channels: IntArray, pols: IntArray, pol_convention: str | None
+    ) -> Samples:
+        """Read part of the file."""
+        return read_rows(header, rows, channels, pols, pol_convention)
+
+
+@dataclass(frozen=True, eq=False)
+class UVInMemory:
+    """Visibilities in memory.
+
+    Attributes
+    ----------
+    header : UVHeader
+        Its path is the name that messages have for the data.
+    rows : UVRows
+    data : ndarray, (Nblts, Nfreqs, Npols)
+        As drift scan.
+    flags : ndarray of bool, same shape
+    nsamples : ndarray, same shape
+    pol_convention : {"sum", "avg"} or None
+        As the data state it.
+    """
+
+    header: UVHeader
+    rows: UVRows
+    data: Array
+    flags: BoolArray
+    nsamples: FloatArray
+    pol_convention: str | None = None
+
+    def __str__(self) -> str:
+        return str(self.header.path)
+
+    @classmethod
+    def of(cls, uv: UVData, name: str) -> Self:
+        """Take a UVData as it is; phased data are copied and turned back to drift scan.
+
+        Raises
+        ------
+        InputError
+            If its metadata cannot be so, or it holds nothing else.
+        """
+        path = Path(name)
+        samples = ("data_array", "flag_array", "nsample_array")
+        lacking = next((field for field in samples if getattr(uv, field) is None), None)
+        if lacking:
+            raise InputError("is not there", file=path, field=lacking, remedy="read the file with its data")
+        check_metadata(uv, path)
+        for field in samples:
+            found, expected = np.shape(getattr(uv, field)), (uv.Nblts, uv.Nfreqs, uv.Npols)
+            if found != expected:
+                message = f"has the shape {found}, where the metadata say {expected}"
+                raise InputError(message, file=path, field=field, remedy="UVData.check() tells more")
+        header, rows = header_of(uv, path, "memory"), rows_of(uv)
+        if not in_drift_scan(uv):
+            with quiet():
+                uv = uv.copy()
+                uv.data_array = uv.data_array.astype(np.complex128)
+                uv.unproject_phase()
+        return cls(header, rows, uv.data_array, uv.flag_array, uv.nsample_array, uv.pol_convention)
+
+    def with_sigma(self, variance: Array, name: str) -> UVInMemory:
+        """Return the standard deviations of the noise of each visibility in its place, as a file of noise has them.
+
+        Parameters
+        ----------
+        variance : array_like
+            Jy^2, E|n|^2 in the data's own convention; broadcast to (Nblts, Nfreqs, Npols).
+
+        Raises
+        ------
+        InputError
+            If it has another shape, or is not real.
+        """
+        shape, given = self.data.shape, np.asarray(variance)
+        try:
+            values = np.broadcast_to(given, shape)
+        except ValueError:
+            values = np.zeros(0)
+        if given.dtype.kind not in "iuf" or values.shape != shape:
+            told = f"is an array of {given.dtype} with the shape {given.shape}"
+            remedy = f"give variances (Jy^2) in a shape that broadcasts to that of data_array, {shape}"
+            raise InputError(told, file=name, remedy=remedy)
+        known = (values > 0) & np.isfinite(values)
+        sigma = np.where(known, np.sqrt(np.where(known, values, 0.0)), 0.0)
+        header = replace(self.header, path=Path(name))
+        return UVInMemory(header, self.rows, sigma, self.flags, np.ones(shape), self.pol_convention)
+
+    def metadata(self) -> tuple[UVHeader, UVRows]:
+        """Return the metadata."""
+        return self.header, self.rows
+
+    def may_hold(self, times: FloatArray, tolerance: float) -> bool:
+        """Return True: all metadata are at hand."""
+        return True
+
+    def samples(
+        self, header: UVHeader, rows: IntArray, channels: IntArray, pols: IntArray, pol_convention: str | None
+    ) -> Samples:
+        """Take part of the data, in the convention V = 1/2 I B."""
+        wanted = np.ix_(rows, channels, pols)
+        data: ComplexArray = self.data[wanted].astype(np.complex128)
+        if (self.pol_convention or pol_convention) == "avg":
+            data.view(float)[:] *= 0.5
+        return data, self.flags[wanted], self.nsamples[wanted].astype(float)
+
+
+Data = Path | Source
+"""Where rows come from, a file by its name."""
+
+
+def as_source(data: Data) -> Source:
+    """Return a file, or what is in memory already, by its common interface."""
+    return data if isinstance(data, Source) else UVFile(Path(data))
+
+
+def files_among(data: Iterable[Data]) -> list[Path]:
+    """Return those that are files."""
+    return [Path(one) for one in data if not isinstance(one, Source)]
