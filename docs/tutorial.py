@@ -65,8 +65,7 @@ gain = np.where(np.arange(uvd.telescope.antenna_numbers.max() + 1) == 7, 1.05, 1
 damaged.data_array *= (gain[damaged.ant_1_array] * gain[damaged.ant_2_array])[:, np.newaxis, np.newaxis]
 
 looked_for = {"effects": ["antenna_gains", "cross_coupling", "timestamp"]}  # all, if nothing is said
-small = hb.FourierBessel(n_modes=24, k_max=24, m_max=0)
-found = hb.close_loop(hb.Setup(damaged, basis=small, loop=looked_for, **choices))
+found = hb.close_loop(hb.Setup(damaged, basis=basis, loop=looked_for, **choices))
 print(f"verdict: {found.verdict}")
 for one in found.rounds:
     print(one["sentence"])
