@@ -41,7 +41,7 @@ def test_every_public_name_is_documented() -> None:
 
 
 def test_the_lines_of_the_readme_run(tutorial: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (code,) = re.findall(r"^## In Python\n.*?((?:^    .*\n|\n)+)", (ROOT / "README.md").read_text(), re.M | re.S)
+    (code,) = re.findall(r"^## In Python\n.*?^(    import .*?)\n\n`hb", (ROOT / "README.md").read_text(), re.M | re.S)
     monkeypatch.chdir(tmp_path)
     simulate = {"array": {"hex": [2, 3]}, "n_times": 24, "nsamples": 1.0}
     model = {"sky": {"n_sources": 100}, "beam": {"source": "airy", "diameter": 14.0}}
