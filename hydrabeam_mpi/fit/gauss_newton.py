@@ -176,11 +176,7 @@ def _least_rise(best: float, values: Values, misfit: float) -> float:
 
 def _objective(context: FitContext, values: Values, of_beams: FloatArray) -> float:
     """Return ln(likelihood x prior) of beams and effects, over all channels."""
-    penalty = sum(
-        float(np.sum((one.x[:1] if one.effect.shared else one.x)[:, one.used] ** 2 / one.prior_var[one.used]))
-        for one in values.active
-    )
-    return context.over_channels(of_beams) - 0.5 * penalty
+    return context.over_channels(of_beams) + values.log_prior
 
 
 def _solve_beams(context: FitContext, at: Estimate, keep: bool = False) -> _Solved:

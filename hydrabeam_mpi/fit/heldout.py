@@ -129,15 +129,15 @@ def _local_step(
     found : list
         For each of the job's channels which parameters have been fitted, (q,), and their covariance.
     """
-    x, shared, prior_var = at.values.x, at.values.shared, at.values.prior_var
+    x, shared = at.values.x, at.values.shared
     signals, scores = _local_sums(context, at, kept)
     of_kind = np.concatenate([np.full(len(one.used), one.effect.local == local) for one in at.values.active])
     free = of_kind & (np.diag(signals.sum(axis=0)) > 0)
-    found = []
+    found: list[tuple[NDArray[np.bool_], FloatArray]] = []
     for f in range(len(x)):
         signal = np.where(np.outer(shared, shared), signals.sum(axis=0), signals[f])[np.ix_(free, free)]
-        score = np.where(shared, scores.sum(axis=0), scores[f])[free] - x[f, free] / prior_var[free]
-        covariance = np.linalg.inv(signal + np.diag(1 / prior_var[free]))
+        score = np.where(shared, scores.sum(axis=0), scores[f])[free] + at.values.prior_score(f)[free]
+        covariance = np.asarray(np.linalg.inv(signal + at.values.prior_precision(f)[np.ix_(free, free)]), dtype=float)
         x[f, free] += covariance @ score
         found.append((free, covariance))
     return at.values.at(x), found
@@ -278,7 +278,7 @@ def variance_by_effects(
         Whether that is with beams that follow the effects, so that it adds to the variance by beams that do not.
     """
     variance = np.zeros((len(context.channels), 2, *rows.data.shape[1:]))
-    with_beam = len(fitted.values.prior_var) <= MAX_FOLLOWED
+    with_beam = len(fitted.values.shared) <= MAX_FOLLOWED
     for channel in range(len(context.channels) if fitted.values.active else 0):
         root = _followed_root(fitted.fit.covariances[channel])
         for span, block, design in context.test.row_blocks(channel, fitted.estimate, added[channel], rows):

@@ -20,7 +20,7 @@ from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
 from hydrabeam_mpi.fit.heldout import variance_by_effects
 from hydrabeam_mpi.fit.rank_data import RankData
-from hydrabeam_mpi.fit.state import Active, Fit, Fitted, Reweighted, Values
+from hydrabeam_mpi.fit.state import Active, Fit, Fitted, Reweighted, Values, independent_prior
 from hydrabeam_mpi.fit.whitening import root_of
 from hydrabeam_mpi.infer.posterior import Posterior
 from hydrabeam_mpi.io.uvmeta import read_observation
@@ -111,7 +111,8 @@ def _restore_effect(entry: EffectEntry, setup: ObservingSetup) -> Active:
         raise InputError("is about other antennas, times or sources than the data have", remedy=AS_WRITTEN)
     prior_var, x = np.zeros(len(parameters)), np.zeros((len(entry.values), len(parameters)))
     prior_var[index], x[:, index] = np.square(entry.prior_std), np.array(entry.values)
-    return replace(Active.start(effect, setup, prior_var, x), prior_var=prior_var)
+    used, prior = independent_prior(prior_var, effect.shared)
+    return replace(Active.start(effect, setup, prior_var, x), used=used, prior=prior)
 
 
 def infer_with_effects(grid: ProcessGrid, problem: Problem, mine: Problem, clock: Clock) -> list[ChannelResult]:

@@ -33,24 +33,27 @@ def solve_jointly(
     moved : float
         Largest step in standard deviations.
     """
-    x, width, shared = values.x, np.sqrt(values.prior_var), values.shared
+    x, shared = values.x, values.shared
     s, p = np.flatnonzero(shared), np.flatnonzero(~shared)
-    prior = _prior_precision(values, width)
-    top, gradient = prior[np.ix_(s, s)].copy(), -prior[np.ix_(s, s)] @ (x[0, s] / width[s])
+    top, gradient = np.zeros((len(s), len(s))), np.zeros(len(s))
     channels = []
-    for likelihood, here in zip(likelihoods, x, strict=True):
+    for f, likelihood in enumerate(likelihoods):
+        width = _units(values, f)
+        prior, pull = _prior(values, f, width)
+        if f == 0:
+            top, gradient = prior[np.ix_(s, s)].copy(), pull[s].copy()
         matrix = width[:, np.newaxis] * likelihood.information * width
         score = width * likelihood.score
         own = np.linalg.inv(matrix[np.ix_(p, p)] + prior[np.ix_(p, p)])
         across = matrix[np.ix_(s, p)] @ own
-        own_score = score[p] - prior[np.ix_(p, p)] @ (here[p] / width[p])
+        own_score = score[p] + pull[p]
         top += matrix[np.ix_(s, s)] - across @ matrix[np.ix_(p, s)]
         gradient += score[s] - across @ own_score
-        channels.append((own, across, own_score))
+        channels.append((width, own, across, own_score))
     common = np.linalg.inv(top)
     common_step = common @ gradient
     new, std, covariances = x.copy(), np.zeros_like(x), []
-    for f, (own, across, own_score) in enumerate(channels):
+    for f, (width, own, across, own_score) in enumerate(channels):
         step, covariance = np.zeros(len(width)), np.zeros((len(width), len(width)))
         step[s], step[p] = common_step, own @ own_score - across.T @ common_step
         covariance[np.ix_(s, s)] = common
@@ -63,13 +66,20 @@ def solve_jointly(
     return new, std, covariances, float(np.max(np.abs(new - x) / std, initial=0.0))
 
 
-def _prior_precision(values: Values, width: FloatArray) -> FloatArray:
-    """Return the precision of the prior in units of its widths, with degenerate combinations held at zero."""
-    precision = np.eye(len(width))
+def _units(values: Values, channel: int) -> FloatArray:
+    """Return the widths of the prior in a channel, (q,), and the parameters' own units where it is flat."""
+    std = values.prior_std(channel)
+    return np.where(np.isfinite(std), std, 1.0)
+
+
+def _prior(values: Values, channel: int, width: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the prior's precision (q, q) and score (q,) in units of ``width``; what is degenerate is held at zero."""
+    precision = width[:, np.newaxis] * values.prior_precision(channel) * width
+    to_mean = precision @ (values.prior_mean(channel) / width)
     for one, span in zip(values.active, values.spans, strict=True):
         for combination in one.degenerate_directions[:, one.used] * width[span]:
             precision[span, span] += HELD * np.outer(combination, combination) / np.vdot(combination, combination)
-    return precision
+    return precision, to_mean - precision @ (values.x[channel] / width)
 
 
 def _limited(values: Values, step: FloatArray) -> FloatArray:

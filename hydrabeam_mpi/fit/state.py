@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
-from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.infer.posterior import Posterior
+from hydrabeam_mpi.infer.prior import ChannelPrior, DiagonalPrior, precision_of
 
 
 @dataclass(frozen=True)
@@ -23,8 +24,10 @@ class Active:
     Attributes
     ----------
     effect : Effect
-    prior_var : ndarray, (n_params,)
-        Prior variance of each parameter about zero; zero for those that are held at zero.
+    used : ndarray of int, (n_used,)
+        Which of its parameters are not held at zero.
+    prior : ChannelPrior
+        Of those in use.
     x : ndarray, (Nfreqs, n_params)
         Of all the job's channels; shared parameters are repeated.
     step_limit : ndarray, (n_params,)
@@ -34,7 +37,8 @@ class Active:
     """
 
     effect: Effect
-    prior_var: FloatArray
+    used: IntArray
+    prior: ChannelPrior
     x: FloatArray
     step_limit: FloatArray
     degenerate_directions: FloatArray
@@ -43,7 +47,8 @@ class Active:
     def start(cls, effect: Effect, setup: ObservingSetup, prior_var: FloatArray, x: FloatArray) -> Active:
         """Begin with ``x``, (Nblocks, n_params); elements in use bring their `nonlinear` parameters with them.
 
-        The prior of those has three times their natural size.
+        Parameters of variance ``prior_var``, (n_params,), zero are not in use; the prior of nonlinear ones has three
+        times their natural size.
         """
         parameters = effect.parameters(setup)
         nonlinear = parameters.nonlinear & np.isin(parameters.element, parameters.element[prior_var > 0])
@@ -52,9 +57,10 @@ class Active:
         free = np.all((prior_var > 0) | (held == 0), axis=1)
         held = held[free]
         x = x - (x @ np.linalg.pinv(held)) @ held
+        prior_var = np.where(nonlinear, (3 * parameters.scale) ** 2, prior_var)
         return cls(
             effect,
-            np.where(nonlinear, (3 * parameters.scale) ** 2, prior_var),
+            *independent_prior(prior_var, effect.shared),
             np.broadcast_to(x, (n_freqs, len(parameters))).copy(),
             np.where(parameters.nonlinear, parameters.scale, np.inf),
             held,
@@ -64,11 +70,6 @@ class Active:
     def kind(self) -> str:
         """The effect's name."""
         return self.effect.kind
-
-    @property
-    def used(self) -> NDArray[np.intp]:
-        """Indices of the parameters that are not held at zero, (Nused,)."""
-        return np.flatnonzero(self.prior_var)
 
     @property
     def adds(self) -> bool:
@@ -116,12 +117,30 @@ class Values:
     @property
     def shared(self) -> NDArray[np.bool_]:
         """Whether channels share each of the active parameters in use, side by side, (q,)."""
-        return _side_by_side([np.full(len(one.used), one.effect.shared) for one in self.active], bool)
+        return np.concatenate(
+            [np.zeros(0, dtype=bool), *(np.full(len(one.used), one.prior.shared) for one in self.active)]
+        )
 
     @property
-    def prior_var(self) -> FloatArray:
-        """Prior variances of all active parameters in use, side by side, (q,)."""
-        return _side_by_side([one.prior_var[one.used] for one in self.active], float)
+    def log_prior(self) -> float:
+        """Logarithm of the prior's density of all active parameters, of all channels, up to a constant."""
+        return sum(one.prior.log_density(one.x[:, one.used]) for one in self.active)
+
+    def prior_mean(self, channel: int) -> FloatArray:
+        """Return the prior's mean in a channel, of the parameters in use side by side, (q,)."""
+        return np.concatenate([np.zeros(0), *(one.prior.of(channel).mean for one in self.active)])
+
+    def prior_std(self, channel: int) -> FloatArray:
+        """Return the prior's standard deviations in a channel, of the parameters in use side by side, (q,)."""
+        return np.concatenate([np.zeros(0), *(one.prior.of(channel).std() for one in self.active)])
+
+    def prior_precision(self, channel: int) -> FloatArray:
+        """Return the precision of the prior of a channel's parameters in use, side by side, (q, q)."""
+        return np.asarray(block_diag(np.zeros((0, 0)), *(precision_of(one.prior.of(channel)) for one in self.active)))
+
+    def prior_score(self, channel: int) -> FloatArray:
+        """Return the gradient of the logarithm of the prior in a channel's parameters in use, (q,)."""
+        return np.asarray(self.prior_precision(channel) @ (self.prior_mean(channel) - self.x[channel]))
 
     @property
     def x(self) -> FloatArray:
@@ -227,5 +246,7 @@ class Fitted:
         return Estimate(self.values, self.fit.posteriors)
 
 
-def _side_by_side(parts: Sequence[NDArray[Any]], kind: type) -> NDArray[Any]:
-    return np.concatenate([np.zeros(0, dtype=kind), *parts])
+def independent_prior(prior_var: FloatArray, shared: bool) -> tuple[IntArray, ChannelPrior]:
+    """Return which parameters are in use, those of variance not zero, and their prior about zero."""
+    used = np.flatnonzero(prior_var)
+    return used, ChannelPrior((DiagonalPrior(np.zeros(len(used)), np.sqrt(prior_var[used])),), shared)

@@ -41,22 +41,24 @@ class Likelihood:
     def __add__(self, other: Likelihood) -> Likelihood:
         return Likelihood(self.information + other.information, self.score + other.score, self.signal + other.signal)
 
-    def marginalised(self, which: IntArray, prior_var: FloatArray) -> Likelihood:
+    def marginalised(self, which: IntArray, precision: FloatArray) -> Likelihood:
         """Return the likelihood of the others, with some parameters marginalised that have a prior around zero.
 
         Parameters
         ----------
         which : ndarray of int, (p,)
             The parameters to marginalise.
-        prior_var : ndarray, (p,)
-            Their prior variances; not zero.
+        precision : ndarray, (p, p)
+            Of their prior.
         """
         if not len(which):
             return self
         rest = np.delete(np.arange(len(self.score)), which)
         # In units of the prior's width, in which the matrix is never singular.
-        width = np.sqrt(prior_var)
-        corner = width[:, np.newaxis] * self.information[np.ix_(which, which)] * width + np.eye(len(which))
+        own = np.diag(precision)
+        width = 1 / np.sqrt(np.where(own > 0, own, 1.0))
+        units = np.outer(width, width)
+        corner = self.information[np.ix_(which, which)] * units + precision * units
         across = width[:, np.newaxis] * self.information[np.ix_(which, rest)]
         solved = np.linalg.solve(corner, np.column_stack([across, width * self.score[which]]))
         information = self.information[np.ix_(rest, rest)] - across.T @ solved[:, :-1]

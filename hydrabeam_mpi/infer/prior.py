@@ -121,3 +121,39 @@ class CovariancePrior:
     def std(self) -> FloatArray:
         """Return the square root of the diagonal, (n,)."""
         return self._std
+
+
+@dataclass(frozen=True)
+class ChannelPrior:
+    """The prior of parameters over channels: one for all of them, or another in each.
+
+    Attributes
+    ----------
+    priors : tuple of Prior
+        One a channel; or a single one, which is that of every channel.
+    shared : bool
+        Whether channels share one set of parameters, which then has a single prior, rather than each having its own.
+    """
+
+    priors: tuple[Prior, ...]
+    shared: bool = False
+
+    def __post_init__(self) -> None:
+        if self.shared and len(self.priors) > 1:
+            raise ValueError("parameters that channels share have one prior")
+
+    def of(self, channel: int) -> Prior:
+        """Return the prior in one channel."""
+        return self.priors[channel if len(self.priors) > 1 else 0]
+
+    def log_density(self, x: FloatArray) -> float:
+        """Return ln of the density of real parameters, (Nfreqs, n), up to a constant."""
+        away = [(self.of(f), values - self.of(f).mean) for f, values in enumerate(x[:1] if self.shared else x)]
+        return -0.5 * sum(float(one @ prior.precision_times(one)) for prior, one in away)
+
+
+def precision_of(prior: Prior) -> FloatArray:
+    """Return Sigma^-1 of real parameters, (n, n)."""
+    matrix = np.zeros((len(prior.mean), len(prior.mean)))
+    prior.add_precision(matrix)
+    return matrix

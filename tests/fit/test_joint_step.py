@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.instrument.antenna_delays import AntennaDelays
@@ -14,22 +15,46 @@ from hydrabeam_mpi.effects.instrument.antenna_positions import AntennaPositions
 from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.joint_step import HELD, solve_jointly
-from hydrabeam_mpi.fit.state import Active, Values
+from hydrabeam_mpi.fit.state import Active, Values, independent_prior
 from hydrabeam_mpi.infer.likelihood import Likelihood
+from hydrabeam_mpi.infer.prior import ChannelPrior, CovariancePrior, DiagonalPrior, FlatPrior, Prior, precision_of
 from hydrabeam_mpi.random import generator
 
 
 def active(effect: Effect, n: int, unused: int = 0, held: FloatArray | None = None, limit: float = np.inf) -> Active:
     """An effect with parameters of very different natural sizes, the last ``unused`` of which are held at zero."""
-    prior_var = np.append(np.geomspace(1e-4, 1e4, n), np.zeros(unused))
+    used, prior = independent_prior(np.append(np.geomspace(1e-4, 1e4, n), np.zeros(unused)), effect.shared)
     zeros = np.zeros((1, n + unused))
     combinations = np.zeros((0, n + unused)) if held is None else np.pad(held, ((0, 0), (0, unused)))
-    return Active(effect, prior_var, zeros, np.full(n + unused, limit), combinations)
+    return Active(effect, used, prior, zeros, np.full(n + unused, limit), combinations)
+
+
+def with_priors(one: Active, *priors: Prior) -> Active:
+    return replace(one, prior=ChannelPrior(priors, one.effect.shared))
+
+
+def normal(n: int, seed: int) -> DiagonalPrior:
+    """About values that are not zero, and of other widths for another seed."""
+    rng = generator(seed, "diagonal")
+    sigma = np.geomspace(1e-2, 1e2, n) * rng.uniform(0.2, 5, n)
+    return DiagonalPrior(sigma * rng.standard_normal(n), sigma)
+
+
+def correlated(n: int, seed: int) -> CovariancePrior:
+    rng, sigma = generator(seed, "correlated"), normal(n, seed).sigma
+    root = sigma[:, np.newaxis] * rng.standard_normal((n, 2 * n))
+    return CovariancePrior(sigma * rng.standard_normal(n), root @ root.T)
+
+
+def units(values: Values) -> FloatArray:
+    """Return the widths of the prior in the first channel, one where it is flat."""
+    std = values.prior_std(0)
+    return np.where(np.isfinite(std), std, 1.0)
 
 
 def placed(values: Values, x: FloatArray) -> Values:
     """Put the parameters in use, (Nfreqs, q), in their places in all channels."""
-    wider = [replace(one, x=np.zeros((len(x), len(one.prior_var)))) for one in values.active]
+    wider = [replace(one, x=np.zeros((len(x), one.x.shape[1]))) for one in values.active]
     return replace(values, active=tuple(wider)).at(x)
 
 
@@ -50,6 +75,22 @@ CASES: dict[str, tuple[int, list[Active]]] = {
         3,
         [active(AntennaDelays(), 4, held=COMMON), active(AntennaGains(), 4, held=TWO_COMMON)],
     ),
+    "another prior in each channel": (3, [with_priors(active(AntennaGains(), 4), *(normal(4, f) for f in range(3)))]),
+    "correlated, and another in each channel, beside shared ones": (
+        3,
+        [
+            with_priors(active(AntennaDelays(), 3), correlated(3, 7)),
+            with_priors(active(AntennaGains(), 4, unused=1), *(correlated(4, f) for f in range(3))),
+        ],
+    ),
+    "correlated, and something is held": (
+        2,
+        [
+            with_priors(active(AntennaDelays(), 4, held=COMMON), correlated(4, 7)),
+            with_priors(active(AntennaGains(), 4, held=TWO_COMMON), correlated(4, 1), normal(4, 2)),
+        ],
+    ),
+    "flat": (2, [with_priors(active(AntennaGains(), 3), FlatPrior(np.zeros(3))), active(AntennaDelays(), 3)]),
 }
 
 
@@ -67,9 +108,9 @@ def likelihoods(n_freqs: int, width: FloatArray) -> list[Likelihood]:
 
 def held_combinations(values: Values) -> FloatArray:
     """All of them, over the parameters in use side by side."""
-    rows = [np.zeros((0, len(values.prior_var)))]
+    rows = [np.zeros((0, len(values.shared)))]
     for one, span in zip(values.active, values.spans, strict=True):
-        part = np.zeros((len(one.degenerate_directions), len(values.prior_var)))
+        part = np.zeros((len(one.degenerate_directions), len(values.shared)))
         part[:, span] = one.degenerate_directions[:, one.used]
         rows.append(part)
     return np.concatenate(rows)
@@ -87,15 +128,22 @@ def dense(values: Values, found: list[Likelihood]) -> tuple[FloatArray, list[Flo
     for f, one in enumerate(maps):
         one[np.flatnonzero(shared), np.arange(n_shared)] = 1
         one[np.flatnonzero(~shared), n_shared + f * n_own + np.arange(n_own)] = 1
-    precision = np.concatenate([1 / values.prior_var[shared], *([1 / values.prior_var[~shared]] * n_freqs)])
+    priors = [[one.prior.of(f) for one in values.active] for f in range(n_freqs)]
+    of_channel = [block_diag(*map(precision_of, some)) for some in priors]
+    center = [np.concatenate([one.mean for one in some]) for some in priors]
+    precision = block_diag(
+        of_channel[0][np.ix_(shared, shared)], *(one[np.ix_(~shared, ~shared)] for one in of_channel)
+    )
+    mean = np.concatenate([center[0][shared], *(one[~shared] for one in center)])
     here = np.concatenate([x[0, shared], *(x[:, ~shared])])
-    matrix, score = np.diag(precision), np.zeros(len(here))
+    matrix, score = precision.copy(), precision @ mean
     for one, likelihood in zip(maps, found, strict=True):
         matrix += one.T @ likelihood.information @ one
         score += one.T @ (likelihood.score + likelihood.information @ (one @ here))
     held = np.concatenate([held_combinations(values) @ one for one in maps])
     # In units of the prior, in which directions are told apart; those that are free.
-    width = 1 / np.sqrt(precision)
+    own = np.diag(precision)
+    width = 1 / np.sqrt(np.where(own > 0, own, 1.0))
     _, values, right = np.linalg.svd(held * width)
     free = width[:, np.newaxis] * right[int(np.sum(values > 1e-9)) :].T
     covariance = free @ np.linalg.solve(free.T @ matrix @ free, free.T)
@@ -106,7 +154,7 @@ def dense(values: Values, found: list[Likelihood]) -> tuple[FloatArray, list[Flo
 @pytest.mark.parametrize(("n_freqs", "effects"), CASES.values(), ids=CASES)
 def test_the_step_is_that_of_one_system_of_all_channels(n_freqs: int, effects: list[Active]) -> None:
     values = Values(tuple(effects))
-    width, shared = np.sqrt(values.prior_var), values.shared
+    width, shared = units(values), values.shared
     x = width * generator(9, "start").standard_normal((n_freqs, len(width)))
     x[:, shared] = x[0, shared]
     values = placed(values, x)
@@ -130,8 +178,8 @@ def test_the_step_is_that_of_one_system_of_all_channels(n_freqs: int, effects: l
 def test_at_the_maximum_nothing_moves() -> None:
     n_freqs, effects = CASES["three channels, shared beside their own"]
     values = Values(tuple(effects))
-    found = likelihoods(n_freqs, np.sqrt(values.prior_var))
-    best, *_ = solve_jointly(placed(values, np.zeros((n_freqs, len(values.prior_var)))), found)
+    found = likelihoods(n_freqs, units(values))
+    best, *_ = solve_jointly(placed(values, np.zeros((n_freqs, len(values.shared)))), found)
     there = [
         Likelihood(one.information, one.score - one.information @ x, one.signal)
         for one, x in zip(found, best, strict=True)
@@ -148,7 +196,7 @@ def test_steps_of_few_parameters_are_limited(limit: float) -> None:
     x = np.zeros((2, 6))
     both = (Values((free, one)) for one in (held_back, active(AntennaPositions(), 3)))
     values, unlimited = (placed(one, x) for one in both)
-    found = likelihoods(2, np.sqrt(values.prior_var))
+    found = likelihoods(2, units(values))
     new, std, _, moved = solve_jointly(values, found)
     full, full_std, _, _ = solve_jointly(unlimited, found)
     np.testing.assert_array_equal(new[:, :3], full[:, :3])

@@ -26,7 +26,7 @@ def test_elements_in_use_bring_what_is_refined_of_them() -> None:
     flux = np.where(np.arange(8) == 4, 2.0, 0.0)  # of the second source
     found = Active.start(sources, EXPERIMENT, flux, 1.5 * (flux > 0))
     assert found.used.tolist() == [4, 5, 6, 7]
-    np.testing.assert_allclose(found.prior_var[4:], [2.0, *(9 * parameters.scale[5:] ** 2)])
+    np.testing.assert_allclose(found.prior.of(0).std() ** 2, [2.0, *(9 * parameters.scale[5:] ** 2)])
     np.testing.assert_array_equal(found.step_limit, np.where(parameters.nonlinear, parameters.scale, np.inf))
     np.testing.assert_array_equal(found.x, [[0, 0, 0, 0, 1.5, 0, 0, 0]] * 2)
 
@@ -59,10 +59,18 @@ def test_what_is_in_use_of_all_effects_side_by_side() -> None:
     both = one.extended(delays)
     assert [effect.kind for effect in one.active] == ["antenna_gains"]
     assert [effect.kind for effect in both.active] == ["antenna_gains", "antenna_delays"]
-    np.testing.assert_array_equal(both.prior_var, [*np.arange(1.0, 14), 3.0, 5.0])
+    variances = [*np.arange(1.0, 14), 3.0, 5.0]
+    for channel in (0, 1):
+        np.testing.assert_allclose(both.prior_std(channel) ** 2, variances)
+        np.testing.assert_allclose(both.prior_precision(channel), np.diag(1 / np.array(variances)))
+        x = generator(channel, "prior").standard_normal((2, 15))
+        np.testing.assert_allclose(both.at(x).prior_score(channel), -x[channel] / variances)
+    x[1, 13:] = x[0, 13:]
+    once = np.sum(x**2 / variances) - np.sum(x[1, 13:] ** 2 / variances[13:])
+    assert both.at(x).log_prior == pytest.approx(-0.5 * once)
     np.testing.assert_array_equal(both.shared, [False] * 13 + [True] * 2)
     assert Values().shared.dtype == bool
-    assert len(Values().prior_var) == len(Values().shared) == 0
+    assert len(Values().prior_std(0)) == len(Values().shared) == Values().log_prior == 0
 
 
 def test_values_in_use_go_back_where_they_came_from() -> None:

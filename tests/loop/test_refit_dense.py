@@ -58,7 +58,7 @@ class Dense:
         x[:, self.shared], x[:, ~self.shared] = common, own.reshape(self.n_freqs, -1)
         mean = np.array([prior.mean for prior in self.context.problem.priors])
         std = np.array([prior.std() for prior in self.context.problem.priors])
-        return mean + std * beams.reshape(self.n_freqs, -1), np.sqrt(self.values.prior_var) * x
+        return mean + std * beams.reshape(self.n_freqs, -1), self.values.prior_std(0) * x
 
     def residuals(self, p: FloatArray) -> FloatArray:
         """Return whitened residuals, those of the priors, and what is held at zero."""
@@ -69,9 +69,7 @@ class Dense:
             left = self.root[f] * (self.data[f] - factor * (self.design[f] @ beams[f] + added))
             parts += [left.real.ravel(), left.imag.ravel()]
         for one, span in zip(self.values.active, self.values.spans, strict=True):
-            parts.append(
-                1e5 * (x[:, span] / np.sqrt(one.prior_var[one.used]) @ one.degenerate_directions[:, one.used].T).ravel()
-            )
+            parts.append(1e5 * (x[:, span] / one.prior.of(0).std() @ one.degenerate_directions[:, one.used].T).ravel())
         return np.concatenate([*parts, p])
 
     def solve(self) -> tuple[FloatArray, FloatArray, list[FloatArray]]:

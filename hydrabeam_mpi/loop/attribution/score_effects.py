@@ -135,17 +135,19 @@ def _without_active(values: Values, effect: Effect, by_channel: list[Likelihood]
     that is each channel's own, where every channel counts its part of their prior; else after the sum over channels.
     """
     shared, n_freqs = values.shared, len(by_channel)
-    prior_var = np.where(shared, n_freqs, 1.0) * values.prior_var
+    share, own = np.where(shared, 1 / n_freqs, 1.0), np.flatnonzero(~shared)
     blocks = []
-    for likelihood, x in zip(by_channel, values.x, strict=True):
-        pull = np.concatenate([-x / prior_var, np.zeros(len(likelihood.score) - len(x))])
-        one = replace(likelihood, score=likelihood.score + pull)
-        blocks.append(one.marginalised(np.flatnonzero(~shared), prior_var[~shared]))
+    for f, likelihood in enumerate(by_channel):
+        score = likelihood.score.copy()
+        score[: len(shared)] += share * values.prior_score(f)
+        one = replace(likelihood, score=score)
+        blocks.append(one.marginalised(own, values.prior_precision(f)[np.ix_(own, own)]))
     n_shared = int(shared.sum())
+    common = values.prior_precision(0)[np.ix_(shared, shared)]
     if effect.shared:
         total = sum(blocks[1:], start=blocks[0])
-        return [total.marginalised(np.arange(n_shared), prior_var[shared] / n_freqs)]
-    return [block.marginalised(np.arange(n_shared), prior_var[shared]) for block in blocks]
+        return [total.marginalised(np.arange(n_shared), common)]
+    return [block.marginalised(np.arange(n_shared), common / n_freqs) for block in blocks]
 
 
 def reconsider(context: FitContext, fitted: Fitted) -> Evidence:
@@ -164,7 +166,7 @@ def reconsider(context: FitContext, fitted: Fitted) -> Evidence:
         if context.grid.is_group_root:
             names = [*active_names(rest), *_candidate_names([last.effect])]
             one = sums.likelihood(names, BEAM, fitted.fit.posteriors[channel])
-            n = len(rest.prior_var)
+            n = len(rest.shared)
             score = one.score + one.information[:, n:] @ last.x[number]
             found.append((number, replace(one, score=score)))
     gathered = gather_objects(context.grid.world, found)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.effects import Effect as EffectEntry
 from hydrabeam_mpi.data.observation import FloatArray
@@ -31,7 +29,7 @@ def amended_job(job: Job, fitted: Fitted, setup: ObservingSetup) -> Job:
                 index=tuple(int(i) for i in used),
                 values=_rows(one.x[:, used]),
                 std=_rows(std[:, used]),
-                prior_std=tuple(float(value) for value in np.sqrt(one.prior_var[used])),
+                prior_std=tuple(float(value) for value in one.prior.of(0).std()),
             )
         )
     for change in fitted.values.reweighted:

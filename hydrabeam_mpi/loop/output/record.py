@@ -260,7 +260,7 @@ def parameters_of(setup: ObservingSetup, one: Round, last: Fitted) -> tuple[list
     if one.candidate.weights is not None:
         fit, shared = one.candidate.weights.fit, False
         names, units, x, std = fit.names, fit.units, fit.x, fit.std
-        prior_var = np.full(len(names), np.inf)
+        prior_std = np.full(std.shape, np.inf)
     else:
         number = len(one.after.fitted.values.active) - 1
         active, std = last.values.active[number], last.fit.std[number]
@@ -268,11 +268,11 @@ def parameters_of(setup: ObservingSetup, one: Round, last: Fitted) -> tuple[list
         names = tuple(parameters.names[i] for i in used)
         units = tuple(parameters.units[i] for i in used)
         x, std, shared = active.x[:, used], std[:, used], active.effect.shared
-        prior_var = active.prior_var[used]
+        prior_std = np.array([active.prior.of(f).std() for f in range(len(x))])
     told: list[dict[str, Any]] = []
     not_told: list[dict[str, Any]] = []
     for f, freq in enumerate([None] if shared else setup.observation.freqs.tolist()):
         for i, (name, unit) in enumerate(zip(names, units, strict=True)):
             entry = {"name": name, "unit": unit, "value": float(x[f, i]), "std": float(std[f, i]), "freq_hz": freq}
-            (told if std[f, i] ** 2 <= LEAST_TOLD * prior_var[i] else not_told).append(entry)
+            (told if std[f, i] ** 2 <= LEAST_TOLD * prior_std[f, i] ** 2 else not_told).append(entry)
     return (told, not_told) if told else (not_told, [])

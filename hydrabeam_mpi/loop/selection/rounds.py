@@ -253,11 +253,9 @@ def _restarted(context: FitContext, active: Active, prior_var: FloatArray) -> Ac
 def _gain(context: FitContext, before: Fitted, after: Fitted) -> float:
     """Return by how much the last active effect raised ln(likelihood x prior), over all channels."""
     last = after.values.active[-1]
-    used = last.used
-    rows = last.x[:1] if last.effect.shared else last.x
-    nonlinear = last.effect.parameters(context.setup).nonlinear[used]
-    penalty = 0.5 * float(np.sum((rows[:, used] ** 2 / last.prior_var[used])[:, ~nonlinear]))
-    return context.over_channels(after.diagnostics.log_joint - before.diagnostics.log_joint) - penalty
+    nonlinear = last.effect.parameters(context.setup).nonlinear[last.used]
+    log_prior = last.prior.log_density(np.where(nonlinear, 0.0, last.x[:, last.used]))
+    return context.over_channels(after.diagnostics.log_joint - before.diagnostics.log_joint) + log_prior
 
 
 def _beam_change(context: FitContext, before: Fitted, after: Fitted) -> float:

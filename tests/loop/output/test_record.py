@@ -16,7 +16,7 @@ from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.instrument.timestamp import Timestamp
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.gauss_newton import FitContext
-from hydrabeam_mpi.fit.state import Active, Fit, Fitted, Values
+from hydrabeam_mpi.fit.state import Active, Fit, Fitted, Values, independent_prior
 from hydrabeam_mpi.loop.attribution.control_models import BeamDrift
 from hydrabeam_mpi.loop.output.record import known_effects, make_record, parameters_of
 from hydrabeam_mpi.loop.selection.acceptance import Candidate
@@ -39,7 +39,14 @@ def fitted(context: FitContext, effect: Effect, used: list[int], x: Any, std: An
     prior_var, values, errors = np.zeros(n), np.zeros((2, n)), np.zeros((2, n))
     prior_var[used], values[:, used], errors[:, used] = 0.02, x, std
     return Fitted(
-        Values((Active(effect, prior_var, values, np.full(n, np.inf), np.zeros((0, n))),)), Fit(std=(errors,))
+        Values(
+            (
+                Active(
+                    effect, *independent_prior(prior_var, effect.shared), values, np.full(n, np.inf), np.zeros((0, n))
+                ),
+            )
+        ),
+        Fit(std=(errors,)),
     )
 
 

@@ -19,7 +19,7 @@ from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
 from hydrabeam_mpi.effects.sky.horizon import Horizon
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
-from hydrabeam_mpi.fit.state import Active, Fit, Fitted, Values
+from hydrabeam_mpi.fit.state import Active, Fit, Fitted, Values, independent_prior
 from hydrabeam_mpi.infer.significance import sigma_of_log_p
 from hydrabeam_mpi.loop.attribution.control_models import BeamDrift, ShapeDrift
 from hydrabeam_mpi.loop.selection.acceptance import (
@@ -189,7 +189,10 @@ REFUSALS: list[tuple[str, dict[str, Any], str | None]] = [
 def test_effects_are_kept_or_refused(given: dict[str, Any], words: str | None) -> None:
     effect = given["effect"]
     x, std = np.full((1, 1), given.get("x", 0.1)), np.full((1, 1), 0.01)
-    found = Fitted(Values((Active(effect, np.ones(1), x, np.ones(1), np.zeros((0, 1))),)), Fit(std=(std,)))
+    found = Fitted(
+        Values((Active(effect, *independent_prior(np.ones(1), effect.shared), x, np.ones(1), np.zeros((0, 1))),)),
+        Fit(std=(std,)),
+    )
     tried, fitted = (effect_candidate(effect, given["lbf"], given[which]) for which in ("tried", "fitted"))
     after = checked(**given["after"], fitted=found)
     reason = refusal_of(given["before"], after, tried, fitted, given["sigma"], Loop())
@@ -215,7 +218,7 @@ def test_weights_are_kept_or_refused(before: float, after: dict[str, Any], lbf: 
 
 def test_the_thresholds_are_the_jobs() -> None:
     candidate = effect_candidate(AntennaGains(), 8.0)
-    active = Active(AntennaGains(), *np.ones((3, 1)), np.zeros((0, 1)))
+    active = Active(AntennaGains(), *independent_prior(np.ones(1), shared=False), *np.ones((2, 1)), np.zeros((0, 1)))
     found = Fitted(Values((active,)), Fit(std=(np.ones((1, 1)),)))
     given = (checked(2.0), checked(1.2, fitted=found), candidate, candidate, 4.0)
     assert refusal_of(*given, Loop()) is None
