@@ -109,9 +109,10 @@ def run_cases(
 
 def make_samples(folder: Path) -> Path:
     """Make the good files in a process of their own, as they need MPI."""
-    words = [sys.executable, "-m", "tests.faults.samples", str(folder)]
+    words = [sys.executable, "-m", "tests.faults.prepare", str(folder)]
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(REPOSITORY)}
-    subprocess.run(words, cwd=REPOSITORY, check=True, capture_output=True, env=environment)
+    done = subprocess.run(words, cwd=REPOSITORY, check=False, capture_output=True, text=True, env=environment)
+    assert done.returncode == 0, f"the good files are not taken: {done.stderr[-2000:]}"
     return folder
 
 

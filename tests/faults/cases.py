@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import shutil
 import sys
 import tempfile
@@ -11,6 +12,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +45,8 @@ from tests.faults.samples import TARGETS, Target
 FAMILIES: dict[str, tuple[Mutator, ...]] = {
     "bytes": BYTES, "hdf5": HDF5, "fits": FITS, "text": TEXT, "toml": TOML, "json": JSON,
 }  # fmt: skip
+ANSWERS = "answers.pickle"
+Answers = dict[str, tuple[Answer, int]]
 OVERWRITES = 0.1
 """Fraction of runs in whose place an earlier result stands."""
 
@@ -161,19 +165,24 @@ def _streams(out: Any, err: Any) -> Iterator[None]:
             os.close(old)
 
 
-_good: dict[Target, tuple[Answer, int]] = {}
-
-
-def good_answer(samples: Path, target: Target) -> tuple[Answer, int]:
-    """Return the result of the undamaged file, and how many warnings there are."""
-    if target not in _good:
+def make_answers(samples: Path) -> None:
+    """Run every command on the undamaged files, all of which are to be taken, and keep the results beside them."""
+    answers: Answers = {}
+    for target in TARGETS:
         with tempfile.TemporaryDirectory(prefix="fuzz") as own:
             folder = Path(own).resolve()
             outcome = execute(set_up(samples, target, folder), folder)
             assert outcome.status == 0, f"{target.title}: {outcome.err}"
             answer = answer_of(target.command, folder / "out", outcome)
-            _good[target] = _without(answer, folder), len(outcome.warnings)
-    return _good[target]
+            answers[target.title] = _without(answer, folder), len(outcome.warnings)
+    (samples / ANSWERS).write_bytes(pickle.dumps(answers))
+
+
+@cache
+def good_answers(samples: Path) -> Answers:
+    """Return the results of the undamaged files, and how many warnings there were."""
+    answers: Answers = pickle.loads((samples / ANSWERS).read_bytes())
+    return answers
 
 
 def _without(answer: Answer, folder: Path) -> Answer:
@@ -208,7 +217,7 @@ def _judge(
         if words:
             return WRONG, words
         answer = answer_of(target.command, out, outcome)
-    words = silent(damage, outcome, answer, *good_answer(samples, target))
+    words = silent(damage, outcome, answer, *good_answers(samples)[target.title])
     return (WRONG, words) if words else (CLEAN, "succeeded")
 
 

@@ -15,8 +15,8 @@ from tests.faults.damage import Damage, Mutator, Rng, pick
 # What a file need not have: the documentation says what is taken in its place.
 OPTIONAL = re.compile(r"pol_convention|orientation|vis_units|uvw_array|history|extra_keywords|blts_are|feed_|mount")
 NUMBERS = (np.nan, np.inf, -np.inf, 1e300, -1e300)
-# A negative value of these means nothing.
-POSITIVE = re.compile(r"time|freq|width|integration|nsample|sigma|N[a-z]+s$|nside")
+# A negative value of these means nothing; of nsamples it is a flag.
+POSITIVE = re.compile(r"time|freq|width|integration|sigma|N[a-z]+s$|nside")
 
 Change = Callable[[h5py.File, Rng], Damage]
 

@@ -29,7 +29,8 @@ READABLE = 1000
 SAME = 1e-6
 """Relative difference of two runs' numbers that is rounding: a copy in another format keeps single precision."""
 
-MANIFEST = "manifest.json"
+GROWING = ("manifest.json", "table.lock")
+"""What may change in an input: a report adds its files to a manifest, casacore makes locks in a measurement set."""
 
 Answer = dict[str, Any]
 
@@ -165,10 +166,10 @@ def silent(damage: Damage, outcome: Outcome, answer: Answer, good: Answer, warne
 
 
 def state(folder: Path) -> dict[str, tuple[int, str]]:
-    """Return what a folder holds, so that a change shows; of manifests nothing, to which a report adds its files."""
+    """Return what a folder holds, so that a change shows, but for what is `GROWING`."""
     held = {}
     for path in sorted(folder.rglob("*")):
-        if path.name == MANIFEST:
+        if path.name in GROWING:
             continue
         if path.is_symlink() or not path.is_file():
             held[str(path.relative_to(folder))] = (-1, "")

@@ -1,7 +1,4 @@
-"""Good files of every kind, small enough that a run takes a third of a second; made once, then damaged in copies.
-
-``python -m tests.faults.samples FOLDER`` makes them.
-"""
+"""Good files of every kind, small enough that a run takes a third of a second; made once, then damaged in copies."""
 
 from __future__ import annotations
 
@@ -114,7 +111,8 @@ def _laid_out(samples: Path, file: Path) -> dict[str, Any]:
 _BYTES, _HDF5, _FITS, _TEXT, _TOML, _JSON = ("bytes",), ("bytes", "hdf5", "hdf5", "hdf5"), ("bytes", "fits", "fits"), (
     "bytes", "text",
 ), ("text", "toml", "toml", "toml", "toml"), ("text", "json", "json")  # fmt: skip
-_DATA, _CATALOGUE = _with("data__files", True), {"sky__kind": "catalogue", "sky__positions": "apparent"}
+_DATA = _with("data__files", True)
+_CATALOGUE = {"sky": {"kind": "catalogue", "positions": "apparent", "reference_freq": 100e6, "flux_min": 0.01}}
 _COLUMNS = {
     "table": "sources", "name": "name", "lon": "ra", "lat": "dec", "frame": "icrs", "flux": ["flux"],
     "reference_freq": FREQS[0], "spectral_index": "alpha",
@@ -127,14 +125,14 @@ TARGETS = (
     Target("data.uvfits", "infer", _FITS, _DATA, weight=2),
     Target("data.uvfits", "init", _FITS, weight=0.5),
     Target("data.ms", "infer", _BYTES, _DATA, weight=0.7),
-    Target("data.miriad", "infer", _BYTES, _DATA, weight=0.7),
+    Target("data.miriad", "infer", _BYTES, _DATA, weight=0.3),
     Target("gains.calfits", "infer", _FITS, _with("data__gains", True), weight=1.5),
     Target("gains.calh5", "infer", _HDF5, _with("data__gains", True), weight=1.5),
     Target("beam.beamfits", "infer", _FITS, _with("beam__source", beam__diameter=None), weight=1.5),
     Target("sky.skyh5", "infer", _HDF5, _with("sky__file", **_CATALOGUE), weight=1.5),
     Target("sky.txt", "infer", _TEXT, _with("sky__file", **_CATALOGUE)),
     Target("sky.vot", "infer", _TEXT, _with("sky__file", **_CATALOGUE, sky__columns=_COLUMNS)),
-    Target("prior.h5", "infer", _HDF5, _with("prior__file", prior__kind="file"), weight=1.5),
+    Target("prior.h5", "infer", _HDF5, _with("prior__file", prior={"kind": "file"}), weight=1.5),
     Target("noise.h5", "infer", _HDF5, _with("noise__file", noise__kind="file"), weight=1.5),
     Target("noise.npz", "infer", _BYTES, _with("noise__file", noise__kind="file")),
     Target("layout.txt", "simulate", _TEXT, _laid_out),
@@ -224,7 +222,3 @@ def _tables(folder: Path) -> None:
     job, prior = folder / "simulation.toml", folder / "prior.h5"
     words = [sys.executable, REPOSITORY / "tools" / "ensemble_prior", job, prior, "--n-beams", "40"]
     subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
-
-
-if __name__ == "__main__":
-    make(Path(sys.argv[1]).resolve())
