@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+LONGEST = 500
+"""Characters of a part of a message, such as a path: six lines of a terminal."""
+
 
 class InputError(Exception):
     """Input that cannot be used, told in one line.
@@ -47,11 +50,16 @@ class InputError(Exception):
         self._compose()
 
     def _compose(self) -> None:
-        where = ": ".join(part for part in (self.file, self.field) if part)
-        line = f"{where}: {self.message}" if where else self.message
+        parts = (self.file, self.field, self.message)
+        line = ": ".join(_shortened(part) for part in parts if part)
         line = f"{line}; {self.remedy}" if self.remedy else line
         # One line whatever a library put into its message.
         self.args = (printable(" ".join(line.split())),)
+
+
+def _shortened(text: str) -> str:
+    """Cut what was taken out of a file in place of a number or a name, and may be as long as the file."""
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]} ..."
 
 
 def printable(text: str) -> str:

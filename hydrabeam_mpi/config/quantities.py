@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo
 
-from hydrabeam_mpi.data.limits import FIRST_JD, LARGEST, LAST_JD
+from hydrabeam_mpi.data.limits import FIRST_JD, LARGEST, LAST_JD, RADIO
 
 
 @dataclass(frozen=True)
@@ -43,9 +43,6 @@ def _parse(text: str, unit: str) -> float:
     # In as many digits as a decimal number keeps: 360 deg are 24 h, not 24.000000000000004.
     return float(f"{quantity.to_value(target, same):.15g}")
 
-
-RADIO = (3e3, 3e12)
-"""Hz: the bands 4 to 12 in which the ITU divides the radio spectrum."""
 
 Bandwidth = Annotated[float, BeforeValidator(Quantity("a frequency", "Hz", "131 MHz")), Field(gt=0, le=RADIO[1])]
 Hertz = Annotated[Bandwidth, Field(ge=RADIO[0])]

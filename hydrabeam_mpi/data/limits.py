@@ -8,6 +8,8 @@ FIRST_JD, LAST_JD = 2437665.0, 2488070.0
 MAX_HEIGHT = 100e3
 # Metres between two antennas on Earth.
 EARTH_DIAMETER = 12.8e6
+# Hz: the bands 4 to 12 in which the ITU divides the radio spectrum.
+RADIO = (3e3, 3e12)
 # Visibilities in Jy, counts of a correlator, gains, nsamples: a transmitter of 1 kW in 1 Hz a metre away is 1e28 Jy.
 # Products of four such numbers are within reach of double precision, and so are those of their inverses.
 LARGEST = 1e30

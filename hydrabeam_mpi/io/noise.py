@@ -23,8 +23,9 @@ from hydrabeam_mpi.io.gains import calibrate
 from hydrabeam_mpi.io.noise_table import read_table, table_sigma
 from hydrabeam_mpi.io.uvdata import feeds_of, read_autos, read_block
 from hydrabeam_mpi.io.uvfile import file_kind
+from hydrabeam_mpi.io.uvformat import FORMATS
 from hydrabeam_mpi.io.uvsource import Data
-from hydrabeam_mpi.io.uvwhole import check_miriad
+from hydrabeam_mpi.io.uvwhole import check_survives
 
 # Fewer differences than this do not make a variance: its own error is 1 / sqrt(number).
 MIN_DIFFERENCES = 8
@@ -77,7 +78,8 @@ def radiometer_weights(
         for end in (0, 1)
     )
     _check_autos_stored(np.isnan(first + second) & ~flags, files, observation, tile)
-    usable = ~flags & (first > 0) & (second > 0)
+    # What is no power is not squared: of less than that no double is left.
+    usable = ~flags & (first >= 1 / LARGEST) & (second >= 1 / LARGEST)
     exposure = observation.channel_width[:, None] * observation.integration_time[tile.times]
     weights = exposure[:, :, None, None] * nsamples / np.where(usable, first * second, 1.0)
     return np.where(usable, weights, 0.0)
@@ -156,14 +158,14 @@ def file_weights(
         sigma = np.broadcast_to(table_sigma(table, path, observation, tile.bls), flags.shape)
         usable, samples = ~flags, nsamples
     else:
-        if isinstance(path, Path) and file_kind(path) == "miriad":
-            check_miriad([path])
+        if isinstance(path, Path) and FORMATS[kind := file_kind(path)].is_talkative:
+            check_survives([path], kind)
         block = read_block([path], observation, tile.times, observation.antpairs[tile.bls], observation.pols)
         if np.any(~flags & ~block.stored):
             raise InputError("lacks a sigma of an unflagged visibility", file=path, remedy="add or flag it")
         sigma = block.data.real
         usable, samples = ~flags & ~block.flags, np.ones(flags.shape)
-    if not np.all((sigma[usable] > 0) & (sigma[usable] <= LARGEST)):
+    if not np.all((sigma[usable] >= 1 / LARGEST) & (sigma[usable] <= LARGEST)):
         raise InputError(
             "a sigma that is not positive, or infinite", file=path, field="sigma", remedy="correct or flag it"
         )

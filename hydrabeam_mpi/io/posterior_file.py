@@ -35,6 +35,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from hydrabeam_mpi.data.limits import LARGEST
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.hdf5 import new_hdf5
 from hydrabeam_mpi.io.reading import check_file, reading
@@ -43,6 +44,7 @@ CHANNEL = "channel_{:04d}"
 _REMEDY = "name a folder written by 'hydrabeam infer'"
 EIGENBEAMS = 4
 REAL_MAPS = 3
+_NEEDED = ("mean", "std", "prior_mean", "prior_std", "covariance")
 MAP_PIXELS = 91 * 360
 
 
@@ -122,7 +124,7 @@ def _read_channel(group: h5py.Group, name: str, grid: tuple[int, int]) -> Channe
     """Read a channel, and make sure that its arrays fit together."""
     if not isinstance(group, h5py.Group):
         raise InputError("is not a group of data sets", field=name, remedy=_REMEDY)
-    missing = next((key for key in ("mean", "covariance") if key not in group), None)
+    missing = next((key for key in _NEEDED if key not in group), None)
     if missing:
         raise InputError("is missing", field=f"{name}/{missing}", remedy=_REMEDY)
     for key, shape in _shapes(group, grid).items():
@@ -151,6 +153,8 @@ def _numbers(group: h5py.Group, name: str) -> NDArray[Any]:
     values = np.asarray(group[name][()])
     if values.ndim == 0 or values.dtype.kind not in "iufc":
         raise InputError("is not an array of numbers", field=name, remedy=_REMEDY)
+    if values.dtype.kind in "fc" and not np.all(np.abs(values) <= LARGEST):
+        raise InputError(f"holds a number that is not finite, or beyond {LARGEST:g}", field=name, remedy=_REMEDY)
     return values
 
 

@@ -11,7 +11,7 @@ from astropy.coordinates import EarthLocation
 from pyuvdata import UVData
 from pyuvdata.utils import polnum2str
 
-from hydrabeam_mpi.data.limits import EARTH_DIAMETER, FIRST_JD, LAST_JD, MAX_HEIGHT
+from hydrabeam_mpi.data.limits import EARTH_DIAMETER, FIRST_JD, LAST_JD, MAX_HEIGHT, RADIO
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.reading import reading
@@ -50,10 +50,7 @@ def check_metadata(uv: UVData, path: Path) -> None:
         _check_samples(uv, path)
     _check_times(uv, path)
     _check_place(uv, path)
-    freqs = np.asarray(uv.freq_array)
-    possible = (freqs > 0) & np.isfinite(freqs)
-    if not possible.all():
-        raise _wrong(path, "freq_array", f"a frequency of {freqs[~possible][0]:g} Hz")
+    _check_channels(uv, path)
     _check_polarizations(uv, path)
     if len(np.unique(uv.polarization_array)) < len(uv.polarization_array):
         raise _wrong(path, "polarization_array", "a polarisation stands twice")
@@ -99,6 +96,19 @@ def _check_samples(uv: UVData, path: Path) -> None:
             if shape[:1] + shape[-2:] != expected:
                 sizes = (" x ".join(map(str, shape)) or "none" for shape in (shape, expected))
                 raise _wrong(path, f"Data/{name}", "{} samples, where the header says {}".format(*sizes))
+
+
+def _check_channels(uv: UVData, path: Path) -> None:
+    """Make sure that every channel lies in the range of radio waves, with both of its edges."""
+    freqs, widths = np.asarray(uv.freq_array), np.abs(np.asarray(uv.channel_width))
+    possible = (freqs >= RADIO[0]) & (freqs <= RADIO[1])
+    if not possible.all():
+        raise _wrong(path, "freq_array", f"a frequency of {freqs[~possible][0]:g} Hz")
+    possible = widths <= 2 * freqs
+    if not possible.all():
+        channel = np.flatnonzero(~possible)[0]
+        told = f"a channel of {widths[channel]:g} Hz at {freqs[channel] / 1e6:g} MHz, which would begin below 0 Hz"
+        raise _wrong(path, "channel_width", told)
 
 
 def _check_polarizations(uv: UVData, path: Path) -> None:

@@ -140,8 +140,7 @@ def _empty(shape: tuple[int, int, int]) -> Block:
 
 def _checked(data: ComplexArray, flags: BoolArray, nsamples: FloatArray, path: Path) -> Block:
     """Flag samples without weight, blank what is flagged, and refuse what else is not finite or beyond reason."""
-    if not np.isfinite(nsamples[~flags]).all():
-        raise InputError("unflagged values that are not finite", file=path, field="nsample_array", remedy="flag them")
+    check_nsamples(nsamples, flags, path)
     flags = flags | ~(nsamples > 0)
     if not np.isfinite(data[~flags]).all():
         raise InputError("unflagged NaN or infinite values", file=path, field="data_array", remedy="flag them")
@@ -149,10 +148,16 @@ def _checked(data: ComplexArray, flags: BoolArray, nsamples: FloatArray, path: P
     if largest > LARGEST:
         message = f"a visibility of {largest:.1e} Jy, which no source and no transmitter has"
         raise InputError(message, file=path, field="data_array", remedy="flag it, or correct the file")
-    if np.max(nsamples, where=~flags, initial=0.0) > LARGEST:
-        raise InputError(f"more than {LARGEST:g}", file=path, field="nsample_array", remedy="correct the file")
     known = np.where(np.isfinite(nsamples), nsamples, 0.0)
     return Block(np.where(flags, 0.0, data), flags, known, np.ones(data.shape, bool))
+
+
+def check_nsamples(nsamples: FloatArray, flags: BoolArray, path: Path) -> None:
+    """Refuse numbers of samples that cannot be where there is no flag; those below zero are flags."""
+    if not np.isfinite(nsamples[~flags]).all():
+        raise InputError("unflagged values that are not finite", file=path, field="nsample_array", remedy="flag them")
+    if np.max(nsamples, where=~flags, initial=0.0) > LARGEST:
+        raise InputError(f"more than {LARGEST:g}", file=path, field="nsample_array", remedy="correct the file")
 
 
 def size(values: ComplexArray) -> FloatArray:

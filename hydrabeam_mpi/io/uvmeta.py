@@ -16,8 +16,9 @@ from hydrabeam_mpi.data.observation import FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.selection import Selection, distinct, match, select_baselines, select_channels, select_times
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.uvfile import UVHeader, file_kind
+from hydrabeam_mpi.io.uvformat import FORMATS
 from hydrabeam_mpi.io.uvsource import Data, Source, as_source, files_among
-from hydrabeam_mpi.io.uvwhole import check_miriad
+from hydrabeam_mpi.io.uvwhole import check_survives
 
 # Stamps closer than this are one integration or one channel; both far exceed the rounding of any format.
 TIME_TOLERANCE = 1e-3 / 86400  # days
@@ -112,7 +113,10 @@ def read_observation(files: Sequence[Data], selection: Selection) -> Observation
     resolved = [path.resolve() for path in paths]
     if len(set(resolved)) < len(resolved):
         raise InputError("a file is named twice", field="[data] files", remedy="name it once")
-    check_miriad([path for path in paths if os.path.isdir(path) and file_kind(path) == "miriad"])
+    kinds = {path: file_kind(path) for path in paths}
+    for kind in sorted(set(kinds.values())):
+        if FORMATS[kind].is_talkative:
+            check_survives([path for path in paths if kinds[path] == kind], kind)
     surveys = [_survey(as_source(data)) for data in files]
     names, positions = _merge_antennas([survey.header for survey in surveys])
     surveys = [survey for survey in surveys if survey.antpairs.size]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,9 @@ _SAMPLES = {"Data/visdata": "complex numbers", "Data/flags": "true or false", "D
 
 # What the library says before it ends the process.
 _LAST_WORDS = "### Fatal Error:"
-# Reads files one after another, and says of which before it does.
-_READ_MIRIAD = """
+# These read files one after another, and say of which before they do.
+_READ = {
+    "miriad": """
 import sys, warnings
 warnings.simplefilter("ignore")
 from pyuvdata import UVData
@@ -29,7 +31,20 @@ for path in sys.argv[1:]:
         UVData().read(path, file_type="miriad", run_check=False, background_lsts=False)
     except Exception as error:
         sys.exit(f"### Fatal Error: {error}")
-"""
+""",
+    # What is in the tables may be large; that they can be opened is what casacore takes for granted.
+    "ms": """
+import pathlib, sys
+from casacore import tables
+for path in sys.argv[1:]:
+    print(path, flush=True)
+    for table in sorted(pathlib.Path(path).rglob("table.dat")):
+        try:
+            tables.table(str(table.parent), ack=False).close()
+        except Exception as error:
+            sys.exit(f"### Fatal Error: {error}")
+""",
+}
 
 
 def check_uvh5(path: Path) -> None:
@@ -57,22 +72,28 @@ def _holds(dtype: np.dtype[Any], wanted: str) -> bool:
     return dtype.kind in ("b" if wanted == "true or false" else "iuf")
 
 
-def check_miriad(paths: Sequence[Path]) -> None:
-    """Make sure that miriad files can be read, in a process of its own.
+def check_survives(paths: Sequence[Path], kind: str) -> None:
+    """Make sure that miriad files or measurement sets can be read, in a process of its own.
 
-    The miriad library ends the process in which it meets a damaged file, and speaks past Python.
+    The libraries of both may end the process in which they meet a damaged file, and speak past Python.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Of that kind.
+    kind : {"miriad", "ms"}
 
     Raises
     ------
     InputError
         If it does.
     """
-    if not paths:
-        return
-    command = [sys.executable, "-c", _READ_MIRIAD, *map(str, paths)]
+    if kind == "ms" and find_spec("casacore") is None:
+        return  # the reader says so
+    command = [sys.executable, "-c", _READ[kind], *map(str, paths)]
     done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
     if done.returncode:
         begun = done.stdout.splitlines()
         said = [line.split(":", 1)[1].strip(" .") for line in done.stderr.splitlines() if line.startswith(_LAST_WORDS)]
         reason = f" ({said[-1]})" if said else ""
-        raise InputError(f"cannot be read as miriad{reason}", file=begun[-1] if begun else paths[0], remedy=DAMAGED)
+        raise InputError(f"cannot be read as {kind}{reason}", file=begun[-1] if begun else paths[0], remedy=DAMAGED)

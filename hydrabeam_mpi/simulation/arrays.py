@@ -11,7 +11,7 @@ import numpy as np
 from pyuvdata import UVData
 from scipy.spatial import cKDTree
 
-from hydrabeam_mpi.data.limits import LARGEST
+from hydrabeam_mpi.data.limits import EARTH_DIAMETER
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.reading import check_file, reading
@@ -77,13 +77,18 @@ def read_layout(path: Path) -> Layout:
     Raises
     ------
     InputError
-        If the file is missing or unreadable, an antenna has no position or a number twice, or two stand in one place.
+        If the file is missing or unreadable, an antenna has no position, one that is not on Earth, or a number
+        twice, or two stand in one place.
     """
     check_file(path, field="[data.simulate.array] file")
     layout = _read_uvh5(path) if h5py.is_hdf5(path) else _read_text(path)
-    without = layout.numbers[~(np.abs(layout.antpos) <= LARGEST).all(axis=1)]
+    without = layout.numbers[~np.isfinite(layout.antpos).all(axis=1)]
     if len(without):
         raise InputError(f"antenna {without[0]} has no position", file=path, remedy=FORMATS)
+    far = np.abs(layout.antpos).max(axis=1)
+    if far.max() > EARTH_DIAMETER:
+        told = f"antenna {layout.numbers[far.argmax()]} stands {far.max():.3g} m from the middle of the array"
+        raise InputError(told, file=path, remedy="give places on Earth, in metres")
     if len(np.unique(layout.numbers)) < len(layout.numbers):
         raise InputError("an antenna number stands twice", file=path, field="number", remedy="number them apart")
     together = cKDTree(layout.antpos).query_pairs(SAME_PLACE)

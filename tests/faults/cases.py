@@ -202,7 +202,8 @@ def _judge(
     words = lost(before, state(folder), new if succeeded else ())
     if words:
         return LOST, words
-    names = (target.name, "job.toml", "-o")
+    # Of a job whose text is changed a path may be wrong, which the job's key tells.
+    names = (target.name, "job.toml", "-o", *(["[data]", "[sky]", "[noise]"] if target.name.endswith(".toml") else []))
     words = unclear(outcome, names)
     if words:
         return TRACEBACKS, words

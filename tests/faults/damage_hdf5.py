@@ -132,7 +132,8 @@ def strange_number(file: h5py.File, rng: Rng) -> Damage:
     with np.errstate(over="ignore"):
         values[... if everywhere else place] = number
     file[name][...] = values
-    return Damage(f"{name}{'' if everywhere else list(place)} = {number}", illegal=True)
+    where = "" if everywhere else list(place)
+    return Damage(f"{name}{where} = {number}", illegal=not OPTIONAL.search(name))
 
 
 def strange_integer(file: h5py.File, rng: Rng) -> Damage:

@@ -24,7 +24,7 @@ from tests.faults.damage import Damage
 CLEAN, TRACEBACKS, HANGS, WRONG, LOST = "clean", "tracebacks", "hangs", "wrong_in_silence", "lost"
 KINDS = (CLEAN, TRACEBACKS, HANGS, WRONG, LOST)
 MARK, COMPLAINT, WARNING = "hydrabeam: ", "hydrabeam: error: ", "hydrabeam: warning: "
-READABLE = 1000
+READABLE = 2000
 """Characters of a message that is still one line to a reader."""
 SAME = 1e-6
 """Relative difference of two runs' numbers that is rounding: a copy in another format keeps single precision."""
