@@ -131,7 +131,7 @@ def _read_channel(group: h5py.Group, name: str, grid: tuple[int, int]) -> Channe
         if key in group and group[key].shape != shape:
             told = f"has the shape {group[key].shape}, not {shape}"
             raise InputError(told, field=f"{name}/{key}", remedy=_REMEDY)
-    arrays = {key: _numbers(group, key) for key in group if key != "covariance"}
+    arrays = {key: _numbers(group, key, endless=key == "prior_std") for key in group if key != "covariance"}
     evidence = float(group.attrs["log_evidence"]) if "log_evidence" in group.attrs else None
     return ChannelRecord(float(group.attrs["freq"]), _json(group, "summary", name), arrays, evidence)
 
@@ -148,12 +148,12 @@ def _shapes(group: h5py.Group, grid: tuple[int, int]) -> dict[str, tuple[int, ..
     return shapes
 
 
-def _numbers(group: h5py.Group, name: str) -> NDArray[Any]:
-    """Read a data set of numbers."""
+def _numbers(group: h5py.Group, name: str, endless: bool = False) -> NDArray[Any]:
+    """Read a data set of numbers; ``endless`` ones, such as the width of a flat prior, may be infinite."""
     values = np.asarray(group[name][()])
     if values.ndim == 0 or values.dtype.kind not in "iufc":
         raise InputError("is not an array of numbers", field=name, remedy=_REMEDY)
-    if values.dtype.kind in "fc" and not np.all(np.abs(values) <= LARGEST):
+    if values.dtype.kind in "fc" and not np.all((np.abs(values) <= LARGEST) | (endless & np.isinf(values))):
         raise InputError(f"holds a number that is not finite, or beyond {LARGEST:g}", field=name, remedy=_REMEDY)
     return values
 

@@ -29,6 +29,8 @@ def arrays(seed: int, dtype: type) -> dict[str, Any]:
     return {
         "mean": draw(N),
         "covariance": draw(N, N),
+        "std": draw(N).real,
+        "prior_mean": draw(N),
         "prior_std": np.full(N, np.inf),
         "draws": draw(0, N),
         "map_mean": draw(91, 360),

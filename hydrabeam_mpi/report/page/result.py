@@ -127,6 +127,9 @@ def _read_summary(path: Path) -> dict[str, Any]:
         summary = json.loads(path.read_text(encoding="utf-8"))
     if not isinstance(summary, dict):
         raise InputError("is not a table of key numbers", file=path, remedy=REMEDY)
+    phases = summary.get("phases_s") or {}
+    if not isinstance(phases, dict) or not all(isinstance(seconds, int | float) for seconds in phases.values()):
+        raise InputError("is not a table of seconds", file=path, field="phases_s", remedy=REMEDY)
     return summary
 
 
