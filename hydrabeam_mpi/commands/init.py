@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -82,7 +83,7 @@ def _named(path: Path) -> str:
     InputError
         If it is not text in UTF-8, as all of a job file is.
     """
-    name = str(path.resolve())
+    name = os.path.realpath(path)
     if not name.isprintable():
         remedy = "rename it, or give a link to it"
         raise InputError("a job file cannot hold a name like this", file=path, remedy=remedy)

@@ -7,12 +7,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from hydrabeam_mpi.config.base import Section, key, refuse_unused
+from hydrabeam_mpi.data.limits import LARGEST
 from hydrabeam_mpi.effects.registry import KINDS, REWEIGHTINGS
 
 if TYPE_CHECKING:
     Kind = str
 else:  # a job may name what there is
     Kind = Literal[KINDS]
+
+
+Value = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 
 
 class Effect(Section):
@@ -22,9 +26,9 @@ class Effect(Section):
     settings: dict[str, Any] = key({}, "which of several, such as the positions of sources")
     names: tuple[str, ...] = key((), "of the parameters in use")
     index: tuple[Annotated[int, Field(ge=0)], ...] = key((), "their numbers among all of the effect's parameters")
-    values: tuple[tuple[float, ...], ...] = key((), "one list a channel, where `inference` starts")
-    std: tuple[tuple[float, ...], ...] = key((), "posterior standard deviations, likewise")
-    prior_std: tuple[Annotated[float, Field(gt=0)], ...] = key((), "of the prior about zero")
+    values: tuple[tuple[Value, ...], ...] = key((), "one list a channel, where `inference` starts")
+    std: tuple[tuple[Value, ...], ...] = key((), "posterior standard deviations, likewise")
+    prior_std: tuple[Annotated[Value, Field(ge=1 / LARGEST)], ...] = key((), "of the prior about zero")
 
     @model_validator(mode="after")
     def _belongs_together(self) -> Self:
@@ -45,7 +49,7 @@ class Injected(Section):
     kind: Kind = key(..., "which effect")
     settings: dict[str, Any] = key({}, "which of several, such as the positions of sources")
     strength: float = key(0.1, "rms of the parameters drawn, over their natural size", gt=0)
-    parameters: dict[str, float] = key({}, "instead: values by name, the others zero")
+    parameters: dict[str, Value] = key({}, "instead: values by name, the others zero")
 
     @model_validator(mode="after")
     def _is_drawn_or_given(self) -> Self:

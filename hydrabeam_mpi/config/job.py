@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -42,6 +43,6 @@ def load_job(path: Path) -> Job:
     content = read_toml(path)
     try:
         # As JSON: lists and texts become tuples and paths, and no other type is taken for another.
-        return Job.model_validate_json(content, context={"folder": path.resolve().parent})
+        return Job.model_validate_json(content, context={"folder": Path(os.path.realpath(path)).parent})
     except ValidationError as error:
         raise as_input_error(error, Job, path) from error

@@ -138,6 +138,12 @@ def read_gains(files: Sequence[Path], observation: Observation, times: IntArray)
 def _read_solution(path: Path, observation: Observation) -> _Solution:
     """Read one gain file and pick the observation's antennas and channels."""
     cal = _read_uvcal(path, observation)
+    with reading(path, "gains"):
+        return _picked(cal, path, observation)
+
+
+def _picked(cal: UVCal, path: Path, observation: Observation) -> _Solution:
+    """Pick the observation's antennas and channels, and make the gains such as multiply the true visibilities."""
     ants = match(observation.antenna_numbers, cal.ant_array, 0)
     if np.any(ants < 0):
         missing = ", ".join(map(str, observation.antenna_numbers[ants < 0]))
@@ -158,8 +164,7 @@ def _read_solution(path: Path, observation: Observation) -> _Solution:
     if cal.pol_convention is not None:
         # The convention that the gain file states for calibrated data overrides the job's.
         gains *= np.sqrt(2) ** ((cal.pol_convention == "avg") - (observation.pol_convention == "avg"))
-    with reading(path, "gains"):
-        return _Solution(gains, flags, *_stamps(cal), _feed_names(cal))
+    return _Solution(gains, flags, *_stamps(cal), _feed_names(cal))
 
 
 def _check_values(gains: ComplexArray, flags: BoolArray, observation: Observation, path: Path) -> None:

@@ -132,6 +132,9 @@ def _read_channel(group: h5py.Group, name: str, grid: tuple[int, int]) -> Channe
             told = f"has the shape {group[key].shape}, not {shape}"
             raise InputError(told, field=f"{name}/{key}", remedy=_REMEDY)
     arrays = {key: _numbers(group, key, endless=key == "prior_std") for key in group if key != "covariance"}
+    for key in ("std", "prior_std"):
+        if not np.all(arrays[key] > 0):
+            raise InputError("holds a standard deviation that is not positive", field=f"{name}/{key}", remedy=_REMEDY)
     evidence = float(group.attrs["log_evidence"]) if "log_evidence" in group.attrs else None
     return ChannelRecord(float(group.attrs["freq"]), _json(group, "summary", name), arrays, evidence)
 
@@ -175,4 +178,8 @@ def read_covariance(path: Path, channel: int) -> NDArray[Any]:
         If it cannot be read.
     """
     with reading(path, "a posterior", remedy=_REMEDY), h5py.File(path, "r") as file:
-        return _numbers(file[CHANNEL.format(channel)], "covariance")
+        covariance = _numbers(file[CHANNEL.format(channel)], "covariance")
+    if not np.all(np.diag(covariance).real > 0):
+        field = f"{CHANNEL.format(channel)}/covariance"
+        raise InputError("holds a variance that is not positive", file=path, field=field, remedy=_REMEDY)
+    return covariance

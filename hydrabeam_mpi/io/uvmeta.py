@@ -110,7 +110,7 @@ def read_observation(files: Sequence[Data], selection: Selection) -> Observation
     if not files:
         raise InputError("no files", field="[data] files", remedy="name at least one")
     paths = files_among(files)
-    resolved = [path.resolve() for path in paths]
+    resolved = [os.path.realpath(path) for path in paths]
     if len(set(resolved)) < len(resolved):
         raise InputError("a file is named twice", field="[data] files", remedy="name it once")
     kinds = {path: file_kind(path) for path in paths}

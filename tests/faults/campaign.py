@@ -107,9 +107,9 @@ def run_cases(
     return sorted(verdicts, key=lambda verdict: verdict["index"])
 
 
-def make_samples(folder: Path) -> Path:
-    """Make the good files in a process of their own, as they need MPI."""
-    words = [sys.executable, "-m", "tests.faults.prepare", str(folder)]
+def make_samples(folder: Path, quick: bool = False) -> Path:
+    """Make the good files in a process of their own, as they need MPI; ``quick`` without trying the slow ones."""
+    words = [sys.executable, "-m", "tests.faults.prepare", str(folder), *["quick"] * quick]
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(REPOSITORY)}
     done = subprocess.run(words, cwd=REPOSITORY, check=False, capture_output=True, text=True, env=environment)
     assert done.returncode == 0, f"the good files are not taken: {done.stderr[-2000:]}"

@@ -165,10 +165,15 @@ def _streams(out: Any, err: Any) -> Iterator[None]:
             os.close(old)
 
 
-def make_answers(samples: Path) -> None:
-    """Run every command on the undamaged files, all of which are to be taken, and keep the results beside them."""
+def make_answers(samples: Path, quick: bool) -> None:
+    """Run every command on the undamaged files, all of which are to be taken, and keep the results beside them.
+
+    Where ``quick`` is set, only those of quick targets.
+    """
     answers: Answers = {}
     for target in TARGETS:
+        if quick and not target.is_quick:
+            continue
         with tempfile.TemporaryDirectory(prefix="fuzz") as own:
             folder = Path(own).resolve()
             outcome = execute(set_up(samples, target, folder), folder)

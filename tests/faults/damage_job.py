@@ -53,7 +53,8 @@ def _of_another_type(rng: Rng, value: Any, name: str) -> tuple[Any, bool]:
     others = {"text": "text", "number": 3, "flag": True, "list": [1, "x"], "table": {"a": 1}, "lists": [[[]]]}
     own = {str: "text", int: "number", float: "number", bool: "flag", list: "list"}[type(value)]
     kind = pick(rng, sorted(others.keys() - {own}))
-    return others[kind], True
+    # A quantity may be a number.
+    return others[kind], not (own == "text" and kind == "number" and _is_number(value))
 
 
 def _no_number(rng: Rng, value: Any, name: str) -> tuple[Any, bool]:

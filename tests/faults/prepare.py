@@ -1,4 +1,4 @@
-"""``python -m tests.faults.prepare FOLDER`` makes the good files there, and what comes of each."""
+"""``python -m tests.faults.prepare FOLDER [quick]`` makes the good files there, and what comes of each."""
 
 from __future__ import annotations
 
@@ -10,4 +10,4 @@ from tests.faults.samples import make
 
 if __name__ == "__main__":
     make(Path(sys.argv[1]).resolve())
-    make_answers(Path(sys.argv[1]).resolve())
+    make_answers(Path(sys.argv[1]).resolve(), quick=sys.argv[2:] == ["quick"])

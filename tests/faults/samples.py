@@ -90,6 +90,11 @@ class Target:
     weight: float = 1.0
 
     @property
+    def is_quick(self) -> bool:
+        """Whether neither figures are drawn nor a process of its own reads the file first."""
+        return self.command != "report" and self.name not in ("data.ms", "data.miriad")
+
+    @property
     def title(self) -> str:
         """What to call it."""
         return f"{self.command} {self.name}{'/' + self.inside if self.inside else ''}"

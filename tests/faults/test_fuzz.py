@@ -1,26 +1,68 @@
-"""Damaged files of every kind end in one clear line, or in a result that is right; `tools/fuzz` runs many more."""
+"""Damaged files, kills and full disks end in one clear line, or in a result that is right.
+
+`tools/fuzz` does much more of it. All in one file, as the good files take half a minute to make.
+"""
 
 from __future__ import annotations
 
+import signal
+from itertools import count, islice
 from pathlib import Path
 
-from tests.faults.campaign import counts, run_cases
+import pytest
+
+from tests.faults.campaign import counts, make_samples, run_cases
+from tests.faults.cases import drawn
+from tests.faults.full_disk import FullDisks, can_mount
+from tests.faults.kills import Kill, Kills
 from tests.faults.oracle import CLEAN
 
 SEED, CASES = 8, 200
 
 
+@pytest.fixture(scope="module")
+def samples(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_samples(tmp_path_factory.mktemp("samples"), quick=True)
+
+
+@pytest.fixture(scope="module")
+def kills(samples: Path) -> Kills:
+    return Kills(samples)
+
+
 def test_nothing_lost_and_nothing_wrong_in_silence(samples: Path) -> None:
-    verdicts = run_cases(samples, SEED, range(CASES), jobs=1)
+    quick = (index for index in count() if drawn(SEED, index)[0].is_quick)
+    verdicts = run_cases(samples, SEED, list(islice(quick, CASES)), jobs=1)
     told = [verdict for verdict in verdicts if verdict["kind"] != CLEAN]
     assert not told, f"repeat with tools/fuzz --seed {SEED} --only INDEX"
     assert counts(verdicts)["cases"] == CASES
 
 
-def test_a_process_that_ends_or_hangs_is_told_of(samples: Path, monkeypatch) -> None:
+def test_a_process_that_ends_or_hangs_is_told_of(samples: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # Without good files every case ends its process.
     (verdict,) = run_cases(samples / "nothing", SEED, [0], jobs=1)
     assert (verdict["kind"], verdict["words"]) == ("tracebacks", "the process ended with 1")
     monkeypatch.setattr("tests.faults.campaign.HANG_S", 0.01)
     (verdict,) = run_cases(samples, SEED, [0], jobs=1)
     assert verdict["kind"] == "hangs"
+
+
+@pytest.mark.parametrize(
+    "kill",
+    [
+        Kill("infer", 1, signal.SIGTERM, 0.8, one=False, earlier=True),
+        Kill("infer", 2, signal.SIGKILL, 0.8, one=True, earlier=False),
+    ],
+    ids=lambda kill: kill.title,
+)
+def test_a_killed_run_loses_nothing(kills: Kills, kill: Kill) -> None:
+    kind, words = kills.run(kill)
+    assert kind == CLEAN, words
+
+
+@pytest.mark.skipif(not can_mount(), reason="no file system may be mounted here")
+def test_a_full_disk_ends_in_one_line(samples: Path) -> None:
+    disks = FullDisks(samples)
+    for index in (1, 9):  # both of infer
+        title, kind, words = disks.run(SEED, index)
+        assert kind == CLEAN, f"{title}: {words}"

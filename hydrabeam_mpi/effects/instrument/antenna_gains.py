@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from hydrabeam_mpi.data.limits import LARGEST
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.shared.per_antenna import common_values
+
+LARGEST_LN = float(np.log(LARGEST))
+"""Of the product of two gains, from where a fit may start but does not stay: its square is still a double."""
 
 
 class AntennaGains(Effect):
@@ -45,5 +49,6 @@ class AntennaGains(Effect):
         """Return g_j g_k*, (Ntimes, Nbls)."""
         gains = np.zeros(len(block.setup.observation.antenna_numbers), dtype=complex)
         gains[block.setup.antennas_in_use] = x[0::2] + 1j * x[1::2]
-        rows = np.exp(gains[block.ant1] + gains[block.ant2].conj())
+        logarithm = gains[block.ant1] + gains[block.ant2].conj()
+        rows = np.exp(logarithm.real.clip(-LARGEST_LN, LARGEST_LN) + 1j * logarithm.imag)
         return np.broadcast_to(rows, block.shape)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -117,7 +118,7 @@ def load_result(directory: Path) -> Result:
             remedy="both files must come from the same run",
         )
     channels = [_channel(posterior, number, numbers, path) for number, numbers in enumerate(per_channel)]
-    name = str(summary.pop("name", directory.resolve().name))
+    name = str(summary.pop("name", Path(os.path.realpath(directory)).name))
     return Result(name, summary, warnings, channels, posterior.provenance, posterior.polarization)
 
 
