@@ -26,6 +26,10 @@ def test_whatever_a_library_says_is_one_line() -> None:
     assert str(error) == "a.uvh5: cannot be read (two lines of it); mend it"
 
 
+def test_what_is_as_long_as_a_file_is_cut() -> None:
+    assert str(InputError("no number: " + "9" * 10**6, file="a.txt")) == f"a.txt: no number: {'9' * 489} ..."
+
+
 def test_what_a_terminal_would_obey_shows_as_escapes() -> None:
     name = "Ant\x1b[2J\x00 'größer' 面 \u202e\udcff"
     assert str(InputError("no such file", file=name)) == ("Ant\\x1b[2J\\x00 'größer' 面 \\u202e\\udcff: no such file")

@@ -85,6 +85,8 @@ Freqs = Annotated[tuple[Hertz, ...], AfterValidator(_are_distinct), Field(min_le
 
 def from_job(name: Any, info: ValidationInfo) -> Any:
     """Take a file name, text or Path, as relative to the folder of the job, if the validation's context names it."""
+    if not str(name).strip() or name == Path():
+        raise ValueError("a file name, not an empty text")
     folder = (info.context or {}).get("folder")
     return name if folder is None else type(name)(folder / os.path.expanduser(name))
 

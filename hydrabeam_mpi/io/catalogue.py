@@ -9,6 +9,7 @@ import logging
 from dataclasses import dataclass
 from pathlib import Path
 
+import h5py
 import numpy as np
 from astropy import units
 from astropy.units import Quantity
@@ -23,6 +24,8 @@ from hydrabeam_mpi.model.sky import Sky, power_law
 
 logger = logging.getLogger(__name__)
 
+TURNS = 2
+"""Turns of a longitude: one either way may come from sums of angles that are longitudes themselves."""
 FILE_TYPES = {
     ".skyh5": "skyh5",
     ".h5": "skyh5",
@@ -184,8 +187,22 @@ def _read_model(path: Path, columns: VOTableColumns | None) -> SkyModel:
     remedy = "check the names and units of its columns" if file_type == "vot" else DAMAGED
     # Its warnings are about negative fluxes, which `_usable` sees to, and repeated names, which do no harm.
     with reading(path, file_type, remedy=remedy):
+        if file_type == "skyh5":
+            _check_longitudes(path)
         model: SkyModel = SkyModel.from_file(str(path), **options)
         return model
+
+
+def _check_longitudes(path: Path) -> None:
+    """Refuse longitudes of many turns, which astropy would take for any place on the sky."""
+    with h5py.File(path, "r") as file:
+        places = file["Header"].get("skycoord", {})
+        for name in places:
+            if places[name].attrs.get("object_type") == "longitude":
+                turns = np.abs(Quantity(places[name][()], places[name].attrs["unit"]).to_value("cycle"))
+                if np.any(turns > TURNS):
+                    told = f"a longitude of {turns[turns > TURNS][0]:.3g} turns"
+                    raise InputError(told, field=f"Header/skycoord/{name}", remedy=DAMAGED)
 
 
 def _votable_options(columns: VOTableColumns) -> dict[str, object]:

@@ -7,6 +7,8 @@ from pydantic import TypeAdapter, ValidationError
 
 from hydrabeam_mpi.config.quantities import (
     Degrees,
+    File,
+    FilePatterns,
     FluxRange,
     FreqRange,
     Freqs,
@@ -82,6 +84,8 @@ def test_understood(kind: Any, value: Any, expected: Any) -> None:
         (FluxRange, (0, 1), "greater than or equal to 0.0000"),
         (Freqs, (131e6, "131 MHz"), "each value once"),
         (Freqs, (), "at least 1"),
+        (File, "", "a file name, not an empty text"),
+        (FilePatterns, ["a.uvh5", " "], "a file name, not an empty text"),
     ],
 )
 def test_refused(kind: Any, value: Any, words: str) -> None:

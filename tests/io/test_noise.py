@@ -74,7 +74,7 @@ class TestRadiometer:
     def _order(obs, flags, nsamples, files):
         return files, obs, whole(obs), flags, nsamples
 
-    @pytest.mark.parametrize("power", [0.0, -5.0])
+    @pytest.mark.parametrize("power", [0.0, -5.0, 1e-35])
     def test_an_autocorrelation_without_power_gives_no_weight(self, read, power):
         uv = make_uvdata()
         uv.data_array[(uv.ant_1_array == 7) & (uv.ant_2_array == 7)] = power

@@ -28,8 +28,8 @@ def arrays(seed: int, dtype: type) -> dict[str, Any]:
 
     return {
         "mean": draw(N),
-        "covariance": draw(N, N),
-        "std": draw(N).real,
+        "covariance": draw(N, N) + 9 * np.eye(N),
+        "std": np.abs(draw(N)),
         "prior_mean": draw(N),
         "prior_std": np.full(N, np.inf),
         "draws": draw(0, N),
@@ -106,10 +106,39 @@ def spoil_summary(path: Path) -> None:
         file["channel_0001"].attrs["summary"] = "{"
 
 
-@pytest.mark.parametrize("spoil", [no_file, truncate, text, drop_basis, spoil_summary])
+def drop_prior(path: Path) -> None:
+    with h5py.File(path, "r+") as file:
+        del file["channel_0001/prior_std"]
+
+
+def no_number(path: Path) -> None:
+    with h5py.File(path, "r+") as file:
+        file["channel_0001/map_mean"][3, 4] = np.nan
+
+
+def no_spread(path: Path) -> None:
+    with h5py.File(path, "r+") as file:
+        file["channel_0001/std"][1] = 0
+
+
+@pytest.mark.parametrize(
+    "spoil", [no_file, truncate, text, drop_basis, spoil_summary, drop_prior, no_number, no_spread]
+)
 def test_what_is_no_posterior_is_refused(spoil: Any, tmp_path: Path) -> None:
     path = tmp_path / "posterior.h5"
     written(path)
     spoil(path)
     with pytest.raises(InputError, match=r"posterior.h5: .*; name a folder written by"):
         read_posterior(path)
+
+
+def test_a_variance_that_is_not_positive_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "posterior.h5"
+    written(path)
+    with h5py.File(path, "r+") as file:
+        file["channel_0001/covariance"][2, 2] = -1
+    read_covariance(path, 0)
+    with pytest.raises(
+        InputError, match=r"posterior.h5: channel_0001/covariance: holds a variance that is not positive"
+    ):
+        read_covariance(path, 1)

@@ -66,6 +66,12 @@ def without_last(old):
         ("altitude", 1e9, ["telescope_location: not a place on Earth", "height 1e+09 m"]),
         ("antenna_positions", one_bad(1e20), ["antenna_positions: antenna 41 stands 1e+20 m from the telescope"]),
         ("freq_array", one_bad(np.inf), ["freq_array: a frequency of inf Hz"]),
+        ("freq_array", one_bad(1e300), ["freq_array: a frequency of 1e+300 Hz"]),
+        (
+            "channel_width",
+            one_bad(1e300),
+            ["channel_width: a channel of 1e+300 Hz at 123 MHz, which would"],
+        ),
         ("polarization_array", -5, ["polarization_array: a polarisation stands twice"]),
         ("polarization_array", one_bad(9), ["polarization_array: no polarisation has the code 9"]),
         ("Nblts", 60, ["time_array: 66 numbers, where the header says 60"]),

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io import uvsummary
 from hydrabeam_mpi.io.uvsummary import summarise
 from tests.visibilities import CROSS, NUMBERS, SECOND, make_uvdata
@@ -45,3 +46,12 @@ def test_autocorrelations_of_unflagged_antennas_count(lacking: int, has_autos: b
     uv.flag_array[(uv.ant_1_array == 20) | (uv.ant_2_array == 20)] = True
     uv.write_uvh5(tmp_path / "a.uvh5", run_check=False)
     assert summarise([tmp_path / "a.uvh5"]).has_autos == has_autos
+
+
+def test_infinite_nsamples_are_refused(tmp_path: Path) -> None:
+    uv = make_uvdata()
+    uv.nsample_array[2, 0, 0] = np.inf
+    uv.flag_array[2, 0, 0] = False
+    uv.write_uvh5(tmp_path / "a.uvh5", run_check=False)
+    with pytest.raises(InputError, match=r"a.uvh5: nsample_array: unflagged values that are not finite; flag them"):
+        summarise([tmp_path / "a.uvh5"])

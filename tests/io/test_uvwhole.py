@@ -32,13 +32,19 @@ def test_samples_of_another_type_are_refused(tmp_path, field, value, words):
     assert "\n" not in str(caught.value)
 
 
-def test_a_damaged_miriad_file_does_not_end_the_program(tmp_path, capfd):
-    """The miriad library ends the process that meets one."""
-    make_uvdata(pols=(-5,)).write_miriad(str(tmp_path / "a.uv"), run_check=False)
+@pytest.mark.parametrize(("kind", "part"), [("miriad", "vartable"), ("ms", "ANTENNA/table.dat")])
+def test_a_damaged_folder_does_not_end_the_program(tmp_path, capfd, kind, part):
+    """The libraries in C end the process that meets one."""
+    uv = make_uvdata(pols=(-5,))
+    if kind == "ms":
+        pytest.importorskip("casacore")
+        uv.write_ms(str(tmp_path / "a.uv"), run_check=False, force_phase=True)
+    else:
+        uv.write_miriad(str(tmp_path / "a.uv"), run_check=False)
     assert read_observation([tmp_path / "a.uv"], Selection()).Ntimes == 6
-    table = tmp_path / "a.uv" / "vartable"
+    table = tmp_path / "a.uv" / part
     table.write_bytes(table.read_bytes()[:40])
     capfd.readouterr()
-    with pytest.raises(InputError, match=r"a.uv: cannot be read as miriad \(.+\); "):
+    with pytest.raises(InputError, match=rf"a.uv: cannot be read as {kind} \(.+\); "):
         read_observation([tmp_path / "a.uv"], Selection())
     assert capfd.readouterr() == ("", "")

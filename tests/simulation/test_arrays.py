@@ -76,6 +76,8 @@ def test_named_columns_in_any_order(tmp_path, separator):
         ("1 2\n", "2 columns, not 3: 1 2"),
         ("1 2 3\n1 2 nought\n", "not a number .*nought"),
         ("1 2 3\n1 2 nan\n", "antenna 1 has no position"),
+        ("1 2 3\n1 2 1e20\n", "antenna 1 stands 1e.20 m from the middle of the array; give places on Earth"),
+        ("1 2 3\n1 2 " + 5000 * "[", "not a number .*\\[ \\.\\.\\.; give columns"),
         ("number,e,n,u\n5,1,2,3\n5,2,2,3\n", "number: an antenna number stands twice"),
         ("number,e,n,u\n5,1,2,3\n6,2,2,3\n9,1,2,3\n", "antennas 5 and 9 stand in one place; give each its own"),
     ],

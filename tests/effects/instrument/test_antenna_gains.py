@@ -16,3 +16,9 @@ def test_flipped_baselines_are_conjugated() -> None:
     factor = AntennaGains().factor(block, x)[0]
     flipped = setup.redundant.flipped
     np.testing.assert_allclose(np.where(flipped, factor.conj(), factor), first * second.conj(), rtol=1e-12)
+
+
+def test_gains_beyond_reason_stay_within_a_double() -> None:
+    setup = small_setup()
+    factor = AntennaGains().factor(small_block(setup), np.full(2 * len(setup.antennas_in_use), 1e30))
+    assert np.all(np.isfinite(np.abs(factor) ** 2))
