@@ -28,7 +28,7 @@ class Effect(Section):
     index: tuple[Annotated[int, Field(ge=0)], ...] = key((), "their numbers among all of the effect's parameters")
     values: tuple[tuple[Value, ...], ...] = key((), "one list a channel, where `inference` starts")
     std: tuple[tuple[Value, ...], ...] = key((), "posterior standard deviations, likewise")
-    prior_std: tuple[Annotated[Value, Field(gt=0), Field(ge=1 / LARGEST)], ...] = key((), "of the prior about zero")
+    prior_std: tuple[Annotated[Value, Field(ge=1 / LARGEST)], ...] = key((), "of the prior about zero")
 
     @model_validator(mode="after")
     def _belongs_together(self) -> Self:

@@ -100,7 +100,7 @@ def complaint(text: str, folder: Path) -> str:
         (EFFECT + "values = [[1, 'x']]", '[[effects]] number 1 values: is "x"; it should be a number'),
         (EFFECT + "settings = 3", "[[effects]] number 1 settings: is 3; it should be keys and values in braces"),
         (EFFECT + "index = [-1]", "[[effects]] number 1 index: is -1; it should be at least 0"),
-        (EFFECT + "prior_std = [0]", "[[effects]] number 1 prior_std: is 0; it should be more than 0"),
+        (EFFECT + "prior_std = [0]", "[[effects]] number 1 prior_std: is 0; it should be at least 1e-30"),
         (EFFECT, TOGETHER + "parameter; use the table as 'hydrabeam loop' wrote it"),
         (EFFECT + "values = [[]]", TOGETHER),
         (COMPLETE.replace("[[1]]", "[[1], []]"), TOGETHER),
