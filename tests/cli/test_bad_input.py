@@ -271,7 +271,7 @@ SIMULATIONS = [
          {"sky.n_sources": 10**12}),
     Case("a spectrum that no source has", ("job.toml", "[sky] spectral_index", "orders of magnitude", "100 to 131 MHz"),
          {"sky.spectral_index": 1e4}),
-    Case("effects too strong for numbers", ("job.toml", "number 1 (diffuse)", "than numbers can tell", "lower its strength"),
+    Case("effects too strong for numbers", ("job.toml", "number 1 (diffuse)", "numbers can tell", "lower its strength"),
          {"data.simulate.effects": [{"kind": "diffuse", "strength": 1.7e308}]}),
     Case("gains beyond reason", ("job.toml", "channel 0 (131 MHz)", "simulated ee: reaches", "lower the fluxes"),
          {"data.simulate.effects": [{"kind": "antenna_gains", "strength": 1e4}]}),
