@@ -261,7 +261,7 @@ def test_nothing_changes_where_it_fails(paper: Path, edited: Edit) -> None:
     copy = edited(paper, lambda summary: None)
     (copy / "report.html").write_text("an earlier report")
     drop_arrays(copy, "std")
-    with pytest.raises(KeyError):
+    with pytest.raises(InputError, match="std: is missing"):
         write_report(copy)
     assert sorted(file.name for file in copy.iterdir()) == ["posterior.h5", "report.html", "summary.json"]
     assert (copy / "report.html").read_text() == "an earlier report"
