@@ -3,61 +3,72 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping
-from typing import Any, get_type_hints
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, TypeVar, get_type_hints
 
 from pydantic import ConfigDict, TypeAdapter
 
-from hydrabeam_mpi.effects.instrument.antenna_delays import AntennaDelays
-from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
-from hydrabeam_mpi.effects.instrument.antenna_pointing import AntennaPointing
-from hydrabeam_mpi.effects.instrument.antenna_positions import AntennaPositions
-from hydrabeam_mpi.effects.instrument.auto_coupling import AutoCoupling
-from hydrabeam_mpi.effects.instrument.basis_truncation import BasisTruncation
-from hydrabeam_mpi.effects.instrument.cable_reflections import CableReflections
-from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
-from hydrabeam_mpi.effects.instrument.leakage import Leakage
-from hydrabeam_mpi.effects.instrument.mutual_coupling import MutualCoupling
-from hydrabeam_mpi.effects.instrument.nonredundant_beams import NonredundantBeams
-from hydrabeam_mpi.effects.instrument.timestamp import Timestamp
-from hydrabeam_mpi.effects.interface.effect import Cause, CrossPolarised, Effect
-from hydrabeam_mpi.effects.interface.reweighting import Reweighting
-from hydrabeam_mpi.effects.noise.noise_level import NoiseLevel
-from hydrabeam_mpi.effects.noise.outliers import Outliers
-from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
-from hydrabeam_mpi.effects.sky.diffuse import Diffuse
-from hydrabeam_mpi.effects.sky.horizon import Horizon
-from hydrabeam_mpi.effects.sky.ionosphere import Ionosphere
-from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
 from hydrabeam_mpi.errors import InputError
 
-EFFECTS: Mapping[str, type[Effect]] = {
-    effect.kind: effect
-    for effect in (
-        AntennaGains,
-        AntennaDelays,
-        CableReflections,
-        CrossCoupling,
-        AutoCoupling,
-        MutualCoupling,
-        MissingSources,
-        CatalogueFlux,
-        Diffuse,
-        AntennaPositions,
-        Timestamp,
-        AntennaPointing,
-        NonredundantBeams,
-        BasisTruncation,
-        Ionosphere,
-        Horizon,
-    )
-}
+if TYPE_CHECKING:
+    from hydrabeam_mpi.effects.interface.effect import Cause, CrossPolarised, Effect
+    from hydrabeam_mpi.effects.interface.reweighting import Reweighting
+
+
+Kind = TypeVar("Kind")
+
+
+class Registry(Mapping[str, type[Kind]]):
+    """Classes by name, each imported when it is first asked for.
+
+    The mistakes of a job file are told from the names alone, a second before astropy and pyuvdata are imported.
+
+    Parameters
+    ----------
+    *modules
+        Below this package, a room and a name: the class in "sky.missing_sources" is `MissingSources`.
+    """
+
+    def __init__(self, *modules: str) -> None:
+        self._modules = {module.rpartition(".")[2]: module for module in modules}
+
+    def __getitem__(self, kind: str) -> type[Kind]:
+        module = import_module(f"{__package__}.{self._modules[kind]}")
+        of_kind: type[Kind] = getattr(module, kind.title().replace("_", ""))
+        return of_kind
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._modules)
+
+    def __len__(self) -> int:
+        return len(self._modules)
+
+
+EFFECTS: Registry[Effect] = Registry(
+    "instrument.antenna_gains",
+    "instrument.antenna_delays",
+    "instrument.cable_reflections",
+    "instrument.cross_coupling",
+    "instrument.auto_coupling",
+    "instrument.mutual_coupling",
+    "sky.missing_sources",
+    "sky.catalogue_flux",
+    "sky.diffuse",
+    "instrument.antenna_positions",
+    "instrument.timestamp",
+    "instrument.antenna_pointing",
+    "instrument.nonredundant_beams",
+    "instrument.basis_truncation",
+    "sky.ionosphere",
+    "sky.horizon",
+)
 """Effects that change what the data are expected to be."""
 
-REWEIGHTINGS: Mapping[str, type[Reweighting]] = {change.kind: change for change in (NoiseLevel, Outliers)}
+REWEIGHTINGS: Registry[Reweighting] = Registry("noise.noise_level", "noise.outliers")
 """Changes of how much the data weigh."""
 
-SEPARATE: Mapping[str, type[CrossPolarised]] = {cause.kind: cause for cause in (Leakage,)}
+SEPARATE: Registry[CrossPolarised] = Registry("instrument.leakage")
 """Causes that are seen in other rows than those of the job's polarisation."""
 
 KINDS = (*EFFECTS, *SEPARATE, *REWEIGHTINGS)
