@@ -45,8 +45,14 @@ class Whitened:
         The prediction over the standard deviation of the noise of its parts; zero where there are no data.
     root : ndarray, same shape
         One over that standard deviation.
-    log_spread : float
-        Sum over all ranks of ln |1 + M| / 2, with M the predictions' covariance in units of the noise.
+    power : ndarray, same shape
+        |d - C (A b + E)|^2, Jy^2 of the data as read: not divided by an effect's gain C.
+    noise : ndarray, same shape
+        Variance of the noise of these data by the weights of the model, Jy^2; zero where they do not count.
+    beam : ndarray, same shape
+        Variance by what is uncertain of the beam, given the effects, in the same Jy^2.
+    log_spread : ndarray, (Nfreqs,)
+        Of each of the job's channels, of all ranks: ln |1 + M| / 2, M the predictions' covariance over the noise's.
     n_shared : float
         Twice the sum of ``share`` over all ranks: how many fitted parameters the predictions feel.
     """
@@ -56,7 +62,10 @@ class Whitened:
     share: FloatArray
     model: ComplexArray
     root: FloatArray
-    log_spread: float
+    power: FloatArray
+    noise: FloatArray
+    beam: FloatArray
+    log_spread: FloatArray
     n_shared: float = 0.0
 
 
@@ -75,16 +84,16 @@ def whiten(context: FitContext, fitted: Fitted) -> Whitened:
     def of_either(name: str) -> NDArray[Any]:
         return np.where(folds == 0, getattr(one, name), getattr(two, name))
 
-    z, used, share, model, root = map(of_either, ("z", "used", "share", "model", "root"))
-    log_spread = 0.5 * one.log_spread + 0.5 * two.log_spread
-    return _with_total(context, Whitened(z, used, share, model, root, log_spread))
+    names = ("z", "used", "share", "model", "root", "power", "noise", "beam")
+    rows: dict[str, Any] = {name: of_either(name) for name in names}
+    return _with_total(context, Whitened(**rows, log_spread=0.5 * one.log_spread + 0.5 * two.log_spread))
 
 
 def _with_total(context: FitContext, whitened: Whitened) -> Whitened:
     """Sum over ranks."""
-    mine = np.array([2 * float(whitened.share[whitened.used].sum()), whitened.log_spread])
+    mine = np.array([2 * float(whitened.share[whitened.used].sum()), *whitened.log_spread])
     allreduce_sum(context.grid.world, mine)
-    return replace(whitened, n_shared=float(mine[0]), log_spread=float(mine[1]))
+    return replace(whitened, n_shared=float(mine[0]), log_spread=mine[1:])
 
 
 def _untold(context: FitContext, values: Values) -> str | None:
@@ -165,16 +174,18 @@ def _whiten(context: FitContext, fitted: Fitted) -> Whitened:
     share, has_effects = context.test, bool(fitted.values.active)
     with together(context.grid.world):
         rows, added = share.calibrated(fitted.estimate)
-    z, model, share_of_model = np.zeros_like(rows.data), np.zeros_like(rows.data), np.zeros(rows.data.shape)
-    root = np.sqrt(2 * rows.inv_noise_var)
-    log_spread = 0.0
-    for channel in range(len(context.channels)):
+    root, noise = np.sqrt(2 * rows.inv_noise_var), share.noise_variance(rows)
+    z, model = np.zeros_like(rows.data), np.zeros_like(rows.data)
+    share_of_model, power, beam = np.zeros((3, *noise.shape))
+    log_spread = np.zeros(context.setup.observation.Nfreqs)
+    for channel, number in enumerate(context.channels):
         covariance = fitted.fit.covariances[channel] if has_effects else np.zeros((0, 0))
         errors = SharedErrors(covariance) if _is_shared(context, len(covariance)) else None
         own_root = np.zeros((0, 0)) if errors else _followed_root(covariance)
         with together(context.grid.world):
             for span, block, design in share.row_blocks(channel, fitted.estimate, added[channel], rows):
                 model[channel, span] = root[channel, span] * block.vis
+                power[channel, span] = noise[channel, span] * block.weights * np.abs(block.residual) ** 2
                 felt = _felt(context, fitted, channel, block, design) if has_effects else None
                 for t, row in enumerate(range(span.start, span.stop)):
                     stack, weights = block.residual[t][:, np.newaxis], block.weights[t]
@@ -183,12 +194,14 @@ def _whiten(context: FitContext, fitted: Fitted) -> Whitened:
                         if errors is not None:
                             stack = np.column_stack([stack, columns])
                         else:
-                            variance = _variances(columns, own, own_root).mean(axis=0)
-                            weights = weights / (1 + 2 * weights * variance)
-                    white, share_of_model[channel, row], spread = whiten_time(
+                            widened = 1 + 2 * weights * _variances(columns, own, own_root).mean(axis=0)
+                            weights = weights / widened
+                            log_spread[number] += float(np.log(widened).sum())
+                    white, share_of_model[channel, row], spread, variance = whiten_time(
                         stack, weights, block.member, design[t], fitted.fit.posteriors[channel]
                     )
-                    log_spread += spread
+                    log_spread[number] += spread
+                    beam[channel, row] = noise[channel, row] * block.weights[t] * variance
                     z[channel, row] = white[:, 0]
                     if errors is not None:
                         errors.add(white[:, 0], white[:, 1:])
@@ -200,8 +213,8 @@ def _whiten(context: FitContext, fitted: Fitted) -> Whitened:
             used = rows.inv_noise_var[channel] > 0
             n_used = int(context.grid.group.allreduce(np.count_nonzero(used)))
             share_of_model[channel] += errors.n_shared / (2 * max(n_used, 1))
-            log_spread += errors.log_spread if context.grid.is_group_root else 0.0
-    return Whitened(z, rows.inv_noise_var > 0, share_of_model, model, root, log_spread)
+            log_spread[number] += errors.log_spread if context.grid.is_group_root else 0.0
+    return Whitened(z, rows.inv_noise_var > 0, share_of_model, model, root, power, noise, beam, log_spread)
 
 
 def _is_shared(context: FitContext, n_params: int) -> bool:

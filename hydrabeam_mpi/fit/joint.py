@@ -156,7 +156,7 @@ def channel_results(context: FitContext, fitted: Fitted) -> list[ChannelResult]:
     posteriors = _marginal(fitted.fit)
     with together(grid.world):
         test, added = context.test.calibrated(fitted.estimate)
-        before = context.test.model.visibilities(problem.beams, test.tile.times)
+        before = context.test.model_beam
         variance, with_beam = variance_by_effects(context, fitted, test, added)
         predicting = fitted.fit.posteriors if with_beam else posteriors
         heldout = check_designs(test, context.test.designs(fitted.values), predicting, before, variance)

@@ -48,6 +48,7 @@ class RankData:
     _places: dict[int, tuple[IntArray, FloatArray, FloatArray]] = field(default_factory=dict)
     _memo: dict[tuple[int, str], Any] = field(default_factory=dict)
     _model: ForwardModel | None = None
+    _model_beam: ComplexArray | None = None
 
     @property
     def model(self) -> ForwardModel:
@@ -55,6 +56,23 @@ class RankData:
         if self._model is None:
             self._model = self.problem.forward_model(self.rows.groups)
         return self._model
+
+    @property
+    def model_beam(self) -> ComplexArray:
+        """Visibilities of the model beam with nothing fitted, (Nlocal, Ntimes, Ngroups), made once."""
+        if self._model_beam is None:
+            self._model_beam = self.model.visibilities(self.problem.beams, self.rows.tile.times)
+        return self._model_beam
+
+    def noise_variance(self, rows: Rows) -> FloatArray:
+        """Return the noise's variance by the weights of calibrated rows, in Jy^2 of the data as they were read.
+
+        The result, (Nlocal, Ntimes, Nbls), is zero where rows do not count.
+        """
+        power: Any = 1.0 if rows.divisor is None else rows.divisor
+        read: Any = 1.0 if self.rows.divisor is None else self.rows.divisor
+        used = rows.inv_noise_var > 0
+        return np.where(used, power / np.where(used, read * rows.inv_noise_var, 1.0), 0.0)
 
     @property
     def keeps_designs(self) -> bool:

@@ -23,7 +23,7 @@ from hydrabeam_mpi.infer.posterior import Posterior
 
 def whiten_time(
     rows: ComplexArray, weights: FloatArray, member: IntArray, design: NDArray[Any], posterior: Posterior
-) -> tuple[ComplexArray, FloatArray, float]:
+) -> tuple[ComplexArray, FloatArray, float, FloatArray]:
     """Whiten the rows of one time.
 
     Parameters
@@ -47,19 +47,22 @@ def whiten_time(
         The model's share of the variance.
     log_spread : float
         Half of the logarithm of the covariance's determinant, in units of the noise.
+    variance : ndarray, (Nbls,)
+        The model's own, Jy^2; zero where nothing of a group counts.
     """
     n_groups = design.shape[-2]
     group_weights = np.bincount(member, weights, n_groups)
     used = np.flatnonzero(group_weights)
     if not len(used):  # a time that is wholly flagged
-        return np.zeros_like(rows), np.zeros(len(member)), 0.0
+        return np.zeros_like(rows), np.zeros(len(member)), 0.0, np.zeros(len(member))
     root = np.tile(np.sqrt(2 * group_weights[used]), 2)
     # Unit vectors of what a group's members have in common, and the components along them.
     own = np.sqrt(weights / np.where(group_weights > 0, group_weights, 1.0)[member])
     gather = csr_array((own, (member, np.arange(len(member)))), shape=(n_groups, len(member)))
     plain = np.sqrt(2 * weights)[:, np.newaxis] * rows
     common = (gather @ plain)[used]
-    values, vectors = np.linalg.eigh(root[:, np.newaxis] * _model_variance(posterior, design, used) * root)
+    of_model = _model_variance(posterior, design, used)
+    values, vectors = np.linalg.eigh(root[:, np.newaxis] * of_model * root)
     values = np.maximum(values, 0.0)
     parts = np.concatenate([common.real, common.imag])
     whitened = vectors @ ((vectors.T @ parts) / np.sqrt(1 + values)[:, np.newaxis])
@@ -68,7 +71,10 @@ def whiten_time(
     shared = np.zeros(n_groups)
     by_part = np.square(vectors) @ (values / (1 + values))
     shared[used] = 0.5 * (by_part[: len(used)] + by_part[len(used) :])
-    return plain + gather.T @ change, own**2 * shared[member], 0.5 * float(np.log1p(values).sum())
+    variance = np.zeros(n_groups)
+    variance[used] = np.diag(of_model).reshape(2, -1).sum(axis=0)
+    log_spread = 0.5 * float(np.log1p(values).sum())
+    return plain + gather.T @ change, own**2 * shared[member], log_spread, variance[member]
 
 
 def root_of(covariance: FloatArray) -> FloatArray:

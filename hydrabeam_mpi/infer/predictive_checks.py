@@ -30,17 +30,17 @@ class HeldoutStatistics:
 
     Attributes
     ----------
-    sums : ndarray, (12,)
+    sums : ndarray, (13,)
         Number of parts; sum of z, of z^2 and of the log predictive density (natural, per Jy^2) for the inferred
         beam; sum of z and z^2 for the model beam; sum of w|d|^2, w|r|^2 (inferred), w|r|^2 (model); sum of w, and
-        of w Re(d* m) and w|m|^2 with m the model beam's prediction.
+        of w Re(d* m), w|m|^2 and w Im(d* m) with m the model beam's prediction.
     counts : ndarray, (2, Nbins)
         Histograms of z over `Z_EDGES`, inferred and model beam.
     largest : ndarray, (2,)
         Largest absolute z of each; combined by maximum.
     """
 
-    sums: FloatArray = field(default_factory=lambda: np.zeros(12))
+    sums: FloatArray = field(default_factory=lambda: np.zeros(13))
     counts: FloatArray = field(default_factory=lambda: np.zeros((2, len(Z_EDGES) - 1)))
     largest: FloatArray = field(default_factory=lambda: np.zeros(2))
 
@@ -67,7 +67,7 @@ class HeldoutStatistics:
             z.size, z.sum(), np.sum(z**2), log_density, z_before.sum(), np.sum(z_before**2),
             np.sum(weights * np.abs(observed) ** 2), np.sum(weights * after**2), np.sum(weights * raw**2),
             weights.sum(), np.sum(weights * (observed.conj() * predicted).real),
-            np.sum(weights * np.abs(predicted) ** 2),
+            np.sum(weights * np.abs(predicted) ** 2), np.sum(weights * (observed.conj() * predicted).imag),
         ]  # fmt: skip
         for row, scores in enumerate((z, z_before)):
             self.counts[row] += np.histogram(np.clip(scores, Z_EDGES[0], Z_EDGES[-1]), Z_EDGES)[0]
@@ -78,14 +78,18 @@ class HeldoutStatistics:
 
         ``heldout_chi2_predictive`` is the mean of z^2 under the posterior predictive, whose variance is that of noise
         and beam: one where the posterior is right. ``heldout_chi2_noise_only`` divides the same residuals by the noise
-        alone, and is above one by what the data leave uncertain of the beam; ``heldout_chi2`` is its older name.
+        alone, and is above one by what the data leave uncertain of the beam; ``heldout_chi2`` is its older name. A
+        plain rms is sqrt(sum w|x|^2 / sum w), Jy: of the residual, of the data (what predicting zero leaves) and of the
+        noise alone; ``_complex`` has the model beam with its best complex scale. ``heldout_log_density`` is complete,
+        with the logarithm of the variances, of each part by itself.
         """
         n, z, z2, log_density, z_before, z2_before, *products = self.sums.tolist()
         if not n:
             return {}
-        power, after, before, weight, overlap, model_power = products
+        power, after, before, weight, overlap, model_power, overlap_imag = products
         amplitude = overlap / model_power if model_power else 0.0
         scaled = max(power - amplitude * overlap, 0.0)
+        complex_scaled = max(scaled - (overlap_imag**2 / model_power if model_power else 0.0), 0.0)
         numbers = {
             "ppd_z_std": _std(n, z, z2),
             "ppd_z_max": float(self.largest[0]),
@@ -96,6 +100,9 @@ class HeldoutStatistics:
             "heldout_log_density": log_density,
             "heldout_n": n / 2,
             "heldout_rms_jy_data": float(np.sqrt(power / weight)),
+            "heldout_rms_jy_noise": float(np.sqrt(0.5 * n / weight)),
+            "heldout_rms_jy_unperturbed_complex": float(np.sqrt(complex_scaled / weight)),
+            "heldout_explained_unperturbed_complex": 1 - complex_scaled / power if power else 0.0,
             "heldout_amplitude_unperturbed": amplitude,
         }
         for name, residual in {"": after, "_unperturbed": before, "_unperturbed_scaled": scaled}.items():

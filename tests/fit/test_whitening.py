@@ -81,7 +81,7 @@ def test_a_time_is_whitened_by_the_symmetric_root(
 ) -> None:
     time = time_of(is_complex, n_modes, flagged, strength)
     residuals = complex_normal(generator(2, "residuals"), (len(MEMBER), 3))
-    z, share, log_spread = whiten_time(residuals, time.weights, MEMBER, time.design, time.posterior)
+    z, share, log_spread, variance = whiten_time(residuals, time.weights, MEMBER, time.design, time.posterior)
     covariance = time.covariance()
     expected = symmetric_root(covariance) @ (np.tile(np.sqrt(2 * time.weights), 2)[:, np.newaxis] * parts(residuals))
     np.testing.assert_allclose(parts(z), expected, rtol=0, atol=1e-7)
@@ -89,13 +89,17 @@ def test_a_time_is_whitened_by_the_symmetric_root(
     shares = np.diag(np.linalg.solve(np.eye(16) + covariance, covariance))
     np.testing.assert_allclose(share, shares.reshape(2, -1).mean(axis=0), rtol=0, atol=1e-6)
     assert not z[flagged].any()
+    by_row = 2 * np.concatenate([time.weights] * 2) * np.tile(variance / 2, 2)
+    assert by_row.sum() == pytest.approx(np.trace(covariance), rel=1e-6)
 
 
 def test_a_time_that_is_wholly_flagged_says_nothing() -> None:
     time = time_of(False, 3, np.arange(8), 1.0)
-    z, share, log_spread = whiten_time(np.ones((8, 2), complex), time.weights, MEMBER, time.design, time.posterior)
+    ones = np.ones((8, 2), complex)
+    z, share, log_spread, variance = whiten_time(ones, time.weights, MEMBER, time.design, time.posterior)
     assert not z.any()
     assert not share.any()
+    assert not variance.any()
     assert log_spread == 0
 
 
@@ -108,7 +112,7 @@ def test_draws_from_the_predictive_distribution_become_white(is_complex: bool) -
     used = time.weights > 0
     sigma = np.where(used, 1 / np.sqrt(np.where(used, time.weights, 1.0)), 0.0)
     rows = time.rows[MEMBER] @ errors + sigma[:, np.newaxis] * complex_normal(rng, (8, 20000))
-    z, _, _ = whiten_time(rows, time.weights, MEMBER, time.design, time.posterior)
+    z, _, _, _ = whiten_time(rows, time.weights, MEMBER, time.design, time.posterior)
     white = parts(z[used])
     # The errors of 20000 draws: 0.007 of covariances, 0.01 of variances.
     np.testing.assert_allclose(white @ white.T / 20000, np.eye(len(white)), rtol=0, atol=0.05)

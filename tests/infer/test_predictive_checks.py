@@ -48,6 +48,22 @@ def test_sums_add_up_over_parts_and_flags_do_not_count():
     assert whole.summary()["heldout_n"] == np.sum(weights > 0)
 
 
+def test_the_model_beam_with_its_best_complex_scale_and_the_noise():
+    data, weights, mean, variance = sample(40)
+    before = (0.3 + 0.2j) * data + mean
+    weights[:3] = 0
+    statistics = HeldoutStatistics()
+    statistics.add(data, weights, mean, variance, before)
+    summary = statistics.summary()
+    root = np.sqrt(weights)
+    (residual,) = np.linalg.lstsq((root * before)[:, None], root * data)[1]
+    power = np.sum(weights * np.abs(data) ** 2)
+    assert summary["heldout_rms_jy_unperturbed_complex"] == pytest.approx(np.sqrt(residual / weights.sum()), rel=1e-9)
+    assert summary["heldout_explained_unperturbed_complex"] == pytest.approx(1 - residual / power, rel=1e-9)
+    assert summary["heldout_rms_jy_unperturbed_complex"] < summary["heldout_rms_jy_unperturbed_scaled"]
+    assert summary["heldout_rms_jy_noise"] == pytest.approx(np.sqrt(37 / weights.sum()), rel=1e-12)
+
+
 def test_the_model_beam_with_its_best_amplitude_is_the_least_squares_fit():
     data, weights, mean, variance = sample(40)
     before = 0.3 * data + mean

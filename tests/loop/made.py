@@ -17,6 +17,7 @@ from hydrabeam_mpi.loop.attribution.score_effects import Finding
 from hydrabeam_mpi.loop.attribution.score_noise import WeightsFound
 from hydrabeam_mpi.loop.residuals.remains import Remains
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
+from hydrabeam_mpi.loop.selection.heldout_numbers import SUMS, HeldoutNumbers
 from hydrabeam_mpi.loop.selection.heldout_score import HeldoutScore
 from hydrabeam_mpi.random import generator
 
@@ -57,6 +58,27 @@ def blocks(chi2: float, log_spread: float = 0.0, n_times: int = N_DATA // 100, s
     return HeldoutScore(axes[0], axes[1], log_spread)
 
 
+def numbers(rms: float, expected: float = 1.0, n_freqs: int = 2, n_data: int = N_DATA, seed: int = 3) -> HeldoutNumbers:
+    """Data of 10 Jy rms with a noise of 1 Jy, which the model beam leaves at 5 Jy and at 4 Jy with its best scale.
+
+    Blocks of times and groups scatter by a tenth about the same residual rms.
+    """
+    weight = float(n_data)
+    sums = dict.fromkeys(SUMS, 0.0) | {
+        "n": n_data, "weight": weight, "data": 100 * weight, "residual": rms**2 * weight, "noise": weight,
+        "beam": (expected**2 - 1) * weight, "model_residual": 25 * weight, "overlap_real": 0.0,
+        "overlap_imag": 84 * weight, "model": 84 * weight, "noise_only": rms**2 * weight,
+        "predictive": (rms / expected) ** 2 * weight,
+    }  # fmt: skip
+    rng, axes = generator(seed, "numbers"), []
+    for n_blocks in (20, 10):
+        of_block = np.full(n_blocks, weight / n_blocks)
+        scatter = rng.normal(1, 0.1, n_blocks)
+        axes.append(np.array([rms**2 * of_block * scatter / scatter.mean(), of_block, expected**2 * of_block]))
+    channels = np.tile(np.array([sums[name] for name in SUMS])[:, np.newaxis] / n_freqs, n_freqs)
+    return HeldoutNumbers(channels, axes[0], axes[1])
+
+
 WHERE = {"sentence": "It is on antenna 5.", "antennas": {"state": "concentrated"}}
 
 
@@ -67,12 +89,19 @@ def checked(
     white: bool = False,
     fitted: Fitted = NOTHING,
     train_chi2: FloatArray | None = None,
+    rms: float | None = None,
+    expected: float = 1.0,
 ) -> Checked:
-    """A fit with held-out data of this reduced chi^2."""
+    """A fit with held-out data of this reduced chi^2, and of the rms that belongs to it if no other is given."""
     why = "it has no structure beyond chance" if white else "its times differ (9.0 sigma)"
     remains = Remains(consistent, white, why, {"overall": {"chi2": chi2}}, WHERE, {"largest": []})
     diagnostics = Diagnostics(np.array([chi2]) if train_chi2 is None else train_chi2)
-    return Checked(replace(fitted, diagnostics=diagnostics), blocks(chi2, log_spread), remains)
+    return Checked(
+        replace(fitted, diagnostics=diagnostics),
+        blocks(chi2, log_spread),
+        remains,
+        numbers(chi2**0.5 if rms is None else rms, expected),
+    )
 
 
 def round_of(candidate: Candidate, before: Checked, after: Checked, *ranking: Candidate) -> Round:

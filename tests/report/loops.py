@@ -95,6 +95,8 @@ def gains_round() -> Entry:
         "heldout_before": 11.4,
         "heldout_after": 2.31,
         "heldout_sigma": 57.3,
+        "rms_before": 9.1,
+        "rms_after": 4.2,
         "runner_up": "antenna_positions",
         "indistinguishable_from": [],
         "beam_change_max": 3.1e-3,
@@ -177,6 +179,11 @@ def unexplained() -> Entry:
     loop["tried"] = [
         {"effect": "diffuse", "log_bayes_factor": 55.1, "reason": "held-out chi^2 does not fall: 2.31 to 2.40"}
     ]
+    loop["why"] = "predictions are not calibrated: so it is"
+    loop |= {"rms_zero": 12.1, "rms_model": 10.2, "rms_model_scaled": 9.4, "rms_before": 9.1, "rms_after": 4.2}
+    loop |= {"rms_noise": 3.9, "explained_before": 0.434, "explained_after": 0.88, "heldout_channels": []}
+    loop |= {"predictive_chi2_before": 11.4, "predictive_chi2_after": 2.31, "noise_only_chi2_before": 11.9}
+    loop |= {"noise_only_chi2_after": 2.6, "log_density_before": -91000.0, "log_density_after": -24000.0}
     loop["where"] = where()
     loop["structures"] = structures()
     loop["residual"] = statistics(2.31, antenna=11, boost=3.0, seed=7)

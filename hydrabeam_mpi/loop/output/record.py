@@ -10,9 +10,10 @@ import numpy as np
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.fit.gauss_newton import FitContext
 from hydrabeam_mpi.fit.state import Fitted
+from hydrabeam_mpi.loop.output.heldout_change import heldout_change
 from hydrabeam_mpi.loop.output.sentences import say_round, say_verdict
 from hydrabeam_mpi.loop.residuals.remains import Remains
-from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round, indistinguishable
+from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round, indistinguishable, why_unexplained
 from hydrabeam_mpi.loop.selection.rounds import History
 
 LEAST_TOLD = 0.5
@@ -73,12 +74,13 @@ def make_record(
     if conventions["found"]:
         rounds = [_convention(history, conventions)]
     last, control = remains[-1], _foreign(history)
+    why = why_unexplained(history.last, history.control)
     verdict = "unexplained"
     if interrupted:
         verdict = "interrupted"
     elif conventions["found"]:
         verdict = "convention"
-    elif last.consistent and control is None:
+    elif why is None or (last.consistent and control is None and not rounds):
         verdict = "explained" if rounds else "consistent"
     unexplained = verdict == "unexplained"
     record: dict[str, Any] = {
@@ -87,9 +89,11 @@ def make_record(
         "error_before": history.first.score.chi2,
         "error_after": history.last.score.chi2,
         "heldout_n": history.last.score.n_data,
+        **heldout_change(history.first, history.last, context.setup.observation.freqs),
+        "why": why if unexplained else None,
         "said": [
             *(one["sentence"] for one in rounds),
-            say_verdict(verdict, history.last.score.chi2, last.where, control),
+            say_verdict(verdict, history.last.score.chi2, last.where, control, why),
         ],
         "warnings": [_warning_of(conventions)] if conventions["found"] else [],
         "foreign": control,
@@ -190,6 +194,7 @@ def _round(setup: ObservingSetup, one: Round, chi2: list[float], before: Remains
         "heldout_before": one.before.score.chi2,
         "heldout_after": one.after.score.chi2,
         "heldout_sigma": one.sigma,
+        **heldout_change(one.before, one.after, setup.observation.freqs),
         "runner_up": others[0].kind if others else None,
         "runner_up_log_bayes_factor": others[0].log_bayes_factor if others else None,
         "indistinguishable_from": indistinguishable(candidate, ranking),

@@ -15,10 +15,11 @@ def say_round(told: dict[str, Any]) -> str:
     what = f"{told['title'].capitalize()}: {'; '.join(named)}{f'; and {more} more' if more > 0 else ''}"
     sure = f"log Bayes factor {told['log_bayes_factor']:,.0f}; the beam can absorb {told['absorbed_by_beam']:.0%} of it"
     error = f"Held-out reduced chi^2 {told['heldout_before']:.3g} -> {told['heldout_after']:.3g}"
+    rms = f"rms {told['rms_before']:.3g} -> {told['rms_after']:.3g} Jy (noise {told['rms_noise']:.3g} Jy)"
     beam = f"the beam moves by up to {told['beam_change_max']:.1e}"
     doubt = told["indistinguishable_from"]
     unsure = f" These data do not tell it from {' or '.join(doubt)}." if doubt else ""
-    return f"{what} ({sure}). Added. {error}; {beam}.{unsure}"
+    return f"{what} ({sure}). Added. {error}; {rms}; {beam}.{unsure}"
 
 
 def say_parameter(one: dict[str, Any]) -> str:
@@ -32,8 +33,13 @@ def _sigmas(one: dict[str, Any]) -> float:
     return abs(one["value"]) / one["std"] if one["std"] else 0.0
 
 
-def say_verdict(verdict: str, chi2: float, where: dict[str, Any], control: dict[str, Any] | None = None) -> str:
-    """Tell how the loop ended; ``control`` is a control model that explains more than any effect."""
+def say_verdict(
+    verdict: str, chi2: float, where: dict[str, Any], control: dict[str, Any] | None = None, why: str | None = None
+) -> str:
+    """Tell how the loop ended.
+
+    ``control`` is a control model that explains more than any effect, ``why`` the reason why data stay unexplained.
+    """
     error = f"held-out reduced chi^2 {chi2:.4g}"
     if verdict == "consistent":
         return f"Nothing is missing: the data agree with the model within the noise ({error})."
@@ -49,4 +55,5 @@ def say_verdict(verdict: str, chi2: float, where: dict[str, Any], control: dict[
             f"{control['title'].capitalize()} would explain more than any of them (log Bayes factor "
             f"{control['log_bayes_factor']:,.0f}, held-out reduced chi^2 {control['heldout_after']:.4g}). "
         )
-    return f"What is left ({error}) is explained by no effect in the catalogue. {better}{where['sentence']}"
+    reason = f"{why[:1].upper()}{why[1:]}. " if why and control is None else ""
+    return f"What is left ({error}) is explained by no effect in the catalogue. {reason}{better}{where['sentence']}"

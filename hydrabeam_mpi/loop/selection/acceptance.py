@@ -12,6 +12,7 @@ from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.loop.attribution.score_effects import Finding
 from hydrabeam_mpi.loop.attribution.score_noise import WeightsFound
 from hydrabeam_mpi.loop.residuals.remains import Remains
+from hydrabeam_mpi.loop.selection.heldout_numbers import HeldoutNumbers
 from hydrabeam_mpi.loop.selection.heldout_score import HeldoutScore, gain_significance
 
 MAX_ABSORBED = 0.95
@@ -42,6 +43,7 @@ class Checked:
     fitted: Fitted
     score: HeldoutScore
     remains: Remains
+    numbers: HeldoutNumbers
 
 
 @dataclass(frozen=True)
@@ -175,11 +177,44 @@ def refusal_of(
     change = f"{before.score.chi2:.4g} to {after.score.chi2:.4g}"
     if not after.score.chi2 < before.score.chi2:
         return f"held-out chi^2 does not fall: {change}"
+    if (rises := rise_of_rms(before, after)) is not None:
+        return rises
     if not after.score.log_density_at_own_level > before.score.log_density_at_own_level:
         return f"held-out chi^2 goes from {change} by predictions that get wider rather than nearer"
     if sigma < settings.min_heldout_sigma:
         return f"held-out chi^2 falls by {sigma:.1f} sigma only, {change}"
     return None
+
+
+def rise_of_rms(before: Checked, after: Checked) -> str | None:
+    """Say by how much the plain residual of the held-out data rises; None where it does not, beyond its error.
+
+    The error is one standard error of the paired difference over blocks. A change of the weights claims nothing of what
+    is predicted, and is not asked.
+    """
+    if not after.numbers.rise_sigma(before.numbers) > 1:
+        return None
+    one, two = before.numbers.of_all, after.numbers.of_all
+    change = f"the rms of the held-out residual rises from {one['rms']:.4g} to {two['rms']:.4g} Jy"
+    return f"{change}, by more than its error (noise {two['rms_noise']:.4g} Jy, the data {two['rms_zero']:.4g} Jy)"
+
+
+def why_unexplained(last: Checked, control: Round | None) -> str | None:
+    """Say why the last fit does not explain the data; None where it does."""
+    now = last.numbers.of_all
+    rms = f"the held-out residual has {now['rms']:.4g} Jy rms"
+    if not last.remains.consistent:
+        return (
+            f"predictions are not calibrated: what is left is more than they expect (predictive chi^2 "
+            f"{last.score.chi2:.4g}), and {rms} where the noise has {now['rms_noise']:.4g} Jy"
+        )
+    if not last.numbers.at_noise:
+        return (
+            f"predictions are calibrated, but only as they are wide: {rms}, where the noise has "
+            f"{now['rms_noise']:.4g} Jy and, with what the data leave uncertain of the beam, "
+            f"{now['rms_expected']:.4g} Jy are expected"
+        )
+    return None if control is None else f"{control.candidate.title} would explain more than any effect"
 
 
 def indistinguishable(candidate: Candidate, ranking: Sequence[Candidate]) -> list[str]:

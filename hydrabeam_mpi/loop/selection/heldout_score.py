@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,7 +67,7 @@ def heldout_score(context: FitContext, whitened: Whitened) -> HeldoutScore:
         np.add.at(groups[row], rows.groups[rows.member], values.sum(axis=0))
     allreduce_sum(context.grid.world, times)
     allreduce_sum(context.grid.world, groups)
-    return HeldoutScore(times, groups, whitened.log_spread)
+    return HeldoutScore(times, groups, float(whitened.log_spread.sum()))
 
 
 def fall_significance(before: HeldoutScore, after: HeldoutScore) -> float:
@@ -75,8 +76,19 @@ def fall_significance(before: HeldoutScore, after: HeldoutScore) -> float:
     Each block's own fall is one draw of how much the change helps. What is wrong with few baselines shows in few groups
     but at all times, what is wrong at few times in all groups.
     """
+    return fall_of_blocks(((before.times, after.times), (before.groups, after.groups)))
+
+
+def fall_of_blocks(pairs: Iterable[tuple[FloatArray, FloatArray]]) -> float:
+    """Return by how many standard errors sums over blocks fell, the greatest of several kinds of blocks.
+
+    Parameters
+    ----------
+    pairs : iterable of (ndarray, ndarray), (2, N)
+        For each kind of blocks, before and after: the sum and the number, or weight, of each.
+    """
     scores = []
-    for one, two in ((before.times, after.times), (before.groups, after.groups)):
+    for one, two in pairs:
         has = (one[1] > 0) & (two[1] > 0)
         if has.sum() < 4:
             continue

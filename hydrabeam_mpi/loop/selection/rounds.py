@@ -30,6 +30,7 @@ from hydrabeam_mpi.loop.selection.acceptance import (
     may_be_better,
     refusal_of,
 )
+from hydrabeam_mpi.loop.selection.heldout_numbers import heldout_numbers
 from hydrabeam_mpi.loop.selection.heldout_score import heldout_score
 from hydrabeam_mpi.result.summary import evaluate_on_grid
 from hydrabeam_mpi.terminal.progress import say
@@ -105,7 +106,7 @@ def run_rounds(
     for one in history.rounds:
         effects = _next_of(context, effects, one.after.fitted.values)
     for number in range(len(history.rounds), settings.max_rounds + 1):
-        say(f"round {number + 1}: held-out chi^2 {checked.score.chi2:.4g}; weighing effects", speaks)
+        say(f"round {number + 1}: {say_heldout(checked.score.chi2, checked.numbers.of_all)}; weighing effects", speaks)
         with clock.time("attribution"):
             ranking = rank(context, checked.fitted, effects, changes)
         history.ranking = ranking
@@ -126,6 +127,16 @@ def run_rounds(
             keep(history)
 
 
+def say_heldout(chi2: float, now: dict[str, float]) -> str:
+    """Tell in a line how well held-out data are predicted, beside the model beam, zero and the noise."""
+    return (
+        f"held-out chi^2 {chi2:.4g} (over the noise alone {now['noise_only_chi2']:.4g}), ln density "
+        f"{now['log_density']:.6g}, rms {now['rms']:.4g} Jy ({now['explained']:.1%} explained; model beam "
+        f"{now['rms_model']:.4g}, with its best scale {now['rms_model_scaled']:.4g}, zero {now['rms_zero']:.4g}, noise "
+        f"{now['rms_noise']:.4g} Jy)"
+    )
+
+
 def _next_of(context: FitContext, effects: Sequence[Effect], values: Values) -> Sequence[Effect]:
     """Return the effects to look for after those of the model."""
     if not values.active:
@@ -136,7 +147,8 @@ def _next_of(context: FitContext, effects: Sequence[Effect], values: Values) -> 
 def check(context: FitContext, fitted: Fitted) -> Checked:
     """Predict the held-out rows. Collective: all ranks of the grid."""
     whitened = whiten(context, fitted)
-    return Checked(fitted, heldout_score(context, whitened), remains_of(context, fitted, whitened))
+    remains = remains_of(context, fitted, whitened)
+    return Checked(fitted, heldout_score(context, whitened), remains, heldout_numbers(context, whitened))
 
 
 def rank(
@@ -170,8 +182,8 @@ def _try(context: FitContext, checked: Checked, ranking: Sequence[Candidate], hi
         sigma = improvement(checked, after, fitted)
         reason = refusal_of(checked, after, candidate, fitted, sigma, settings)
         say(
-            f"    held-out chi^2 {after.score.chi2:.4g} (ln BF {fitted.log_bayes_factor:.4g})"
-            + (f", refused: {reason}" if reason else ""),
+            f"    held-out chi^2 {after.score.chi2:.4g}, rms {after.numbers.of_all['rms']:.4g} Jy "
+            f"(ln BF {fitted.log_bayes_factor:.4g})" + (f", refused: {reason}" if reason else ""),
             context.grid.is_world_root,
         )
         if reason is not None:

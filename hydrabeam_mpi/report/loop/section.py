@@ -11,9 +11,9 @@ from hydrabeam_mpi.report.loop.record import Entry, entries
 from hydrabeam_mpi.report.loop.residuals import draw_residuals
 from hydrabeam_mpi.report.loop.statistics import statistics_table
 from hydrabeam_mpi.report.loop.structures import draw_singular_values, draw_structures
-from hydrabeam_mpi.report.loop.tables import left_out, parameters_table, rounds_table, seconds
+from hydrabeam_mpi.report.loop.tables import heldout_table, left_out, parameters_table, rounds_table, seconds
 from hydrabeam_mpi.report.loop.where import where_tables
-from hydrabeam_mpi.report.loop.words import further_words, verdict_words
+from hydrabeam_mpi.report.loop.words import further_words, reason_words, verdict_words
 from hydrabeam_mpi.report.page.sections import as_html
 from hydrabeam_mpi.report.page.style import Drawing
 
@@ -37,6 +37,7 @@ def loop_section(loop: Entry, place: Place) -> str:
             else "<h2>Does the model lack anything?</h2>\n",
             _verdict(loop),
             rounds_table(loop),
+            heldout_table(loop),
             _placed(place, draw_fall(loop), draw_ranking(loop)),
             _parameters(loop, place),
             _residual(loop, place),
@@ -51,9 +52,10 @@ def _placed(place: Place, *drawings: Drawing | None) -> str:
 
 
 def _verdict(loop: Entry) -> str:
-    """State the verdict, and where an unexplained residual lives."""
+    """State the verdict, and why and where there is an unexplained residual."""
     sentence = (loop.get("where") or {}).get("sentence")
-    where = f"<p>{as_html(str(sentence))}</p>" if sentence else ""
+    said = [str(line) for line in (reason_words(loop), sentence) if line]
+    where = "".join(f"<p>{as_html(line)}</p>" for line in said)
     return f'<div class="finding verdict"><p>{as_html(verdict_words(loop))}</p>{where}</div>\n'
 
 

@@ -44,9 +44,9 @@ def _change(entry: Entry, name: str) -> str:
 
 def rounds_table(loop: Entry) -> str:
     """Set the rounds, two lines each: the numbers, and the sentence below them."""
-    names = ["", "added", "ln Bayes factor", "absorbed by beam", "χ² fitted", "χ² held out", "runner-up"]
-    names += ["indistinguishable from"]
-    values = (2, 3, 4, 5)
+    names = ["", "added", "ln Bayes factor", "absorbed by beam", "χ² fitted", "χ² held out", "rms held out, Jy"]
+    names += ["runner-up", "indistinguishable from"]
+    values = (2, 3, 4, 5, 6)
     lines = []
     for count, entry in enumerate(entries(loop, "rounds"), 1):
         absorbed = number(entry, "absorbed_by_beam")
@@ -57,6 +57,7 @@ def rounds_table(loop: Entry) -> str:
             format_value(absorbed, "percent") if math.isfinite(absorbed) else "–",
             _change(entry, "chi2"),
             _change(entry, "heldout"),
+            _change(entry, "rms"),
             effect_name(str(entry.get("runner_up") or "–")),
             joined([effect_name(str(kind)) for kind in entry.get("indistinguishable_from") or []]) or "–",
         )
@@ -65,6 +66,30 @@ def rounds_table(loop: Entry) -> str:
         if words:
             lines.append(f'<tr class="said"><td></td><td colspan="{len(names) - 1}">{as_html(words)}</td></tr>')
     return f"<h3>Rounds</h3>\n{set_table('', head_of(names, values), lines, 'channels rounds')}" if lines else ""
+
+
+def heldout_table(loop: Entry) -> str:
+    """Set how near the held-out data are predicted, in Jy: of all channels and of each; empty in older results."""
+    names = ["", "zero", "model beam", "its best scale", "before", "after", "noise alone", "explained"]
+    names += ["χ² predictive", "χ² over the noise", "ln density"]
+    channels = entries(loop, "heldout_channels")
+    rows = [("all", loop)] if math.isfinite(number(loop, "rms_after")) else []
+    rows += [(megahertz(number(one, "freq_hz")), one) for one in channels] if len(channels) > 1 else []
+    lines = [
+        (
+            name,
+            *(
+                written(number(one, f"rms_{key}"))
+                for key in ("zero", "model", "model_scaled", "before", "after", "noise")
+            ),
+            f"{_share(number(one, 'explained_before'))} → {_share(number(one, 'explained_after'))}",
+            *(_change(one, key) for key in ("predictive_chi2", "noise_only_chi2", "log_density")),
+        )
+        for name, one in rows
+    ]
+    values = tuple(range(1, len(names)))
+    title = "<h3>What is left of the held-out data, rms in Jy</h3>\n"
+    return title + set_table("", head_of(names, values), lines_of(lines, values), "channels") if rows else ""
 
 
 def parameters_table(entry: Entry) -> str:

@@ -66,6 +66,12 @@ def _fall(loop: Entry, amended: bool) -> str:
     return f"the held-out reduced χ² {turn} from {written(before)} to {written(after)}, where a right model gives 1"
 
 
+def reason_words(loop: Entry) -> str:
+    """Say why what is left counts as unexplained; empty where nothing does."""
+    why = str(loop.get("why") or "")
+    return f"{why[:1].upper()}{why[1:]}." if why else ""
+
+
 def further_words(loop: Entry) -> list[str]:
     """Return the loop's own sentences except those in the table of rounds."""
     told = {str(entry.get("sentence")) for entry in entries(loop, "rounds")}

@@ -72,10 +72,15 @@ GROUPS: dict[str, tuple[KeyNumber, ...]] = {
         KeyNumber("heldout_explained", "power explained by the inferred beam", "percent"),
         KeyNumber("heldout_explained_unperturbed", "power explained by the model beam", "percent"),
         KeyNumber("heldout_explained_unperturbed_scaled", "power explained by the scaled model beam", "percent"),
+        KeyNumber(
+            "heldout_explained_unperturbed_complex", "power explained by the model beam, complex scale", "percent"
+        ),
         KeyNumber("heldout_rms_jy", "rms residual, inferred beam, Jy"),
         KeyNumber("heldout_rms_jy_unperturbed", "rms residual, model beam, Jy"),
         KeyNumber("heldout_rms_jy_unperturbed_scaled", "rms residual, scaled model beam, Jy"),
-        KeyNumber("heldout_rms_jy_data", "rms of the held-out data, Jy"),
+        KeyNumber("heldout_rms_jy_unperturbed_complex", "rms residual, model beam with its best complex scale, Jy"),
+        KeyNumber("heldout_rms_jy_noise", "rms that the noise alone would give, Jy"),
+        KeyNumber("heldout_rms_jy_data", "rms of the held-out data, which predicting zero leaves, Jy"),
         KeyNumber("heldout_log_density", "log predictive density (natural)"),
         KeyNumber("heldout_n", "visibilities held out", "count"),
     ),

@@ -21,7 +21,7 @@ from hydrabeam_mpi.loop.attribution.control_models import BeamDrift
 from hydrabeam_mpi.loop.output.record import known_effects, make_record, parameters_of
 from hydrabeam_mpi.loop.selection.acceptance import Candidate
 from hydrabeam_mpi.loop.selection.rounds import History
-from tests.loop.made import checked, effect_candidate, round_of, weights_candidate
+from tests.loop.made import checked, effect_candidate, numbers, round_of, weights_candidate
 from tests.loop.mock import FREQ, context_of, mock_job
 
 FREQS = (FREQ, FREQ + 8e6)
@@ -63,7 +63,8 @@ def history(context: FitContext, consistent: bool = True, control: bool = False,
     """Gains and then a larger noise, beside which delays, a timestamp and a beam that drifts are weighed."""
     first = checked(4.0, consistent=consistent and n_rounds == 0, train_chi2=train_chi2(context, 3.5))
     found = gains(context)
-    second = checked(1.5, consistent=consistent and n_rounds == 1, train_chi2=train_chi2(context, 1.25), fitted=found)
+    ends, chi2 = consistent and n_rounds == 1, train_chi2(context, 1.25)
+    second = checked(1.5, consistent=ends, train_chi2=chi2, fitted=found, expected=1.5**0.5 if ends else 1.0)
     third = checked(1.0, consistent=consistent, train_chi2=train_chi2(context, 1.0), fitted=found)
     drift = effect_candidate(BeamDrift(), 120.0)
     others = [drift, effect_candidate(AntennaDelays(), 96.0), effect_candidate(Timestamp(), 30.0)]
@@ -107,6 +108,9 @@ def test_the_verdict(n_rounds: int, consistent: bool, control: bool, verdict: st
     assert record["verdict"] == verdict
     assert record["error_before"] == pytest.approx(4.0)
     assert record["error_after"] == pytest.approx([4.0, 1.5, 1.0][n_rounds])
+    assert record["predictive_chi2_before"] == record["error_before"]
+    assert record["predictive_chi2_after"] == record["error_after"]
+    assert record["why"] is None or verdict == "unexplained"
     assert len(record["rounds"]) == n_rounds
     assert len(record["said"]) == n_rounds + 1
     assert record["warnings"] == []
@@ -116,6 +120,46 @@ def test_the_verdict(n_rounds: int, consistent: bool, control: bool, verdict: st
         assert record["foreign"]["effect"] == "beam_drift"
         assert record["foreign"]["heldout_after"] == pytest.approx(1.2)
         assert "A beam that changes in time would explain more" in record["said"][-1]
+
+
+def test_calibrated_but_wide_is_unexplained_with_the_reason(context: FitContext) -> None:
+    """And the same as wide as the data leave the beam is explained."""
+    for expected, verdict in ((1.0, "unexplained"), (3.0, "explained")):
+        made = history(context)
+        made.last = replace(made.last, numbers=numbers(3.0, expected))
+        record = record_of(context, made)
+        assert record["verdict"] == verdict
+    made.last = replace(made.last, numbers=numbers(3.0))
+    record = record_of(context, made)
+    assert record["why"].startswith(
+        "predictions are calibrated, but only as they are wide: the held-out residual has 3 Jy"
+    )
+    assert "Predictions are calibrated, but only as they are wide" in record["said"][-1]
+
+
+IN_JY = {
+    "rms_zero": 10.0, "rms_model": 5.0, "rms_model_scaled": 4.0, "rms_noise": 1.0, "rms_expected": 1.0,
+    "explained_model": 0.75, "explained_model_scaled": 0.84,
+}  # fmt: skip
+
+
+def test_rounds_and_record_tell_held_out_data_in_jy(context: FitContext) -> None:
+    """Of all channels and of each; a round by itself, the record from the first fit to the last."""
+    record = record_of(context, history(context, n_rounds=2))
+    for told, before, after in zip([record, *record["rounds"]], (4.0, 4.0, 1.5), (1.0, 1.5, 1.0), strict=True):
+        assert [one["freq_hz"] for one in told["heldout_channels"]] == list(FREQS)
+        for one in (told, *told["heldout_channels"]):
+            assert {key: one[key] for key in IN_JY} == pytest.approx(IN_JY)
+            fell = {
+                "rms": (before**0.5, after**0.5),
+                "explained": (1 - before / 100, 1 - after / 100),
+                "noise_only_chi2": (before, after),
+                "predictive_chi2": (before, after),
+            }
+            for key, pair in fell.items():
+                assert (one[f"{key}_before"], one[f"{key}_after"]) == pytest.approx(pair)
+            assert one["log_density_before"] < one["log_density_after"]
+    assert "rms 2 -> 1.22 Jy (noise 1 Jy)" in record["said"][0]
 
 
 @pytest.mark.mpi

@@ -42,6 +42,9 @@ def told(**given: Any) -> dict[str, Any]:
         "absorbed_by_beam": 0.071,
         "heldout_before": 257.12,
         "heldout_after": 1.1678,
+        "rms_before": 5.432,
+        "rms_after": 0.3456,
+        "rms_noise": 0.3201,
         "beam_change_max": 3.62e-3,
         "indistinguishable_from": [],
     }
@@ -53,7 +56,7 @@ ROUNDS: dict[str, tuple[dict[str, Any], str]] = {
     "the whole of it": (
         {},
         "Antenna gains: one 2 +- 1 (log Bayes factor 5,110,910; the beam can absorb 7% of it). Added. "
-        "Held-out reduced chi^2 257 -> 1.17; the beam moves by up to 3.6e-03.",
+        "Held-out reduced chi^2 257 -> 1.17; rms 5.43 -> 0.346 Jy (noise 0.32 Jy); the beam moves by up to 3.6e-03.",
     ),
     "the three most significant": ({"parameters": FEW}, "gains: two -9 +- 1; three 5 +- 1; four 3 +- 1; and 1 more ("),
     "those that are not told are among the others": (

@@ -33,9 +33,11 @@ from hydrabeam_mpi.loop.selection.acceptance import (
     is_hopeless,
     may_be_better,
     refusal_of,
+    rise_of_rms,
+    why_unexplained,
 )
 from hydrabeam_mpi.loop.selection.heldout_score import fall_significance
-from tests.loop.made import N_DATA, blocks, checked, effect_candidate, round_of, weights_candidate
+from tests.loop.made import N_DATA, blocks, checked, effect_candidate, numbers, round_of, weights_candidate
 
 
 def ids(cases: list[tuple[Any, ...]]) -> list[str]:
@@ -181,6 +183,8 @@ REFUSALS: list[tuple[str, dict[str, Any], str | None]] = [
     ("chi2 that rises", fit(after={"chi2": 2.1}), "held-out chi^2 does not fall: 2 to 2.1"),
     ("chi2 that is no number", fit(after={"chi2": np.nan}), "held-out chi^2 does not fall"),
     ("wider rather than nearer", fit(after={"chi2": 1.9, "log_spread": 200.0}), "wider rather than nearer"),
+    ("plain residuals that rise", fit(after={"chi2": 1.2, "rms": 2.0}), "rises from 1.414 to 2 Jy, by more than its"),
+    ("plain residuals that stay", fit(after={"chi2": 1.2, "rms": 2.0**0.5}), None),
     ("a fall that may be chance", fit(sigma=2.9), "held-out chi^2 falls by 2.9 sigma only, 2 to 1.2"),
 ]  # fmt: skip
 
@@ -214,6 +218,51 @@ def test_weights_are_kept_or_refused(before: float, after: dict[str, Any], lbf: 
     candidate = weights_candidate(lbf)
     reason = refusal_of(checked(before), checked(**after), candidate, candidate, 0.0, Loop())
     assert reason is None if words is None else words in str(reason)
+
+
+def test_a_change_of_weights_is_not_asked_for_nearer_predictions() -> None:
+    candidate, after = weights_candidate(50.0), checked(1.1, white=True, rms=1.5)
+    assert rise_of_rms(checked(2.0), after) is not None
+    assert refusal_of(checked(2.0), after, candidate, candidate, 0.0, Loop()) is None
+
+
+RISES = [
+    pytest.param(3.0, 3.0, False, id="the same"),
+    pytest.param(3.0, 2.9, False, id="a fall"),
+    pytest.param(3.0, 3.01, False, id="a rise within the scatter of its blocks"),
+    pytest.param(3.0, 3.3, True, id="a rise beyond it"),
+]
+
+
+@pytest.mark.parametrize(("one", "two", "rises"), RISES)
+def test_residuals_rise_beyond_their_error(one: float, two: float, rises: bool) -> None:
+    """Whatever chi^2 under the predictive says, whose falls may come from wider predictions."""
+    after = replace(checked(1.0), numbers=numbers(two, expected=two, seed=4))
+    said = rise_of_rms(checked(5.0, rms=one), after)
+    assert (said is not None) == rises
+    if rises:
+        assert said == (
+            "the rms of the held-out residual rises from 3 to 3.3 Jy, by more than its error "
+            "(noise 1 Jy, the data 10 Jy)"
+        )
+
+
+CONTROL = round_of(effect_candidate(BeamDrift()), checked(2.0), checked(1.2))
+WHY: list[tuple[str, dict[str, Any], bool, str | None]] = [
+    ("calibrated and at the noise", {"chi2": 1.0, "consistent": True}, False, None),
+    ("not calibrated", {"chi2": 4.0}, False, "not calibrated: what is left is more than they expect (predictive"),
+    ("calibrated as they are wide", {"chi2": 1.0, "consistent": True, "rms": 3.0}, False,
+     "calibrated, but only as they are wide: the held-out residual has 3 Jy rms, where the noise has 1 Jy"),
+    ("calibrated, and as wide as data leave the beam", {"chi2": 1.0, "consistent": True, "rms": 3.0, "expected": 3.0},
+     False, None),
+    ("a control model", {"chi2": 1.0, "consistent": True}, True, "a beam that changes in time would explain more"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("given", "control", "words"), [case[1:] for case in WHY], ids=ids(WHY))
+def test_why_data_stay_unexplained(given: dict[str, Any], control: bool, words: str | None) -> None:
+    why = why_unexplained(checked(**given), CONTROL if control else None)
+    assert why is None if words is None else words in str(why)
 
 
 def test_the_thresholds_are_the_jobs() -> None:

@@ -126,13 +126,30 @@ def test_an_error_that_rises_is_called_so() -> None:
 def test_the_table_of_rounds(reported: dict[str, Path]) -> None:
     rows = Page.of(reported["explained"]).rows
     first = next(row for row in rows if row[:2] == ["1", "antenna gains"])
-    assert first[2:] == ["8,312", "2.1%", "10.9 → 2.25", "11.4 → 2.31", "antenna positions", "–"]
+    assert first[2:] == ["8,312", "2.1%", "10.9 → 2.25", "11.4 → 2.31", "9.10 → 4.20", "antenna positions", "–"]
     second = next(row for row in rows if row[:2] == ["2", "missing sources"])
-    assert second[2:] == ["905", "34.0%", "2.25 → 0.990", "2.31 → 1.03", "catalogue flux", "catalogue flux and diffuse"]
+    assert second[2:] == [
+        "905",
+        "34.0%",
+        "2.25 → 0.990",
+        "2.31 → 1.03",
+        "–",
+        "catalogue flux",
+        "catalogue flux and diffuse",
+    ]
     told = rows[rows.index(first) + 1][1]
     assert "0.041 ± 0.0011" in told
     assert "χ² 11.4 → 2.31" in told
     assert "16 parameters, 14.2 effective. The held-out data confirm it at 57.3σ." in told
+
+
+def test_the_table_of_held_out_data_in_jy(reported: dict[str, Path]) -> None:
+    page = Page.of(reported["unexplained"])
+    row = next(row for row in page.rows if row[0] == "all" and len(row) == 11)
+    assert row[1:7] == ["12.1", "10.2", "9.40", "9.10", "4.20", "3.90"]
+    assert row[7:] == ["43.4% → 88.0%", "11.4 → 2.31", "11.9 → 2.60", "-91,000 → -24,000"]
+    assert "Predictions are not calibrated: so it is." in page.text
+    assert not any(len(row) == 11 for row in Page.of(reported["explained"]).rows)
 
 
 def test_the_table_of_parameters_has_those_farthest_from_zero(reported: dict[str, Path]) -> None:

@@ -1,0 +1,140 @@
+"""How near predictions come to the held-out data, in Jy: of a fit, of the model beam, of zero and of the noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.fit.gauss_newton import FitContext
+from hydrabeam_mpi.fit.heldout import Whitened
+from hydrabeam_mpi.infer.significance import SIGNIFICANT_P, sigma_of_log_p
+from hydrabeam_mpi.loop.selection.heldout_score import fall_of_blocks
+from hydrabeam_mpi.mpi import allreduce_sum, together
+
+SUMS = (
+    "n", "weight", "data", "residual", "noise", "beam", "model_residual", "overlap_real", "overlap_imag", "model",
+    "noise_only", "predictive", "log_noise", "log_spread",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class HeldoutNumbers:
+    """Sums over the held-out data d that count, of all ranks.
+
+    With w the weights of the data as they were read, which no effect changes, so that numbers of different rounds
+    compare; r = d - C (A b + E) the residual in Jy of those data, not divided by a gain C; and m the visibilities of
+    the model beam, with nothing fitted. A plain rms is sqrt(sum w |x|^2 / sum w), the explained variance of a
+    prediction 1 - sum w |r|^2 / sum w |d|^2.
+
+    Attributes
+    ----------
+    channels : ndarray, (len(SUMS), Nfreqs)
+        Of each channel: the number of d; sums of w, of w |d|^2, of w |r|^2, of w times the variance of the noise (by
+        the model's weights) and of w times that by the beam's uncertainty; of w |d - m|^2, w m* d (two parts) and
+        w |m|^2; |r|^2 over the variance of the noise; |z|^2 / 2 under the posterior predictive; and of the logarithm
+        of the predictive density -ln(pi variance of the noise) and `Whitened.log_spread`.
+    times, groups : ndarray, (3, N)
+        For each time and each redundant group the sums of w |r|^2, of w, and of w times what noise and beam give.
+    """
+
+    channels: FloatArray
+    times: FloatArray
+    groups: FloatArray
+
+    def of_channel(self, number: int) -> dict[str, float]:
+        """Return the numbers of one of the job's channels."""
+        return _numbers(self.channels[:, [number]])
+
+    @property
+    def of_all(self) -> dict[str, float]:
+        """The numbers of all channels together; the model beam's best scale is each channel's own."""
+        return _numbers(self.channels)
+
+    def rise_sigma(self, before: HeldoutNumbers) -> float:
+        """Return by how many standard errors the residual power rose, paired over blocks of times or groups."""
+        return fall_of_blocks(((self.times[:2], before.times[:2]), (self.groups[:2], before.groups[:2])))
+
+    @property
+    def excess_sigma(self) -> float:
+        """Significance of the residual power beyond what noise, and what the data leave uncertain of the beam, give.
+
+        Over blocks of times or of redundant groups, whichever scatter more: errors of beams are the same in many. Below
+        four blocks of either kind there is no scatter to tell.
+        """
+        sigmas = []
+        for power, weight, expected in (self.times, self.groups):
+            excess = (power - expected)[weight > 0]
+            if len(excess) >= 4 and (spread := float(np.std(excess, ddof=1)) * np.sqrt(len(excess))) > 0:
+                sigmas.append(float(excess.sum()) / spread)
+        return min(sigmas, default=0.0)
+
+    @property
+    def at_noise(self) -> bool:
+        """Whether the residual is as small as noise and beam allow, by the probability that all else is held to."""
+        return self.excess_sigma < sigma_of_log_p(float(np.log(SIGNIFICANT_P)))
+
+
+def _numbers(channels: FloatArray) -> dict[str, float]:
+    by_name = dict(zip(SUMS, channels, strict=True))
+    total = {name: float(values.sum()) for name, values in by_name.items()}
+    taken = np.divide(
+        by_name["overlap_real"] ** 2 + by_name["overlap_imag"] ** 2,
+        by_name["model"],
+        out=np.zeros(channels.shape[1]),
+        where=by_name["model"] > 0,
+    )
+    scaled = float(np.maximum(by_name["data"] - taken, 0.0).sum())
+
+    def rms(power: float) -> float:
+        return float(np.sqrt(power / total["weight"])) if total["weight"] else float("nan")
+
+    def explained(power: float) -> float:
+        return 1 - power / total["data"] if total["data"] else float("nan")
+
+    n = total["n"]
+    return {
+        "n": n,
+        "rms": rms(total["residual"]),
+        "rms_noise": rms(total["noise"]),
+        "rms_expected": rms(total["noise"] + total["beam"]),
+        "rms_zero": rms(total["data"]),
+        "rms_model": rms(total["model_residual"]),
+        "rms_model_scaled": rms(scaled),
+        "explained": explained(total["residual"]),
+        "explained_model": explained(total["model_residual"]),
+        "explained_model_scaled": explained(scaled),
+        "noise_only_chi2": total["noise_only"] / n if n else float("nan"),
+        "predictive_chi2": total["predictive"] / n if n else float("nan"),
+        "log_density": total["log_noise"] - total["log_spread"] - total["predictive"],
+    }
+
+
+def heldout_numbers(context: FitContext, whitened: Whitened) -> HeldoutNumbers:
+    """Sum over the held-out rows. Collective: all ranks of the grid."""
+    observation, rows, world = context.setup.observation, context.test.rows, context.grid.world
+    channels = np.zeros((len(SUMS), observation.Nfreqs))
+    times, groups = np.zeros((3, observation.Ntimes)), np.zeros((3, context.setup.redundant.Ngroups))
+    with together(world):
+        used = whitened.used
+        weight = np.where(used, rows.inv_noise_var, 0.0)
+        data, model = rows.data, context.test.model_beam[:, :, rows.member]
+        overlap = weight * model.conj() * data
+        noise = np.where(used, whitened.noise, 1.0)
+        powers = (weight * whitened.power, weight, weight * (whitened.noise + whitened.beam))
+        terms = (
+            used, weight, weight * np.abs(data) ** 2, powers[0], weight * whitened.noise, weight * whitened.beam,
+            weight * np.abs(data - model) ** 2, overlap.real, overlap.imag, weight * np.abs(model) ** 2,
+            np.where(used, whitened.power / noise, 0.0), np.where(used, 0.5 * np.abs(whitened.z) ** 2, 0.0),
+            np.where(used, -np.log(np.pi * noise), 0.0),
+        )  # fmt: skip
+        for row, term in enumerate(terms):
+            channels[row, context.channels] = term.sum(axis=(1, 2))
+        for row, term in enumerate(powers):
+            np.add.at(times[row], rows.tile.times, term.sum(axis=(0, 2)))
+            np.add.at(groups[row], rows.groups[rows.member], term.sum(axis=(0, 1)))
+    for sums in (channels, times, groups):
+        allreduce_sum(world, sums)
+    channels[-1] = whitened.log_spread
+    return HeldoutNumbers(channels, times, groups)

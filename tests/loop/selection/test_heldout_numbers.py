@@ -1,0 +1,136 @@
+"""The numbers of held-out data are those that NumPy gives of data, weights and predictions, on any number of ranks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
+from hydrabeam_mpi.fit.clock import Clock
+from hydrabeam_mpi.fit.gauss_newton import FitContext
+from hydrabeam_mpi.fit.state import Active, Fit, Values
+from hydrabeam_mpi.loop.selection.heldout_numbers import HeldoutNumbers
+from hydrabeam_mpi.loop.selection.rounds import begin, check
+from tests.loop.made import numbers
+from tests.loop.mock import FREQ, context_of, mock_job
+
+FREQS = (FREQ, FREQ + 8e6)
+
+
+@pytest.fixture(scope="module")
+def contexts(comm: MPI.Comm, tmp_path_factory: pytest.TempPathFactory) -> tuple[FitContext, FitContext]:
+    """The same two channels of a small array shared out over all ranks, and whole on each."""
+    job = mock_job(freqs=FREQS)
+    shared = context_of(job, comm.bcast(tmp_path_factory.mktemp("numbers")), comm)
+    return shared, context_of(job, tmp_path_factory.mktemp("alone"))
+
+
+def with_gain(context: FitContext) -> tuple[HeldoutNumbers, HeldoutNumbers, Any]:
+    """Numbers without effects, and of the same beams with one antenna's gain as known; and the fit."""
+    first = begin(context, Values(), Clock())
+    effect = AntennaGains()
+    x = np.zeros((len(FREQS), len(effect.parameters(context.setup))))
+    x[:, 4] = 0.3
+    active = Active(effect, np.zeros(x.shape[1]), x, np.full(x.shape[1], np.inf), np.zeros((0, x.shape[1])))
+    n_modes, n_local = context.problem.basis.n_modes, len(context.channels)
+    known = Fit(
+        first.last.fitted.fit.posteriors,
+        (np.zeros((0, 0)),) * n_local,
+        (np.zeros((n_modes, 0)),) * n_local,
+        (np.zeros_like(x),),
+    )
+    fitted = replace(first.last.fitted, values=Values((active,)), fit=known)
+    return first.last.numbers, check(context, fitted).numbers, fitted
+
+
+@pytest.mark.mpi
+def test_they_are_those_of_numpy_on_any_number_of_ranks(contexts: tuple[FitContext, FitContext]) -> None:
+    """With a gain the residual is that of the data as read, d - C A b, and not of the data divided by it."""
+    shared, alone = contexts
+    found, (_, _, fitted) = with_gain(shared), with_gain(alone)
+    rows = alone.test.rows
+    antennas = alone.setup.antenna_index[rows.tile.bls]
+    gain = np.exp(0.3 * (antennas == 2).sum(axis=1))
+    w, d = rows.inv_noise_var, rows.data
+    seen = alone.test.model_beam[:, :, rows.member]
+    design = np.array(list(alone.test.designs(Values())))  # (Ntimes, Nfreqs, 2, Ngroups, n)
+    parts = np.array([design[:, f] @ one.mean for f, one in enumerate(fitted.fit.posteriors)])
+    beam = (parts[:, :, 0] + 1j * parts[:, :, 1])[:, :, rows.member]
+    factors = [np.linalg.inv(one.factor) for one in fitted.fit.posteriors]
+    variance = np.array([np.sum((design[:, f] @ root.T) ** 2, axis=(1, 3)) for f, root in enumerate(factors)])
+    for made, factor in zip(found, (1.0, gain), strict=False):
+        for channels, told in [(slice(None), made.of_all), *((slice(f, f + 1), made.of_channel(f)) for f in (0, 1))]:
+            weight, data, model = w[channels], d[channels], seen[channels]
+            residual = data - factor * beam[channels]
+            scaled = np.concatenate([
+                data[[f]] - model[[f]] * np.sum(weight[f] * model[f].conj() * data[f])
+                / np.sum(weight[f] * np.abs(model[f]) ** 2) for f in range(len(data))
+            ])  # fmt: skip
+            power = np.sum(weight * np.abs(data) ** 2)
+
+            def rms(x: Any, weight: Any = weight) -> float:
+                return float(np.sqrt(np.sum(weight * np.abs(x) ** 2) / np.sum(weight)))
+
+            wide = np.sum(weight * factor**2 * variance[channels][:, :, rows.member])
+            expected = {
+                "n": data.size,
+                "rms": rms(residual),
+                "rms_zero": rms(data),
+                "rms_model": rms(data - model),
+                "rms_model_scaled": rms(scaled),
+                "rms_noise": np.sqrt(data.size / weight.sum()),
+                "rms_expected": np.sqrt((data.size + wide) / weight.sum()),
+                "explained": 1 - np.sum(weight * np.abs(residual) ** 2) / power,
+                "explained_model": 1 - np.sum(weight * np.abs(data - model) ** 2) / power,
+                "explained_model_scaled": 1 - np.sum(weight * np.abs(scaled) ** 2) / power,
+                "noise_only_chi2": np.mean(weight * np.abs(residual) ** 2),
+            }
+            assert {key: told[key] for key in expected} == pytest.approx(expected, rel=1e-6)
+
+
+def test_the_log_density_is_that_of_a_dense_gaussian(contexts: tuple[FitContext, FitContext]) -> None:
+    """With its determinant and all constants; times by themselves, as they are whitened."""
+    alone = contexts[1]
+    first = begin(alone, Values(), Clock())
+    rows, told = alone.test.rows, first.last.numbers
+    design = np.array(list(alone.test.designs(Values())))
+    for f, posterior in enumerate(first.last.fitted.fit.posteriors):
+        density = chi2 = 0.0
+        for t in range(len(rows.tile.times)):
+            by_row = design[t, f][:, rows.member].reshape(2 * len(rows.member), -1)
+            data = np.concatenate([rows.data[f, t].real, rows.data[f, t].imag])
+            spread = by_row @ np.linalg.inv(posterior.factor).T
+            covariance = np.diag(np.tile(0.5 / rows.inv_noise_var[f, t], 2)) + spread @ spread.T
+            left = data - by_row @ posterior.mean
+            power = left @ np.linalg.solve(covariance, left)
+            density -= 0.5 * (power + np.linalg.slogdet(2 * np.pi * covariance)[1])
+            chi2 += 0.5 * power / rows.data[f].size
+        assert told.of_channel(f)["log_density"] == pytest.approx(density, rel=1e-6)
+        assert told.of_channel(f)["predictive_chi2"] == pytest.approx(chi2, rel=1e-6)
+    score = first.last.score
+    assert told.of_all["predictive_chi2"] == pytest.approx(score.chi2, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("rms", "expected", "at_noise"),
+    [
+        pytest.param(1.0, 1.0, True, id="noise alone"),
+        pytest.param(1.02, 1.0, True, id="within the scatter of the blocks"),
+        pytest.param(1.3, 1.0, False, id="beyond it"),
+        pytest.param(1.3, 1.3, True, id="as uncertain as the beam is"),
+        pytest.param(0.8, 1.0, True, id="less than the noise"),
+    ],
+)
+def test_what_is_at_the_noise(rms: float, expected: float, at_noise: bool) -> None:
+    assert numbers(rms, expected).at_noise == at_noise
+
+
+def test_few_blocks_have_no_scatter() -> None:
+    made = numbers(3.0)
+    few = replace(made, times=made.times[:, :3], groups=made.groups[:, :3])
+    assert few.excess_sigma == 0
+    assert few.at_noise
