@@ -133,7 +133,7 @@ def test_the_table_of_rounds(reported: dict[str, Path]) -> None:
         "34.0%",
         "2.25 → 0.990",
         "2.31 → 1.03",
-        "–",
+        "– → –",
         "catalogue flux",
         "catalogue flux and diffuse",
     ]
