@@ -12,7 +12,7 @@ from mpi4py import MPI
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.gauss_newton import FitContext
-from hydrabeam_mpi.fit.state import Active, Fit, Values
+from hydrabeam_mpi.fit.state import Active, Fit, Values, independent_prior
 from hydrabeam_mpi.loop.selection.heldout_numbers import HeldoutNumbers
 from hydrabeam_mpi.loop.selection.rounds import begin, check
 from tests.loop.made import numbers
@@ -35,7 +35,13 @@ def with_gain(context: FitContext) -> tuple[HeldoutNumbers, HeldoutNumbers, Any]
     effect = AntennaGains()
     x = np.zeros((len(FREQS), len(effect.parameters(context.setup))))
     x[:, 4] = 0.3
-    active = Active(effect, np.zeros(x.shape[1]), x, np.full(x.shape[1], np.inf), np.zeros((0, x.shape[1])))
+    active = Active(
+        effect,
+        *independent_prior(np.zeros(x.shape[1]), effect.shared),
+        x,
+        np.full(x.shape[1], np.inf),
+        np.zeros((0, x.shape[1])),
+    )
     n_modes, n_local = context.problem.basis.n_modes, len(context.channels)
     known = Fit(
         first.last.fitted.fit.posteriors,
