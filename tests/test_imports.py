@@ -16,7 +16,7 @@ LAYERS = (
     ("mpi", "terminal"),
     ("model.bases", "model.engines"),
     ("model",),
-    ("infer", "tables"),
+    ("inference", "tables"),
     ("effects.interface",),
     ("effects.shared",),
     ("effects.instrument", "effects.sky", "effects.noise"),
@@ -42,7 +42,7 @@ LAYERS = (
     ("__main__",),
 )
 """The rooms from the ground up: what is in one may import from its own and from those in the layers before it."""
-SERIAL = ("config", "data", "effects", "infer", "io", "model", "report", "tables", "terminal")
+SERIAL = ("config", "data", "effects", "inference", "io", "model", "report", "tables", "terminal")
 # What knows of processes: the layers that run.
 RUNNING = (
     "mpi",

@@ -16,7 +16,7 @@ from hydrabeam_mpi.config import Job, Section
 from hydrabeam_mpi.config.mistakes import as_input_error
 from hydrabeam_mpi.config.sections import Basis
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.infer.prior import Prior
+from hydrabeam_mpi.inference.prior import Prior
 from hydrabeam_mpi.setup.given import Given
 
 IN_MEMORY = "in memory: {}"
@@ -182,7 +182,7 @@ def _prior(prior: Any) -> tuple[dict[str, Any], list[Prior] | None]:
     priors = list(given) if isinstance(given, list | tuple) else [given]
     wrong = next((one for one in priors if not hasattr(one, "add_precision")), None)
     if wrong is not None or not priors:
-        raise _kind("prior", wrong, "give a mapping, a file's name, or a prior of hydrabeam_mpi.infer.prior")
+        raise _kind("prior", wrong, "give a mapping, a file's name, or a prior of hydrabeam_mpi.inference.prior")
     return table, priors
 
 

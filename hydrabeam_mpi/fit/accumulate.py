@@ -12,9 +12,9 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.row_buffer import RowBuffer
 from hydrabeam_mpi.fit.rows import Rows
-from hydrabeam_mpi.infer.gaussian import Block
-from hydrabeam_mpi.infer.posterior import Posterior
-from hydrabeam_mpi.infer.predictive_checks import HeldoutStatistics
+from hydrabeam_mpi.inference.gaussian import Block
+from hydrabeam_mpi.inference.posterior import Posterior
+from hydrabeam_mpi.inference.predictive_checks import HeldoutStatistics
 from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.rime import Beam, ForwardModel
 from hydrabeam_mpi.terminal.progress import track

@@ -10,8 +10,8 @@ from hydrabeam_mpi.fit.accumulate import accumulate, check_heldout
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.rows import Rows, read_rows
-from hydrabeam_mpi.infer.posterior import Posterior
-from hydrabeam_mpi.infer.predictive_checks import HeldoutStatistics
+from hydrabeam_mpi.inference.posterior import Posterior
+from hydrabeam_mpi.inference.predictive_checks import HeldoutStatistics
 from hydrabeam_mpi.io.finite import INFERENCE, check_finite
 from hydrabeam_mpi.io.noise import check_weights
 from hydrabeam_mpi.mpi import ProcessGrid, allreduce_max, allreduce_sum, bcast_array, together

@@ -28,11 +28,11 @@ from scipy.sparse import issparse
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.columns import Columns
-from hydrabeam_mpi.infer.gaussian import Block, Gaussian, spans_of
-from hydrabeam_mpi.infer.likelihood import Likelihood
-from hydrabeam_mpi.infer.matrices import complete_hermitian
-from hydrabeam_mpi.infer.posterior import Posterior
-from hydrabeam_mpi.infer.prior import Prior
+from hydrabeam_mpi.inference.gaussian import Block, Gaussian, spans_of
+from hydrabeam_mpi.inference.likelihood import Likelihood
+from hydrabeam_mpi.inference.matrices import complete_hermitian
+from hydrabeam_mpi.inference.posterior import Posterior
+from hydrabeam_mpi.inference.prior import Prior
 from hydrabeam_mpi.mpi import Comm, allreduce_sum
 
 Array = NDArray[Any]

@@ -17,8 +17,8 @@ from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.row_sums import active_columns, active_names, beam_columns, effect_equations, row_set
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Diagnostics, Estimate, Fit, Fitted, Values
-from hydrabeam_mpi.infer.posterior import Posterior
-from hydrabeam_mpi.infer.prior import Prior
+from hydrabeam_mpi.inference.posterior import Posterior
+from hydrabeam_mpi.inference.prior import Prior
 from hydrabeam_mpi.mpi import ProcessGrid, bcast_object, gather_objects, together
 from hydrabeam_mpi.setup.problem import Problem
 

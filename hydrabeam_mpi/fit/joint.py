@@ -22,7 +22,7 @@ from hydrabeam_mpi.fit.heldout import variance_by_effects
 from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.state import Active, Fit, Fitted, Reweighted, Values, independent_prior
 from hydrabeam_mpi.fit.whitening import root_of
-from hydrabeam_mpi.infer.posterior import Posterior
+from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.io.uvmeta import read_observation
 from hydrabeam_mpi.mpi import ProcessGrid, bcast_object, together
 from hydrabeam_mpi.setup.problem import Problem

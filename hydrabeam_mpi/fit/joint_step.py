@@ -6,7 +6,7 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.fit.state import Values
-from hydrabeam_mpi.infer.likelihood import Likelihood
+from hydrabeam_mpi.inference.likelihood import Likelihood
 
 HELD = 1e10
 """Precision, in units of the prior's, with which degenerate combinations are held at zero."""

@@ -15,7 +15,7 @@ from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.accumulate import designs
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Estimate, Values
-from hydrabeam_mpi.infer.posterior import Posterior
+from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.model.beam import BeamInfo, CoefficientBeam
 from hydrabeam_mpi.model.rime import Beam, ForwardModel
 from hydrabeam_mpi.setup.problem import Problem

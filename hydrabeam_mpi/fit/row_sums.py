@@ -14,7 +14,7 @@ from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.columns import Columns, RowSet
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.state import Values
-from hydrabeam_mpi.infer.gaussian import Block
+from hydrabeam_mpi.inference.gaussian import Block
 from hydrabeam_mpi.model.bases.base import LinearBasis
 
 

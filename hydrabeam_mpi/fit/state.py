@@ -13,8 +13,8 @@ from scipy.linalg import block_diag
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
-from hydrabeam_mpi.infer.posterior import Posterior
-from hydrabeam_mpi.infer.prior import ChannelPrior, DiagonalPrior, precision_of
+from hydrabeam_mpi.inference.posterior import Posterior
+from hydrabeam_mpi.inference.prior import ChannelPrior, DiagonalPrior, precision_of
 
 
 @dataclass(frozen=True)

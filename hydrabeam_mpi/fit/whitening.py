@@ -18,7 +18,7 @@ from scipy.linalg import solve_triangular
 from scipy.sparse import csr_array
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
-from hydrabeam_mpi.infer.posterior import Posterior
+from hydrabeam_mpi.inference.posterior import Posterior
 
 
 def whiten_time(

@@ -12,7 +12,7 @@ import numpy as np
 from hydrabeam_mpi.data.limits import LARGEST
 from hydrabeam_mpi.data.observation import Array
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.infer.prior import CovariancePrior
+from hydrabeam_mpi.inference.prior import CovariancePrior
 from hydrabeam_mpi.io.reading import check_file, reading
 from hydrabeam_mpi.model.bases.base import LinearBasis
 

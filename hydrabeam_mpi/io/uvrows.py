@@ -24,7 +24,7 @@ SAMPLE_BYTES = 16 + 1 + 4
 Samples = tuple[ComplexArray, BoolArray, FloatArray]
 
 
-def read_rows(
+def read_samples(
     header: UVHeader, rows: IntArray, channels: IntArray, pols: IntArray, pol_convention: str | None = None
 ) -> Samples:
     """Read part of a file: visibilities, flags and nsamples.

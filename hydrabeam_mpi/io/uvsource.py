@@ -16,7 +16,7 @@ from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.reading import quiet
 from hydrabeam_mpi.io.uvcheck import check_metadata
 from hydrabeam_mpi.io.uvfile import UVHeader, UVRows, header_of, may_hold, read_metadata, rows_of
-from hydrabeam_mpi.io.uvrows import Samples, in_drift_scan, read_rows
+from hydrabeam_mpi.io.uvrows import Samples, in_drift_scan, read_samples
 
 
 @runtime_checkable
@@ -34,7 +34,7 @@ class Source(Protocol):
     def samples(
         self, header: UVHeader, rows: IntArray, channels: IntArray, pols: IntArray, pol_convention: str | None
     ) -> Samples:
-        """Return visibilities, flags and nsamples as `hydrabeam_mpi.io.uvrows.read_rows` does."""
+        """Return visibilities, flags and nsamples as `hydrabeam_mpi.io.uvrows.read_samples` does."""
         ...
 
 
@@ -59,7 +59,7 @@ class UVFile:
         self, header: UVHeader, rows: IntArray, channels: IntArray, pols: IntArray, pol_convention: str | None
     ) -> Samples:
         """Read part of the file."""
-        return read_rows(header, rows, channels, pols, pol_convention)
+        return read_samples(header, rows, channels, pols, pol_convention)
 
 
 @dataclass(frozen=True, eq=False)

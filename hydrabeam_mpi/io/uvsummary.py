@@ -14,7 +14,7 @@ from hydrabeam_mpi.io.uvdata import check_nsamples
 from hydrabeam_mpi.io.uvfile import UVHeader, read_metadata, read_uvdata
 from hydrabeam_mpi.io.uvformat import READ_IN_PART
 from hydrabeam_mpi.io.uvmeta import FREQ_TOLERANCE, linear_pols, read_observation
-from hydrabeam_mpi.io.uvrows import SAMPLE_BYTES, WINDOW_BYTES, read_rows
+from hydrabeam_mpi.io.uvrows import SAMPLE_BYTES, WINDOW_BYTES, read_samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +103,7 @@ def _parts(header: UVHeader, rows: IntArray, pol: str) -> Iterator[tuple[IntArra
     # Other formats are read as a whole each time.
     n_parts = 1 + SAMPLE_BYTES * rows.size * channels.size // WINDOW_BYTES if header.kind in READ_IN_PART else 1
     for part in np.array_split(rows, n_parts):
-        _, flags, nsamples = read_rows(header, part, channels, np.array([where]))
+        _, flags, nsamples = read_samples(header, part, channels, np.array([where]))
         check_nsamples(nsamples, flags, header.path)
         good = ~flags[..., 0] & (nsamples[..., 0] > 0)
         known = nsamples[good, 0]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hydrabeam_mpi.fit.channels import ChannelResult, reduced_chi2
-from hydrabeam_mpi.infer.predictive_checks import Z_EDGES
+from hydrabeam_mpi.inference.predictive_checks import Z_EDGES
 from hydrabeam_mpi.io.posterior_file import ChannelRecord
 from hydrabeam_mpi.mpi import ProcessGrid
 from hydrabeam_mpi.random import generator

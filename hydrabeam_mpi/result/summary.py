@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from hydrabeam_mpi.data.observation import FloatArray
-from hydrabeam_mpi.infer.posterior import Posterior
-from hydrabeam_mpi.infer.predictive_checks import LARGEST_PREDICTIVE
-from hydrabeam_mpi.infer.prior import Prior
+from hydrabeam_mpi.inference.posterior import Posterior
+from hydrabeam_mpi.inference.predictive_checks import LARGEST_PREDICTIVE
+from hydrabeam_mpi.inference.prior import Prior
 from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.rime import Beam
 from hydrabeam_mpi.mpi import Comm

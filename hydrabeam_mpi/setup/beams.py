@@ -13,7 +13,7 @@ from pyuvdata import BeamInterface, UVBeam
 from hydrabeam_mpi.config import ANALYTIC_BEAMS, BUILT_IN_BEAMS, Job, Perturbation
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.infer.prior import DiagonalPrior, FlatPrior, Prior
+from hydrabeam_mpi.inference.prior import DiagonalPrior, FlatPrior, Prior
 from hydrabeam_mpi.io.beamfits import BeamFile
 from hydrabeam_mpi.io.prior_file import read_prior
 from hydrabeam_mpi.io.reading import check_file

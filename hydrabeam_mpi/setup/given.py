@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from hydrabeam_mpi.infer.prior import Prior
+from hydrabeam_mpi.inference.prior import Prior
 from hydrabeam_mpi.io.uvsource import UVInMemory
 
 

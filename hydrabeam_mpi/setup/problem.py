@@ -15,7 +15,7 @@ from hydrabeam_mpi.data.observation import FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.partition import Tile, make_tiles
 from hydrabeam_mpi.data.redundancy import RedundantGroups, check_tolerance, find_redundant_groups
 from hydrabeam_mpi.data.selection import HoldoutRule, Selection, split_holdout
-from hydrabeam_mpi.infer.prior import Prior
+from hydrabeam_mpi.inference.prior import Prior
 from hydrabeam_mpi.io.noise import difference_variance
 from hydrabeam_mpi.io.uvmeta import read_observation
 from hydrabeam_mpi.io.uvsource import Data

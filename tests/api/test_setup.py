@@ -15,7 +15,7 @@ from pyradiosky import SkyModel
 from pyuvdata import AiryBeam, BeamInterface, UVBeam, UVData
 
 import hydrabeam_mpi as hb
-from hydrabeam_mpi.infer.prior import DiagonalPrior
+from hydrabeam_mpi.inference.prior import DiagonalPrior
 
 BASIS = {"n_modes": 24, "k_max": 24, "m_max": 2}
 FREQS = [130e6, 131e6]
@@ -134,7 +134,7 @@ def test_nothing_public_is_imported_before_it_is_asked_for(mpiexec_python: Any) 
     code = (
         "import sys, hydrabeam_mpi as hb; assert not {'mpi4py', 'astropy', 'pyuvdata', 'numpy'} & set(sys.modules);"
         "assert set(hb.__all__) <= set(dir(hb)); hb.load; assert 'mpi4py.MPI' not in sys.modules;"
-        "import hydrabeam_mpi.infer.prior; assert callable(hb.infer); assert hb.Setup.from_job.__doc__"
+        "import hydrabeam_mpi.inference.prior; assert callable(hb.infer); assert hb.Setup.from_job.__doc__"
     )
     assert mpiexec_python(1, code).returncode == 0
 

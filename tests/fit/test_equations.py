@@ -8,8 +8,8 @@ from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.columns import Columns, RowSet
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.row_buffer import RowBuffer
-from hydrabeam_mpi.infer.gaussian import Block
-from hydrabeam_mpi.infer.prior import CovariancePrior, DiagonalPrior, FlatPrior
+from hydrabeam_mpi.inference.gaussian import Block
+from hydrabeam_mpi.inference.prior import CovariancePrior, DiagonalPrior, FlatPrior
 from hydrabeam_mpi.random import complex_normal, generator
 
 N, ROWS = 7, 40

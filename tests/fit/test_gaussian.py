@@ -13,8 +13,8 @@ from scipy.stats import multivariate_normal
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.columns import Columns, RowSet
 from hydrabeam_mpi.fit.equations import NormalEquations
-from hydrabeam_mpi.infer.gaussian import Block
-from hydrabeam_mpi.infer.prior import CovariancePrior, DiagonalPrior, FlatPrior, Prior
+from hydrabeam_mpi.inference.gaussian import Block
+from hydrabeam_mpi.inference.prior import CovariancePrior, DiagonalPrior, FlatPrior, Prior
 from hydrabeam_mpi.random import complex_normal, generator
 
 N_TIMES, N_BLS, N_GROUPS = 4, 9, 4

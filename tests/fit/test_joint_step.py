@@ -16,8 +16,8 @@ from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.joint_step import HELD, solve_jointly
 from hydrabeam_mpi.fit.state import Active, Values, independent_prior
-from hydrabeam_mpi.infer.likelihood import Likelihood
-from hydrabeam_mpi.infer.prior import ChannelPrior, CovariancePrior, DiagonalPrior, FlatPrior, Prior, precision_of
+from hydrabeam_mpi.inference.likelihood import Likelihood
+from hydrabeam_mpi.inference.prior import ChannelPrior, CovariancePrior, DiagonalPrior, FlatPrior, Prior, precision_of
 from hydrabeam_mpi.random import generator
 
 

@@ -15,9 +15,9 @@ from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.row_buffer import RowBuffer
 from hydrabeam_mpi.fit.row_sums import beam_columns, effect_columns, row_set
-from hydrabeam_mpi.infer.gaussian import Block
-from hydrabeam_mpi.infer.posterior import Posterior
-from hydrabeam_mpi.infer.prior import DiagonalPrior
+from hydrabeam_mpi.inference.gaussian import Block
+from hydrabeam_mpi.inference.posterior import Posterior
+from hydrabeam_mpi.inference.prior import DiagonalPrior
 from hydrabeam_mpi.random import complex_normal, generator
 from tests.effects.small import small_block, small_setup
 

@@ -11,7 +11,7 @@ from hydrabeam_mpi.effects.instrument.antenna_delays import AntennaDelays
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
 from hydrabeam_mpi.fit.state import Active, Estimate, Values
-from hydrabeam_mpi.infer.posterior import Posterior
+from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.random import generator
 from tests.effects.small import small_setup
 

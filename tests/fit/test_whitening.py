@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.fit.whitening import SharedErrors, root_of, whiten_time
-from hydrabeam_mpi.infer.posterior import Posterior
+from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.mpi import allreduce_sum
 from hydrabeam_mpi.random import complex_normal, generator
 

@@ -9,7 +9,7 @@ import pytest
 
 from hydrabeam_mpi.io.uvfile import read_metadata
 from hydrabeam_mpi.io.uvformat import FORMATS
-from hydrabeam_mpi.io.uvrows import SEEK_BYTES, WINDOW_BYTES, _windows, read_rows
+from hydrabeam_mpi.io.uvrows import SEEK_BYTES, WINDOW_BYTES, _windows, read_samples
 from tests.visibilities import ENU, SECOND, make_uvdata
 
 
@@ -22,7 +22,7 @@ def test_rows_come_in_the_order_asked(tmp_path):
     uv = make_uvdata()
     header, _ = read_metadata(written(uv, tmp_path / "a.uvh5"))
     rows, channels, pols = np.array([40, 3, 17]), np.array([3, 0]), np.array([1, 0])
-    data, flags, nsamples = read_rows(header, rows, channels, pols)
+    data, flags, nsamples = read_samples(header, rows, channels, pols)
     part = np.ix_(rows, channels, pols)
     np.testing.assert_array_equal(data, uv.data_array[part])
     np.testing.assert_array_equal(flags, uv.flag_array[part])
@@ -47,7 +47,7 @@ def test_convention_of_polarisation_is_one_half_of_i(tmp_path, stated, given, fa
     uv = make_uvdata()
     uv.pol_convention = stated
     header, _ = read_metadata(written(uv, tmp_path / "a.uvh5"))
-    data, _, _ = read_rows(header, np.arange(5), np.arange(4), np.arange(2), given)
+    data, _, _ = read_samples(header, np.arange(5), np.arange(4), np.arange(2), given)
     np.testing.assert_array_equal(data, factor * uv.data_array[:5])
 
 
@@ -73,7 +73,7 @@ def test_every_format_gives_the_same_drift_scan(tmp_path, kind, phased):
     # These formats store the absolute positions of antennas, or times, in other ways.
     np.testing.assert_allclose(header.antpos[:5], ENU, rtol=0, atol=1e-12 if kind == "uvh5" else 1e-8)
     np.testing.assert_allclose(np.unique(rows.times), np.unique(uv.time_array), rtol=0, atol=1e-4 * SECOND)
-    data, flags, nsamples = read_rows(header, np.arange(len(rows.times)), np.arange(4), np.arange(2))
+    data, flags, nsamples = read_samples(header, np.arange(len(rows.times)), np.arange(4), np.arange(2))
     # Measurement sets and miriad files are written with the lower antenna number first.
     stored = {key: row for row, key in enumerate(row_keys(rows.times, rows.antpairs))}
     assert len(stored) == len(rows.times) == uv.Nblts
@@ -102,7 +102,7 @@ def test_scattered_rows(tmp_path):
     # Densely enough to be read in line, and so sparsely that each is picked.
     for n_rows in (300, 2):
         rows = np.r_[0, rng.choice(uv.Nblts - 2, n_rows, replace=False) + 1, uv.Nblts - 1]
-        data, flags, nsamples = read_rows(header, rows, np.array([2]), np.array([1, 0]))
+        data, flags, nsamples = read_samples(header, rows, np.array([2]), np.array([1, 0]))
         np.testing.assert_array_equal(data, uv.data_array[rows][:, [2], ::-1])
         np.testing.assert_array_equal(flags, uv.flag_array[rows][:, [2], ::-1])
         np.testing.assert_array_equal(nsamples, uv.nsample_array[rows][:, [2], ::-1])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.stats import halfnorm, rayleigh
 
-from hydrabeam_mpi.infer.predictive_checks import Z_EDGES
+from hydrabeam_mpi.inference.predictive_checks import Z_EDGES
 from hydrabeam_mpi.report.beam.coefficients import draw_coefficients
 from hydrabeam_mpi.report.beam.correlation import draw_correlation, strongest
 from hydrabeam_mpi.report.beam.eigenbeams import draw_eigenbeams, with_real_peak

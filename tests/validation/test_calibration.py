@@ -20,8 +20,8 @@ from hydrabeam_mpi.data.redundancy import find_redundant_groups
 from hydrabeam_mpi.fit.accumulate import accumulate, check_heldout
 from hydrabeam_mpi.fit.equations import BEAM
 from hydrabeam_mpi.fit.rows import Rows
-from hydrabeam_mpi.infer.predictive_checks import Z_EDGES
-from hydrabeam_mpi.infer.prior import DiagonalPrior
+from hydrabeam_mpi.inference.predictive_checks import Z_EDGES
+from hydrabeam_mpi.inference.prior import DiagonalPrior
 from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
 from hydrabeam_mpi.model.engines import make_engine
 from hydrabeam_mpi.model.positions import RotatedPositions

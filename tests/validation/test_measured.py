@@ -21,7 +21,7 @@ from hydrabeam_mpi.config import load_job
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.row_buffer import RowBuffer
 from hydrabeam_mpi.fit.rows import Rows, read_rows
-from hydrabeam_mpi.infer.gaussian import Block
+from hydrabeam_mpi.inference.gaussian import Block
 from hydrabeam_mpi.random import complex_normal, generator
 from hydrabeam_mpi.setup.problem import estimate_noise, prepare
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Parameters
-from hydrabeam_mpi.infer.likelihood import RANK_RTOL, Likelihood
+from hydrabeam_mpi.inference.likelihood import RANK_RTOL, Likelihood
 
 TAUS: FloatArray = np.exp(np.linspace(np.log(1e-7), np.log(1e4), 160))
 """Prior widths tried, in units of an effect's natural scale."""

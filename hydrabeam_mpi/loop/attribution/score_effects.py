@@ -24,8 +24,8 @@ from hydrabeam_mpi.fit.row_sums import (
 )
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Estimate, Fitted, Values
-from hydrabeam_mpi.infer.gaussian import Block
-from hydrabeam_mpi.infer.likelihood import Likelihood
+from hydrabeam_mpi.inference.gaussian import Block
+from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.loop.attribution.evidence import Evidence, find_evidence
 from hydrabeam_mpi.mpi import allreduce_sum, bcast_object, gather_objects, together
 

@@ -14,7 +14,7 @@ from hydrabeam_mpi.effects.interface.reweighting import Reweighting, Reweighting
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
 from hydrabeam_mpi.fit.state import Fitted, Reweighted
-from hydrabeam_mpi.infer.posterior import Posterior
+from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.mpi import allreduce_sum, bcast_object, together
 
 

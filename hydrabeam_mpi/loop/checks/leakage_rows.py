@@ -14,8 +14,8 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.fit.columns import Columns, RowSet
 from hydrabeam_mpi.fit.equations import NormalEquations
 from hydrabeam_mpi.fit.rows import read_rows
-from hydrabeam_mpi.infer.gaussian import Block
-from hydrabeam_mpi.infer.likelihood import Likelihood
+from hydrabeam_mpi.inference.gaussian import Block
+from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.mpi import ProcessGrid, allreduce_sum, together
 from hydrabeam_mpi.setup.problem import Problem
 

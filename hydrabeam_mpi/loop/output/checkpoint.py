@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.fit.gauss_newton import FitContext
 from hydrabeam_mpi.fit.state import Diagnostics, Fit, Fitted
-from hydrabeam_mpi.infer.posterior import Posterior
+from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.io.disk import writing
 from hydrabeam_mpi.io.kept_rounds import new_round, read_object, write_object
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round

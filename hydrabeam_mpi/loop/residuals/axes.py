@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
-from hydrabeam_mpi.infer.significance import chi2_sigma
+from hydrabeam_mpi.inference.significance import chi2_sigma
 from hydrabeam_mpi.loop.residuals.cube import Layout
 from hydrabeam_mpi.loop.residuals.spectra import Spectrum
 from hydrabeam_mpi.loop.residuals.sums import ResidualSums

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray, Observation
-from hydrabeam_mpi.infer.significance import chi2_sigma
+from hydrabeam_mpi.inference.significance import chi2_sigma
 from hydrabeam_mpi.mpi import Comm, allreduce_sum
 
 LEAST_LEFT = 1e-3

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
-from hydrabeam_mpi.infer.significance import SIGNIFICANT_P, chi2_sigma, log_p_two_sided, sigma_of_log_p
+from hydrabeam_mpi.inference.significance import SIGNIFICANT_P, chi2_sigma, log_p_two_sided, sigma_of_log_p
 from hydrabeam_mpi.loop.residuals.axes import Axis, Freedom, all_axes
 from hydrabeam_mpi.loop.residuals.coherent import OF_BASELINES, OF_TIMES, SPOTS, Coherence
 from hydrabeam_mpi.loop.residuals.cube import Layout

@@ -12,7 +12,7 @@ from hydrabeam_mpi.fit.gauss_newton import FitContext
 from hydrabeam_mpi.fit.heldout import Whitened
 from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.state import Fitted
-from hydrabeam_mpi.infer.significance import SIGNIFICANT_P
+from hydrabeam_mpi.inference.significance import SIGNIFICANT_P
 from hydrabeam_mpi.loop.residuals.coherent import Coherence, CoherentRows, CoherentSums, coherences
 from hydrabeam_mpi.loop.residuals.cube import Layout, Residuals, whole_baselines
 from hydrabeam_mpi.loop.residuals.localise import where

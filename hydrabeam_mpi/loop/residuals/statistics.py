@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hydrabeam_mpi.infer.significance import (
+from hydrabeam_mpi.inference.significance import (
     chi2_sigma,
     correlation_sigma,
     f_sigma,

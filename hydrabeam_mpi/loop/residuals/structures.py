@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
-from hydrabeam_mpi.infer.significance import LARGEST
+from hydrabeam_mpi.inference.significance import LARGEST
 from hydrabeam_mpi.loop.residuals.cube import Cube, Layout
 from hydrabeam_mpi.mpi import Comm, allreduce_sum
 from hydrabeam_mpi.random import complex_normal, generator

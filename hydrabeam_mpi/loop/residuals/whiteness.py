@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
-from hydrabeam_mpi.infer.significance import SIGNIFICANT_P
+from hydrabeam_mpi.inference.significance import SIGNIFICANT_P
 from hydrabeam_mpi.loop.residuals.axes import Freedom, all_axes
 from hydrabeam_mpi.loop.residuals.coherent import KINDS, Coherence
 from hydrabeam_mpi.loop.residuals.cube import Layout

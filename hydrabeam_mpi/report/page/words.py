@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from hydrabeam_mpi.infer.predictive_checks import LARGEST_PREDICTIVE
+from hydrabeam_mpi.inference.predictive_checks import LARGEST_PREDICTIVE
 from hydrabeam_mpi.model.bases import BASES
 from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.report.page.key_numbers import format_value

@@ -14,7 +14,7 @@ from hydrabeam_mpi.effects.noise.noise_level import NoiseLevel
 from hydrabeam_mpi.effects.noise.outliers import HIT, Outliers
 from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
 from hydrabeam_mpi.fit.state import Fitted, Reweighted, Values
-from hydrabeam_mpi.infer.posterior import Posterior
+from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.loop.attribution.score_noise import HeavyTails, _variance, fit_reweightings, refit_reweighting
 from hydrabeam_mpi.random import complex_normal, generator
 from tests.effects.small import small_block, small_setup

@@ -10,7 +10,7 @@ import pytest
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.data.redundancy import find_redundant_groups
-from hydrabeam_mpi.infer.significance import chi2_sigma
+from hydrabeam_mpi.inference.significance import chi2_sigma
 from hydrabeam_mpi.loop.residuals.axes import MAX_LENGTHS, Axis, Freedom, all_axes, length_bins
 from hydrabeam_mpi.loop.residuals.cube import Layout
 from hydrabeam_mpi.random import generator

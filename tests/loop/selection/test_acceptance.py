@@ -20,7 +20,7 @@ from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
 from hydrabeam_mpi.effects.sky.horizon import Horizon
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
 from hydrabeam_mpi.fit.state import Active, Fit, Fitted, Values, independent_prior
-from hydrabeam_mpi.infer.significance import sigma_of_log_p
+from hydrabeam_mpi.inference.significance import sigma_of_log_p
 from hydrabeam_mpi.loop.attribution.control_models import BeamDrift, ShapeDrift
 from hydrabeam_mpi.loop.selection.acceptance import (
     Candidate,

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from hydrabeam_mpi.infer.predictive_checks import Z_EDGES, HeldoutStatistics
+from hydrabeam_mpi.inference.predictive_checks import Z_EDGES, HeldoutStatistics
 from hydrabeam_mpi.random import complex_normal, generator
 
 

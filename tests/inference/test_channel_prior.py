@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from hydrabeam_mpi.infer.prior import ChannelPrior, CovariancePrior, DiagonalPrior, Prior
+from hydrabeam_mpi.inference.prior import ChannelPrior, CovariancePrior, DiagonalPrior, Prior
 from hydrabeam_mpi.random import generator
 
 ROOT = generator(1, "root").standard_normal((2, 4))

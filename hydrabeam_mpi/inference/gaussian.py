@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_triangular
 
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.infer.matrices import cholesky_lower
-from hydrabeam_mpi.infer.posterior import Posterior
+from hydrabeam_mpi.inference.matrices import cholesky_lower
+from hydrabeam_mpi.inference.posterior import Posterior
 
 Array = NDArray[Any]
 

@@ -12,7 +12,7 @@ from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dpotri, zpotri
 
 from hydrabeam_mpi.data.observation import FloatArray
-from hydrabeam_mpi.infer.matrices import complete_hermitian
+from hydrabeam_mpi.inference.matrices import complete_hermitian
 from hydrabeam_mpi.random import complex_normal
 
 Array = NDArray[Any]

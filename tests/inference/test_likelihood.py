@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hydrabeam_mpi.infer.likelihood import Likelihood
-from hydrabeam_mpi.infer.prior import CovariancePrior, DiagonalPrior, FlatPrior, Prior, precision_of
+from hydrabeam_mpi.inference.likelihood import Likelihood
+from hydrabeam_mpi.inference.prior import CovariancePrior, DiagonalPrior, FlatPrior, Prior, precision_of
 from hydrabeam_mpi.random import generator
 
 ROOT = generator(1, "covariance").standard_normal((3, 6)) * np.array([1e-3, 1.0, 1e3])[:, np.newaxis]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from hydrabeam_mpi.infer.significance import (
+from hydrabeam_mpi.inference.significance import (
     chi2_sigma,
     correlation_sigma,
     f_sigma,
