@@ -17,11 +17,13 @@ from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.accumulate import accumulate_designs, check_designs
 from hydrabeam_mpi.fit.channels import ChannelResult, read_shares, reduce_heldout
 from hydrabeam_mpi.fit.clock import Clock
+from hydrabeam_mpi.fit.equations import BEAM
 from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
 from hydrabeam_mpi.fit.heldout import variance_by_effects
 from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.state import Active, Fit, Fitted, Reweighted, Values, independent_prior
 from hydrabeam_mpi.fit.whitening import root_of
+from hydrabeam_mpi.inference.gaussian import Block, Gaussian
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.io.uvmeta import read_observation
 from hydrabeam_mpi.mpi import ProcessGrid, bcast_object, together
@@ -153,7 +155,7 @@ def channel_results(context: FitContext, fitted: Fitted) -> list[ChannelResult]:
         normals = accumulate_designs(train, context.train.designs(fitted.values), problem.basis)
     for normal in normals:
         normal.reduce(grid.group)
-    posteriors = _marginal(fitted.fit)
+    posteriors = beams_alone(fitted.fit)
     with together(grid.world):
         test, added = context.test.calibrated(fitted.estimate)
         before = context.test.model_beam
@@ -164,7 +166,7 @@ def channel_results(context: FitContext, fitted: Fitted) -> list[ChannelResult]:
     return [ChannelResult(*parts) for parts in zip(normals, posteriors, heldout, strict=True)]
 
 
-def _marginal(fit: Fit) -> Sequence[Posterior]:
+def beams_alone(fit: Fit) -> Sequence[Posterior]:
     """Return the beams' posteriors with the effects marginalised.
 
     The beam's covariance grows by M C M^T, with C that of the effects and M by how much the beam follows them. For
@@ -174,11 +176,13 @@ def _marginal(fit: Fit) -> Sequence[Posterior]:
         return fit.posteriors
     wider = []
     for posterior, follow, covariance in zip(fit.posteriors, fit.beam_response, fit.covariances, strict=True):
+        # With the effects' errors as root times unknowns of variance one, by which the beam moves by `spread`.
         spread = follow @ root_of(covariance)
-        # (P^-1 + Z Z^H)^-1 = P - P Z (1 + Z^H P Z)^-1 Z^H P, and P = L L^H.
-        half = posterior.factor.conj().T @ spread
-        inner = np.linalg.cholesky(np.eye(half.shape[1]) + half.conj().T @ half)
-        taken = np.linalg.solve(inner, (posterior.factor @ half).conj().T)
-        precision = posterior.factor @ posterior.factor.conj().T - taken.conj().T @ taken
-        wider.append(Posterior(posterior.mean, np.linalg.cholesky(precision), posterior.log_evidence))
+        precision = posterior.factor @ posterior.factor.conj().T
+        across = -precision @ spread
+        of_effects = np.eye(spread.shape[1]) - spread.conj().T @ across
+        matrix = np.block([[precision, across], [across.conj().T, of_effects]])
+        beam, effects = zip((BEAM, "effects"), spread.shape, 2 * [posterior.is_complex], strict=True)
+        left = Gaussian((Block(*beam), Block(*effects)), matrix, np.zeros(len(matrix)), None).marginalise(["effects"])
+        wider.append(replace(posterior, factor=left.solve(overwrite=True).factor))
     return wider

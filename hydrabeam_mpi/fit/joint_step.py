@@ -5,11 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
-from hydrabeam_mpi.fit.state import Values
+from hydrabeam_mpi.fit.row_sums import active_names
+from hydrabeam_mpi.fit.state import Active, Values
+from hydrabeam_mpi.inference.gaussian import Block, Gaussian
 from hydrabeam_mpi.inference.likelihood import Likelihood
+from hydrabeam_mpi.inference.prior import Prior, precision_of
 
 HELD = 1e10
 """Precision, in units of the prior's, with which degenerate combinations are held at zero."""
+NOTHING = Gaussian((), np.zeros((0, 0)), np.zeros(0), None)
+"""What is known of no unknowns at all."""
 
 
 def solve_jointly(
@@ -17,7 +22,8 @@ def solve_jointly(
 ) -> tuple[FloatArray, FloatArray, list[FloatArray], float]:
     """Take the Newton step of all active parameters in use.
 
-    Parameters that channels share are solved for together, the others channel by channel given those.
+    Those that belong to one channel alone are marginalised in it; what is then known of those that channels share, or
+    that their prior couples, is put together, and the others follow, channel by channel, given these.
 
     Parameters
     ----------
@@ -33,53 +39,45 @@ def solve_jointly(
     moved : float
         Largest step in standard deviations.
     """
-    x, shared = values.x, values.shared
-    s, p = np.flatnonzero(shared), np.flatnonzero(~shared)
-    top, gradient = np.zeros((len(s), len(s))), np.zeros(len(s))
-    channels = []
+    n_freqs, names = len(likelihoods), active_names(values)
+    own, common = [NOTHING] * n_freqs, NOTHING
+    for name, one in zip(names, values.active, strict=True):
+        for channels, prior in one.prior.pieces(n_freqs):
+            held = _prior(name, one, channels, prior)
+            if len(channels) == 1 and not one.prior.shared:
+                own[channels[0]] *= held
+            else:
+                common *= held
+    of_channels = []
     for f, likelihood in enumerate(likelihoods):
-        width = _units(values, f)
-        prior, pull = _prior(values, f, width)
-        if f == 0:
-            top, gradient = prior[np.ix_(s, s)].copy(), pull[s].copy()
-        matrix = width[:, np.newaxis] * likelihood.information * width
-        score = width * likelihood.score
-        own = np.linalg.inv(matrix[np.ix_(p, p)] + prior[np.ix_(p, p)])
-        across = matrix[np.ix_(s, p)] @ own
-        own_score = score[p] + pull[p]
-        top += matrix[np.ix_(s, s)] - across @ matrix[np.ix_(p, s)]
-        gradient += score[s] - across @ own_score
-        channels.append((width, own, across, own_score))
-    common = np.linalg.inv(top)
-    common_step = common @ gradient
+        blocks = tuple(_block(name, one, f) for name, one in zip(names, values.active, strict=True))
+        of_channels.append(Gaussian(blocks, likelihood.information, likelihood.score, None) * own[f])
+        common *= of_channels[f].marginalise([one.name for one in own[f].blocks])
+    x = values.x
     new, std, covariances = x.copy(), np.zeros_like(x), []
-    for f, (width, own, across, own_score) in enumerate(channels):
-        step, covariance = np.zeros(len(width)), np.zeros((len(width), len(width)))
-        step[s], step[p] = common_step, own @ own_score - across.T @ common_step
-        covariance[np.ix_(s, s)] = common
-        covariance[np.ix_(p, s)] = -across.T @ common
-        covariance[np.ix_(s, p)] = covariance[np.ix_(p, s)].T
-        covariance[np.ix_(p, p)] = own + across.T @ common @ across
-        covariances.append(width[:, np.newaxis] * covariance * width)
-        std[f] = np.sqrt(np.diag(covariances[-1]))
-        new[f] += _limited(values, width * step)
+    for f, one_channel in enumerate(of_channels):
+        step, covariance = one_channel.moments_given(common)
+        covariances.append(covariance)
+        std[f] = np.sqrt(np.diag(covariance))
+        new[f] += _limited(values, step)
     return new, std, covariances, float(np.max(np.abs(new - x) / std, initial=0.0))
 
 
-def _units(values: Values, channel: int) -> FloatArray:
-    """Return the widths of the prior in a channel, (q,), and the parameters' own units where it is flat."""
-    std = values.prior_std(channel)
-    return np.where(np.isfinite(std), std, 1.0)
+def _block(name: str, one: Active, channel: int) -> Block:
+    """Return the block of an effect's parameters in a channel; channels that share them have the same one."""
+    return Block(name if one.prior.shared else f"{name} in channel {channel}", len(one.used))
 
 
-def _prior(values: Values, channel: int, width: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the prior's precision (q, q) and score (q,) in units of ``width``; what is degenerate is held at zero."""
-    precision = width[:, np.newaxis] * values.prior_precision(channel) * width
-    to_mean = precision @ (values.prior_mean(channel) / width)
-    for one, span in zip(values.active, values.spans, strict=True):
-        for combination in one.degenerate_directions[:, one.used] * width[span]:
-            precision[span, span] += HELD * np.outer(combination, combination) / np.vdot(combination, combination)
-    return precision, to_mean - precision @ (values.x[channel] / width)
+def _prior(name: str, one: Active, channels: range, prior: Prior) -> Gaussian:
+    """Return the prior of some channels' steps from where an effect is; what is degenerate is held at zero."""
+    precision = precision_of(prior)
+    std = prior.std()
+    combinations = np.kron(np.eye(len(channels)), one.degenerate_directions[:, one.used])
+    # In units of the prior's width, and in the parameters' own where it is flat.
+    weight = HELD / np.sum((combinations * np.where(np.isfinite(std), std, 1.0)) ** 2, axis=1)
+    precision += combinations.T @ (weight[:, np.newaxis] * combinations)
+    source = prior.precision_times(prior.mean) - precision @ one.x[channels][:, one.used].reshape(-1)
+    return Gaussian(tuple(_block(name, one, f) for f in channels), precision, source, None)
 
 
 def _limited(values: Values, step: FloatArray) -> FloatArray:

@@ -126,10 +126,6 @@ class Values:
         """Logarithm of the prior's density of all active parameters, of all channels, up to a constant."""
         return sum(one.prior.log_density(one.x[:, one.used]) for one in self.active)
 
-    def prior_mean(self, channel: int) -> FloatArray:
-        """Return the prior's mean in a channel, of the parameters in use side by side, (q,)."""
-        return np.concatenate([np.zeros(0), *(one.prior.of(channel).mean for one in self.active)])
-
     def prior_std(self, channel: int) -> FloatArray:
         """Return the prior's standard deviations in a channel, of the parameters in use side by side, (q,)."""
         return np.concatenate([np.zeros(0), *(one.prior.of(channel).std() for one in self.active)])
@@ -140,7 +136,7 @@ class Values:
 
     def prior_score(self, channel: int) -> FloatArray:
         """Return the gradient of the logarithm of the prior in a channel's parameters in use, (q,)."""
-        return np.asarray(self.prior_precision(channel) @ (self.prior_mean(channel) - self.x[channel]))
+        return np.concatenate([np.zeros(0), *(one.prior.score(one.x[:, one.used])[channel] for one in self.active)])
 
     @property
     def x(self) -> FloatArray:

@@ -16,12 +16,14 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_triangular
+from scipy.linalg import LinAlgError, solve_triangular
 
+from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.inference.matrices import cholesky_lower
 from hydrabeam_mpi.inference.posterior import Posterior
@@ -131,23 +133,72 @@ class Gaussian:
         InputError
             If nothing determines their unknowns.
         """
+        if not out:
+            return self
         gone, rest, blocks = self._split(out)
-        own, across = self.precision[np.ix_(gone, gone)], self.precision[np.ix_(gone, rest)]
+        own, unit = _in_units(self.precision[np.ix_(gone, gone)])
+        pulled = unit[:, np.newaxis] * np.column_stack([self.precision[np.ix_(gone, rest)], self.source[gone]])
         try:
-            factor = cho_factor(own, lower=True)
+            solved = np.linalg.solve(own, pulled)
         except LinAlgError as error:
             names = ", ".join(out)
             raise InputError(
                 f"data and prior leave some of the unknowns of {names} free", remedy="use a prior that is not flat"
             ) from error
-        solved, pulled = cho_solve(factor, across), cho_solve(factor, self.source[gone])
+        taken = pulled.conj().T @ solved
         log_scale = self.log_scale
         if log_scale is not None:
-            log_det = 2 * float(np.sum(np.log(np.diag(factor[0]).real)))
-            log_scale += _log_volume(len(gone), log_det, np.vdot(self.source[gone], pulled).real, self.kappa)
-        precision = self.precision[np.ix_(rest, rest)] - across.conj().T @ solved
-        source = self.source[rest] - across.conj().T @ pulled
+            log_det = float(np.linalg.slogdet(own)[1]) - 2 * float(np.sum(np.log(unit)))
+            log_scale += _log_volume(len(gone), log_det, float(taken[-1, -1].real), self.kappa)
+        precision = self.precision[np.ix_(rest, rest)] - taken[:-1, :-1]
+        source = self.source[rest] - taken[:-1, -1]
         return Gaussian(blocks, 0.5 * (precision + precision.conj().T), source, log_scale)
+
+    def __mul__(self, other: Gaussian) -> Gaussian:
+        """Return the product with another, of the unknowns of either: blocks of the same name are the same.
+
+        Both or neither are complex.
+        """
+        blocks = (*self.blocks, *(one for one in other.blocks if one not in self.blocks))
+        spans = spans_of(blocks, in_parts=not (self.is_complex or other.is_complex))
+        n = max((span.stop for span in spans.values()), default=0)
+        dtype = np.result_type(self.precision, other.precision)
+        precision, source = np.zeros((n, n), dtype), np.zeros(n, dtype)
+        for factor in (self, other):
+            rows = _rows_of(spans, [one.name for one in factor.blocks])
+            precision[np.ix_(rows, rows)] += factor.precision
+            source[rows] += factor.source
+        scales = [factor.log_scale for factor in (self, other) if factor.log_scale is not None]
+        return Gaussian(blocks, precision, source, sum(scales) if len(scales) == 2 else None)
+
+    @cached_property
+    def moments(self) -> tuple[Array, Array]:
+        """Mean (n,) and covariance (n, n), also where rounding has left the precision not quite positive."""
+        matrix, unit = _in_units(self.precision)
+        covariance = unit[:, np.newaxis] * np.linalg.inv(matrix) * unit
+        return covariance @ self.source, covariance
+
+    def moments_given(self, others: Gaussian) -> tuple[Array, Array]:
+        """Return mean (n,) and covariance (n, n) where all that is known of some blocks has come together elsewhere.
+
+        Parameters
+        ----------
+        others : Gaussian
+            Of these blocks, what this one says of them included; it may be of more blocks.
+        """
+        center, spread = others.moments
+        names = [name for name in self.spans if name in others.spans]
+        given, own = self.condition({name: others.values(center)[name] for name in names}).moments
+        known, rest, _ = self._split(names)
+        there = _rows_of(others.spans, names)
+        spread, response = spread[np.ix_(there, there)], -own @ self.precision[np.ix_(rest, known)]
+        mean, covariance = np.zeros_like(self.source), np.zeros_like(self.precision)
+        mean[known], mean[rest] = center[there], given
+        covariance[np.ix_(known, known)] = spread
+        covariance[np.ix_(rest, known)] = response @ spread
+        covariance[np.ix_(known, rest)] = covariance[np.ix_(rest, known)].conj().T
+        covariance[np.ix_(rest, rest)] = own + response @ spread @ response.conj().T
+        return mean, covariance
 
     def solve(self, overwrite: bool = False) -> Posterior:
         """Return the normalised Gaussian, with ln of the integral of f as its evidence.
@@ -184,9 +235,12 @@ class Gaussian:
         unknown = set(names) - {one.name for one in self.blocks}
         if unknown:
             raise KeyError(f"no block {', '.join(sorted(unknown))} among {', '.join(self.spans)}")
-        rows = np.arange(len(self.source))
-        chosen = np.concatenate([rows[:0], *(rows[self.spans[one.name]] for one in self.blocks if one.name in names)])
-        return chosen, np.delete(rows, chosen), tuple(one for one in self.blocks if one.name not in names)
+        chosen = _rows_of(self.spans, [name for name in self.spans if name in names])
+        return (
+            chosen,
+            np.delete(np.arange(len(self.source)), chosen),
+            tuple(one for one in self.blocks if one.name not in names),
+        )
 
 
 def spans_of(blocks: Sequence[Block], in_parts: bool) -> dict[str, slice]:
@@ -197,6 +251,21 @@ def spans_of(blocks: Sequence[Block], in_parts: bool) -> dict[str, slice]:
         spans[one.name] = slice(start, start + width)
         start += width
     return spans
+
+
+def _rows_of(spans: Mapping[str, slice], names: Sequence[str]) -> IntArray:
+    """Return the rows of some blocks, one after the other."""
+    return np.concatenate([np.zeros(0, dtype=int), *(np.arange(spans[name].start, spans[name].stop) for name in names)])
+
+
+def _in_units(precision: Array) -> tuple[Array, FloatArray]:
+    """Return a precision in units in which its diagonal is one, (n, n), and these, (n,): what is solved for by LU.
+
+    Its directions that are determined by no more than rounding errors of either sign are no obstacle to that.
+    """
+    own = np.diag(precision).real
+    unit = 1 / np.sqrt(np.where(own > 0, own, 1.0))
+    return unit[:, np.newaxis] * precision * unit, unit
 
 
 def _as_rows(values: Array, block: Block, in_parts: bool) -> Array:

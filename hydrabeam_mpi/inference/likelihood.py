@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.inference.gaussian import Block, Gaussian
 
 RANK_RTOL = 1e-9
 """Eigenvalues of K below this times the largest are rounding errors, and count as zero."""
@@ -51,19 +52,12 @@ class Likelihood:
         precision : ndarray, (p, p)
             Of their prior.
         """
-        if not len(which):
-            return self
         rest = np.delete(np.arange(len(self.score)), which)
-        # In units of the prior's width, in which the matrix is never singular.
-        own = np.diag(precision)
-        width = 1 / np.sqrt(np.where(own > 0, own, 1.0))
-        units = np.outer(width, width)
-        corner = self.information[np.ix_(which, which)] * units + precision * units
-        across = width[:, np.newaxis] * self.information[np.ix_(which, rest)]
-        solved = np.linalg.solve(corner, np.column_stack([across, width * self.score[which]]))
-        information = self.information[np.ix_(rest, rest)] - across.T @ solved[:, :-1]
-        score = self.score[rest] - across.T @ solved[:, -1]
-        return Likelihood(0.5 * (information + information.T), score, self.signal[np.ix_(rest, rest)])
+        order = np.concatenate([which, rest])
+        blocks = Block("which", len(which)), Block("rest", len(rest))
+        known = Gaussian(blocks, self.information[np.ix_(order, order)], self.score[order], None)
+        left = (known * Gaussian(blocks[:1], precision, np.zeros(len(which)), None)).marginalise(["which"])
+        return Likelihood(left.precision, left.source, self.signal[np.ix_(rest, rest)])
 
     def freed(self, combinations: FloatArray) -> Likelihood:
         """Return the likelihood with combinations of the parameters, (n, q), marginalised without a prior.

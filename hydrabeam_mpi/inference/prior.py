@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -125,31 +126,63 @@ class CovariancePrior:
 
 @dataclass(frozen=True)
 class ChannelPrior:
-    """The prior of parameters over channels: one for all of them, or another in each.
+    """The prior of real parameters over channels: a Gaussian in (channel, parameter).
+
+    Two special cases of it are channels that know nothing of each other, and channels that are all alike.
 
     Attributes
     ----------
     priors : tuple of Prior
-        One a channel; or a single one, which is that of every channel.
+        Of independent channels: one a channel, or a single one, which is that of every channel. A single one where
+        channels are alike or coupled.
     shared : bool
-        Whether channels share one set of parameters, which then has a single prior, rather than each having its own.
+        Whether channels share one set of parameters, which have the same values in all of them.
+    n_coupled : int
+        Number of channels whose parameters the single prior is about, side by side, (n_coupled x n,), such as those
+        that change smoothly with frequency; zero where channels are independent or alike.
     """
 
     priors: tuple[Prior, ...]
     shared: bool = False
+    n_coupled: int = 0
 
     def __post_init__(self) -> None:
-        if self.shared and len(self.priors) > 1:
-            raise ValueError("parameters that channels share have one prior")
+        if (self.shared or self.n_coupled) and len(self.priors) > 1:
+            raise ValueError("parameters that channels share or couple have one prior")
+        if self.shared and self.n_coupled:
+            raise ValueError("parameters that channels share are not coupled besides")
 
     def of(self, channel: int) -> Prior:
-        """Return the prior in one channel."""
-        return self.priors[channel if len(self.priors) > 1 else 0]
+        """Return the prior in one channel, whatever the others are."""
+        return self._marginals[channel if len(self._marginals) > 1 else 0]
+
+    @cached_property
+    def _marginals(self) -> tuple[Prior, ...]:
+        if not self.n_coupled:
+            return self.priors
+        (joint,) = self.priors
+        means = joint.mean.reshape(self.n_coupled, -1)
+        covariance = np.linalg.inv(precision_of(joint)).reshape(2 * means.shape)
+        return tuple(CovariancePrior(mean, covariance[f, :, f]) for f, mean in enumerate(means))
+
+    def pieces(self, n_freqs: int) -> list[tuple[range, Prior]]:
+        """Return the channels whose parameters, side by side, have a prior together, and that prior.
+
+        Parameters that channels share are those of the first.
+        """
+        if self.shared or self.n_coupled:
+            return [(range(self.n_coupled or 1), self.priors[0])]
+        return [(range(f, f + 1), self.of(f)) for f in range(n_freqs)]
 
     def log_density(self, x: FloatArray) -> float:
-        """Return ln of the density of real parameters, (Nfreqs, n), up to a constant."""
-        away = [(self.of(f), values - self.of(f).mean) for f, values in enumerate(x[:1] if self.shared else x)]
-        return -0.5 * sum(float(one @ prior.precision_times(one)) for prior, one in away)
+        """Return ln of the density of the parameters, (Nfreqs, n), up to a constant."""
+        away = [(x[channels].reshape(-1) - prior.mean, prior) for channels, prior in self.pieces(len(x))]
+        return -0.5 * sum(float(one @ prior.precision_times(one)) for one, prior in away)
+
+    def score(self, x: FloatArray) -> FloatArray:
+        """Return the gradient of ln of the density at ``x``, both (Nfreqs, n); of shared ones the same in each."""
+        pulls = [prior.precision_times(prior.mean - x[some].reshape(-1)) for some, prior in self.pieces(len(x))]
+        return np.broadcast_to(np.concatenate(pulls).reshape(-1, x.shape[1]), x.shape)
 
 
 def precision_of(prior: Prior) -> FloatArray:

@@ -40,10 +40,17 @@ def normal(n: int, seed: int) -> DiagonalPrior:
     return DiagonalPrior(sigma * rng.standard_normal(n), sigma)
 
 
-def correlated(n: int, seed: int) -> CovariancePrior:
-    rng, sigma = generator(seed, "correlated"), normal(n, seed).sigma
-    root = sigma[:, np.newaxis] * rng.standard_normal((n, 2 * n))
-    return CovariancePrior(sigma * rng.standard_normal(n), root @ root.T)
+def correlated(n: int, seed: int, n_freqs: int = 1) -> CovariancePrior:
+    """Of some channels together."""
+    rng, sigma = generator(seed, "correlated"), np.tile(normal(n, seed).sigma, n_freqs)
+    root = rng.standard_normal((len(sigma), 2 * len(sigma)))
+    root *= (sigma / np.linalg.norm(root, axis=1))[:, np.newaxis]
+    return CovariancePrior(sigma * rng.standard_normal(len(sigma)), root @ root.T)
+
+
+def coupled(one: Active, n_freqs: int, seed: int) -> Active:
+    """Give an effect a prior of all of its parameters in all channels together."""
+    return replace(one, prior=ChannelPrior((correlated(len(one.used), seed, n_freqs),), n_coupled=n_freqs))
 
 
 def units(values: Values) -> FloatArray:
@@ -90,6 +97,15 @@ CASES: dict[str, tuple[int, list[Active]]] = {
             with_priors(active(AntennaGains(), 4, held=TWO_COMMON), correlated(4, 1), normal(4, 2)),
         ],
     ),
+    "coupled": (3, [coupled(active(AntennaGains(), 4, unused=1), 3, 5)]),
+    "coupled beside shared and own ones, and something is held": (
+        2,
+        [
+            active(AntennaDelays(), 4, held=COMMON),
+            coupled(active(AntennaGains(), 4, held=TWO_COMMON), 2, 5),
+            active(CrossCoupling(), 3),
+        ],
+    ),
     "flat": (2, [with_priors(active(AntennaGains(), 3), FlatPrior(np.zeros(3))), active(AntennaDelays(), 3)]),
 }
 
@@ -121,21 +137,21 @@ def dense(values: Values, found: list[Likelihood]) -> tuple[FloatArray, list[Flo
 
     Returns new parameters, (Nfreqs, q), and each channel's covariance.
     """
-    x, shared, n_freqs = values.x, values.shared, len(values.x)
-    n_shared, n_own = int(shared.sum()), int((~shared).sum())
-    # To each channel's parameters from all unknowns: those that channels share, then each channel's own.
-    maps = np.zeros((n_freqs, len(shared), n_shared + n_freqs * n_own))
-    for f, one in enumerate(maps):
-        one[np.flatnonzero(shared), np.arange(n_shared)] = 1
-        one[np.flatnonzero(~shared), n_shared + f * n_own + np.arange(n_own)] = 1
-    priors = [[one.prior.of(f) for one in values.active] for f in range(n_freqs)]
-    of_channel = [block_diag(*map(precision_of, some)) for some in priors]
-    center = [np.concatenate([one.mean for one in some]) for some in priors]
-    precision = block_diag(
-        of_channel[0][np.ix_(shared, shared)], *(one[np.ix_(~shared, ~shared)] for one in of_channel)
-    )
-    mean = np.concatenate([center[0][shared], *(one[~shared] for one in center)])
-    here = np.concatenate([x[0, shared], *(x[:, ~shared])])
+    x, n_freqs = values.x, len(values.x)
+    n_own = [len(one.used) * (1 if one.prior.shared else n_freqs) for one in values.active]
+    # To each channel's parameters from all unknowns: effect after effect, and of each channel after channel.
+    maps = np.zeros((n_freqs, x.shape[1], sum(n_own)))
+    precision, mean, here, start = np.zeros((sum(n_own), sum(n_own))), np.zeros(sum(n_own)), np.zeros(sum(n_own)), 0
+    for one, span, size in zip(values.active, values.spans, n_own, strict=True):
+        n, whole = len(one.used), slice(start, start + size)
+        for f in range(n_freqs):
+            first = start if one.prior.shared else start + f * n
+            maps[f, span, first : first + n] = np.eye(n)
+            here[first : first + n] = x[f, span]
+        priors = one.prior.priors if size == n or one.prior.n_coupled else [one.prior.of(f) for f in range(n_freqs)]
+        precision[whole, whole] = block_diag(*map(precision_of, priors))
+        mean[whole] = np.concatenate([prior.mean for prior in priors])
+        start += size
     matrix, score = precision.copy(), precision @ mean
     for one, likelihood in zip(maps, found, strict=True):
         matrix += one.T @ likelihood.information @ one

@@ -64,8 +64,8 @@ def test_what_is_in_use_of_all_effects_side_by_side() -> None:
         np.testing.assert_allclose(both.prior_std(channel) ** 2, variances)
         np.testing.assert_allclose(both.prior_precision(channel), np.diag(1 / np.array(variances)))
         x = generator(channel, "prior").standard_normal((2, 15))
+        x[1, 13:] = x[0, 13:]  # channels share the delays
         np.testing.assert_allclose(both.at(x).prior_score(channel), -x[channel] / variances)
-    x[1, 13:] = x[0, 13:]
     once = np.sum(x**2 / variances) - np.sum(x[1, 13:] ** 2 / variances[13:])
     assert both.at(x).log_prior == pytest.approx(-0.5 * once)
     np.testing.assert_array_equal(both.shared, [False] * 13 + [True] * 2)
