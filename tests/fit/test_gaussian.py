@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from scipy.stats import multivariate_normal
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.columns import Columns, RowSet
 from hydrabeam_mpi.fit.equations import NormalEquations
-from hydrabeam_mpi.inference.gaussian import Block
+from hydrabeam_mpi.inference.gaussian import Block, Gaussian
 from hydrabeam_mpi.inference.prior import CovariancePrior, DiagonalPrior, FlatPrior, Prior
 from hydrabeam_mpi.random import complex_normal, generator
 
@@ -183,15 +184,14 @@ def test_any_block_can_be_known(model: Model, comm: MPI.Comm) -> None:
     gaussian = summed(model, comm).gaussian(model.priors)
     mean, covariance = model.posterior()
     rng = generator(5, "known")
-    for known in model.blocks:
-        value = complex_normal(rng, (known.size,)) if known.is_complex else rng.standard_normal(known.size)
-        conditional = gaussian.condition({known.name: value})
+    for one in model.blocks:
+        value = complex_normal(rng, (one.size,)) if one.is_complex else rng.standard_normal(one.size)
+        conditional = gaussian.condition({one.name: value})
         posterior = conditional.solve()
-        span = model.span(known.name)
+        span = model.span(one.name)
         on = np.arange(len(mean))[span]
         kept = np.delete(np.arange(len(mean)), on)
-        slope = covariance[np.ix_(kept, on)] @ np.linalg.inv(covariance[np.ix_(on, on)])
-        expected = mean[kept] + slope @ (as_real(value) - mean[on])
+        expected, _ = known(mean, covariance, kept, on, value)
         found = np.concatenate([as_real(values) for values in conditional.values(posterior.mean).values()])
         np.testing.assert_allclose(found, expected, atol=1e-8)
         # p(known | d) = p(d, known) / p(d)
@@ -199,8 +199,78 @@ def test_any_block_can_be_known(model: Model, comm: MPI.Comm) -> None:
         assert posterior.log_evidence - gaussian.solve().log_evidence == pytest.approx(density, rel=1e-8, abs=1e-8)
 
 
-def test_draws_are_of_the_joint_posterior(model: Model) -> None:
-    gaussian = model.equations(np.arange(N_ROWS)).gaussian(model.priors)
+@pytest.mark.mpi
+def test_any_pair_of_blocks(model: Model, comm: MPI.Comm) -> None:
+    """Their marginal, in which one may be known, and their conditional given all others."""
+    gaussian = summed(model, comm).gaussian(model.priors)
+    mean, covariance = model.posterior()
+    rows, names = np.arange(len(mean)), [one.name for one in model.blocks]
+    at = gaussian.draw(generator(8, "others"))
+    for one, two in permutations(names, 2):
+        pair, others = np.concatenate([rows[model.span(one)], rows[model.span(two)]]), {*names} - {one, two}
+        marginal = gaussian.marginalise(others)
+        check_moments(marginal, (one, two), mean[pair], covariance[np.ix_(pair, pair)])
+        first, second = rows[model.span(one)], rows[model.span(two)]
+        check_moments(marginal.condition({two: at[two]}), (one,), *known(mean, covariance, first, second, at[two]))
+        rest = np.delete(rows, pair)
+        values = np.concatenate([np.zeros(0), *(as_real(at[name]) for name in names if name in others)])
+        conditional = gaussian.condition({name: at[name] for name in others})
+        check_moments(conditional, (one, two), *known(mean, covariance, pair, rest, values))
+
+
+def known(
+    mean: np.ndarray, covariance: np.ndarray, kept: np.ndarray, on: np.ndarray, values: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean and covariance of some unknowns where others have values."""
+    slope = covariance[np.ix_(kept, on)] @ np.linalg.inv(covariance[np.ix_(on, on)])
+    center = mean[kept] + slope @ (as_real(values) - mean[on])
+    return center, covariance[np.ix_(kept, kept)] - slope @ covariance[np.ix_(on, kept)]
+
+
+def check_moments(gaussian: Gaussian, names: tuple[str, ...], mean: np.ndarray, covariance: np.ndarray) -> None:
+    """Compare with dense mean and covariance of the parts of these blocks, in this order."""
+    blocks = tuple(one for name in names for one in gaussian.blocks if one.name == name)
+    ordered = Gaussian(blocks, 0 * gaussian.precision, 0 * gaussian.source, 0.0) * gaussian
+    center, spread = ordered.moments
+    found = np.concatenate([as_real(values) for values in ordered.values(center).values()])
+    np.testing.assert_allclose(found, mean, atol=1e-8)
+    expected = complex_covariance(blocks, covariance) if ordered.is_complex else covariance
+    np.testing.assert_allclose(spread, expected, atol=1e-8)
+
+
+@pytest.mark.mpi
+def test_products_are_of_all_that_is_known(model: Model, comm: MPI.Comm) -> None:
+    """The halves of the data, of which one has the priors; with the density of both together."""
+    whole = summed(model, comm).gaussian(model.priors)
+    flat: dict[str, Prior] = {one.name: FlatPrior(np.zeros(one.size)) for one in reversed(model.blocks)}
+    halves = np.arange(N_ROWS // 2), np.arange(N_ROWS // 2, N_ROWS)
+    product = model.equations(halves[0]).gaussian(model.priors) * model.equations(halves[1]).gaussian(flat)
+    np.testing.assert_allclose(product.precision, whole.precision, atol=1e-9)
+    np.testing.assert_allclose(product.source, whole.source, atol=1e-9)
+    assert product.log_scale is None
+    squared = whole * whole
+    assert squared.log_scale == pytest.approx(2 * whole.log_scale)
+
+
+def test_what_is_known_elsewhere_of_some_blocks(model: Model) -> None:
+    """As the moments of everything in one matrix."""
+    here = model.equations(np.arange(N_ROWS // 2)).gaussian(model.priors)
+    there = model.equations(np.arange(N_ROWS // 2, N_ROWS)).gaussian(model.priors)
+    for name in (one.name for one in model.blocks):
+        others = {one.name for one in model.blocks} - {name}
+        elsewhere = there.marginalise(others)
+        mean, covariance = here.moments_given(elsewhere * here.marginalise(others))
+        dense_mean, dense = (here * elsewhere).moments
+        np.testing.assert_allclose(mean, dense_mean, atol=1e-9)
+        np.testing.assert_allclose(covariance, dense, atol=1e-9)
+    mean, covariance = here.moments_given(Gaussian((), np.zeros((0, 0)), np.zeros(0), None))
+    np.testing.assert_allclose(mean, here.moments[0])
+    np.testing.assert_allclose(covariance, here.moments[1])
+
+
+@pytest.mark.mpi
+def test_draws_are_of_the_joint_posterior(model: Model, comm: MPI.Comm) -> None:
+    gaussian = summed(model, comm).gaussian(model.priors)
     model_mean, covariance = model.posterior()
     posterior = gaussian.solve()
     n = 3000
