@@ -67,14 +67,14 @@ def data_dir() -> Path:
 
 @pytest.fixture(scope="session")
 def mpiexec() -> Callable[..., subprocess.CompletedProcess[str]]:
-    """``mpiexec(n, *command, timeout=60, **environment)`` runs a command on a number of ranks."""
+    """``mpiexec(n, *command, timeout=300, **environment)`` runs a command on a number of ranks."""
     if MPI.COMM_WORLD.size > 1:
         pytest.skip("starts ranks of its own, so runs serially")
     launcher = shutil.which("mpiexec")
     if launcher is None:
         pytest.skip("no mpiexec on PATH")
 
-    def run(n: int, *command: str | Path, timeout: float = 60, **environment: str) -> subprocess.CompletedProcess[str]:
+    def run(n: int, *command: str | Path, timeout: float = 300, **environment: str) -> subprocess.CompletedProcess[str]:
         words = [launcher, "-n", str(n), *map(str, command)]
         # os.environ, not the C library's environment, to which MPI_Init may add what is this process's.
         with subprocess.Popen(

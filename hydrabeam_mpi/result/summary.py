@@ -149,7 +149,11 @@ def eigenbeams(posterior: Posterior, basis: LinearBasis, n: int = 4) -> tuple[Fl
     beams : ndarray, (n, 91, 360)
     """
     n = min(n, len(posterior.mean))
-    variances, vectors = eigh(posterior.covariance, subset_by_index=(0, n - 1), check_finite=False)
+    # Those of the precision: in the covariance they are beside the largest ones as small as rounding errors, where
+    # LAPACK's search for a few of many (evr) may also fail.
+    precision = posterior.factor @ posterior.factor.conj().T
+    values, vectors = eigh(precision, driver="evd", overwrite_a=True, check_finite=False)
+    variances, vectors = 1 / values[: -n - 1 : -1], vectors[:, : -n - 1 : -1]
     beams = np.empty((n, len(GRID_ZA), len(GRID_AZ)), dtype=vectors.dtype)
     for ring, za in enumerate(GRID_ZA):
         beams[:, ring] = vectors.T @ basis.evaluate(np.full(len(GRID_AZ), za), GRID_AZ)

@@ -52,7 +52,7 @@ def test_data_that_go_during_the_run(workspace: Workspace) -> None:
         assert process.stderr
         wait_for(process.stderr.readline, "reading metadata")
         layout.unlink()
-        _, err = process.communicate(timeout=60)
+        _, err = process.communicate(timeout=300)
     assert process.returncode == 2
     (partial,) = workspace.folder.glob(".result.partial-*")
     assert err.splitlines()[-1].startswith(f"hydrabeam: error: {layout}: was removed during the run")
@@ -68,7 +68,7 @@ def test_what_a_killed_run_left_is_removed_by_the_next(workspace: Workspace, cap
         assert process.stderr
         wait_for(process.stderr.readline, "simulating")
         process.send_signal(signal.SIGKILL)
-        process.communicate(timeout=30)
+        process.communicate(timeout=300)
     (partial,) = workspace.folder.glob(".result.partial-*")
     capfd.readouterr()
     assert main(["infer", str(workspace.simulation()), "-o", str(out)]) == 0
@@ -77,7 +77,7 @@ def test_what_a_killed_run_left_is_removed_by_the_next(workspace: Workspace, cap
     assert {path.name for path in workspace.folder.iterdir()} == {"job.toml", "long.toml", "result"}
 
 
-def wait_for(line: Callable[[], str], word: str, seconds: float = 60.0) -> None:
+def wait_for(line: Callable[[], str], word: str, seconds: float = 300.0) -> None:
     deadline = time.monotonic() + seconds
     while word not in line():
         assert time.monotonic() < deadline

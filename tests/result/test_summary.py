@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hydrabeam_mpi.result.summary import full_width, warnings_of
+from hydrabeam_mpi.inference.posterior import Posterior
+from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
+from hydrabeam_mpi.result.summary import GRID_AZ, GRID_ZA, eigenbeams, full_width, warnings_of
 
 ZA = np.arange(91.0)
 
@@ -20,6 +22,23 @@ def test_full_width_is_that_of_a_shifted_gaussian():
 def test_full_width_of_a_wide_beam_ends_at_the_horizon():
     assert full_width(np.ones(91), np.ones(91)) == 180
     assert full_width(np.ones(91), 1 - ZA / 20) == pytest.approx(100)
+
+
+@pytest.mark.parametrize("form", ["real", "complex"])
+def test_eigenbeams_are_right_where_the_variances_span_more_than_a_double_resolves(form):
+    """Variances from 1 to 1e-20, whose smallest are rounding errors beside the largest in the covariance."""
+    rng = np.random.default_rng(3)
+    basis = FourierBessel([(k, m) for k in range(1, 11) for m in (0, 2, -2)], form=form)
+    n = basis.n_modes
+    shape = rng.standard_normal((n, n)) + (1j * rng.standard_normal((n, n)) if form == "complex" else 0)
+    vectors, _ = np.linalg.qr(shape)
+    variances = np.geomspace(1e-20, 1.0, n)
+    _, upper = np.linalg.qr((vectors / np.sqrt(variances)).conj().T)
+    found, beams = eigenbeams(Posterior(np.zeros(n), upper.conj().T), basis)
+    np.testing.assert_allclose(found, variances[:4], rtol=1e-6)
+    za, az = 30, 45
+    expected = vectors[:, :4].T @ basis.evaluate(np.array([GRID_ZA[za]]), GRID_AZ[[az]])[:, 0]
+    np.testing.assert_allclose(np.abs(beams[:, za, az]), np.abs(expected), rtol=1e-5, atol=1e-9)
 
 
 GOOD = {
