@@ -10,15 +10,15 @@ import numpy as np
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.fit.accumulate import accumulate_designs
+from hydrabeam_mpi.fit.blocks import BeamBlock, ModelBlock, add_block, sums_of
 from hydrabeam_mpi.fit.channels import reduced_chi2, solve_channels
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.joint_step import solve_jointly
 from hydrabeam_mpi.fit.rank_data import RankData
-from hydrabeam_mpi.fit.row_sums import active_columns, active_names, beam_columns, effect_equations, row_set
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Diagnostics, Estimate, Fit, Fitted, Values
 from hydrabeam_mpi.inference.posterior import Posterior
-from hydrabeam_mpi.inference.prior import Prior
+from hydrabeam_mpi.inference.prior import ChannelPrior, Prior
 from hydrabeam_mpi.mpi import ProcessGrid, bcast_object, gather_objects, together
 from hydrabeam_mpi.setup.problem import Problem
 
@@ -65,6 +65,10 @@ class FitContext:
     def channels(self) -> list[int]:
         """The numbers of this rank group's channels."""
         return [int(number) for number in self.problem.channel_numbers]
+
+    def model(self, values: Values) -> dict[str, ModelBlock]:
+        """Return the blocks of the model of this rank group's channels: the beam and the effects."""
+        return {BEAM: BeamBlock(self.problem.basis, ChannelPrior(tuple(self.problem.priors))), **values.blocks}
 
     def over_channels(self, values: FloatArray) -> float:
         """Add up what each group has of its channels, (Nlocal,). Collective: all ranks of the grid."""
@@ -224,7 +228,7 @@ def _step(context: FitContext, at: Estimate, solved: _Solved) -> _Step:
     if not values.active:
         return _Step(at, Fit(), 0.0)
     likelihoods, response = [], []
-    names = active_names(values)
+    names = list(values.blocks)
     for channel, posterior in enumerate(at.beams):
         sums = active_sums(context, context.train, at, channel, solved.rows, solved.added)
         response.append(sums.response(BEAM, names, posterior))
@@ -253,13 +257,11 @@ def active_sums(
 
     ``added`` is E of all rows, (Nlocal, Ntimes, Nbls).
     """
-    total = effect_equations(context.problem.basis, at.values)
+    model = context.model(at.values)
+    total = sums_of(model)
     with together(context.grid.world):
-        for _, block, design in share.row_blocks(channel, at, added[channel], rows):
-            block.integrate_for([one.effect for one in at.values.active])
-            rows_of_scene = row_set(block)
-            beside = {BEAM: beam_columns(rows_of_scene, design)}
-            total.add_rows(active_columns(rows_of_scene, block, at.values), beside)
+        for _, block, _ in share.row_blocks(channel, at, added[channel], rows):
+            add_block(total, block, model)
     total.reduce(context.grid.group)
     return total
 

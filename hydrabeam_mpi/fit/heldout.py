@@ -14,7 +14,6 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.gauss_newton import FitContext, active_sums
 from hydrabeam_mpi.fit.rank_data import KEPT_BYTES
-from hydrabeam_mpi.fit.row_sums import active_names
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Estimate, Fitted, Values
 from hydrabeam_mpi.fit.whitening import SharedErrors, root_of, whiten_time
@@ -162,7 +161,7 @@ def _local_sums(context: FitContext, at: Estimate, kept: NDArray[np.bool_]) -> t
     for channel, number in enumerate(context.channels):
         sums = active_sums(context, context.test, at, channel, rows, added)
         if context.grid.is_group_root:
-            likelihood = sums.likelihood_alone(active_names(at.values))
+            likelihood = sums.likelihood_alone(list(at.values.blocks))
             signals[number], scores[number] = likelihood.signal, likelihood.score
     allreduce_sum(context.grid.world, signals)
     allreduce_sum(context.grid.world, scores)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
-from hydrabeam_mpi.fit.row_sums import active_names
 from hydrabeam_mpi.fit.state import Active, Values
 from hydrabeam_mpi.inference.gaussian import Block, Gaussian
 from hydrabeam_mpi.inference.likelihood import Likelihood
@@ -39,9 +38,9 @@ def solve_jointly(
     moved : float
         Largest step in standard deviations.
     """
-    n_freqs, names = len(likelihoods), active_names(values)
+    n_freqs = len(likelihoods)
     own, common = [NOTHING] * n_freqs, NOTHING
-    for name, one in zip(names, values.active, strict=True):
+    for name, one in values.blocks.items():
         for channels, prior in one.prior.pieces(n_freqs):
             held = _prior(name, one, channels, prior)
             if len(channels) == 1 and not one.prior.shared:
@@ -50,7 +49,7 @@ def solve_jointly(
                 common *= held
     of_channels = []
     for f, likelihood in enumerate(likelihoods):
-        blocks = tuple(_block(name, one, f) for name, one in zip(names, values.active, strict=True))
+        blocks = tuple(_block(name, one, f) for name, one in values.blocks.items())
         of_channels.append(Gaussian(blocks, likelihood.information, likelihood.score, None) * own[f])
         common *= of_channels[f].marginalise([one.name for one in own[f].blocks])
     x = values.x
@@ -65,14 +64,14 @@ def solve_jointly(
 
 def _block(name: str, one: Active, channel: int) -> Block:
     """Return the block of an effect's parameters in a channel; channels that share them have the same one."""
-    return Block(name if one.prior.shared else f"{name} in channel {channel}", len(one.used))
+    return Block(name if one.prior.shared else f"{name} in channel {channel}", one.size)
 
 
 def _prior(name: str, one: Active, channels: range, prior: Prior) -> Gaussian:
     """Return the prior of some channels' steps from where an effect is; what is degenerate is held at zero."""
     precision = precision_of(prior)
     std = prior.std()
-    combinations = np.kron(np.eye(len(channels)), one.degenerate_directions[:, one.used])
+    combinations = np.kron(np.eye(len(channels)), one.held)
     # In units of the prior's width, and in the parameters' own where it is flat.
     weight = HELD / np.sum((combinations * np.where(np.isfinite(std), std, 1.0)) ** 2, axis=1)
     precision += combinations.T @ (weight[:, np.newaxis] * combinations)

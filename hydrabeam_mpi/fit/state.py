@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -13,13 +14,16 @@ from scipy.linalg import block_diag
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.fit.blocks import effect_columns
+from hydrabeam_mpi.fit.columns import Columns, RowSet
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.prior import ChannelPrior, DiagonalPrior, precision_of
 
 
 @dataclass(frozen=True)
 class Active:
-    """An effect that is part of the model.
+    """An effect that is part of the model; a `ModelBlock`.
 
     Attributes
     ----------
@@ -66,10 +70,31 @@ class Active:
             held,
         )
 
+    is_complex = False
+
     @property
     def kind(self) -> str:
         """The effect's name."""
         return self.effect.kind
+
+    @property
+    def size(self) -> int:
+        """Number of parameters in use."""
+        return len(self.used)
+
+    @property
+    def effects(self) -> Sequence[Effect]:
+        """The effect."""
+        return (self.effect,)
+
+    @property
+    def held(self) -> FloatArray:
+        """Combinations of the parameters in use that are held at zero, (n, n_used)."""
+        return self.degenerate_directions[:, self.used]
+
+    def columns(self, rows: RowSet, block: RowBlock) -> Columns:
+        """Return the columns of the parameters in use."""
+        return effect_columns(rows, self.effect.columns(block, self.x[block.channel]), self.used)
 
     @property
     def adds(self) -> bool:
@@ -109,17 +134,20 @@ class Values:
         return any(one.adds for one in self.active)
 
     @cached_property
+    def blocks(self) -> dict[str, Active]:
+        """The effects by names of their own."""
+        return {f"{number} {one.kind}": one for number, one in enumerate(self.active)}
+
+    @cached_property
     def spans(self) -> tuple[slice, ...]:
         """Where each effect's parameters in use are, when those of all are side by side."""
-        ends = np.cumsum([0, *(len(one.used) for one in self.active)]).tolist()
+        ends = np.cumsum([0, *(one.size for one in self.active)]).tolist()
         return tuple(map(slice, ends[:-1], ends[1:]))
 
     @property
     def shared(self) -> NDArray[np.bool_]:
         """Whether channels share each of the active parameters in use, side by side, (q,)."""
-        return np.concatenate(
-            [np.zeros(0, dtype=bool), *(np.full(len(one.used), one.prior.shared) for one in self.active)]
-        )
+        return np.concatenate([np.zeros(0, dtype=bool), *(np.full(one.size, one.prior.shared) for one in self.active)])
 
     @property
     def log_prior(self) -> float:

@@ -7,24 +7,15 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Effect, ScannedEffect
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.fit.blocks import CandidateBlock, add_block, sums_of
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.gauss_newton import FitContext
-from hydrabeam_mpi.fit.row_sums import (
-    active_columns,
-    active_names,
-    beam_columns,
-    effect_columns,
-    effect_equations,
-    row_set,
-)
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Estimate, Fitted, Values
-from hydrabeam_mpi.inference.gaussian import Block
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.loop.attribution.evidence import Evidence, find_evidence
 from hydrabeam_mpi.mpi import allreduce_sum, bcast_object, gather_objects, together
@@ -70,16 +61,18 @@ def attribute(context: FitContext, fitted: Fitted, effects: Sequence[Effect]) ->
         cached = CachedRowBlocks.of(context, fitted.estimate)
     picked = _pick(context, cached, effects)
     picked = [effect for effect in picked if _has_more(context, values, effect)]
+    candidates = {
+        f"candidate {number}": CandidateBlock(effect, np.zeros(len(effect.parameters(context.setup))))
+        for number, effect in enumerate(picked)
+    }
     likelihoods: list[tuple[int, list[Likelihood]]] = []
     for channel, number in enumerate(context.channels):
-        zeros = [np.zeros(len(effect.parameters(context.setup))) for effect in picked]
-        sums = _candidate_sums(context, values, cached, channel, list(zip(picked, zeros, strict=True)))
+        sums = _candidate_sums(context, values, cached, channel, candidates)
         if context.grid.is_group_root:
-            names = active_names(values)
-            found = [
-                sums.likelihood([*names, one], BEAM, fitted.fit.posteriors[channel]) for one in _candidate_names(picked)
-            ]
-            likelihoods.append((number, found))
+            posterior = fitted.fit.posteriors[channel]
+            likelihoods.append(
+                (number, [sums.likelihood([*values.blocks, one], BEAM, posterior) for one in candidates])
+            )
     gathered = gather_objects(context.grid.world, likelihoods)
     findings = None
     with together(context.grid.world):
@@ -162,10 +155,10 @@ def reconsider(context: FitContext, fitted: Fitted) -> Evidence:
     rest = replace(fitted.values, active=tuple(others))
     found = []
     for channel, number in enumerate(context.channels):
-        sums = _candidate_sums(context, rest, cached, channel, [(last.effect, last.x[number])])
+        candidate = {"candidate": CandidateBlock(last.effect, last.x[number])}
+        sums = _candidate_sums(context, rest, cached, channel, candidate)
         if context.grid.is_group_root:
-            names = [*active_names(rest), *_candidate_names([last.effect])]
-            one = sums.likelihood(names, BEAM, fitted.fit.posteriors[channel])
+            one = sums.likelihood([*rest.blocks, *candidate], BEAM, fitted.fit.posteriors[channel])
             n = len(rest.shared)
             score = one.score + one.information[:, n:] @ last.x[number]
             found.append((number, replace(one, score=score)))
@@ -180,34 +173,15 @@ def reconsider(context: FitContext, fitted: Fitted) -> Evidence:
     return result
 
 
-def _candidate_names(candidates: Sequence[Effect]) -> list[str]:
-    """Return the names of the blocks of candidates."""
-    return [f"candidate {number}" for number in range(len(candidates))]
-
-
 def _candidate_sums(
-    context: FitContext,
-    values: Values,
-    cached: CachedRowBlocks,
-    channel: int,
-    candidates: Sequence[tuple[Effect, FloatArray]],
+    context: FitContext, values: Values, cached: CachedRowBlocks, channel: int, candidates: dict[str, CandidateBlock]
 ) -> NormalEquations:
-    """Sum one channel's columns of the model's effects and of candidates, each linearised at its x, over the group."""
-    names = _candidate_names([effect for effect, _ in candidates])
-    blocks = [Block(name, len(x)) for name, (_, x) in zip(names, candidates, strict=True)]
-    total = effect_equations(context.problem.basis, values, blocks)
+    """Sum one channel's columns of the model's effects and of candidates over the group."""
+    model = context.model(values)
+    total = sums_of(model, candidates)
     with together(context.grid.world):
-        for block, design in cached.row_blocks(channel):
-            rows = row_set(block)
-            block.integrals = {}
-            block.integrate_for([one.effect for one in values.active])
-            beam, active = {BEAM: beam_columns(rows, design)}, active_columns(rows, block, values)
-            total.add_rows(active, beam)
-            # One pass over the sky serves all candidates.
-            block.integrals = {}
-            block.integrate_for([effect for effect, _ in candidates])
-            for name, (effect, x) in zip(names, candidates, strict=True):
-                total.add_rows({name: effect_columns(rows, effect.columns(block, x))}, beam | active)
+        for block in cached.row_blocks(channel):
+            add_block(total, block, model, candidates)
     total.reduce(context.grid.group)
     return total
 
@@ -223,23 +197,23 @@ class CachedRowBlocks:
     at: Estimate
     rows: Rows
     added: ComplexArray
-    kept: dict[int, list[tuple[RowBlock, NDArray[Any]]]]
+    kept: dict[int, list[RowBlock]]
 
     @classmethod
     def of(cls, context: FitContext, at: Estimate) -> CachedRowBlocks:
         """Calibrate the rank's rows by the model's effects."""
         return cls(context, at, *context.train.calibrated(at), {})
 
-    def row_blocks(self, channel: int) -> Iterator[tuple[RowBlock, NDArray[Any]]]:
-        """Yield the blocks of one channel with their design rows, (Ntimes, 2, Ngroups, n)."""
+    def row_blocks(self, channel: int) -> Iterator[RowBlock]:
+        """Yield the blocks of one channel."""
         if channel in self.kept:
             yield from self.kept[channel]
             return
         share, made = self.context.train, []
-        for _, block, design in share.row_blocks(channel, self.at, self.added[channel], self.rows):
+        for _, block, _ in share.row_blocks(channel, self.at, self.added[channel], self.rows):
             if share.keeps_designs:
-                made.append((block, design))
-            yield block, design
+                made.append(block)
+            yield block
         if share.keeps_designs:
             self.kept = {channel: made}
 
@@ -259,7 +233,7 @@ def _scan(context: FitContext, cached: CachedRowBlocks, effects: Sequence[Scanne
     sums: list[list[Any]] = [[0.0] * len(context.channels) for _ in effects]
     with together(context.grid.world):
         for channel in range(len(context.channels)):
-            for block, _ in cached.row_blocks(channel):
+            for block in cached.row_blocks(channel):
                 for effect, by_channel in zip(effects, sums, strict=True):
                     by_channel[channel] = by_channel[channel] + np.stack(effect.scan(block))
     return [_drops(context, effect, np.array(by_channel)) for effect, by_channel in zip(effects, sums, strict=True)]
