@@ -15,9 +15,10 @@ from hydrabeam_mpi.version import __version__
 
 if TYPE_CHECKING:
     from hydrabeam_mpi.api.arguments import FourierBessel, Zernike
+    from hydrabeam_mpi.api.beam import InferredBeam
     from hydrabeam_mpi.api.inference import infer
     from hydrabeam_mpi.api.loop import close_loop
-    from hydrabeam_mpi.api.result import Found, InferredBeam, Result, load
+    from hydrabeam_mpi.api.result import Found, Result, load
     from hydrabeam_mpi.api.setup import Setup
     from hydrabeam_mpi.api.simulation import Mock, simulate
     from hydrabeam_mpi.errors import InputError
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "FourierBessel": "api.arguments",
     "Found": "api.result",
-    "InferredBeam": "api.result",
+    "InferredBeam": "api.beam",
     "InputError": "errors",
     "Mock": "api.simulation",
     "Result": "api.result",

@@ -28,6 +28,8 @@ NAMES = re.compile(r"(uvd(\[\d+\])?|beam|sky|noise|prior)$")
 class Tables(TypedDict, total=False):
     """Further tables and keys of a job file, as `hydrabeam init` lists them."""
 
+    noise: Any
+    holdout: Mapping[str, Any]
     data: Mapping[str, Any]
     beam_options: Mapping[str, Any]
     sky_options: Mapping[str, Any]
@@ -71,11 +73,11 @@ def job_of(arguments: Mapping[str, Any], tables: Tables) -> tuple[Job, Given]:
     content["sky"] = {**of_sky, **content.pop("sky_options", {})}
     if "file" in content["sky"]:
         content["sky"]["kind"] = "catalogue"
-    noise, variance = _noise(arguments["noise"])
+    noise, variance = _noise(content.get("noise"))
     prior, priors = _prior(arguments["prior"])
     content |= {"noise": noise, "prior": prior}
-    for name in ("basis", "holdout"):
-        content[name], unknown = _table(name, arguments[name], None)
+    for name, argument in (("basis", arguments["basis"]), ("holdout", content.get("holdout"))):
+        content[name], unknown = _table(name, argument, None)
         if unknown is not None:
             raise _kind(name, unknown, "give a mapping with the keys of that table of a job file")
     try:

@@ -9,117 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hydrabeam_mpi.api.beam import InferredBeam
 from hydrabeam_mpi.config import Job, load_job
-from hydrabeam_mpi.data.observation import Array, FloatArray
+from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.io.posterior_file import PosteriorFile, read_covariance, read_posterior
+from hydrabeam_mpi.io.posterior_file import PosteriorFile, read_posterior
 from hydrabeam_mpi.io.reading import reading
-from hydrabeam_mpi.model.bases import basis_from_description
-from hydrabeam_mpi.random import complex_normal, generator
 
 if TYPE_CHECKING:
-    from pyuvdata import UVBeam
-
     from hydrabeam_mpi.api.setup import Setup
 
 REMEDY = "name a folder written by 'hydrabeam infer' or 'hydrabeam loop'"
-
-
-class InferredBeam:
-    """The posterior of the beam's coefficients, a Gaussian in each channel.
-
-    Parameters
-    ----------
-    content : PosteriorFile
-    path : Path, optional
-        The file from which covariances are read when they are asked for, where the channels have none.
-
-    Attributes
-    ----------
-    basis : LinearBasis
-    freqs : ndarray, (Nfreqs,)
-        Hz.
-    polarization : str
-    """
-
-    def __init__(self, content: PosteriorFile, path: Path | None = None) -> None:
-        self._content, self._path = content, path
-        self.basis = basis_from_description(content.basis)
-        self.freqs = np.array([record.freq for record in content.channels])
-        self.polarization = content.polarization
-
-    def _stacked(self, name: str) -> Array:
-        return np.array([record.arrays[name] for record in self._content.channels])
-
-    @cached_property
-    def mean(self) -> Array:
-        """Posterior mean of the coefficients, (Nfreqs, n_modes)."""
-        return self._stacked("mean")
-
-    @cached_property
-    def std(self) -> FloatArray:
-        """Posterior standard deviation of the coefficients, (Nfreqs, n_modes)."""
-        return self._stacked("std")
-
-    @cached_property
-    def covariance(self) -> Array:
-        """E[(b - mean)(b - mean)^H], (Nfreqs, n_modes, n_modes); read from the file when first asked for."""
-        if self._path is None:
-            return self._stacked("covariance")
-        return np.array([read_covariance(self._path, channel) for channel in range(len(self.freqs))])
-
-    @property
-    def maps(self) -> dict[str, Array]:
-        """Beams on the one-degree grid, (Nfreqs, 91, 360), zenith angle first: mean, std, model and any truth."""
-        names = ("mean", "std", "model", "truth")
-        held = self._content.channels[0].arrays
-        return {name: self._stacked(f"map_{name}") for name in names if f"map_{name}" in held}
-
-    def __call__(self, za: FloatArray, az: FloatArray) -> Array:
-        """Return the mean beam in some directions.
-
-        Parameters
-        ----------
-        za, az : ndarray, (Npoints,)
-            Zenith angle, and azimuth from East through North, in radians.
-
-        Returns
-        -------
-        ndarray, (Nfreqs, Npoints)
-        """
-        return np.array([self.basis.synthesize(mean, np.asarray(za), np.asarray(az)) for mean in self.mean])
-
-    def draw(self, n: int, seed: int = 0) -> Array:
-        """Draw coefficients from the posterior: those of ``posterior.h5`` where the seed is the job's.
-
-        Parameters
-        ----------
-        n : int
-        seed : int
-
-        Returns
-        -------
-        ndarray, (n, Nfreqs, n_modes)
-        """
-        draws = np.empty((n, *self.mean.shape), self.mean.dtype)
-        for channel, (mean, covariance) in enumerate(zip(self.mean, self.covariance, strict=True)):
-            # The upper root C = M M^H, which is the inverse of the factor L^H of the precision, as draws are written.
-            root = np.linalg.cholesky(covariance[::-1, ::-1])[::-1, ::-1]
-            for number in range(n):
-                rng = generator(seed, "posterior draw", channel, number)
-                white = complex_normal(rng, mean.shape) if np.iscomplexobj(mean) else rng.standard_normal(len(mean))
-                draws[number, channel] = mean + root @ white
-        return draws
-
-    def to_uvbeam(self) -> UVBeam:
-        """Return the maximum a posteriori power beam on the one-degree grid, all channels in one UVBeam.
-
-        Its real part, as of a power beam; the largest imaginary part is its keyword IMAGMAX.
-        """
-        from hydrabeam_mpi.io.beamfits import power_uvbeam
-        from hydrabeam_mpi.result.output import map_beams
-
-        return power_uvbeam(**map_beams(self._content))
 
 
 class Result:

@@ -40,16 +40,16 @@ class Setup:
         131 MHz by default. ``beam_options={"frequency": "interpolate"}`` and others are as in a job.
     sky : SkyModel, str, Path or mapping, optional
         The sky, a mock by default. ``sky_options`` are the other keys of ``[sky]``.
-    noise : array_like, str, Path or mapping, optional
-        Variances E|n|^2 of the visibilities in Jy^2, in a shape that broadcasts to that of ``uvd.data_array``,
-        (Nblts, Nfreqs, Npols); or as in a job. From the autocorrelations by default.
     prior : mapping, str, Path, Prior or a sequence of these, optional
         As in a job, such as ``{"fraction": 0.03}``, or one for all channels or one for each.
     basis : FourierBessel, Zernike or mapping, optional
-    holdout : mapping, optional
-        As in a job, such as ``{"kind": "times", "every": 2}``.
     comm : mpi4py.MPI.Comm, optional
         This process alone by default.
+    noise : array_like, str, Path or mapping, optional
+        Variances E|n|^2 of the visibilities in Jy^2, in a shape that broadcasts to that of ``uvd.data_array``,
+        (Nblts, Nfreqs, Npols); or as in a job. From the autocorrelations by default.
+    holdout : mapping, optional
+        As in a job, such as ``{"kind": "times", "every": 2}``.
     **tables
         ``data``, ``solver``, ``output``, ``loop``: the keys of these tables of a job. ``name``, ``seed``.
 
@@ -74,15 +74,12 @@ class Setup:
         *,
         beam: Any = None,
         sky: Any = None,
-        noise: Any = None,
         prior: Any = None,
         basis: Section | Mapping[str, Any] | None = None,
-        holdout: Mapping[str, Any] | None = None,
         comm: Comm | None = None,
         **tables: Unpack[Tables],
     ) -> None:
-        arguments = {"uvd": uvd, "beam": beam, "sky": sky, "noise": noise, "prior": prior}
-        arguments |= {"basis": basis, "holdout": holdout}
+        arguments = {"uvd": uvd, "beam": beam, "sky": sky, "prior": prior, "basis": basis}
         made: tuple[Job, Given] | None = None
         with _together(comm), arguments_named():
             if comm is None or comm.rank == 0:

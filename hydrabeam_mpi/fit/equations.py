@@ -216,35 +216,25 @@ class NormalEquations:
             If there are fewer data than unknowns with a flat prior.
         """
         blocks = tuple(self.blocks[name] for name in priors)
-        if len({one.is_complex for one in blocks}) > 1:
-            return self._gaussian_in_parts(blocks, priors)
-        kappa = 1.0 if blocks[0].is_complex else 2.0
-        precision = kappa * self.gather(list(priors), list(priors))
-        source = kappa * np.concatenate([self.projection[name] for name in priors])
-        for name, span in spans_of(blocks, in_parts=False).items():
-            self._check_determined(name, priors[name])
-            priors[name].add_precision(precision[span, span])
-            source[span] += priors[name].precision_times(priors[name].mean)
-        return Gaussian(blocks, precision, source, self._log_scale(blocks, priors))
-
-    def _gaussian_in_parts(self, blocks: tuple[Block, ...], priors: Mapping[str, Prior]) -> Gaussian:
-        """Do as `gaussian` for real and complex blocks together."""
-        names, spans = list(priors), spans_of(blocks, in_parts=True)
-        n = max(span.stop for span in spans.values())
-        precision, source = np.zeros((n, n)), np.zeros(n)
-        for one in names:
-            self._check_determined(one, priors[one])
-            own = np.zeros(2 * [self.blocks[one].size], dtype=self.projection[one].dtype)
-            priors[one].add_precision(own)
-            pulled = priors[one].precision_times(priors[one].mean)
+        mixed = len({one.is_complex for one in blocks}) > 1
+        kappa = 1.0 if blocks[0].is_complex and not mixed else 2.0
+        spans = spans_of(blocks, in_parts=mixed)
+        n, dtype = max(span.stop for span in spans.values()), np.float64 if kappa == 2.0 else np.complex128
+        precision, source = np.zeros((n, n), dtype, order="F"), np.zeros(n, dtype)
+        for one in blocks:
+            prior, span, in_parts = priors[one.name], spans[one.name], mixed and one.is_complex
+            self._check_determined(one.name, prior)
+            for two in blocks:
+                pair = self._pair(one.name, two.name)
+                pair = _matrix_in_parts(pair, one.is_complex, two.is_complex) if mixed else pair
+                np.multiply(kappa, pair, out=precision[span, spans[two.name]])
             # Densities of complex unknowns are exp(-q), those of real ones exp(-q/2).
-            kappa = 2.0 if self.blocks[one].is_complex else 1.0
-            real = self.blocks[one].is_complex
-            source[spans[one]] = _in_parts(2 * self.projection[one] + kappa * pulled, real)
-            precision[spans[one], spans[one]] = _matrix_in_parts(kappa * own, real, real)
-            for two in names:
-                pair = _matrix_in_parts(2 * self._pair(one, two), real, self.blocks[two].is_complex)
-                precision[spans[one], spans[two]] += pair
+            pull = kappa * self.projection[one.name] + (1 + in_parts) * prior.precision_times(prior.mean)
+            source[span] = np.concatenate([pull.real, pull.imag]) if in_parts else pull
+            own = np.zeros(2 * [one.size], dtype=np.complex128) if in_parts else precision[span, span]
+            prior.add_precision(own)
+            if in_parts:
+                precision[span, span] += 2 * _matrix_in_parts(own, rows=True, columns=True)
         return Gaussian(blocks, precision, source, self._log_scale(blocks, priors))
 
     def _log_scale(self, blocks: Sequence[Block], priors: Mapping[str, Prior]) -> float | None:
@@ -267,10 +257,6 @@ class NormalEquations:
                 field="[prior] kind",
                 remedy="use fewer modes ([basis] n_modes), more data, or a prior that is not flat",
             )
-
-
-def _in_parts(vector: Array, is_complex: bool) -> FloatArray:
-    return np.concatenate([vector.real, vector.imag]) if is_complex else vector.real
 
 
 def _matrix_in_parts(matrix: Array, rows: bool, columns: bool) -> FloatArray:
