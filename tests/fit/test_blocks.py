@@ -12,13 +12,25 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.effects.interface.effect import Columns
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.fit.blocks import beam_columns, effect_columns, row_set
+from hydrabeam_mpi.effects.registry import EFFECTS
+from hydrabeam_mpi.fit.blocks import (
+    BeamBlock,
+    CandidateBlock,
+    ModelBlock,
+    add_block,
+    beam_columns,
+    effect_columns,
+    row_set,
+    sums_of,
+)
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.row_buffer import RowBuffer
+from hydrabeam_mpi.fit.state import Active, Values
 from hydrabeam_mpi.inference.gaussian import Block
 from hydrabeam_mpi.inference.posterior import Posterior
-from hydrabeam_mpi.inference.prior import DiagonalPrior
+from hydrabeam_mpi.inference.prior import ChannelPrior, DiagonalPrior, FlatPrior
 from hydrabeam_mpi.random import complex_normal, generator
+from tests.effects.cases import draw, set_up
 from tests.effects.small import small_block, small_setup
 
 N_MODES = 7
@@ -271,3 +283,36 @@ def test_no_effects_are_no_trouble(case: Case) -> None:
     likelihood = total.likelihood([], BEAM, posterior_of(case))
     assert likelihood.information.shape == (0, 0)
     assert total.response(BEAM, [], posterior_of(case)).shape == (N_MODES, 0)
+
+
+@pytest.mark.parametrize("kind", EFFECTS)
+def test_beam_effects_and_candidates_are_blocks_alike(kind: str) -> None:
+    """Their sums are those of dense derivatives, of an effect in the model and of a candidate."""
+    effect, block, case = set_up(kind)
+    setup, x = block.setup, draw(effect, block.setup, case.strengths[0])
+    shape = (len(block.times), 2, len(block.groups), setup.basis.n_modes)
+    block = replace(block, design=generator(5, "design").standard_normal(shape))
+    active = Active.start(effect, setup, np.where(np.arange(len(x)) % 3 == 1, 0.0, 1.0), np.zeros((1, len(x))))
+    values = Values((replace(active, x=np.tile(x, (setup.observation.Nfreqs, 1))),))
+    (name,) = values.blocks
+    prior = ChannelPrior((FlatPrior(np.zeros(setup.basis.n_modes)),))
+    model: dict[str, ModelBlock] = {BEAM: BeamBlock(setup.basis, prior), **values.blocks}
+    candidates = {"candidate": CandidateBlock(effect, x)}
+    total = sums_of(model, candidates)
+    add_block(total, block, model, candidates)
+    columns = effect.columns(block, x)
+    dense = np.asarray(columns.matrix() @ np.eye(len(x))).reshape(*columns.values.shape[:2], -1)
+    dense = (block.spread(dense) if columns.by_group else dense).reshape(-1, len(x))
+    beam = block.spread(block.design[:, 0] + 1j * block.design[:, 1]).reshape(-1, shape[-1])
+    derivatives = {BEAM: beam, name: dense[:, active.used], "candidate": dense}
+    weights = block.weights.reshape(-1, 1)
+    for one, two in total.gram:
+        expected = (derivatives[one].conj().T @ (weights * derivatives[two])).real
+        np.testing.assert_allclose(total.gather([one], [two]), expected, atol=1e-10 * np.abs(expected).max())
+    assert (name, "candidate") in total.gram
+    assert (BEAM, BEAM) not in total.gram
+    for one, found in total.projection.items():
+        expected = ((weights * derivatives[one]).conj().T @ block.residual.reshape(-1)).real
+        np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(expected).max())
+    for part in model.values():
+        assert part.held.shape[1] == part.size == len(part.prior.of(0).mean)
