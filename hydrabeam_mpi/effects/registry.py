@@ -3,49 +3,21 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterator, Mapping
-from importlib import import_module
-from typing import TYPE_CHECKING, Any, TypeVar, get_type_hints
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, get_type_hints
 
 from pydantic import ConfigDict, TypeAdapter
 
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.registry import Registry
 
 if TYPE_CHECKING:
     from hydrabeam_mpi.effects.interface.effect import Cause, CrossPolarised, Effect
     from hydrabeam_mpi.effects.interface.reweighting import Reweighting
 
 
-Kind = TypeVar("Kind")
-
-
-class Registry(Mapping[str, type[Kind]]):
-    """Classes by name, each imported when it is first asked for.
-
-    The mistakes of a job file are told from the names alone, a second before astropy and pyuvdata are imported.
-
-    Parameters
-    ----------
-    *modules
-        Below this package, a room and a name: the class in "sky.missing_sources" is `MissingSources`.
-    """
-
-    def __init__(self, *modules: str) -> None:
-        self._modules = {module.rpartition(".")[2]: module for module in modules}
-
-    def __getitem__(self, kind: str) -> type[Kind]:
-        module = import_module(f"{__package__}.{self._modules[kind]}")
-        of_kind: type[Kind] = getattr(module, kind.title().replace("_", ""))
-        return of_kind
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._modules)
-
-    def __len__(self) -> int:
-        return len(self._modules)
-
-
 EFFECTS: Registry[Effect] = Registry(
+    "hydrabeam_mpi.effects",
     "instrument.antenna_gains",
     "instrument.antenna_delays",
     "instrument.cable_reflections",
@@ -65,10 +37,10 @@ EFFECTS: Registry[Effect] = Registry(
 )
 """Effects that change what the data are expected to be."""
 
-REWEIGHTINGS: Registry[Reweighting] = Registry("noise.noise_level", "noise.outliers")
+REWEIGHTINGS: Registry[Reweighting] = Registry("hydrabeam_mpi.effects", "noise.noise_level", "noise.outliers")
 """Changes of how much the data weigh."""
 
-SEPARATE: Registry[CrossPolarised] = Registry("instrument.leakage")
+SEPARATE: Registry[CrossPolarised] = Registry("hydrabeam_mpi.effects", "instrument.leakage")
 """Causes that are seen in other rows than those of the job's polarisation."""
 
 KINDS = (*EFFECTS, *SEPARATE, *REWEIGHTINGS)

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.model.bases.base import LinearBasis, Selection
-from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
-from hydrabeam_mpi.model.bases.zernike import Zernike
+from hydrabeam_mpi.registry import Registry
 
-BASES: dict[str, type[LinearBasis]] = {
-    "fourier_bessel": FourierBessel,
-    "zernike": Zernike,
-}
+if TYPE_CHECKING:
+    from hydrabeam_mpi.model.bases.base import LinearBasis, Selection
+
+BASES: Registry[LinearBasis] = Registry("hydrabeam_mpi.model.bases", "fourier_bessel", "zernike")
 
 JOB_NAMES = {kind.replace("_", "-"): kind for kind in BASES}
 """What jobs call them."""
@@ -46,7 +44,7 @@ def basis_from_description(description: Mapping[str, Any]) -> LinearBasis:
     InputError
         If the description is of no known kind or incomplete.
     """
-    kind = description.get("kind")
+    kind = str(description.get("kind"))
     if kind not in BASES:
         raise InputError(f"unknown basis kind {kind!r}", field="basis", remedy=f"known: {', '.join(BASES)}")
     try:

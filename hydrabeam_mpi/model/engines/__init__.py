@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from typing import TYPE_CHECKING
 
-from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.model.engines.base import Engine
-from hydrabeam_mpi.model.engines.gemm import GemmEngine
-from hydrabeam_mpi.model.engines.nufft import NufftEngine
+from hydrabeam_mpi.registry import Registry
 
-ENGINES: dict[str, Callable[[FloatArray], Engine]] = {
-    "gemm": GemmEngine,
-    "nufft": NufftEngine,
-}
+if TYPE_CHECKING:
+    from hydrabeam_mpi.data.observation import FloatArray
+    from hydrabeam_mpi.model.engines.base import Engine
+
+ENGINES: Registry[Engine] = Registry("hydrabeam_mpi.model.engines", "gemm", "nufft", ending="Engine")
 
 
 def make_engine(kind: str, vectors: FloatArray) -> Engine:
