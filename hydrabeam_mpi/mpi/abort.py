@@ -17,8 +17,11 @@ from hydrabeam_mpi.mpi.failure import how_shared
 
 INPUT_ERROR_STATUS = 2
 INTERRUPTED_STATUS = 130
-LEAVING_S = 5.0
-"""Seconds that rank 0 has after a signal, before another rank that has got it ends all."""
+LEAVING_S = 60.0
+"""Seconds after which a rank that has got a signal ends all, where rank 0 has not done so: it has then got none.
+
+Long, as nobody waits for it: a launcher passes a signal on to all ranks, and rank 0 ends them once it has left.
+"""
 HEARD_S = 0.2
 """Seconds that a launcher has to pass on what a rank has said: when one aborts it may drop what it has not read yet."""
 

@@ -45,19 +45,20 @@ def staged(
             folder = StagedDirectory(out, overwrite, read_files(job, only_simulates), unread_files(job, job_path))
     others = world.bcast(folder)
     folder = folder or others  # rank 0 keeps its own, which holds the lock
-    try:
-        with leaving(partial(folder.leave, interrupted=True)):
+    # Whichever thread leaves: the other one finds nothing more to do.
+    with leaving(partial(folder.leave, interrupted=True)):
+        try:
             yield folder.partial
-    except BaseException as error:
-        if world.rank == 0:
-            with unbroken():
-                folder.leave(isinstance(error, KeyboardInterrupt))
-        elif latest_round(folder.partial) is None:
-            # By every rank: one that fails alone ends the others before they could.
-            folder.discard()
-        if isinstance(error, InputError):
-            error.locate(job_path)
-        raise
+        except BaseException as error:
+            if world.rank == 0:
+                with unbroken():
+                    folder.leave(isinstance(error, KeyboardInterrupt))
+            elif latest_round(folder.partial) is None:
+                # By every rank: one that fails alone ends the others before they could.
+                folder.discard()
+            if isinstance(error, InputError):
+                error.locate(job_path)
+            raise
     with together(world):
         if world.rank == 0:
             with unbroken():

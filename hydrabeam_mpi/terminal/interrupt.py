@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import sys
@@ -18,6 +19,11 @@ LISTENS_S = 1.0
 It may be writing into what it leaves, which another thread had better not remove meanwhile.
 """
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+AT_ONCE_S = 1.0
+"""Seconds within which further signals are the same wish: a launcher and a terminal may both send one.
+
+A second exception would break off what the first one makes the program save and remove.
+"""
 
 
 class _Unbroken:
@@ -27,6 +33,8 @@ class _Unbroken:
         self.lock = threading.RLock()
         self.depth = 0
         self.pending = False
+        self.heard = -math.inf
+        """When the last signal came, s."""
 
 
 _unbroken = _Unbroken()
@@ -82,13 +90,15 @@ def interruptible(end: Callable[[], None] | None = None) -> Iterator[None]:
     def interrupt(number: int, frame: FrameType | None) -> None:
         nonlocal came
         came = True
+        before, _unbroken.heard = _unbroken.heard, time.monotonic()
         if _unbroken.depth:
             _unbroken.pending = True
-        else:
+        elif _unbroken.heard - before > AT_ONCE_S:
             raise KeyboardInterrupt
 
     def again(lost: sys.UnraisableHookArgs) -> None:
         if isinstance(lost.exc_value, KeyboardInterrupt):
+            _unbroken.heard = -math.inf
             threading.Timer(AGAIN_S, signal.pthread_kill, [threading.get_ident(), signal.SIGINT]).start()
         else:
             previous_hook(lost)
@@ -98,6 +108,7 @@ def interruptible(end: Callable[[], None] | None = None) -> Iterator[None]:
             stack.enter_context(_listening(end))
         previous = {number: signal.signal(number, interrupt) for number in SIGNALS}
         previous_hook, sys.unraisablehook = sys.unraisablehook, again
+        _unbroken.heard = -math.inf
         try:
             yield
         except Exception:
