@@ -171,7 +171,7 @@ class BeamFile:
     def _check_sign(self) -> None:
         copols = np.isin(self._uvbeam.polarization_array, _COPOLS)
         values = self._uvbeam.data_array[0, copols].real
-        values = values.reshape(*values.shape[:2], -1)[..., self._above]
+        values = values.reshape(*values.shape[:2], self._above.size)[..., self._above]
         negative = np.count_nonzero(values < 0)
         if negative:
             warnings.warn(

@@ -16,7 +16,7 @@ from pyuvdata.utils import polnum2str
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.data.selection import match
-from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.errors import InputError, printable
 from hydrabeam_mpi.io.reading import check_file, mute, reading
 from hydrabeam_mpi.io.uvcheck import check_metadata
 from hydrabeam_mpi.io.uvformat import FORMATS, READ_IN_PART
@@ -173,7 +173,7 @@ def header_of(uv: UVData, path: Path, kind: str) -> UVHeader:
     return UVHeader(
         path=path,
         kind=kind,
-        telescope_name=str(telescope.name),
+        telescope_name=printable(str(telescope.name)),
         location=telescope.location,
         antenna_numbers=np.asarray(telescope.antenna_numbers, dtype=np.int64),
         antenna_names=tuple(map(str, telescope.antenna_names)),

@@ -207,8 +207,9 @@ def _judge(
     words = lost(before, state(folder), new if succeeded else ())
     if words:
         return LOST, words
-    # Of a job whose text is changed a path may be wrong, which the job's key tells.
-    names = (target.name, "job.toml", "-o", *(["[data]", "[sky]", "[noise]"] if target.name.endswith(".toml") else []))
+    # Of a job whose text is changed a path may be wrong, which the job's key tells; "~" is one that exists.
+    keys = ("[data]", "[sky]", "[noise]", os.path.expanduser("~")) if target.name.endswith(".toml") else ()
+    names = (target.name, "job.toml", "-o", *keys)
     words = unclear(outcome, names)
     if words:
         return TRACEBACKS, words

@@ -296,6 +296,14 @@ def test_polarisation_not_in_the_file_is_told(tmp_path, pol, words):
         quietly(saved(dipole_uvbeam(), tmp_path)).beam(150e6, pol)
 
 
+def test_a_beam_of_stokes_i_is_told(tmp_path):
+    uvbeam = airy_uvbeam([150e6])
+    uvbeam.select(polarizations=["xx"])
+    uvbeam.polarization_array[:] = 1  # pI
+    with pytest.raises(InputError, match=r"beam.beamfits: pol: no polarisation 'ee'; the file has pI"):
+        quietly(saved(uvbeam, tmp_path)).beam(150e6, "ee")
+
+
 def test_cross_polarised_beam_needs_both_peaks(tmp_path):
     uvbeam = dipole_uvbeam()
     uvbeam.efield_to_power()

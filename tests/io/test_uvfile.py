@@ -57,6 +57,15 @@ def test_polarisations_are_named_by_direction_where_known(tmp_path, orientation,
     assert [header.pol_index(pol) for pol in (*pols, "xx", "yy", "en")] == [0, 1, 0, 1, -1]
 
 
+def test_a_telescope_name_that_no_file_could_take_is_written_out(tmp_path):
+    path = written(make_uvdata(), tmp_path / "data.uvh5")
+    with h5py.File(path, "r+") as file:
+        del file["Header/telescope_name"]
+        file["Header/telescope_name"] = np.bytes_(b"HE\0RA\n")
+    header, _ = read_metadata(path)
+    assert header.telescope_name == r"HE\x00RA\n"
+
+
 def test_a_file_at_other_times_is_passed_over(tmp_path):
     uv = make_uvdata()
     path = written(uv, tmp_path / "a.uvh5")
