@@ -47,6 +47,7 @@ class RankData:
     _kept_for: bytes = b""
     _places: dict[int, tuple[IntArray, FloatArray, FloatArray]] = field(default_factory=dict)
     _memo: dict[tuple[int, str], Any] = field(default_factory=dict)
+    _beams: dict[int, CoefficientBeam] = field(default_factory=dict)
     _model: ForwardModel | None = None
     _model_beam: ComplexArray | None = None
 
@@ -175,10 +176,14 @@ class RankData:
             yield span, block, rows_of_design
 
     def _beam(self, channel: int, posterior: Posterior) -> CoefficientBeam:
-        """Return the mean beam of a channel of the rank group."""
+        """Return the mean beam of a channel of the rank group; the same object, with its table, for the same mean."""
+        kept = self._beams.get(channel)
+        if kept is not None and np.array_equal(kept.coeffs, posterior.mean):
+            return kept
         observation = self.problem.observation
         info = BeamInfo("inferred", float(observation.freqs[channel]), observation.pols[0])
-        return CoefficientBeam(self.problem.basis, posterior.mean, info)
+        self._beams[channel] = CoefficientBeam(self.problem.basis, posterior.mean, info)
+        return self._beams[channel]
 
     def block(self, channel: int, span: slice, beam: Beam, values: Values, **data: Any) -> RowBlock:
         """Return the block of some of the rank's times; ``data`` are fields of `RowBlock` about its rows."""

@@ -7,6 +7,7 @@ real, a cross-polarised one complex. Angles are radians, azimuth from East throu
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -16,6 +17,7 @@ from pyuvdata.utils import polnum2str, polstr2num
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases.base import LinearBasis
+from hydrabeam_mpi.model.bases.polar_table import PolarTable
 from hydrabeam_mpi.model.bases.rings import Pixels
 from hydrabeam_mpi.model.interpolate import AzZaGrid, HealpixMap
 
@@ -79,6 +81,11 @@ class CoefficientBeam:
         """Return the sum of the basis functions: its real part for a co-polarised beam, (Npoints,)."""
         values = self.basis.synthesize(self.coeffs, za, az)
         return np.ascontiguousarray(values.real) if self.info.is_copol else values
+
+    @cached_property
+    def table(self) -> PolarTable | None:
+        """The real part between the nodes of a table, made once; None where the basis offers none."""
+        return self.basis.table(self.coeffs)
 
 
 @dataclass(frozen=True)

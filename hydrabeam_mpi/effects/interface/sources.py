@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.model.bases.polar_table import PolarTable
 from hydrabeam_mpi.model.engines.fringes import enu
 from hydrabeam_mpi.model.rime import Beam
 
@@ -61,12 +62,17 @@ class Sources:
     def slope(self) -> FloatArray:
         """Gradient of the beam on the sphere as a vector tangent to it, (3, Nsrc), per radian.
 
-        A source displaced by a small tangent vector ``v`` has its beam changed by ``slope . v``. Central differences.
+        A source displaced by a small tangent vector ``v`` has its beam changed by ``slope . v``. From the beam's table,
+        or where it has none by central differences.
         """
         sin_za, cos_za = np.sin(self.za), np.cos(self.za)
         cos_az, sin_az = np.cos(self.az), np.sin(self.az)
         down = np.stack([cos_za * cos_az, cos_za * sin_az, -sin_za])
         around = np.stack([-sin_az, cos_az, np.zeros_like(sin_az)])
+        table = table_of(self.beam_function)
+        if table is not None:
+            by_za, by_az = table.slopes(np.minimum(self.za, np.pi / 2), self.az)
+            return down * np.where(self.za <= np.pi / 2, by_za, 0.0) + around * (by_az / np.maximum(sin_za, STEP))
         gradient = np.zeros((3, len(self.za)))
         for direction in (down, around):
             ahead, behind = (self._beam_at(self.enu + sign * STEP * direction) for sign in (1, -1))
@@ -77,3 +83,9 @@ class Sources:
         za = np.arctan2(np.hypot(vectors[0], vectors[1]), vectors[2])
         az = np.arctan2(vectors[1], vectors[0]) % (2 * np.pi)
         return np.asarray(self.beam_function(np.minimum(za, np.pi / 2), az)).real
+
+
+def table_of(beam: Beam) -> PolarTable | None:
+    """Return a beam's table, by which it and its slopes are cheap at many points; None where it has none."""
+    table: PolarTable | None = getattr(beam, "table", None)
+    return table

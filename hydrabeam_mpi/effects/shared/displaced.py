@@ -17,8 +17,9 @@ from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray, IntA
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.effects.interface.sources import Sources
+from hydrabeam_mpi.effects.interface.sources import Sources, table_of
 from hydrabeam_mpi.effects.shared.beam_visibilities import is_copolar
+from hydrabeam_mpi.model.bases.polar_table import PolarTable
 from hydrabeam_mpi.model.engines.fringes import C_M_PER_S, enu
 from hydrabeam_mpi.model.positions import SourcePositions
 from hydrabeam_mpi.model.rime import Beam
@@ -52,13 +53,21 @@ def angles(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True)
 class BeamToHorizon:
-    """A beam that below the horizon keeps the value that it has there; beams need not be known beyond."""
+    """A beam that below the horizon keeps the value that it has there; beams need not be known beyond.
+
+    Its values are those of the beam's table, where it has one.
+    """
 
     beam: Beam
 
+    @property
+    def table(self) -> PolarTable | None:
+        """The table of the beam."""
+        return table_of(self.beam)
+
     def __call__(self, za: FloatArray, az: FloatArray) -> Array:
         """Evaluate the beam, (Npoints,)."""
-        return self.beam(np.minimum(za, np.pi / 2), az)
+        return (self.table or self.beam)(np.minimum(za, np.pi / 2), az)
 
 
 def seen_at(sources: Sources, vectors: FloatArray) -> Sources:

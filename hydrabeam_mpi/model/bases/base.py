@@ -16,6 +16,7 @@ from typing import Any, ClassVar, Protocol, Self
 import numpy as np
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
+from hydrabeam_mpi.model.bases.polar_table import PolarTable
 from hydrabeam_mpi.model.bases.rings import RingGrid
 
 NEGLIGIBLE = 1e-9
@@ -225,6 +226,17 @@ class LinearBasis(Protocol):
             part = slice(start, start + _POINTS_AT_ONCE)
             values[part] = weights @ self.columns(za[part], az[part])
         return values
+
+    def table(self, coeffs: Array) -> PolarTable | None:
+        """Return a table of the real part of the beam, by which it and its slopes are cheap at many points.
+
+        None where the basis offers none. It goes as far as the horizon.
+
+        Parameters
+        ----------
+        coeffs : ndarray, (n_modes,)
+        """
+        return None
 
 
 # Points evaluated together: few enough to stay in cache, enough to hide the cost of a call.

@@ -10,11 +10,14 @@ stops at rounding level shortly after n = u/2.
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import j0, jv
+from scipy.special import j0, j1, jn_zeros, jv
 
 FloatArray = NDArray[np.float64]
+Boundary = Literal["dirichlet", "neumann"]
 
 # What the truncated tail of the series may add up to, in units of J0(0) = 1.
 _TAIL = 1e-16
@@ -22,6 +25,15 @@ _TAIL = 1e-16
 _NEGLIGIBLE = 1e-25
 # Rows of Chebyshev polynomials made at a time.
 _BLOCK = 20
+
+
+def radial_zeros(k_max: int, boundary: Boundary) -> tuple[FloatArray, FloatArray]:
+    """Return the radial frequencies u_k and norms q_k for k = 1..k_max, each (k_max,)."""
+    if boundary == "dirichlet":
+        u = jn_zeros(0, k_max)
+        return u, j1(u) / np.sqrt(2)
+    u = np.concatenate([[0.0], jn_zeros(1, k_max)])[:k_max]
+    return u, np.abs(j0(u)) / np.sqrt(2)
 
 
 class BesselRows:

@@ -18,20 +18,20 @@ from collections.abc import Iterable, Mapping
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from scipy.special import j0, j1, jn_zeros
+from scipy.special import j0
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases.base import LinearBasis, NextModes, Selection
-from hydrabeam_mpi.model.bases.bessel import BesselRows
+from hydrabeam_mpi.model.bases.bessel import BesselRows, Boundary, radial_zeros
 from hydrabeam_mpi.model.bases.disc import EDGE, azimuthal_rows
 from hydrabeam_mpi.model.bases.expected import largest_expected
 from hydrabeam_mpi.model.bases.plans import complex_columns, plan_mixing, plan_products
+from hydrabeam_mpi.model.bases.polar_table import PolarTable, n_nodes, radii
 from hydrabeam_mpi.model.bases.ring_fit import fit_rings
 from hydrabeam_mpi.model.bases.rings import RingGrid
 
 Form = Literal["real", "complex"]
-Boundary = Literal["dirichlet", "neumann"]
 
 AT_EDGE = 0
 """Number k by which the function that is constant in radius is called beside those that are zero at the edge."""
@@ -247,9 +247,7 @@ class FourierBessel(LinearBasis):
 
     def synthesize(self, coeffs: Array, za: FloatArray, az: FloatArray) -> Array:
         """Evaluate the beam ``sum_n b_n f_n``, (Npoints,): a product over k, then one over m."""
-        weights = self.column_coeffs(coeffs)
-        matrix = np.zeros((2 * self._m_max + 2, len(self._ks)), dtype=weights.dtype)
-        matrix[self._m_row, self._k_row] = weights
+        matrix = self._by_orders(coeffs)
         parts = [matrix.real, matrix.imag] if np.iscomplexobj(matrix) and matrix.imag.any() else [matrix.real]
         values = np.zeros((len(parts), len(za)))
         for start in range(0, len(za), _POINTS_AT_ONCE):
@@ -259,7 +257,25 @@ class FourierBessel(LinearBasis):
                 np.einsum("mi,mi->i", weight_part @ radial, azimuthal, out=value[part])
         if len(parts) == 2:
             return values[0] + 1j * values[1]
-        return values[0].astype(weights.dtype)
+        return values[0].astype(matrix.dtype)
+
+    def table(self, coeffs: Array) -> PolarTable:
+        """Tabulate the real part of a beam; see :meth:`LinearBasis.table`."""
+        stretch = np.sqrt(2 * self._inv_alpha_squared)
+        per_unit, n_az = n_nodes(stretch * max(self._ks), self._m_max)
+        azimuthal = np.empty((2 * self._m_max + 2, n_az))
+        az = np.linspace(0, 2 * np.pi, n_az, endpoint=False)
+        azimuthal_rows(az, azimuthal, np.empty((self._m_max + 1, n_az)))
+        azimuthal[0] *= 1.0 if self.is_complex else np.sqrt(0.5)
+        radial = self._radial.scale * j0(stretch * radii(per_unit)[:, np.newaxis] * self._radial.u)
+        return PolarTable(radial @ self._by_orders(coeffs).real.T @ azimuthal, per_unit)
+
+    def _by_orders(self, coeffs: Array) -> Array:
+        """Return the coefficients of products of azimuthal and radial functions, (2 m_max + 2, Nk)."""
+        weights = self.column_coeffs(coeffs)
+        matrix = np.zeros((2 * self._m_max + 2, len(self._ks)), dtype=weights.dtype)
+        matrix[self._m_row, self._k_row] = weights
+        return matrix
 
     def _rho_squared(self, za: FloatArray) -> FloatArray:
         # 1 - cos za, without its loss of digits near the zenith.
@@ -278,15 +294,6 @@ class FourierBessel(LinearBasis):
         if not self.is_complex:
             azimuthal[0] = np.sqrt(0.5)
         return radial, azimuthal
-
-
-def radial_zeros(k_max: int, boundary: Boundary) -> tuple[FloatArray, FloatArray]:
-    """Return the radial frequencies u_k and norms q_k for k = 1..k_max, each (k_max,)."""
-    if boundary == "dirichlet":
-        u = jn_zeros(0, k_max)
-        return u, j1(u) / np.sqrt(2)
-    u = np.concatenate([[0.0], jn_zeros(1, k_max)])[:k_max]
-    return u, np.abs(j0(u)) / np.sqrt(2)
 
 
 def _check(modes: list[tuple[int, int]], form: str, edge: float, boundary: str) -> None:

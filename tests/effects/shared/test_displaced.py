@@ -1,10 +1,15 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from hydrabeam_mpi.effects.registry import make_effect
 from hydrabeam_mpi.effects.shared.displaced import TILTS, BeamToHorizon, angles, rotate, rotation_rate
+from hydrabeam_mpi.model.beam import BeamInfo, CoefficientBeam
 from hydrabeam_mpi.model.engines.fringes import enu
 from hydrabeam_mpi.random import generator
+from tests.effects.small import matrix_at, small_block, small_setup
 
 
 def test_rotations_are_exponentials() -> None:
@@ -40,3 +45,20 @@ def test_angles_invert_unit_vectors() -> None:
 def test_beams_end_at_the_horizon() -> None:
     beam = BeamToHorizon(lambda za, az: np.cos(za) + za)
     np.testing.assert_allclose(beam(np.array([1.0, 1.7, 2.5]), np.zeros(3)), [np.cos(1) + 1, np.pi / 2, np.pi / 2])
+
+
+@pytest.mark.parametrize("kind", ["antenna_pointing", "nonredundant_beams", "timestamp"])
+def test_a_beam_by_its_table_is_seen_as_the_beam_itself(kind: str) -> None:
+    """What an effect adds, and its columns."""
+    setup = small_setup()
+    exact = small_block(setup)
+    info = BeamInfo("fitted", exact.freq, "ee")
+    tabulated = replace(exact, beam=CoefficientBeam(setup.basis, setup.prior_mean[0], info))
+    effect = make_effect(kind, {})
+    x = effect.draw(setup, generator(2, "tilts"), 1.0)
+    for at in (np.zeros_like(x), x):
+        for block in (tabulated, exact):
+            block.integrate_for([effect])
+        for seen in (effect.added, lambda block, at: matrix_at(effect, block, at)):
+            one, two = seen(tabulated, at), seen(exact, at)
+            np.testing.assert_allclose(one, two, rtol=0, atol=2e-7 * np.abs(two).max())
