@@ -65,8 +65,8 @@ class Sources:
         A source displaced by a small tangent vector ``v`` has its beam changed by ``slope . v``. From the beam's table,
         or where it has none by central differences.
         """
-        sin_za, cos_za = np.sin(self.za), np.cos(self.za)
-        cos_az, sin_az = np.cos(self.az), np.sin(self.az)
+        cos_za, cos_az, sin_az = self.enu[2], np.cos(self.az), np.sin(self.az)
+        sin_za = np.hypot(self.enu[0], self.enu[1])
         down = np.stack([cos_za * cos_az, cos_za * sin_az, -sin_za])
         around = np.stack([-sin_az, cos_az, np.zeros_like(sin_az)])
         table = table_of(self.beam_function)

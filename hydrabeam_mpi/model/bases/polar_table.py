@@ -7,9 +7,10 @@ of its peak and its slopes by less than 1e-7 of theirs.
 
 from __future__ import annotations
 
-from typing import Any
+from math import factorial
 
 import numpy as np
+from scipy.interpolate import BSpline
 from scipy.ndimage import spline_filter1d
 
 from hydrabeam_mpi.data.observation import FloatArray
@@ -18,10 +19,9 @@ ORDER = 5
 HALF = ORDER // 2
 MARGIN = 16
 """Nodes beyond the largest radius, where the spline does not know how the beam goes on; it forgets in a few."""
-_POINTS_AT_ONCE = 2048  # whose weights stay in cache
-
-
 HORIZON = np.sin(np.pi / 4)
+"""The radius sin(za / 2) there."""
+_POINTS_AT_ONCE = 8192  # whose weights stay in cache
 
 
 def radii(per_unit: int) -> FloatArray:
@@ -63,41 +63,47 @@ class PolarTable:
 
     def _evaluate(self, za: FloatArray, az: FloatArray, slopes: bool) -> FloatArray:
         """Return the value, and with ``slopes`` the derivatives by either number of nodes, (1 or 3, Npoints)."""
-        out = np.empty((3 if slopes else 1, len(za)))
+        out = np.zeros((3 if slopes else 1, len(za)))
+        coeffs, stride = self._coeffs.reshape(-1), self._coeffs.shape[1]
         for start in range(0, len(za), _POINTS_AT_ONCE):
             part = slice(start, start + _POINTS_AT_ONCE)
             along, across = np.sin(0.5 * za[part]) * self.per_unit, az[part] * (self.n_az / (2 * np.pi))
-            row, column = along.astype(int), across.astype(int)
-            by_row, change_by_row = _weights(along - row)
-            by_column, change_by_column = _weights(across - column)
-            first = row * self._coeffs.shape[1] + column
+            row, column = along.astype(np.intp), across.astype(np.intp)
+            by_row, by_column = _weights(along - row, slopes), _weights(across - column, slopes)
+            first = row * stride + column
             for p in range(ORDER + 1):
-                around: Any = 0.0
-                change: Any = 0.0
+                # For either set of weights of the columns, the sum over the nodes of a row.
+                around = np.zeros((len(by_column), len(first)))
                 for q in range(ORDER + 1):
-                    coeffs = self._coeffs.reshape(-1).take(first + (p * self._coeffs.shape[1] + q))
-                    around = around + by_column[q] * coeffs
-                    if slopes:
-                        change = change + change_by_column[q] * coeffs
-                terms = (by_row[p] * around, change_by_row[p] * around, by_row[p] * change)[: len(out)]
-                for total, term in zip(out[:, part], terms, strict=True):
-                    total[:] = term if p == 0 else total + term
+                    # All are within the table; to clip is several times as fast as to check.
+                    near = coeffs.take(first + (p * stride + q), mode="clip")
+                    for total, weights in zip(around, by_column, strict=True):
+                        total += weights[q] * near
+                out[0, part] += by_row[0, p] * around[0]
+                if slopes:
+                    out[1, part] += by_row[1, p] * around[0]
+                    out[2, part] += by_row[0, p] * around[1]
         return out
 
 
-def _weights(fraction: FloatArray) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Return the weights of the `ORDER` + 1 nodes around each point and their derivatives, (Npoints,) each.
+def _weights(fraction: FloatArray, slopes: bool) -> FloatArray:
+    """Return the weights of the nodes around each point, and their derivatives, (1 or 2, `ORDER` + 1, Npoints).
 
-    ``fraction`` is how far the point is beyond the last node before it; B-splines by their recursion in the order.
+    ``fraction`` is how far the point is beyond the last node before it.
     """
-    none = np.zeros_like(fraction)
-    splines = [np.ones_like(fraction)]
-    lower = splines
-    for order in range(1, ORDER + 1):
-        lower = splines
-        here, before = [*lower, none], [none, *lower]
-        splines = [
-            ((fraction + m) * here[m] + (order + 1 - m - fraction) * before[m]) / order for m in range(order + 1)
-        ]
-    changes = [one - two for one, two in zip([*lower, none], [none, *lower], strict=True)]
-    return splines[::-1], changes[::-1]
+    powers = np.ones((ORDER + 1, len(fraction)))
+    for power in range(ORDER):
+        np.multiply(powers[power], fraction, out=powers[power + 1])
+    if not slopes:
+        return (_PIECES @ powers)[np.newaxis]
+    return np.stack([_PIECES @ powers, (_PIECES[:, 1:] * np.arange(1, ORDER + 1)) @ powers[:-1]])
+
+
+def _pieces() -> FloatArray:
+    """Return the polynomials that a B-spline consists of, last one first, by rising powers, (`ORDER` + 1,) squared."""
+    spline = BSpline.basis_element(np.arange(ORDER + 2.0))
+    powers = range(ORDER + 1)
+    return np.array([[spline(float(m), nu=j) / factorial(j) for j in powers] for m in reversed(powers)])
+
+
+_PIECES = _pieces()
