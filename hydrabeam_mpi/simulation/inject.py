@@ -131,17 +131,17 @@ class Injection:
                     else:
                         x = change.draw(self.setup, rng, entry.strength)
                     for pol, vis in noisy.items():
-                        block = self._scene(pol, f, vis[f])
-                        block.weights = np.broadcast_to(1 / variance[pol][f][:, np.newaxis], block.shape).copy()
+                        block = self._scene(pol, f, vis[f], 1 / variance[pol][f][:, np.newaxis])
                         own = rng if pol == self.pol else generator(self.job.seed, "injected", number, f, pol)
                         vis[f] = self._as_measured(change.inject(block.vis, block, x, own))
                     truths.append({"kind": change.kind, "channel": f, "values": x.tolist()})
         return noisy, truths
 
-    def _scene(self, pol: str, channel: int, crosses: ComplexArray) -> RowBlock:
+    def _scene(self, pol: str, channel: int, crosses: ComplexArray, weights: FloatArray | float = 1.0) -> RowBlock:
+        """Return all rows of a channel; ``weights`` broadcast to (Ntimes, Nbls)."""
         setup = self.setup
         flipped = setup.redundant.flipped
-        block = RowBlock(
+        return RowBlock(
             setup=setup,
             channel=channel,
             times=setup.times,
@@ -151,11 +151,10 @@ class Injection:
             positions=source_positions(self.job, setup.sky, setup.observation),
             beam=self.beams.get(pol, self.beams[self.pol])[channel],
             engine_kind=self.job.solver.engine,
+            weights=np.broadcast_to(weights, crosses.shape).copy(),
+            residual=np.zeros_like(crosses),
             vis=np.where(flipped, crosses.conj(), crosses),
         )
-        block.weights = np.ones(block.shape)
-        block.residual = np.zeros(block.shape, dtype=complex)
-        return block
 
     def _as_measured(self, oriented: ComplexArray) -> ComplexArray:
         """Turn groups' sense back into the baselines' own."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any, Literal
 
@@ -69,8 +69,9 @@ def set_up(kind: str, n_sources: int | None = None) -> tuple[Effect, RowBlock, C
     case = CASES.get(kind, Case())
     block = small_block(experiment_of(case.freqs, case.n_times, n_sources or case.n_sources), case.channel)
     rng = generator(11, "rows")
-    block.residual = complex_normal(rng, block.shape)
-    block.weights = rng.uniform(0.5, 2.0, block.shape) * (rng.uniform(size=block.shape) > 0.2)
+    residual = complex_normal(rng, block.shape)
+    weights = rng.uniform(0.5, 2.0, block.shape) * (rng.uniform(size=block.shape) > 0.2)
+    block = replace(block, residual=residual, weights=weights)
     block.weights[2] = 0.0
     effect = make_effect(kind, case.settings)
     if isinstance(effect, ScannedEffect):

@@ -62,19 +62,16 @@ def small_block(setup: ObservingSetup, channel: int = 0, sky: Sky | None = None)
         positions=positions,
         beam=beam,
     )
-    block.vis = block.spread(block.integrate(lambda sources: sources.beam[np.newaxis])[..., 0])
-    block.weights = np.ones(block.shape)
-    block.residual = np.zeros(block.shape, dtype=complex)
-    return block
+    vis = block.spread(block.integrate(lambda sources: sources.beam[np.newaxis])[..., 0])
+    return replace(block, vis=vis, weights=np.ones(block.shape), residual=np.zeros(block.shape, dtype=complex))
 
 
 def part_of(block: RowBlock, times: IntArray, bls: IntArray) -> RowBlock:
     """Some of a scene's times and baselines, numbered within it."""
     groups, member = np.unique(block.groups[block.member[bls]], return_inverse=True)
     rows = {name: getattr(block, name)[np.ix_(times, bls)] for name in ("weights", "residual", "vis")}
-    some = replace(block, times=block.times[times], bls=block.bls[bls], groups=groups, member=member, **rows)
-    some.integrals = {}
-    return some
+    own = {"times": block.times[times], "bls": block.bls[bls], "groups": groups, "member": member}
+    return replace(block, **own, **rows, integrals={})
 
 
 def with_effect(effect: Effect, block: RowBlock, x: FloatArray) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,9 +20,8 @@ def noisy(seed: int = 0) -> RowBlock:
     block = small_block(experiment_of((131e6, 151e6), 40, 60))
     rng = generator(seed, "noise")
     sigma = 0.01 * np.abs(block.vis).max()
-    block.residual = sigma * complex_normal(rng, block.shape)
-    block.weights = np.where(rng.random(block.shape) < 0.1, 0.0, sigma**-2)
-    return block
+    residual = sigma * complex_normal(rng, block.shape)
+    return replace(block, residual=residual, weights=np.where(rng.random(block.shape) < 0.1, 0.0, sigma**-2))
 
 
 @pytest.mark.parametrize("kind", REWEIGHTINGS)

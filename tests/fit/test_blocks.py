@@ -106,9 +106,9 @@ def case(request: pytest.FixtureRequest, setup: ObservingSetup) -> Case:
     n_times, n_bls = block.shape
     n_groups = len(block.groups)
     rng = generator(3, "sums")
-    block.weights = rng.uniform(0.5, 2, block.shape)
+    block = replace(block, weights=rng.uniform(0.5, 2, block.shape))
     block.weights[1, 3], block.weights[:, 7], block.weights[2] = 0.0, 0.0, 0.0
-    block.residual = complex_normal(rng, block.shape)
+    block = replace(block, residual=complex_normal(rng, block.shape))
     block.residual[2] = 1e6  # flagged
     if request.param == "complex":
         design = complex_normal(rng, (n_times, n_groups, N_MODES))

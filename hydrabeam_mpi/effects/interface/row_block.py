@@ -19,7 +19,7 @@ from hydrabeam_mpi.model.positions import SourcePositions
 from hydrabeam_mpi.model.rime import Beam
 
 
-@dataclass
+@dataclass(frozen=True, eq=False)
 class RowBlock:
     """Some rows of one channel: a rank's baselines at some times.
 

@@ -14,6 +14,7 @@ from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.blocks import CandidateBlock, add_block, sums_of
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.gauss_newton import FitContext
+from hydrabeam_mpi.fit.kept import Kept
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Estimate, Fitted, Values
 from hydrabeam_mpi.inference.likelihood import Likelihood
@@ -197,25 +198,21 @@ class CachedRowBlocks:
     at: Estimate
     rows: Rows
     added: ComplexArray
-    kept: dict[int, list[RowBlock]]
+    kept: Kept[RowBlock]
 
     @classmethod
     def of(cls, context: FitContext, at: Estimate) -> CachedRowBlocks:
         """Calibrate the rank's rows by the model's effects."""
-        return cls(context, at, *context.train.calibrated(at), {})
+        return cls(context, at, *context.train.calibrated(at), Kept(context.train.keeps_designs))
 
     def row_blocks(self, channel: int) -> Iterator[RowBlock]:
         """Yield the blocks of one channel."""
-        if channel in self.kept:
-            yield from self.kept[channel]
-            return
-        share, made = self.context.train, []
-        for _, block, _ in share.row_blocks(channel, self.at, self.added[channel], self.rows):
-            if share.keeps_designs:
-                made.append(block)
-            yield block
-        if share.keeps_designs:
-            self.kept = {channel: made}
+
+        def made() -> Iterator[RowBlock]:
+            blocks = self.context.train.row_blocks(channel, self.at, self.added[channel], self.rows)
+            return (block for _, block, _ in blocks)
+
+        return self.kept.of(channel, made)
 
 
 def _pick(context: FitContext, cached: CachedRowBlocks, effects: Sequence[Effect]) -> list[Effect]:

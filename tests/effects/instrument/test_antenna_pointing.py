@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -38,9 +40,8 @@ def test_baselines_have_the_product_of_voltage_beams(towards: int) -> None:
 
 def test_product_of_voltage_beams_agrees_at_small_tilts() -> None:
     """sqrt(B_i B_j) of Gaussian beams is half their sum to second order in the tilts."""
-    block = small_block(small_setup())
-    block.beam = lambda za, az: np.exp(-((za / 0.3) ** 2))
-    block.vis = visibilities(block)
+    block = replace(small_block(small_setup()), beam=lambda za, az: np.exp(-((za / 0.3) ** 2)))
+    block = replace(block, vis=visibilities(block))
     effect = AntennaPointing()
     block.integrate_for([effect])
     straight = of_direction(block)

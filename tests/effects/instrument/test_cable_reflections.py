@@ -122,7 +122,7 @@ def test_scan_finds_and_fit_refines(setup: ObservingSetup) -> None:
     echo = CableReflections([(numbers[4], -215.0)])
     data = [with_effect(echo, block, truth) + sigma * complex_normal(rng, block.shape) for block in row_blocks]
     for block, rows in zip(row_blocks, data, strict=True):
-        block.residual, block.weights = rows - block.vis, np.full(block.shape, sigma**-2)
+        block.residual[:], block.weights[:] = rows - block.vis, np.full(block.shape, sigma**-2)
     sums, norms = (
         np.sum(parts, axis=0) for parts in zip(*(CableReflections().scan(s) for s in row_blocks), strict=True)
     )

@@ -40,7 +40,7 @@ def test_modes_do_what_they_are_called(mode: int) -> None:
         small_block(small_setup()),
         beam=lambda za, az: gaussian(np.stack([np.sin(za) * np.cos(az), np.sin(za) * np.sin(az), np.cos(za)])),
     )
-    block.vis = visibilities(block)
+    block = replace(block, vis=visibilities(block))
     effect = NonredundantBeams()
     block.integrate_for([effect])
     amounts = 1e-5 * generator(2, "amounts").standard_normal(7)
@@ -63,7 +63,7 @@ def test_baselines_have_the_product_of_voltage_beams() -> None:
         small_block(small_setup()),
         beam=lambda za, az: gaussian(np.stack([np.sin(za) * np.cos(az), np.sin(za) * np.sin(az), np.cos(za)])),
     )
-    block.vis = visibilities(block)
+    block = replace(block, vis=visibilities(block))
     amounts = 0.1 * generator(2, "amounts").standard_normal((7, 3))
     amounts[3] = 0
     x = np.concatenate([amounts, np.zeros((7, 3))], axis=1)

@@ -33,7 +33,7 @@ def test_apparent_places_turn_alike() -> None:
     setup = small_setup()
     observation = setup.observation
     block = replace(small_block(setup), positions=ApparentPositions(setup.sky, observation))
-    block.vis = visibilities(block)
+    block = replace(block, vis=visibilities(block))
     effect = Timestamp()
     block.integrate_for([effect])
     later = replace(observation, times=observation.times + 30.0 / 86400)
@@ -48,7 +48,7 @@ def test_places_that_are_kept_are_not_mistaken_for_turned_ones() -> None:
     effect = Timestamp()
     block.integrate_for([effect])
     change = effect.added(block, np.array([60.0]))
-    block.places = {}
+    block = replace(block, places={})
     block.integrate_for([effect])
     assert len(block.places) == len(block.times)
     assert_same(effect.added(block, np.array([60.0])), change, block, rtol=1e-12)

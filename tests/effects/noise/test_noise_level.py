@@ -26,8 +26,8 @@ def row_blocks(*key: int | str) -> list[RowBlock]:
         block = small_block(EXPERIMENT, channel)
         sigma = 0.01 * np.abs(block.vis).max()
         rng = generator(1, "noise", channel, *key)
-        block.residual = sigma * complex_normal(rng, block.shape)
-        block.weights = np.where(rng.random(block.shape) < 0.1, 0.0, sigma**-2)
+        block.residual[:] = sigma * complex_normal(rng, block.shape)
+        block.weights[:] = np.where(rng.random(block.shape) < 0.1, 0.0, sigma**-2)
         made.append(block)
     return made
 
@@ -112,10 +112,10 @@ def test_what_the_beam_took_does_not_count_as_quiet() -> None:
     """Project the noise on what a fit of 300 complex columns leaves: s is 1, not sqrt(1 - 300/840)."""
     made = row_blocks()
     for block in made:
-        block.weights = np.full(block.shape, block.weights.max())
+        block.weights[:] = np.full(block.shape, block.weights.max())
         columns = complex_normal(generator(3, "columns", block.channel), (block.residual.size, 300))
         fitted = columns @ np.linalg.lstsq(columns, block.residual.reshape(-1))[0]
-        block.residual = block.residual - fitted.reshape(block.shape)
+        block.residual[:] = block.residual - fitted.reshape(block.shape)
     corrected = fit(made, taken=600.0)
     assert corrected.log_bayes_factor < 4
     assert np.abs(corrected.x[:, 0] - 1).max() < 0.1
@@ -160,7 +160,7 @@ def bursts(block: RowBlock, rng: np.random.Generator) -> np.ndarray:
 def test_residuals_that_are_not_noise_are_refused(what, word: str) -> None:
     made = row_blocks()
     for block in made:
-        block.residual = block.residual + what(block, generator(4, "error", block.channel))
+        block.residual[:] = block.residual + what(block, generator(4, "error", block.channel))
     found = fit(made)
     assert found.chi2_drop > 100
     assert found.log_bayes_factor <= 0

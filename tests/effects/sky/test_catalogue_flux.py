@@ -36,7 +36,7 @@ def test_scan_finds_the_source() -> None:
     setup = small_setup()
     block = small_block(setup)
     truth = CatalogueFlux().drawn(setup, generator(2, "pick"))
-    block.residual = truth.added(block, truth.draw(setup, generator(3, "draw"), 1.0))
+    block = replace(block, residual=truth.added(block, truth.draw(setup, generator(3, "draw"), 1.0)))
     effect = CatalogueFlux()
     projection, power = effect.scan(block)
     score = projection[:, 0] ** 2 / np.maximum(power[:, 0], 1e-9 * power.max())

@@ -77,14 +77,14 @@ def test_equals_a_sky_of_points(rule: type[RotatedPositions | ApparentPositions]
     """With a beam that ends smoothly at the horizon, which cuts between points; aberration moves them by 1e-4 rad."""
     setup = small_setup()
     block = small_block(setup, channel=1)
-    block.positions = rule(setup.sky, setup.observation)
+    block = replace(block, positions=rule(setup.sky, setup.observation))
     full = block.beam
-    block.beam = lambda za, az: full(za, az) * np.cos(za) ** 6
+    block = replace(block, beam=lambda za, az: full(za, az) * np.cos(za) ** 6)
     effect = Diffuse()
     x = effect.draw(setup, generator(4, "diffuse"), 1.0)
     sky = points_of(setup, x)
     some = replace(block, times=block.times[[1, 4]], setup=replace(setup, sky=sky))
-    some.positions = rule(sky, setup.observation)
+    some = replace(some, positions=rule(sky, setup.observation))
     expected = some.spread(some.integrate(lambda sources: sources.beam[np.newaxis])[..., 0])
     added = effect.added(block, x)[[1, 4]]
     np.testing.assert_allclose(added, expected, rtol=0, atol=rtol * np.abs(expected).max())

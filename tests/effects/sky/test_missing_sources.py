@@ -45,7 +45,7 @@ def test_equals_a_sky_with_the_source_in_it() -> None:
 def test_follows_the_rule_of_the_sky() -> None:
     setup = small_setup()
     block = small_block(setup)
-    block.positions = ApparentPositions(setup.sky, setup.observation)
+    block = replace(block, positions=ApparentPositions(setup.sky, setup.observation))
     effect = two_sources(setup)
     x = np.array([10.0, 0.1, 0.2, 0.0, 0, 0, 0, 0])
     ra, dec = effect._places(x.reshape(2, 4))
@@ -63,7 +63,7 @@ def found(setup: ObservingSetup, residual_of: MissingSources, x: FloatArray) -> 
     totals = [np.zeros((effect.n_hypotheses(setup), 1)) for _ in range(2)]
     for channel in range(setup.observation.Nfreqs):
         block = small_block(setup, channel)
-        block.residual = residual_of.added(block, x)
+        block = replace(block, residual=residual_of.added(block, x))
         for total, part in zip(totals, effect.scan(block), strict=True):
             total += part
     projection, power = totals

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -73,8 +74,8 @@ def test_strong_bursts_are_found_once_rows_far_out_count_less(comm: MPI.Comm, co
 def test_rows_count_the_less_the_further_off_they_are() -> None:
     """By the weights with which the maximum of a Student t likelihood is found, whose derivative they have."""
     block = small_block(small_setup(n_times=4))
-    block.residual = complex_normal(generator(1, "tails"), block.shape) * np.geomspace(1e-3, 1e3, 21)
-    block.weights = generator(2, "tails").uniform(0.5, 2, block.shape)
+    block = replace(block, residual=complex_normal(generator(1, "tails"), block.shape) * np.geomspace(1e-3, 1e3, 21))
+    block = replace(block, weights=generator(2, "tails").uniform(0.5, 2, block.shape))
     block.weights[2, 4] = 0.0
     factor = HeavyTails().weight_factor(block, np.zeros(0))
     u = np.abs(block.residual) ** 2 * block.weights

@@ -1,0 +1,127 @@
+"""The forward model of a rank's rows: their design, and the blocks that effects see of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.fit.accumulate import designs
+from hydrabeam_mpi.fit.kept import Kept
+from hydrabeam_mpi.fit.rows import Rows
+from hydrabeam_mpi.fit.state import Values
+from hydrabeam_mpi.model.rime import Beam, ForwardModel
+from hydrabeam_mpi.setup.problem import Problem
+
+KEPT_BYTES = 2_000_000_000
+"""The design is kept in memory if a rank's share is smaller than this, else computed anew each time."""
+
+
+@dataclass
+class RowModel:
+    """The forward model of some rows.
+
+    Attributes
+    ----------
+    problem : Problem
+        Of the rank group's channels.
+    setup : ObservingSetup
+        Of all channels.
+    rows : Rows
+        As read.
+    """
+
+    problem: Problem
+    setup: ObservingSetup
+    rows: Rows
+    _places: dict[int, tuple[IntArray, FloatArray, FloatArray]] = field(default_factory=dict)
+    _memo: dict[tuple[int, str], Any] = field(default_factory=dict)
+
+    @cached_property
+    def model(self) -> ForwardModel:
+        """The forward model of the rows' groups."""
+        return self.problem.forward_model(self.rows.groups)
+
+    @cached_property
+    def model_beam(self) -> ComplexArray:
+        """Visibilities of the model beam with nothing fitted, (Nlocal, Ntimes, Ngroups)."""
+        return self.model.visibilities(self.problem.beams, self.rows.tile.times)
+
+    @property
+    def keeps_designs(self) -> bool:
+        """Whether there is room to keep the design rows."""
+        n_rows = len(self.rows.groups) * len(self.rows.tile.times) * len(self.rows.data)
+        # Those of the sky as it is, and as it is with effects.
+        return 2 * n_rows * self.problem.basis.n_modes * 16 <= KEPT_BYTES
+
+    @cached_property
+    def _plain(self) -> Kept[NDArray[Any]]:
+        return Kept(self.keeps_designs)
+
+    @cached_property
+    def _changed(self) -> Kept[NDArray[Any]]:
+        return Kept(self.keeps_designs)
+
+    def designs(self, values: Values, show: bool = False) -> Iterator[NDArray[Any]]:
+        """Yield the design of each time, (Nfreqs, ..., Ngroups, n_modes), as the function `designs` does.
+
+        Effects that change the sky are part of them.
+        """
+
+        def plain() -> Iterator[NDArray[Any]]:
+            return designs(self.rows, self.model, self.problem.basis, "design matrix", show)
+
+        of_sky = self._plain.of(None, plain)
+        key = b"".join(one.x.tobytes() for one in values.active if one.effect.changes_sky)
+        if not key:
+            return of_sky
+        return self._changed.of(key, lambda: map(np.add, of_sky, self._changes(values)))
+
+    def _changes(self, values: Values) -> Iterator[NDArray[Any]]:
+        """Yield what effects change of the design rows: of sources whose flux they change, and of further ones."""
+        basis, engine = self.problem.basis, self.model.engine
+        for t, time in enumerate(self.rows.tile.times.tolist()):
+            by_channel = []
+            for channel in range(len(self.rows.data)):
+                block = self.block(channel, slice(t, t + 1), _no_beam, values)
+                sources = block.sources(time)
+                change = sources.flux_without() - sources.flux
+                changed = np.flatnonzero(change)
+                sky = [(sources.za[changed], sources.az[changed], change[changed])]
+                sky += [more for one, x in block.sky_effects if (more := one.extra_sky(block, time, x)) is not None]
+                za, az, flux = (np.concatenate(parts) for parts in zip(*sky, strict=True))
+                by_channel.append(engine.design(basis, za, az, flux[np.newaxis], np.array([block.freq]))[0])
+            mixed = basis.mix(np.array(by_channel))
+            yield mixed[:, 0] + 1j * mixed[:, 1] if basis.is_complex else mixed
+
+    def block(self, channel: int, span: slice, beam: Beam, values: Values, **data: Any) -> RowBlock:
+        """Return the block of some of the rank's times; ``data`` are fields of `RowBlock` about its rows."""
+        number = int(self.problem.channel_numbers[channel])
+        room = self.setup.sky.Nsrc * len(self.rows.tile.times) * 24 <= KEPT_BYTES / 4
+        return RowBlock(
+            setup=self.setup,
+            channel=number,
+            times=self.rows.tile.times[span],
+            bls=self.rows.tile.bls,
+            groups=self.rows.groups,
+            member=self.rows.member,
+            positions=self.model.positions,
+            beam=beam,
+            engine_kind=self.problem.job.solver.engine,
+            places=self._places if room else None,
+            sky_effects=[(one.effect, one.x[number]) for one in values.active if one.effect.changes_sky],
+            memo=self._memo if self.keeps_designs else None,
+            **data,
+        )
+
+
+def _no_beam(za: FloatArray, az: FloatArray) -> FloatArray:
+    """Stand in for a beam that nobody asks for."""
+    return np.zeros(len(za))
