@@ -85,7 +85,7 @@ class Kind:
     Attributes
     ----------
     name : str
-        As in the loop's records, for effects that it knows.
+        Of the case.
     apply : callable
         (truth, rng, strength) -> Drawn; changes the truth.
     weakest, strongest : float
@@ -94,6 +94,8 @@ class Kind:
         Of the strength.
     plan : Plan
         What it needs of the setting.
+    effect : str
+        As in the loop's records, for effects that it knows; where it is not the name.
     """
 
     name: str
@@ -102,6 +104,12 @@ class Kind:
     strongest: float
     unit: str
     plan: Plan = field(default_factory=Plan)
+    effect: str = ""
+
+    @property
+    def is_called(self) -> str:
+        """What the loop should say."""
+        return self.effect or self.name
 
 
 def some_antennas(truth: Truth, rng: np.random.Generator, counts: Sequence[int] | None = None) -> list[int]:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from tests.validation.undeclared import (
+    absorbed,
     beam_errors,
     conventions,
     coupling,
+    faults,
     gains,
     geometry,
     noise,
     polarisation,
     skies,
+    strange,
     unknown,
 )
 from tests.validation.undeclared.answer import Kind
@@ -20,6 +25,11 @@ BAND = Plan(n_freqs=8)
 FINE = Plan(n_times=40, cadence=180.0)
 WIDE = Plan(wide=True)
 CLOSE = Plan(spacing=4.0)
+FEW = Plan(rows=(2, 3, 2), cadence=300.0)
+SHORT = Plan(rows=(2, 3, 2), cadence=150.0)
+SMALL = Plan(rows=(2, 3, 2), cadence=300.0, spacing=4.0)
+BANDS = Plan(rows=(2, 3, 2), cadence=150.0, n_freqs=4, bandwidth=30e6)
+SELF = Plan(radiometer=True)
 
 EFFECTS = {
     kind.name: kind
@@ -47,6 +57,29 @@ EFFECTS = {
 }
 """Effects that the loop knows."""
 
+STRONG = {
+    kind.name: kind
+    for kind in (
+        Kind("flux_at_transit", absorbed.flux_at_transit, 0.05, 0.5, "", FEW, "catalogue_flux"),
+        Kind("clock_of_few", geometry.timestamp, 3.0, 30.0, "s", SHORT, "timestamp"),
+        Kind("walking_refraction", absorbed.walking_refraction, 0.3, 5.0, "arcmin", BANDS, "ionosphere"),
+        Kind("diffuse_of_few", skies.diffuse, 0.5, 20.0, "kJy/sr", SMALL, "diffuse"),
+        Kind("one_gain", partial(gains.antenna_gains, counts=(1,)), 3e-3, 0.3, "", effect="antenna_gains"),
+        Kind("two_couplings", partial(coupling.cross_coupling, counts=(2,)), 0.3, 10.0, "Jy", effect="cross_coupling"),
+    )
+}
+"""Effects that it knows, strong, of a single thing, or such that a beam can take up most of them."""
+
+FAULTS = {
+    kind.name: kind
+    for kind in (
+        Kind("wrong_scale", faults.wrong_scale, 1e-4, 0.2, "", SELF),
+        Kind("dead_antennas", faults.dead_antennas, 1.0, 1.0, "", SELF),
+        Kind("bad_integrations", faults.bad_integrations, 3.0, 300.0, "sigma"),
+    )
+}
+"""Data that are not to be fitted as they are."""
+
 CONVENTIONS = {
     f"convention: {name}": Kind(f"convention: {name}", apply, 1.0, 1.0, "")
     for name, apply in {
@@ -70,11 +103,21 @@ UNKNOWN = {
         Kind("wandering_source", unknown.wandering_source, 0.3, 30.0, "arcmin", BAND),
         Kind("gain_jump", unknown.gain_jump, 0.003, 0.3, ""),
         Kind("correlated_noise", unknown.correlated_noise, 0.5, 30.0, "sigma"),
+        Kind("compression", strange.compression, 0.003, 0.1, ""),
+        Kind("ambient_temperature", strange.ambient_temperature, 0.003, 0.1, ""),
+        Kind("turning_antenna", strange.turning_antenna, 0.003, 0.2, ""),
+        Kind("jitter", strange.jitter, 0.01, 0.3, ""),
+        Kind("board_stops_wrong_fringes", strange.board_stops_wrong_fringes, 0.003, 1.0, ""),
+        Kind("board_drops_packets", strange.board_drops_packets, 0.01, 0.5, ""),
+        Kind("polarised_source", strange.polarised_source, 0.01, 0.5, ""),
+        Kind("cables_swapped", strange.cables_swapped, 1.0, 1.0, ""),
+        Kind("wandering_oscillator", strange.wandering_oscillator, 0.1, 10.0, "Jy", FINE),
+        Kind("water_vapour", strange.water_vapour, 0.003, 0.3, ""),
     )
 }
 """Effects that it does not know."""
 
-ALL = EFFECTS | CONVENTIONS | UNKNOWN
+ALL = EFFECTS | STRONG | FAULTS | CONVENTIONS | UNKNOWN
 
 PAIRS = (
     ("antenna_gains", "missing_sources"),
@@ -91,8 +134,29 @@ PAIRS = (
     ("mutual_coupling", "antenna_gains"),
     ("ionosphere", "antenna_gains"),
     ("basis_truncation", "antenna_gains"),
+    ("flux_at_transit", "one_gain"),
+    ("two_couplings", "missing_sources"),
+    ("clock_of_few", "one_gain"),
+    ("clock_of_few", "missing_sources"),
+    ("flux_at_transit", "two_couplings"),
+    ("walking_refraction", "one_gain"),
+    ("one_gain", "missing_sources"),
+    ("diffuse_of_few", "two_couplings"),
+    ("wrong_scale", "one_gain"),
+    ("dead_antennas", "missing_sources"),
+    ("bad_integrations", "one_gain"),
 )
 """Effects that are drawn together."""
+
+TRIPLES = (
+    ("one_gain", "two_couplings", "missing_sources"),
+    ("clock_of_few", "one_gain", "missing_sources"),
+    ("flux_at_transit", "antenna_positions", "two_couplings"),
+    ("wrong_scale", "one_gain", "missing_sources"),
+    ("antenna_positions", "missing_sources", "outliers"),
+    ("bad_integrations", "two_couplings", "one_gain"),
+)
+"""And three at once."""
 
 
 def merged(plans: list[Plan]) -> Plan:

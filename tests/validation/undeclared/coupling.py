@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from astropy.constants import c as speed_of_light
 
@@ -10,15 +12,17 @@ from tests.validation.undeclared.setting import SPACING
 from tests.validation.undeclared.truth import ComplexArray, Truth
 
 
-def some_baselines(truth: Truth, rng: np.random.Generator) -> list[int]:
-    """Draw indices of baselines: one, six or all."""
+def some_baselines(truth: Truth, rng: np.random.Generator, counts: Sequence[int] | None = None) -> list[int]:
+    """Draw indices of baselines: one, six or all, or as many as one of ``counts``."""
     n = len(truth.setting.antpairs)
-    return sorted(rng.choice(n, int(rng.choice([1, 6, n])), replace=False).tolist())
+    return sorted(rng.choice(n, int(rng.choice(counts if counts is not None else [1, 6, n])), replace=False).tolist())
 
 
-def cross_coupling(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
+def cross_coupling(
+    truth: Truth, rng: np.random.Generator, strength: float, counts: Sequence[int] | None = None
+) -> Drawn:
     """Something that does not change with time is added to one, six or all baselines, ``strength`` Jy."""
-    chosen = some_baselines(truth, rng)
+    chosen = some_baselines(truth, rng, counts)
     values = strength * (rng.standard_normal(len(chosen)) + 1j * rng.standard_normal(len(chosen))) / np.sqrt(2)
     one, two = truth.setting.antpairs[chosen].T
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from pyradiosky import SkyModel
 from pyuvdata import Telescope, UVData
 
 from tests.validation.undeclared.beams import REFERENCE_FREQ, write_beamfits
-from tests.validation.undeclared.setting import LOCATION, Catalogue, Setting
+from tests.validation.undeclared.setting import LOCATION, Catalogue, FloatArray, Setting
 from tests.validation.undeclared.truth import ComplexArray
 
 CHANNEL_WIDTH, INTEGRATION = 1e5, 10.0
@@ -28,8 +29,7 @@ files = ["data.uvh5"]
 polarization = "{pol}"
 
 [noise]
-kind = "constant"
-sigma = "{sigma:.17g} Jy"
+{noise}
 
 [holdout]
 kind = "times"
@@ -45,12 +45,12 @@ source = "beam.beamfits"
 
 [basis]
 kind = "fourier-bessel"
-form = "real"
+form = "{form}"
 n_modes = {n_modes}
 k_max = {k_max}
 m_max = {m_max}
-edge = "90 deg"
-boundary = "neumann"
+edge = "{edge:g} deg"
+boundary = "{boundary}"
 
 [prior]
 kind = "fraction"
@@ -63,7 +63,7 @@ draws = 0
 
 
 def write_all(
-    folder: Path, setting: Setting, sigma: float, data: dict[str, ComplexArray], autos: ComplexArray, seed: int
+    folder: Path, setting: Setting, sigma: float, data: dict[str, ComplexArray], autos: FloatArray, seed: int
 ) -> None:
     """Write data.uvh5, catalogue.skyh5, beam.beamfits and job.toml.
 
@@ -85,12 +85,14 @@ def write_all(
         write_visibilities(folder / "data.uvh5", setting, data, autos)
         write_catalogue(folder / "catalogue.skyh5", setting.catalogue)
         write_beamfits(folder / "beam.beamfits", setting.model_shape, setting.freqs)
-    orders = {"k_max": setting.k_max, "m_max": setting.m_max, "n_modes": setting.k_max * (2 * setting.m_max + 1)}
-    job = JOB.format(seed=seed, pol=next(iter(data)), sigma=sigma, **orders)
+    constant = f'kind = "constant"\nsigma = "{sigma:.17g} Jy"'
+    noise = 'kind = "autocorrelations"' if setting.radiometer else constant
+    basis = asdict(setting.basis) | {"n_modes": setting.basis.n_modes}
+    job = JOB.format(seed=seed, pol=next(iter(data)), noise=noise, **basis)
     (folder / "job.toml").write_text(job)
 
 
-def write_visibilities(path: Path, setting: Setting, data: dict[str, ComplexArray], autos: ComplexArray) -> None:
+def write_visibilities(path: Path, setting: Setting, data: dict[str, ComplexArray], autos: FloatArray) -> None:
     """Write a uvh5 file with cross- and autocorrelations, time by time."""
     up, east, north = _axes()
     antpos = setting.antpos @ np.stack([east, north, up])
@@ -110,7 +112,7 @@ def write_visibilities(path: Path, setting: Setting, data: dict[str, ComplexArra
 
     def rows(pol: str) -> NDArray[Any]:
         """Return (Ntimes x Nbls, Nfreqs) of one polarisation; cross-hand autocorrelations are left at zero."""
-        own = autos.real if pol in ("ee", "nn") else np.zeros_like(autos)
+        own = autos if pol in ("ee", "nn") else np.zeros_like(autos)
         values = np.concatenate([data[pol], own], axis=2)
         return values.transpose(1, 2, 0).reshape(-1, len(setting.freqs))
 

@@ -6,6 +6,8 @@ wave reaches the second antenna b.s/c before the first.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from tests.validation.undeclared.answer import Drawn, Parameter, Where, antenna, numbers, some_antennas
@@ -21,9 +23,11 @@ def multiplied(gains: ComplexArray) -> Corruption:
     return corruption
 
 
-def antenna_gains(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
+def antenna_gains(
+    truth: Truth, rng: np.random.Generator, strength: float, counts: Sequence[int] | None = None
+) -> Drawn:
     """Amplitudes and phases of one, three or all antennas are off by ``strength``, the same in every channel."""
-    chosen = some_antennas(truth, rng)
+    chosen = some_antennas(truth, rng, counts)
     logs = np.zeros(truth.setting.n_ants, dtype=complex)
     logs[chosen] = strength * (rng.standard_normal(len(chosen)) + 1j * rng.standard_normal(len(chosen)))
     truth.corruptions.append(multiplied(np.exp(logs)[np.newaxis, np.newaxis]))

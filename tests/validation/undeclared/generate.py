@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from tests.validation.undeclared.answer import Drawn, Kind
+from tests.validation.undeclared.basis import BASES
 from tests.validation.undeclared.beams import drawn_shape
 from tests.validation.undeclared.cases import ALL, EFFECTS, merged
 from tests.validation.undeclared.detect import chi2_beyond_beam, shows
-from tests.validation.undeclared.files import write_all
+from tests.validation.undeclared.files import CHANNEL_WIDTH, INTEGRATION, write_all
 from tests.validation.undeclared.polarisation import polarised
 from tests.validation.undeclared.setting import Setting, draw_setting
 from tests.validation.undeclared.simulator import correlations, corrupted, on_baselines
@@ -40,22 +41,22 @@ class Made:
     effects: list[tuple[Kind, float, Drawn]]
 
 
-def make(seed: int, kinds: list[Kind], present: list[Kind]) -> Made:
+def make(seed: int, kinds: list[Kind], present: list[Kind], basis: str = "study") -> Made:
     """Draw an experiment that serves ``kinds``, with those that are ``present`` in it."""
-    setting = draw_setting(stream(seed, "setting"), merged([kind.plan for kind in kinds]))
+    setting = draw_setting(stream(seed, "setting"), merged([kind.plan for kind in kinds]), BASES[basis])
     truth = Truth.of(setting, drawn_shape(stream(seed, "beam"), setting.model_shape))
     effects = []
     # What receivers and cables do comes after all else, and multiplies that, too.
-    for kind in sorted(present, key=lambda one: one.name in RECEIVERS):
+    for kind in sorted(present, key=lambda one: one.is_called in RECEIVERS):
         rng = stream(seed, kind.name)
-        # Two at once are drawn strong enough to be seen, mostly.
+        # Several at once are drawn strong enough to be seen, mostly.
         low, high = np.log(kind.weakest), np.log(kind.strongest)
         strength = float(np.exp(rng.uniform(low if len(kinds) == 1 else 0.5 * (low + high), high)))
         effects.append((kind, strength, kind.apply(truth, rng, strength)))
     return Made(truth, sorted(effects, key=lambda one: present.index(one[0])))
 
 
-def generate(seed: int, folder: Path, case: str | None = None) -> None:
+def generate(seed: int, folder: Path, case: str | None = None, basis: str = "study") -> None:
     """Write data, catalogue, beam and job to ``folder/given``, and what is wrong to ``folder/sealed/answer.json``.
 
     Parameters
@@ -63,29 +64,43 @@ def generate(seed: int, folder: Path, case: str | None = None) -> None:
     seed : int
     folder : Path
     case : str, optional
-        "null", a name of `cases.ALL`, or two with "+" between them; drawn from the effects that the loop knows where
+        "null", a name of `cases.ALL`, or some with "+" between them; drawn from the effects that the loop knows where
         it is not given.
+    basis : str, optional
+        One of `basis.BASES`.
     """
     if case is None:
         case = str(stream(seed, "case").choice(list(EFFECTS)))
     kinds = [] if case == "null" else [ALL[name] for name in case.split("+")]
-    clean = make(seed, kinds, []).truth
+    clean = make(seed, kinds, [], basis).truth
     setting = clean.setting
     reference = correlations(clean)
     sigma = _noise_level(setting, on_baselines(clean, reference))
-    made = make(seed, kinds, kinds)
+    made = make(seed, kinds, kinds, basis)
     measured = reference if not kinds else corrupted(made.truth)
     by_pol = {pol: on_baselines(clean, vis) for pol, vis in polarised(made.truth, measured).items()}
     data = {pol: _filed(made.truth, vis, sigma, stream(seed, f"noise {pol}")) for pol, vis in by_pol.items()}
-    autos = np.einsum("ftjj->ftj", measured)
+    autos = np.einsum("ftjj->ftj", measured).real
+    if setting.radiometer:
+        autos = np.full_like(autos, sigma * np.sqrt(CHANNEL_WIDTH * INTEGRATION))
+    for change in made.truth.filed_autos:
+        autos = change(autos)
     write_all(folder / GIVEN, setting, sigma, data, autos, seed)
+    # What is alone has been simulated already.
+    alone = [made.truth] if len(kinds) == 1 else [make(seed, kinds, [kind], basis).truth for kind in kinds]
+    changed = [measured] if len(kinds) == 1 else [corrupted(truth) for truth in alone]
+    effects = [
+        _told(one, *_visible(truth, vis, reference, sigma, seed))
+        for one, truth, vis in zip(made.effects, alone, changed, strict=True)
+    ]
     answer = {
         "case": case,
         "seed": seed,
+        "basis": basis,
         "sigma": sigma,
         "times": setting.times.tolist(),
         "freqs": setting.freqs.tolist(),
-        "effects": [_told(seed, kinds, one, reference, sigma) for one in made.effects],
+        "effects": effects,
     }
     (folder / SEALED).mkdir(parents=True, exist_ok=True)
     (folder / SEALED / "answer.json").write_text(json.dumps(answer, indent=1) + "\n")
@@ -109,16 +124,12 @@ def _filed(truth: Truth, vis: ComplexArray, sigma: float, rng: np.random.Generat
     return data
 
 
-def _told(
-    seed: int, kinds: list[Kind], effect: tuple[Kind, float, Drawn], reference: ComplexArray, sigma: float
-) -> dict[str, Any]:
+def _told(effect: tuple[Kind, float, Drawn], total: float, left: float) -> dict[str, Any]:
     """Describe one effect, and whether the data show it when it is alone."""
     kind, strength, drawn = effect
-    alone = make(seed, kinds, [kind]).truth
-    total, left = _visible(alone, reference, sigma, seed)
     return {
-        "kind": kind.name,
-        "known": kind.name in EFFECTS,
+        "kind": kind.is_called,
+        "known": kind.is_called in EFFECTS,
         "strength": strength,
         "strength_unit": kind.unit,
         "parameters": [asdict(parameter) for parameter in drawn.parameters],
@@ -131,8 +142,8 @@ def _told(
     }
 
 
-def _visible(truth: Truth, reference: ComplexArray, sigma: float, seed: int) -> tuple[float, float]:
-    """Return chi^2 of what an effect changes, and of what no beam absorbs of it.
+def _visible(truth: Truth, vis: ComplexArray, reference: ComplexArray, sigma: float, seed: int) -> tuple[float, float]:
+    """Return chi^2 of what an effect changes of the ``reference``, and of what no beam absorbs of it.
 
     Of noise it is twice the expected logarithm of the likelihood ratio.
     """
@@ -140,7 +151,6 @@ def _visible(truth: Truth, reference: ComplexArray, sigma: float, seed: int) -> 
     if truth.noise:
         excess = _noise_ratio(truth, stream(seed, "noise ee"))
         return excess, excess
-    vis = corrupted(truth) if truth.leakage is None else reference
     pols = polarised(truth, vis)
     before = {"ee": reference, "nn": reference, "en": 0 * reference, "ne": 0 * reference}
     total = left = 0.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -23,9 +23,17 @@ NOT_FOUND = 99.0
 
 @dataclass(frozen=True)
 class Comparison:
-    """Deviations in standard deviations, after combinations that no data tell are taken out."""
+    """Deviations in standard deviations, after combinations that no data tell are taken out.
+
+    Attributes
+    ----------
+    z : ndarray
+    of : list of (str, str)
+        Thing and quantity of each.
+    """
 
     z: FloatArray
+    of: list[tuple[str, str]] = field(default_factory=list)
 
     @property
     def within(self) -> int:
@@ -60,7 +68,7 @@ def compare(effect: dict[str, Any], found_round: dict[str, Any], answer: dict[st
     found = READERS.get(kind, read_plain)(found_round["parameters"], truth, answer)
     keys = [key for key in truth if key in found]
     if _lacks(kind, keys, truth):
-        return Comparison(np.array([NOT_FOUND]))
+        return Comparison(np.array([NOT_FOUND]), [("nothing", kind)])
     if not keys:
         return Comparison(np.zeros(0))
     value, std = np.array([found[key] for key in keys]).T
@@ -73,7 +81,7 @@ def compare(effect: dict[str, Any], found_round: dict[str, Any], answer: dict[st
         if 2 * np.count_nonzero(sign) > sum(quantity in signs for _, quantity in truth):
             weight = sign / std**2
             difference -= sign * (weight @ difference) / (weight @ sign)
-    return Comparison(difference / std)
+    return Comparison(difference / std, keys)
 
 
 def _lacks(kind: str, keys: list[tuple[str, str]], truth: dict[tuple[str, str], float]) -> bool:

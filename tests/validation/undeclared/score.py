@@ -6,27 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from tests.validation.undeclared.cases import CONVENTIONS, EFFECTS, UNKNOWN
-from tests.validation.undeclared.match import Comparison, compare
+from tests.validation.undeclared.cases import CONVENTIONS, EFFECTS, FAULTS, UNKNOWN
+from tests.validation.undeclared.claims import CONVENTION_NAMES, EQUIVALENT, kept, not_so, same
+from tests.validation.undeclared.faults_told import faults_not_so, names_fault
+from tests.validation.undeclared.match import SIGMAS, Comparison, compare
 
 LARGEST_CHI2 = 1.1
-
-EQUIVALENT = {
-    ("auto_coupling", "cross_coupling"): "an autocorrelation that hardly changes with time is a constant",
-    ("cross_coupling", "auto_coupling"): "an autocorrelation that hardly changes with time is a constant",
-    ("convention: times in TAI", "timestamp"): "a clock that is wrong by a number of seconds is a timestamp offset",
-}
-"""(what is so, what may be said instead): physically the same, so that either name is right."""
-
-CONVENTION_NAMES = {
-    "conjugated": "conjugated",
-    "halved": "factor 1/2",
-    "doubled": "factor 2",
-    "north and east exchanged": "north and east swapped",
-    "times in TAI": "times in TAI",
-    "antennas sorted by name": "positions sorted by name, antennas not",
-}
-"""What the loop calls the mistakes of `conventions`."""
 
 
 def score(answer: dict[str, Any], loop: dict[str, Any]) -> dict[str, Any]:
@@ -42,68 +27,98 @@ def score(answer: dict[str, Any], loop: dict[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        "class" ("null", "single", "pair", "unknown" or "convention"); "first", what the loop names first, or "none";
+        "class" (`class_of`); "first", what the loop names first and does not revoke, or "none";
         "named": "right", "equivalent" (`EQUIVALENT`), "indistinguishable" (the loop says that it may as well be the
         right one), "wrong" or "none"; "detectable"; "z", deviations of parameters in sigma; "parameters_hold";
-        "heldout_holds"; for pairs "both", and "both_or_indistinguishable", where the loop says of a name that it may
-        as well be the right one; for unknown effects "kept_unknown" and "where_right"; for null draws
-        "false_alarm".
+        "heldout_holds"; "not_so", all that is claimed and is not so; "revoked", rounds that a later one took back, and
+        "revoked_so", whether they were right; "at_noise" (`at_noise`); for pairs and triples "both", all are named, and
+        "both_or_indistinguishable", where the loop says of a name that it may as well be the right one; for unknown
+        effects "kept_unknown" and "where_right"; for null draws "false_alarm".
     """
     effects = answer["effects"]
-    found = [one["effect"] for one in loop["rounds"]]
+    rounds = kept(loop)
+    revoked = [one for one in loop["rounds"] if one not in rounds]
+    found = [one["effect"] for one in rounds]
     convention = loop.get("conventions", {}).get("found")
-    first = f"convention: {convention}" if convention else (found[0] if found else "none")
+    health = [f"health: {one['what']}" for one in loop.get("health") or []]
+    first = next(iter([f"convention: {convention}"] if convention else [*found, *health]), "none")
     told: dict[str, Any] = {
         "case": answer["case"],
         "seed": answer["seed"],
         "class": class_of(answer["case"]),
         "strength": [effect["strength"] for effect in effects],
         "chi2_left": [effect["chi2_left"] for effect in effects],
+        "absorbed": [1 - effect["chi2_left"] / effect["chi2_total"] for effect in effects],
         "detectable": all(effect["detectable"] or _is_mistake(effect) for effect in effects),
+        "basis": answer.get("basis", "study"),
         "first": first,
         "found": found,
         "verdict": loop["verdict"],
         "error_before": loop["error_before"],
         "error_after": loop["error_after"],
         "heldout_holds": bool(loop["error_after"] <= LARGEST_CHI2),
+        "not_so": not_so(answer, loop) + faults_not_so(answer, loop),
+        "revoked": [one["effect"] for one in revoked],
+        "revoked_so": [any(same(effect["kind"], one["effect"]) for effect in effects) for one in revoked],
+        "at_noise": at_noise(loop),
     }
+    return told | _judged(told, answer, loop)
+
+
+def _judged(told: dict[str, Any], answer: dict[str, Any], loop: dict[str, Any]) -> dict[str, Any]:
+    """Return what is judged of draws of one class alone."""
+    effects, rounds = answer["effects"], kept(loop)
     if not effects:
-        return told | {"false_alarm": bool(found or convention or loop["verdict"] != "consistent")}
+        return {"false_alarm": bool(told["not_so"] or loop["verdict"] != "consistent")}
     if told["class"] == "unknown":
         where_right = is_where(effects[0]["where"], loop.get("where"), answer)
-        kept = loop["verdict"] == "unexplained"
-        return told | {"kept_unknown": kept, "where_right": where_right}
+        # What carries it may also be left out of the data, if nothing else is.
+        left_out = bool(loop.get("health")) and not told["not_so"]
+        return {
+            "kept_unknown": left_out or loop["verdict"] == "unexplained",
+            "where_right": left_out or where_right,
+        }
     if told["class"] == "convention":
-        return told | {"named": _named_convention(effects[0]["kind"], first, loop["verdict"])}
-    if told["class"] == "pair":
-        wanted = {effect["kind"] for effect in effects}
-        told["both"] = all(any(_same(kind, name) for name in found) for kind in wanted)
-        allowed = {*found, *(other for one in loop["rounds"] for other in one["indistinguishable_from"])}
-        told["both_or_indistinguishable"] = all(any(_same(kind, name) for name in allowed) for kind in wanted)
-    told["named"] = _named(effects, loop["rounds"])
-    comparisons = _comparisons(effects, loop["rounds"], answer)
-    told["z"] = [float(z) for one in comparisons for z in one.z]
+        return {"named": _named_convention(effects[0]["kind"], told["first"], loop["verdict"])}
+    faults = {effect["kind"] for effect in effects if effect["kind"] in FAULTS and names_fault(effect, loop, answer)}
+    out: dict[str, Any] = {"named": "right" if faults else _named(effects, rounds)}
+    if told["class"] in ("pair", "triple"):
+        allowed = {*told["found"], *(other for one in rounds for other in one["indistinguishable_from"])}
+        for key, names in (("both", told["found"]), ("both_or_indistinguishable", allowed)):
+            wanted = {effect["kind"] for effect in effects} - faults
+            out[key] = all(any(same(kind, name) for name in names) for kind in wanted)
+    comparisons = _comparisons(effects, rounds, answer)
     holds = [one.holds for one in comparisons if one.holds is not None]
-    told["parameters_hold"] = all(holds) if holds else None
-    return told
+    out["z"] = [float(z) for one in comparisons for z in one.z]
+    return out | {"parameters_hold": all(holds) if holds else None}
 
 
 def _is_mistake(effect: dict[str, Any]) -> bool:
-    """Tell whether an effect is a convention that is not kept; numbers may be in the order of their names already."""
-    return effect["kind"] in CONVENTIONS and effect["about"].get("antennas that moved") != 0
+    """Tell whether an effect is a mistake of the file; antennas may be in the order of their names already."""
+    if effect["kind"] in CONVENTIONS:
+        return bool(effect["about"].get("antennas that moved") != 0)
+    # A beam of another size takes up the scale of all data, but none has that size.
+    return bool(effect["kind"] == "wrong_scale")
 
 
 def class_of(case: str) -> str:
-    """Return what sort of draw a case is."""
-    if case == "null":
-        return "null"
+    """Return what sort of draw a case is: "null", "single", "fault", "convention", "unknown", "pair" or "triple"."""
     if "+" in case:
-        return "pair"
-    return "unknown" if case in UNKNOWN else "convention" if case in CONVENTIONS else "single"
+        return "pair" if case.count("+") == 1 else "triple"
+    sorts = {"fault": FAULTS, "convention": CONVENTIONS, "unknown": UNKNOWN}
+    return next((sort for sort, cases in sorts.items() if case in cases), "null" if case == "null" else "single")
 
 
-def _same(kind: str, name: str) -> bool:
-    return kind == name or (kind, name) in EQUIVALENT
+def at_noise(loop: dict[str, Any]) -> bool | None:
+    """Tell whether the rms of the held-out residuals is what noise and beam give, within three standard errors.
+
+    None where the loop does not say that all is explained, or how large it should be.
+    """
+    expected = loop.get("rms_expected")
+    if loop["verdict"] not in ("explained", "consistent") or not expected:
+        return None
+    error = expected / (2 * np.sqrt(loop["heldout_n"]))
+    return bool(abs(loop["rms_after"] - expected) <= SIGMAS * error)
 
 
 def _named(effects: list[dict[str, Any]], rounds: list[dict[str, Any]]) -> str:
@@ -114,7 +129,7 @@ def _named(effects: list[dict[str, Any]], rounds: list[dict[str, Any]]) -> str:
     first = rounds[0]
     if first["effect"] in kinds:
         return "right"
-    if any(_same(kind, first["effect"]) for kind in kinds):
+    if any(same(kind, first["effect"]) for kind in kinds):
         return "equivalent"
     return "indistinguishable" if set(kinds) & set(first["indistinguishable_from"]) else "wrong"
 

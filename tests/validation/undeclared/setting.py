@@ -11,6 +11,7 @@ from astropy.coordinates import AltAz, EarthLocation, SkyCoord
 from astropy.time import Time
 from numpy.typing import NDArray
 
+from tests.validation.undeclared.basis import BASES, Basis
 from tests.validation.undeclared.beams import REFERENCE_FREQ, Shape
 
 FloatArray = NDArray[np.float64]
@@ -61,8 +62,10 @@ class Setting:
         The job's beam.
     snr : float
         Root mean square of the visibilities over the noise.
-    k_max, m_max : int
-        Orders of the job's basis.
+    basis : Basis
+        The job's.
+    radiometer : bool
+        Whether the job takes the noise from the autocorrelations.
     """
 
     antpos: FloatArray
@@ -73,8 +76,8 @@ class Setting:
     catalogue: Catalogue
     model_shape: Shape
     snr: float
-    k_max: int = 12
-    m_max: int = 4
+    basis: Basis = BASES["study"]
+    radiometer: bool = False
 
     @property
     def n_ants(self) -> int:
@@ -116,6 +119,10 @@ class Plan:
         In the catalogue.
     spacing : float
         Metres between neighbours.
+    rows : tuple of int
+        Antennas in each row of the hexagon.
+    radiometer : bool
+        Whether the job takes the noise from the autocorrelations.
     """
 
     n_freqs: int = 1
@@ -125,9 +132,11 @@ class Plan:
     bandwidth: float = 16e6
     n_sources: int = 300
     spacing: float = SPACING
+    rows: tuple[int, ...] = (3, 4, 5, 4, 3)
+    radiometer: bool = False
 
 
-def hexagon(spacing: float, rows: tuple[int, ...] = (3, 4, 5, 4, 3)) -> FloatArray:
+def hexagon(spacing: float, rows: tuple[int, ...]) -> FloatArray:
     """Lay out a hexagon, metres ENU."""
     return np.array(
         [
@@ -138,9 +147,9 @@ def hexagon(spacing: float, rows: tuple[int, ...] = (3, 4, 5, 4, 3)) -> FloatArr
     )
 
 
-def draw_setting(rng: np.random.Generator, plan: Plan) -> Setting:
+def draw_setting(rng: np.random.Generator, plan: Plan, basis: Basis = BASES["study"]) -> Setting:
     """Draw an experiment."""
-    antpos = hexagon(plan.spacing)
+    antpos = hexagon(plan.spacing, plan.rows)
     numbers = np.sort(rng.choice(100, len(antpos), replace=False))
     one, two = np.triu_indices(len(antpos), 1)
     # Half of the baselines are stored the other way round, as files have them.
@@ -159,6 +168,8 @@ def draw_setting(rng: np.random.Generator, plan: Plan) -> Setting:
         catalogue=draw_catalogue(rng, plan.n_sources),
         model_shape=Shape(width=(width, width), pedestal=0.02, breadth=0.5),
         snr=float(np.exp(rng.uniform(np.log(50), np.log(300)))),
+        basis=basis,
+        radiometer=plan.radiometer,
     )
 
 

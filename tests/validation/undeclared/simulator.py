@@ -24,12 +24,10 @@ def correlations(truth: Truth) -> ComplexArray:
     out = np.zeros((n_freqs, n_times, setting.n_ants, setting.n_ants), dtype=complex)
     for f in range(n_freqs):
         for t in range(n_times):
-            catalogue, shapes = truth.catalogue, truth.shapes
+            catalogue = truth.catalogue
             for change in truth.sky_of:
                 catalogue = change(f, t, catalogue)
-            if truth.shape_of is not None:
-                shapes = [truth.shape_of(f, t, shape) for shape in shapes]
-            out[f, t] = _observe(truth, catalogue, shapes, f, times[t : t + 1])[0]
+            out[f, t] = _observe(truth, catalogue, truth.shapes_at(f, t), f, times[t : t + 1])[0]
     return out
 
 

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from astropy.constants import c as speed_of_light
 from mpi4py import MPI
+from pyuvdata import UVData
 
 from hydrabeam_mpi.commands.infer import infer
 from hydrabeam_mpi.config import load_job
-from tests.validation.undeclared import skies
+from tests.validation.undeclared import skies, strange
 from tests.validation.undeclared.answer import Kind
 from tests.validation.undeclared.beams import drawn_shape
 from tests.validation.undeclared.cases import ALL, CONVENTIONS, EFFECTS
@@ -103,6 +104,42 @@ def test_the_beam_absorbs_a_common_gain_and_not_that_of_one_antenna(nothing_wron
     assert left > 0.3 * total
 
 
+def test_an_antenna_that_turns_turns_alone(nothing_wrong):
+    truth, before = nothing_wrong
+    loose = Truth.of(truth.setting, truth.shapes[0])
+    where = strange.turning_antenna(loose, np.random.default_rng(3), 0.1).where.antennas
+    index = truth.setting.numbers.tolist().index(where[0])
+    change = np.abs(correlations(loose) - before).max(axis=(0, 1))
+    others = np.delete(np.arange(truth.setting.n_ants), index)
+    np.testing.assert_allclose(change[np.ix_(others, others)], 0, atol=1e-9)
+    assert change[index, others].min() > 1e-3
+
+
+def test_visibilities_stay_hermitian_whatever_a_board_or_a_tone_does(nothing_wrong):
+    truth, before = nothing_wrong
+    for apply in (strange.board_stops_wrong_fringes, strange.wandering_oscillator, strange.cables_swapped):
+        wrong = Truth.of(truth.setting, truth.shapes[0])
+        drawn = apply(wrong, np.random.default_rng(3), 0.3)
+        after = corrupted(wrong, before)
+        np.testing.assert_allclose(after, after.conj().swapaxes(-1, -2), atol=1e-9)
+        if drawn.where.antpairs is not None:
+            hit = {tuple(sorted(pair)) for pair in drawn.where.antpairs}
+            changed = np.abs(after - before).max(axis=(0, 1)) > 1e-9
+            numbers = truth.setting.numbers
+            assert {tuple(sorted((numbers[i], numbers[j]))) for i, j in np.argwhere(changed)} == hit
+
+
+def test_noise_from_autocorrelations_is_that_of_the_data(tmp_path):
+    generate(3, tmp_path, "dead_antennas")
+    told = json.loads((tmp_path / "sealed" / "answer.json").read_text())
+    uv = UVData.from_file(tmp_path / "given" / "data.uvh5")
+    autos = {number: np.abs(uv.get_data(number, number)).max() for number in uv.telescope.antenna_numbers}
+    alive = max(autos.values())
+    assert alive / np.sqrt(uv.channel_width[0] * uv.integration_time[0]) == pytest.approx(told["sigma"])
+    assert [number for number, auto in autos.items() if auto < 1e-5 * alive] == told["effects"][0]["where"]["antennas"]
+    assert 'kind = "autocorrelations"' in (tmp_path / "given" / "job.toml").read_text()
+
+
 @pytest.mark.parametrize("name", ALL)
 def test_every_effect_is_one(name):
     """It changes the data or their noise; drawn twice with one seed it is the same."""
@@ -119,7 +156,8 @@ def test_every_effect_is_one(name):
         assert np.abs(truth.leakage).max() > 0
         return
     if truth.filed:
-        assert not np.allclose(truth.filed[0](1j * ones), 1j * ones)
+        data = stream(1, "data").standard_normal(ones.shape) + 1j
+        assert not np.allclose(truth.filed[0](data), data)
         return
     few = make(7, [kind], []).truth
     assert np.abs(corrupted(truth) - correlations(few)).max() > 1e-6
@@ -131,19 +169,20 @@ def infer_summary(folder):
     return json.loads((folder / "out" / "summary.json").read_text())
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_where_nothing_is_wrong_the_beam_explains_the_data(tmp_path, seed):
+@pytest.mark.parametrize(("seed", "basis"), [(1, "study"), (2, "study"), (1, "default")])
+def test_where_nothing_is_wrong_the_beam_explains_the_data(tmp_path, seed, basis):
     """The basis follows the true beam to below the noise: what the loop finds is not the basis's fault."""
-    generate(seed, tmp_path, "null")
+    generate(seed, tmp_path, "null", basis)
     summary = infer_summary(tmp_path)
     assert summary["ppd_z_std"] == pytest.approx(1.0, abs=4 / np.sqrt(2 * 2 * summary["heldout_n"]))
     assert summary["heldout_chi2_unperturbed"] > 3
 
 
-def test_what_the_basis_lacks_of_the_beam_is_below_the_noise(tmp_path):
+@pytest.mark.parametrize("basis", ["study", "paper"])
+def test_what_the_basis_lacks_of_the_beam_is_below_the_noise(tmp_path, basis):
     """Of this seed the beam was too fine for the basis at the noise drawn first: that would be an effect."""
-    generate(9008, tmp_path, "null")
-    clean = make(9008, [], []).truth
+    generate(9008, tmp_path, "null", basis)
+    clean = make(9008, [], [], basis).truth
     told = json.loads((tmp_path / "sealed" / "answer.json").read_text())
     beyond = chi2_beyond_beam(clean.setting, on_baselines(clean, correlations(clean)), told["sigma"])[1]
     assert beyond == pytest.approx(MOST_BEYOND_BASIS)

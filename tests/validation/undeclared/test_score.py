@@ -15,6 +15,7 @@ def answer(case="antenna_gains", parameters=(), where=None, **changes):
             "strength": 0.1,
             "parameters": [dict(zip(("thing", "quantity", "unit", "value"), p, strict=True)) for p in parameters],
             "where": nowhere | (where or {}),
+            "chi2_total": 4e4,
             "chi2_left": 1e4,
             "detectable": True,
         }

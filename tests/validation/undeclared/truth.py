@@ -34,12 +34,16 @@ class Truth:
         (channel, time index, catalogue) -> catalogue, for skies that change.
     shape_of : callable, optional
         (channel, time index, shape) -> shape, for beams that change.
+    shape_of_antenna : dict of int to callable
+        The same of single antennas, by index.
     corruptions : list of callable
         Applied one after another to all correlations (Nfreqs, Ntimes, Nants, Nants), autocorrelations included.
     noise : list of callable
         (noise, rng) -> noise, of the visibilities, (Nfreqs, Ntimes, Nbls), which comes in units of sigma.
     filed : list of callable
         (data) -> data, the last thing before the file: conventions.
+    filed_autos : list of callable
+        The same of the autocorrelations, (Nfreqs, Ntimes, Nants).
     leakage : ndarray, (Nants, 2), optional
         What of the other feed gets into feed East and into feed North; the file then has all four polarisations.
     """
@@ -51,9 +55,11 @@ class Truth:
     clock: float = 0.0
     sky_of: list[Callable[[int, int, Catalogue], Catalogue]] = field(default_factory=list)
     shape_of: Callable[[int, int, Shape], Shape] | None = None
+    shape_of_antenna: dict[int, Callable[[int, int, Shape], Shape]] = field(default_factory=dict)
     corruptions: list[Corruption] = field(default_factory=list)
     noise: list[Callable[[ComplexArray, np.random.Generator], ComplexArray]] = field(default_factory=list)
     filed: list[Corruption] = field(default_factory=list)
+    filed_autos: list[Callable[[FloatArray], FloatArray]] = field(default_factory=list)
     leakage: ComplexArray | None = None
 
     @classmethod
@@ -64,7 +70,17 @@ class Truth:
     @property
     def changes(self) -> bool:
         """Whether sky or beam change with time or frequency in ways of their own."""
-        return bool(self.sky_of) or self.shape_of is not None
+        return bool(self.sky_of or self.shape_of_antenna) or self.shape_of is not None
+
+    def shapes_at(self, channel: int, time: int) -> list[Shape]:
+        """Return each antenna's beam; those that share one go on sharing it."""
+        shapes = list(self.shapes)
+        if self.shape_of is not None:
+            changed = {id(shape): self.shape_of(channel, time, shape) for shape in shapes}
+            shapes = [changed[id(shape)] for shape in shapes]
+        for antenna, change in self.shape_of_antenna.items():
+            shapes[antenna] = change(channel, time, shapes[antenna])
+        return shapes
 
     def time(self, index: int) -> float:
         """Return when an integration was really taken, JD."""

@@ -1,0 +1,112 @@
+"""What a loop says of data, and what of that is not so."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from tests.validation.undeclared.match import averaged, compare, read_sources
+
+CLAIMED = 5.0
+"""Standard deviations from which on a number says that something is there. A draw compares up to two hundred."""
+
+EQUIVALENT = {
+    ("auto_coupling", "cross_coupling"): "an autocorrelation that hardly changes with time is a constant",
+    ("cross_coupling", "auto_coupling"): "an autocorrelation that hardly changes with time is a constant",
+    ("convention: times in TAI", "timestamp"): "a clock that is wrong by a number of seconds is a timestamp offset",
+    ("bad_integrations", "outliers"): "their rows are left out, though nobody says that they go together",
+}
+"""(what is so, what may be said instead): physically the same, so that either name is right."""
+
+PARTLY_SO = {
+    ("drifting_noise", "noise_level"): "there is more of it than its weights say",
+    ("correlated_noise", "noise_level"): "there is more of it than its weights say",
+    ("gain_jump", "antenna_gains"): "the mean gain of the night is another",
+}
+"""(what is so, what may be said of it): not all of it, yet nothing that is not so."""
+
+CONVENTION_NAMES = {
+    "conjugated": "conjugated",
+    "halved": "factor 1/2",
+    "doubled": "factor 2",
+    "north and east exchanged": "north and east swapped",
+    "times in TAI": "times in TAI",
+    "antennas sorted by name": "positions sorted by name, antennas not",
+}
+"""What the loop calls the mistakes of `conventions`."""
+
+THING = re.compile(r"antenna \d+|baseline \d+-\d+|source \d+(?=:)|source at ra=\S+ dec=[-\d.]+(?=:)")
+
+
+def kept(loop: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the rounds that no later one has revoked."""
+    return [one for one in loop["rounds"] if not one.get("revoked")]
+
+
+def same(kind: str, name: str) -> bool:
+    """Tell whether a name is right."""
+    return kind == name or (kind, name) in EQUIVALENT
+
+
+def not_so(answer: dict[str, Any], loop: dict[str, Any]) -> list[str]:
+    """Name all that is claimed and is not so: effects, antennas, baselines and sources that have none, conventions.
+
+    What a later round revoked was not claimed in the end. A round that says that it may as well be the right effect
+    claims nothing wrong.
+    """
+    kinds = [effect["kind"] for effect in answer["effects"]]
+    out = []
+    convention = (loop.get("conventions") or {}).get("found")
+    wanted = [CONVENTION_NAMES.get(kind.removeprefix("convention: ")) for kind in kinds]
+    if convention is not None and convention not in wanted:
+        out.append(f"convention: {convention}")
+    for one in kept(loop):
+        name = one["effect"]
+        so = [
+            effect
+            for effect in answer["effects"]
+            if same(effect["kind"], name)
+            or (effect["kind"], name) in PARTLY_SO
+            or effect["kind"] in one["indistinguishable_from"]
+        ]
+        if not so:
+            out.append(name)
+        out += [f"{name}: {thing}" for thing in _without_effect(so, one, answer)]
+    return out
+
+
+def _without_effect(so: list[dict[str, Any]], found: dict[str, Any], answer: dict[str, Any]) -> list[str]:
+    """Return the things that a round says something of although they have nothing of its effect."""
+    effect = next((effect for effect in so if effect["kind"] == found["effect"] and effect["parameters"]), None)
+    if effect is None:
+        return []
+    idle, have = set(), set()
+    for p in effect["parameters"]:
+        (idle if p["value"] == (1.0 if p["quantity"] == "noise scale" else 0.0) else have).add(p["thing"])
+    comparison = compare(effect, found, answer)
+    wrong = {
+        thing
+        for (thing, _), z in zip(comparison.of, comparison.z, strict=True)
+        if thing in idle - have and abs(z) > CLAIMED
+    }
+    for name, (value, std) in averaged(found["parameters"]).items():
+        match = THING.match(name)
+        if match is None or abs(value) <= CLAIMED * std or "offset" in name:
+            continue
+        if not _is_among(match[0], idle | have, effect, found, answer):
+            wrong.add(match[0])
+    return sorted(wrong)
+
+
+def _is_among(
+    thing: str, known: set[str], effect: dict[str, Any], found: dict[str, Any], answer: dict[str, Any]
+) -> bool:
+    """Tell whether a thing is among those of the answer; sources by their places, baselines either way round."""
+    if thing.startswith("source at"):
+        truth = {(p["thing"], p["quantity"]): p["value"] for p in effect["parameters"]}
+        own = [p for p in found["parameters"] if p["name"].startswith(thing + ":")]
+        return bool(read_sources(own, truth, answer))
+    if thing.startswith("baseline"):
+        two = set(thing.split(" ")[1].split("-"))
+        return any(set(name.split(" ")[1].split("-")) == two for name in known if name.startswith("baseline"))
+    return thing in known or not any(name.split(" ")[0] == thing.split(" ")[0] for name in known)
