@@ -19,8 +19,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.effect import Parameters
+from hydrabeam_mpi.inference.gaussian import Block, Gaussian
 from hydrabeam_mpi.inference.likelihood import RANK_RTOL, Likelihood
 
 TAUS: FloatArray = np.exp(np.linspace(np.log(1e-7), np.log(1e4), 160))
@@ -205,23 +206,20 @@ def _condition(
 
 def solve(blocks: Sequence[Likelihood], prior_var: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
     """Return posterior means (Nblocks, q) and covariances, (q, q) each; zero where the prior is."""
-    q = len(prior_var)
+    q, used = len(prior_var), np.flatnonzero(prior_var)
+    means, covariances = np.zeros((len(blocks), q)), np.zeros((len(blocks), q, q))
+    for mean, covariance, block in zip(means, covariances, blocks, strict=True):
+        mean[used], covariance[np.ix_(used, used)] = _with_prior(block, prior_var).moments
+    return means, list(covariances)
+
+
+def _with_prior(block: Likelihood, prior_var: FloatArray) -> Gaussian:
+    """Return likelihood times prior of the parameters in use, those whose prior has a width."""
     used = np.flatnonzero(prior_var)
-    means, covariances = np.zeros((len(blocks), q)), []
-    width = np.sqrt(prior_var[used])
-    for mean, block in zip(means, blocks, strict=True):
-        matrix = _precision(block, used, width)
-        inverse = np.linalg.inv(0.5 * (matrix + matrix.T))
-        covariance = np.zeros((q, q))
-        covariance[np.ix_(used, used)] = width[:, np.newaxis] * inverse * width
-        mean[:] = covariance @ block.score
-        covariances.append(covariance)
-    return means, covariances
-
-
-def _precision(block: Likelihood, used: IntArray, width: FloatArray) -> FloatArray:
-    """Return the posterior precision in units of the prior's width, in which it is never singular."""
-    return np.asarray(width[:, np.newaxis] * block.information[np.ix_(used, used)] * width + np.eye(len(used)))
+    variance = prior_var[used]
+    precision = block.information[np.ix_(used, used)] + np.diag(1 / variance)
+    log_scale = -0.5 * float(np.sum(np.log(2 * np.pi * variance)))
+    return Gaussian((Block("x", len(used)),), precision, block.score[used], log_scale)
 
 
 def log_evidence(blocks: Sequence[Likelihood], prior_var: FloatArray) -> float:
@@ -229,14 +227,7 @@ def log_evidence(blocks: Sequence[Likelihood], prior_var: FloatArray) -> float:
 
     ``prior_var`` is (q,).
     """
-    used = np.flatnonzero(prior_var)
-    width = np.sqrt(prior_var[used])
-    total = 0.0
-    for block in blocks:
-        matrix = _precision(block, used, width)
-        pulled = width * block.score[used]
-        total += 0.5 * float(pulled @ np.linalg.solve(matrix, pulled)) - 0.5 * float(np.linalg.slogdet(matrix)[1])
-    return total
+    return sum(_with_prior(block, prior_var).log_evidence() or 0.0 for block in blocks)
 
 
 def _describe(blocks: Sequence[Likelihood], log_bayes_factor: float, prior_var: FloatArray, rank: int) -> Evidence:
