@@ -28,6 +28,10 @@ class RankData(RowModel):
     def _beams(self) -> dict[int, CoefficientBeam]:
         return {}
 
+    @cached_property
+    def _latest(self) -> list[tuple[Estimate, ComplexArray, ComplexArray]]:
+        return []
+
     def noise_variance(self, rows: Rows) -> FloatArray:
         """Return the noise's variance by the weights of calibrated rows, in Jy^2 of the data as they were read.
 
@@ -89,7 +93,13 @@ class RankData(RowModel):
         return self._beams[channel]
 
     def effects(self, at: Estimate) -> tuple[ComplexArray, ComplexArray]:
-        """Return C and E of all rows, each (Nfreqs, Ntimes, Nbls)."""
+        """Return C and E of all rows, each (Nfreqs, Ntimes, Nbls); those of the latest estimate are kept."""
+        if not self._latest or not _same(self._latest[0][0], at):
+            self._latest[:] = [(at, *self._make_effects(at))]
+        return self._latest[0][1:]
+
+    def _make_effects(self, at: Estimate) -> tuple[ComplexArray, ComplexArray]:
+        """Go through all rows for C and E."""
         factor = np.ones(self.rows.data.shape, dtype=complex)
         added = np.zeros_like(factor)
         others = [one for one in at.values.active if not one.effect.changes_sky]
@@ -124,6 +134,17 @@ class RankData(RowModel):
                     weights[channel, span] = block.weights
             rows = replace(rows, inv_noise_var=weights)
         return rows, added
+
+
+def _same(one: Estimate, two: Estimate) -> bool:
+    """Whether two estimates have the same effects with the same parameters, and the same beams."""
+    pairs = zip(one.values.active, two.values.active, strict=False)
+    return (
+        len(one.values.active) == len(two.values.active)
+        and len(one.beams) == len(two.beams)
+        and all(first.effect is second.effect and np.array_equal(first.x, second.x) for first, second in pairs)
+        and all(np.array_equal(first.mean, second.mean) for first, second in zip(one.beams, two.beams, strict=True))
+    )
 
 
 def _visibilities(block: NDArray[Any], posterior: Posterior) -> ComplexArray:
