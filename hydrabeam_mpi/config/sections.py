@@ -53,6 +53,11 @@ class Data(Section):
     antennas: tuple[int, ...] | None = key(None, "keep only these")
     exclude_antennas: tuple[int, ...] = key((), "leave these out")
     antpairs: tuple[AntennaPair, ...] | None = key(None, "keep only these baselines, [[ant1, ant2], ...]")
+    exclude_baselines: tuple[AntennaPair, ...] = key((), "take these as flagged, [[ant1, ant2], ...]")
+    exclude_times: tuple[JdRange, ...] = key((), "JD, take integrations within as flagged, [[from, to], ...]")
+    flux_scale: float = key(
+        1.0, "factor that brings data and their noise to Jy, where they are not", ge=1 / LARGEST, le=LARGEST
+    )
     lst_range: LstRange | None = key(None, "h, [from, to]; may wrap through 24 h")
     time_range: JdRange | None = key(None, "JD, [from, to]")
     every_time: int = key(1, "keep one in so many of the integrations that are left", ge=1)

@@ -55,6 +55,10 @@ class Observation:
         Of files that do not state it: V = 1/2 I B (also where this is None), or V = I B.
     uncalibrated : bool
         Whether any of the files says that its visibilities are not calibrated.
+    exclude_times : tuple of (float, float)
+        Julian dates from and to: integrations whose centres lie within are taken as flagged.
+    exclude_baselines : tuple of (int, int)
+        Antenna numbers, in either order, of baselines that are taken as flagged.
     """
 
     telescope_name: str
@@ -71,6 +75,18 @@ class Observation:
     pols: tuple[str, ...]
     pol_convention: str | None = None
     uncalibrated: bool = False
+    exclude_times: tuple[tuple[float, float], ...] = ()
+    exclude_baselines: tuple[tuple[int, int], ...] = ()
+
+    def excluded(self, times: IntArray, antpairs: IntArray) -> NDArray[np.bool_]:
+        """Tell which samples of some times (indices) and baselines (antenna numbers) are excluded, (Ntimes, Nbls)."""
+        jd = self.times[times]
+        bad_times = np.zeros(len(times), dtype=bool)
+        for first, last in self.exclude_times:
+            bad_times |= (jd >= first) & (jd <= last)
+        pairs = {frozenset(pair) for pair in self.exclude_baselines}
+        bad_bls = np.array([frozenset(pair) in pairs for pair in antpairs.tolist()], dtype=bool)
+        return bad_times[:, np.newaxis] | bad_bls
 
     @cached_property
     def latitude(self) -> float:

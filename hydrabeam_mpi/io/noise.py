@@ -232,16 +232,21 @@ def _by_channel(values: NDArray[Any], middle: IntArray, n_freqs: int) -> FloatAr
     return total
 
 
+def amid_neighbours(centres: FloatArray, widths: FloatArray) -> IntArray:
+    """Return the indices of the times (s) or channels (Hz) amid three that are close and equally spaced, ascending."""
+    gaps = np.diff(centres)
+    wider = np.maximum(gaps[1:], gaps[:-1])
+    even = np.abs(gaps[1:] - gaps[:-1]) <= 0.1 * wider
+    return 1 + np.flatnonzero(even & (wider <= MAX_GAP * widths[1:-1]))
+
+
 def _middles(observation: Observation, how: Literal["time", "frequency"]) -> IntArray:
     """Return the indices of the times or channels amid three that are close and equally spaced."""
     if how == "time":
         centres, widths = observation.times * 86400, observation.integration_time
     else:
         centres, widths = observation.freqs, observation.channel_width
-    gaps = np.diff(centres)
-    wider = np.maximum(gaps[1:], gaps[:-1])
-    even = np.abs(gaps[1:] - gaps[:-1]) <= 0.1 * wider
-    middle = 1 + np.flatnonzero(even & (wider <= MAX_GAP * widths[1:-1]))
+    middle = amid_neighbours(centres, widths)
     most = len(middle) if how == "time" else min(len(middle), 3) * observation.Ntimes
     if most < MIN_DIFFERENCES:
         what = "integrations" if how == "time" else "channels"

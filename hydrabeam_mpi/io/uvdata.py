@@ -30,7 +30,7 @@ class Block(NamedTuple):
     data : ndarray of complex
         Zero where flagged.
     flags : ndarray of bool
-        Also true where ``nsamples`` is not positive and where no file holds the sample.
+        Also true where ``nsamples`` is not positive, where no file holds the sample and where it is excluded.
     nsamples : ndarray of float
     stored : ndarray of bool
         Whether a file holds the sample.
@@ -125,12 +125,11 @@ def read_block(
         for whole, values in zip(block, _checked(*part, header.path), strict=True):
             whole[here] = values.swapaxes(0, 1)
     shape = (observation.Nfreqs, len(times), len(antpairs), len(pols))
-    return Block(
-        block.data.reshape(shape),
-        block.flags.reshape(shape),
-        block.nsamples.reshape(shape),
-        block.stored.reshape(shape),
-    )
+    data, flags, nsamples, stored = (values.reshape(shape) for values in block)
+    if observation.exclude_times or observation.exclude_baselines:
+        excluded = observation.excluded(times, antpairs)
+        data[:, excluded], flags[:, excluded] = 0.0, True
+    return Block(data, flags, nsamples, stored)
 
 
 def _empty(shape: tuple[int, int, int]) -> Block:

@@ -15,6 +15,7 @@ from hydrabeam_mpi.data.observation import FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.partition import Tile, make_tiles
 from hydrabeam_mpi.data.redundancy import RedundantGroups, check_tolerance, find_redundant_groups
 from hydrabeam_mpi.data.selection import HoldoutRule, Selection, split_holdout
+from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.inference.prior import Prior
 from hydrabeam_mpi.io.noise import difference_variance
 from hydrabeam_mpi.io.uvmeta import read_observation
@@ -158,6 +159,24 @@ def _radians(hours: tuple[float, float]) -> tuple[float, float]:
     return hours[0] * np.pi / 12, hours[1] * np.pi / 12
 
 
+def _observe(job: Job, files: tuple[Data, ...]) -> Observation:
+    """Read what was observed, and take of it what the job selects and corrects."""
+    observation = read_observation(files, select(job))
+    known = set(observation.antpairs.ravel().tolist())
+    if unknown := {ant for pair in job.data.exclude_baselines for ant in pair} - known:
+        listed = ", ".join(map(str, sorted(unknown)))
+        field = "[data] exclude_baselines"
+        raise InputError(f"antenna {listed} is not in the data", field=field, remedy="remove it from the list")
+    width = job.data.channel_width
+    return replace(
+        observation,
+        pol_convention=job.data.pol_convention,
+        exclude_times=job.data.exclude_times,
+        exclude_baselines=job.data.exclude_baselines,
+        channel_width=observation.channel_width if width is None else np.full(observation.Nfreqs, width),
+    )
+
+
 def _holdout_rule(job: Job) -> HoldoutRule:
     """Turn the hold-out section into a rule in radians."""
     holdout = job.holdout
@@ -199,10 +218,7 @@ def prepare(job: Job, files: tuple[Data, ...], truths: tuple[Beam, ...] = (), gi
     InputError
         If a file or a setting cannot be used.
     """
-    observation = replace(read_observation(files, select(job)), pol_convention=job.data.pol_convention)
-    if job.data.channel_width is not None:
-        width = np.full(observation.Nfreqs, job.data.channel_width)
-        observation = replace(observation, channel_width=width)
+    observation = _observe(job, files)
     holdout = split_holdout(observation, _holdout_rule(job))
     whole_sky = load_sky(job, observation.freqs, given.sky)
     sky = whole_sky.brighter_than(job.sky.model_flux_min)

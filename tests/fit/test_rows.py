@@ -15,6 +15,7 @@ from pyuvdata import UVCal, UVData
 from hydrabeam_mpi.commands.infer import infer
 from hydrabeam_mpi.commands.simulate import simulate
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
+from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.accumulate import accumulate_designs
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Active, Estimate, Values
@@ -114,3 +115,46 @@ def test_effects_that_multiply_leave_the_noise_of_the_data_as_it_was(tmp_path: P
     basis, designs = context.problem.basis, list(context.train.designs(values))
     before, after = (accumulate_designs(some, designs, basis)[0] for some in (context.train.rows, rows))
     assert after.log_det_inv_noise == pytest.approx(before.log_det_inv_noise, rel=1e-12)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_flux_scale_brings_data_and_noise_to_jy(mock: Path, tmp_path: Path) -> None:
+    """Data a thousandth as large, with noise to match and their scale stated, give the same beam."""
+    without = inferred(tmp_path / "without", mock, 1.0)
+    uv = UVData.from_file(mock)
+    uv.data_array *= 1e-3
+    uv.write_uvh5(str(tmp_path / "small.uvh5"), run_check=False)
+    job = mock_job(sky={"flux_range": list(FLUX_RANGE)}, noise={"kind": "constant", "sigma": 1e-3 * SIGMA})
+    job["data"] = {"files": [str(tmp_path / "small.uvh5")], "flux_scale": 1e3}
+    path = write_job(job, tmp_path / "scaled")
+    out = tmp_path / "scaled" / "result"
+    infer(MPI.COMM_SELF, load(MPI.COMM_SELF, path), path, out, overwrite=False, threads=1)
+    with h5py.File(out / "posterior.h5") as file:
+        np.testing.assert_allclose(file["channel_0000/mean"][:], without["mean"], rtol=1e-6, atol=1e-9)
+        log_evidence = json.loads(file["channel_0000"].attrs["summary"])["log_evidence"]
+    assert log_evidence == pytest.approx(without["log_evidence"], rel=1e-5)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_excluded_times_and_baselines_count_as_flagged(mock: Path, tmp_path: Path) -> None:
+    uv = UVData.from_file(mock)
+    times = np.unique(uv.time_array)
+    bad_rows = (uv.ant_1_array == 1) & (uv.ant_2_array == 4) | (uv.time_array == times[3])
+    excluded = inferred(
+        tmp_path / "excluded",
+        mock,
+        1.0,
+        exclude_baselines=[[4, 1]],
+        exclude_times=[[times[3] - 1e-5, times[3] + 1e-5]],
+    )
+    uv.flag_array[bad_rows] = True
+    uv.write_uvh5(str(tmp_path / "flagged.uvh5"), run_check=False)
+    flagged = inferred(tmp_path / "flagged", tmp_path / "flagged.uvh5", 1.0)
+    assert excluded["n_data"] == flagged["n_data"]
+    np.testing.assert_allclose(excluded["mean"], flagged["mean"], rtol=1e-11)
+
+
+def test_a_baseline_that_is_not_in_the_data_cannot_be_excluded(mock: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="antenna 99 is not in the data") as caught:
+        inferred(tmp_path, mock, 1.0, exclude_baselines=[[1, 99]])
+    assert caught.value.field == "[data] exclude_baselines"
