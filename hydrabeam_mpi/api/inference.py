@@ -10,6 +10,7 @@ from hydrabeam_mpi.api.shared import check_setup, make_result, origin_of, prepar
 from hydrabeam_mpi.fit.channels import infer_channels
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.joint import infer_with_effects
+from hydrabeam_mpi.loop.checks.health import told
 from hydrabeam_mpi.mpi import ProcessGrid, gather_by_channel, peak_rss_mb, together
 from hydrabeam_mpi.result.describe import describe_channels
 
@@ -59,6 +60,8 @@ def run_inference(setup: Setup, folder: Path | None, threads: int) -> Result:
     with clock.time("prepare"):
         problem = prepare_shared(world, job, folder, setup.given)
     grid = ProcessGrid.split(world, problem.observation.Nfreqs)
+    with clock.time("health"):
+        problem = told(grid, problem)
     mine = problem.of_channels(grid.channels)
     results = infer_with_effects(grid, problem, mine, clock) if job.effects else infer_channels(grid, mine, clock)
     with clock.time("describe"):

@@ -18,6 +18,7 @@ from hydrabeam_mpi.fit.gauss_newton import FitContext
 from hydrabeam_mpi.fit.joint import channel_results, find_setup, read_context, restore
 from hydrabeam_mpi.loop.attribution.control_models import control_models
 from hydrabeam_mpi.loop.checks.conventions import check_conventions
+from hydrabeam_mpi.loop.checks.health import mended
 from hydrabeam_mpi.loop.checks.leakage import check_leakage
 from hydrabeam_mpi.loop.output.amendment import amended_job
 from hydrabeam_mpi.loop.output.record import make_record
@@ -117,7 +118,7 @@ def run_loop(
         if world.rank == 0:
             run = {"phases_s": clock.seconds, "peak_rss_mb": memory}
             result = make_result(setup, problem, records, origin(), run, record["warnings"])
-            amended = amended_job(job, history.last.fitted, known)
+            amended = amended_job(problem.job, history.last.fitted, known)
             found = Found(result, {**record, "seconds": clock.seconds}, setup.amended(amended))
     return found
 
@@ -131,12 +132,15 @@ def _set_up(setup: Setup, folder: Path | None, clock: Clock) -> tuple[Problem, F
     world = setup.comm
     with clock.time("prepare"):
         problem = prepare_shared(world, setup.job, folder, setup.given)
+    grid = ProcessGrid.split(world, problem.observation.Nfreqs)
+    with clock.time("health"):
+        problem = mended(grid, problem)
+    with clock.time("prepare"):
         known = None
         with together(world):
             if world.rank == 0:
                 known = find_setup(problem)
         known = bcast_object(world, known)
-    grid = ProcessGrid.split(world, problem.observation.Nfreqs)
     context = read_context(grid, problem.of_channels(grid.channels), known, clock)
     _check_can_confirm(context)
     return problem, context

@@ -122,14 +122,19 @@ def read_block(
             stored_pols[stored_pols >= 0],
             observation.pol_convention,
         )
-        for whole, values in zip(block, _checked(*part, header.path), strict=True):
-            whole[here] = values.swapaxes(0, 1)
+        for stack, values in zip(block, _checked(*part, header.path), strict=True):
+            stack[here] = values.swapaxes(0, 1)
     shape = (observation.Nfreqs, len(times), len(antpairs), len(pols))
-    data, flags, nsamples, stored = (values.reshape(shape) for values in block)
+    whole = Block(
+        block.data.reshape(shape),
+        block.flags.reshape(shape),
+        block.nsamples.reshape(shape),
+        block.stored.reshape(shape),
+    )
     if observation.exclude_times or observation.exclude_baselines:
         excluded = observation.excluded(times, antpairs)
-        data[:, excluded], flags[:, excluded] = 0.0, True
-    return Block(data, flags, nsamples, stored)
+        whole.data[:, excluded], whole.flags[:, excluded] = 0.0, True
+    return whole
 
 
 def _empty(shape: tuple[int, int, int]) -> Block:

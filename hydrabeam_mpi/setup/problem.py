@@ -28,6 +28,7 @@ from hydrabeam_mpi.model.sky import Sky
 from hydrabeam_mpi.mpi import Comm, together
 from hydrabeam_mpi.setup.beams import fit_model_beams, given_priors, load_beams, make_prior
 from hydrabeam_mpi.setup.cautions import cautions_of_data
+from hydrabeam_mpi.setup.findings import Finding
 from hydrabeam_mpi.setup.given import NOTHING, Given
 from hydrabeam_mpi.setup.skies import count_sources, load_sky, source_positions
 
@@ -70,6 +71,8 @@ class Problem:
         What a user should not overlook about the data.
     noise_file : Path or Source, optional
         Where the noise is from, if from a file.
+    findings : tuple of Finding
+        What was found wrong with the data before anything was fitted.
     """
 
     job: Job
@@ -91,6 +94,7 @@ class Problem:
     noise_variance: FloatArray | None = None
     cautions: tuple[str, ...] = ()
     noise_file: Data | None = None
+    findings: tuple[Finding, ...] = ()
 
     def of_channels(self, channels: Sequence[int]) -> Problem:
         """Keep some channels."""
@@ -189,6 +193,13 @@ def _holdout_rule(job: Job) -> HoldoutRule:
     )
 
 
+def _roles(job: Job, observation: Observation) -> tuple[Tile, Tile]:
+    """Return the rows to infer from and those held out."""
+    split = split_holdout(observation, _holdout_rule(job))
+    train = Tile(np.flatnonzero(split.train_times), np.flatnonzero(split.train_bls))
+    return train, Tile(np.flatnonzero(split.test_times), np.flatnonzero(split.test_bls))
+
+
 def find_groups(job: Job, observation: Observation) -> RedundantGroups:
     """Group redundant baselines, or keep each alone where the job says not to compress."""
     pol = observation.pols[0]
@@ -219,7 +230,7 @@ def prepare(job: Job, files: tuple[Data, ...], truths: tuple[Beam, ...] = (), gi
         If a file or a setting cannot be used.
     """
     observation = _observe(job, files)
-    holdout = split_holdout(observation, _holdout_rule(job))
+    train, test = _roles(job, observation)
     whole_sky = load_sky(job, observation.freqs, given.sky)
     sky = whole_sky.brighter_than(job.sky.model_flux_min)
     time_costs = count_sources(sky, observation)
@@ -231,8 +242,8 @@ def prepare(job: Job, files: tuple[Data, ...], truths: tuple[Beam, ...] = (), gi
         gain_files=expand(job.data.gains, "[data] gains", "file"),
         observation=observation,
         redundant=find_groups(job, observation),
-        train=Tile(np.flatnonzero(holdout.train_times), np.flatnonzero(holdout.train_bls)),
-        test=Tile(np.flatnonzero(holdout.test_times), np.flatnonzero(holdout.test_bls)),
+        train=train,
+        test=test,
         sky=sky,
         flux_removed=1 - float(sky.flux.sum() / whole_sky.flux.sum()),
         basis=basis,
@@ -265,3 +276,11 @@ def estimate_noise(world: Comm, problem: Problem) -> Problem:
     with together(world):
         part = difference_variance(problem.files, observation, mine, how, problem.gain_files)
     return replace(problem, noise_variance=np.concatenate(world.allgather(part), axis=1))
+
+
+def select_anew(problem: Problem, job: Job) -> Problem:
+    """Return the problem of a job that differs only in what it selects of the data, or in their scale. Serial."""
+    observation = _observe(job, problem.files)
+    train, test = _roles(job, observation)
+    redundant = find_groups(job, observation)
+    return replace(problem, job=job, observation=observation, redundant=redundant, train=train, test=test)

@@ -102,6 +102,7 @@ def make_record(
         "tried": tried,
         "skipped": reasons,
         "undecidable": [{"what": what, "why": why} for what, why in degenerate_directions],
+        "health": [one.record() for one in context.problem.findings],
         "conventions": conventions,
         "where": last.where if unexplained else None,
         "residual": last.statistics,

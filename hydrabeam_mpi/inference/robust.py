@@ -1,0 +1,67 @@
+"""What stands out among many, and which of two spreads a number is from: robust, and with probabilities."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.inference.significance import log_p_two_sided
+
+ABSURD_P = 1e-6
+"""Probability, corrected for the number of looks, below which an antenna, time or baseline is not one of the others.
+
+Of a million healthy data sets one loses data.
+"""
+POWER_SPREAD = 0.5
+"""Spread of ln power that calibration errors, noise levels and beams cause, and effects describe: 25% in amplitude."""
+LEAST_COUNT = 5
+"""Of fewer values a median and its spread say nothing about one of them."""
+GAUSSIAN = 1.4826
+"""Standard deviation of a Gaussian over its median absolute deviation."""
+STRONG = 5.0
+"""Log of the odds that make a claim: 150 to 1, so that prior odds against it of some tens leave it likely."""
+
+
+def outliers(values: FloatArray, error: ArrayLike = 0.0, spread: float = POWER_SPREAD) -> FloatArray:
+    """Return how many standard deviations each value is from the median, zero where that is nothing absurd.
+
+    Parameters
+    ----------
+    values : ndarray, (N,)
+        NaN where nothing is known; -inf stands out.
+    error : array_like
+        Of each value, from noise.
+    spread : float
+        Of healthy values, which is added to what they show (their median absolute deviation).
+
+    Returns
+    -------
+    ndarray, (N,)
+        Absurd are those whose two-sided Gaussian probability, times their number, is below `ABSURD_P`.
+    """
+    known = ~np.isnan(values)
+    if np.count_nonzero(known) < LEAST_COUNT:
+        return np.zeros(len(values))
+    centre = float(np.median(values[known]))
+    if not np.isfinite(centre):
+        return np.zeros(len(values))
+    away = np.where(known, values - centre, 0.0)
+    scatter = GAUSSIAN * float(np.median(np.abs(away[known])))
+    sigma = away / np.sqrt(scatter**2 + spread**2 + np.asarray(error) ** 2)
+    absurd: NDArray[np.bool_] = log_p_two_sided(sigma) + np.log(np.count_nonzero(known)) < np.log(ABSURD_P)
+    return np.where(absurd, sigma, 0.0)
+
+
+def log_odds_of_wide(value: float, error: float, narrow: float, wide: float) -> float:
+    """Return the log Bayes factor of a Gaussian of width ``wide`` about zero over one of width ``narrow``.
+
+    Parameters
+    ----------
+    value, error : float
+        What was measured, and its standard deviation.
+    narrow, wide : float
+        Standard deviations of the two priors.
+    """
+    log_density = [-0.5 * (np.log(width**2 + error**2) + value**2 / (width**2 + error**2)) for width in (narrow, wide)]
+    return float(log_density[1] - log_density[0])

@@ -1,0 +1,115 @@
+"""Dead and absurd antennas: by their autocorrelations, where the noise is taken from these, and by visibilities."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.inference.robust import outliers
+from hydrabeam_mpi.loop.checks.health_sums import Sample, Sums
+from hydrabeam_mpi.mpi import ProcessGrid, allreduce_sum
+from hydrabeam_mpi.setup.findings import Finding
+from hydrabeam_mpi.setup.problem import Problem
+
+NOISE_SIGMAS = 5.0
+"""Power of a baseline below so many standard deviations of the noise's is none: it counts as just that."""
+MOST_LEFT_OUT = 0.5
+"""Of more antennas than this share none is an exception, and none is left out."""
+
+
+def absurd_autocorrelations(grid: ProcessGrid, problem: Problem, sample: Sample) -> list[Finding]:
+    """Find antennas whose autocorrelations are no power, or absurd beside the others'. Collective: all ranks."""
+    n_freqs, n_ants = problem.observation.Nfreqs, problem.observation.Nants
+    sums = np.zeros((3, n_freqs, n_ants))
+    known, positive = ~np.isnan(sample.autos), sample.autos > 0
+    logs = np.log(np.where(positive, sample.autos, 1.0))
+    for k, values in enumerate((known, positive, logs)):
+        sums[k, sample.channels] = values.sum(axis=1)
+    allreduce_sum(grid.world, sums)
+    n_known, n_positive, log_power = sums
+    mean = np.where(n_positive > 0, log_power / np.maximum(n_positive, 1), -np.inf)
+    by_antenna = _over_channels(np.where(n_known > 0, mean, np.nan))
+    absurd = outliers(by_antenna)
+    dead = (n_known.sum(axis=0) > 0) & (n_positive.sum(axis=0) == 0)
+    why = {}
+    typical = _typical(by_antenna)
+    for ant in np.flatnonzero(dead).tolist():
+        why[ant] = "its autocorrelations are not positive, so that it has no noise to be weighed by"
+    for ant in np.flatnonzero((absurd != 0) & ~dead).tolist():
+        ratio = np.exp(by_antenna[ant] - typical)
+        why[ant] = f"its autocorrelations are {ratio:.2g} of the others' ({abs(absurd[ant]):.0f} sigma)"
+    return _left_out(problem, why)
+
+
+def absurd_antennas(problem: Problem, sums: Sums) -> list[Finding]:
+    """Find antennas whose visibilities are all zero, all constant, or of absurd power for what the model expects."""
+    index = problem.observation.antenna_index
+    counted = sums.bl_counts.sum(axis=0)
+    zero = (counted > 0) & (sums.zeros == counted)
+    constant = (sums.pairs > 0) & (sums.steps == 0)
+    power = _power(sums)
+    n_ants = problem.observation.Nants
+    by_antenna, why = np.full(n_ants, np.nan), {}
+    for ant in range(n_ants):
+        mine = (index == ant).any(axis=1) & (counted > 0)
+        if not mine.any():
+            continue
+        if zero[mine].all():
+            why[ant] = "all its visibilities are zero"
+        elif constant[mine].all():
+            why[ant] = "all its visibilities are constant"
+        by_antenna[ant] = np.median(power[mine])
+    absurd = outliers(by_antenna)
+    typical = _typical(by_antenna)
+    for ant in np.flatnonzero(absurd).tolist():
+        ratio = np.exp(by_antenna[ant] - typical)
+        words = f"the power of its visibilities is {ratio:.2g} of the others'" if ratio > 0 else "it has no power"
+        why.setdefault(ant, f"{words}, beside what the model expects ({abs(absurd[ant]):.0f} sigma)")
+    return _left_out(problem, why)
+
+
+def _power(sums: Sums) -> FloatArray:
+    """Return ln of each baseline's power beyond the noise over the model's, (Nbls,); -inf where there is none."""
+    _, model, data = sums.bl_products
+    beyond = np.maximum(data.real - sums.bl_counts, NOISE_SIGMAS * np.sqrt(sums.bl_counts))
+    known = (sums.bl_counts > 0) & (model.real > 0)
+    # No data at all are less than what noise hides.
+    logs = np.where(data.real > 0, np.log(np.where(known, beyond / np.where(known, model.real, 1.0), 1.0)), -np.inf)
+    return _over_channels(np.where(known, logs, np.nan))
+
+
+def _over_channels(logs: FloatArray) -> FloatArray:
+    """Return medians over channels, (N,), of logs (Nfreqs, N) beside the others'; NaN where nothing is known."""
+    found = np.full(logs.shape[1], np.nan)
+    beside = np.full(logs.shape, np.nan)
+    for f, row in enumerate(logs):
+        level = _typical(row)
+        if np.isfinite(level):
+            beside[f] = row - level
+    for k, column in enumerate(beside.T):
+        known = column[~np.isnan(column)]
+        if known.size:
+            found[k] = np.median(known) if np.isfinite(known).all() else -np.inf
+    return found
+
+
+def _typical(values: FloatArray) -> float:
+    known: NDArray[np.float64] = values[~np.isnan(values)]
+    return float(np.median(known)) if known.size else np.nan
+
+
+def _left_out(problem: Problem, why: dict[int, str]) -> list[Finding]:
+    """Return what is said of antennas (indices), which are left out unless they are too many."""
+    numbers = problem.observation.antenna_numbers
+    few = len(why) < MOST_LEFT_OUT * len(numbers)
+    return [
+        Finding(
+            "a dead or absurd antenna",
+            f"antenna {numbers[ant]}",
+            reason,
+            f"exclude_antennas = [{numbers[ant]}] in [data]",
+            antennas=(int(numbers[ant]),) if few else (),
+        )
+        for ant, reason in sorted(why.items())
+    ]

@@ -1,0 +1,109 @@
+"""The health of data, before anything is fitted: flux scale, noise, antennas, times and baselines.
+
+Nothing is inferred from data of which a dead antenna, a bad integration or a wrong flux scale has the most weight. Each
+check compares the data with themselves and with the visibilities of the model beam, in fitted and held-out rows alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hydrabeam_mpi.loop.checks.bad_antennas import absurd_antennas, absurd_autocorrelations
+from hydrabeam_mpi.loop.checks.bad_rows import bad_baselines, bad_times
+from hydrabeam_mpi.loop.checks.health_sums import Excess, Kept, Sample, Sums, read_sample
+from hydrabeam_mpi.loop.checks.scale import flux_scale, noise_level
+from hydrabeam_mpi.mpi import ProcessGrid, bcast_object, together
+from hydrabeam_mpi.setup.findings import Finding, mended_job
+from hydrabeam_mpi.setup.problem import Problem, estimate_noise, select_anew
+from hydrabeam_mpi.terminal.progress import warn
+
+MOST_LOOKS = 8
+"""Looks at what is left when something has been put aside: each finds what the last one was hidden by."""
+
+
+def check_health(grid: ProcessGrid, problem: Problem) -> list[Finding]:
+    """Look for what no effect describes and nothing should be inferred from.
+
+    Collective: all ranks of the grid.
+
+    Parameters
+    ----------
+    grid : ProcessGrid
+    problem : Problem
+        Of all channels.
+
+    Returns
+    -------
+    list of Finding
+        The same on all ranks, whatever their number.
+    """
+    sample = read_sample(grid, problem.of_channels(grid.channels))
+    found = absurd_autocorrelations(grid, problem, sample)
+    for _ in range(MOST_LOOKS):
+        more, last = _look(grid, problem, sample, found)
+        if not more:
+            break
+        found += more
+    return found + last
+
+
+def _look(
+    grid: ProcessGrid, problem: Problem, sample: Sample, found: Sequence[Finding]
+) -> tuple[list[Finding], list[Finding]]:
+    """Look at what is not put aside yet: return what to put aside too, and what else there is to say."""
+    kept = _without(problem, found)
+    weights = kept.weights(sample, problem.observation.antenna_index)
+    sums = Sums.of(grid, problem, sample, weights)
+    antennas = absurd_antennas(problem, sums)
+    if antennas:
+        return antennas, []
+    excess = Excess.of(grid, problem, sample, weights, sums)
+    rows = bad_times(problem, sample.times, sums, excess) or bad_baselines(problem, sums, excess)
+    return rows, [*flux_scale(problem, sums), *noise_level(problem, excess)]
+
+
+def _without(problem: Problem, found: Sequence[Finding]) -> Kept:
+    """Return what the findings put aside as indices."""
+    observation = problem.observation
+    numbers = [ant for one in found for ant in one.antennas]
+    pairs = {frozenset(pair) for one in found for pair in one.baselines}
+    spans = [span for one in found for span in one.times]
+    return Kept(
+        frozenset(np.flatnonzero(np.isin(observation.antenna_numbers, numbers)).tolist()),
+        frozenset(k for k, jd in enumerate(observation.times) if any(a <= jd <= b for a, b in spans)),
+        frozenset(k for k, pair in enumerate(observation.antpairs.tolist()) if frozenset(pair) in pairs),
+    )
+
+
+def told(grid: ProcessGrid, problem: Problem) -> Problem:
+    """Return the problem with what is doubtful about its data among its cautions, and say it.
+
+    Collective: all ranks of the grid.
+    """
+    findings = tuple(check_health(grid, problem))
+    lines = tuple(one.line for one in findings)
+    if grid.is_world_root:
+        warn(lines)
+    return replace(problem, findings=findings, cautions=(*problem.cautions, *lines))
+
+
+def mended(grid: ProcessGrid, problem: Problem) -> Problem:
+    """Return the problem without what should not be inferred from, and in Jy; what was done is among its cautions.
+
+    Collective: all ranks of the grid.
+    """
+    problem = told(grid, problem)
+    if problem.job.effects:
+        # They may be about the very antennas.
+        return problem
+    job = mended_job(problem.job, problem.findings)
+    if job == problem.job:
+        return problem
+    anew = None
+    with together(grid.world):
+        if grid.is_world_root:
+            anew = select_anew(problem, job)
+    return estimate_noise(grid.world, bcast_object(grid.world, anew))

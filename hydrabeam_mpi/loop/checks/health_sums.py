@@ -1,0 +1,229 @@
+"""Data beside the visibilities of the model beam, at all times: what `health` looks at, and sums of it over ranks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.partition import Tile
+from hydrabeam_mpi.fit.rows import read_rows
+from hydrabeam_mpi.io.noise import amid_neighbours
+from hydrabeam_mpi.io.uvdata import feeds_of, read_block
+from hydrabeam_mpi.mpi import ProcessGrid, allreduce_sum, together
+from hydrabeam_mpi.setup.problem import Problem
+
+MOST_SAMPLES = 4_000_000
+"""Samples that a rank looks at, which is 200 MB: of more, evenly spread baselines are chosen."""
+EULER = 0.5772156649015329
+"""-E ln x of an exponential x, which |noise|^2 over its expectation is."""
+SECOND = np.array([1.0, -2.0, 1.0])
+STILL = 0.1
+"""Of the noise's power: sky that moves by less between neighbouring times leaves their differences to the noise."""
+PER_DAY = 86400.0
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A rank's samples, of fitted and held-out rows alike.
+
+    Attributes
+    ----------
+    channels : ndarray of int, (Nlocal,)
+        Of all the job's channels.
+    times : ndarray of int, (Ntimes,)
+    bls : ndarray of int, (Nbls,)
+    data, model : ndarray of complex, (Nlocal, Ntimes, Nbls)
+        Jy, in the sense of redundant groups.
+    weights : ndarray, (Nlocal, Ntimes, Nbls)
+        Inverse noise variance; zero where flagged.
+    autos : ndarray, (Nlocal, Ntimes, Nants)
+        Autocorrelations that weights are made of; NaN where there are none.
+    """
+
+    channels: IntArray
+    times: IntArray
+    bls: IntArray
+    data: ComplexArray
+    model: ComplexArray
+    weights: FloatArray
+    autos: FloatArray
+
+
+def read_sample(grid: ProcessGrid, problem: Problem) -> Sample:
+    """Read a rank's share; ``problem`` is of the rank group's channels. Collective: all ranks of the grid."""
+    with together(grid.world):
+        times = np.union1d(problem.train.times, problem.test.times)
+        bls = np.union1d(problem.train.bls, problem.test.bls)
+        n_samples = len(bls) * len(times) * problem.observation.Nfreqs
+        thinned = bls[:: 1 + n_samples // (MOST_SAMPLES * grid.group.size)]
+        by_group = thinned[np.argsort(problem.redundant.group[thinned], kind="stable")]
+        mine = np.sort(np.array_split(by_group, grid.group.size)[grid.group.rank])
+        rows = read_rows(problem, Tile(times, mine))
+        model = problem.forward_model(rows.groups).visibilities(problem.beams, times)[:, :, rows.member]
+        autos = _read_autos(problem, np.array_split(times, grid.group.size)[grid.group.rank])
+    return Sample(problem.channel_numbers, times, mine, rows.data, model, rows.inv_noise_var, autos)
+
+
+def _read_autos(problem: Problem, times: IntArray) -> FloatArray:
+    """Read the autocorrelations where the noise is taken from them, (Nfreqs, Ntimes, Nants)."""
+    observation = problem.observation
+    if problem.job.noise.kind != "autocorrelations":
+        return np.full((observation.Nfreqs, len(times), observation.Nants), np.nan)
+    antpairs = np.repeat(observation.antenna_numbers[:, np.newaxis], 2, axis=1)
+    pols = [2 * feed for feed in feeds_of(observation.pols)]
+    block = read_block(problem.files, observation, times, antpairs, pols)
+    return np.where(block.stored & ~block.flags, block.data.real, np.nan).mean(axis=-1)
+
+
+@dataclass(frozen=True)
+class Kept:
+    """What of the data still counts: nothing of these antennas (indices), times and baselines (indices)."""
+
+    antennas: frozenset[int] = frozenset()
+    times: frozenset[int] = frozenset()
+    bls: frozenset[int] = frozenset()
+
+    def weights(self, sample: Sample, ends: IntArray) -> FloatArray:
+        """Return the weights of what counts; ``ends`` are the antennas of all baselines, (all, 2)."""
+        gone = np.isin(ends[sample.bls], list(self.antennas)).any(axis=1) | np.isin(sample.bls, list(self.bls))
+        late = np.isin(sample.times, list(self.times))
+        return np.where(gone | late[:, np.newaxis], 0.0, sample.weights)
+
+
+@dataclass
+class Sums:
+    """Sums over all ranks, each with one entry a channel and time or a channel and baseline.
+
+    Attributes
+    ----------
+    time_products, bl_products : ndarray of complex, (3, Nfreqs, Ntimes or Nbls)
+        sum w d m*, sum w |m|^2 and sum w |d|^2, with times as in the sample.
+    time_counts, bl_counts : ndarray, (Nfreqs, Ntimes or Nbls)
+        Number of visibilities that count.
+    zeros : ndarray, (Nbls,)
+        Number of those that are exactly zero.
+    steps : ndarray, (Nbls,)
+        Number of times at which a visibility is not exactly that of the time before.
+    """
+
+    time_products: ComplexArray
+    bl_products: ComplexArray
+    time_counts: FloatArray
+    bl_counts: FloatArray
+    zeros: FloatArray
+    steps: FloatArray
+    pairs: FloatArray
+
+    @classmethod
+    def of(cls, grid: ProcessGrid, problem: Problem, sample: Sample, weights: FloatArray) -> Sums:
+        """Add up what counts; ``problem`` is of all channels. Collective: all ranks of the grid."""
+        n_freqs, n_bls, n_times = problem.observation.Nfreqs, problem.observation.Nbls, len(sample.times)
+        made = cls(
+            np.zeros((3, n_freqs, n_times), complex),
+            np.zeros((3, n_freqs, n_bls), complex),
+            np.zeros((n_freqs, n_times)),
+            np.zeros((n_freqs, n_bls)),
+            *np.zeros((3, n_bls)),
+        )
+        data, counts = sample.data, weights > 0
+        products = [weights * data * sample.model.conj(), weights * np.abs(sample.model) ** 2]
+        for k, product in enumerate([*products, weights * np.abs(data) ** 2]):
+            made.time_products[k, sample.channels] = product.sum(axis=2)
+            made.bl_products[k][np.ix_(sample.channels, sample.bls)] = product.sum(axis=1)
+        made.time_counts[sample.channels] = counts.sum(axis=2)
+        made.bl_counts[np.ix_(sample.channels, sample.bls)] = counts.sum(axis=1)
+        made.zeros[sample.bls] = (counts & (data == 0)).sum(axis=(0, 1))
+        both = counts[:, 1:] & counts[:, :-1]
+        made.pairs[sample.bls] = both.sum(axis=(0, 1))
+        made.steps[sample.bls] = (both & (data[:, 1:] != data[:, :-1])).sum(axis=(0, 1))
+        for part in vars(made).values():
+            allreduce_sum(grid.world, part)
+        return made
+
+    @property
+    def scale(self) -> ComplexArray:
+        """The complex scale of the data over the model beam's visibilities, best for half of the times, (Nfreqs,)."""
+        overlap, model, _ = self.time_products
+        with np.errstate(invalid="ignore", divide="ignore"):
+            ratio = np.where(model.real > 0, overlap / np.where(model.real > 0, model.real, 1.0), np.nan)
+        return np.array([_median(one) for one in ratio])
+
+    def unexplained(self, scale: ComplexArray) -> FloatArray:
+        """Return what the scaled model leaves beyond the noise over the scaled model's power, (Nfreqs,)."""
+        overlap, model, data = self.time_products
+        power = np.abs(scale[:, np.newaxis]) ** 2 * model.real
+        left = data.real - 2 * (scale.conj()[:, np.newaxis] * overlap).real + power - self.time_counts
+        known = power > 0
+        ratio = np.where(known, left / np.where(known, power, 1.0), np.nan)
+        return np.array([max(_median(one).real, 0.0) for one in ratio])
+
+
+def _median(values: NDArray[np.complexfloating] | FloatArray) -> complex:
+    """Return the medians of both parts of what is known; zero where nothing is."""
+    known = values[~np.isnan(values)]
+    return complex(np.median(known.real), np.median(known.imag)) if known.size else 0j
+
+
+@dataclass
+class Excess:
+    """Logs of |residual|^2 over its expectation, summed over ranks: a mean of logs feels few wild samples little.
+
+    The residual is the data minus the scaled model; where times have neighbours, its second difference in time.
+
+    Attributes
+    ----------
+    differenced : bool
+    times, bls, noise : ndarray, (2, Ntimes), (2, Nbls), (2, Nfreqs)
+        Sums and numbers of logs. ``noise`` has only differences in which the sky moves little.
+    """
+
+    differenced: bool
+    times: FloatArray
+    bls: FloatArray
+    noise: FloatArray
+    middle: IntArray = field(default_factory=lambda: np.zeros(0, dtype=int))
+
+    @classmethod
+    def of(cls, grid: ProcessGrid, problem: Problem, sample: Sample, weights: FloatArray, sums: Sums) -> Excess:
+        """Add up; ``problem`` is of all channels. Collective: all ranks of the grid."""
+        observation = problem.observation
+        scale, left = sums.scale[sample.channels], sums.unexplained(sums.scale)[sample.channels]
+        middle = amid_neighbours(observation.times[sample.times] * PER_DAY, observation.integration_time[sample.times])
+        differenced = 2 * len(middle) >= len(sample.times)
+        n_looks = len(middle) if differenced else len(sample.times)
+        made = cls(
+            differenced,
+            np.zeros((2, n_looks)),
+            np.zeros((2, observation.Nbls)),
+            np.zeros((2, observation.Nfreqs)),
+            middle if differenced else np.arange(n_looks),
+        )
+        model = scale[:, np.newaxis, np.newaxis] * sample.model
+        residual = sample.data - model
+        variance = np.divide(1.0, weights, out=np.full(weights.shape, np.inf), where=weights > 0)
+        if differenced:
+            residual, model = _differences(residual, middle, SECOND), _differences(model, middle, SECOND)
+            variance = _differences(variance, middle, SECOND**2)
+        moving = np.abs(model) ** 2
+        expected = variance + left[:, np.newaxis, np.newaxis] * moving
+        power = np.abs(residual) ** 2
+        known = np.isfinite(variance) & (power > 0)
+        logs = np.where(known, np.log(np.where(known, power / expected, 1.0)) + EULER, 0.0)
+        made.times += logs.sum(axis=(0, 2)), known.sum(axis=(0, 2))
+        made.bls[:, sample.bls] = logs.sum(axis=(0, 1)), known.sum(axis=(0, 1))
+        if differenced:
+            still = known & (moving < STILL * variance)
+            made.noise[:, sample.channels] = np.where(still, logs, 0.0).sum(axis=(1, 2)), still.sum(axis=(1, 2))
+        for part in (made.times, made.bls, made.noise):
+            allreduce_sum(grid.world, part)
+        return made
+
+
+def _differences(values: NDArray[Any], middle: IntArray, kernel: FloatArray) -> NDArray[Any]:
+    """Apply a kernel of three to neighbouring times, (Nfreqs, Nmiddle, Nbls)."""
+    first, second, third = (factor * values[:, middle + step] for factor, step in zip(kernel, (-1, 0, 1), strict=True))
+    return np.asarray(first + second + third)
