@@ -53,6 +53,12 @@ def outliers(values: FloatArray, error: ArrayLike = 0.0, spread: float = POWER_S
     return np.where(absurd, sigma, 0.0)
 
 
+def centre_and_spread(values: FloatArray) -> tuple[float, float]:
+    """Return the median of some values, and the standard deviation of a Gaussian with their median deviation."""
+    centre = float(np.median(values))
+    return centre, GAUSSIAN * float(np.median(np.abs(values - centre)))
+
+
 def log_odds_of_wide(value: float, error: float, narrow: float, wide: float) -> float:
     """Return the log Bayes factor of a Gaussian of width ``wide`` about zero over one of width ``narrow``.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.inference.robust import outliers
@@ -48,7 +49,7 @@ def absurd_antennas(problem: Problem, sums: Sums) -> list[Finding]:
     counted = sums.bl_counts.sum(axis=0)
     zero = (counted > 0) & (sums.zeros == counted)
     constant = (sums.pairs > 0) & (sums.steps == 0)
-    power = _power(sums)
+    power = _power(problem, sums)
     n_ants = problem.observation.Nants
     by_antenna, why = np.full(n_ants, np.nan), {}
     for ant in range(n_ants):
@@ -69,14 +70,21 @@ def absurd_antennas(problem: Problem, sums: Sums) -> list[Finding]:
     return _left_out(problem, why)
 
 
-def _power(sums: Sums) -> FloatArray:
-    """Return ln of each baseline's power beyond the noise over the model's, (Nbls,); -inf where there is none."""
+def _power(problem: Problem, sums: Sums) -> FloatArray:
+    """Return ln of power beyond the noise over the model's, beside baselines of like length, (Nbls,); -inf: none."""
     _, model, data = sums.bl_products
     beyond = np.maximum(data.real - sums.bl_counts, NOISE_SIGMAS * np.sqrt(sums.bl_counts))
     known = (sums.bl_counts > 0) & (model.real > 0)
     # No data at all are less than what noise hides.
     logs = np.where(data.real > 0, np.log(np.where(known, beyond / np.where(known, model.real, 1.0), 1.0)), -np.inf)
-    return _over_channels(np.where(known, logs, np.nan))
+    by_baseline = _over_channels(np.where(known, logs, np.nan))
+    # What a model lacks of diffuse emission is on short baselines, and an antenna in the centre has no others.
+    observation = problem.observation
+    order = np.argsort(np.linalg.norm(observation.bl_vectors, axis=1), kind="stable")
+    order = order[~np.isnan(by_baseline[order])]
+    of_length = median_filter(by_baseline[order], size=2 * observation.Nants, mode="nearest")
+    by_baseline[order] -= np.where(np.isfinite(of_length), of_length, 0.0)
+    return by_baseline
 
 
 def _over_channels(logs: FloatArray) -> FloatArray:

@@ -106,8 +106,8 @@ class Sums:
         Number of visibilities that count.
     zeros : ndarray, (Nbls,)
         Number of those that are exactly zero.
-    steps : ndarray, (Nbls,)
-        Number of times at which a visibility is not exactly that of the time before.
+    pairs, steps : ndarray, (Nbls,)
+        Number of times at which that of the time before counts too, and of those with another visibility.
     """
 
     time_products: ComplexArray
@@ -115,8 +115,8 @@ class Sums:
     time_counts: FloatArray
     bl_counts: FloatArray
     zeros: FloatArray
-    steps: FloatArray
     pairs: FloatArray
+    steps: FloatArray
 
     @classmethod
     def of(cls, grid: ProcessGrid, problem: Problem, sample: Sample, weights: FloatArray) -> Sums:
@@ -177,8 +177,10 @@ class Excess:
     Attributes
     ----------
     differenced : bool
-    times, bls, noise : ndarray, (2, Ntimes), (2, Nbls), (2, Nfreqs)
+    times, bls, noise : ndarray, (2, Nlooks), (2, Nbls), (2, Nbls)
         Sums and numbers of logs. ``noise`` has only differences in which the sky moves little.
+    middle : ndarray of int, (Nlooks,)
+        The sample's time that each residual is of, or the middle one of its three.
     """
 
     differenced: bool
@@ -199,7 +201,7 @@ class Excess:
             differenced,
             np.zeros((2, n_looks)),
             np.zeros((2, observation.Nbls)),
-            np.zeros((2, observation.Nfreqs)),
+            np.zeros((2, observation.Nbls)),
             middle if differenced else np.arange(n_looks),
         )
         model = scale[:, np.newaxis, np.newaxis] * sample.model
@@ -217,7 +219,7 @@ class Excess:
         made.bls[:, sample.bls] = logs.sum(axis=(0, 1)), known.sum(axis=(0, 1))
         if differenced:
             still = known & (moving < STILL * variance)
-            made.noise[:, sample.channels] = np.where(still, logs, 0.0).sum(axis=(1, 2)), still.sum(axis=(1, 2))
+            made.noise[:, sample.bls] = np.where(still, logs, 0.0).sum(axis=(0, 1)), still.sum(axis=(0, 1))
         for part in (made.times, made.bls, made.noise):
             allreduce_sum(grid.world, part)
         return made
