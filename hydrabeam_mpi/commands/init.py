@@ -55,8 +55,8 @@ def job_from_data(paths: Sequence[Path]) -> str:
     data: Values = {"files": tuple(map(_named, paths)), "polarization": summary.pol}
     if len(channels) < observation.Nfreqs:
         data["freqs"] = tuple(freqs.tolist())
-    if summary.flagged_antennas:
-        data["exclude_antennas"] = summary.flagged_antennas
+    if excluded := sorted({*summary.flagged_antennas, *summary.absurd_antennas}):
+        data["exclude_antennas"] = tuple(excluded)
     lines = [
         *HEAD,
         *keys_text(Job, {"name": paths[0].stem}),
@@ -120,6 +120,8 @@ def _about_data(summary: Summary, n_chosen: int) -> list[str]:
         said.append(f"Wholly flagged channels: {', '.join(f'{freq / 1e6:.6g}' for freq in flagged)} MHz.")
     if summary.flagged_antennas:
         said.append(f"Wholly flagged antennas: {_list(summary.flagged_antennas)}.")
+    for ant, why in summary.absurd_antennas.items():
+        said.append(f"Dead or absurd antenna {ant}: {why}.")
     if n_chosen < observation.Nfreqs - flagged.size:
         said.append("One channel is a quick start; without 'freqs', every channel gets a beam of its own.")
     if summary.units != ("Jy",):

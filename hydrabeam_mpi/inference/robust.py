@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import stats
 
 from hydrabeam_mpi.data.observation import FloatArray
-from hydrabeam_mpi.inference.significance import log_p_two_sided
 
 ABSURD_P = 1e-6
 """Probability, corrected for the number of looks, below which an antenna, time or baseline is not one of the others.
@@ -19,6 +19,8 @@ LEAST_COUNT = 5
 """Of fewer values a median and its spread say nothing about one of them."""
 GAUSSIAN = 1.4826
 """Standard deviation of a Gaussian over its median absolute deviation."""
+MEDIAN_DOF = 0.37
+"""Degrees of freedom, for each value, of a variance that is known by a median absolute deviation."""
 STRONG = 5.0
 """Log of the odds that make a claim: 150 to 1, so that prior odds against it of some tens leave it likely."""
 
@@ -38,7 +40,8 @@ def outliers(values: FloatArray, error: ArrayLike = 0.0, spread: float = POWER_S
     Returns
     -------
     ndarray, (N,)
-        Absurd are those whose two-sided Gaussian probability, times their number, is below `ABSURD_P`.
+        Absurd are those whose two-sided probability, times their number, is below `ABSURD_P`: by Student's
+        distribution, with as many degrees of freedom as the variance is known to (Welch and Satterthwaite).
     """
     known = ~np.isnan(values)
     if np.count_nonzero(known) < LEAST_COUNT:
@@ -48,8 +51,11 @@ def outliers(values: FloatArray, error: ArrayLike = 0.0, spread: float = POWER_S
         return np.zeros(len(values))
     away = np.where(known, values - centre, 0.0)
     scatter = GAUSSIAN * float(np.median(np.abs(away[known])))
-    sigma = away / np.sqrt(scatter**2 + spread**2 + np.asarray(error) ** 2)
-    absurd: NDArray[np.bool_] = log_p_two_sided(sigma) + np.log(np.count_nonzero(known)) < np.log(ABSURD_P)
+    variance = scatter**2 + spread**2 + np.asarray(error) ** 2
+    sigma = away / np.sqrt(variance)
+    n = np.count_nonzero(known)
+    dof = MEDIAN_DOF * n * (variance / max(scatter**2, 1e-9 * spread**2)) ** 2
+    absurd: NDArray[np.bool_] = 2 * n * stats.t.sf(np.abs(sigma), dof) < ABSURD_P
     return np.where(absurd, sigma, 0.0)
 
 

@@ -38,8 +38,7 @@ class Finding:
     @property
     def line(self) -> str:
         """All of it in a line."""
-        where = f" ({self.where})" if self.where else ""
-        return f"{self.what[:1].upper()}{self.what[1:]}{where}: {self.why}. Remedy: {self.remedy}."
+        return f"{self.what[:1].upper()}{self.what[1:]} ({self.where}): {self.why}. Remedy: {self.remedy}."
 
     def record(self) -> dict[str, str]:
         """Return the words by name, as ``loop.json`` has them."""

@@ -136,6 +136,30 @@ def test_data_are_described(write: Callable[..., Path], tmp_path: Path) -> None:
     assert job.beam.frequency == "scale"
 
 
+def test_dead_and_absurd_antennas_are_left_out(write: Callable[..., Path], tmp_path: Path) -> None:
+    """Autocorrelations of 3e-6 beside a thousand, and visibilities of nothing but zeros."""
+
+    def damage(uv: UVData) -> None:
+        autos = uv.ant_1_array == uv.ant_2_array
+        uv.data_array[autos & (uv.ant_1_array == 11)] = 3e-6
+        uv.data_array[~autos & ((uv.ant_1_array == 20) | (uv.ant_2_array == 20))] = 0
+
+    text = job_from_data([write(damage)])
+    assert "Dead or absurd antenna 11: its autocorrelations are 2." in text
+    assert "Dead or absurd antenna 20: all its visibilities are zero." in text
+    assert load(text, tmp_path).data.exclude_antennas == (11, 20)
+
+
+def test_antennas_of_unlike_power_are_not_absurd(write: Callable[..., Path], tmp_path: Path) -> None:
+    def scale(uv: UVData) -> None:
+        for ant, power in zip(NUMBERS, (0.3, 0.8, 1.0, 1.5, 4.0), strict=True):
+            uv.data_array[(uv.ant_1_array == ant) & (uv.ant_2_array == ant)] *= power
+
+    text = job_from_data([write(scale)])
+    assert "absurd" not in text
+    assert load(text, tmp_path).data.exclude_antennas == ()
+
+
 HOSTILE = 'made\n\npolarization = \'nn\' # \x1b[2J\u2028\x7f\r"""\\ größer 面'
 
 

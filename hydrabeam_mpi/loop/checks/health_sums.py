@@ -60,8 +60,8 @@ def read_sample(grid: ProcessGrid, problem: Problem) -> Sample:
         bls = np.union1d(problem.train.bls, problem.test.bls)
         n_samples = len(bls) * len(times) * problem.observation.Nfreqs
         thinned = bls[:: 1 + n_samples // (MOST_SAMPLES * grid.group.size)]
-        by_group = thinned[np.argsort(problem.redundant.group[thinned], kind="stable")]
-        mine = np.sort(np.array_split(by_group, grid.group.size)[grid.group.rank])
+        group = problem.redundant.group[thinned]
+        mine = thinned[np.isin(group, np.array_split(np.unique(group), grid.group.size)[grid.group.rank])]
         rows = read_rows(problem, Tile(times, mine))
         model = problem.forward_model(rows.groups).visibilities(problem.beams, times)[:, :, rows.member]
         autos = _read_autos(problem, np.array_split(times, grid.group.size)[grid.group.rank])

@@ -13,7 +13,7 @@ from hydrabeam_mpi.report.loop.statistics import statistics_table
 from hydrabeam_mpi.report.loop.structures import draw_singular_values, draw_structures
 from hydrabeam_mpi.report.loop.tables import heldout_table, left_out, parameters_table, rounds_table, seconds
 from hydrabeam_mpi.report.loop.where import where_tables
-from hydrabeam_mpi.report.loop.words import further_words, reason_words, verdict_words
+from hydrabeam_mpi.report.loop.words import further_words, health_words, reason_words, verdict_words
 from hydrabeam_mpi.report.page.sections import as_html
 from hydrabeam_mpi.report.page.style import Drawing
 
@@ -36,6 +36,7 @@ def loop_section(loop: Entry, place: Place) -> str:
             if entries(loop, "rounds")
             else "<h2>Does the model lack anything?</h2>\n",
             _verdict(loop),
+            _health(loop),
             rounds_table(loop),
             heldout_table(loop),
             _placed(place, draw_fall(loop), draw_ranking(loop)),
@@ -57,6 +58,12 @@ def _verdict(loop: Entry) -> str:
     said = [str(line) for line in (reason_words(loop), sentence) if line]
     where = "".join(f"<p>{as_html(line)}</p>" for line in said)
     return f'<div class="finding verdict"><p>{as_html(verdict_words(loop))}</p>{where}</div>\n'
+
+
+def _health(loop: Entry) -> str:
+    """List what was found wrong with the data themselves before anything was fitted."""
+    said = "".join(f"<li>{as_html(line)}</li>" for line in health_words(loop))
+    return f"<p>Before anything was fitted, of the data themselves:</p><ul>{said}</ul>\n" if said else ""
 
 
 def _parameters(loop: Entry, place: Place) -> str:

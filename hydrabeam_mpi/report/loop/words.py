@@ -72,6 +72,15 @@ def reason_words(loop: Entry) -> str:
     return f"{why[:1].upper()}{why[1:]}." if why else ""
 
 
+def health_words(loop: Entry) -> list[str]:
+    """Say what was found wrong with the data themselves, a line each."""
+    said = []
+    for one in entries(loop, "health"):
+        what, where, why, remedy = (str(one.get(key) or "") for key in ("what", "where", "why", "remedy"))
+        said.append(f"{what[:1].upper()}{what[1:]} ({where}): {why}. Remedy: {remedy}.")
+    return said
+
+
 def further_words(loop: Entry) -> list[str]:
     """Return the loop's own sentences except those in the table of rounds."""
     told = {str(entry.get("sentence")) for entry in entries(loop, "rounds")}

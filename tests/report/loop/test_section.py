@@ -281,3 +281,12 @@ def test_parameters_that_are_not_told_are_counted() -> None:
     loop = loops.explained()
     loop["rounds"][0]["parameters_not_told"] = [{"name": "a"}, {"name": "b"}]
     assert "2 more that the data do not tell" in section(loop)[0]
+
+
+def test_what_is_wrong_with_the_data_is_told_with_its_remedy() -> None:
+    finding = {"what": "a bad integration", "where": "JD 2459866.2, held out", "why": "it is <wild>"}
+    finding["remedy"] = "exclude_times = [[2459866.1, 2459866.3]] in [data]"
+    told = loop_section(loops.explained() | {"health": [finding]}, lambda drawing: "")
+    line = "A bad integration (JD 2459866.2, held out): it is &lt;wild&gt;. Remedy: exclude_times = "
+    assert f"<li>{line}[[2459866.1, 2459866.3]] in [data].</li>" in told
+    assert "of the data themselves" not in loop_section(loops.explained(), lambda drawing: "")

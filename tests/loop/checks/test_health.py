@@ -1,0 +1,238 @@
+"""What is wrong with data themselves is named, put aside and told; effects and healthy data are let alone."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from pyuvdata import UVData
+
+from hydrabeam_mpi.cli import main
+from hydrabeam_mpi.config import load_job
+from hydrabeam_mpi.io.reading import quiet
+from hydrabeam_mpi.loop.checks.health import check_health
+from hydrabeam_mpi.mpi import ProcessGrid
+from hydrabeam_mpi.setup.findings import Finding, mended_job
+from hydrabeam_mpi.setup.problem import estimate_noise, prepare
+from hydrabeam_mpi.simulation.mock import simulate_to
+from tests.loop.mock import mock_job, write_job
+
+N_TIMES = 24
+CLOSE = [6.0, 6.0 + N_TIMES * 10 / 3600]
+"""Sidereal hours, so that integrations follow each other."""
+Change = Callable[[UVData], None]
+
+
+def made(folder: Path, *injected: dict[str, Any], seed: int = 4, close: bool = True) -> dict[str, Any]:
+    """Simulate ``data.uvh5`` in two channels and return a job that reads it."""
+    job = mock_job(*injected, n_times=N_TIMES, freqs=(131e6, 133e6))
+    job["seed"] = seed
+    if close:
+        job["data"]["simulate"]["lst_range"] = CLOSE
+    simulate_to(MPI.COMM_SELF, load_job(write_job(job, folder)), folder)
+    job["data"] = {"files": ["data.uvh5"]}
+    return job
+
+
+def damaged(folder: Path, change: Change) -> list[str]:
+    """Write a damaged copy and return it as a job names it."""
+    with quiet():
+        uv = UVData.from_file(folder / "data.uvh5")
+        change(uv)
+        uv.write_uvh5(folder / "damaged.uvh5", clobber=True, run_check=False)
+    return ["damaged.uvh5"]
+
+
+def found(job: dict[str, Any], folder: Path, world: MPI.Comm = MPI.COMM_SELF, **data: Any) -> list[Finding]:
+    job = {**job, "data": {**job["data"], **data}}
+    if world.rank == 0:
+        write_job(job, folder)
+    world.Barrier()
+    problem = prepare(load_job(folder / "job.toml"), tuple(folder / name for name in job["data"]["files"]))
+    problem = estimate_noise(world, problem)
+    return check_health(ProcessGrid.split(world, problem.observation.Nfreqs), problem)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("good")
+
+
+@pytest.fixture(scope="module")
+def job(folder: Path) -> dict[str, Any]:
+    return made(folder)
+
+
+def crosses(uv: UVData) -> np.ndarray:
+    return uv.ant_1_array != uv.ant_2_array
+
+
+def of_antenna(uv: UVData, number: int) -> np.ndarray:
+    return (uv.ant_1_array == number) | (uv.ant_2_array == number)
+
+
+def at_times(uv: UVData, *numbers: int) -> np.ndarray:
+    return np.isin(uv.time_array, np.unique(uv.time_array)[list(numbers)])
+
+
+def noisy(uv: UVData, rows: np.ndarray, sigma: float = 20.0) -> None:
+    """Add noise of so many Jy."""
+    rng = np.random.default_rng(1)
+    shape = uv.data_array[rows].shape
+    uv.data_array[rows] += sigma * (rng.normal(size=shape) + 1j * rng.normal(size=shape))
+
+
+@pytest.mark.parametrize(("seed", "close"), [(1, True), (2, True), (3, True), (1, False), (2, False), (3, False)])
+def test_healthy_data(seed: int, close: bool, tmp_path: Path) -> None:
+    assert found(made(tmp_path, seed=seed, close=close), tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("kind", "strength"),
+    [("antenna_gains", 0.5), ("cross_coupling", 3.0), ("missing_sources", 200.0), ("outliers", 30.0), ("diffuse", 3.0)],
+)
+def test_effects_are_left_to_the_loop(kind: str, strength: float, tmp_path: Path) -> None:
+    """Gains wrong by half, couplings and sources as strong as the sky: gross, and yet effects."""
+    assert found(made(tmp_path, {"kind": kind, "strength": strength}), tmp_path) == []
+
+
+@pytest.mark.parametrize("with_phases", [False, True])
+def test_raw_data(job: dict[str, Any], folder: Path, with_phases: bool) -> None:
+    """Nothing calibrates them: gains of 0.0122, and every antenna with a phase of its own."""
+
+    def uncalibrate(uv: UVData) -> None:
+        phases = np.random.default_rng(1).uniform(0, 2 * np.pi, 100) * with_phases
+        gain = np.sqrt(1.5e-4) * np.exp(1j * phases)
+        uv.data_array *= (gain[uv.ant_1_array] * gain[uv.ant_2_array].conj())[:, None, None]
+
+    (one,) = found(job, folder, files=damaged(folder, uncalibrate))
+    assert one.what == "a wrong flux scale"
+    assert one.flux_scale == pytest.approx(1 / 1.5e-4, rel=0.1)
+    assert f"flux_scale = {one.flux_scale:.4g} in [data]" in one.remedy
+    # As the remedy says.
+    assert found(job, folder, files=["damaged.uvh5"], flux_scale=one.flux_scale) == []
+
+
+def test_scales_that_conventions_and_beams_explain(job: dict[str, Any], folder: Path) -> None:
+    for factor in (0.5, 2.0):
+        assert found(job, folder, files=damaged(folder, lambda uv, factor=factor: uv.data_array.__imul__(factor))) == []
+
+
+def weak_autos(uv: UVData) -> None:
+    uv.data_array[~crosses(uv) & of_antenna(uv, 3)] *= 1e-9
+
+
+def no_autos(uv: UVData) -> None:
+    uv.data_array[~crosses(uv) & of_antenna(uv, 3)] = 0
+
+
+def all_zero(uv: UVData) -> None:
+    uv.data_array[crosses(uv) & of_antenna(uv, 3)] = 0
+
+
+def all_constant(uv: UVData) -> None:
+    uv.data_array[crosses(uv) & of_antenna(uv, 3)] = 1 + 2j
+
+
+def far_too_strong(uv: UVData) -> None:
+    uv.data_array[crosses(uv) & of_antenna(uv, 3)] *= 1e3
+
+
+@pytest.mark.parametrize(
+    ("damage", "why"),
+    [
+        (weak_autos, "its autocorrelations are 1e-09 of the others'"),
+        (no_autos, "its autocorrelations are not positive"),
+        (all_zero, "all its visibilities are zero"),
+        (all_constant, "all its visibilities are constant"),
+        (far_too_strong, "the power of its visibilities is"),
+    ],
+)
+def test_dead_and_absurd_antennas(job: dict[str, Any], folder: Path, damage: Change, why: str) -> None:
+    (one,) = found(job, folder, files=damaged(folder, damage))
+    assert one.antennas == (3,)
+    assert one.where == "antenna 3"
+    assert one.why.startswith(why)
+    assert found(job, folder, files=["damaged.uvh5"], exclude_antennas=[3]) == []
+
+
+@pytest.mark.parametrize("how", ["noisy", "zero"])
+def test_bad_integrations(job: dict[str, Any], folder: Path, how: str) -> None:
+    """Two neighbours, one of which is held out, and a third that is."""
+
+    def damage(uv: UVData) -> None:
+        rows = crosses(uv) & at_times(uv, 4, 5, 14)
+        if how == "noisy":
+            noisy(uv, rows)
+        else:
+            uv.data_array[rows] = 0
+
+    result = found(job, folder, files=damaged(folder, damage))
+    with quiet():
+        times = np.unique(UVData.from_file(folder / "data.uvh5", read_data=False).time_array)
+    told = sorted(one.times[0] for one in result)
+    assert [np.flatnonzero((times >= a) & (times <= b)).tolist() for a, b in told] == [[4], [5], [14]]
+    assert sorted("held out" in one.where for one in result) == [False, True, True]
+    spans = [list(one.times[0]) for one in result]
+    assert found(job, folder, files=["damaged.uvh5"], exclude_times=spans) == []
+
+
+def test_a_noisy_baseline(job: dict[str, Any], folder: Path) -> None:
+    def damage(uv: UVData) -> None:
+        noisy(uv, (uv.ant_1_array == 1) & (uv.ant_2_array == 4))
+
+    (one,) = found(job, folder, files=damaged(folder, damage))
+    assert one.baselines == ((1, 4),)
+    assert found(job, folder, files=["damaged.uvh5"], exclude_baselines=[[4, 1]]) == []
+
+
+def test_a_channel_width_that_does_not_fit_its_autocorrelations(job: dict[str, Any], folder: Path) -> None:
+    with quiet():
+        width = float(UVData.from_file(folder / "data.uvh5", read_data=False).channel_width[0])
+    (one,) = found(job, folder, channel_width=16 * width)
+    assert one.what.startswith("noise unlike")
+    suggested = float(one.remedy.split("'")[1].split()[0]) * 1e3
+    assert suggested == pytest.approx(width, rel=0.25)  # three of its standard deviations
+    assert mended_job(load_job(folder / "job.toml"), [one]).data.channel_width == 16 * width
+
+
+def test_findings_do_not_depend_on_ranks(comm: MPI.Comm, common_tmp_path: Path) -> None:
+    if comm.rank == 0:
+        made(common_tmp_path)
+        damaged(common_tmp_path, lambda uv: (noisy(uv, crosses(uv) & at_times(uv, 5)), all_zero(uv)))
+    comm.Barrier()
+    job = mock_job(n_times=N_TIMES)
+    job["data"] = {"files": ["damaged.uvh5"]}
+    shared = found(job, common_tmp_path, comm)
+    assert [one.what for one in shared] == ["a dead or absurd antenna", "a bad integration"]
+    alone = found(job, common_tmp_path)
+    assert [(one.where, one.remedy) for one in shared] == [(one.where, one.remedy) for one in alone]
+
+
+def test_the_loop_puts_aside_what_it_names(
+    folder: Path, job: dict[str, Any], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Its result says so everywhere, and its amended job leaves out the same."""
+    names = damaged(folder, lambda uv: (noisy(uv, crosses(uv) & at_times(uv, 5)), all_zero(uv)))
+    path = write_job(
+        {**job, "data": {"files": [str(folder / name) for name in names]}, "loop": {"effects": ["timestamp"]}}, tmp_path
+    )
+    out = tmp_path / "result"
+    assert main(["loop", str(path), "-o", str(out)]) == 0
+    err = capfd.readouterr().err
+    loop, summary = (json.loads((out / f"{name}.json").read_text()) for name in ("loop", "summary"))
+    assert [one["what"] for one in loop["health"]] == ["a dead or absurd antenna", "a bad integration"]
+    assert set(loop["health"][0]) == {"what", "where", "why", "remedy"}
+    data = tomllib.loads((out / "amended.toml").read_text())["data"]
+    assert data["exclude_antennas"] == [3]
+    assert len(data["exclude_times"]) == 1
+    for words in (err, " ".join(summary["warnings"])):
+        assert "A dead or absurd antenna (antenna 3)" in words
+        assert "A bad integration (JD " in words
+    assert loop["verdict"] != "convention"
