@@ -11,6 +11,7 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.fit.gauss_newton import FitContext
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.loop.output.heldout_change import heldout_change
+from hydrabeam_mpi.loop.output.remedies import leave_out
 from hydrabeam_mpi.loop.output.sentences import say_round, say_verdict
 from hydrabeam_mpi.loop.residuals.remains import Remains
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round, indistinguishable, why_unexplained
@@ -83,6 +84,7 @@ def make_record(
     elif why is None or (last.consistent and control is None and not rounds):
         verdict = "explained" if rounds else "consistent"
     unexplained = verdict == "unexplained"
+    bad = leave_out(last.where, context.setup.observation) if unexplained else []
     record: dict[str, Any] = {
         "name": context.problem.job.name,
         "verdict": verdict,
@@ -94,6 +96,7 @@ def make_record(
         "said": [
             *(one["sentence"] for one in rounds),
             say_verdict(verdict, history.last.score.chi2, last.where, control, why),
+            *(one.line for one in bad),
         ],
         "warnings": [_warning_of(conventions)] if conventions["found"] else [],
         "foreign": control,
@@ -102,7 +105,7 @@ def make_record(
         "tried": tried,
         "skipped": reasons,
         "undecidable": [{"what": what, "why": why} for what, why in degenerate_directions],
-        "health": [one.record() for one in context.problem.findings],
+        "health": [one.record() for one in (*context.problem.findings, *bad)],
         "conventions": conventions,
         "where": last.where if unexplained else None,
         "residual": last.statistics,
