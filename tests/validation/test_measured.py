@@ -22,6 +22,8 @@ from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.row_buffer import RowBuffer
 from hydrabeam_mpi.fit.rows import Rows, read_rows
 from hydrabeam_mpi.inference.gaussian import Block
+from hydrabeam_mpi.loop.checks.health import check_health
+from hydrabeam_mpi.mpi import ProcessGrid
 from hydrabeam_mpi.random import complex_normal, generator
 from hydrabeam_mpi.setup.problem import estimate_noise, prepare
 
@@ -88,6 +90,25 @@ def test_the_inferred_beam_explains_more_of_data_that_it_has_not_seen(summary):
     # And says what that does not prove.
     assert "takes up errors that are not its own" in " ".join(summary["warnings"])
     assert summary["heldout_chi2"] > 10
+
+
+def test_measured_data_are_healthy_but_for_a_channel_width(write_job, data_dir):
+    """Set A's files state the distance of their channels, 1.5625 MHz, as their width, which is 97.7 kHz."""
+    night = sorted((data_dir / "H1C_2458043-45_LST1.1").glob("zen.2458043.*.HH.XRAA.uvh5"))
+    path = write_job("nights.toml", night)
+    job = tomllib.loads(path.read_text()) | {"holdout": {"kind": "times", "every": 2}}
+    found = {}
+    for name, noise in {"as shipped": job["noise"], "as stated": {"kind": "autocorrelations"}}.items():
+        data = {key: value for key, value in job["data"].items() if name == "as shipped" or key != "channel_width"}
+        path.write_text(tomli_w.dumps(job | {"noise": noise, "data": data}))
+        problem = estimate_noise(MPI.COMM_SELF, prepare(load_job(path), tuple(night)))
+        found[name] = check_health(ProcessGrid.split(MPI.COMM_SELF, problem.observation.Nfreqs), problem)
+    assert found["as shipped"] == []
+    (one,) = found["as stated"]
+    width, unit = one.remedy.partition("'")[2].partition("'")[0].split()
+    assert unit == "kHz"
+    # Of one night; sixteen times the width is stated.
+    assert float(width) == pytest.approx(97.65625, rel=0.2)
 
 
 def test_conjugated_data_are_not_explained(write_job, files, summary, tmp_path):
