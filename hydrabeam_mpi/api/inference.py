@@ -63,7 +63,11 @@ def run_inference(setup: Setup, folder: Path | None, threads: int) -> Result:
     with clock.time("health"):
         problem = told(grid, problem)
     mine = problem.of_channels(grid.channels)
-    results = infer_with_effects(grid, problem, mine, clock) if job.effects else infer_channels(grid, mine, clock)
+    if job.effects:
+        problem, results = infer_with_effects(grid, problem, mine, clock)
+        mine = problem.of_channels(grid.channels)
+    else:
+        results = infer_channels(grid, mine, clock)
     with clock.time("describe"):
         records = gather_by_channel(grid, describe_channels(grid, mine, results))
     memory = peak_rss_mb(world)

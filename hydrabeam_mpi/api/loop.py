@@ -15,6 +15,7 @@ from hydrabeam_mpi.api.shared import check_setup, make_result, origin_of, prepar
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.gauss_newton import FitContext
+from hydrabeam_mpi.fit.grown import grown_problem
 from hydrabeam_mpi.fit.joint import channel_results, find_setup, read_context, restore
 from hydrabeam_mpi.loop.attribution.control_models import control_models
 from hydrabeam_mpi.loop.checks.conventions import check_conventions
@@ -24,7 +25,7 @@ from hydrabeam_mpi.loop.output.amendment import amended_job
 from hydrabeam_mpi.loop.output.record import make_record
 from hydrabeam_mpi.loop.output.resume import Keeper
 from hydrabeam_mpi.loop.selection.choice import choose
-from hydrabeam_mpi.loop.selection.rounds import History, begin, run_rounds
+from hydrabeam_mpi.loop.selection.rounds import History, begin, run_rounds, settle_last
 from hydrabeam_mpi.mpi import ProcessGrid, bcast_object, gather_by_channel, peak_rss_mb, together
 from hydrabeam_mpi.result.describe import describe_channels
 from hydrabeam_mpi.setup.job_file import check_holds_out
@@ -106,11 +107,14 @@ def run_loop(
         history, keep = keeper.go_on(earlier, out, overwrite), keeper
     history = history or begin(context, values, clock)
     run_rounds(context, history, *(wanted or ([], [])), clock, keep)
+    with clock.time("settle"):
+        settle_last(context, history)
     with clock.time("leakage"):
         leakage = check_leakage(grid, context.problem, known) if choice.leakage else None
     with clock.time("describe"):
         results = channel_results(context, history.last.fitted)
-        records = gather_by_channel(grid, describe_channels(grid, context.problem, results))
+        problem = grown_problem(problem, known, history.last.fitted.values)
+        records = gather_by_channel(grid, describe_channels(grid, problem.of_channels(grid.channels), results))
     record = make_record(context, history, choice.skipped, conventions, leakage)
     memory = peak_rss_mb(world)
     found = Found(Result(job))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from hydrabeam_mpi.config.base import Section, key, refuse_unused
 from hydrabeam_mpi.data.limits import LARGEST
@@ -17,6 +17,15 @@ else:  # a job may name what there is
 
 
 Value = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
+Width = Annotated[float, Field(ge=1 / LARGEST, le=LARGEST)]
+
+
+def _by_channel(widths: Any) -> Any:
+    """Take numbers alone for the one list that is of all channels."""
+    if not isinstance(widths, list | tuple):
+        return widths
+    rows = [tuple(one) if isinstance(one, list) else one for one in widths]
+    return tuple(rows) if any(isinstance(one, tuple) for one in rows) else (tuple(rows),) if rows else ()
 
 
 class Effect(Section):
@@ -28,13 +37,15 @@ class Effect(Section):
     index: tuple[Annotated[int, Field(ge=0)], ...] = key((), "their numbers among all of the effect's parameters")
     values: tuple[tuple[Value, ...], ...] = key((), "one list a channel, where `inference` starts")
     std: tuple[tuple[Value, ...], ...] = key((), "posterior standard deviations, likewise")
-    prior_std: tuple[Annotated[Value, Field(ge=1 / LARGEST)], ...] = key((), "of the prior about zero")
+    prior_std: Annotated[tuple[tuple[Width, ...], ...], BeforeValidator(_by_channel)] = key(
+        (), "of the prior about zero, one list for all channels or one for each"
+    )
 
     @model_validator(mode="after")
     def _belongs_together(self) -> Self:
-        lengths = {len(row) for row in (*self.values, *self.std)}
+        lengths = {len(row) for row in (*self.values, *self.std, *self.prior_std)}
         if self.kind not in REWEIGHTINGS:  # their parameters have neither names nor priors in a job
-            lengths |= {len(self.names), len(set(self.index)), len(self.index), len(self.prior_std)}
+            lengths |= {len(self.names), len(set(self.index)), len(self.index), *([] if self.prior_std else [0])}
         if 0 in lengths or len(lengths) > 1 or len(self.std) not in (0, len(self.values)):
             raise ValueError(
                 "names, index, prior_std and every list in values and std go together, one entry a parameter"

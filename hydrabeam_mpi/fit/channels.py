@@ -26,12 +26,15 @@ class ChannelResult:
     ----------
     normal : NormalEquations
         Summed over all training rows.
+    train_chi2 : float
+        Reduced chi^2 of these at the posterior mean.
     posterior : Posterior
     heldout : HeldoutStatistics
         Summed over all held-out rows.
     """
 
     normal: NormalEquations
+    train_chi2: float
     posterior: Posterior
     heldout: HeldoutStatistics
 
@@ -62,7 +65,8 @@ def infer_channels(grid: ProcessGrid, problem: Problem, clock: Clock) -> list[Ch
         posteriors = solve_channels(grid, problem, normals)
     with clock.time("heldout"):
         heldout = _sum_heldout(grid, problem, test, posteriors)
-    return [ChannelResult(*parts) for parts in zip(normals, posteriors, heldout, strict=True)]
+    chi2 = map(reduced_chi2, normals, posteriors)
+    return [ChannelResult(*parts) for parts in zip(normals, chi2, posteriors, heldout, strict=True)]
 
 
 def read_shares(grid: ProcessGrid, problem: Problem, whole_times: bool = False) -> tuple[Rows, Rows]:

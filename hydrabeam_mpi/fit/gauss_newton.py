@@ -93,11 +93,11 @@ def refit(context: FitContext, values: Values, before: Fitted | None = None) -> 
     """
     start = _start(values, before)
     if not values.active and not values.reweighted:
-        solved = _solve_beams(context, start)
+        solved = solve_beams(context, start)
         return Fitted(values, Fit(solved.beams), solved.diagnostics)
     end, step, converged = _search(context, start)
     # Not converged: the beams that E is seen by stay, as E may be another one with those solved for.
-    solved = _solve_beams(context, end, keep=not converged and end.values.adds)
+    solved = solve_beams(context, end, keep=not converged and end.values.adds)
     return Fitted(end.values, replace(step.fit, posteriors=solved.beams), solved.diagnostics)
 
 
@@ -129,8 +129,11 @@ class _Step:
 
 
 def _start(values: Values, before: Fitted | None) -> Estimate:
-    """Begin from zero where E was never fitted: how large it may be depends on how the beams give way."""
-    n_fitted = len(before.fit.std) if before else 0
+    """Begin from zero where E was never fitted: how large it may be depends on how the beams give way.
+
+    Without a fit ``before``, values are those of a job, which were.
+    """
+    n_fitted = len(before.fit.std) if before else len(values.active)
     active = [
         replace(one, x=np.zeros_like(one.x)) if one.adds and number >= n_fitted else one
         for number, one in enumerate(values.active)
@@ -144,7 +147,7 @@ def _search(context: FitContext, at: Estimate) -> tuple[Estimate, _Step, bool]:
     flat = halved = 0
     length = 1.0
     for _ in range(MAX_STEPS):
-        solved = _solve_beams(context, at)
+        solved = solve_beams(context, at)
         if not at.beams:
             # There were no beams to see E by.
             at = replace(at, beams=solved.beams)
@@ -158,9 +161,9 @@ def _search(context: FitContext, at: Estimate) -> tuple[Estimate, _Step, bool]:
             at = best[1].towards(at, 0.5)
             continue
         flat, halved = flat + 1 if rise < FLAT_NATS * misfit else 0, 0
-        step = _step(context, replace(at, beams=solved.beams), solved)
+        step = take_step(context, replace(at, beams=solved.beams), solved)
         best = (solved.reached, at if at.values.adds else replace(at, beams=solved.beams), step)
-        moved = max(step.moved, _beam_moved(context, at.beams, solved.beams))
+        moved = max(step.moved, beam_moved(context, at.beams, solved.beams))
         if moved < STEP_SIGMAS * np.sqrt(misfit) or flat == FLAT_STEPS:
             return step.to, step, True
         # What was too long once is begun with again at twice the length at which it was not.
@@ -183,7 +186,7 @@ def _objective(context: FitContext, values: Values, of_beams: FloatArray) -> flo
     return context.over_channels(of_beams) + values.log_prior
 
 
-def _solve_beams(context: FitContext, at: Estimate, keep: bool = False) -> _Solved:
+def solve_beams(context: FitContext, at: Estimate, keep: bool = False) -> _Solved:
     """Solve for the beams given the effects, E as seen by the beams ``at``; with ``keep`` these stay.
 
     Collective: all ranks of the grid.
@@ -222,7 +225,7 @@ def _effective(normal: NormalEquations, posterior: Posterior) -> float:
     return 2 * float(np.sum(posterior.covariance * normal.own(BEAM).T).real)
 
 
-def _step(context: FitContext, at: Estimate, solved: _Solved) -> _Step:
+def take_step(context: FitContext, at: Estimate, solved: _Solved) -> _Step:
     """Move the effects, with the beams ``at`` following them. Collective: all ranks of the grid."""
     values = at.values
     if not values.active:
@@ -266,7 +269,7 @@ def active_sums(
     return total
 
 
-def _beam_moved(context: FitContext, before: Sequence[Posterior], after: Sequence[Posterior]) -> float:
+def beam_moved(context: FitContext, before: Sequence[Posterior], after: Sequence[Posterior]) -> float:
     """Return the largest move of a channel's beam, rms over coefficients in standard deviations."""
     moved = 0.0 if len(before) == len(after) else np.inf
     for old, new in zip(before, after, strict=False):

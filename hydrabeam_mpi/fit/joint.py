@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -15,16 +14,15 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.registry import EFFECTS, REWEIGHTINGS, make_effect, make_reweighting
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.accumulate import accumulate_designs, check_designs
-from hydrabeam_mpi.fit.channels import ChannelResult, read_shares, reduce_heldout
+from hydrabeam_mpi.fit.channels import ChannelResult, read_shares, reduce_heldout, reduced_chi2
 from hydrabeam_mpi.fit.clock import Clock
-from hydrabeam_mpi.fit.equations import BEAM
 from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
+from hydrabeam_mpi.fit.grown import grown_problem, marginal_beams
 from hydrabeam_mpi.fit.heldout import variance_by_effects
 from hydrabeam_mpi.fit.rank_data import RankData
-from hydrabeam_mpi.fit.state import Active, Fit, Fitted, Reweighted, Values, independent_prior
-from hydrabeam_mpi.fit.whitening import root_of
-from hydrabeam_mpi.inference.gaussian import Block, Gaussian
-from hydrabeam_mpi.inference.posterior import Posterior
+from hydrabeam_mpi.fit.settle import settle
+from hydrabeam_mpi.fit.state import Active, Fitted, Reweighted, Values, independent_prior
+from hydrabeam_mpi.inference.prior import ChannelPrior
 from hydrabeam_mpi.io.uvmeta import read_observation
 from hydrabeam_mpi.mpi import ProcessGrid, bcast_object, together
 from hydrabeam_mpi.setup.problem import Problem
@@ -78,7 +76,7 @@ def restore(job: Job, setup: ObservingSetup) -> Values:
     n_freqs = setup.observation.Nfreqs
     for number, entry in enumerate(job.effects):
         try:
-            if len(entry.values) != n_freqs:
+            if len(entry.values) != n_freqs or len(entry.prior_std) not in (0, 1, n_freqs):
                 raise InputError(
                     f"has values for {len(entry.values)} channels, the data have {n_freqs}",
                     remedy="use the job as 'hydrabeam loop' wrote it, with the same channels",
@@ -111,13 +109,16 @@ def _restore_effect(entry: EffectEntry, setup: ObservingSetup) -> Active:
     index = np.array(entry.index, dtype=int)
     if [parameters.names[i] for i in index if i < len(parameters)] != list(entry.names):
         raise InputError("is about other antennas, times or sources than the data have", remedy=AS_WRITTEN)
-    prior_var, x = np.zeros(len(parameters)), np.zeros((len(entry.values), len(parameters)))
-    prior_var[index], x[:, index] = np.square(entry.prior_std), np.array(entry.values)
-    used, prior = independent_prior(prior_var, effect.shared)
-    return replace(Active.start(effect, setup, prior_var, x), used=used, prior=prior)
+    prior_var, x = np.zeros((len(entry.prior_std), len(parameters))), np.zeros((len(entry.values), len(parameters)))
+    prior_var[:, index], x[:, index] = np.square(entry.prior_std), np.array(entry.values)
+    priors = [independent_prior(of_channel, effect.shared) for of_channel in prior_var]
+    prior = ChannelPrior(tuple(one.of(0) for _, one in priors), effect.shared)
+    return replace(Active.start(effect, setup, prior_var[0], x), used=priors[0][0], prior=prior)
 
 
-def infer_with_effects(grid: ProcessGrid, problem: Problem, mine: Problem, clock: Clock) -> list[ChannelResult]:
+def infer_with_effects(
+    grid: ProcessGrid, problem: Problem, mine: Problem, clock: Clock
+) -> tuple[Problem, list[ChannelResult]]:
     """Fit beams and the job's effects jointly.
 
     Collective: all ranks of the grid.
@@ -130,6 +131,13 @@ def infer_with_effects(grid: ProcessGrid, problem: Problem, mine: Problem, clock
     clock : Clock
         Receives the phases of `infer_channels`; each step of the fit solves, so that "design"
         has all of it.
+
+    Returns
+    -------
+    problem : Problem
+        Of all channels, with the basis of the beams that follow.
+    results : list of ChannelResult
+        Of the rank group's channels.
     """
     with together(grid.world):
         setup = find_setup(problem) if grid.is_world_root else None
@@ -137,52 +145,30 @@ def infer_with_effects(grid: ProcessGrid, problem: Problem, mine: Problem, clock
     with together(grid.world):
         values = restore(problem.job, context.setup)
     with clock.time("design"):
-        fitted = refit(context, values)
+        fitted = settle(context, refit(context, values))
     with clock.time("solve"):
         pass
     with clock.time("heldout"):
-        return channel_results(context, fitted)
+        return grown_problem(problem, context.setup, fitted.values), channel_results(context, fitted)
 
 
 def channel_results(context: FitContext, fitted: Fitted) -> list[ChannelResult]:
     """Return what was inferred of each channel of the rank group, the effects' uncertainty included.
 
-    Collective: all ranks of the grid.
+    Beams are those of `grown_problem`. Collective: all ranks of the grid.
     """
-    grid, problem = context.grid, context.problem
+    grid, problem, given = context.grid, context.problem, fitted.fit.posteriors
     with together(grid.world):
         train, _ = context.train.calibrated(fitted.estimate)
         normals = accumulate_designs(train, context.train.designs(fitted.values), problem.basis)
     for normal in normals:
         normal.reduce(grid.group)
-    posteriors = beams_alone(fitted.fit)
     with together(grid.world):
         test, added = context.test.calibrated(fitted.estimate)
         before = context.test.model_beam
         variance, with_beam = variance_by_effects(context, fitted, test, added)
-        predicting = fitted.fit.posteriors if with_beam else posteriors
+        predicting = given if with_beam else marginal_beams(context, fitted, grown=False)
         heldout = check_designs(test, context.test.designs(fitted.values), predicting, before, variance)
     reduce_heldout(grid, heldout)
-    return [ChannelResult(*parts) for parts in zip(normals, posteriors, heldout, strict=True)]
-
-
-def beams_alone(fit: Fit) -> Sequence[Posterior]:
-    """Return the beams' posteriors with the effects marginalised.
-
-    The beam's covariance grows by M C M^T, with C that of the effects and M by how much the beam follows them. For
-    complex coefficients this is the part of it that a circular Gaussian can have.
-    """
-    if not fit.covariances:
-        return fit.posteriors
-    wider = []
-    for posterior, follow, covariance in zip(fit.posteriors, fit.beam_response, fit.covariances, strict=True):
-        # With the effects' errors as root times unknowns of variance one, by which the beam moves by `spread`.
-        spread = follow @ root_of(covariance)
-        precision = posterior.factor @ posterior.factor.conj().T
-        across = -precision @ spread
-        of_effects = np.eye(spread.shape[1]) - spread.conj().T @ across
-        matrix = np.block([[precision, across], [across.conj().T, of_effects]])
-        beam, effects = zip((BEAM, "effects"), spread.shape, 2 * [posterior.is_complex], strict=True)
-        left = Gaussian((Block(*beam), Block(*effects)), matrix, np.zeros(len(matrix)), None).marginalise(["effects"])
-        wider.append(replace(posterior, factor=left.solve(overwrite=True).factor))
-    return wider
+    parts = zip(normals, map(reduced_chi2, normals, given), marginal_beams(context, fitted), heldout, strict=True)
+    return [ChannelResult(*part) for part in parts]

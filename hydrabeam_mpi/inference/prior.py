@@ -125,6 +125,42 @@ class CovariancePrior:
 
 
 @dataclass(frozen=True)
+class BlockPrior:
+    """The priors of several blocks of coefficients, side by side and independent of each other."""
+
+    priors: tuple[Prior, ...]
+
+    @property
+    def mean(self) -> Array:
+        """Their centres, (n,)."""
+        return np.concatenate([prior.mean for prior in self.priors])
+
+    @property
+    def log_det_precision(self) -> float | None:
+        """ln|Sigma^-1|, or None where one of them is flat."""
+        parts = [prior.log_det_precision for prior in self.priors]
+        known = [part for part in parts if part is not None]
+        return sum(known) if len(known) == len(parts) else None
+
+    def add_precision(self, matrix: Array) -> None:
+        """Add Sigma^-1 to the (n, n) matrix."""
+        for prior, span in self._spans():
+            prior.add_precision(matrix[span, span])
+
+    def precision_times(self, vector: Array) -> Array:
+        """Return Sigma^-1 ``vector``, (n,)."""
+        return np.concatenate([prior.precision_times(vector[span]) for prior, span in self._spans()])
+
+    def std(self) -> FloatArray:
+        """Return the standard deviations, (n,)."""
+        return np.concatenate([prior.std() for prior in self.priors])
+
+    def _spans(self) -> list[tuple[Prior, slice]]:
+        ends = np.cumsum([0, *(len(prior.mean) for prior in self.priors)]).tolist()
+        return list(zip(self.priors, map(slice, ends[:-1], ends[1:]), strict=True))
+
+
+@dataclass(frozen=True)
 class ChannelPrior:
     """The prior of real parameters over channels: a Gaussian in (channel, parameter).
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hydrabeam_mpi.fit.channels import ChannelResult, reduced_chi2
+from hydrabeam_mpi.fit.channels import ChannelResult
 from hydrabeam_mpi.inference.predictive_checks import Z_EDGES
 from hydrabeam_mpi.io.posterior_file import ChannelRecord
 from hydrabeam_mpi.mpi import ProcessGrid
@@ -54,7 +54,7 @@ def _record(problem: Problem, f: int, result: ChannelResult, maps: SkyMaps) -> C
         "n_unique_baselines": problem.n_unique_baselines,
         "n_modes": problem.basis.n_modes,
         "log_evidence": posterior.log_evidence,
-        "train_chi2": reduced_chi2(result.normal, posterior),
+        "train_chi2": result.train_chi2,
         "fit_rms": problem.fit_rms[f],
     }
     summary |= summarise_coefficients(posterior, prior) | summarise_maps(maps) | result.heldout.summary()

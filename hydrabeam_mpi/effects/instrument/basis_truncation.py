@@ -12,7 +12,7 @@ from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.shared.displaced import need_real_beam
-from hydrabeam_mpi.model.bases.base import NEGLIGIBLE, NextModes
+from hydrabeam_mpi.model.bases.base import NEGLIGIBLE, LinearBasis, NextModes
 
 MOST_MODES = 128
 
@@ -23,6 +23,11 @@ class BasisTruncation(Effect):
     The basis says which these are. As redundant baselines share the beam, they share these.
     The modes do not depend on the beam, so they are integrated where they are first needed, by `columns`, and kept with
     the block.
+
+    Parameters
+    ----------
+    n_before : int
+        How many of the next modes others have taken.
     """
 
     kind = "basis_truncation"
@@ -58,8 +63,8 @@ class BasisTruncation(Effect):
         """Return the visibilities of the modes; ``x`` is (n_params,)."""
         key = f"{self.kind} {self.n_before}"
         if key not in block.integrals:
-            modes = self.next_modes(block.setup)
-            block.integrals[key] = block.fixed_integral(key, lambda sources: modes.columns(sources.za, sources.az))
+            modes = self.beam_functions(block.setup)
+            block.integrals[key] = block.fixed_integral(key, lambda sources: modes.evaluate(sources.za, sources.az))
         values = block.integrals[key]
         return Columns(values, values.shape[-1], by_group=True)
 
@@ -69,13 +74,9 @@ class BasisTruncation(Effect):
             return self
         return BasisTruncation(newest.n_before + len(newest.parameters(setup)))
 
-    def amended_basis(self, setup: ObservingSetup) -> dict[str, Any]:
-        """Return the keys of the job's ``[basis]`` table for a basis with more modes.
-
-        For a Fourier-Bessel basis the job then takes the largest modes of the model beam, so many as there are here. If
-        it has to be free at the edge it has the Neumann condition there.
-        """
-        return self.next_modes(setup).settings
+    def beam_functions(self, setup: ObservingSetup) -> LinearBasis:
+        """Return the modes."""
+        return self.next_modes(setup).basis
 
     def next_modes(self, setup: ObservingSetup) -> NextModes:
         """Return the modes, at most 128 and not more than the basis has; it must know which come next."""

@@ -25,6 +25,7 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
+from hydrabeam_mpi.model.bases.base import LinearBasis
 
 
 @dataclass(frozen=True)
@@ -262,10 +263,11 @@ class Effect(Cause):
         """
         return self
 
-    def amended_basis(self, setup: ObservingSetup) -> Mapping[str, Any] | None:
-        """Return keys of the job's ``[basis]`` table by which later runs of the job have the effect in their model.
+    def beam_functions(self, setup: ObservingSetup) -> LinearBasis | None:
+        """Return the functions of the beam, one a parameter, by which the effect makes the beam's basis larger.
 
-        Of numbers the larger of these and the job's own count. None where the job gets an ``[[effects]]`` entry.
+        Its parameters are then coefficients of the beam, with which they are written: that of every beam is the basis
+        with these functions. None for effects that are no part of the beam. They are real.
         """
         return None
 

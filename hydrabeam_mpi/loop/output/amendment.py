@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.effects import Effect as EffectEntry
 from hydrabeam_mpi.data.observation import FloatArray
@@ -10,16 +12,9 @@ from hydrabeam_mpi.fit.state import Fitted
 
 
 def amended_job(job: Job, fitted: Fitted, setup: ObservingSetup) -> Job:
-    """Return the job with the fitted effects; a basis that is too small becomes a larger one."""
+    """Return the job with the fitted effects and their priors, from which `infer` comes to the same fit."""
     entries = []
-    basis = job.basis
     for one, std in zip(fitted.values.active, fitted.fit.std, strict=True):
-        wanted = one.effect.amended_basis(setup)
-        if wanted is not None:
-            numbers = {key: value for key, value in wanted.items() if isinstance(value, int | float)}
-            larger = {key: max(value, getattr(basis, key)) for key, value in numbers.items()}
-            basis = basis.model_copy(update={**wanted, **larger})
-            continue
         used, parameters = one.used, one.effect.parameters(setup)
         entries.append(
             EffectEntry.model_construct(
@@ -29,14 +24,14 @@ def amended_job(job: Job, fitted: Fitted, setup: ObservingSetup) -> Job:
                 index=tuple(int(i) for i in used),
                 values=_rows(one.x[:, used]),
                 std=_rows(std[:, used]),
-                prior_std=tuple(float(value) for value in one.prior.of(0).std()),
+                prior_std=_rows(np.array([prior.std() for prior in one.prior.priors])),
             )
         )
     for change in fitted.values.reweighted:
         kind = change.change.kind
         entry = EffectEntry.model_construct(kind=kind, values=_rows(change.x), std=_rows(change.std))
         entries.append(entry)
-    return job.model_copy(update={"effects": tuple(entries), "basis": basis})
+    return job.model_copy(update={"effects": tuple(entries)})
 
 
 def _rows(values: FloatArray) -> tuple[tuple[float, ...], ...]:

@@ -14,6 +14,7 @@ from hydrabeam_mpi.effects.interface.reweighting import Reweighting, Reweighting
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
 from hydrabeam_mpi.fit.heldout import whiten
+from hydrabeam_mpi.fit.settle import settle
 from hydrabeam_mpi.fit.state import Active, Fitted, Reweighted, Values
 from hydrabeam_mpi.loop.attribution.score_effects import Finding, attribute, reconsider
 from hydrabeam_mpi.loop.attribution.score_noise import WeightsFound, fit_reweightings, refit_reweighting
@@ -77,6 +78,19 @@ def begin(context: FitContext, values: Values, clock: Clock) -> History:
     return History(checked, checked)
 
 
+def settle_last(context: FitContext, history: History) -> None:
+    """Go on with the last fit until nothing moves, so that what is written of it can be computed again.
+
+    Collective: all ranks of the grid.
+    """
+    last = check(context, settle(context, history.last.fitted))
+    history.last = last
+    if history.rounds:
+        history.rounds[-1] = replace(history.rounds[-1], after=last)
+    else:
+        history.first = last
+
+
 def run_rounds(
     context: FitContext,
     history: History,
@@ -103,8 +117,7 @@ def run_rounds(
     """
     settings, checked = context.problem.job.loop, history.last
     speaks = context.grid.is_world_root
-    for one in history.rounds:
-        effects = _next_of(context, effects, one.after.fitted.values)
+    effects = _next_of(context, effects, checked.fitted.values)
     for number in range(len(history.rounds), settings.max_rounds + 1):
         say(f"round {number + 1}: {say_heldout(checked.score.chi2, checked.numbers.of_all)}; weighing effects", speaks)
         with clock.time("attribution"):
@@ -139,9 +152,9 @@ def say_heldout(chi2: float, now: dict[str, float]) -> str:
 
 def _next_of(context: FitContext, effects: Sequence[Effect], values: Values) -> Sequence[Effect]:
     """Return the effects to look for after those of the model."""
-    if not values.active:
-        return effects
-    return [effect.next_after(context.setup, values.active[-1].effect) for effect in effects]
+    for one in values.active:
+        effects = [effect.next_after(context.setup, one.effect) for effect in effects]
+    return effects
 
 
 def check(context: FitContext, fitted: Fitted) -> Checked:

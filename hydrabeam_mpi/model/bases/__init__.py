@@ -11,10 +11,10 @@ from hydrabeam_mpi.registry import Registry
 if TYPE_CHECKING:
     from hydrabeam_mpi.model.bases.base import LinearBasis, Selection
 
-BASES: Registry[LinearBasis] = Registry("hydrabeam_mpi.model.bases", "fourier_bessel", "zernike")
+BASES: Registry[LinearBasis] = Registry("hydrabeam_mpi.model.bases", "fourier_bessel", "zernike", "joined")
 
-JOB_NAMES = {kind.replace("_", "-"): kind for kind in BASES}
-"""What jobs call them."""
+JOB_NAMES = {kind.replace("_", "-"): kind for kind in BASES if kind != "joined"}
+"""What jobs call those that they may ask for."""
 
 
 def basis_from_settings(settings: Mapping[str, Any]) -> LinearBasis | Selection:
@@ -48,6 +48,8 @@ def basis_from_description(description: Mapping[str, Any]) -> LinearBasis:
     if kind not in BASES:
         raise InputError(f"unknown basis kind {kind!r}", field="basis", remedy=f"known: {', '.join(BASES)}")
     try:
+        if "parts" in description:
+            description = {**description, "parts": [basis_from_description(part) for part in description["parts"]]}
         return BASES[kind].from_description(description)
-    except (KeyError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, RecursionError, TypeError, ValueError) as error:
         raise InputError(f"incomplete description of a {kind} basis: {error!r}", field="basis") from error

@@ -8,7 +8,7 @@ follow from them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Protocol, Self
@@ -48,22 +48,16 @@ class NextModes:
     modes : tuple of (int, int)
         Their numbers, by which they are called.
     make : callable
-        Makes bases whose columns, one after another, end with these functions.
-    settings : dict
-        Keys of a job's ``[basis]`` table for a basis that also has these and those that come before them.
+        Makes the basis of these functions.
     """
 
     modes: tuple[tuple[int, int], ...]
-    make: Callable[[], Sequence[LinearBasis]]
-    settings: dict[str, Any]
+    make: Callable[[], LinearBasis]
 
     @cached_property
-    def _parts(self) -> Sequence[LinearBasis]:
+    def basis(self) -> LinearBasis:
+        """These functions, real."""
         return self.make()
-
-    def columns(self, za: FloatArray, az: FloatArray) -> FloatArray:
-        """Evaluate the functions at (Npoints,) zenith angles and azimuths, radians: (n, Npoints)."""
-        return np.concatenate([part.columns(za, az) for part in self._parts])[-len(self.modes) :]
 
 
 class LinearBasis(Protocol):

@@ -26,6 +26,7 @@ from hydrabeam_mpi.model.bases.base import LinearBasis, NextModes, Selection
 from hydrabeam_mpi.model.bases.bessel import BesselRows, Boundary, radial_zeros
 from hydrabeam_mpi.model.bases.disc import EDGE, azimuthal_rows
 from hydrabeam_mpi.model.bases.expected import largest_expected
+from hydrabeam_mpi.model.bases.joined import Joined
 from hydrabeam_mpi.model.bases.plans import complex_columns, plan_mixing, plan_products
 from hydrabeam_mpi.model.bases.polar_table import PolarTable, n_nodes, radii
 from hydrabeam_mpi.model.bases.ring_fit import fit_rings
@@ -165,11 +166,7 @@ class FourierBessel(LinearBasis):
         while new and len(taken) < n_before:
             taken += new[: n_before - len(taken)]
             new = self._lacking(amplitudes, taken, most)
-        every = [*self.modes, *taken, *new]
-        settings: dict[str, Any] = {"boundary": "neumann"} if any(k == AT_EDGE for k, _ in every) else {}
-        settings["n_modes"] = len(every)
-        settings["k_max"], settings["m_max"] = (max(map(abs, numbers)) for numbers in zip(*every, strict=True))
-        return NextModes(tuple(new), lambda: self._real_parts(new), settings)
+        return NextModes(tuple(new), lambda: self._real(new))
 
     def _lacking(self, amplitudes: FloatArray, taken: list[tuple[int, int]], most: int) -> list[tuple[int, int]]:
         """Return the first modes, ``most`` or fewer, that neither the basis nor ``taken`` has."""
@@ -179,12 +176,12 @@ class FourierBessel(LinearBasis):
             at_edge = [(AT_EDGE, m) for m in signed if (AT_EDGE, m) not in taken][:most]
         return at_edge + largest_expected(self.modes, amplitudes, taken, most - len(at_edge))
 
-    def _real_parts(self, modes: list[tuple[int, int]]) -> list[FourierBessel]:
-        """Return bases with these functions, the constant ones first; only the Neumann condition has such a one."""
+    def _real(self, modes: list[tuple[int, int]]) -> LinearBasis:
+        """Return these functions, the constant ones first; only the Neumann condition has such a one."""
         constant = [(1, m) for k, m in modes if k == AT_EDGE]
         others = [(k, m) for k, m in modes if k != AT_EDGE]
         parts = [FourierBessel(constant, "real", self.edge, "neumann", self.n_az)] if constant else []
-        return parts + ([self.with_modes(others, form="real")] if others else [])
+        return Joined([*parts, *([self.with_modes(others, form="real")] if others else [])])
 
     @property
     def n_rings(self) -> int:

@@ -1,0 +1,130 @@
+"""A beam with the functions that effects of the model add to its basis: one Gaussian of all of its coefficients.
+
+The joint posterior of the beam's coefficients b in the job's basis and the effects' parameters x is
+
+    x ~ N(x_0, C),    b | x ~ N(b_0 + M (x - x_0), P^-1)
+
+with P the precision given the effects and M the beam's response to them. What is written of the beam has the effects
+marginalised; parameters that are coefficients of the beam themselves become coefficients like the others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.fit.gauss_newton import FitContext
+from hydrabeam_mpi.fit.state import Active, Fitted, Values
+from hydrabeam_mpi.fit.whitening import root_of
+from hydrabeam_mpi.inference.posterior import Posterior
+from hydrabeam_mpi.inference.prior import BlockPrior
+from hydrabeam_mpi.model.bases.base import LinearBasis
+from hydrabeam_mpi.model.bases.joined import Joined
+from hydrabeam_mpi.setup.problem import Problem
+
+Array = NDArray[Any]
+
+
+def growth_of(setup: ObservingSetup, values: Values) -> list[tuple[Active, LinearBasis]]:
+    """Return the effects whose parameters are coefficients of the beam, with the functions of those in use."""
+    found = [(one, one.effect.beam_functions(setup)) for one in values.active]
+    return [(one, Joined([functions], one.used.tolist())) for one, functions in found if functions is not None]
+
+
+def grown_problem(problem: Problem, setup: ObservingSetup, values: Values) -> Problem:
+    """Return the problem whose beam has the functions that effects add to its basis, with their priors.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of all channels or of some.
+    setup : ObservingSetup
+        Of all channels.
+    values : Values
+    """
+    growth = growth_of(setup, values)
+    if not growth:
+        return problem
+    priors = tuple(
+        BlockPrior((prior, *(one.prior.of(int(number)) for one, _ in growth)))
+        for prior, number in zip(problem.priors, problem.channel_numbers, strict=True)
+    )
+    return replace(problem, basis=Joined([problem.basis, *(more for _, more in growth)]), priors=priors)
+
+
+def marginal_beams(context: FitContext, fitted: Fitted, grown: bool = True) -> tuple[Posterior, ...]:
+    """Return the posteriors of the beams of the rank group's channels, the effects marginalised.
+
+    For complex coefficients this is the part of it that a circular Gaussian can have.
+
+    Parameters
+    ----------
+    context : FitContext
+    fitted : Fitted
+    grown : bool
+        Whether of all coefficients of `grown_problem`, or only of those of the job's basis.
+    """
+    values, fit = fitted.values, fitted.fit
+    if not fit.covariances:
+        return fit.posteriors
+    growth = [grown and one.effect.beam_functions(context.setup) is not None for one in values.active]
+    of_beam = np.concatenate([np.full(len(one.used), own) for one, own in zip(values.active, growth, strict=True)])
+    parts = zip(fit.posteriors, fit.beam_response, fit.covariances, context.channels, strict=True)
+    return tuple(_joint(beam, follow, spread, values, f, of_beam) for beam, follow, spread, f in parts)
+
+
+def _joint(
+    given: Posterior, response: Array, covariance: FloatArray, values: Values, channel: int, of_beam: NDArray[np.bool_]
+) -> Posterior:
+    """Return the posterior of one channel's coefficients; ``of_beam``, (q,), says which parameters are of the beam."""
+    more, others = np.flatnonzero(of_beam), np.flatnonzero(~of_beam)
+    own, across = covariance[np.ix_(more, more)], covariance[np.ix_(others, more)]
+    inverse = _inverse(own)
+    follow = across @ inverse
+    left = covariance[np.ix_(others, others)] - follow @ across.T
+    beam = _wider(given, response[:, others] @ root_of(left)) if len(others) else given
+    if not len(more):
+        return beam
+    # Of [[P, -P M], [-M^H P, 1/C + M^H P M]], where M now has what of the others follows these parameters.
+    half = beam.factor.conj().T @ (response[:, more] + response[:, others] @ follow)
+    n = len(beam.mean)
+    factor = np.zeros((n + len(more),) * 2, dtype=beam.factor.dtype)
+    factor[:n, :n], factor[n:, :n] = beam.factor, -half.conj().T
+    factor[n:, n:] = np.linalg.cholesky(inverse)
+    mean = np.concatenate([beam.mean, values.x[channel, more]])
+    evidence = given.log_evidence
+    if evidence is not None:
+        evidence += _log_ratio(values, channel, more, _inverse(covariance)[np.ix_(more, more)])
+    return Posterior(mean, factor, evidence)
+
+
+def _wider(posterior: Posterior, spread: Array) -> Posterior:
+    """Return the posterior with the covariance Z Z^H added, Z being ``spread``, (n_modes, k)."""
+    # (P^-1 + Z Z^H)^-1 = P - P Z (1 + Z^H P Z)^-1 Z^H P, and P = L L^H.
+    half = posterior.factor.conj().T @ spread
+    inner = np.linalg.cholesky(np.eye(half.shape[1]) + half.conj().T @ half)
+    taken = np.linalg.solve(inner, (posterior.factor @ half).conj().T)
+    precision = posterior.factor @ posterior.factor.conj().T - taken.conj().T @ taken
+    return Posterior(posterior.mean, np.linalg.cholesky(precision), posterior.log_evidence)
+
+
+def _inverse(covariance: FloatArray) -> FloatArray:
+    """Invert a covariance whose standard deviations may be of very different size."""
+    std = np.sqrt(np.diag(covariance))
+    inverse: FloatArray = np.linalg.inv(covariance / std / std[:, np.newaxis]) / std / std[:, np.newaxis]
+    return 0.5 * (inverse + inverse.T)
+
+
+def _log_ratio(values: Values, channel: int, index: Array, precision: FloatArray) -> float:
+    """Return by how much ln evidence changes if some parameters are integrated over, given the other effects.
+
+    That is ln p(x) + ln |2 pi / precision| / 2, the prior's density at the maximum times the volume of the posterior.
+    """
+    away, width = (values.x[channel] - values.prior_mean(channel))[index], values.prior_std(channel)[index]
+    log_prior = -0.5 * float(np.sum((away / width) ** 2)) - float(np.sum(np.log(width)))
+    return log_prior - 0.5 * float(np.linalg.slogdet(precision)[1])

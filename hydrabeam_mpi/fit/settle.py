@@ -1,0 +1,43 @@
+"""The last steps of a fit: to where it is the same whichever way it came there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hydrabeam_mpi.fit.gauss_newton import FitContext, beam_moved, solve_beams, take_step
+from hydrabeam_mpi.fit.state import Fitted
+
+SETTLED_SIGMAS = 1e-8
+"""Nothing moves any more where no parameter does by more than this fraction of its standard deviation.
+
+It is far above rounding, and far below the 1e-6 to which a written fit can be computed again.
+"""
+SHRINKS = 0.9
+"""Steps that are longer than this fraction of the one before do not lead to a point."""
+MAX_SETTLING = 60
+"""Steps at most; nearly all fits take three to ten."""
+
+
+def settle(context: FitContext, fitted: Fitted) -> Fitted:
+    """Go on with a fit to where nothing moves at all, whichever way it came there. Collective: all ranks of the grid.
+
+    What is written can then be computed again from the values that are written. A fit whose steps do not shrink, as one
+    that has not converged, stays as it is.
+    """
+    if not fitted.values.active:
+        return fitted
+    at, best, before = fitted.estimate, fitted, np.inf
+    for _ in range(MAX_SETTLING):
+        solved = solve_beams(context, at)
+        step = take_step(context, replace(at, beams=solved.beams), solved)
+        moved = max(step.moved, beam_moved(context, at.beams, solved.beams))
+        if moved > SETTLED_SIGMAS and not moved < SHRINKS * before:
+            break
+        if before < np.inf:
+            best = Fitted(at.values, replace(step.fit, posteriors=solved.beams), solved.diagnostics)
+        if moved < SETTLED_SIGMAS:
+            break
+        before, at = moved, step.to
+    return best
