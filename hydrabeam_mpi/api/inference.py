@@ -6,11 +6,14 @@ from pathlib import Path
 
 from hydrabeam_mpi.api.result import Result
 from hydrabeam_mpi.api.setup import Setup
-from hydrabeam_mpi.api.shared import check_setup, make_result, origin_of, prepare_shared, scratch
+from hydrabeam_mpi.api.shared import check_setup, make_result, origin_of, prepare_shared, scratch, with_heldout
 from hydrabeam_mpi.fit.channels import infer_channels
 from hydrabeam_mpi.fit.clock import Clock
-from hydrabeam_mpi.fit.joint import infer_with_effects
+from hydrabeam_mpi.fit.grown import grown_problem
+from hydrabeam_mpi.fit.heldout import whiten
+from hydrabeam_mpi.fit.joint import channel_results, fit_with_effects
 from hydrabeam_mpi.loop.checks.health import told
+from hydrabeam_mpi.loop.selection.heldout_numbers import heldout_numbers
 from hydrabeam_mpi.mpi import ProcessGrid, gather_by_channel, peak_rss_mb, together
 from hydrabeam_mpi.result.describe import describe_channels
 
@@ -63,13 +66,18 @@ def run_inference(setup: Setup, folder: Path | None, threads: int) -> Result:
     with clock.time("health"):
         problem = told(grid, problem)
     mine = problem.of_channels(grid.channels)
+    numbers = None
     if job.effects:
-        problem, results = infer_with_effects(grid, problem, mine, clock)
+        context, fitted = fit_with_effects(grid, problem, mine, clock)
+        with clock.time("heldout"):
+            results = channel_results(context, fitted)
+            numbers = heldout_numbers(context, whiten(context, fitted))
+        problem = grown_problem(problem, context.setup, fitted.values)
         mine = problem.of_channels(grid.channels)
     else:
         results = infer_channels(grid, mine, clock)
     with clock.time("describe"):
-        records = gather_by_channel(grid, describe_channels(grid, mine, results))
+        records = with_heldout(gather_by_channel(grid, describe_channels(grid, mine, results)), numbers)
     memory = peak_rss_mb(world)
     result = Result(job)
     with together(world):

@@ -11,7 +11,7 @@ import numpy as np
 
 from hydrabeam_mpi.api.result import Found, Result
 from hydrabeam_mpi.api.setup import Setup
-from hydrabeam_mpi.api.shared import check_setup, make_result, origin_of, prepare_shared, scratch
+from hydrabeam_mpi.api.shared import check_setup, make_result, origin_of, prepare_shared, scratch, with_heldout
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.gauss_newton import FitContext
@@ -115,6 +115,7 @@ def run_loop(
         results = channel_results(context, history.last.fitted)
         problem = grown_problem(problem, known, history.last.fitted.values)
         records = gather_by_channel(grid, describe_channels(grid, problem.of_channels(grid.channels), results))
+        records = with_heldout(records, history.last.numbers)
     record = make_record(context, history, choice.skipped, conventions, leakage)
     memory = peak_rss_mb(world)
     found = Found(Result(job))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -16,6 +17,7 @@ from hydrabeam_mpi.config.sizes import check_sizes
 from hydrabeam_mpi.io.disk import check_space
 from hydrabeam_mpi.io.posterior_file import ChannelRecord, PosteriorFile
 from hydrabeam_mpi.io.provenance import provenance
+from hydrabeam_mpi.loop.selection.heldout_numbers import HeldoutNumbers
 from hydrabeam_mpi.mpi import (
     Comm,
     bcast_object,
@@ -115,6 +117,16 @@ def origin_of(setup: Setup, problem: Problem, threads: int) -> dict[str, Any]:
     """Return where a result comes from."""
     inputs = input_files(setup.job, problem, setup.given.fields)
     return provenance(setup.job, inputs, setup.comm.size, threads, library_version())
+
+
+def with_heldout(records: list[ChannelRecord], numbers: HeldoutNumbers | None) -> list[ChannelRecord]:
+    """Return the channels' records with held-out numbers in which effects are part of the model, where there are any.
+
+    These are the numbers that the loop judges by, of data as they were read.
+    """
+    if numbers is None:
+        return records
+    return [replace(one, summary={**one.summary, **numbers.summary(f)}) for f, one in enumerate(records)]
 
 
 def make_result(

@@ -81,12 +81,14 @@ def check_designs(
     posteriors: Sequence[Posterior],
     before: ComplexArray,
     more_variance: FloatArray | None = None,
+    as_read: Rows | None = None,
 ) -> list[HeldoutStatistics]:
     """Do as `check_heldout` with each time's design and the model beam's visibilities, (Nfreqs, Ntimes, Nlocal).
 
     ``more_variance``, (Nfreqs, 2, Ntimes, Nbls) in Jy^2, is added to the variance of real and imaginary parts that the
-    beam's uncertainty gives.
+    beam's uncertainty gives. Where effects have been taken out of the ``rows``, those that were read are ``as_read``.
     """
+    read = as_read or rows
     statistics = [HeldoutStatistics() for _ in rows.data]
     for t, design in enumerate(by_time):
         for f, posterior in enumerate(posteriors):
@@ -95,7 +97,14 @@ def check_designs(
             if more_variance is not None:
                 variance = variance + more_variance[f, :, t]
             before_of_rows = before[f, t][rows.member]
-            statistics[f].add(rows.data[f, t], rows.inv_noise_var[f, t], mean[rows.member], variance, before_of_rows)
+            statistics[f].add(
+                rows.data[f, t],
+                rows.inv_noise_var[f, t],
+                mean[rows.member],
+                variance,
+                before_of_rows,
+                (read.data[f, t], read.inv_noise_var[f, t]),
+            )
     return statistics
 
 

@@ -10,6 +10,7 @@ marginalised; parameters that are coefficients of the beam themselves become coe
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -18,7 +19,6 @@ from numpy.typing import NDArray
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
-from hydrabeam_mpi.fit.gauss_newton import FitContext
 from hydrabeam_mpi.fit.state import Active, Fitted, Values
 from hydrabeam_mpi.fit.whitening import root_of
 from hydrabeam_mpi.inference.posterior import Posterior
@@ -34,6 +34,28 @@ def growth_of(setup: ObservingSetup, values: Values) -> list[tuple[Active, Linea
     """Return the effects whose parameters are coefficients of the beam, with the functions of those in use."""
     found = [(one, one.effect.beam_functions(setup)) for one in values.active]
     return [(one, Joined([functions], one.used.tolist())) for one, functions in found if functions is not None]
+
+
+def grown_beam(
+    setup: ObservingSetup, values: Values, channel: int, basis: LinearBasis, mean: Array
+) -> tuple[LinearBasis, Array]:
+    """Return basis and coefficients of a channel's beam with the functions that effects add to ``basis``.
+
+    Parameters
+    ----------
+    setup : ObservingSetup
+    values : Values
+    channel : int
+        Among the job's.
+    basis : LinearBasis
+    mean : ndarray, (n_modes,)
+        Coefficients in it.
+    """
+    growth = growth_of(setup, values)
+    if not growth:
+        return basis, mean
+    coeffs = [one.x[channel, one.used] for one, _ in growth]
+    return Joined([basis, *(more for _, more in growth)]), np.concatenate([mean, *coeffs])
 
 
 def grown_problem(problem: Problem, setup: ObservingSetup, values: Values) -> Problem:
@@ -57,24 +79,28 @@ def grown_problem(problem: Problem, setup: ObservingSetup, values: Values) -> Pr
     return replace(problem, basis=Joined([problem.basis, *(more for _, more in growth)]), priors=priors)
 
 
-def marginal_beams(context: FitContext, fitted: Fitted, grown: bool = True) -> tuple[Posterior, ...]:
+def marginal_beams(
+    setup: ObservingSetup, fitted: Fitted, channels: Sequence[int], grown: bool = True
+) -> tuple[Posterior, ...]:
     """Return the posteriors of the beams of the rank group's channels, the effects marginalised.
 
     For complex coefficients this is the part of it that a circular Gaussian can have.
 
     Parameters
     ----------
-    context : FitContext
+    setup : ObservingSetup
     fitted : Fitted
+    channels : sequence of int
+        The rank group's.
     grown : bool
         Whether of all coefficients of `grown_problem`, or only of those of the job's basis.
     """
     values, fit = fitted.values, fitted.fit
     if not fit.covariances:
         return fit.posteriors
-    growth = [grown and one.effect.beam_functions(context.setup) is not None for one in values.active]
+    growth = [grown and one.effect.beam_functions(setup) is not None for one in values.active]
     of_beam = np.concatenate([np.full(len(one.used), own) for one, own in zip(values.active, growth, strict=True)])
-    parts = zip(fit.posteriors, fit.beam_response, fit.covariances, context.channels, strict=True)
+    parts = zip(fit.posteriors, fit.beam_response, fit.covariances, channels, strict=True)
     return tuple(_joint(beam, follow, spread, values, f, of_beam) for beam, follow, spread, f in parts)
 
 

@@ -17,7 +17,7 @@ from hydrabeam_mpi.fit.accumulate import accumulate_designs, check_designs
 from hydrabeam_mpi.fit.channels import ChannelResult, read_shares, reduce_heldout, reduced_chi2
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
-from hydrabeam_mpi.fit.grown import grown_problem, marginal_beams
+from hydrabeam_mpi.fit.grown import marginal_beams
 from hydrabeam_mpi.fit.heldout import variance_by_effects
 from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.settle import settle
@@ -116,9 +116,7 @@ def _restore_effect(entry: EffectEntry, setup: ObservingSetup) -> Active:
     return replace(Active.start(effect, setup, prior_var[0], x), used=priors[0][0], prior=prior)
 
 
-def infer_with_effects(
-    grid: ProcessGrid, problem: Problem, mine: Problem, clock: Clock
-) -> tuple[Problem, list[ChannelResult]]:
+def fit_with_effects(grid: ProcessGrid, problem: Problem, mine: Problem, clock: Clock) -> tuple[FitContext, Fitted]:
     """Fit beams and the job's effects jointly.
 
     Collective: all ranks of the grid.
@@ -129,15 +127,8 @@ def infer_with_effects(
     problem, mine : Problem
         Of all channels, and of the rank group's.
     clock : Clock
-        Receives the phases of `infer_channels`; each step of the fit solves, so that "design"
-        has all of it.
-
-    Returns
-    -------
-    problem : Problem
-        Of all channels, with the basis of the beams that follow.
-    results : list of ChannelResult
-        Of the rank group's channels.
+        Receives the phases of `infer_channels` up to "solve"; each step of the fit solves, so that "design" has all of
+        it.
     """
     with together(grid.world):
         setup = find_setup(problem) if grid.is_world_root else None
@@ -148,8 +139,7 @@ def infer_with_effects(
         fitted = settle(context, refit(context, values))
     with clock.time("solve"):
         pass
-    with clock.time("heldout"):
-        return grown_problem(problem, context.setup, fitted.values), channel_results(context, fitted)
+    return context, fitted
 
 
 def channel_results(context: FitContext, fitted: Fitted) -> list[ChannelResult]:
@@ -167,8 +157,10 @@ def channel_results(context: FitContext, fitted: Fitted) -> list[ChannelResult]:
         test, added = context.test.calibrated(fitted.estimate)
         before = context.test.model_beam
         variance, with_beam = variance_by_effects(context, fitted, test, added)
-        predicting = given if with_beam else marginal_beams(context, fitted, grown=False)
-        heldout = check_designs(test, context.test.designs(fitted.values), predicting, before, variance)
+        predicting = given if with_beam else marginal_beams(context.setup, fitted, context.channels, grown=False)
+        designs = context.test.designs(fitted.values)
+        heldout = check_designs(test, designs, predicting, before, variance, context.test.rows)
     reduce_heldout(grid, heldout)
-    parts = zip(normals, map(reduced_chi2, normals, given), marginal_beams(context, fitted), heldout, strict=True)
+    beams = marginal_beams(context.setup, fitted, context.channels)
+    parts = zip(normals, map(reduced_chi2, normals, given), beams, heldout, strict=True)
     return [ChannelResult(*part) for part in parts]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.fit.grown import grown_beam
 from hydrabeam_mpi.fit.row_model import RowModel
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Estimate
@@ -73,7 +74,7 @@ class RankData(RowModel):
             block = self.block(
                 channel,
                 span,
-                self._beam(channel, posterior),
+                self._beam(channel, at),
                 at.values,
                 vis=beam_alone + added[span],
                 weights=rows.inv_noise_var[channel, span],
@@ -82,14 +83,18 @@ class RankData(RowModel):
             )
             yield span, block, rows_of_design
 
-    def _beam(self, channel: int, posterior: Posterior) -> CoefficientBeam:
-        """Return the mean beam of a channel of the rank group; the same object, with its table, for the same mean."""
+    def _beam(self, channel: int, at: Estimate) -> CoefficientBeam:
+        """Return the mean beam of a channel of the rank group, with all functions that it has got.
+
+        The same object, with its table, for the same beam.
+        """
+        observation, number = self.problem.observation, int(self.problem.channel_numbers[channel])
+        basis, coeffs = grown_beam(self.setup, at.values, number, self.problem.basis, at.beams[channel].mean)
         kept = self._beams.get(channel)
-        if kept is not None and np.array_equal(kept.coeffs, posterior.mean):
+        if kept is not None and np.array_equal(kept.coeffs, coeffs):
             return kept
-        observation = self.problem.observation
         info = BeamInfo("inferred", float(observation.freqs[channel]), observation.pols[0])
-        self._beams[channel] = CoefficientBeam(self.problem.basis, posterior.mean, info)
+        self._beams[channel] = CoefficientBeam(basis, coeffs, info)
         return self._beams[channel]
 
     def effects(self, at: Estimate) -> tuple[ComplexArray, ComplexArray]:

@@ -51,21 +51,27 @@ class HeldoutStatistics:
         mean: ComplexArray,
         variance: FloatArray,
         before: ComplexArray,
+        as_read: tuple[ComplexArray, FloatArray] | None = None,
     ) -> None:
-        """Add visibilities, all (N,), but ``variance``, the model variance of the two parts, (2, N)."""
+        """Add visibilities, all (N,), but ``variance``, the model variance of the two parts, (2, N).
+
+        Where effects have been taken out of the data, those that were read, and their weights, are ``as_read``: what
+        the model beam is compared with.
+        """
         used = inv_noise_var > 0
         if not used.any():
             return
-        weights, observed, predicted = inv_noise_var[used], data[used], before[used]
-        after = _parts(observed - mean[used])
-        raw = _parts(observed - predicted)
-        total = 0.5 / weights + variance[:, used]
+        after = _parts(data[used] - mean[used])
+        total = 0.5 / inv_noise_var[used] + variance[:, used]
         z = after / np.sqrt(total)
-        z_before = raw * np.sqrt(2 * weights)
         log_density = -0.5 * np.sum(z**2 + np.log(2 * np.pi * total))
+        observed, weights = (values[used] for values in as_read or (data, inv_noise_var))
+        predicted = before[used]
+        raw = _parts(observed - predicted)
+        z_before = raw * np.sqrt(2 * weights)
         self.sums += [
             z.size, z.sum(), np.sum(z**2), log_density, z_before.sum(), np.sum(z_before**2),
-            np.sum(weights * np.abs(observed) ** 2), np.sum(weights * after**2), np.sum(weights * raw**2),
+            np.sum(weights * np.abs(observed) ** 2), np.sum(inv_noise_var[used] * after**2), np.sum(weights * raw**2),
             weights.sum(), np.sum(weights * (observed.conj() * predicted).real),
             np.sum(weights * np.abs(predicted) ** 2), np.sum(weights * (observed.conj() * predicted).imag),
         ]  # fmt: skip

@@ -106,8 +106,8 @@ def check_records(records: Sequence[ChannelRecord]) -> None:
     for number, record in enumerate(records):
         where = f"channel {number} ({record.freq / 1e6:.10g} MHz)"
         arrays = dict(record.arrays)
-        if np.isposinf(arrays["prior_std"]).all():  # a flat prior
-            del arrays["prior_std"]
+        width = arrays["prior_std"]
+        arrays["prior_std"] = width[~np.isposinf(width)]  # which is that of a flat prior
         check_finite(where, {"map_model": arrays.pop("map_model")}, MODEL)
         if "map_truth" in arrays:
             check_finite(where, {"map_truth": arrays.pop("map_truth")}, SIMULATION)

@@ -10,7 +10,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydrabeam_mpi.config.sections import Basis
 from hydrabeam_mpi.effects.interface.effect import Cause, Effect, ScannedEffect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
@@ -84,11 +83,19 @@ def test_what_comes_next_is_new_and_follows_its_own_kind_alone(kind: str) -> Non
 
 
 @pytest.mark.parametrize("kind", EFFECTS)
-def test_a_basis_is_amended_by_its_own_keys_for_what_is_about_the_beam(kind: str) -> None:
+def test_functions_of_the_beam_are_one_a_parameter(kind: str) -> None:
+    """And the change is that of a beam with these coefficients."""
     effect, block, _ = set_up(kind)
-    amended = effect.amended_basis(block.setup)
-    assert amended is None or (amended and effect.is_about_the_beam)
-    Basis.model_validate(Basis().model_dump() | dict(amended or {}))
+    functions = effect.beam_functions(block.setup)
+    assert functions is None or effect.is_about_the_beam
+    if functions is not None:
+        assert not effect.multiplies
+        assert not effect.changes_sky
+        assert not functions.is_complex
+        x = draw(effect, block.setup, 1.0)
+        assert functions.n_modes == len(x)
+        change = block.integrate(lambda sources: functions.synthesize(x, sources.za, sources.az)[np.newaxis])
+        np.testing.assert_allclose(effect.added(block, x), block.spread(change)[..., 0], rtol=1e-9)
 
 
 @pytest.mark.parametrize("kind", EFFECTS)

@@ -64,7 +64,8 @@ class BasisTruncation(Effect):
         key = f"{self.kind} {self.n_before}"
         if key not in block.integrals:
             modes = self.beam_functions(block.setup)
-            block.integrals[key] = block.fixed_integral(key, lambda sources: modes.evaluate(sources.za, sources.az))
+            known = block.fixed_integral(key, lambda sources: modes.evaluate(sources.za, sources.az))
+            block.integrals[key] = known + block.further_integral(modes)
         values = block.integrals[key]
         return Columns(values, values.shape[-1], by_group=True)
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.sources import Sources
+from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.engines import make_engine
 from hydrabeam_mpi.model.engines.base import Engine
 from hydrabeam_mpi.model.positions import SourcePositions
@@ -192,6 +193,21 @@ class RowBlock:
             integrals = replace(self, times=new).integrate(columns, vectors)
             kept.update(zip(new.tolist(), integrals, strict=True))
         return np.array([kept[time] for time in self.times.tolist()])
+
+    def further_integral(self, basis: LinearBasis) -> ComplexArray:
+        """Return what the functions of a real basis see of the sources that effects add to the sky.
+
+        The result is (Ntimes, Ngroups, n_modes).
+        """
+        out = np.zeros((len(self.times), len(self.groups), basis.n_modes), dtype=complex)
+        for t, itime in enumerate(self.times.tolist()):
+            for effect, x in self.sky_effects:
+                more = effect.extra_sky(self, itime, x)
+                if more is not None:
+                    za, az, flux = more
+                    parts = self.engine.design(basis, za, az, flux[np.newaxis], np.array([self.freq]))[0]
+                    out[t] += basis.mix(parts[0]) + 1j * basis.mix(parts[1])
+        return out
 
     def integrate_for(self, effects: Sequence[Any]) -> None:
         """Fill ``integrals`` for these effects in one pass over the sky."""

@@ -12,11 +12,18 @@ FITTED = ("rms", "explained", "noise_only_chi2", "predictive_chi2", "log_density
 
 
 def heldout_change(before: Checked, after: Checked, freqs: FloatArray) -> dict[str, Any]:
-    """Return the numbers of all channels, and in ``heldout_channels`` those of each; see `HeldoutNumbers`."""
+    """Return the numbers of all channels, and in ``heldout_channels`` those of each; see `HeldoutNumbers`.
+
+    Those after it of each channel have the names that ``summary.json`` has for them as well.
+    """
     told = _change(before.numbers.of_all, after.numbers.of_all)
     told |= {"predictive_chi2_before": before.score.chi2, "predictive_chi2_after": after.score.chi2}
     channels = [
-        {"freq_hz": freq, **_change(before.numbers.of_channel(number), after.numbers.of_channel(number))}
+        {
+            "freq_hz": freq,
+            **_change(before.numbers.of_channel(number), after.numbers.of_channel(number)),
+            **after.numbers.summary(number),
+        }
         for number, freq in enumerate(freqs.tolist())
     ]
     return {**told, "heldout_channels": channels}

@@ -18,6 +18,23 @@ SUMS = (
     "noise_only", "predictive", "log_noise", "log_spread",
 )  # fmt: skip
 
+IN_SUMMARY = {
+    "heldout_n": "n",
+    "heldout_rms_jy": "rms",
+    "heldout_rms_jy_noise": "rms_noise",
+    "heldout_rms_jy_data": "rms_zero",
+    "heldout_rms_jy_unperturbed": "rms_model",
+    "heldout_rms_jy_unperturbed_complex": "rms_model_scaled",
+    "heldout_explained": "explained",
+    "heldout_explained_unperturbed": "explained_model",
+    "heldout_explained_unperturbed_complex": "explained_model_scaled",
+    "heldout_chi2": "noise_only_chi2",
+    "heldout_chi2_noise_only": "noise_only_chi2",
+    "heldout_chi2_predictive": "predictive_chi2",
+    "heldout_log_density": "log_density",
+}
+"""What ``summary.json`` calls these numbers; see `HeldoutStatistics.summary`."""
+
 
 @dataclass(frozen=True)
 class HeldoutNumbers:
@@ -46,6 +63,11 @@ class HeldoutNumbers:
     def of_channel(self, number: int) -> dict[str, float]:
         """Return the numbers of one of the job's channels."""
         return _numbers(self.channels[:, [number]])
+
+    def summary(self, number: int) -> dict[str, float]:
+        """Return the numbers of one of the job's channels by their names in ``summary.json``; empty without data."""
+        numbers = self.of_channel(number)
+        return {name: numbers[own] for name, own in IN_SUMMARY.items()} if numbers["n"] else {}
 
     @property
     def of_all(self) -> dict[str, float]:

@@ -3,10 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydrabeam_mpi.config.sections import Basis
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.instrument.basis_truncation import BasisTruncation
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
 from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
 from hydrabeam_mpi.model.bases.zernike import Zernike
 from hydrabeam_mpi.model.fit import fit_beam
@@ -61,22 +61,25 @@ def test_beam_of_a_larger_basis_is_whole(basis) -> None:
 
 
 @pytest.mark.parametrize("basis", BASES.values(), ids=BASES)
-def test_amended_settings_hold_all_modes(basis) -> None:
-    """Those of three rounds."""
+def test_modes_see_what_is_added_to_the_sky(basis) -> None:
+    """A missing source is seen by a beam with the modes, as are those of the catalogue."""
     setup = with_basis(basis)
-    n_more = 0
-    for _ in range(3):
-        effect = BasisTruncation(n_more)
-        n_more += len(effect.parameters(setup))
-    settings = effect.amended_basis(setup)
-    n_modes = basis.n_modes + n_more
-    if isinstance(basis, Zernike):
-        assert Zernike(settings["max_degree"]).n_modes == n_modes
-        assert Basis(kind="zernike", **settings).max_degree > basis.degree
-    else:
-        assert Basis(**settings).n_modes == n_modes
-        if basis.boundary == "dirichlet":
-            assert settings["boundary"] == "neumann"
+    source = MissingSources([tuple(np.rad2deg([setup.observation.lsts[1], setup.observation.latitude]))])
+    flux = np.eye(1, len(source.parameters(setup)))[0]
+    effect = BasisTruncation()
+    functions = effect.beam_functions(setup)
+    x = effect.draw(setup, generator(2, "truncation"), 1.0)
+    changed = replace(small_block(setup), sky_effects=[(source, flux)])
+    block = small_block(setup)
+    seen = effect.added(changed, x) - effect.added(block, x)
+
+    def larger(za: FloatArray, az: FloatArray) -> FloatArray:
+        return functions.synthesize(x, za, az)
+
+    block.beam = larger
+    expected = source.added(block, flux)
+    assert np.abs(expected).max() > 0
+    np.testing.assert_allclose(seen, expected, atol=1e-9 * np.abs(expected).max())
 
 
 class Unknown(FourierBessel):

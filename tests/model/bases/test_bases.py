@@ -11,6 +11,7 @@ from hydrabeam_mpi.model.bases import BASES as REGISTRY
 from hydrabeam_mpi.model.bases import JOB_NAMES, basis_from_description, basis_from_settings
 from hydrabeam_mpi.model.bases.base import LinearBasis, Selection
 from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
+from hydrabeam_mpi.model.bases.joined import Joined
 from hydrabeam_mpi.model.bases.zernike import Zernike
 from hydrabeam_mpi.random import generator
 
@@ -50,6 +51,9 @@ BASES = {
     "horizon inside the disc": FourierBessel.full(5, 2, form="complex", edge=np.deg2rad(60)),
     "Zernike": Zernike(7),
     "Zernike 0": Zernike(0),
+    "joined": Joined([FourierBessel.full(4, 3), Zernike(5)], [40, 2, 5, 30, 29, 1]),
+    "joined twice": Joined([Joined([Zernike(3), Zernike(4)], [20, 0, 3]), FourierBessel.full(2, 3)]),
+    "joined, complex": Joined([scrambled("complex"), FourierBessel.full(3, 2)]),
     "plugged in": Cosines(),
 }
 
@@ -176,6 +180,11 @@ def test_a_job_can_ask_for_every_basis(name):
     assert type(basis) is REGISTRY[JOB_NAMES[name]]
 
 
+def test_what_is_joined_is_no_basis_to_begin_with():
+    with pytest.raises(InputError, match="one of its parts"):
+        Joined.from_settings({})
+
+
 def test_an_unknown_basis_is_told():
     with pytest.raises(InputError, match=r"wavelets.*fourier-bessel, zernike"):
         basis_from_settings({"kind": "wavelets"})
@@ -190,6 +199,9 @@ def test_description_restores_the_basis(name):
     np.testing.assert_array_equal(restored.evaluate(*points(9)), basis.evaluate(*points(9)))
 
 
+ZERNIKE = {"kind": "zernike", "degree": 1, "edge": 1.6}
+
+
 @pytest.mark.parametrize(
     ("description", "words"),
     [
@@ -197,6 +209,12 @@ def test_description_restores_the_basis(name):
         ({}, "None"),
         ({"kind": "zernike"}, "degree"),
         ({"kind": "fourier_bessel", "modes": [[1, 0]]}, "form"),
+        ({"kind": "joined", "parts": [{"kind": "zernike"}], "kept": [0]}, "degree"),
+        ({"kind": "joined", "parts": [ZERNIKE], "kept": [3]}, "do not have"),
+        ({"kind": "joined", "parts": [ZERNIKE], "kept": [1, 1]}, "do not have"),
+        ({"kind": "joined", "parts": [ZERNIKE], "kept": []}, "do not have"),
+        ({"kind": "joined", "parts": [3], "kept": [0]}, "incomplete"),
+        ({"kind": "joined", "parts": [], "kept": [0]}, "do not have"),
     ],
 )
 def test_bad_description_is_told(description, words):
