@@ -19,8 +19,10 @@ from numpy.typing import NDArray
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
-from hydrabeam_mpi.fit.state import Active, Fitted, Values
+from hydrabeam_mpi.fit.equations import BEAM
+from hydrabeam_mpi.fit.state import Active, Fit, Fitted, Values
 from hydrabeam_mpi.fit.whitening import root_of
+from hydrabeam_mpi.inference.gaussian import Block, Gaussian
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.prior import BlockPrior
 from hydrabeam_mpi.model.bases.base import LinearBasis
@@ -79,12 +81,19 @@ def grown_problem(problem: Problem, setup: ObservingSetup, values: Values) -> Pr
     return replace(problem, basis=Joined([problem.basis, *(more for _, more in growth)]), priors=priors)
 
 
-def marginal_beams(
-    setup: ObservingSetup, fitted: Fitted, channels: Sequence[int], grown: bool = True
-) -> tuple[Posterior, ...]:
-    """Return the posteriors of the beams of the rank group's channels, the effects marginalised.
+def beams_alone(fit: Fit) -> tuple[Posterior, ...]:
+    """Return the beams' posteriors in the job's basis, all effects marginalised.
 
     For complex coefficients this is the part of it that a circular Gaussian can have.
+    """
+    if not fit.covariances:
+        return fit.posteriors
+    parts = zip(fit.posteriors, fit.beam_response, fit.covariances, strict=True)
+    return tuple(_wider(posterior, follow @ root_of(covariance)) for posterior, follow, covariance in parts)
+
+
+def marginal_beams(setup: ObservingSetup, fitted: Fitted, channels: Sequence[int]) -> tuple[Posterior, ...]:
+    """Return the posteriors of the coefficients of `grown_problem`, all other effects marginalised.
 
     Parameters
     ----------
@@ -92,13 +101,11 @@ def marginal_beams(
     fitted : Fitted
     channels : sequence of int
         The rank group's.
-    grown : bool
-        Whether of all coefficients of `grown_problem`, or only of those of the job's basis.
     """
     values, fit = fitted.values, fitted.fit
-    if not fit.covariances:
-        return fit.posteriors
-    growth = [grown and one.effect.beam_functions(setup) is not None for one in values.active]
+    growth = [one.effect.beam_functions(setup) is not None for one in values.active]
+    if not any(growth):
+        return beams_alone(fit)
     of_beam = np.concatenate([np.full(len(one.used), own) for one, own in zip(values.active, growth, strict=True)])
     parts = zip(fit.posteriors, fit.beam_response, fit.covariances, channels, strict=True)
     return tuple(_joint(beam, follow, spread, values, f, of_beam) for beam, follow, spread, f in parts)
@@ -114,9 +121,7 @@ def _joint(
     follow = across @ inverse
     left = covariance[np.ix_(others, others)] - follow @ across.T
     beam = _wider(given, response[:, others] @ root_of(left)) if len(others) else given
-    if not len(more):
-        return beam
-    # Of [[P, -P M], [-M^H P, 1/C + M^H P M]], where M now has what of the others follows these parameters.
+    # The factor of [[P, -P M], [-M^H P, 1/C + M^H P M]], where M has how the others follow these parameters in it.
     half = beam.factor.conj().T @ (response[:, more] + response[:, others] @ follow)
     n = len(beam.mean)
     factor = np.zeros((n + len(more),) * 2, dtype=beam.factor.dtype)
@@ -130,13 +135,14 @@ def _joint(
 
 
 def _wider(posterior: Posterior, spread: Array) -> Posterior:
-    """Return the posterior with the covariance Z Z^H added, Z being ``spread``, (n_modes, k)."""
-    # (P^-1 + Z Z^H)^-1 = P - P Z (1 + Z^H P Z)^-1 Z^H P, and P = L L^H.
-    half = posterior.factor.conj().T @ spread
-    inner = np.linalg.cholesky(np.eye(half.shape[1]) + half.conj().T @ half)
-    taken = np.linalg.solve(inner, (posterior.factor @ half).conj().T)
-    precision = posterior.factor @ posterior.factor.conj().T - taken.conj().T @ taken
-    return Posterior(posterior.mean, np.linalg.cholesky(precision), posterior.log_evidence)
+    """Return the posterior where the beam also moves by ``spread``, (n_modes, k), times unknowns of variance one."""
+    precision = posterior.factor @ posterior.factor.conj().T
+    across = -precision @ spread
+    of_effects = np.eye(spread.shape[1]) - spread.conj().T @ across
+    matrix = np.block([[precision, across], [across.conj().T, of_effects]])
+    beam, effects = zip((BEAM, "effects"), spread.shape, 2 * [posterior.is_complex], strict=True)
+    left = Gaussian((Block(*beam), Block(*effects)), matrix, np.zeros(len(matrix)), None).marginalise(["effects"])
+    return replace(posterior, factor=left.solve(overwrite=True).factor)
 
 
 def _inverse(covariance: FloatArray) -> FloatArray:
@@ -151,6 +157,7 @@ def _log_ratio(values: Values, channel: int, index: Array, precision: FloatArray
 
     That is ln p(x) + ln |2 pi / precision| / 2, the prior's density at the maximum times the volume of the posterior.
     """
-    away, width = (values.x[channel] - values.prior_mean(channel))[index], values.prior_std(channel)[index]
+    prior_mean = np.concatenate([one.prior.of(channel).mean for one in values.active])
+    away, width = (values.x[channel] - prior_mean)[index], values.prior_std(channel)[index]
     log_prior = -0.5 * float(np.sum((away / width) ** 2)) - float(np.sum(np.log(width)))
     return log_prior - 0.5 * float(np.linalg.slogdet(precision)[1])

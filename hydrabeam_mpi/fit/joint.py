@@ -17,7 +17,7 @@ from hydrabeam_mpi.fit.accumulate import accumulate_designs, check_designs
 from hydrabeam_mpi.fit.channels import ChannelResult, read_shares, reduce_heldout, reduced_chi2
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
-from hydrabeam_mpi.fit.grown import marginal_beams
+from hydrabeam_mpi.fit.grown import beams_alone, marginal_beams
 from hydrabeam_mpi.fit.heldout import variance_by_effects
 from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.settle import settle
@@ -157,7 +157,7 @@ def channel_results(context: FitContext, fitted: Fitted) -> list[ChannelResult]:
         test, added = context.test.calibrated(fitted.estimate)
         before = context.test.model_beam
         variance, with_beam = variance_by_effects(context, fitted, test, added)
-        predicting = given if with_beam else marginal_beams(context.setup, fitted, context.channels, grown=False)
+        predicting = given if with_beam else beams_alone(fitted.fit)
         designs = context.test.designs(fitted.values)
         heldout = check_designs(test, designs, predicting, before, variance, context.test.rows)
     reduce_heldout(grid, heldout)

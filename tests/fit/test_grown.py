@@ -14,10 +14,12 @@ from hydrabeam_mpi.effects.instrument.basis_truncation import BasisTruncation
 from hydrabeam_mpi.fit.channels import infer_channels
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
-from hydrabeam_mpi.fit.grown import grown_beam, grown_problem, growth_of, marginal_beams
+from hydrabeam_mpi.fit.grown import beams_alone, grown_beam, grown_problem, growth_of, marginal_beams
 from hydrabeam_mpi.fit.joint import channel_results
 from hydrabeam_mpi.fit.settle import settle
-from hydrabeam_mpi.fit.state import Active, Fitted, Values
+from hydrabeam_mpi.fit.state import Active, Fit, Fitted, Values
+from hydrabeam_mpi.inference.posterior import Posterior
+from hydrabeam_mpi.random import complex_normal, generator
 from tests.fit.test_gauss_newton import TWO, free
 from tests.loop.mock import context_of, mock_job
 
@@ -80,7 +82,7 @@ def test_other_effects_are_marginalised(tmp_path: Path) -> None:
         std = np.sqrt(np.diag(expected))
         np.testing.assert_allclose(beam.covariance / np.outer(std, std), expected / np.outer(std, std), atol=1e-6)
         np.testing.assert_array_equal(beam.mean[n:], fitted.values.x[f, of_beam])
-        (alone,) = marginal_beams(context.setup, _of_channel(fitted, f), [f], grown=False)
+        (alone,) = beams_alone(_of_channel(fitted, f).fit)
         np.testing.assert_allclose(alone.covariance, expected[:n, :n], rtol=1e-5, atol=1e-7 * expected[0, 0])
 
 
@@ -117,3 +119,27 @@ def test_without_further_functions_nothing_changes(tmp_path: Path) -> None:
     assert grown_problem(context.problem, context.setup, values) is context.problem
     mean = context.problem.priors[0].mean
     assert grown_beam(context.setup, values, 0, context.problem.basis, mean) == (context.problem.basis, mean)
+
+
+@pytest.mark.parametrize("is_complex", [False, True], ids=["real", "complex"])
+@pytest.mark.parametrize("n_known", [0, 2])
+def test_effects_widen_the_beam_by_how_much_it_follows_them(is_complex: bool, n_known: int) -> None:
+    """Of the covariance C of the effects by M C M^H, also where some of them are known exactly; the mean stays."""
+    rng = generator(1, "beams alone", str(is_complex))
+
+    def draw(*shape: int) -> np.ndarray:
+        return complex_normal(rng, shape) if is_complex else rng.standard_normal(shape)
+
+    root, response, errors = draw(6, 9), draw(6, 4), rng.standard_normal((4, 7))
+    errors[:n_known] = 0.0
+    posterior = Posterior(draw(6), np.linalg.cholesky(root @ root.conj().T), log_evidence=-3.0)
+    (found,) = beams_alone(Fit((posterior,), (errors @ errors.T,), (response,)))
+    expected = posterior.covariance + response @ errors @ errors.T @ response.conj().T
+    np.testing.assert_allclose(found.covariance, expected, atol=1e-10 * np.abs(expected).max())
+    np.testing.assert_array_equal(found.mean, posterior.mean)
+    assert found.log_evidence == -3.0
+
+
+def test_without_effects_beams_are_as_they_are() -> None:
+    posterior = Posterior(np.zeros(2), np.eye(2))
+    assert beams_alone(Fit((posterior,))) == (posterior,)

@@ -8,7 +8,7 @@ from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.effects import Effect as EffectEntry
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
-from hydrabeam_mpi.fit.state import Fitted
+from hydrabeam_mpi.fit.state import Active, Fitted
 
 
 def amended_job(job: Job, fitted: Fitted, setup: ObservingSetup) -> Job:
@@ -24,7 +24,7 @@ def amended_job(job: Job, fitted: Fitted, setup: ObservingSetup) -> Job:
                 index=tuple(int(i) for i in used),
                 values=_rows(one.x[:, used]),
                 std=_rows(std[:, used]),
-                prior_std=_rows(np.array([prior.std() for prior in one.prior.priors])),
+                prior_std=_widths(one),
             )
         )
     for change in fitted.values.reweighted:
@@ -32,6 +32,12 @@ def amended_job(job: Job, fitted: Fitted, setup: ObservingSetup) -> Job:
         entry = EffectEntry.model_construct(kind=kind, values=_rows(change.x), std=_rows(change.std))
         entries.append(entry)
     return job.model_copy(update={"effects": tuple(entries)})
+
+
+def _widths(one: Active) -> tuple[tuple[float, ...], ...]:
+    """Return the prior's widths, once where they are the same in all channels."""
+    widths = np.array([one.prior.of(f).std() for f in range(len(one.x))])
+    return _rows(widths[:1] if np.all(widths == widths[0]) else widths)
 
 
 def _rows(values: FloatArray) -> tuple[tuple[float, ...], ...]:

@@ -10,9 +10,8 @@ import pytest
 import tomli_w
 
 from hydrabeam_mpi.config import Job, load_job
-from hydrabeam_mpi.config.sections import Basis, Data
+from hydrabeam_mpi.config.sections import Data
 from hydrabeam_mpi.data.observation import FloatArray
-from hydrabeam_mpi.effects.instrument.basis_truncation import BasisTruncation
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.registry import EFFECTS, REWEIGHTINGS, make_effect, make_reweighting
@@ -23,7 +22,7 @@ from hydrabeam_mpi.random import generator
 from tests.effects.cases import set_up
 from tests.effects.small import small_setup
 
-JOB = Job(data=Data(files=("/nowhere/data.uvh5",)), basis=Basis(n_modes=60, k_max=20, m_max=8))
+JOB = Job(data=Data(files=("/nowhere/data.uvh5",)))
 LONG = small_setup(freqs=(140e6, 141e6, 142e6, 143e6), n_times=2)
 
 
@@ -52,7 +51,7 @@ def one_fitted(effect: Effect, setup: ObservingSetup) -> tuple[Active, FloatArra
     return replace(start, x=np.broadcast_to(x, (n_freqs, n))), std
 
 
-@pytest.mark.parametrize("kind", [kind for kind in EFFECTS if not EFFECTS[kind].is_about_the_beam])
+@pytest.mark.parametrize("kind", EFFECTS)
 def test_every_effect_comes_back(kind: str, tmp_path: Path) -> None:
     effect, block, _ = set_up(kind)
     made = fitted(effect, setup=block.setup)
@@ -103,24 +102,3 @@ def test_several_keep_their_order_and_the_rest_of_the_job_stays(tmp_path: Path) 
 
 def test_a_fit_without_anything_leaves_the_job_as_it_is() -> None:
     assert amended_job(JOB, Fitted(), LONG) == JOB
-
-
-def test_a_basis_that_is_too_small_becomes_a_larger_one(tmp_path: Path) -> None:
-    """With the modes of two rounds, beside an effect that stays one."""
-    rounds = [BasisTruncation(), BasisTruncation(len(BasisTruncation().parameters(LONG)))]
-    effects: list[Effect] = [rounds[0], make_effect("antenna_gains", {}), rounds[1]]
-    made = fitted(*effects, setup=LONG)
-    job = written_and_read(amended_job(JOB, made, LONG), tmp_path)
-    assert [entry.kind for entry in job.effects] == ["antenna_gains"]
-    n_modes = LONG.basis.n_modes + sum(len(one.parameters(LONG)) for one in rounds)
-    assert job.basis.n_modes == n_modes
-    assert job.basis.k_max >= JOB.basis.k_max
-    assert job.basis.m_max >= JOB.basis.m_max
-
-
-def test_a_basis_never_gets_smaller() -> None:
-    """Where the job asks for more orders, of which the largest modes were taken."""
-    large = JOB.model_copy(update={"basis": Basis(n_modes=60, k_max=300, m_max=170)})
-    basis = amended_job(large, fitted(BasisTruncation(), setup=LONG), LONG).basis
-    assert (basis.k_max, basis.m_max) == (300, 170)
-    assert basis.n_modes > 60
