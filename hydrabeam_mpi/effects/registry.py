@@ -12,7 +12,8 @@ from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.registry import Registry
 
 if TYPE_CHECKING:
-    from hydrabeam_mpi.effects.interface.effect import Cause, CrossPolarised, Effect
+    from hydrabeam_mpi.effects.interface.cross_polarised import CrossPolarised
+    from hydrabeam_mpi.effects.interface.effect import Cause, Effect
     from hydrabeam_mpi.effects.interface.reweighting import Reweighting
 
 

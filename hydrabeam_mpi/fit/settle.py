@@ -20,6 +20,15 @@ MAX_SETTLING = 60
 """Steps at most; nearly all fits take three to ten."""
 
 
+def refined(fitted: Fitted) -> Fitted:
+    """Return the fit with effects as they are described by what has been fitted; see `Effect.refined`."""
+    active = []
+    for one in fitted.values.active:
+        effect, x = one.effect.refined(one.x)
+        active.append(replace(one, effect=effect, x=x))
+    return replace(fitted, values=replace(fitted.values, active=tuple(active)))
+
+
 def settle(context: FitContext, fitted: Fitted) -> Fitted:
     """Go on with a fit to where nothing moves at all, whichever way it came there. Collective: all ranks of the grid.
 

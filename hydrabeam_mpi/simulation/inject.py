@@ -15,7 +15,8 @@ from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.effects import Injected
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.redundancy import RedundantGroups
-from hydrabeam_mpi.effects.interface.effect import Cause, CrossPolarised, Effect
+from hydrabeam_mpi.effects.interface.cross_polarised import CrossPolarised
+from hydrabeam_mpi.effects.interface.effect import Cause, Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.registry import REWEIGHTINGS, SEPARATE, make_cause, make_reweighting

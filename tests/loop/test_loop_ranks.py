@@ -11,13 +11,18 @@ import pytest
 from hydrabeam_mpi.cli import main
 from hydrabeam_mpi.config import load_job
 from tests.loop.mock import mock_job, write_job
-from tests.loop.test_loop_command import GAIN, TWO, channels_of, record_of
+from tests.loop.test_loop_command import GAIN, TWO, assert_reproduced, channels_of, record_of
 
 FEW = ["antenna_gains", "cross_coupling", "missing_sources", "timestamp", "outliers"]
 JOBS = {
     "two channels": mock_job(GAIN, freqs=TWO, loop={"effects": FEW}),
     "one channel, few times": mock_job(GAIN, n_times=4, holdout={"every": 2}, loop={"effects": FEW}),
 }
+INFER = """
+import sys
+from hydrabeam_mpi.cli import main
+assert main(["infer", sys.argv[1], "-o", sys.argv[2]]) == 0
+"""
 RUN_ALL = """
 import sys
 from pathlib import Path
@@ -85,3 +90,11 @@ def test_posterior_and_amendment_on_any_number_of_ranks(job: str, on_one_rank: P
         assert (first.kind, first.names, first.index) == (second.kind, second.names, second.index)
         shift = np.abs(np.array(first.values) - np.array(second.values))
         assert np.all(shift < 1e-5 * np.array(first.std))
+
+
+def test_the_amended_job_on_two_ranks(on_one_rank: Path, tmp_path: Path, mpiexec_python: Any) -> None:
+    """As the loop has it on one."""
+    result = on_one_rank / "two channels"
+    done = mpiexec_python(2, INFER, result / "amended.toml", tmp_path / "again", timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert_reproduced(result, tmp_path / "again")

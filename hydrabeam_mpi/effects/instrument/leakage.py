@@ -17,7 +17,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
-from hydrabeam_mpi.effects.interface.effect import Columns, CrossPolarised, Parameters
+from hydrabeam_mpi.effects.interface.cross_polarised import CrossPolarised
+from hydrabeam_mpi.effects.interface.effect import Columns, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import FEEDS, ObservingSetup
 
 

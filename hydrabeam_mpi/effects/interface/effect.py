@@ -14,7 +14,7 @@ effect.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
@@ -25,6 +25,7 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
+from hydrabeam_mpi.effects.interface.told import Told
 from hydrabeam_mpi.model.bases.base import LinearBasis
 
 
@@ -169,25 +170,6 @@ class Cause(ABC):
         return {}
 
 
-class CrossPolarised(Cause):
-    """A cause that is seen in rows of other polarisations than that from which the beam is inferred."""
-
-    @abstractmethod
-    def measured(
-        self, setup: ObservingSetup, copols: Mapping[str, ComplexArray], x: FloatArray
-    ) -> dict[str, ComplexArray]:
-        """Return what is measured of an unpolarised sky in all polarisations, exact, each (Ntimes, Nbls).
-
-        Parameters
-        ----------
-        setup : ObservingSetup
-        copols : mapping of str to ndarray of complex, (Ntimes, Nbls)
-            Visibilities without this cause, such as of "ee" and "nn", Jy, in the sense of the observation's antpairs.
-        x : ndarray, (n_params,)
-            Of one channel; those of several causes of one kind add up.
-        """
-
-
 class Effect(Cause):
     """A cause that changes what the rows of the job's polarisation are expected to be.
 
@@ -255,6 +237,19 @@ class Effect(Cause):
     def unphysical(self, x: FloatArray, std: FloatArray) -> str | None:
         """Say why fitted parameters, (Nfreqs, n_params), are unphysical for this effect; None where they are not."""
         return None
+
+    def refined(self, x: FloatArray) -> tuple[Effect, FloatArray]:
+        """Return the effect as described by what has been fitted, and its parameters then, (Nfreqs, n_params).
+
+        Such as sources at the places where they have been found, rather than at points of the grid that was searched
+        and with offsets from there.
+        """
+        return self, x
+
+    def told(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> Told:
+        """Return fitted parameters and their errors, (Nfreqs, n_params) each, as they are told: one for each."""
+        parameters = self.parameters(setup)
+        return Told(parameters.names, parameters.units, x, std, np.ones(len(parameters), dtype=bool))
 
     def next_after(self, setup: ObservingSetup, newest: Effect) -> Effect:
         """Return what to look for where ``newest`` is the last effect that the model got.

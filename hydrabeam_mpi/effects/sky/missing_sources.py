@@ -8,6 +8,7 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Columns, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.interface.told import Told
 from hydrabeam_mpi.effects.shared.point_sources import (
     PointSources,
     dirty_map,
@@ -33,9 +34,10 @@ STEP = 2e-4  # of derivatives by position, in resolutions
 class MissingSources(PointSources):
     """Sources at unknown places, each with a flux, a position and, given several channels, a spectral index.
 
-    Candidates lie on a grid in the sky's own frame. What is reported of a source is relative to the point where it was
-    found: a flux at the mean frequency, an offset on the plane tangent there, and the departure of its spectral index
-    from -0.7.
+    Candidates lie on a grid in the sky's own frame. A source is fitted relative to the point where it was found: a flux
+    at the mean frequency, an offset on the plane tangent there, and the departure of its spectral index from -0.7. What
+    is told is where it is, right ascension and declination in the frame of the catalogue (ICRS); once a fit has ended
+    it is also described from there.
 
     Parameters
     ----------
@@ -62,6 +64,29 @@ class MissingSources(PointSources):
         element = np.repeat(np.arange(len(self.sources)), len(each))
         trials = max(self.trials, len(self.sources)) if rows else 0
         return Parameters.of(names, units, np.array(scale, dtype=float), element, nonlinear, trials)
+
+    def refined(self, x: FloatArray) -> tuple[MissingSources, FloatArray]:
+        """Return the sources where they have been found, with no offsets left, (Nfreqs, n_params)."""
+        if not self.sources:
+            return self, x
+        part = x.reshape(len(x), len(self.sources), -1).copy()
+        sources = in_degrees(*self._places(part[0]))
+        part[..., 1:3] = 0.0
+        return MissingSources([(ra % 360, dec) for ra, dec in sources], self.trials), part.reshape(x.shape)
+
+    def told(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> Told:
+        """Return flux, right ascension, declination and spectral index of every source."""
+        each, units = ("flux", "right ascension", "declination", "spectral index"), ("Jy", "deg", "deg", "")
+        refined, left = self.refined(x)
+        values, errors = (part.reshape(len(x), len(self.sources), -1).copy() for part in (left, std))
+        n = values.shape[2]
+        for number, (ra, dec) in enumerate(refined.sources):
+            values[:, number, 1:3] = ra, dec
+            errors[:, number, 1] /= np.cos(np.deg2rad(dec))
+        values[..., 3:] += SPECTRAL_INDEX
+        names = tuple(f"source at {place(*source)}: {what}" for source in refined.sources for what in each[:n])
+        from_zero = np.tile(np.arange(n) == 0, len(self.sources))
+        return Told(names, units[:n] * len(self.sources), values.reshape(x.shape), errors.reshape(x.shape), from_zero)
 
     def extra_sky(self, block: RowBlock, itime: int, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the sources that are up, each (Nsrc,)."""

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.told import Told
 from hydrabeam_mpi.fit.gauss_newton import FitContext
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.loop.output.heldout_change import heldout_change
@@ -268,20 +269,20 @@ def parameters_of(setup: ObservingSetup, one: Round, last: Fitted) -> tuple[list
     """
     if one.candidate.weights is not None:
         fit, shared = one.candidate.weights.fit, False
-        names, units, x, std = fit.names, fit.units, fit.x, fit.std
-        prior_std = np.full(std.shape, np.inf)
+        told = Told(fit.names, fit.units, fit.x, fit.std, np.zeros(len(fit.names), dtype=bool))
+        used, is_told = np.arange(len(fit.names)), np.ones(fit.std.shape, dtype=bool)
     else:
         number = len(one.after.fitted.values.active) - 1
         active, std = last.values.active[number], last.fit.std[number]
-        parameters, used = active.effect.parameters(setup), active.used
-        names = tuple(parameters.names[i] for i in used)
-        units = tuple(parameters.units[i] for i in used)
-        x, std, shared = active.x[:, used], std[:, used], active.effect.shared
-        prior_std = np.array([active.prior.of(f).std() for f in range(len(x))])
-    told: list[dict[str, Any]] = []
+        told, used, shared = active.effect.told(setup, active.x, std), active.used, active.effect.shared
+        prior_std = np.array([active.prior.of(f).std() for f in range(len(std))])
+        is_told = std[:, used] ** 2 <= LEAST_TOLD * prior_std**2
+    parameters: list[dict[str, Any]] = []
     not_told: list[dict[str, Any]] = []
     for f, freq in enumerate([None] if shared else setup.observation.freqs.tolist()):
-        for i, (name, unit) in enumerate(zip(names, units, strict=True)):
-            entry = {"name": name, "unit": unit, "value": float(x[f, i]), "std": float(std[f, i]), "freq_hz": freq}
-            (told if std[f, i] ** 2 <= LEAST_TOLD * prior_std[f, i] ** 2 else not_told).append(entry)
-    return (told, not_told) if told else (not_told, [])
+        for i, known in zip(used.tolist(), is_told[f], strict=True):
+            value, error = float(told.values[f, i]), float(told.std[f, i])
+            sigma = abs(value) / error if told.from_zero[i] and error else None
+            entry = {"name": told.names[i], "unit": told.units[i], "value": value, "std": error, "sigma": sigma}
+            (parameters if known else not_told).append({**entry, "freq_hz": freq})
+    return (parameters, not_told) if parameters else (not_told, [])

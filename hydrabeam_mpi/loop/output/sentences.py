@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
-MOST_NAMED = 3
+MOST_NAMED = 4
 
 
 def say_round(told: dict[str, Any]) -> str:
@@ -26,11 +27,14 @@ def say_parameter(one: dict[str, Any]) -> str:
     """Write name, value and error."""
     unit = f" {one['unit']}" if one["unit"] else ""
     at = f" at {one['freq_hz'] / 1e6:.6g} MHz" if one["freq_hz"] is not None else ""
-    return f"{one['name']} {one['value']:.4g} +- {one['std']:.2g}{unit}{at}"
+    value, std = one["value"], one["std"]
+    # To the second digit of the error, as places need many, and to four digits at least.
+    digits = 2 + math.floor(math.log10(abs(value))) - math.floor(math.log10(std)) if value and std > 0 else 4
+    return f"{one['name']} {value:.{min(max(digits, 4), 15)}g} +- {std:.2g}{unit}{at}"
 
 
 def _sigmas(one: dict[str, Any]) -> float:
-    return abs(one["value"]) / one["std"] if one["std"] else 0.0
+    return float(one["sigma"] or 0.0)
 
 
 def say_verdict(

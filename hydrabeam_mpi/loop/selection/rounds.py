@@ -14,7 +14,7 @@ from hydrabeam_mpi.effects.interface.reweighting import Reweighting, Reweighting
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
 from hydrabeam_mpi.fit.heldout import whiten
-from hydrabeam_mpi.fit.settle import settle
+from hydrabeam_mpi.fit.settle import refined, settle
 from hydrabeam_mpi.fit.state import Active, Fitted, Reweighted, Values
 from hydrabeam_mpi.loop.attribution.score_effects import Finding, attribute, reconsider
 from hydrabeam_mpi.loop.attribution.score_noise import WeightsFound, fit_reweightings, refit_reweighting
@@ -81,9 +81,9 @@ def begin(context: FitContext, values: Values, clock: Clock) -> History:
 def settle_last(context: FitContext, history: History) -> None:
     """Go on with the last fit until nothing moves, so that what is written of it can be computed again.
 
-    Collective: all ranks of the grid.
+    Effects are described by what has been fitted first. Collective: all ranks of the grid.
     """
-    last = check(context, settle(context, history.last.fitted))
+    last = check(context, settle(context, refined(history.last.fitted)))
     history.last = last
     if history.rounds:
         history.rounds[-1] = replace(history.rounds[-1], after=last)

@@ -105,7 +105,7 @@ def parameters_table(entry: Entry) -> str:
             (
                 str(parameter.get("name", "")),
                 megahertz(freq) if math.isfinite(freq) else "all",
-                written(number(parameter, "value")),
+                _to_its_error(number(parameter, "value"), number(parameter, "std")),
                 written(number(parameter, "std")),
                 str(parameter.get("unit") or ""),
                 sigmas(significance) if math.isfinite(significance) else "–",
@@ -121,7 +121,17 @@ def parameters_table(entry: Entry) -> str:
     return f"<details><summary>{what}</summary>\n{set_table('', head, lines_of(rows, values), 'channels')}</details>\n"
 
 
+def _to_its_error(value: float, std: float) -> str:
+    """Write a value with all digits that its error leaves, as of a place on the sky."""
+    if not (math.isfinite(value) and 0 < std < 1e-2 * abs(value) < 1e4):
+        return written(value)
+    return f"{value:,.{max(0, 1 - math.floor(math.log10(std)))}f}"
+
+
 def _significance(parameter: Entry) -> float:
+    if "sigma" in parameter:
+        sigma = number(parameter, "sigma")
+        return sigma if math.isfinite(sigma) else -math.inf
     value, std = number(parameter, "value"), number(parameter, "std")
     return abs(value) / std if std > 0 and math.isfinite(value) else -math.inf
 

@@ -277,6 +277,7 @@ def test_parameters_that_the_data_do_not_tell_come_apart(
         "unit": "rad",
         "value": -0.04,
         "std": std[1][1],
+        "sigma": 0.04 / std[1][1],
         "freq_hz": FREQS[1],
     }
 

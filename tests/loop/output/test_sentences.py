@@ -17,6 +17,14 @@ PARAMETERS: dict[str, tuple[dict[str, Any], str]] = {
         {"name": "antenna 2 ln amplitude", "value": 0.04, "std": 1.2e-5, "unit": "", "freq_hz": 157.507e6},
         "antenna 2 ln amplitude 0.04 +- 1.2e-05 at 157.507 MHz",
     ),
+    "a place, of which there are many digits": (
+        {"name": "source right ascension", "value": 80.7424312, "std": 0.00021, "unit": "deg", "freq_hz": None},
+        "source right ascension 80.74243 +- 0.00021 deg",
+    ),
+    "an error of which nothing is known": (
+        {"name": "antenna 2 delay", "value": 3.14159, "std": 0.0, "unit": "ns", "freq_hz": None},
+        "antenna 2 delay 3.142 +- 0 ns",
+    ),
     "of all channels": (
         {"name": "antenna 2 delay", "value": 3.0, "std": 0.5, "unit": "ns", "freq_hz": None},
         "antenna 2 delay 3 +- 0.5 ns",
@@ -30,7 +38,8 @@ def test_parameters(parameter: dict[str, Any], said: str) -> None:
 
 
 def parameter(name: str, value: float, std: float = 1.0) -> dict[str, Any]:
-    return {"name": name, "value": value, "std": std, "unit": "", "freq_hz": None}
+    sigma = abs(value) / std if std else None
+    return {"name": name, "value": value, "std": std, "sigma": sigma, "unit": "", "freq_hz": None}
 
 
 def told(**given: Any) -> dict[str, Any]:
@@ -51,14 +60,17 @@ def told(**given: Any) -> dict[str, Any]:
     return {**usual, **given}
 
 
-FEW = [parameter("one", 2), parameter("two", -9), parameter("three", 5), parameter("four", 3)]
+FEW = [parameter("one", 2), parameter("two", -9), parameter("three", 5), parameter("four", 3), parameter("five", 4)]
 ROUNDS: dict[str, tuple[dict[str, Any], str]] = {
     "the whole of it": (
         {},
         "Antenna gains: one 2 +- 1 (log Bayes factor 5,110,910; the beam can absorb 7% of it). Added. "
         "Held-out reduced chi^2 257 -> 1.17; rms 5.43 -> 0.346 Jy (noise 0.32 Jy); the beam moves by up to 3.6e-03.",
     ),
-    "the three most significant": ({"parameters": FEW}, "gains: two -9 +- 1; three 5 +- 1; four 3 +- 1; and 1 more ("),
+    "the four most significant": (
+        {"parameters": FEW},
+        "gains: two -9 +- 1; three 5 +- 1; five 4 +- 1; four 3 +- 1; and 1 more (",
+    ),
     "those that are not told are among the others": (
         {"parameters_not_told": FEW[:2]},
         "Antenna gains: one 2 +- 1; and 2 more (",

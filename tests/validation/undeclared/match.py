@@ -157,27 +157,25 @@ def _echo_power(told: dict[str, tuple[float, float]]) -> float:
 def read_sources(
     parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]
 ) -> Found:
-    """Read flux and offsets of sources, and give to each true one the strongest within a degree."""
-    places: dict[tuple[float, float], dict[str, tuple[float, float]]] = {}
+    """Read flux and places of sources, and give to each true one the strongest within a degree."""
+    places: dict[str, dict[str, tuple[float, float]]] = {}
     for name, pair in averaged(parameters).items():
-        match = re.fullmatch(r"source at ra=([-\d.]+) dec=([-\d.]+): (.*)", name)
+        match = re.fullmatch(r"(source at .*): (.*)", name)
         if match is not None:
-            places.setdefault((float(match[1]), float(match[2])), {})[match[3]] = pair
+            places.setdefault(match[1], {})[match[2]] = pair
     out: Found = {}
-    for (ra, dec), told in sorted(places.items(), key=lambda one: abs(one[1].get("flux", (0.0, 0.0))[0])):
-        east, north = told.get("offset east", (0.0, 0.0)), told.get("offset north", (0.0, 0.0))
-        cosine = np.cos(np.deg2rad(dec))
-        found_ra, found_dec = ra + east[0] / cosine, dec + north[0]
+    for told in sorted(places.values(), key=lambda one: abs(one.get("flux", (0.0, 0.0))[0])):
+        if not {"flux", "right ascension", "declination"} <= told.keys():
+            continue
+        (found_ra, ra_std), (found_dec, _) = told["right ascension"], told["declination"]
+        cosine = np.cos(np.deg2rad(found_dec))
         for thing in {thing for thing, _ in truth}:
             true_ra, true_dec = truth[thing, "right ascension"], truth[thing, "declination"]
             apart = np.hypot(((true_ra - found_ra + 180) % 360 - 180) * cosine, true_dec - found_dec)
-            if apart < SAME_PLACE_DEG and "flux" in told:
-                # The names give the place to a thousandth of a degree.
-                rounding = 3e-4
-                out[thing, "flux"] = told["flux"]
+            if apart < SAME_PLACE_DEG:
                 turns = 360 * np.round((true_ra - found_ra) / 360)
-                out[thing, "right ascension"] = found_ra + turns, float(np.hypot(east[1], rounding) / cosine)
-                out[thing, "declination"] = found_dec, float(np.hypot(north[1], rounding))
+                out[thing, "flux"], out[thing, "declination"] = told["flux"], told["declination"]
+                out[thing, "right ascension"] = found_ra + turns, ra_std
     return out
 
 

@@ -1,0 +1,43 @@
+"""A source that the catalogue lacks is told by where it is on the sky, wherever the loop still writes of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hydrabeam_mpi.cli import main
+from hydrabeam_mpi.config import load_job
+from tests.loop.mock import mock_job
+from tests.loop.test_loop_command import TWO, assert_reproduced, record_of, run_loop
+
+PLACE = (31.37, -28.64)
+"""Right ascension and declination, degrees, where no point of the search's grid is."""
+NAME = f"source at ra={PLACE[0]:.3f} dec={PLACE[1]:.3f}: "
+
+
+def test_a_source_is_told_by_its_place(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    source = {"kind": "missing_sources", "settings": {"sources": [list(PLACE)]}, "parameters": {NAME + "flux": 3.0}}
+    result = run_loop(mock_job(source, freqs=TWO, loop={"effects": ["missing_sources"]}), tmp_path)
+    record = record_of(result)
+    assert record["verdict"] == "explained"
+    (found,) = record["rounds"]
+    assert not found["parameters_not_told"]
+    told = {one["name"].rpartition(": ")[2]: one for one in found["parameters"]}
+    truth = {"flux": 3.0, "right ascension": PLACE[0], "declination": PLACE[1], "spectral index": -0.7}
+    assert told.keys() == truth.keys()
+    for what, value in truth.items():
+        assert abs(told[what]["value"] - value) < 3 * told[what]["std"]
+    assert [told[what]["unit"] for what in truth] == ["Jy", "deg", "deg", ""]
+    assert 0 < told["right ascension"]["std"] < 0.1
+    assert told["flux"]["sigma"] > 10
+    assert told["right ascension"]["sigma"] is None
+    ra, dec = (told[what]["value"] for what in ("right ascension", "declination"))
+    assert f"source at ra={ra:.3f} dec={dec:.3f}: right ascension {ra:.3f}"[:-1] in found["sentence"]
+    (entry,) = load_job(result / "amended.toml").effects
+    np.testing.assert_allclose(entry.settings["sources"], [[ra, dec]], atol=1e-6)
+    assert all("offset" in name for name in entry.names[1:3])
+    assert np.all(np.abs(np.array(entry.values)[:, 1:3]) < 1e-6)
+    assert main(["infer", str(result / "amended.toml"), "-o", str(tmp_path / "again")]) == 0
+    assert_reproduced(result, tmp_path / "again")
