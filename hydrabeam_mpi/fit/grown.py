@@ -26,7 +26,7 @@ from hydrabeam_mpi.inference.gaussian import Block, Gaussian
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.prior import BlockPrior
 from hydrabeam_mpi.model.bases.base import LinearBasis
-from hydrabeam_mpi.model.bases.joined import Joined
+from hydrabeam_mpi.model.bases.joined import join
 from hydrabeam_mpi.setup.problem import Problem
 
 Array = NDArray[Any]
@@ -35,7 +35,7 @@ Array = NDArray[Any]
 def growth_of(setup: ObservingSetup, values: Values) -> list[tuple[Active, LinearBasis]]:
     """Return the effects whose parameters are coefficients of the beam, with the functions of those in use."""
     found = [(one, one.effect.beam_functions(setup)) for one in values.active]
-    return [(one, Joined([functions], one.used.tolist())) for one, functions in found if functions is not None]
+    return [(one, join([functions], one.used.tolist())) for one, functions in found if functions is not None]
 
 
 def grown_beam(
@@ -57,7 +57,7 @@ def grown_beam(
     if not growth:
         return basis, mean
     coeffs = [one.x[channel, one.used] for one, _ in growth]
-    return Joined([basis, *(more for _, more in growth)]), np.concatenate([mean, *coeffs])
+    return join([basis, *(more for _, more in growth)]), np.concatenate([mean, *coeffs])
 
 
 def grown_problem(problem: Problem, setup: ObservingSetup, values: Values) -> Problem:
@@ -78,7 +78,7 @@ def grown_problem(problem: Problem, setup: ObservingSetup, values: Values) -> Pr
         BlockPrior((prior, *(one.prior.of(int(number)) for one, _ in growth)))
         for prior, number in zip(problem.priors, problem.channel_numbers, strict=True)
     )
-    return replace(problem, basis=Joined([problem.basis, *(more for _, more in growth)]), priors=priors)
+    return replace(problem, basis=join([problem.basis, *(more for _, more in growth)]), priors=priors)
 
 
 def beams_alone(fit: Fit) -> tuple[Posterior, ...]:

@@ -221,6 +221,10 @@ class LinearBasis(Protocol):
             values[part] = weights @ self.columns(za[part], az[part])
         return values
 
+    def with_more(self, other: LinearBasis) -> LinearBasis | None:
+        """Return the basis of one's own functions and then those of another one, where it is of the same kind."""
+        return None
+
     def table(self, coeffs: Array) -> PolarTable | None:
         """Return a table of the real part of the beam, by which it and its slopes are cheap at many points.
 

@@ -256,6 +256,13 @@ class FourierBessel(LinearBasis):
             return values[0] + 1j * values[1]
         return values[0].astype(matrix.dtype)
 
+    def with_more(self, other: LinearBasis) -> FourierBessel | None:
+        """Return the basis with the modes of another one on the same disc; see :meth:`LinearBasis.with_more`."""
+        if not isinstance(other, FourierBessel) or set(self.modes) & set(other.modes):
+            return None
+        same = all(getattr(self, key) == getattr(other, key) for key in ("form", "edge", "boundary", "n_az"))
+        return self.with_modes([*self.modes, *other.modes]) if same else None
+
     def table(self, coeffs: Array) -> PolarTable:
         """Tabulate the real part of a beam; see :meth:`LinearBasis.table`."""
         stretch = np.sqrt(2 * self._inv_alpha_squared)

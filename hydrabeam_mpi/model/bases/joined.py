@@ -10,6 +10,14 @@ import numpy as np
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases.base import LinearBasis
+from hydrabeam_mpi.model.bases.polar_table import PolarTable
+
+
+def join(parts: Sequence[LinearBasis], kept: Iterable[int] | None = None) -> LinearBasis:
+    """Return all or some functions of some bases, as `Joined` does or as a plain basis where they make one."""
+    made = Joined(parts, kept)
+    is_plain = len(made.parts) == 1 and made.kept == list(range(made.parts[0].n_modes))
+    return made.parts[0] if is_plain else made
 
 
 class Joined(LinearBasis):
@@ -18,7 +26,7 @@ class Joined(LinearBasis):
     Parameters
     ----------
     parts : sequence of LinearBasis
-        What is joined among them counts as its own parts.
+        What is joined among them counts as its own parts; neighbours of which one basis has all functions are one.
     kept : iterable of int, optional
         Which functions of all parts, in the order of the coefficients; all by default.
     """
@@ -32,7 +40,9 @@ class Joined(LinearBasis):
         for part in parts:
             start = sum(one.n_modes for one in self.parts)
             places += [start + number for number in (part.kept if isinstance(part, Joined) else range(part.n_modes))]
-            self.parts += part.parts if isinstance(part, Joined) else [part]
+            for one in part.parts if isinstance(part, Joined) else [part]:
+                both = self.parts[-1].with_more(one) if self.parts else None
+                self.parts = [*self.parts, one] if both is None else [*self.parts[:-1], both]
         self.kept = places if kept is None else [places[number] for number in kept]
         self.n_modes, self.n_columns = len(self.kept), sum(part.n_columns for part in self.parts)
         self.is_complex = any(part.is_complex for part in self.parts)
@@ -61,6 +71,10 @@ class Joined(LinearBasis):
         """Evaluate the beam, (Npoints,), each part in its own way."""
         pairs = zip(self.parts, self._of_parts(coeffs), strict=True)
         return np.asarray(sum(part.synthesize(own, za, az) for part, own in pairs))
+
+    def table(self, coeffs: Array) -> PolarTable | None:
+        """Tabulate the real part of a beam, where there is one part only."""
+        return self.parts[0].table(*self._of_parts(coeffs)) if len(self.parts) == 1 else None
 
     def _of_parts(self, coeffs: Array) -> list[Array]:
         """Give each part its coefficients, zero of what is not kept, (..., n_modes of the part)."""

@@ -76,8 +76,7 @@ def test_modes_see_what_is_added_to_the_sky(basis) -> None:
     def larger(za: FloatArray, az: FloatArray) -> FloatArray:
         return functions.synthesize(x, za, az)
 
-    block.beam = larger
-    expected = source.added(block, flux)
+    expected = source.added(replace(block, beam=larger), flux)
     assert np.abs(expected).max() > 0
     np.testing.assert_allclose(seen, expected, atol=1e-9 * np.abs(expected).max())
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
-from hydrabeam_mpi.model.bases.joined import Joined
+from hydrabeam_mpi.model.bases.joined import Joined, join
 from hydrabeam_mpi.model.bases.zernike import Zernike
 from hydrabeam_mpi.random import generator
 
@@ -20,3 +20,23 @@ def test_functions_are_those_of_the_parts_in_their_order() -> None:
     again = Joined([zernike, Joined([some], [2, 0])])
     np.testing.assert_array_equal(again.evaluate(za, az)[-2:], every[[7, 20]])
     assert [part.describe()["kind"] for part in again.parts] == ["zernike", "fourier_bessel", "zernike"]
+
+
+def test_modes_on_one_disc_are_one_basis() -> None:
+    """In their order; not those of another condition at the edge, or ones that are there already."""
+    full, (za, az) = FourierBessel.full(3, 2), generator(2, "joined").uniform(0, 1.5, (2, 40))
+    some, others = full.with_modes(full.modes[:4]), full.with_modes(full.modes[4:])
+    made = join([others, some])
+    assert isinstance(made, FourierBessel)
+    assert made.modes == full.modes[4:] + full.modes[:4]
+    few = join([some, Joined([others])], [5, 2])
+    assert isinstance(few, Joined)
+    np.testing.assert_array_equal(few.evaluate(za, az), full.evaluate(za, az)[[5, 2]])
+    table = few.table(np.array([0.3, -2.0]))
+    assert table is not None
+    np.testing.assert_allclose(table(za, az), few.synthesize(np.array([0.3, -2.0]), za, az), atol=1e-6)
+    for other in (some, FourierBessel.full(3, 2, boundary="neumann"), Zernike(1)):
+        apart = join([some, other])
+        assert isinstance(apart, Joined)
+        assert len(apart.parts) == 2
+        assert apart.table(np.ones(apart.n_modes)) is None
