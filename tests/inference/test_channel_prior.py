@@ -7,7 +7,15 @@ import pytest
 from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 
-from hydrabeam_mpi.inference.prior import ChannelPrior, CovariancePrior, DiagonalPrior, Prior, precision_of
+from hydrabeam_mpi.inference.prior import (
+    BlockPrior,
+    ChannelPrior,
+    CovariancePrior,
+    DiagonalPrior,
+    FlatPrior,
+    Prior,
+    precision_of,
+)
 from hydrabeam_mpi.random import generator
 
 ROOT = generator(1, "root").standard_normal((2, 4))
@@ -89,3 +97,19 @@ def test_shared_parameters_have_one_prior() -> None:
         ChannelPrior((WIDE, CORRELATED), n_coupled=2)
     with pytest.raises(ValueError, match="not coupled besides"):
         ChannelPrior((WIDE,), shared=True, n_coupled=2)
+
+
+def test_blocks_side_by_side_are_the_whole_gaussian() -> None:
+    rng = generator(5, "blocks")
+    root = rng.standard_normal((3, 5))
+    covariance, sigma = root @ root.T, rng.uniform(0.5, 2.0, 2)
+    prior = BlockPrior((CovariancePrior(np.arange(3.0), covariance), DiagonalPrior(np.full(2, -1.0), sigma)))
+    whole = np.zeros((5, 5))
+    whole[:3, :3], whole[3:, 3:] = covariance, np.diag(sigma**2)
+    np.testing.assert_array_equal(prior.mean, [0, 1, 2, -1, -1])
+    np.testing.assert_allclose(precision_of(prior), np.linalg.inv(whole), atol=1e-10)
+    np.testing.assert_allclose(prior.std(), np.sqrt(np.diag(whole)))
+    vector = rng.standard_normal(5)
+    np.testing.assert_allclose(prior.precision_times(vector), np.linalg.solve(whole, vector))
+    assert prior.log_det_precision == pytest.approx(-np.linalg.slogdet(whole)[1])
+    assert BlockPrior((*prior.priors, FlatPrior(np.zeros(2)))).log_det_precision is None

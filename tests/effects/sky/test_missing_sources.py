@@ -109,3 +109,32 @@ def test_one_channel_has_no_spectral_index(freqs: tuple[float, ...], each: int) 
     assert parameters.element.tolist() == [0] * each + [1] * each
     assert parameters.nonlinear.tolist() == ([False] + [True] * (each - 1)) * 2
     check_derivative(effect, small_block(setup), effect.draw(setup, generator(1, "missing"), 20.0))
+
+
+def test_described_from_where_they_are_they_are_the_same() -> None:
+    """And told by right ascension and declination, with the errors that offsets have on the sky."""
+    setup = small_setup()
+    block, effect = small_block(setup), two_sources(setup)
+    x = np.tile([12.0, 0.4, -0.3, 0.25, 3.0, 0.0, 0.1, 0.0], (2, 1))
+    std = np.tile([0.1, 0.02, 0.03, 0.01, 0.2, 0.04, 0.05, 0.02], (2, 1))
+    refined, left = effect.refined(x)
+    expected = effect.added(block, x[0])
+    np.testing.assert_allclose(refined.added(block, left[0]), expected, atol=1e-9 * np.abs(expected).max())
+    assert not left[:, [1, 2, 5, 6]].any()
+    np.testing.assert_allclose(refined.refined(left)[0].sources, refined.sources, rtol=1e-14)
+    told = effect.told(setup, x, std)
+    again = refined.told(setup, left, std)
+    assert told.names == again.names
+    np.testing.assert_allclose(told.values, again.values, rtol=1e-12)
+    (ra, dec), _ = refined.sources
+    assert told.names[:4] == tuple(
+        f"source at ra={ra:.3f} dec={dec:.3f}: {what}"
+        for what in ("flux", "right ascension", "declination", "spectral index")
+    )
+    np.testing.assert_allclose(told.values[1, :4], [12.0, ra, dec, -0.45])
+    np.testing.assert_allclose(told.std[1, :4], [0.1, 0.02 / np.cos(np.deg2rad(dec)), 0.03, 0.01])
+    assert told.from_zero.tolist() == [True, False, False, False] * 2
+    assert told.units == ("Jy", "deg", "deg", "") * 2
+    nothing, empty = MissingSources().refined(np.zeros((2, 0)))
+    assert nothing.sources == ()
+    assert empty.shape == (2, 0)
