@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from hydrabeam_mpi.fit.gauss_newton import FitContext, beam_moved, solve_beams, take_step
-from hydrabeam_mpi.fit.state import Fitted
+from hydrabeam_mpi.fit.state import Active, Fitted
 
 SETTLED_SIGMAS = 1e-8
 """Nothing moves any more where no parameter does by more than this fraction of its standard deviation.
@@ -22,11 +22,14 @@ MAX_SETTLING = 60
 
 def refined(fitted: Fitted) -> Fitted:
     """Return the fit with effects as they are described by what has been fitted; see `Effect.refined`."""
-    active = []
-    for one in fitted.values.active:
-        effect, x = one.effect.refined(one.x)
-        active.append(replace(one, effect=effect, x=x))
-    return replace(fitted, values=replace(fitted.values, active=tuple(active)))
+    active, stds = [], []
+    for one, std in zip(fitted.values.active, fitted.fit.std, strict=True):
+        effect, x, left = one.effect.refined(one.x, one.used)
+        used, limits, held = np.searchsorted(left, one.used), one.step_limit[left], one.degenerate_directions[:, left]
+        active.append(Active(effect, used, one.prior, x, limits, held))
+        stds.append(std[:, left])
+    values = replace(fitted.values, active=tuple(active))
+    return replace(fitted, values=values, fit=replace(fitted.fit, std=tuple(stds)))
 
 
 def settle(context: FitContext, fitted: Fitted) -> Fitted:

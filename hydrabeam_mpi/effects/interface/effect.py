@@ -238,13 +238,13 @@ class Effect(Cause):
         """Say why fitted parameters, (Nfreqs, n_params), are unphysical for this effect; None where they are not."""
         return None
 
-    def refined(self, x: FloatArray) -> tuple[Effect, FloatArray]:
-        """Return the effect as described by what has been fitted, and its parameters then, (Nfreqs, n_params).
+    def refined(self, x: FloatArray, used: IntArray) -> tuple[Effect, FloatArray, IntArray]:
+        """Return the effect as described by what has been fitted, such as sources where they are and no others.
 
-        Such as sources at the places where they have been found, rather than at points of the grid that was searched
-        and with offsets from there.
+        Of its parameters at ``x``, (Nfreqs, n_params), those that are left, with all that are ``used``, (n_used,), come
+        with it: their values, (Nfreqs, n_left), and their numbers before, ascending, (n_left,).
         """
-        return self, x
+        return self, x, np.arange(x.shape[1])
 
     def told(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> Told:
         """Return fitted parameters and their errors, (Nfreqs, n_params) each, as they are told: one for each."""

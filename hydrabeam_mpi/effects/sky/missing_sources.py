@@ -65,19 +65,22 @@ class MissingSources(PointSources):
         trials = max(self.trials, len(self.sources)) if rows else 0
         return Parameters.of(names, units, np.array(scale, dtype=float), element, nonlinear, trials)
 
-    def refined(self, x: FloatArray) -> tuple[MissingSources, FloatArray]:
-        """Return the sources where they have been found, with no offsets left, (Nfreqs, n_params)."""
-        if not self.sources:
-            return self, x
-        part = x.reshape(len(x), len(self.sources), -1).copy()
-        sources = in_degrees(*self._places(part[0]))
+    def refined(self, x: FloatArray, used: IntArray) -> tuple[MissingSources, FloatArray, IntArray]:
+        """Return the sources in use where they have been found, with no offsets left, (Nfreqs, n_left)."""
+        if not len(used):
+            return MissingSources((), self.trials), x[:, :0], used
+        each = x.shape[1] // len(self.sources)
+        left = np.flatnonzero(np.isin(np.arange(x.shape[1]) // each, used // each))
+        part = x[:, left].reshape(len(x), -1, each)
+        kept = MissingSources([self.sources[n] for n in np.unique(used // each)], self.trials)
+        sources = in_degrees(*kept._places(part[0]))
         part[..., 1:3] = 0.0
-        return MissingSources([(ra % 360, dec) for ra, dec in sources], self.trials), part.reshape(x.shape)
+        return MissingSources([(ra % 360, dec) for ra, dec in sources], self.trials), part.reshape(len(x), -1), left
 
     def told(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> Told:
         """Return flux, right ascension, declination and spectral index of every source."""
         each, units = ("flux", "right ascension", "declination", "spectral index"), ("Jy", "deg", "deg", "")
-        refined, left = self.refined(x)
+        refined, left, _ = self.refined(x, np.arange(x.shape[1]))
         values, errors = (part.reshape(len(x), len(self.sources), -1).copy() for part in (left, std))
         n = values.shape[2]
         for number, (ra, dec) in enumerate(refined.sources):

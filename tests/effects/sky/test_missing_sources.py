@@ -117,11 +117,15 @@ def test_described_from_where_they_are_they_are_the_same() -> None:
     block, effect = small_block(setup), two_sources(setup)
     x = np.tile([12.0, 0.4, -0.3, 0.25, 3.0, 0.0, 0.1, 0.0], (2, 1))
     std = np.tile([0.1, 0.02, 0.03, 0.01, 0.2, 0.04, 0.05, 0.02], (2, 1))
-    refined, left = effect.refined(x)
+    refined, left, _ = effect.refined(x, np.arange(8))
     expected = effect.added(block, x[0])
     np.testing.assert_allclose(refined.added(block, left[0]), expected, atol=1e-9 * np.abs(expected).max())
     assert not left[:, [1, 2, 5, 6]].any()
-    np.testing.assert_allclose(refined.refined(left)[0].sources, refined.sources, rtol=1e-14)
+    np.testing.assert_allclose(refined.refined(left, np.arange(8))[0].sources, refined.sources, rtol=1e-14)
+    only, its, which = effect.refined(x, np.array([4, 5, 6]))
+    assert only.sources == refined.sources[1:]
+    assert which.tolist() == [4, 5, 6, 7]
+    np.testing.assert_array_equal(its, left[:, 4:])
     told = effect.told(setup, x, std)
     again = refined.told(setup, left, std)
     assert told.names == again.names
@@ -135,6 +139,7 @@ def test_described_from_where_they_are_they_are_the_same() -> None:
     np.testing.assert_allclose(told.std[1, :4], [0.1, 0.02 / np.cos(np.deg2rad(dec)), 0.03, 0.01])
     assert told.from_zero.tolist() == [True, False, False, False] * 2
     assert told.units == ("Jy", "deg", "deg", "") * 2
-    nothing, empty = MissingSources().refined(np.zeros((2, 0)))
+    nothing, empty, none = MissingSources().refined(np.zeros((2, 0)), np.arange(0))
     assert nothing.sources == ()
     assert empty.shape == (2, 0)
+    assert not len(none)
