@@ -30,25 +30,41 @@ class Worker:
     def __init__(self, samples: Path, seed: int) -> None:
         self._words = [sys.executable, "-m", "tests.faults.worker", str(samples), str(seed)]
         self._process: subprocess.Popen[str] | None = None
+        self._heard = b""
 
     def run(self, index: int) -> Table:
         """Run one case."""
         process = self._process or self._start()
         assert process.stdin is not None
-        assert process.stdout is not None
         print(index, file=process.stdin, flush=True)
         told: Table = {"index": index, "kind": HANGS, "words": f"nothing for {HANG_S:g} s"}
         # First what is done, then what came of it: of a process that ends, the first is known.
         while "seconds" not in told:
-            ready, _, _ = select.select([process.stdout], [], [], HANG_S)
-            line = process.stdout.readline() if ready else ""
+            line = self._next_line(process)
             if not line:
-                if ready:
+                if line is not None:
                     told |= {"kind": TRACEBACKS, "words": _how(process.wait(HANG_S))}
                 self.end()
                 break
             told |= json.loads(line)
         return told
+
+    def _next_line(self, process: subprocess.Popen[str]) -> bytes | None:
+        """Return what a process says next; nothing once it has ended, None where it hangs.
+
+        Lines that come at once are told apart here: what Python's own reader holds back no `select` knows of.
+        """
+        assert process.stdout is not None
+        while b"\n" not in self._heard:
+            ready, _, _ = select.select([process.stdout], [], [], HANG_S)
+            if not ready:
+                return None
+            heard = os.read(process.stdout.fileno(), 1 << 16)
+            if not heard:
+                return b""
+            self._heard += heard
+        line, _, self._heard = self._heard.partition(b"\n")
+        return line
 
     def _start(self) -> subprocess.Popen[str]:
         self._process = subprocess.Popen(
@@ -69,7 +85,7 @@ class Worker:
             if self._process.poll() is None:
                 os.killpg(self._process.pid, signal.SIGKILL)
             self._process.communicate()
-            self._process = None
+            self._process, self._heard = None, b""
 
 
 def _how(status: int) -> str:
