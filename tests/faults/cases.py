@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import cache
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +47,9 @@ FAMILIES: dict[str, tuple[Mutator, ...]] = {
     "bytes": BYTES, "hdf5": HDF5, "fits": FITS, "text": TEXT, "toml": TOML, "json": JSON,
 }  # fmt: skip
 ANSWERS = "answers.pickle"
+_QUICK = [(target.title, family) for target in TARGETS if target.is_quick for family in target.damage]
+ALL_QUICK: set[object] = {*_QUICK, *(mutate for _, family in _QUICK for mutate in FAMILIES[family])}
+"""What quick cases can be: any family of mutations on any file, and any mutation."""
 Answers = dict[str, tuple[Answer, int]]
 OVERWRITES = 0.1
 """Fraction of runs in whose place an earlier result stands."""
@@ -82,6 +86,18 @@ def drawn(seed: int, index: int) -> tuple[Target, Rng]:
     return TARGETS[int(rng.choice(len(TARGETS), p=weights / weights.sum()))], rng
 
 
+def covering(seed: int) -> Iterator[int]:
+    """Yield the first quick cases that suffer something new, up to `ALL_QUICK`."""
+    left, indices = set(ALL_QUICK), count()
+    while left:
+        target, rng = drawn(seed, index := next(indices))
+        family, number = _drawn_mutation(target, rng)
+        new = {(target.title, family), FAMILIES[family][number]} if target.is_quick else set()
+        if new & left:
+            left -= new
+            yield index
+
+
 def run_case(
     samples: Path, seed: int, index: int, show: bool = False, begun: Callable[[str, str], None] = lambda *_: None
 ) -> Verdict:
@@ -105,6 +121,12 @@ def run_case(
     return Verdict(index, kind, target.title, damage.words, words, round(time.monotonic() - started, 2))
 
 
+def _drawn_mutation(target: Target, rng: Rng) -> tuple[str, int]:
+    """Draw the family and the number in it."""
+    family = pick(rng, target.damage)
+    return family, int(rng.integers(len(FAMILIES[family])))
+
+
 def set_up(samples: Path, target: Target, folder: Path) -> list[str]:
     """Copy the good file and write its job; return the command line."""
     source, file = samples / target.name, folder / target.name
@@ -122,7 +144,8 @@ def set_up(samples: Path, target: Target, folder: Path) -> list[str]:
 
 
 def _damaged(target: Target, path: Path, rng: Rng) -> Damage:
-    mutate = pick(rng, FAMILIES[pick(rng, target.damage)])
+    family, number = _drawn_mutation(target, rng)
+    mutate = FAMILIES[family][number]
     if path.is_dir():
         path = pick(rng, sorted(inner for inner in path.rglob("*") if inner.is_file()))
     damage = mutate(path, rng)

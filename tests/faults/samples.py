@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+import runpy
 import shutil
-import subprocess
-import sys
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -224,6 +223,5 @@ def _tables(folder: Path) -> None:
     (folder / "layout.txt").write_text(
         "E N U\n" + "\n".join(" ".join(f"{x:.3f}" for x in row) for row in places) + "\n"
     )
-    job, prior = folder / "simulation.toml", folder / "prior.h5"
-    words = [sys.executable, REPOSITORY / "tools" / "ensemble_prior", job, prior, "--n-beams", "40"]
-    subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
+    make_prior = runpy.run_path(str(REPOSITORY / "tools" / "ensemble_prior"))["main"]
+    assert make_prior([str(folder / "simulation.toml"), str(folder / "prior.h5"), "--n-beams", "40"]) == 0

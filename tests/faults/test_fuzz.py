@@ -6,18 +6,19 @@
 from __future__ import annotations
 
 import signal
-from itertools import count, islice
+import sys
 from pathlib import Path
 
 import pytest
 
-from tests.faults.campaign import counts, make_samples, run_cases
-from tests.faults.cases import drawn
+from tests.faults.campaign import Worker, counts, make_samples, run_cases
+from tests.faults.cases import covering
 from tests.faults.full_disk import FullDisks, can_mount
 from tests.faults.kills import Kill, Kills
 from tests.faults.oracle import CLEAN
 
-SEED, CASES = 8, 200
+SEED, FEWEST = 8, 60
+"""There are more than fifty mutations, and forty pairs of a file and a family of them."""
 
 
 @pytest.fixture(scope="module")
@@ -31,11 +32,11 @@ def kills(samples: Path) -> Kills:
 
 
 def test_nothing_lost_and_nothing_wrong_in_silence(samples: Path) -> None:
-    quick = (index for index in count() if drawn(SEED, index)[0].is_quick)
-    verdicts = run_cases(samples, SEED, list(islice(quick, CASES)), jobs=1)
+    chosen = list(covering(SEED))
+    verdicts = run_cases(samples, SEED, chosen, jobs=1)
     told = [verdict for verdict in verdicts if verdict["kind"] != CLEAN]
     assert not told, f"repeat with tools/fuzz --seed {SEED} --only INDEX"
-    assert counts(verdicts)["cases"] == CASES
+    assert counts(verdicts)["cases"] == len(chosen) >= FEWEST
 
 
 def test_a_process_that_ends_or_hangs_is_told_of(samples: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -47,16 +48,18 @@ def test_a_process_that_ends_or_hangs_is_told_of(samples: Path, monkeypatch: pyt
     assert verdict["kind"] == "hangs"
 
 
-@pytest.mark.parametrize(
-    "kill",
-    [
-        Kill("infer", 1, signal.SIGTERM, 0.8, one=False, earlier=True),
-        Kill("infer", 2, signal.SIGKILL, 0.8, one=True, earlier=False),
-    ],
-    ids=lambda kill: kill.title,
-)
-def test_a_killed_run_loses_nothing(kills: Kills, kill: Kill) -> None:
-    kind, words = kills.run(kill)
+def test_words_that_come_at_once_are_all_heard(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tests.faults.campaign.HANG_S", 30.0)
+    worker = Worker(Path(), SEED)
+    both = r'input(); print("{\"target\": \"data\"}\n{\"kind\": \"clean\", \"seconds\": 1}", flush=True); input()'
+    worker._words = [sys.executable, "-c", both]
+    verdict = worker.run(0)
+    worker.end()
+    assert (verdict["target"], verdict["kind"]) == ("data", CLEAN)
+
+
+def test_a_killed_rank_loses_nothing(kills: Kills) -> None:
+    kind, words = kills.run(Kill("infer", 2, signal.SIGKILL, 0.8, one=True, earlier=False))
     assert kind == CLEAN, words
 
 
