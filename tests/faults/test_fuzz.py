@@ -65,7 +65,5 @@ def test_a_killed_rank_loses_nothing(kills: Kills) -> None:
 
 @pytest.mark.skipif(not can_mount(), reason="no file system may be mounted here")
 def test_a_full_disk_ends_in_one_line(samples: Path) -> None:
-    disks = FullDisks(samples)
-    for index in (1, 9):  # both of infer
-        title, kind, words = disks.run(SEED, index)
-        assert kind == CLEAN, f"{title}: {words}"
+    title, kind, words = FullDisks(samples).run(SEED, 17)  # infer, nearly enough room
+    assert kind == CLEAN, f"{title}: {words}"
