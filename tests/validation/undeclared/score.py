@@ -31,7 +31,8 @@ def score(answer: dict[str, Any], loop: dict[str, Any]) -> dict[str, Any]:
         "named": "right", "equivalent" (`EQUIVALENT`), "indistinguishable" (the loop says that it may as well be the
         right one), "wrong" or "none"; "detectable"; "z", deviations of parameters in sigma; "parameters_hold";
         "heldout_holds"; "not_so", all that is claimed and is not so; "revoked", rounds that a later one took back, and
-        "revoked_so", whether they were right; "at_noise" (`at_noise`); for pairs and triples "both", all are named, and
+        "revoked_so", whether they were right; "at_noise" (`at_noise`); "rms" before, after, expected and
+        of the noise, Jy; for pairs and triples "both", all are named, and
         "both_or_indistinguishable", where the loop says of a name that it may as well be the right one; for unknown
         effects "kept_unknown" and "where_right"; for null draws "false_alarm".
     """
@@ -61,6 +62,7 @@ def score(answer: dict[str, Any], loop: dict[str, Any]) -> dict[str, Any]:
         "revoked": [one["effect"] for one in revoked],
         "revoked_so": [any(same(effect["kind"], one["effect"]) for effect in effects) for one in revoked],
         "at_noise": at_noise(loop),
+        "rms": [loop.get(f"rms_{which}") for which in ("before", "after", "expected", "noise")],
     }
     return told | _judged(told, answer, loop)
 
@@ -110,15 +112,16 @@ def class_of(case: str) -> str:
 
 
 def at_noise(loop: dict[str, Any]) -> bool | None:
-    """Tell whether the rms of the held-out residuals is what noise and beam give, within three standard errors.
+    """Tell whether the rms of the held-out residuals is that of the noise and of what the data leave open of the beam.
 
-    None where the loop does not say that all is explained, or how large it should be.
+    It lies, within three standard errors, between the noise alone and both: the beam may be better than its prior lets
+    one expect. None where the loop does not say that all is explained, or how large it should be.
     """
-    expected = loop.get("rms_expected")
-    if loop["verdict"] not in ("explained", "consistent") or not expected:
+    noise, expected = loop.get("rms_noise"), loop.get("rms_expected")
+    if loop["verdict"] not in ("explained", "consistent") or not noise or not expected:
         return None
-    error = expected / (2 * np.sqrt(loop["heldout_n"]))
-    return bool(abs(loop["rms_after"] - expected) <= SIGMAS * error)
+    error = SIGMAS / (2 * np.sqrt(loop["heldout_n"]))
+    return bool(noise * (1 - error) <= loop["rms_after"] <= expected * (1 + error))
 
 
 def _named(effects: list[dict[str, Any]], rounds: list[dict[str, Any]]) -> str:

@@ -127,25 +127,30 @@ def test_three_at_once_need_all():
 
 
 @pytest.mark.parametrize(
-    ("rms", "verdict", "told"),
+    ("rms", "expected", "verdict", "told"),
     [
-        (1.0, "explained", True),
-        (1.014, "explained", True),  # of 10,000 complex data the error is a half per cent
-        (1.016, "explained", False),
-        (0.984, "explained", False),
-        (1.016, "unexplained", None),
-        (1.0, "convention", None),
+        (1.0, 1.0, "explained", True),
+        (1.014, 1.0, "explained", True),  # of 10,000 complex data the error is a half per cent
+        (1.016, 1.0, "explained", False),
+        (0.984, 1.0, "explained", False),
+        (1.3, 2.0, "explained", True),  # the prior leaves the beam more room than it takes
+        (2.1, 2.0, "consistent", False),
+        (0.984, 2.0, "explained", False),
+        (1.016, 1.0, "unexplained", None),
+        (1.0, 1.0, "convention", None),
+        (1.0, None, "explained", None),
     ],
 )
-def test_the_rms_is_that_of_the_noise(rms, verdict, told):
-    assert at_noise(loop(verdict=verdict, rms_after=rms, rms_expected=1.0, heldout_n=10_000)) is told
+def test_the_rms_is_that_of_the_noise(rms, expected, verdict, told):
+    said = loop(verdict=verdict, rms_after=rms, rms_expected=expected, rms_noise=1.0, heldout_n=10_000)
+    assert at_noise(said) is told
 
 
 def test_complex_noise_is_within_its_error():
     """The rms of n complex numbers has the standard deviation 1/(2 sqrt n)."""
     draws = np.random.default_rng(1).standard_normal((1000, 100, 2)) / np.sqrt(2)
     rms = np.sqrt((draws**2).sum(axis=2).mean(axis=1))
-    within = [at_noise(loop(rms_after=value, rms_expected=1.0, heldout_n=100)) for value in rms.tolist()]
+    within = [at_noise(loop(rms_after=value, rms_expected=1.0, rms_noise=1.0, heldout_n=100)) for value in rms.tolist()]
     assert np.mean(within) == pytest.approx(0.997, abs=0.005)
     assert rms.std() == pytest.approx(1 / 20, rel=0.1)
 

@@ -62,6 +62,7 @@ def test_a_wrong_convention_is_named_as_such():
         ("moving_source", 330),  # chi^2 of 233 among 6840 data
         ("drifting_noise", 6002),  # which makes anything with many parameters predict better by being less sure
         ("correlated_noise", 6000),  # of one baseline, whose large rows are no outliers
+        ("water_vapour", 3),  # phases of all antennas, anew at each time
     ],
 )
 def test_what_no_effect_explains_stays_unexplained_where_it_is(case, seed):
@@ -70,6 +71,15 @@ def test_what_no_effect_explains_stays_unexplained_where_it_is(case, seed):
     assert told["detectable"]
     assert told["kept_unknown"]
     assert told["where_right"]
+
+
+def test_antennas_that_are_dead_are_named_and_nothing_else_is():
+    told = run_draw("dead_antennas", 3)
+    assert told.get("failed") is None
+    assert told["named"] == "right"
+    assert told["verdict"] == "consistent"
+    assert told["not_so"] == []
+    assert told["at_noise"]
 
 
 def test_nothing_is_found_where_nothing_is():
