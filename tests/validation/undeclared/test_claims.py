@@ -24,6 +24,12 @@ def phases(*values):
     return [(f"antenna {n} phase", value, 0.01) for n, value in zip((3, 4, 5, 6), values, strict=True)]
 
 
+def found_at(ra, dec, flux):
+    name = f"source at ra={ra} dec={dec}"
+    numbers = {"flux": (flux, 0.1), "right ascension": (float(ra), 0.01), "declination": (float(dec), 0.01)}
+    return [(f"{name}: {quantity}", *pair) for quantity, pair in numbers.items()]
+
+
 @pytest.mark.parametrize(
     ("case", "parameters", "found", "wrong"),
     [
@@ -45,11 +51,11 @@ def phases(*values):
         ),
         ("catalogue_flux", FLUX, [("source 7: relative flux error", 0.1, 0.001)], []),
         ("catalogue_flux", FLUX, [("source 8: relative flux error", 0.1, 0.001)], ["catalogue_flux: source 8"]),
-        ("missing_sources", SOURCE, [("source at ra=10.300 dec=-30.200: flux", 2.0, 0.1)], []),
+        ("missing_sources", SOURCE, found_at("10.300", "-30.200", 2.0), []),
         (
             "missing_sources",
             SOURCE,
-            [("source at ra=10.300 dec=-33.200: flux", 2.0, 0.1)],
+            [*found_at("10.300", "-30.200", 2.0), *found_at("10.300", "-33.200", 2.0), *found_at("50.0", "-30.0", 0.4)],
             ["missing_sources: source at ra=10.300 dec=-33.200"],
         ),
         (
