@@ -40,7 +40,7 @@ def check_health(grid: ProcessGrid, problem: Problem) -> list[Finding]:
     list of Finding
         The same on all ranks, whatever their number.
     """
-    sample = read_sample(grid, problem.of_channels(grid.channels))
+    sample = read_sample(grid, problem)
     found = absurd_autocorrelations(grid, problem, sample)
     for _ in range(MOST_LOOKS):
         more, last = _look(grid, problem, sample, found)

@@ -17,7 +17,7 @@ from hydrabeam_mpi.mpi import ProcessGrid, allreduce_sum, together
 from hydrabeam_mpi.setup.problem import Problem
 
 MOST_SAMPLES = 4_000_000
-"""Samples that a rank looks at, which is 200 MB: of more, evenly spread baselines are chosen."""
+"""Samples looked at, which on a single rank is 200 MB: of more, evenly spread baselines are chosen."""
 EULER = 0.5772156649015329
 """-E ln x of an exponential x, which |noise|^2 over its expectation is."""
 SECOND = np.array([1.0, -2.0, 1.0])
@@ -54,12 +54,13 @@ class Sample:
 
 
 def read_sample(grid: ProcessGrid, problem: Problem) -> Sample:
-    """Read a rank's share; ``problem`` is of the rank group's channels. Collective: all ranks of the grid."""
+    """Read a rank's share; ``problem`` is of all channels. Collective: all ranks of the grid."""
+    n_freqs, problem = problem.observation.Nfreqs, problem.of_channels(grid.channels)
     with together(grid.world):
         times = np.union1d(problem.train.times, problem.test.times)
         bls = np.union1d(problem.train.bls, problem.test.bls)
-        n_samples = len(bls) * len(times) * problem.observation.Nfreqs
-        thinned = bls[:: 1 + n_samples // (MOST_SAMPLES * grid.group.size)]
+        n_samples = len(bls) * len(times) * n_freqs
+        thinned = bls[:: 1 + n_samples // MOST_SAMPLES]
         group = problem.redundant.group[thinned]
         mine = thinned[np.isin(group, np.array_split(np.unique(group), grid.group.size)[grid.group.rank])]
         rows = read_rows(problem, Tile(times, mine))
