@@ -27,7 +27,7 @@ LAYERS = (
     ("fit",),
     ("result",),
     ("simulation",),
-    ("loop.residuals",),
+    ("loop.residuals", "loop.rules"),
     ("loop.attribution",),
     ("loop.selection",),
     ("loop.output",),

@@ -75,5 +75,6 @@ class Loop(Section):
     effects: tuple[Kind, ...] = key((), "only these; all by default")
     skip: tuple[Kind, ...] = key((), "not these")
     max_rounds: int = key(6, "effects added at most", ge=0)
-    min_log_bayes_factor: float = key(5.0, "evidence that an effect must have, natural logarithm", gt=0)
-    min_heldout_sigma: float = key(3.0, "significance with which held-out data must improve", gt=0)
+    min_log_bayes_factor: float = key(
+        5.0, "nats by which an effect must raise the evidence, and the density of held-out data", gt=0
+    )

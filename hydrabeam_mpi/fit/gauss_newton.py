@@ -76,13 +76,14 @@ class FitContext:
         return float(sum(self.grid.world.allgather(mine)))
 
 
-def refit(context: FitContext, values: Values, before: Fitted | None = None) -> Fitted:
+def refit(context: FitContext, values: Values, before: Fitted | None = None, first_step: float = 1.0) -> Fitted:
     """Fit beams and effects jointly, beginning with the effects' ``values``.
 
     Collective: all ranks of the grid. Given the effects the beams are solved for exactly; given the beams, the effects
     take a Gauss-Newton step in which the beams follow (the Schur complement). That step does not know how E changes
     with the beams, which may be a lot; so E is computed with the beams as they have followed, and the step is shortened
-    until beams and effects together are likelier than before. Where no part of it is, the fit ends where it was best.
+    until beams and effects together are likelier than before. Where no part of it is, the fit ends where it was best,
+    and `Diagnostics.converged` says so.
 
     Parameters
     ----------
@@ -90,15 +91,18 @@ def refit(context: FitContext, values: Values, before: Fitted | None = None) -> 
     values : Values
     before : Fitted, optional
         A fit of the first of these effects, whose beams are where this one begins.
+    first_step : float
+        Which part of the first step is taken; later ones are twice as long while they succeed, up to whole ones.
     """
     start = _start(values, before)
     if not values.active and not values.reweighted:
         solved = solve_beams(context, start)
         return Fitted(values, Fit(solved.beams), solved.diagnostics)
-    end, step, converged = _search(context, start)
+    end, step, converged = _search(context, start, first_step)
     # Not converged: the beams that E is seen by stay, as E may be another one with those solved for.
     solved = solve_beams(context, end, keep=not converged and end.values.adds)
-    return Fitted(end.values, replace(step.fit, posteriors=solved.beams), solved.diagnostics)
+    diagnostics = replace(solved.diagnostics, converged=converged)
+    return Fitted(end.values, replace(step.fit, posteriors=solved.beams), diagnostics)
 
 
 @dataclass(frozen=True)
@@ -141,11 +145,14 @@ def _start(values: Values, before: Fitted | None) -> Estimate:
     return Estimate(replace(values, active=tuple(active)), before.fit.posteriors if before else ())
 
 
-def _search(context: FitContext, at: Estimate) -> tuple[Estimate, _Step, bool]:
-    """Take steps until nothing moves; return where they end, the last of them, and whether they have converged."""
+def _search(context: FitContext, at: Estimate, length: float) -> tuple[Estimate, _Step, bool]:
+    """Take steps until nothing moves; return where they end, the last of them, and whether they have converged.
+
+    ``length`` is that of the first one, of which it is a part.
+    """
     best: tuple[float, Estimate, _Step] | None = None
     flat = halved = 0
-    length = 1.0
+    length *= 0.5
     for _ in range(MAX_STEPS):
         solved = solve_beams(context, at)
         if not at.beams:

@@ -93,7 +93,6 @@ effects = ["antenna_gains", "diffuse", "noise_level"]
 skip = ["diffuse"]
 max_rounds = 0
 min_log_bayes_factor = 12.5
-min_heldout_sigma = 4
 
 [[effects]]
 kind = "missing_sources"

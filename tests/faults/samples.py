@@ -48,7 +48,6 @@ def simulation() -> dict[str, Any]:
     job["prior"] = {"kind": "fraction", "fraction": 1.0, "floor": 1e-6}
     job["solver"] = {"engine": "gemm", "compress": True}
     job["loop"] = {"effects": ["antenna_gains", "noise_level"], "max_rounds": 1, "min_log_bayes_factor": 5.0}
-    job["loop"] |= {"min_heldout_sigma": 3.0}
     return job
 
 

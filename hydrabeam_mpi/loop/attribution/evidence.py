@@ -23,11 +23,10 @@ from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.effect import Parameters
 from hydrabeam_mpi.inference.gaussian import Block, Gaussian
 from hydrabeam_mpi.inference.likelihood import RANK_RTOL, Likelihood
+from hydrabeam_mpi.loop.rules import RULES
 
 TAUS: FloatArray = np.exp(np.linspace(np.log(1e-7), np.log(1e4), 160))
 """Prior widths tried, in units of an effect's natural scale."""
-MIN_GAIN = 4.0
-"""Nats that a further element must add."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +141,7 @@ def _sparse(scaled: Sequence[tuple[FloatArray, FloatArray]], parameters: Paramet
         gains[widths > 0] = -np.inf
         gains[~can] = -np.inf
         best = int(gains.argmax())
-        if gains[best] < (MIN_GAIN if n_taken else -np.inf):
+        if gains[best] < (RULES.element_nats if n_taken else -np.inf):
             break
         log_bayes_factor += float(gains[best])
         widths[best] = taus[best]

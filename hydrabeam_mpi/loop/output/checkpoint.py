@@ -120,12 +120,17 @@ def _lightened(context: FitContext, history: History) -> History:
     before = first = _light_check(context, history.first)
     rounds = []
     for one in history.rounds:
-        after = _light_check(context, one.after)
-        candidate, ranking = _light(one.candidate), tuple(map(_light, one.ranking))
-        rounds.append(replace(one, candidate=candidate, ranking=ranking, before=before, after=after))
-        before = after
+        rounds.append(_light_round(context, one, before))
+        before = rounds[-1].after
     tried = [(_light(candidate), reason) for candidate, reason in history.tried]
-    return History(first, before, rounds, tried)
+    control = history.control and _light_round(context, history.control, before)
+    return History(first, before, rounds, tried, control=control, control_since=history.control_since)
+
+
+def _light_round(context: FitContext, one: Round, before: Checked) -> Round:
+    """Keep of a round what it has found. Collective: all ranks of the grid."""
+    candidate, ranking = _light(one.candidate), tuple(map(_light, one.ranking))
+    return replace(one, candidate=candidate, ranking=ranking, before=before, after=_light_check(context, one.after))
 
 
 def _light(candidate: Candidate) -> Candidate:
@@ -138,7 +143,12 @@ def _light_check(context: FitContext, checked: Checked) -> Checked:
     fitted = checked.fitted
     mine = fitted.diagnostics.train_chi2.tolist() if context.grid.is_group_root else []
     train_chi2 = np.concatenate(context.grid.world.allgather(mine))
-    return replace(checked, fitted=Fitted(fitted.values, Fit(std=fitted.fit.std), Diagnostics(train_chi2)))
+    return replace(
+        checked,
+        fitted=Fitted(
+            fitted.values, Fit(std=fitted.fit.std), Diagnostics(train_chi2, converged=fitted.diagnostics.converged)
+        ),
+    )
 
 
 def _channels_of(fitted: Fitted, is_group_root: bool) -> list[KeptChannel]:
@@ -164,7 +174,8 @@ def _complete(context: FitContext, history: History, mine: list[KeptChannel]) ->
 
     def local(checked: Checked) -> Checked:
         train_chi2 = checked.fitted.diagnostics.train_chi2[context.channels]
-        return replace(checked, fitted=replace(checked.fitted, diagnostics=Diagnostics(train_chi2)))
+        diagnostics = Diagnostics(train_chi2, converged=checked.fitted.diagnostics.converged)
+        return replace(checked, fitted=replace(checked.fitted, diagnostics=diagnostics))
 
     first = before = local(history.first)
     rounds: list[Round] = []
@@ -181,7 +192,8 @@ def _complete(context: FitContext, history: History, mine: list[KeptChannel]) ->
         before.fitted.diagnostics.train_chi2,
         np.array([one.log_joint for one in mine]),
         np.array([one.effective_parameters for one in mine]),
+        before.fitted.diagnostics.converged,
     )
     last = Fitted(before.fitted.values, fit, diagnostics)
     rounds[-1] = replace(rounds[-1], after=replace(before, fitted=last))
-    return History(first, rounds[-1].after, rounds, list(history.tried))
+    return replace(history, first=first, last=rounds[-1].after, rounds=rounds)

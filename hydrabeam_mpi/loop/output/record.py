@@ -63,8 +63,7 @@ def make_record(
     remains = [checked.remains for checked in checks]
     chi2 = [_train_chi2(context, checked) for checked in checks]
     rounds = [
-        _round(context.setup, one, chi2[i : i + 2], remains[i], history.last.fitted)
-        for i, one in enumerate(history.rounds)
+        _round(context, one, chi2[i : i + 2], remains[i], history.last.fitted) for i, one in enumerate(history.rounds)
     ]
     tried = [_refused(one, reason) for one, reason in history.tried if not one.is_control]
     reasons = [{"effect": kind, "reason": reason} for kind, reason in skipped]
@@ -181,9 +180,9 @@ def _train_chi2(context: FitContext, checked: Checked) -> float:
     return float(np.mean(np.concatenate(context.grid.world.allgather(mine))))
 
 
-def _round(setup: ObservingSetup, one: Round, chi2: list[float], before: Remains, last: Fitted) -> dict[str, Any]:
+def _round(context: FitContext, one: Round, chi2: list[float], before: Remains, last: Fitted) -> dict[str, Any]:
     """Tell one round."""
-    candidate = one.candidate
+    setup, candidate = context.setup, one.candidate
     ranking = known_effects(one.ranking)
     others = [other for other in ranking if other.kind != candidate.kind]
     parameters, not_told = parameters_of(setup, one, last)
@@ -199,10 +198,11 @@ def _round(setup: ObservingSetup, one: Round, chi2: list[float], before: Remains
         "heldout_before": one.before.score.chi2,
         "heldout_after": one.after.score.chi2,
         "heldout_sigma": one.sigma,
+        "converged": one.after.fitted.diagnostics.converged,
         **heldout_change(one.before, one.after, setup.observation.freqs),
         "runner_up": others[0].kind if others else None,
         "runner_up_log_bayes_factor": others[0].log_bayes_factor if others else None,
-        "indistinguishable_from": indistinguishable(candidate, ranking),
+        "indistinguishable_from": indistinguishable(candidate, ranking, context.problem.job.loop),
         "beam_change_max": one.beam_change,
         "prior_scale": _prior_scale(one),
         **_size(candidate),

@@ -13,9 +13,6 @@ from hydrabeam_mpi.fit.heldout import Whitened
 from hydrabeam_mpi.inference.significance import sigma_of_log_p
 from hydrabeam_mpi.mpi import allreduce_sum
 
-NEARLY_NOISE = 1.1
-"""Up to this held-out reduced chi^2 the stated noise accounts for the residuals."""
-
 
 @dataclass(frozen=True)
 class HeldoutScore:
@@ -46,8 +43,13 @@ class HeldoutScore:
 
     @property
     def log_density_at_own_level(self) -> float:
-        """The same with all variances scaled by the reduced chi^2, so that merely wider predictions gain nothing."""
-        return -self.n_data * float(np.log(self.chi2)) - self.log_spread if self.chi2 > 0 else -np.inf
+        """The same with all variances scaled by the reduced chi^2 where that is above one.
+
+        While something else is not modelled yet the scale of the errors is unknown. Merely wider predictions then gain
+        nothing, and the density is that of data which are as uncertain as they turn out to be.
+        """
+        level = max(self.chi2, 1.0)
+        return -self.n_data * float(np.log(level)) - float(self.times[0].sum()) / level - self.log_spread
 
     @property
     def n_data(self) -> int:
@@ -98,14 +100,13 @@ def fall_of_blocks(pairs: Iterable[tuple[FloatArray, FloatArray]]) -> float:
     return max(scores, default=0.0)
 
 
-def gain_significance(before: HeldoutScore, after: HeldoutScore, log_ratio: float) -> float:
+def gain_significance(before: HeldoutScore, after: HeldoutScore) -> float:
     """Return the significance with which held-out data got better.
 
-    Taken from the scatter of the improvement between blocks. Where little but noise is left the predictive densities
-    tell more: without the effect, a ratio of e^k (``log_ratio`` is k) occurs with a probability of e^-k at most,
-    however it was fitted.
+    Taken from the scatter of the improvement between blocks, which cannot tell much where these are few; or from the
+    predictive densities: without the effect a ratio of e^k occurs with a probability of e^-k at most, however it was
+    fitted (Markov's inequality).
     """
-    by_blocks = fall_significance(before, after)
-    if log_ratio > 0 and after.chi2 <= NEARLY_NOISE:
-        return max(by_blocks, sigma_of_log_p(-log_ratio))
-    return by_blocks
+    log_ratio = after.log_density_at_own_level - before.log_density_at_own_level
+    by_density = sigma_of_log_p(-log_ratio) if log_ratio > 0 else 0.0
+    return max(fall_significance(before, after), by_density)

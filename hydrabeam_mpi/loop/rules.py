@@ -1,0 +1,44 @@
+"""All numbers by which the loop decides, in one place. What data can decide is not among them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Rules:
+    """What is tried, what a further element must add, and when two predictions count as different.
+
+    Attributes
+    ----------
+    most_tries : int
+        Effects that are fitted in one round at most. A fit costs as much as weighing all of them, and what comes
+        seventh by its evidence has never come first once it was fitted.
+    most_refits : int
+        Times at most that an effect is fitted again with another prior, or with fewer elements. Widths change little
+        after the second; the limit ends those that alternate.
+    near, near_if_linear : float
+        An effect with less than this fraction of the best one's ln evidence is not fitted beside it. A fit can raise
+        the evidence of what is not linear, such as a source beside its place, several times; that of linear effects
+        changes as far as the beam moves with them. Nothing is lost: what is left out is weighed again a round later.
+    element_nats : float
+        What a further element (an antenna, a source) must add to ln evidence beyond the price of picking it. Without a
+        margin noise brings in one of dozens now and then; e^4 is one in fifty.
+    rise_sigmas : float
+        Standard errors of the paired difference over blocks, beyond which the rms of the held-out residual has risen.
+        One, as a true effect lowers it: chance alone refuses what is too faint to be seen in the rms.
+    first_step : float
+        Part of a step with which a fit that did not converge is begun again. Steps that succeed are doubled, so that
+        an eighth costs three steps more where a whole one would do.
+    """
+
+    most_tries: int = 6
+    most_refits: int = 3
+    near: float = 0.1
+    near_if_linear: float = 0.7
+    element_nats: float = 4.0
+    rise_sigmas: float = 1.0
+    first_step: float = 0.125
+
+
+RULES = Rules()

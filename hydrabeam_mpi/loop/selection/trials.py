@@ -1,0 +1,186 @@
+"""Trials: what is weighed best is fitted, exactly and jointly, and the held-out rows are predicted with it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.effects.interface.reweighting import ReweightingFit
+from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
+from hydrabeam_mpi.fit.heldout import whiten
+from hydrabeam_mpi.fit.state import Active, Fitted, Reweighted, Values
+from hydrabeam_mpi.loop.attribution.score_effects import Finding, reconsider
+from hydrabeam_mpi.loop.attribution.score_noise import refit_reweighting
+from hydrabeam_mpi.loop.residuals.remains import remains_of
+from hydrabeam_mpi.loop.rules import RULES
+from hydrabeam_mpi.loop.selection.acceptance import (
+    Candidate,
+    Checked,
+    Round,
+    improvement,
+    in_order,
+    is_better,
+    may_be_better,
+    refusal_of,
+)
+from hydrabeam_mpi.loop.selection.heldout_numbers import heldout_numbers
+from hydrabeam_mpi.loop.selection.heldout_score import heldout_score
+from hydrabeam_mpi.result.summary import evaluate_on_grid
+from hydrabeam_mpi.terminal.progress import say
+
+
+def check(context: FitContext, fitted: Fitted) -> Checked:
+    """Predict the held-out rows. Collective: all ranks of the grid."""
+    whitened = whiten(context, fitted)
+    remains = remains_of(context, fitted, whitened)
+    return Checked(fitted, heldout_score(context, whitened), remains, heldout_numbers(context, whitened))
+
+
+def try_effects(
+    context: FitContext, checked: Checked, ranking: Sequence[Candidate], tried: list[tuple[Candidate, str]]
+) -> Round | None:
+    """Fit the candidates that may be the best; return the best of those that held-out data confirm.
+
+    Collective: all ranks of the grid. ``tried`` receives those that they do not confirm, with the reason.
+    """
+    settings = context.problem.job.loop
+    wanted = [one for one in _wanted(context, ranking) if not one.is_control]
+    best: Round | None = None
+    enough = False
+    for candidate in in_order(wanted, RULES.most_tries):
+        if best is not None and not may_be_better(candidate, best, enough):
+            continue
+        fitted, after = _fit(context, checked, candidate)
+        reason = refusal_of(checked, after, fitted, settings)
+        say(f"    refused: {reason}", context.grid.is_world_root and reason is not None)
+        if reason is not None:
+            tried.append((fitted, reason))
+        elif best is None or is_better(fitted, after, best):
+            best = _round(context, checked, after, fitted, ranking)
+            enough = after.remains.consistent
+    return best
+
+
+def try_control(
+    context: FitContext, checked: Checked, ranking: Sequence[Candidate], found: Round | None
+) -> Round | None:
+    """Fit the control model with the most evidence where it may explain more than what was found.
+
+    Collective: all ranks of the grid.
+    """
+    controls = [one for one in _wanted(context, ranking) if one.is_control]
+    if not controls or (found is not None and not may_be_better(controls[0], found, found.after.remains.consistent)):
+        return None
+    fitted, after = _fit(context, checked, controls[0])
+    return _round(context, checked, after, fitted, ranking)
+
+
+def _wanted(context: FitContext, ranking: Sequence[Candidate]) -> list[Candidate]:
+    """Return the candidates that have as much evidence as the job asks for."""
+    return [one for one in ranking if one.log_bayes_factor >= context.problem.job.loop.min_log_bayes_factor]
+
+
+def _round(
+    context: FitContext, before: Checked, after: Checked, fitted: Candidate, ranking: Sequence[Candidate]
+) -> Round:
+    """Tell what a fitted candidate changes. Collective: all ranks of the grid."""
+    change = _beam_change(context, before.fitted, after.fitted)
+    return Round(fitted, tuple(ranking), before, after, improvement(before, after, fitted), change)
+
+
+def _fit(context: FitContext, checked: Checked, candidate: Candidate) -> tuple[Candidate, Checked]:
+    """Fit a candidate and predict the held-out rows with it. Collective: all ranks of the grid."""
+    say(f"  trying {candidate.title} (ln BF {candidate.log_bayes_factor:.4g})", context.grid.is_world_root)
+    fit = _fit_weights if candidate.finding is None else _fit_effect
+    found, fitted = fit(context, checked.fitted, candidate)
+    after = check(context, fitted)
+    told = f"held-out chi^2 {after.score.chi2:.4g}, rms {after.numbers.of_all['rms']:.4g} Jy"
+    say(f"    {told} (ln BF {found.log_bayes_factor:.4g})", context.grid.is_world_root)
+    return found, after
+
+
+def _fit_effect(context: FitContext, before: Fitted, candidate: Candidate) -> tuple[Candidate, Fitted]:
+    """Fit an effect and weigh it again where it has been fitted, as no effect is quite linear."""
+    assert candidate.finding is not None
+    effect, evidence = candidate.finding.effect, candidate.finding.evidence
+    start = Active.start(effect, context.setup, evidence.prior_var, evidence.x)
+    fitted = _fit_patiently(context, before.values.extended(start), before)
+    again = reconsider(context, fitted)
+    for _ in range(RULES.most_refits):
+        prior_var = again.prior_var
+        same = np.array_equal(prior_var > 0, evidence.prior_var > 0)
+        if same and np.allclose(prior_var, evidence.prior_var, rtol=1.0, atol=0.0):
+            break
+        evidence = replace(again, prior_var=prior_var)
+        start = _restarted(context, fitted.values.active[-1], prior_var)
+        fitted = _fit_patiently(context, before.values.extended(start), before)
+        again = reconsider(context, fitted)
+    gained = _gain(context, before, fitted)
+    log_bayes_factor = again.log_bayes_factor - again.linear_gain + gained
+    finding = Finding(effect, replace(again, log_bayes_factor=log_bayes_factor))
+    return replace(candidate, finding=finding, log_bayes_factor=log_bayes_factor), fitted
+
+
+def _fit_patiently(context: FitContext, values: Values, before: Fitted) -> Fitted:
+    """Fit, and again with a shorter first step where that does not converge; return what is likelier then."""
+    fitted = refit(context, values, before)
+    if fitted.diagnostics.converged:
+        return fitted
+    again = refit(context, values, before, RULES.first_step)
+    ahead = _log_joint(context, again) - _log_joint(context, fitted)
+    return again if again.diagnostics.converged or ahead > 0 else fitted
+
+
+def _log_joint(context: FitContext, fitted: Fitted) -> float:
+    """Return ln(likelihood x prior) of beams and effects, over all channels. Collective: all ranks of the grid."""
+    return context.over_channels(fitted.diagnostics.log_joint) + fitted.values.log_prior
+
+
+def _fit_weights(context: FitContext, before: Fitted, candidate: Candidate) -> tuple[Candidate, Fitted]:
+    """Fit with changed weights, then fit the noise scales again to the residuals."""
+    assert candidate.weights is not None
+    found = candidate.weights
+
+    def weighted(start: Fitted, fit: ReweightingFit) -> Fitted:
+        added = Reweighted(found.change, fit.x, fit.std)
+        return refit(context, replace(start.values, reweighted=(*before.values.reweighted, added)), start)
+
+    fit = found.fit
+    fitted = weighted(found.start, fit)
+    for _ in range(found.change.times_refitted):
+        fit = refit_reweighting(context, fitted, found.change)
+        fitted = weighted(fitted, fit)
+    weights = replace(found, fit=replace(fit, log_bayes_factor=found.fit.log_bayes_factor))
+    return replace(candidate, weights=weights), fitted
+
+
+def _restarted(context: FitContext, active: Active, prior_var: FloatArray) -> Active:
+    """Restart the fit from the fitted values with another prior."""
+    nonlinear = active.effect.parameters(context.setup).nonlinear
+    start = np.where((prior_var > 0) | nonlinear, active.x, 0.0)
+    return Active.start(active.effect, context.setup, prior_var, start)
+
+
+def _gain(context: FitContext, before: Fitted, after: Fitted) -> float:
+    """Return by how much the last active effect raised ln(likelihood x prior), over all channels."""
+    last = after.values.active[-1]
+    nonlinear = last.effect.parameters(context.setup).nonlinear[last.used]
+    log_prior = last.prior.log_density(np.where(nonlinear, 0.0, last.x[:, last.used]))
+    return context.over_channels(after.diagnostics.log_joint - before.diagnostics.log_joint) + log_prior
+
+
+def _beam_change(context: FitContext, before: Fitted, after: Fitted) -> float:
+    """Return by how much the beam moved at most, on the one-degree grid and over channels."""
+    basis, largest = context.problem.basis, 0.0
+    for one, two in zip(before.fit.posteriors, after.fit.posteriors, strict=True):
+        moved: FloatArray = two.mean - one.mean
+
+        def change(za: FloatArray, az: FloatArray, moved: FloatArray = moved) -> Any:
+            return basis.synthesize(moved, za, az)
+
+        largest = max(largest, float(np.abs(evaluate_on_grid(change)).max()))
+    return float(max(context.grid.world.allgather(largest)))
