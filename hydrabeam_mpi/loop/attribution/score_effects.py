@@ -16,7 +16,7 @@ from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.gauss_newton import FitContext
 from hydrabeam_mpi.fit.kept import Kept
 from hydrabeam_mpi.fit.rows import Rows
-from hydrabeam_mpi.fit.state import Estimate, Fitted, Values
+from hydrabeam_mpi.fit.state import Active, Estimate, Fitted, Values
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.loop.attribution.evidence import Evidence, find_evidence
 from hydrabeam_mpi.mpi import allreduce_sum, bcast_object, gather_objects, together
@@ -144,13 +144,17 @@ def _without_active(values: Values, effect: Effect, by_channel: list[Likelihood]
     return [block.marginalised(np.arange(n_shared), common / n_freqs) for block in blocks]
 
 
-def reconsider(context: FitContext, fitted: Fitted) -> Evidence:
+def reconsider(context: FitContext, fitted: Fitted, beside: Finding | None = None) -> Evidence:
     """Weigh the last of the active effects again, linearised where it has been fitted.
 
     Collective: all ranks of the grid. What the linear model expects of it is replaced by what the fit has gained, which
-    is `log_joint` beyond that of a fit without it; see `Evidence.linear_gain`.
+    is `log_joint` beyond that of a fit without it; see `Evidence.linear_gain`. What is weighed ``beside`` it, and is
+    not part of the model, is marginalised as well, with the prior that was found for it.
     """
     *others, last = fitted.values.active
+    if beside is not None:
+        evidence = beside.evidence
+        others.append(Active.start(beside.effect, context.setup, evidence.prior_var, np.zeros_like(evidence.x)))
     with together(context.grid.world):
         cached = CachedRowBlocks.of(context, fitted.estimate)
     rest = replace(fitted.values, active=tuple(others))
@@ -164,13 +168,13 @@ def reconsider(context: FitContext, fitted: Fitted) -> Evidence:
             score = one.score + one.information[:, n:] @ last.x[number]
             found.append((number, replace(one, score=score)))
     gathered = gather_objects(context.grid.world, found)
-    evidence = None
+    weighed = None
     with together(context.grid.world):
         if gathered is not None:
             by_channel = dict(pair for part in gathered for pair in part)
             ordered = [by_channel[number] for number in sorted(by_channel)]
-            evidence = _weigh(context, rest, last.effect, ordered)
-    result: Evidence = bcast_object(context.grid.world, evidence)
+            weighed = _weigh(context, rest, last.effect, ordered)
+    result: Evidence = bcast_object(context.grid.world, weighed)
     return result
 
 

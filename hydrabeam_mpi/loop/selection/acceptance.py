@@ -145,6 +145,34 @@ def _refusal_of_effect(before: Checked, after: Checked, settings: LoopSettings) 
     return None
 
 
+def rivals_of(candidate: Candidate, ranking: Sequence[Candidate], settings: LoopSettings) -> list[Candidate]:
+    """Return the faults of the beam's model that explain as much as a fitted effect: what it must be told from.
+
+    They are modes that the basis lacks and beams that change in time, freedom that no data can be sure not to need. An
+    effect is claimed if the best model with it is likelier than the best without: where it has more evidence than a
+    rival alone, or where it has enough with the rival marginalised.
+    """
+    if candidate.finding is None:
+        return []
+    near = max(candidate.log_bayes_factor - settings.min_log_bayes_factor, 0.0)
+    faults = [one for one in ranking if _is_fault_of_beam(one) and one.kind != candidate.kind]
+    return [one for one in faults if one.log_bayes_factor > near]
+
+
+def _is_fault_of_beam(candidate: Candidate) -> bool:
+    return candidate.finding is not None and (candidate.is_control or candidate.finding.effect.is_about_the_beam)
+
+
+def refusal_beside(rival: Candidate, left: float, settings: LoopSettings) -> str | None:
+    """Say that an effect has too little evidence, ``left``, with a rival marginalised; None where it has enough."""
+    if left >= settings.min_log_bayes_factor:
+        return None
+    return (
+        f"{rival.title} explains as much (ln BF {rival.log_bayes_factor:.4g}), and beside that its log Bayes factor is "
+        f"{left:.4g}"
+    )
+
+
 def rise_of_rms(before: Checked, after: Checked) -> str | None:
     """Say by how much the plain residual of the held-out data rises; None where it does not, beyond its error.
 

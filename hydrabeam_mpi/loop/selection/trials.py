@@ -25,7 +25,9 @@ from hydrabeam_mpi.loop.selection.acceptance import (
     in_order,
     is_better,
     may_be_better,
+    refusal_beside,
     refusal_of,
+    rivals_of,
 )
 from hydrabeam_mpi.loop.selection.heldout_numbers import heldout_numbers
 from hydrabeam_mpi.loop.selection.heldout_score import heldout_score
@@ -56,6 +58,10 @@ def try_effects(
             continue
         fitted, after = _fit(context, checked, candidate)
         reason = refusal_of(checked, after, fitted, settings)
+        for rival in rivals_of(fitted, ranking, settings) if reason is None else []:
+            assert rival.finding is not None
+            left = reconsider(context, after.fitted, rival.finding).log_bayes_factor
+            reason = reason or refusal_beside(rival, left, settings)
         say(f"    refused: {reason}", context.grid.is_world_root and reason is not None)
         if reason is not None:
             tried.append((fitted, reason))

@@ -28,8 +28,10 @@ from hydrabeam_mpi.loop.selection.acceptance import (
     indistinguishable,
     is_better,
     may_be_better,
+    refusal_beside,
     refusal_of,
     rise_of_rms,
+    rivals_of,
     why_unexplained,
 )
 from hydrabeam_mpi.loop.selection.heldout_score import fall_significance
@@ -180,6 +182,32 @@ def test_the_significance_is_that_of_blocks_or_of_densities(chi2: float) -> None
     by_blocks = fall_significance(before.score, after.score)
     by_density = sigma_of_log_p(before.score.log_density_at_own_level - after.score.log_density_at_own_level)
     assert improvement(before, after, effect_candidate(AntennaGains())) == max(by_blocks, by_density)
+
+
+RIVALS: list[tuple[str, Candidate, list[str]]] = [
+    ("what has less evidence than a drift must hold beside it", effect_candidate(CatalogueFlux(), 100.0), ["drift"]),
+    ("as what has hardly more", effect_candidate(CatalogueFlux(), 304.9), ["drift"]),
+    ("what has more evidence is the better explanation", effect_candidate(CatalogueFlux(), 305.0), []),
+    ("beside more modes too where they have as much", effect_candidate(CatalogueFlux(), 50.0), ["drift", "basis"]),
+    ("more modes have to be told from a drift", effect_candidate(BasisTruncation(), 60.0), ["drift"]),
+    ("weights say nothing of the beam", weights_candidate(50.0), []),
+]
+
+
+@pytest.mark.parametrize(("candidate", "rivals"), [case[1:] for case in RIVALS], ids=ids(RIVALS))
+def test_what_an_effect_must_be_told_from(candidate: Candidate, rivals: list[str]) -> None:
+    """Faults of the beam's model, of which it is never sure that they are not there."""
+    named = {"drift": effect_candidate(BeamDrift(), 300.0), "basis": effect_candidate(BasisTruncation(), 60.0)}
+    ranking = [named["drift"], effect_candidate(AntennaGains(), 200.0), named["basis"], weights_candidate(400.0)]
+    assert rivals_of(candidate, ranking, LOOP) == [named[name] for name in rivals]
+
+
+def test_an_effect_is_refused_where_nothing_of_it_is_left_beside_a_rival() -> None:
+    drift = effect_candidate(BeamDrift(), 314.0)
+    assert refusal_beside(drift, 5.0, LOOP) is None
+    assert refusal_beside(drift, -5.104, LOOP) == (
+        "a beam that changes in time explains as much (ln BF 314), and beside that its log Bayes factor is -5.104"
+    )
 
 
 OF_WEIGHTS: list[tuple[str, float, dict[str, Any], float, str | None]] = [
