@@ -106,4 +106,5 @@ def checked(
 
 def round_of(candidate: Candidate, before: Checked, after: Checked, *ranking: Candidate) -> Round:
     """A round that moved the beam by a thousandth, with 12 sigma."""
-    return Round(candidate, (candidate, *ranking), before, after, sigma=12.0, beam_change=1e-3)
+    place = len(after.fitted.values.active) - 1 if candidate.finding else None
+    return Round(candidate, (candidate, *ranking), before, after, sigma=12.0, beam_change=1e-3, place=place)

@@ -104,6 +104,34 @@ def find_evidence(
     return _describe(blocks, log_bayes_factor, prior_var, rank)
 
 
+def evidence_of(
+    blocks: Sequence[Likelihood],
+    parameters: Parameters,
+    prior_var: FloatArray,
+    degenerate_directions: FloatArray | None = None,
+) -> Evidence:
+    """Compute the evidence for an effect with a prior found before, (q,), less the price of finding it.
+
+    Other arguments are those of `find_evidence`.
+    """
+    if degenerate_directions is not None and len(degenerate_directions):
+        blocks = [block.freed(degenerate_directions) for block in blocks]
+    rank = sum(int(np.linalg.matrix_rank(block.information, hermitian=True)) for block in blocks)
+    return _describe(blocks, log_evidence(blocks, prior_var) - _price(parameters, prior_var), prior_var, rank)
+
+
+def _price(parameters: Parameters, prior_var: FloatArray) -> float:
+    """Return the nats that widths of a prior cost that were chosen by the evidence, and the choice of elements."""
+    can = (parameters.scale > 0) & ~parameters.nonlinear
+    widths = np.sqrt(prior_var[can]) / parameters.scale[can]
+    n_taken = len(np.unique(parameters.element[prior_var > 0]))
+    if n_taken == 0:
+        return 0.0
+    if np.allclose(widths, widths[0]) and len(np.unique(parameters.element)) >= parameters.trials:
+        return 1.0
+    return float(sum(1 + np.log(max(parameters.trials - n, 1)) - np.log(n + 1) for n in range(n_taken)))
+
+
 def _spectrum(information: FloatArray, score: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the eigenvalues of K, zero where they count as that, and u along its eigenvectors."""
     values, vectors = np.linalg.eigh(information)

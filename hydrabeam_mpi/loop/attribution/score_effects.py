@@ -18,7 +18,7 @@ from hydrabeam_mpi.fit.kept import Kept
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Active, Estimate, Fitted, Values
 from hydrabeam_mpi.inference.likelihood import Likelihood
-from hydrabeam_mpi.loop.attribution.evidence import Evidence, find_evidence
+from hydrabeam_mpi.loop.attribution.evidence import Evidence, evidence_of, find_evidence
 from hydrabeam_mpi.mpi import allreduce_sum, bcast_object, gather_objects, together
 
 MAX_ELEMENTS = 350
@@ -100,7 +100,13 @@ def _has_more(context: FitContext, values: Values, effect: Effect) -> bool:
     return len(_taken(values, effect)) < len(effect.parameters(context.setup))
 
 
-def _weigh(context: FitContext, values: Values, effect: Effect, by_channel: list[Likelihood]) -> Evidence:
+def _weigh(
+    context: FitContext,
+    values: Values,
+    effect: Effect,
+    by_channel: list[Likelihood],
+    prior_var: FloatArray | None = None,
+) -> Evidence:
     """Weigh one effect over all channels, with the active effects marginalised and without what is part of them."""
     parameters = effect.parameters(context.setup)
     scale = parameters.scale.copy()
@@ -108,7 +114,11 @@ def _weigh(context: FitContext, values: Values, effect: Effect, by_channel: list
     blocks = _without_active(values, effect, by_channel) if values.active else by_channel
     if effect.shared:
         blocks = [sum(blocks[1:], start=blocks[0])] if len(blocks) > 1 else blocks
-    evidence = find_evidence(blocks, replace(parameters, scale=scale), effect.degenerate_directions(context.setup))
+    parameters, degenerate = replace(parameters, scale=scale), effect.degenerate_directions(context.setup)
+    if prior_var is None:
+        evidence = find_evidence(blocks, parameters, degenerate)
+    else:
+        evidence = evidence_of(blocks, parameters, prior_var, degenerate)
     return replace(evidence, absorbed=_absorbed(evidence, by_channel)) if values.active else evidence
 
 
@@ -144,14 +154,22 @@ def _without_active(values: Values, effect: Effect, by_channel: list[Likelihood]
     return [block.marginalised(np.arange(n_shared), common / n_freqs) for block in blocks]
 
 
-def reconsider(context: FitContext, fitted: Fitted, beside: Finding | None = None) -> Evidence:
-    """Weigh the last of the active effects again, linearised where it has been fitted.
+def reconsider(
+    context: FitContext,
+    fitted: Fitted,
+    number: int = -1,
+    beside: Finding | None = None,
+    prior_var: FloatArray | None = None,
+) -> Evidence:
+    """Weigh one of the active effects again, by default the last, linearised where it has been fitted.
 
     Collective: all ranks of the grid. What the linear model expects of it is replaced by what the fit has gained, which
     is `log_joint` beyond that of a fit without it; see `Evidence.linear_gain`. What is weighed ``beside`` it, and is
-    not part of the model, is marginalised as well, with the prior that was found for it.
+    not part of the model, is marginalised as well, with the prior that was found for it. With ``prior_var``,
+    (n_params,), the effect's own prior is this one instead of the best.
     """
-    *others, last = fitted.values.active
+    others = list(fitted.values.active)
+    last = others.pop(number)
     if beside is not None:
         evidence = beside.evidence
         others.append(Active.start(beside.effect, context.setup, evidence.prior_var, np.zeros_like(evidence.x)))
@@ -173,7 +191,7 @@ def reconsider(context: FitContext, fitted: Fitted, beside: Finding | None = Non
         if gathered is not None:
             by_channel = dict(pair for part in gathered for pair in part)
             ordered = [by_channel[number] for number in sorted(by_channel)]
-            weighed = _weigh(context, rest, last.effect, ordered)
+            weighed = _weigh(context, rest, last.effect, ordered, prior_var)
     result: Evidence = bcast_object(context.grid.world, weighed)
     return result
 

@@ -198,6 +198,8 @@ def _round(context: FitContext, one: Round, chi2: list[float], before: Remains, 
         "heldout_before": one.before.score.chi2,
         "heldout_after": one.after.score.chi2,
         "heldout_sigma": one.sigma,
+        "revised": list(one.revised),
+        "revoked": one.candidate.finding is not None and one.place is None,
         "converged": one.after.fitted.diagnostics.converged,
         **heldout_change(one.before, one.after, setup.observation.freqs),
         "runner_up": others[0].kind if others else None,
@@ -272,8 +274,9 @@ def parameters_of(setup: ObservingSetup, one: Round, last: Fitted) -> tuple[list
         told = Told(fit.names, fit.units, fit.x, fit.std, np.zeros(len(fit.names), dtype=bool))
         used, is_told = np.arange(len(fit.names)), np.ones(fit.std.shape, dtype=bool)
     else:
-        number = len(one.after.fitted.values.active) - 1
-        active, std = last.values.active[number], last.fit.std[number]
+        # What was taken back is told as it was found.
+        fitted, number = (one.after.fitted, -1) if one.place is None else (last, one.place)
+        active, std = fitted.values.active[number], fitted.fit.std[number]
         told, used, shared = active.effect.told(setup, active.x, std), active.used, active.effect.shared
         prior_std = np.array([active.prior.of(f).std() for f in range(len(std))])
         is_told = std[:, used] ** 2 <= LEAST_TOLD * prior_std**2

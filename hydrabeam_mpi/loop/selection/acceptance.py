@@ -45,7 +45,21 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Round:
-    """An effect that was added, and what it changed."""
+    """An effect that was added, and what it changed.
+
+    Attributes
+    ----------
+    candidate : Candidate
+    ranking : tuple of Candidate
+    before, after : Checked
+    sigma : float
+        Significance with which held-out data got better.
+    beam_change : float
+    place : int or None
+        Among the active effects of the last fit; None for a change of the weights, and where it was taken back since.
+    revised : tuple of str
+        What became of earlier effects, and of this one, when all were weighed again.
+    """
 
     candidate: Candidate
     ranking: tuple[Candidate, ...]
@@ -53,6 +67,8 @@ class Round:
     after: Checked
     sigma: float
     beam_change: float
+    place: int | None = None
+    revised: tuple[str, ...] = ()
 
 
 def in_order(wanted: Sequence[Candidate], most: int) -> list[Candidate]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from hydrabeam_mpi.effects.interface.effect import Effect
@@ -14,6 +14,7 @@ from hydrabeam_mpi.fit.state import Fitted, Values
 from hydrabeam_mpi.loop.attribution.score_effects import attribute
 from hydrabeam_mpi.loop.attribution.score_noise import fit_reweightings
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
+from hydrabeam_mpi.loop.selection.revision import revise
 from hydrabeam_mpi.loop.selection.trials import check, try_control, try_effects
 from hydrabeam_mpi.terminal.progress import say
 
@@ -44,6 +45,13 @@ class History:
     ranking: tuple[Candidate, ...] = ()
     control: Round | None = None
     control_since: int = 0
+
+    def add(self, found: Round, places: Mapping[int, int | None]) -> None:
+        """Add a round, by which effects are at other ``places`` of the model than before, or taken back (None)."""
+        self.rounds = [
+            one if one.place is None else replace(one, place=places[one.place]) for one in (*self.rounds, found)
+        ]
+        self.last = found.after
 
     def compare(self, control: Round | None) -> None:
         """Take note of a control model of the last search, or leave out one that all that was found since surpasses."""
@@ -114,9 +122,10 @@ def run_rounds(
         with clock.time("trials"):
             added = try_effects(context, checked, ranking, history.tried)
             control = try_control(context, checked, ranking, added)
-        if added is not None:
-            history.rounds.append(added)
-            history.last = checked = added.after
+            if added is not None:
+                added, places = revise(context, added, len(history.first.fitted.values.active))
+                history.add(added, places)
+                checked = history.last
         history.compare(control)
         if added is None:
             break

@@ -60,7 +60,7 @@ def try_effects(
         reason = refusal_of(checked, after, fitted, settings)
         for rival in rivals_of(fitted, ranking, settings) if reason is None else []:
             assert rival.finding is not None
-            left = reconsider(context, after.fitted, rival.finding).log_bayes_factor
+            left = reconsider(context, after.fitted, beside=rival.finding).log_bayes_factor
             reason = reason or refusal_beside(rival, left, settings)
         say(f"    refused: {reason}", context.grid.is_world_root and reason is not None)
         if reason is not None:
@@ -95,7 +95,8 @@ def _round(
 ) -> Round:
     """Tell what a fitted candidate changes. Collective: all ranks of the grid."""
     change = _beam_change(context, before.fitted, after.fitted)
-    return Round(fitted, tuple(ranking), before, after, improvement(before, after, fitted), change)
+    sigma, place = improvement(before, after, fitted), len(after.fitted.values.active) - 1
+    return Round(fitted, tuple(ranking), before, after, sigma, change, place if fitted.finding else None)
 
 
 def _fit(context: FitContext, checked: Checked, candidate: Candidate) -> tuple[Candidate, Checked]:
@@ -114,16 +115,15 @@ def _fit_effect(context: FitContext, before: Fitted, candidate: Candidate) -> tu
     assert candidate.finding is not None
     effect, evidence = candidate.finding.effect, candidate.finding.evidence
     start = Active.start(effect, context.setup, evidence.prior_var, evidence.x)
-    fitted = _fit_patiently(context, before.values.extended(start), before)
+    fitted = fit_patiently(context, before.values.extended(start), before)
     again = reconsider(context, fitted)
     for _ in range(RULES.most_refits):
         prior_var = again.prior_var
-        same = np.array_equal(prior_var > 0, evidence.prior_var > 0)
-        if same and np.allclose(prior_var, evidence.prior_var, rtol=1.0, atol=0.0):
+        if is_same_prior(prior_var, evidence.prior_var):
             break
         evidence = replace(again, prior_var=prior_var)
-        start = _restarted(context, fitted.values.active[-1], prior_var)
-        fitted = _fit_patiently(context, before.values.extended(start), before)
+        start = restarted(context, fitted.values.active[-1], prior_var)
+        fitted = fit_patiently(context, before.values.extended(start), before)
         again = reconsider(context, fitted)
     gained = _gain(context, before, fitted)
     log_bayes_factor = again.log_bayes_factor - again.linear_gain + gained
@@ -131,8 +131,16 @@ def _fit_effect(context: FitContext, before: Fitted, candidate: Candidate) -> tu
     return replace(candidate, finding=finding, log_bayes_factor=log_bayes_factor), fitted
 
 
-def _fit_patiently(context: FitContext, values: Values, before: Fitted) -> Fitted:
-    """Fit, and again with a shorter first step where that does not converge; return what is likelier then."""
+def is_same_prior(one: FloatArray, two: FloatArray) -> bool:
+    """Tell whether two priors, variances (n_params,), have the same parameters in use, of about the same widths."""
+    return np.array_equal(one > 0, two > 0) and np.allclose(one, two, rtol=1.0, atol=0.0)
+
+
+def fit_patiently(context: FitContext, values: Values, before: Fitted) -> Fitted:
+    """Fit, and again with a shorter first step where that does not converge; return what is likelier then.
+
+    Collective: all ranks of the grid.
+    """
     fitted = refit(context, values, before)
     if fitted.diagnostics.converged:
         return fitted
@@ -164,7 +172,7 @@ def _fit_weights(context: FitContext, before: Fitted, candidate: Candidate) -> t
     return replace(candidate, weights=weights), fitted
 
 
-def _restarted(context: FitContext, active: Active, prior_var: FloatArray) -> Active:
+def restarted(context: FitContext, active: Active, prior_var: FloatArray) -> Active:
     """Restart the fit from the fitted values with another prior."""
     nonlinear = active.effect.parameters(context.setup).nonlinear
     start = np.where((prior_var > 0) | nonlinear, active.x, 0.0)

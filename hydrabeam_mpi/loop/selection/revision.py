@@ -1,0 +1,126 @@
+"""What was found is weighed again beside what was found since: narrower, wider, or taken back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.fit.gauss_newton import FitContext
+from hydrabeam_mpi.fit.state import Active, Fitted
+from hydrabeam_mpi.loop.attribution.evidence import Evidence
+from hydrabeam_mpi.loop.attribution.score_effects import reconsider
+from hydrabeam_mpi.loop.selection.acceptance import Checked, Round
+from hydrabeam_mpi.loop.selection.trials import check, fit_patiently, is_same_prior, restarted
+from hydrabeam_mpi.terminal.progress import say
+
+
+@dataclass(frozen=True)
+class Revision:
+    """An effect of the model that is weighed anew.
+
+    Attributes
+    ----------
+    place : int
+        Among the active effects.
+    new : Evidence or None
+        With the prior that is the best now; None where the model is better without it.
+    gain : float
+        By how much that raises ln evidence, beyond what a fit gains in ln(likelihood x prior).
+    """
+
+    place: int
+    new: Evidence | None
+    gain: float
+
+
+def revise(context: FitContext, last: Round, n_given: int) -> tuple[Round, dict[int, int | None]]:
+    """Weigh all effects found so far again, each given the others, and refit where another prior is better.
+
+    Collective: all ranks of the grid. Groups of parameters (an antenna, a source) and whole effects without which the
+    evidence is higher are left out. The refit is kept if the evidence of all together does not fall.
+
+    Parameters
+    ----------
+    context : FitContext
+    last : Round
+        Just accepted.
+    n_given : int
+        How many effects the job itself has in the model, which stay as they are.
+
+    Returns
+    -------
+    last : Round
+        With what was revised.
+    places : dict
+        Where each active effect is now, by where it was; None where it was taken back.
+    """
+    fitted = last.after.fitted
+    active = fitted.values.active
+    same: dict[int, int | None] = {place: place for place in range(len(active))}
+    if len(active) - n_given < 2:
+        return last, same
+    weighed = [_weigh_again(context, fitted, place) for place in range(n_given, len(active))]
+    revisions = [one for one in weighed if one is not None]
+    if not revisions:
+        return last, same
+    by_place = {one.place: one for one in revisions}
+    kept = [place for place in same if place not in by_place or by_place[place].new is not None]
+    values = replace(fitted.values, active=tuple(_revised(context, active[i], by_place.get(i)) for i in kept))
+    again = fit_patiently(context, values, fitted)
+    gain = sum(one.gain for one in revisions) + _log_joint(context, again) - _log_joint(context, fitted)
+    if not (gain >= 0 and again.diagnostics.converged):
+        return last, same
+    told = [_told(context, active[one.place], one) for one in revisions]
+    for line in told:
+        say(f"  {line} (ln evidence rises by {gain:.4g})", context.grid.is_world_root)
+    after: Checked = check(context, again)
+    return replace(last, after=after, revised=tuple(told)), same | dict.fromkeys(same) | {
+        old: new for new, old in enumerate(kept)
+    }
+
+
+def _weigh_again(context: FitContext, fitted: Fitted, place: int) -> Revision | None:
+    """Find the best prior of an effect given the others; None where it is the one that it has."""
+    one = fitted.values.active[place]
+    now: FloatArray = np.zeros(one.x.shape[1])
+    now[one.used] = one.prior.of(0).std() ** 2
+    now[one.effect.parameters(context.setup).nonlinear] = 0.0
+    best = reconsider(context, fitted, place)
+    # The newest one has just been found to raise it.
+    without = best.log_bayes_factor < 0 and one is not fitted.values.active[-1]
+    if is_same_prior(best.prior_var, now) and not without:
+        return None
+    present = reconsider(context, fitted, place, prior_var=now)
+    if without:
+        return Revision(place, None, present.linear_gain - present.log_bayes_factor)
+    gain = best.log_bayes_factor - best.linear_gain - (present.log_bayes_factor - present.linear_gain)
+    return Revision(place, best, gain) if best.log_bayes_factor > present.log_bayes_factor else None
+
+
+def _revised(context: FitContext, active: Active, revision: Revision | None) -> Active:
+    if revision is None:
+        return active
+    assert revision.new is not None
+    return restarted(context, active, revision.new.prior_var)
+
+
+def _told(context: FitContext, active: Active, revision: Revision) -> str:
+    """Say what becomes of an effect."""
+    if revision.new is None:
+        return f"{active.effect.title}: taken back, as the model is better without it"
+    names = active.effect.parameters(context.setup).names
+    used = np.flatnonzero(revision.new.prior_var)
+    gone = [names[i] for i in active.used if i not in set(used.tolist())]
+    width = "its prior is re-estimated" if not gone else f"{len(used)} of {len(active.used)} parameters stay"
+    return f"{active.effect.title}: {width}"
+
+
+def _log_joint(context: FitContext, fitted: Fitted) -> float:
+    """Return ln(likelihood x prior) over all channels, of what is searched for. Collective: all ranks of the grid."""
+    total = context.over_channels(fitted.diagnostics.log_joint)
+    for one in fitted.values.active:
+        nonlinear = one.effect.parameters(context.setup).nonlinear[one.used]
+        total += one.prior.log_density(np.where(nonlinear, 0.0, one.x[:, one.used]))
+    return total
