@@ -170,6 +170,8 @@ def reconsider(
     """
     others = list(fitted.values.active)
     last = others.pop(number)
+    # Places and the like stay where they have been fitted: without its flux a source is gone wherever it is.
+    nonlinear = last.effect.parameters(context.setup).nonlinear
     if beside is not None:
         evidence = beside.evidence
         others.append(Active.start(beside.effect, context.setup, evidence.prior_var, np.zeros_like(evidence.x)))
@@ -183,7 +185,7 @@ def reconsider(
         if context.grid.is_group_root:
             one = sums.likelihood([*rest.blocks, *candidate], BEAM, fitted.fit.posteriors[channel])
             n = len(rest.shared)
-            score = one.score + one.information[:, n:] @ last.x[number]
+            score = one.score + one.information[:, n:] @ np.where(nonlinear, 0.0, last.x[number])
             found.append((number, replace(one, score=score)))
     gathered = gather_objects(context.grid.world, found)
     weighed = None
