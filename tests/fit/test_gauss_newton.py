@@ -28,6 +28,7 @@ from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
 from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.joint import channel_results
 from hydrabeam_mpi.fit.state import Active, Fitted, Reweighted, Values
+from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.heldout_score import heldout_score
 from hydrabeam_mpi.result.summary import evaluate_on_grid
 from tests.loop.mock import FREQ, context_of, mock_job, truth_of
@@ -208,6 +209,24 @@ def test_a_fit_writes_to_nothing_that_it_is_given(every: dict[str, Any], tmp_pat
     locked(after)
     assert heldout_chi2(context, after) < 1.4
     assert np.any(after.values.active[0].x != before.values.active[0].x)
+
+
+def test_a_short_first_step_leads_to_the_same_place(tmp_path: Path) -> None:
+    """As it is tried where a whole one did not converge; both fits say that they have."""
+    context = context_of(mock_job(CASES["antenna_positions"][0]), tmp_path)
+    without = refit(context, Values())
+    values = without.values.extended(free(context, AntennaPositions(), 1.0))
+    whole, short = (refit(context, values, without, first_step) for first_step in (1.0, RULES.first_step))
+    assert whole.diagnostics.converged
+    assert short.diagnostics.converged
+    moved = np.abs(short.values.active[0].x - whole.values.active[0].x)
+    assert np.all(moved <= 0.1 * whole.fit.std[0])
+
+
+def test_a_fit_that_is_not_at_its_end_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hydrabeam_mpi.fit.gauss_newton.MAX_STEPS", 2)
+    context = context_of(mock_job(CASES["antenna_positions"][0]), tmp_path)
+    assert not refit(context, Values((free(context, AntennaPositions(), 1.0),))).diagnostics.converged
 
 
 def test_weights_that_are_wrong_scale_the_errors(tmp_path: Path) -> None:
