@@ -122,7 +122,8 @@ def improvement(before: Checked, after: Checked, candidate: Candidate) -> float:
     """Return the significance with which held-out data got better; it is reported, and decides nothing."""
     if candidate.finding is None:
         return float(abs(before.score.chi2 - after.score.chi2) * np.sqrt(before.score.n_data))
-    return gain_significance(before.score, after.score)
+    one, two = before.score, after.score
+    return gain_significance(one, two, two.log_density_at_own_level - one.log_density_at_own_level)
 
 
 def refusal_of(before: Checked, after: Checked, candidate: Candidate, settings: LoopSettings) -> str | None:

@@ -100,13 +100,12 @@ def fall_of_blocks(pairs: Iterable[tuple[FloatArray, FloatArray]]) -> float:
     return max(scores, default=0.0)
 
 
-def gain_significance(before: HeldoutScore, after: HeldoutScore) -> float:
+def gain_significance(before: HeldoutScore, after: HeldoutScore, log_ratio: float) -> float:
     """Return the significance with which held-out data got better.
 
     Taken from the scatter of the improvement between blocks, which cannot tell much where these are few; or from the
-    predictive densities: without the effect a ratio of e^k occurs with a probability of e^-k at most, however it was
-    fitted (Markov's inequality).
+    predictive densities: without the effect a ratio of e^k (``log_ratio`` is k) occurs with a probability of e^-k at
+    most, however it was fitted (Markov's inequality).
     """
-    log_ratio = after.log_density_at_own_level - before.log_density_at_own_level
     by_density = sigma_of_log_p(-log_ratio) if log_ratio > 0 else 0.0
     return max(fall_significance(before, after), by_density)
