@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hydrabeam_mpi.io.kept_rounds import latest_round
 from tests.faults.launch import Setting, broken, left_beside, run, settle
 from tests.faults.oracle import CLEAN, HANGS, LOST, TRACEBACKS, Outcome, state, unclear
 
@@ -101,7 +102,8 @@ def _look(setting: Setting, outcome: Outcome, before: dict[str, tuple[int, str]]
     words = broken(setting) if outcome.status == 0 else None
     if words:
         return LOST, words
-    left = left_beside(setting)
+    # Rounds of a loop that have ended are kept, for the next run to go on from.
+    left = [name for name in left_beside(setting) if latest_round(setting.out.parent / name) is None]
     if left:
         return LOST, f"left behind: {', '.join(left)}"
     return CLEAN, outcome.lines[-1] if outcome.lines else ""
