@@ -17,10 +17,11 @@ from hydrabeam_mpi.mpi.failure import how_shared
 
 INPUT_ERROR_STATUS = 2
 INTERRUPTED_STATUS = 130
-LEAVING_S = 60.0
+LEAVING_S = 15.0
 """Seconds after which a rank that has got a signal ends all, where rank 0 has not done so: it has then got none.
 
-Long, as nobody waits for it: a launcher passes a signal on to all ranks, and rank 0 ends them once it has left.
+Nobody waits for it where a launcher passes a signal on to all ranks: rank 0 ends them once it has left, which means to
+move a few files, and takes less even on a busy machine.
 """
 HEARD_S = 0.2
 """Seconds that a launcher has to pass on what a rank has said: when one aborts it may drop what it has not read yet."""
