@@ -7,12 +7,11 @@ from collections import Counter
 from fractions import Fraction
 
 import numpy as np
-import scipy.linalg
 import threadpoolctl
 from mpi4py import MPI
 
-# threadpoolctl sees loaded libraries only, and numpy and scipy may each bring a BLAS of their own.
-_LOADED = (np.linalg, scipy.linalg)
+# threadpoolctl sees loaded libraries only. One that scipy may bring reads the environment when it is loaded.
+_LOADED = (np.linalg,)
 _USER_SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
