@@ -40,7 +40,8 @@ def beam_visibilities(block: RowBlock, vectors: FloatArray) -> ComplexArray:
     lasts = block.memo is not None and not block.sky_effects
     if lasts and isinstance(block.beam, CoefficientBeam) and len(vectors) <= FEW:
         basis = block.beam.basis
-        modes = block.fixed_integral(f"modes on {key!r}", lambda at: basis.columns(at.za, at.az), vectors)
+        # Named by the basis, too, which grows where the model gets more modes.
+        modes = block.fixed_integral(f"{basis.describe()} on {key!r}", lambda at: basis.columns(at.za, at.az), vectors)
         integrals = modes @ basis.column_coeffs(block.beam.coeffs).real
     else:
         integrals = block.integrate(lambda sources: sources.beam[np.newaxis], vectors)
