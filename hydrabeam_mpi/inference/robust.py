@@ -25,6 +25,12 @@ STRONG = 5.0
 """Log of the odds that make a claim: 150 to 1, so that prior odds against it of some tens leave it likely."""
 
 
+def known_median(values: FloatArray) -> float:
+    """Return the median of those values, (N,), that are no NaN; NaN where there are none."""
+    known = values[~np.isnan(values)]
+    return float(np.median(known)) if known.size else np.nan
+
+
 def outliers(values: FloatArray, error: ArrayLike = 0.0, spread: float = POWER_SPREAD) -> FloatArray:
     """Return how many standard deviations each value is from the median, zero where that is nothing absurd.
 
@@ -46,7 +52,7 @@ def outliers(values: FloatArray, error: ArrayLike = 0.0, spread: float = POWER_S
     known = ~np.isnan(values)
     if np.count_nonzero(known) < LEAST_COUNT:
         return np.zeros(len(values))
-    centre = float(np.median(values[known]))
+    centre = known_median(values)
     if not np.isfinite(centre):
         return np.zeros(len(values))
     away = np.where(known, values - centre, 0.0)

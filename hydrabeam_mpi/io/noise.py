@@ -19,6 +19,7 @@ from hydrabeam_mpi.data.observation import FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.data.selection import BoolArray, match
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.inference.robust import known_median, outliers
 from hydrabeam_mpi.io.gains import calibrate
 from hydrabeam_mpi.io.noise_table import read_table, table_sigma
 from hydrabeam_mpi.io.uvdata import feeds_of, read_autos, read_block
@@ -94,6 +95,26 @@ def _check_autos_stored(lacking: BoolArray, files: Sequence[Data], observation: 
             field="data_array",
             remedy="leave the antenna out with exclude_antennas, or choose another [noise] kind",
         )
+
+
+def odd_autocorrelations(log_power: FloatArray, dead: BoolArray) -> dict[int, str]:
+    """Say which antennas, by index, have autocorrelations that are no power or absurd beside the others'.
+
+    Parameters
+    ----------
+    log_power : ndarray, (Nants,)
+        ln of their power, in any unit; NaN where nothing is known.
+    dead : ndarray of bool, (Nants,)
+        Those without positive ones.
+    """
+    why = dict.fromkeys(
+        np.flatnonzero(dead).tolist(), "its autocorrelations are not positive, so that it has no noise to be weighed by"
+    )
+    sigmas = np.where(dead, 0.0, outliers(log_power))
+    for ant in np.flatnonzero(sigmas).tolist():
+        ratio = np.exp(log_power[ant] - known_median(log_power))
+        why[ant] = f"its autocorrelations are {ratio:.2g} of the others' ({abs(sigmas[ant]):.0f} sigma)"
+    return why
 
 
 def check_weights(n_unflagged: int, n_weighted: int, files: Sequence[Data]) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.selection import BoolArray, Selection, match
-from hydrabeam_mpi.inference.robust import outliers
+from hydrabeam_mpi.io.noise import odd_autocorrelations
 from hydrabeam_mpi.io.uvdata import check_nsamples
 from hydrabeam_mpi.io.uvfile import UVHeader, read_metadata, read_uvdata
 from hydrabeam_mpi.io.uvformat import READ_IN_PART
@@ -134,17 +134,8 @@ def _absurd(powers: dict[int, Power], good: set[int], living: set[int]) -> dict[
     """Say which antennas with unflagged samples are dead or absurd, and why."""
     numbers = sorted(good)
     logs = np.array([powers[ant].mean_log for ant in numbers])
-    absurd = outliers(logs)
-    typical = np.nanmedian(logs) if np.any(~np.isnan(logs)) else 0.0
-    why = {}
-    for ant, log, sigma in zip(numbers, logs.tolist(), absurd.tolist(), strict=True):
-        if ant not in living:
-            why[ant] = "all its visibilities are zero"
-        elif log == -np.inf:
-            why[ant] = "its autocorrelations are not positive"
-        elif sigma:
-            why[ant] = f"its autocorrelations are {np.exp(log - typical):.2g} of the others'"
-    return why
+    why = {numbers[k]: reason for k, reason in odd_autocorrelations(logs, np.isneginf(logs)).items()}
+    return dict(sorted((why | dict.fromkeys(good - living, "all its visibilities are zero")).items()))
 
 
 def _parts(

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 
 from hydrabeam_mpi.config import Job
 
+QUARTER = 0.25
+"""Of an integration, before and after the centre of one that is named: no other's is so near."""
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -43,6 +46,23 @@ class Finding:
     def record(self) -> dict[str, str]:
         """Return the words by name, as ``loop.json`` has them."""
         return {"what": self.what, "where": self.where, "why": self.why, "remedy": self.remedy}
+
+
+def antenna_words(number: int) -> tuple[str, str]:
+    """Return the name of an antenna, and the key of a job that leaves it out."""
+    return f"antenna {number}", f"exclude_antennas = [{number}] in [data]"
+
+
+def baseline_words(one: int, two: int) -> tuple[str, str]:
+    """Return the name of a baseline of two antennas, and the key of a job that takes it as flagged."""
+    return f"baseline {one}-{two}", f"exclude_baselines = [[{one}, {two}]] in [data]"
+
+
+def integration_words(jd: float, seconds: float) -> tuple[str, str, tuple[float, float]]:
+    """Return the name of an integration, the key of a job that takes it as flagged, and the Julian dates in that."""
+    half = QUARTER * seconds / 86400
+    span = round(jd - half, 7), round(jd + half, 7)
+    return f"JD {jd:.6f}", f"exclude_times = [[{span[0]:.7f}, {span[1]:.7f}]] in [data]", span
 
 
 def mended_job(job: Job, findings: Sequence[Finding]) -> Job:

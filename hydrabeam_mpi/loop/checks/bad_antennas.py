@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from hydrabeam_mpi.data.observation import FloatArray
-from hydrabeam_mpi.inference.robust import outliers
+from hydrabeam_mpi.inference.robust import known_median, outliers
+from hydrabeam_mpi.io.noise import odd_autocorrelations
 from hydrabeam_mpi.loop.checks.health_sums import Sample, Sums
 from hydrabeam_mpi.mpi import ProcessGrid, allreduce_sum
-from hydrabeam_mpi.setup.findings import Finding
+from hydrabeam_mpi.setup.findings import Finding, antenna_words
 from hydrabeam_mpi.setup.problem import Problem
 
 NOISE_SIGMAS = 5.0
@@ -30,17 +30,8 @@ def absurd_autocorrelations(grid: ProcessGrid, problem: Problem, sample: Sample)
     allreduce_sum(grid.world, sums)
     n_known, n_positive, log_power = sums
     mean = np.where(n_positive > 0, log_power / np.maximum(n_positive, 1), -np.inf)
-    by_antenna = _over_channels(np.where(n_known > 0, mean, np.nan))
-    absurd = outliers(by_antenna)
     dead = (n_known.sum(axis=0) > 0) & (n_positive.sum(axis=0) == 0)
-    why = {}
-    typical = _typical(by_antenna)
-    for ant in np.flatnonzero(dead).tolist():
-        why[ant] = "its autocorrelations are not positive, so that it has no noise to be weighed by"
-    for ant in np.flatnonzero((absurd != 0) & ~dead).tolist():
-        ratio = np.exp(by_antenna[ant] - typical)
-        why[ant] = f"its autocorrelations are {ratio:.2g} of the others' ({abs(absurd[ant]):.0f} sigma)"
-    return _left_out(problem, why)
+    return _left_out(problem, odd_autocorrelations(_over_channels(np.where(n_known > 0, mean, np.nan)), dead))
 
 
 def absurd_antennas(problem: Problem, sums: Sums) -> list[Finding]:
@@ -62,9 +53,8 @@ def absurd_antennas(problem: Problem, sums: Sums) -> list[Finding]:
             why[ant] = "all its visibilities are constant"
         by_antenna[ant] = np.median(power[mine])
     absurd = outliers(by_antenna)
-    typical = _typical(by_antenna)
     for ant in np.flatnonzero(absurd).tolist():
-        ratio = np.exp(by_antenna[ant] - typical)
+        ratio = np.exp(by_antenna[ant] - known_median(by_antenna))
         words = f"the power of its visibilities is {ratio:.2g} of the others'" if ratio > 0 else "it has no power"
         why.setdefault(ant, f"{words}, beside what the model expects ({abs(absurd[ant]):.0f} sigma)")
     return _left_out(problem, why)
@@ -92,7 +82,7 @@ def _over_channels(logs: FloatArray) -> FloatArray:
     found = np.full(logs.shape[1], np.nan)
     beside = np.full(logs.shape, np.nan)
     for f, row in enumerate(logs):
-        level = _typical(row)
+        level = known_median(row)
         if np.isfinite(level):
             beside[f] = row - level
     for k, column in enumerate(beside.T):
@@ -102,22 +92,13 @@ def _over_channels(logs: FloatArray) -> FloatArray:
     return found
 
 
-def _typical(values: FloatArray) -> float:
-    known: NDArray[np.float64] = values[~np.isnan(values)]
-    return float(np.median(known)) if known.size else np.nan
-
-
 def _left_out(problem: Problem, why: dict[int, str]) -> list[Finding]:
     """Return what is said of antennas (indices), which are left out unless they are too many."""
-    numbers = problem.observation.antenna_numbers
+    numbers = problem.observation.antenna_numbers.tolist()
     few = len(why) < MOST_LEFT_OUT * len(numbers)
-    return [
-        Finding(
-            "a dead or absurd antenna",
-            f"antenna {numbers[ant]}",
-            reason,
-            f"exclude_antennas = [{numbers[ant]}] in [data]",
-            antennas=(int(numbers[ant]),) if few else (),
-        )
-        for ant, reason in sorted(why.items())
-    ]
+    found = []
+    for ant, reason in sorted(why.items()):
+        name, remedy = antenna_words(numbers[ant])
+        left_out = (numbers[ant],) if few else ()
+        found.append(Finding("a dead or absurd antenna", name, reason, remedy, antennas=left_out))
+    return found

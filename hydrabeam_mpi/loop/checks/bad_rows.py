@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
-from hydrabeam_mpi.inference.robust import outliers
+from hydrabeam_mpi.inference.robust import known_median, outliers
 from hydrabeam_mpi.loop.checks.health_sums import Excess, Sums
-from hydrabeam_mpi.setup.findings import Finding
+from hydrabeam_mpi.setup.findings import Finding, baseline_words, integration_words
 from hydrabeam_mpi.setup.problem import Problem
 
 LOG_STD = np.pi / np.sqrt(6)
 """Standard deviation of the log of an exponential."""
-QUARTER = 0.25
-"""Of an integration, before and after the centre of one that is named: no other is so near."""
 MOST_EXCLUDED = 0.25
 """Of more times or baselines than this share none is an exception."""
 
@@ -32,9 +30,8 @@ def bad_times(problem: Problem, times: IntArray, sums: Sums, excess: Excess) -> 
         logs = np.where(n > 0, total / np.maximum(n, 1), np.nan)
         absurd = np.maximum(outliers(logs, LOG_STD / np.sqrt(np.maximum(n, 1))), 0.0)
         worst = _worst(excess, absurd, n > 0, len(times))
-        typical = float(np.nanmedian(logs)) if (n > 0).any() else 0.0
         for t, look in worst:
-            ratio = np.exp(logs[look] - typical)
+            ratio = np.exp(logs[look] - known_median(logs))
             why[t] = f"what the model leaves of it has {ratio:.2g} times the power of others ({absurd[look]:.0f} sigma)"
     few = len(why) <= MOST_EXCLUDED * len(times)
     return [_of_time(problem, int(times[t]), reason) for t, reason in sorted(why.items())] if few else []
@@ -57,16 +54,10 @@ def _worst(excess: Excess, absurd: FloatArray, known: np.ndarray, n_times: int) 
 
 
 def _of_time(problem: Problem, time: int, reason: str) -> Finding:
-    jd, half = problem.observation.times[time], QUARTER * problem.observation.integration_time[time] / 86400
-    span = round(jd - half, 7), round(jd + half, 7)
+    observation = problem.observation
+    name, remedy, span = integration_words(float(observation.times[time]), float(observation.integration_time[time]))
     role = "held out" if time in problem.test.times and time not in problem.train.times else "fitted"
-    return Finding(
-        "a bad integration",
-        f"JD {jd:.6f}, {role}",
-        reason,
-        f"exclude_times = [[{span[0]:.7f}, {span[1]:.7f}]] in [data]",
-        times=(span,),
-    )
+    return Finding("a bad integration", f"{name}, {role}", reason, remedy, times=(span,))
 
 
 def bad_baselines(problem: Problem, sums: Sums, excess: Excess) -> list[Finding]:
@@ -85,13 +76,13 @@ def bad_baselines(problem: Problem, sums: Sums, excess: Excess) -> list[Finding]
         # Differences that share a time are worth half as many.
         absurd = outliers(logs, LOG_STD / np.sqrt(np.maximum(n / 2, 1)))
         for b in np.flatnonzero(absurd > 0).tolist():
-            ratio = np.exp(logs[b] - np.nanmedian(logs))
+            ratio = np.exp(logs[b] - known_median(logs))
             why.setdefault(b, f"its noise has {ratio:.2g} times the power of the others' ({absurd[b]:.0f} sigma)")
     if len(why) > MOST_EXCLUDED * np.count_nonzero(counted):
         return []
     found = []
     for b, reason in sorted(why.items()):
         one, two = (int(ant) for ant in antpairs[b])
-        remedy = f"exclude_baselines = [[{one}, {two}]] in [data]"
-        found.append(Finding("a bad baseline", f"baseline {one}-{two}", reason, remedy, baselines=((one, two),)))
+        name, remedy = baseline_words(one, two)
+        found.append(Finding("a bad baseline", name, reason, remedy, baselines=((one, two),)))
     return found

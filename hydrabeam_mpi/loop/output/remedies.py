@@ -5,15 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 from hydrabeam_mpi.data.observation import Observation
-from hydrabeam_mpi.setup.findings import Finding
+from hydrabeam_mpi.setup.findings import Finding, antenna_words, baseline_words, integration_words
 
 NAMES = {
     "times": "an integration that stands out",
     "antennas": "an antenna that stands out",
     "baselines": "a baseline that stands out",
 }
-QUARTER = 0.25 / 86400
-"""Of an integration's seconds, in days: no other integration's centre is so near."""
 
 
 def leave_out(where: dict[str, Any], observation: Observation) -> list[Finding]:
@@ -28,7 +26,7 @@ def leave_out(where: dict[str, Any], observation: Observation) -> list[Finding]:
     observation : Observation
     """
     found: list[Finding] = []
-    step = QUARTER * float(observation.integration_time.min())
+    shortest = float(observation.integration_time.min())
     for axis, name in NAMES.items():
         described = where.get(axis) or {}
         # Baselines are told only where antennas do not tell them all.
@@ -36,18 +34,14 @@ def leave_out(where: dict[str, Any], observation: Observation) -> list[Finding]:
         if described.get("state") != "concentrated" or told:
             continue
         for entry in described.get("entries", [])[: described.get("count")]:
-            place, key = _named(axis, entry["what"], step)
+            place, key = _named(axis, entry["what"], shortest)
             why = f"it has {entry['share']:.0%} of what no effect explains ({entry['sigma']:.1f} sigma)"
-            found.append(Finding(name, place, why, f"if it is bad, {key} in [data]"))
+            found.append(Finding(name, place, why, f"if it is bad, {key}"))
     return found
 
 
-def _named(axis: str, what: Any, step: float) -> tuple[str, str]:
+def _named(axis: str, what: Any, seconds: float) -> tuple[str, str]:
     """Return the name of an entry, and the key of a job that leaves it out."""
     if axis == "times":
-        jd = float(what["jd"])
-        return f"JD {jd:.6f}", f"exclude_times = [[{jd - step:.7f}, {jd + step:.7f}]]"
-    if axis == "antennas":
-        return f"antenna {what}", f"exclude_antennas = [{what}]"
-    one, two = what
-    return f"baseline {one}-{two}", f"exclude_baselines = [[{one}, {two}]]"
+        return integration_words(float(what["jd"]), seconds)[:2]
+    return antenna_words(what) if axis == "antennas" else baseline_words(*what)
