@@ -6,16 +6,15 @@ from pathlib import Path
 
 from hydrabeam_mpi.api.result import Result
 from hydrabeam_mpi.api.setup import Setup
-from hydrabeam_mpi.api.shared import check_setup, make_result, origin_of, prepare_shared, scratch, with_heldout
+from hydrabeam_mpi.api.shared import begun, gather_records, make_result, origin_of, prepare_checked
 from hydrabeam_mpi.fit.channels import infer_channels
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.grown import grown_problem
 from hydrabeam_mpi.fit.heldout import whiten
-from hydrabeam_mpi.fit.joint import channel_results, fit_with_effects
+from hydrabeam_mpi.fit.joint import channel_results, fit_with_effects, read_context
 from hydrabeam_mpi.loop.checks.health import told
 from hydrabeam_mpi.loop.selection.heldout_numbers import heldout_numbers
-from hydrabeam_mpi.mpi import ProcessGrid, gather_by_channel, peak_rss_mb, together
-from hydrabeam_mpi.result.describe import describe_channels
+from hydrabeam_mpi.mpi import peak_rss_mb, together
 
 
 def infer(setup: Setup) -> Result:
@@ -42,10 +41,8 @@ def infer(setup: Setup) -> Result:
     InputError
         On all ranks, if the data or another argument cannot be used.
     """
-    with setup.telling():
-        threads = check_setup(setup)
-        with scratch(setup) as folder:
-            return run_inference(setup, folder, threads)
+    with begun(setup) as (folder, threads):
+        return run_inference(setup, folder, threads)
 
 
 def run_inference(setup: Setup, folder: Path | None, threads: int) -> Result:
@@ -59,27 +56,22 @@ def run_inference(setup: Setup, folder: Path | None, threads: int) -> Result:
     threads : int
         BLAS threads of this rank, for the record.
     """
-    clock, world, job = Clock(), setup.comm, setup.job
-    with clock.time("prepare"):
-        problem = prepare_shared(world, job, folder, setup.given)
-    grid = ProcessGrid.split(world, problem.observation.Nfreqs)
-    with clock.time("health"):
-        problem = told(grid, problem)
-    mine = problem.of_channels(grid.channels)
+    clock, world = Clock(), setup.comm
+    grid, problem, mine = prepare_checked(setup, folder, clock, told)
     numbers = None
-    if job.effects:
-        context, fitted = fit_with_effects(grid, problem, mine, clock)
+    if setup.job.effects:
+        context = read_context(grid, problem, mine, clock)
+        fitted = fit_with_effects(context, clock)
         with clock.time("heldout"):
             results = channel_results(context, fitted)
             numbers = heldout_numbers(context, whiten(context, fitted))
         problem = grown_problem(problem, context.setup, fitted.values)
-        mine = problem.of_channels(grid.channels)
     else:
         results = infer_channels(grid, mine, clock)
     with clock.time("describe"):
-        records = with_heldout(gather_by_channel(grid, describe_channels(grid, mine, results)), numbers)
+        records = gather_records(grid, problem, results, numbers)
     memory = peak_rss_mb(world)
-    result = Result(job)
+    result = Result(setup.job)
     with together(world):
         if world.rank == 0:
             run = {"wall_s": clock.inference, "phases_s": clock.seconds, "peak_rss_mb": memory}

@@ -11,12 +11,12 @@ import numpy as np
 
 from hydrabeam_mpi.api.result import Found, Result
 from hydrabeam_mpi.api.setup import Setup
-from hydrabeam_mpi.api.shared import check_setup, make_result, origin_of, prepare_shared, scratch, with_heldout
+from hydrabeam_mpi.api.shared import begun, gather_records, make_result, origin_of, prepare_checked
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.gauss_newton import FitContext
 from hydrabeam_mpi.fit.grown import grown_problem
-from hydrabeam_mpi.fit.joint import channel_results, find_setup, read_context, restore
+from hydrabeam_mpi.fit.joint import channel_results, read_context, restore
 from hydrabeam_mpi.loop.attribution.control_models import control_models
 from hydrabeam_mpi.loop.checks.conventions import check_conventions
 from hydrabeam_mpi.loop.checks.health import mended
@@ -26,10 +26,8 @@ from hydrabeam_mpi.loop.output.record import make_record
 from hydrabeam_mpi.loop.output.resume import Keeper
 from hydrabeam_mpi.loop.selection.choice import choose
 from hydrabeam_mpi.loop.selection.rounds import History, begin, run_rounds, settle_last
-from hydrabeam_mpi.mpi import ProcessGrid, bcast_object, gather_by_channel, peak_rss_mb, together
-from hydrabeam_mpi.result.describe import describe_channels
+from hydrabeam_mpi.mpi import peak_rss_mb, together
 from hydrabeam_mpi.setup.job_file import check_holds_out
-from hydrabeam_mpi.setup.problem import Problem
 
 
 def close_loop(setup: Setup) -> Found:
@@ -55,11 +53,9 @@ def close_loop(setup: Setup) -> Found:
     InputError
         On all ranks, if the data or another argument cannot be used.
     """
-    with setup.telling():
+    with begun(setup) as (folder, threads):
         check_holds_out(setup.job)
-        threads = check_setup(setup)
-        with scratch(setup) as folder:
-            return run_loop(setup, folder, threads)
+        return run_loop(setup, folder, threads)
 
 
 def run_loop(
@@ -87,8 +83,10 @@ def run_loop(
         Whether a result in ``out`` may be replaced.
     """
     clock, world, job = Clock(), setup.comm, setup.job
-    problem, context = _set_up(setup, folder, clock)
-    grid, known = context.grid, context.setup
+    grid, problem, mine = prepare_checked(setup, folder, clock, mended)
+    context = read_context(grid, problem, mine, clock)
+    _check_can_confirm(context)
+    known = context.setup
     with together(world):
         choice = choose(job, known)
         values = restore(job, known)
@@ -114,8 +112,7 @@ def run_loop(
     with clock.time("describe"):
         results = channel_results(context, history.last.fitted)
         problem = grown_problem(problem, known, history.last.fitted.values)
-        records = gather_by_channel(grid, describe_channels(grid, problem.of_channels(grid.channels), results))
-        records = with_heldout(records, history.last.numbers)
+        records = gather_records(grid, problem, results, history.last.numbers)
     record = make_record(context, history, choice.skipped, conventions, leakage)
     memory = peak_rss_mb(world)
     found = Found(Result(job))
@@ -130,25 +127,6 @@ def run_loop(
 
 def _keep_nothing(history: History) -> None:
     """Keep no round: there is no folder for it."""
-
-
-def _set_up(setup: Setup, folder: Path | None, clock: Clock) -> tuple[Problem, FitContext]:
-    """Return the problem of all channels, and the rank's part of it with its rows. Collective: all ranks."""
-    world = setup.comm
-    with clock.time("prepare"):
-        problem = prepare_shared(world, setup.job, folder, setup.given)
-    grid = ProcessGrid.split(world, problem.observation.Nfreqs)
-    with clock.time("health"):
-        problem = mended(grid, problem)
-    with clock.time("prepare"):
-        known = None
-        with together(world):
-            if world.rank == 0:
-                known = find_setup(problem)
-        known = bcast_object(world, known)
-    context = read_context(grid, problem.of_channels(grid.channels), known, clock)
-    _check_can_confirm(context)
-    return problem, context
 
 
 def _check_can_confirm(context: FitContext) -> None:

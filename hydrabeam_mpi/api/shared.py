@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -14,19 +14,24 @@ from hydrabeam_mpi.api.setup import Setup
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.named import expand
 from hydrabeam_mpi.config.sizes import check_sizes
+from hydrabeam_mpi.fit.channels import ChannelResult
+from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.io.disk import check_space
 from hydrabeam_mpi.io.posterior_file import ChannelRecord, PosteriorFile
 from hydrabeam_mpi.io.provenance import provenance
 from hydrabeam_mpi.loop.selection.heldout_numbers import HeldoutNumbers
 from hydrabeam_mpi.mpi import (
     Comm,
+    ProcessGrid,
     bcast_object,
     blas_threads,
+    gather_by_channel,
     library_version,
     limit_blas_threads,
     memory_per_rank,
     together,
 )
+from hydrabeam_mpi.result.describe import describe_channels
 from hydrabeam_mpi.result.output import check_records, input_files, least_result_bytes, summarise
 from hydrabeam_mpi.result.summary import GRID_AZ, GRID_ZA
 from hydrabeam_mpi.setup.given import NOTHING, Given
@@ -36,34 +41,64 @@ from hydrabeam_mpi.terminal.progress import say, warn
 
 
 @contextmanager
-def scratch(setup: Setup) -> Iterator[Path | None]:
-    """Give a folder for simulated data that vanishes afterwards; None where there is nothing to simulate.
+def begun(setup: Setup) -> Iterator[tuple[Path | None, int]]:
+    """Give a folder for simulated data that vanishes afterwards, and how many threads BLAS has on this rank.
 
-    Collective: all ranks of the setup. On several nodes TMPDIR must name a folder that all of them see.
+    The folder is None where there is nothing to simulate. On several nodes TMPDIR must name one that all of them see.
+    Several ranks share out the cores, as the commands do. Collective: all ranks of the setup.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if the job cannot fit into memory. What is wrong is told by the name of file or argument.
     """
     world = setup.comm
-    if setup.job.data.simulate is None:
-        yield None
-        return
-    made = TemporaryDirectory(prefix="hydrabeam-") if world.rank == 0 else None
-    try:
-        yield world.bcast(Path(made.name) if made else None)
-        world.Barrier()
-    finally:
-        if made:
-            made.cleanup()
+    with setup.telling():
+        memory = memory_per_rank(world)
+        with together(world):
+            check_sizes(setup.job, memory)
+        threads = limit_blas_threads(world) if world.size > 1 else blas_threads()
+        if setup.job.data.simulate is None:
+            yield None, threads
+            return
+        made = TemporaryDirectory(prefix="hydrabeam-") if world.rank == 0 else None
+        try:
+            yield world.bcast(Path(made.name) if made else None), threads
+            world.Barrier()
+        finally:
+            if made:
+                made.cleanup()
 
 
-def check_setup(setup: Setup) -> int:
-    """Refuse what cannot fit into memory, and return how many threads BLAS has on this rank.
+def prepare_checked(
+    setup: Setup, folder: Path | None, clock: Clock, check: Callable[[ProcessGrid, Problem], Problem]
+) -> tuple[ProcessGrid, Problem, Problem]:
+    """Set up the problem and look at the health of its data.
 
-    Collective: all ranks of the setup. Several ranks share out the cores, as the commands do.
+    Collective: all ranks of the setup.
+
+    Parameters
+    ----------
+    setup : Setup
+    folder : Path, optional
+        As of `prepare_shared`.
+    clock : Clock
+        Receives the phases "prepare" and "health".
+    check : callable
+        `hydrabeam_mpi.loop.checks.health.told` or ``mended``.
+
+    Returns
+    -------
+    grid : ProcessGrid
+    problem, mine : Problem
+        Of all channels, and of the rank group's.
     """
-    world = setup.comm
-    memory = memory_per_rank(world)
-    with together(world):
-        check_sizes(setup.job, memory)
-    return limit_blas_threads(world) if world.size > 1 else blas_threads()
+    with clock.time("prepare"):
+        problem = prepare_shared(setup.comm, setup.job, folder, setup.given)
+    grid = ProcessGrid.split(setup.comm, problem.observation.Nfreqs)
+    with clock.time("health"):
+        problem = check(grid, problem)
+    return grid, problem, problem.of_channels(grid.channels)
 
 
 def prepare_shared(world: Comm, job: Job, folder: Path | None, given: Given = NOTHING) -> Problem:
@@ -119,11 +154,23 @@ def origin_of(setup: Setup, problem: Problem, threads: int) -> dict[str, Any]:
     return provenance(setup.job, inputs, setup.comm.size, threads, library_version())
 
 
-def with_heldout(records: list[ChannelRecord], numbers: HeldoutNumbers | None) -> list[ChannelRecord]:
-    """Return the channels' records with held-out numbers in which effects are part of the model, where there are any.
+def gather_records(
+    grid: ProcessGrid, problem: Problem, results: list[ChannelResult], numbers: HeldoutNumbers | None
+) -> list[ChannelRecord]:
+    """Return what is written of all channels, on rank 0; empty on other ranks. Collective: all ranks of the grid.
 
-    These are the numbers that the loop judges by, of data as they were read.
+    Parameters
+    ----------
+    grid : ProcessGrid
+    problem : Problem
+        Of all channels.
+    results : list of ChannelResult
+        Of the rank group's channels.
+    numbers : HeldoutNumbers, optional
+        In which effects are part of the model: those that the loop judges by, of data as they were read.
     """
+    mine = describe_channels(grid, problem.of_channels(grid.channels), results)
+    records = gather_by_channel(grid, mine)
     if numbers is None:
         return records
     return [replace(one, summary={**one.summary, **numbers.summary(f)}) for f, one in enumerate(records)]

@@ -45,23 +45,27 @@ def find_setup(problem: Problem) -> ObservingSetup:
     )
 
 
-def read_context(grid: ProcessGrid, problem: Problem, setup: ObservingSetup, clock: Clock) -> FitContext:
-    """Read the rank's rows. Collective: all ranks of the grid.
+def read_context(grid: ProcessGrid, problem: Problem, mine: Problem, clock: Clock) -> FitContext:
+    """Read the rank's rows, and find what effects may know of the data. Collective: all ranks of the grid.
 
     Parameters
     ----------
     grid : ProcessGrid
-    problem : Problem
-        Of the rank group's channels.
-    setup : ObservingSetup
-        Of all channels.
+    problem, mine : Problem
+        Of all channels, and of the rank group's.
     clock : Clock
-        Receives the phase "read".
+        Receives the phases "prepare" and "read".
     """
+    with clock.time("prepare"):
+        known = None
+        with together(grid.world):
+            if grid.is_world_root:
+                known = find_setup(problem)
+        setup = bcast_object(grid.world, known)
     with clock.time("read"):
         # Errors of the predictions of one time are whitened together.
-        train, test = read_shares(grid, problem, whole_times=True)
-    return FitContext(grid, problem, setup, RankData(problem, setup, train), RankData(problem, setup, test))
+        train, test = read_shares(grid, mine, whole_times=True)
+    return FitContext(grid, mine, setup, RankData(mine, setup, train), RankData(mine, setup, test))
 
 
 def restore(job: Job, setup: ObservingSetup) -> Values:
@@ -116,30 +120,24 @@ def _restore_effect(entry: EffectEntry, setup: ObservingSetup) -> Active:
     return replace(Active.start(effect, setup, prior_var[0], x), used=priors[0][0], prior=prior)
 
 
-def fit_with_effects(grid: ProcessGrid, problem: Problem, mine: Problem, clock: Clock) -> tuple[FitContext, Fitted]:
+def fit_with_effects(context: FitContext, clock: Clock) -> Fitted:
     """Fit beams and the job's effects jointly.
 
     Collective: all ranks of the grid.
 
     Parameters
     ----------
-    grid : ProcessGrid
-    problem, mine : Problem
-        Of all channels, and of the rank group's.
+    context : FitContext
     clock : Clock
-        Receives the phases of `infer_channels` up to "solve"; each step of the fit solves, so that "design" has all of
-        it.
+        Receives the phases "design" and "solve"; each step of the fit solves, so that "design" has all of it.
     """
-    with together(grid.world):
-        setup = find_setup(problem) if grid.is_world_root else None
-    context = read_context(grid, mine, bcast_object(grid.world, setup), clock)
-    with together(grid.world):
-        values = restore(problem.job, context.setup)
+    with together(context.grid.world):
+        values = restore(context.problem.job, context.setup)
     with clock.time("design"):
         fitted = settle(context, refit(context, values))
     with clock.time("solve"):
         pass
-    return context, fitted
+    return fitted
 
 
 def channel_results(context: FitContext, fitted: Fitted) -> list[ChannelResult]:

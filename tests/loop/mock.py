@@ -13,7 +13,7 @@ from mpi4py import MPI
 from hydrabeam_mpi.api.shared import prepare_shared
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.gauss_newton import FitContext
-from hydrabeam_mpi.fit.joint import find_setup, read_context
+from hydrabeam_mpi.fit.joint import read_context
 from hydrabeam_mpi.mpi import ProcessGrid
 from hydrabeam_mpi.setup.job_file import load
 
@@ -62,9 +62,8 @@ def context_of(job: dict[str, Any], folder: Path, world: MPI.Comm = MPI.COMM_SEL
         write_job(job, folder)
     world.Barrier()
     problem = prepare_shared(world, load(world, folder / "job.toml"), folder)
-    setup = find_setup(problem)
     grid = ProcessGrid.split(world, problem.observation.Nfreqs)
-    return read_context(grid, problem.of_channels(grid.channels), setup, Clock())
+    return read_context(grid, problem, problem.of_channels(grid.channels), Clock())
 
 
 def truth_of(folder: Path) -> list[dict[str, Any]]:
