@@ -188,9 +188,24 @@ def _least_rise(best: float, values: Values, misfit: float) -> float:
     return -STEPS_BACK * abs(best) if values.reweighted else -FLAT_NATS * misfit
 
 
-def _objective(context: FitContext, values: Values, of_beams: FloatArray) -> float:
-    """Return ln(likelihood x prior) of beams and effects, over all channels."""
-    return context.over_channels(of_beams) + values.log_prior
+def total_log_joint(context: FitContext, values: Values, of_beams: FloatArray, of_nonlinear: bool = True) -> float:
+    """Return ln(likelihood x prior) of beams and effects, over all channels. Collective: all ranks of the grid.
+
+    Parameters
+    ----------
+    context : FitContext
+    values : Values
+    of_beams : ndarray, (Nlocal,)
+        That of the rank group's beams given the values; see `Diagnostics.log_joint`.
+    of_nonlinear : bool
+        Whether the prior of `nonlinear` parameters counts. Where effects are compared it does not: places and the like
+        are priced by the number of candidates.
+    """
+    total = context.over_channels(of_beams)
+    for one in values.active:
+        left_out = one.effect.parameters(context.setup).nonlinear[one.used] & (not of_nonlinear)
+        total += one.prior.log_density(np.where(left_out, 0.0, one.x[:, one.used]))
+    return total
 
 
 def solve_beams(context: FitContext, at: Estimate, keep: bool = False) -> _Solved:
@@ -216,7 +231,7 @@ def solve_beams(context: FitContext, at: Estimate, keep: bool = False) -> _Solve
     )
     # E is that of the beams before, so that only those tell what beams and effects reach together.
     seen_by = at.beams if at.beams and at.values.adds else beams
-    reached = _objective(context, at.values, np.array(list(map(_log_joint, normals, seen_by, priors))))
+    reached = total_log_joint(context, at.values, np.array(list(map(_log_joint, normals, seen_by, priors))))
     return _Solved(beams, rows, added, diagnostics, reached)
 
 

@@ -149,11 +149,6 @@ class Values:
         """Whether channels share each of the active parameters in use, side by side, (q,)."""
         return np.concatenate([np.zeros(0, dtype=bool), *(np.full(one.size, one.prior.shared) for one in self.active)])
 
-    @property
-    def log_prior(self) -> float:
-        """Logarithm of the prior's density of all active parameters, of all channels, up to a constant."""
-        return sum(one.prior.log_density(one.x[:, one.used]) for one in self.active)
-
     def prior_std(self, channel: int) -> FloatArray:
         """Return the prior's standard deviations in a channel, of the parameters in use side by side, (q,)."""
         return np.concatenate([np.zeros(0), *(one.prior.of(channel).std() for one in self.active)])

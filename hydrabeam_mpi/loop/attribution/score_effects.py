@@ -16,7 +16,7 @@ from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.gauss_newton import FitContext
 from hydrabeam_mpi.fit.kept import Kept
 from hydrabeam_mpi.fit.rows import Rows
-from hydrabeam_mpi.fit.state import Active, Estimate, Fitted, Values
+from hydrabeam_mpi.fit.state import Estimate, Fitted, Values
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.loop.attribution.evidence import Evidence, evidence_of, find_evidence
 from hydrabeam_mpi.mpi import allreduce_sum, bcast_object, gather_objects, together
@@ -68,7 +68,7 @@ def attribute(context: FitContext, fitted: Fitted, effects: Sequence[Effect]) ->
     }
     likelihoods: list[tuple[int, list[Likelihood]]] = []
     for channel, number in enumerate(context.channels):
-        sums = _candidate_sums(context, values, cached, channel, candidates)
+        sums = candidate_sums(context, values, cached, channel, candidates)
         if context.grid.is_group_root:
             posterior = fitted.fit.posteriors[channel]
             likelihoods.append(
@@ -81,7 +81,7 @@ def attribute(context: FitContext, fitted: Fitted, effects: Sequence[Effect]) ->
             by_channel = dict(pair for part in gathered for pair in part)
             ordered = [by_channel[number] for number in sorted(by_channel)]
             findings = [
-                Finding(effect, _weigh(context, values, effect, [found[i] for found in ordered]))
+                Finding(effect, weigh(context, values, effect, [found[i] for found in ordered]))
                 for i, effect in enumerate(picked)
             ]
             findings.sort(key=lambda finding: -finding.evidence.log_bayes_factor)
@@ -100,7 +100,7 @@ def _has_more(context: FitContext, values: Values, effect: Effect) -> bool:
     return len(_taken(values, effect)) < len(effect.parameters(context.setup))
 
 
-def _weigh(
+def weigh(
     context: FitContext,
     values: Values,
     effect: Effect,
@@ -111,7 +111,7 @@ def _weigh(
     parameters = effect.parameters(context.setup)
     scale = parameters.scale.copy()
     scale[_taken(values, effect)] = 0.0
-    blocks = _without_active(values, effect, by_channel) if values.active else by_channel
+    blocks = without_active(values, effect, by_channel) if values.active else by_channel
     if effect.shared:
         blocks = [sum(blocks[1:], start=blocks[0])] if len(blocks) > 1 else blocks
     parameters, degenerate = replace(parameters, scale=scale), effect.degenerate_directions(context.setup)
@@ -132,7 +132,7 @@ def _absorbed(evidence: Evidence, by_channel: list[Likelihood]) -> float:
     return float(np.clip(1 - seen / present, 0.0, 1.0)) if present > 0 else 0.0
 
 
-def _without_active(values: Values, effect: Effect, by_channel: list[Likelihood]) -> list[Likelihood]:
+def without_active(values: Values, effect: Effect, by_channel: list[Likelihood]) -> list[Likelihood]:
     """Marginalise the active effects, whose likelihood comes first, with their priors.
 
     Those with parameters for each channel are marginalised in each. So are those that channels share, for an effect
@@ -154,51 +154,7 @@ def _without_active(values: Values, effect: Effect, by_channel: list[Likelihood]
     return [block.marginalised(np.arange(n_shared), common / n_freqs) for block in blocks]
 
 
-def reconsider(
-    context: FitContext,
-    fitted: Fitted,
-    number: int = -1,
-    beside: Finding | None = None,
-    prior_var: FloatArray | None = None,
-) -> Evidence:
-    """Weigh one of the active effects again, by default the last, linearised where it has been fitted.
-
-    Collective: all ranks of the grid. What the linear model expects of it is replaced by what the fit has gained, which
-    is `log_joint` beyond that of a fit without it; see `Evidence.linear_gain`. What is weighed ``beside`` it, and is
-    not part of the model, is marginalised as well, with the prior that was found for it. With ``prior_var``,
-    (n_params,), the effect's own prior is this one instead of the best.
-    """
-    others = list(fitted.values.active)
-    last = others.pop(number)
-    # Places and the like stay where they have been fitted: without its flux a source is gone wherever it is.
-    nonlinear = last.effect.parameters(context.setup).nonlinear
-    if beside is not None:
-        evidence = beside.evidence
-        others.append(Active.start(beside.effect, context.setup, evidence.prior_var, np.zeros_like(evidence.x)))
-    with together(context.grid.world):
-        cached = CachedRowBlocks.of(context, fitted.estimate)
-    rest = replace(fitted.values, active=tuple(others))
-    found = []
-    for channel, number in enumerate(context.channels):
-        candidate = {"candidate": CandidateBlock(last.effect, last.x[number])}
-        sums = _candidate_sums(context, rest, cached, channel, candidate)
-        if context.grid.is_group_root:
-            one = sums.likelihood([*rest.blocks, *candidate], BEAM, fitted.fit.posteriors[channel])
-            n = len(rest.shared)
-            score = one.score + one.information[:, n:] @ np.where(nonlinear, 0.0, last.x[number])
-            found.append((number, replace(one, score=score)))
-    gathered = gather_objects(context.grid.world, found)
-    weighed = None
-    with together(context.grid.world):
-        if gathered is not None:
-            by_channel = dict(pair for part in gathered for pair in part)
-            ordered = [by_channel[number] for number in sorted(by_channel)]
-            weighed = _weigh(context, rest, last.effect, ordered, prior_var)
-    result: Evidence = bcast_object(context.grid.world, weighed)
-    return result
-
-
-def _candidate_sums(
+def candidate_sums(
     context: FitContext, values: Values, cached: CachedRowBlocks, channel: int, candidates: dict[str, CandidateBlock]
 ) -> NormalEquations:
     """Sum one channel's columns of the model's effects and of candidates over the group."""

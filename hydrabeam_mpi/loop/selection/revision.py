@@ -10,9 +10,9 @@ from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.fit.gauss_newton import FitContext
 from hydrabeam_mpi.fit.state import Active, Fitted
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
-from hydrabeam_mpi.loop.attribution.score_effects import reconsider
+from hydrabeam_mpi.loop.attribution.reconsider import compare_priors
 from hydrabeam_mpi.loop.selection.acceptance import Checked, Round
-from hydrabeam_mpi.loop.selection.trials import check, fit_patiently, is_same_prior, restarted
+from hydrabeam_mpi.loop.selection.trials import check, fit_patiently, is_same_prior, restarted, rise
 from hydrabeam_mpi.terminal.progress import say
 
 
@@ -69,7 +69,7 @@ def revise(context: FitContext, last: Round, n_given: int) -> tuple[Round, dict[
     kept = [place for place in same if place not in by_place or by_place[place].new is not None]
     values = replace(fitted.values, active=tuple(_revised(context, active[i], by_place.get(i)) for i in kept))
     again = fit_patiently(context, values, fitted)
-    gain = sum(one.gain for one in revisions) + _log_joint(context, again) - _log_joint(context, fitted)
+    gain = sum(one.gain for one in revisions) + rise(context, fitted, again)
     if not (gain >= 0 and again.diagnostics.converged):
         return last, same
     told = [_told(context, active[one.place], one) for one in revisions]
@@ -87,12 +87,11 @@ def _weigh_again(context: FitContext, fitted: Fitted, place: int) -> Revision | 
     now: FloatArray = np.zeros(one.x.shape[1])
     now[one.used] = one.prior.of(0).std() ** 2
     now[one.effect.parameters(context.setup).nonlinear] = 0.0
-    best = reconsider(context, fitted, place)
+    best, present = compare_priors(context, fitted, place, now)
     # The newest one has just been found to raise it.
     without = best.log_bayes_factor < 0 and one is not fitted.values.active[-1]
     if is_same_prior(best.prior_var, now) and not without:
         return None
-    present = reconsider(context, fitted, place, prior_var=now)
     if without:
         return Revision(place, None, present.linear_gain - present.log_bayes_factor)
     gain = best.log_bayes_factor - best.linear_gain - (present.log_bayes_factor - present.linear_gain)
@@ -115,12 +114,3 @@ def _told(context: FitContext, active: Active, revision: Revision) -> str:
     gone = [names[i] for i in active.used if i not in set(used.tolist())]
     width = "its prior is re-estimated" if not gone else f"{len(used)} of {len(active.used)} parameters stay"
     return f"{active.effect.title}: {width}"
-
-
-def _log_joint(context: FitContext, fitted: Fitted) -> float:
-    """Return ln(likelihood x prior) over all channels, of what is searched for. Collective: all ranks of the grid."""
-    total = context.over_channels(fitted.diagnostics.log_joint)
-    for one in fitted.values.active:
-        nonlinear = one.effect.parameters(context.setup).nonlinear[one.used]
-        total += one.prior.log_density(np.where(nonlinear, 0.0, one.x[:, one.used]))
-    return total

@@ -10,10 +10,11 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.reweighting import ReweightingFit
-from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
+from hydrabeam_mpi.fit.gauss_newton import FitContext, refit, total_log_joint
 from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.state import Active, Fitted, Reweighted, Values
-from hydrabeam_mpi.loop.attribution.score_effects import Finding, reconsider
+from hydrabeam_mpi.loop.attribution.reconsider import reconsider
+from hydrabeam_mpi.loop.attribution.score_effects import Finding
 from hydrabeam_mpi.loop.attribution.score_noise import refit_reweighting
 from hydrabeam_mpi.loop.residuals.remains import remains_of
 from hydrabeam_mpi.loop.rules import RULES
@@ -58,10 +59,7 @@ def try_effects(
             continue
         fitted, after = _fit(context, checked, candidate)
         reason = refusal_of(checked, after, fitted, settings)
-        for rival in rivals_of(fitted, ranking, settings) if reason is None else []:
-            assert rival.finding is not None
-            left = reconsider(context, after.fitted, beside=rival.finding).log_bayes_factor
-            reason = reason or refusal_beside(rival, left, settings)
+        reason = reason or _refusal_by_rivals(context, after.fitted, rivals_of(fitted, ranking, settings))
         say(f"    refused: {reason}", context.grid.is_world_root and reason is not None)
         if reason is not None:
             tried.append((fitted, reason))
@@ -69,6 +67,17 @@ def try_effects(
             best = _round(context, checked, after, fitted, ranking)
             enough = after.remains.consistent
     return best
+
+
+def _refusal_by_rivals(context: FitContext, fitted: Fitted, rivals: Sequence[Candidate]) -> str | None:
+    """Say beside which rival the last effect has too little evidence; None where there is none."""
+    for rival in rivals:
+        assert rival.finding is not None
+        left = reconsider(context, fitted, beside=rival.finding).log_bayes_factor
+        reason = refusal_beside(rival, left, context.problem.job.loop)
+        if reason is not None:
+            return reason
+    return None
 
 
 def try_control(
@@ -125,7 +134,7 @@ def _fit_effect(context: FitContext, before: Fitted, candidate: Candidate) -> tu
         start = restarted(context, fitted.values.active[-1], prior_var)
         fitted = fit_patiently(context, before.values.extended(start), before)
         again = reconsider(context, fitted)
-    gained = _gain(context, before, fitted)
+    gained = rise(context, before, fitted)
     log_bayes_factor = again.log_bayes_factor - again.linear_gain + gained
     finding = Finding(effect, replace(again, log_bayes_factor=log_bayes_factor))
     return replace(candidate, finding=finding, log_bayes_factor=log_bayes_factor), fitted
@@ -145,13 +154,16 @@ def fit_patiently(context: FitContext, values: Values, before: Fitted) -> Fitted
     if fitted.diagnostics.converged:
         return fitted
     again = refit(context, values, before, RULES.first_step)
-    ahead = _log_joint(context, again) - _log_joint(context, fitted)
-    return again if again.diagnostics.converged or ahead > 0 else fitted
+    return again if again.diagnostics.converged or rise(context, fitted, again, of_nonlinear=True) > 0 else fitted
 
 
-def _log_joint(context: FitContext, fitted: Fitted) -> float:
-    """Return ln(likelihood x prior) of beams and effects, over all channels. Collective: all ranks of the grid."""
-    return context.over_channels(fitted.diagnostics.log_joint) + fitted.values.log_prior
+def rise(context: FitContext, before: Fitted, after: Fitted, of_nonlinear: bool = False) -> float:
+    """Return by how much ln(likelihood x prior) is higher; see `total_log_joint`. Collective: all ranks of the grid."""
+    one, two = (
+        total_log_joint(context, fitted.values, fitted.diagnostics.log_joint, of_nonlinear)
+        for fitted in (before, after)
+    )
+    return two - one
 
 
 def _fit_weights(context: FitContext, before: Fitted, candidate: Candidate) -> tuple[Candidate, Fitted]:
@@ -177,14 +189,6 @@ def restarted(context: FitContext, active: Active, prior_var: FloatArray) -> Act
     nonlinear = active.effect.parameters(context.setup).nonlinear
     start = np.where((prior_var > 0) | nonlinear, active.x, 0.0)
     return Active.start(active.effect, context.setup, prior_var, start)
-
-
-def _gain(context: FitContext, before: Fitted, after: Fitted) -> float:
-    """Return by how much the last active effect raised ln(likelihood x prior), over all channels."""
-    last = after.values.active[-1]
-    nonlinear = last.effect.parameters(context.setup).nonlinear[last.used]
-    log_prior = last.prior.log_density(np.where(nonlinear, 0.0, last.x[:, last.used]))
-    return context.over_channels(after.diagnostics.log_joint - before.diagnostics.log_joint) + log_prior
 
 
 def _beam_change(context: FitContext, before: Fitted, after: Fitted) -> float:
