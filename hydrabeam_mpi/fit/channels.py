@@ -63,6 +63,9 @@ def infer_channels(grid: ProcessGrid, problem: Problem, clock: Clock) -> list[Ch
         normals = _sum_normals(grid, problem, train)
     with clock.time("solve"):
         posteriors = solve_channels(grid, problem, normals)
+        with together(grid.world):
+            for posterior in posteriors if grid.is_group_root else ():
+                _ = posterior.covariance  # cached: part of the inference, though only written later
     with clock.time("heldout"):
         heldout = _sum_heldout(grid, problem, test, posteriors)
     chi2 = map(reduced_chi2, normals, posteriors)
@@ -112,9 +115,6 @@ def solve_channels(grid: ProcessGrid, problem: Problem, normals: list[NormalEqua
         factor = bcast_array(grid.group, root.factor if root else None)
         if not root:
             solved.append(Posterior(mean, factor))
-    with together(grid.world):
-        for posterior in solved if grid.is_group_root else ():
-            _ = posterior.covariance  # cached: part of the inference, though only written later
     return solved
 
 

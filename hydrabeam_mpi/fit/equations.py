@@ -21,7 +21,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 from scipy.linalg.blas import dsyrk, zherk
 from scipy.sparse import issparse
 
@@ -31,7 +30,6 @@ from hydrabeam_mpi.fit.columns import Columns
 from hydrabeam_mpi.inference.gaussian import Block, Gaussian, spans_of
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.inference.matrices import complete_hermitian
-from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.prior import Prior
 from hydrabeam_mpi.mpi import Comm, allreduce_sum
 
@@ -180,32 +178,6 @@ class NormalEquations:
         """Return what the data say of some blocks with real unknowns, with all others known."""
         signal = 2 * self.gather(names, names)
         return Likelihood(signal, 2 * np.concatenate([np.zeros(0), *(self.projection[name] for name in names)]), signal)
-
-    def likelihood(self, names: Sequence[str], without: str, posterior: Posterior) -> Likelihood:
-        """Return what the data say of some blocks with real unknowns, with another block marginalised.
-
-        Parameters
-        ----------
-        names : sequence of str
-            Their data are residuals at the ``posterior``'s mean.
-        without : str
-            Block to marginalise (the Schur complement).
-        posterior : Posterior
-            Its posterior given the others, of which the factor counts.
-        """
-        known = self.likelihood_alone(names)
-        half = solve_triangular(posterior.factor, self.gather([without], names), lower=True, check_finite=False)
-        taken = 2 * (half.conj().T @ half).real if posterior.is_complex else 4 * (half.T @ half)
-        return Likelihood(known.signal - taken, known.score, known.signal)
-
-    def response(self, of: str, names: Sequence[str], posterior: Posterior) -> Array:
-        """Return by how much the best values of a block move with each unknown of others, (n, q).
-
-        ``posterior`` is that of the block ``of``, given the others.
-        """
-        kappa = 1.0 if posterior.is_complex else 2.0
-        half = solve_triangular(posterior.factor, self.gather([of], names), lower=True, check_finite=False)
-        return np.asarray(-kappa * solve_triangular(posterior.factor, half, lower=True, trans="C", check_finite=False))
 
     def gaussian(self, priors: Mapping[str, Prior]) -> Gaussian:
         """Return likelihood times prior of some blocks, those that ``priors`` names, with all others at zero.

@@ -14,6 +14,7 @@ from hydrabeam_mpi.fit.blocks import BeamBlock, ModelBlock, add_block, sums_of
 from hydrabeam_mpi.fit.channels import reduced_chi2, solve_channels
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.joint_step import solve_jointly
+from hydrabeam_mpi.fit.marginal import Marginal
 from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Diagnostics, Estimate, Fit, Fitted, Values
@@ -76,7 +77,17 @@ class FitContext:
         return float(sum(self.grid.world.allgather(mine)))
 
 
-def refit(context: FitContext, values: Values, before: Fitted | None = None, first_step: float = 1.0) -> Fitted:
+class BrokenOff(Exception):
+    """A fit is not worth going on with."""
+
+
+def refit(
+    context: FitContext,
+    values: Values,
+    before: Fitted | None = None,
+    first_step: float = 1.0,
+    wanted: float = -np.inf,
+) -> Fitted:
     """Fit beams and effects jointly, beginning with the effects' ``values``.
 
     Collective: all ranks of the grid. Given the effects the beams are solved for exactly; given the beams, the effects
@@ -93,43 +104,56 @@ def refit(context: FitContext, values: Values, before: Fitted | None = None, fir
         A fit of the first of these effects, whose beams are where this one begins.
     first_step : float
         Which part of the first step is taken; later ones are twice as long while they succeed, up to whole ones.
+    wanted : float
+        What ln(likelihood x prior) of beams and effects is to come to.
+
+    Raises
+    ------
+    BrokenOff
+        On all ranks, if the model as it is linearised where the first step has led does not expect to come to that.
     """
     start = _start(values, before)
     if not values.active and not values.reweighted:
         solved = solve_beams(context, start)
-        return Fitted(values, Fit(solved.beams), solved.diagnostics)
-    end, step, converged = _search(context, start, first_step)
+        return Fitted(values, Fit(solved.beams), diagnostics_of(context, solved))
+    end, step, converged = _search(context, start, first_step, wanted)
     # Not converged: the beams that E is seen by stay, as E may be another one with those solved for.
     solved = solve_beams(context, end, keep=not converged and end.values.adds)
-    diagnostics = replace(solved.diagnostics, converged=converged)
+    diagnostics = replace(diagnostics_of(context, solved), converged=converged)
     return Fitted(end.values, replace(step.fit, posteriors=solved.beams), diagnostics)
 
 
 @dataclass(frozen=True)
-class _Solved:
-    """The beams given the effects.
+class Solved:
+    """The beams given the effects, and the sums over rows that tell them.
 
     ``reached`` is ln(likelihood x prior) of the effects with the beams that E is seen by, or with ``beams`` if there is
     no E.
     """
 
     beams: tuple[Posterior, ...]
+    normals: list[NormalEquations]
     rows: Rows
     added: ComplexArray
-    diagnostics: Diagnostics
     reached: float
+
+    @property
+    def train_chi2(self) -> FloatArray:
+        """Reduced chi^2 of the fitted rows, (Nlocal,)."""
+        return np.array(list(map(reduced_chi2, self.normals, self.beams)))
 
 
 @dataclass(frozen=True)
 class _Step:
     """A Gauss-Newton step: where it leads, what it tells of the effects, and how many standard deviations it is long.
 
-    Its ``fit`` is without posteriors.
+    Its ``fit`` is without posteriors. By ``gain`` the linear model expects ln(likelihood x prior) to rise.
     """
 
     to: Estimate
     fit: Fit
     moved: float
+    gain: float
 
 
 def _start(values: Values, before: Fitted | None) -> Estimate:
@@ -145,10 +169,10 @@ def _start(values: Values, before: Fitted | None) -> Estimate:
     return Estimate(replace(values, active=tuple(active)), before.fit.posteriors if before else ())
 
 
-def _search(context: FitContext, at: Estimate, length: float) -> tuple[Estimate, _Step, bool]:
+def _search(context: FitContext, at: Estimate, length: float, wanted: float) -> tuple[Estimate, _Step, bool]:
     """Take steps until nothing moves; return where they end, the last of them, and whether they have converged.
 
-    ``length`` is that of the first one, of which it is a part.
+    ``length`` is that of the first one, of which it is a part; ``wanted`` what ln(likelihood x prior) must come to.
     """
     best: tuple[float, Estimate, _Step] | None = None
     flat = halved = 0
@@ -159,7 +183,7 @@ def _search(context: FitContext, at: Estimate, length: float) -> tuple[Estimate,
             # There were no beams to see E by.
             at = replace(at, beams=solved.beams)
             continue
-        misfit = max(1.0, context.over_channels(solved.diagnostics.train_chi2) / context.setup.observation.Nfreqs)
+        misfit = max(1.0, context.over_channels(solved.train_chi2) / context.setup.observation.Nfreqs)
         rise = np.inf if best is None else solved.reached - best[0]
         if best is not None and rise < _least_rise(best[0], at.values, misfit):
             if halved == MAX_HALVED:
@@ -169,9 +193,12 @@ def _search(context: FitContext, at: Estimate, length: float) -> tuple[Estimate,
             continue
         flat, halved = flat + 1 if rise < FLAT_NATS * misfit else 0, 0
         step = take_step(context, replace(at, beams=solved.beams), solved)
+        # Where parameters are still zero others, such as places of sources, have no derivative.
+        if best is not None and solved.reached + step.gain < wanted:
+            raise BrokenOff
         best = (solved.reached, at if at.values.adds else replace(at, beams=solved.beams), step)
-        moved = max(step.moved, beam_moved(context, at.beams, solved.beams))
-        if moved < STEP_SIGMAS * np.sqrt(misfit) or flat == FLAT_STEPS:
+        still = beam_moved(context, at.beams, solved.beams) < STEP_SIGMAS * np.sqrt(misfit)
+        if (still and step.gain < FLAT_NATS * misfit) or flat == FLAT_STEPS:
             return step.to, step, True
         # What was too long once is begun with again at twice the length at which it was not.
         length = min(1.0, 2 * length)
@@ -208,7 +235,7 @@ def total_log_joint(context: FitContext, values: Values, of_beams: FloatArray, o
     return total
 
 
-def solve_beams(context: FitContext, at: Estimate, keep: bool = False) -> _Solved:
+def solve_beams(context: FitContext, at: Estimate, keep: bool = False) -> Solved:
     """Solve for the beams given the effects, E as seen by the beams ``at``; with ``keep`` these stay.
 
     Collective: all ranks of the grid.
@@ -223,16 +250,18 @@ def solve_beams(context: FitContext, at: Estimate, keep: bool = False) -> _Solve
     beams = tuple(solve_channels(grid, context.problem, normals))
     if keep:
         beams = tuple(replace(two, mean=one.mean) for one, two in zip(at.beams, beams, strict=True))
-    effective = list(map(_effective, normals, beams)) if grid.is_group_root else []
-    diagnostics = Diagnostics(
-        np.array(list(map(reduced_chi2, normals, beams))),
-        np.array(list(map(_log_joint, normals, beams, priors))),
-        np.array(effective),
-    )
     # E is that of the beams before, so that only those tell what beams and effects reach together.
     seen_by = at.beams if at.beams and at.values.adds else beams
     reached = total_log_joint(context, at.values, np.array(list(map(_log_joint, normals, seen_by, priors))))
-    return _Solved(beams, rows, added, diagnostics, reached)
+    return Solved(beams, normals, rows, added, reached)
+
+
+def diagnostics_of(context: FitContext, solved: Solved) -> Diagnostics:
+    """Tell how well the fitted rows are fitted. Serial."""
+    normals, beams = solved.normals, solved.beams
+    effective = list(map(_effective, normals, beams)) if context.grid.is_group_root else []
+    log_joint = np.array(list(map(_log_joint, normals, beams, context.problem.priors)))
+    return Diagnostics(solved.train_chi2, log_joint, np.array(effective))
 
 
 def _log_joint(normal: NormalEquations, posterior: Posterior, prior: Prior) -> float:
@@ -247,32 +276,33 @@ def _effective(normal: NormalEquations, posterior: Posterior) -> float:
     return 2 * float(np.sum(posterior.covariance * normal.own(BEAM).T).real)
 
 
-def take_step(context: FitContext, at: Estimate, solved: _Solved) -> _Step:
+def take_step(context: FitContext, at: Estimate, solved: Solved) -> _Step:
     """Move the effects, with the beams ``at`` following them. Collective: all ranks of the grid."""
     values = at.values
     if not values.active:
-        return _Step(at, Fit(), 0.0)
+        return _Step(at, Fit(), 0.0, 0.0)
     likelihoods, response = [], []
     names = list(values.blocks)
     for channel, posterior in enumerate(at.beams):
         sums = active_sums(context, context.train, at, channel, solved.rows, solved.added)
-        response.append(sums.response(BEAM, names, posterior))
+        marginal = Marginal(sums, BEAM, posterior)
+        response.append(marginal.response(names))
         if context.grid.is_group_root:
-            likelihoods.append((context.channels[channel], sums.likelihood(names, BEAM, posterior)))
+            likelihoods.append((context.channels[channel], marginal.likelihood(names)))
     gathered = gather_objects(context.grid.world, likelihoods)
     answer = None
     with together(context.grid.world):
         if gathered is not None:
             by_channel = dict(pair for part in gathered for pair in part)
             answer = solve_jointly(values, [by_channel[f] for f in sorted(by_channel)])
-    x, std, covariances, moved = bcast_object(context.grid.world, answer)
+    x, std, covariances, moved, gain = bcast_object(context.grid.world, answer)
     change = x - values.x
     # E of the next step is seen by the beams that belong to these parameters, not by those before.
     followed = zip(at.beams, response, context.channels, strict=True)
     beams = tuple(replace(one, mean=one.mean + by_effects @ change[f]) for one, by_effects, f in followed)
     of_channels = tuple(covariances[f] for f in context.channels)
     fit = Fit(covariances=of_channels, beam_response=tuple(response), std=values.by_effect(std))
-    return _Step(Estimate(values.at(x), beams), fit, float(moved))
+    return _Step(Estimate(values.at(x), beams), fit, float(moved), float(gain))
 
 
 def active_sums(

@@ -18,7 +18,7 @@ NOTHING = Gaussian((), np.zeros((0, 0)), np.zeros(0), None)
 
 def solve_jointly(
     values: Values, likelihoods: list[Likelihood]
-) -> tuple[FloatArray, FloatArray, list[FloatArray], float]:
+) -> tuple[FloatArray, FloatArray, list[FloatArray], float, float]:
     """Take the Newton step of all active parameters in use.
 
     Those that belong to one channel alone are marginalised in it; what is then known of those that channels share, or
@@ -37,6 +37,8 @@ def solve_jointly(
     covariances : list of ndarray, (q, q)
     moved : float
         Largest step in standard deviations.
+    gain : float
+        By which the steps, before they are limited, raise ln(likelihood x prior) of the linear model.
     """
     n_freqs = len(likelihoods)
     own, common = [NOTHING] * n_freqs, NOTHING
@@ -53,13 +55,15 @@ def solve_jointly(
         of_channels.append(Gaussian(blocks, likelihood.information, likelihood.score, None) * own[f])
         common *= of_channels[f].marginalise([one.name for one in own[f].blocks])
     x = values.x
-    new, std, covariances = x.copy(), np.zeros_like(x), []
+    new, std, covariances, gain = x.copy(), np.zeros_like(x), [], 0.0
+    share = np.where(values.shared, 1 / n_freqs, 1.0)
     for f, one_channel in enumerate(of_channels):
         step, covariance = one_channel.moments_given(common)
+        gain += 0.5 * float(step @ (likelihoods[f].score + share * values.prior_score(f)))
         covariances.append(covariance)
         std[f] = np.sqrt(np.diag(covariance))
         new[f] += _limited(values, step)
-    return new, std, covariances, float(np.max(np.abs(new - x) / std, initial=0.0))
+    return new, std, covariances, float(np.max(np.abs(new - x) / std, initial=0.0)), gain
 
 
 def _block(name: str, one: Active, channel: int) -> Block:

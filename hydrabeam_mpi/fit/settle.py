@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hydrabeam_mpi.fit.gauss_newton import FitContext, beam_moved, solve_beams, take_step
+from hydrabeam_mpi.fit.gauss_newton import FitContext, Solved, beam_moved, diagnostics_of, solve_beams, take_step
 from hydrabeam_mpi.fit.state import Active, Fitted
 
 SETTLED_SIGMAS = 1e-8
@@ -40,7 +40,8 @@ def settle(context: FitContext, fitted: Fitted) -> Fitted:
     """
     if not fitted.values.active:
         return fitted
-    at, best, before = fitted.estimate, fitted, np.inf
+    at, before = fitted.estimate, np.inf
+    best: tuple[Fitted, Solved] | None = None
     for _ in range(MAX_SETTLING):
         solved = solve_beams(context, at)
         step = take_step(context, replace(at, beams=solved.beams), solved)
@@ -48,8 +49,8 @@ def settle(context: FitContext, fitted: Fitted) -> Fitted:
         if moved > SETTLED_SIGMAS and not moved < SHRINKS * before:
             break
         if before < np.inf:
-            best = Fitted(at.values, replace(step.fit, posteriors=solved.beams), solved.diagnostics)
+            best = Fitted(at.values, replace(step.fit, posteriors=solved.beams)), solved
         if moved < SETTLED_SIGMAS:
             break
         before, at = moved, step.to
-    return best
+    return fitted if best is None else replace(best[0], diagnostics=diagnostics_of(context, best[1]))

@@ -217,8 +217,11 @@ class ChannelPrior:
 
     def score(self, x: FloatArray) -> FloatArray:
         """Return the gradient of ln of the density at ``x``, both (Nfreqs, n); of shared ones the same in each."""
-        pulls = [prior.precision_times(prior.mean - x[some].reshape(-1)) for some, prior in self.pieces(len(x))]
-        return np.broadcast_to(np.concatenate(pulls).reshape(-1, x.shape[1]), x.shape)
+        pulls = [
+            prior.precision_times(prior.mean - x[some].reshape(-1)).reshape(len(some), -1 if x.size else 0)
+            for some, prior in self.pieces(len(x))
+        ]
+        return np.broadcast_to(np.concatenate(pulls), x.shape)
 
 
 def precision_of(prior: Prior) -> FloatArray:

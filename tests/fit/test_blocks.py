@@ -24,6 +24,7 @@ from hydrabeam_mpi.fit.blocks import (
     sums_of,
 )
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
+from hydrabeam_mpi.fit.marginal import Marginal
 from hydrabeam_mpi.fit.row_buffer import RowBuffer
 from hydrabeam_mpi.fit.state import Active, Values
 from hydrabeam_mpi.inference.gaussian import Block
@@ -204,7 +205,7 @@ def test_only_some_parameters_count(case: Case) -> None:
 @pytest.mark.parametrize("name", CANDIDATES)
 def test_beam_is_marginalised(case: Case, name: str) -> None:
     """The inverse of the information on everything holds the covariance of the effects with the beam free."""
-    likelihood = add_up([case]).likelihood([*ACTIVE, name], BEAM, posterior_of(case))
+    likelihood = Marginal(add_up([case]), BEAM, posterior_of(case)).likelihood([*ACTIVE, name])
     columns = np.concatenate([case.dense(one) for one in (*ACTIVE, name)], axis=1)
     information, score = fisher(case, columns)
     n_beam = len(information) - columns.shape[1]
@@ -223,7 +224,7 @@ def test_beam_follows(case: Case) -> None:
     beam_response = -np.linalg.solve(information[:n_beam, :n_beam], information[:n_beam, n_beam:])
     if posterior.is_complex:
         beam_response = beam_response[:N_MODES] + 1j * beam_response[N_MODES:]
-    np.testing.assert_allclose(total.response(BEAM, ACTIVE, posterior), beam_response, atol=1e-10)
+    np.testing.assert_allclose(Marginal(total, BEAM, posterior).response(ACTIVE), beam_response, atol=1e-10)
 
 
 def test_score_at_the_best_beam_is_that_with_the_beam_free(case: Case) -> None:
@@ -280,9 +281,9 @@ def test_no_effects_are_no_trouble(case: Case) -> None:
     rows = row_set(case.block)
     columns = Columns(np.zeros((*case.block.shape, 0), dtype=complex), 0)
     total.add_rows({"none": effect_columns(rows, columns)}, {BEAM: beam_columns(rows, case.design)})
-    likelihood = total.likelihood([], BEAM, posterior_of(case))
+    likelihood = Marginal(total, BEAM, posterior_of(case)).likelihood([])
     assert likelihood.information.shape == (0, 0)
-    assert total.response(BEAM, [], posterior_of(case)).shape == (N_MODES, 0)
+    assert Marginal(total, BEAM, posterior_of(case)).response([]).shape == (N_MODES, 0)
 
 
 @pytest.mark.parametrize("kind", EFFECTS)

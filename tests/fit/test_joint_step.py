@@ -167,6 +167,13 @@ def dense(values: Values, found: list[Likelihood]) -> tuple[FloatArray, list[Flo
     return np.array([one @ best for one in maps]), [one @ covariance @ one.T for one in maps]
 
 
+def log_joint(values: Values, found: list[Likelihood], start: FloatArray, x: FloatArray) -> float:
+    """Return ln(likelihood x prior) at ``x`` of the model that is linearised at ``start``, (Nfreqs, q) each."""
+    steps = zip(found, x - start, strict=True)
+    likelihood = sum(float(one.score @ step - 0.5 * step @ one.information @ step) for one, step in steps)
+    return likelihood + sum(one.prior.log_density(one.x[:, one.used]) for one in placed(values, x).active)
+
+
 @pytest.mark.parametrize(("n_freqs", "effects"), CASES.values(), ids=CASES)
 def test_the_step_is_that_of_one_system_of_all_channels(n_freqs: int, effects: list[Active]) -> None:
     values = Values(tuple(effects))
@@ -175,7 +182,7 @@ def test_the_step_is_that_of_one_system_of_all_channels(n_freqs: int, effects: l
     x[:, shared] = x[0, shared]
     values = placed(values, x)
     found = likelihoods(n_freqs, width)
-    new, std, covariances, moved = solve_jointly(values, found)
+    new, std, covariances, moved, gain = solve_jointly(values, found)
     expected, dense_covariances = dense(values, found)
     # What is held gives way by as much as information is to the precision that holds it.
     largest = max(float(np.linalg.norm(width[:, np.newaxis] * one.information * width)) for one in found)
@@ -185,6 +192,8 @@ def test_the_step_is_that_of_one_system_of_all_channels(n_freqs: int, effects: l
         np.testing.assert_allclose(one / np.outer(width, width), other / np.outer(width, width), rtol=0, atol=yields)
     np.testing.assert_allclose(std, np.sqrt([np.diag(one) for one in covariances]), rtol=1e-12)
     assert moved == pytest.approx(np.max(np.abs(new - x) / std), rel=1e-12)
+    if not len(held_combinations(values)):
+        assert gain == pytest.approx(log_joint(values, found, x, new) - log_joint(values, found, x, x), rel=1e-9)
     assert np.ptp(new[:, shared], axis=0).max(initial=0) == 0
     held = held_combinations(values) * width
     across = (new / width) @ held.T / np.linalg.norm(held, axis=1)
@@ -200,9 +209,10 @@ def test_at_the_maximum_nothing_moves() -> None:
         Likelihood(one.information, one.score - one.information @ x, one.signal)
         for one, x in zip(found, best, strict=True)
     ]
-    again, _, _, moved = solve_jointly(placed(values, best), there)
+    again, _, _, moved, gain = solve_jointly(placed(values, best), there)
     np.testing.assert_allclose(again, best, rtol=1e-9)
     assert moved < 1e-9
+    assert abs(gain) < 1e-9
 
 
 @pytest.mark.parametrize("limit", [1e-3, 0.5, np.inf])
@@ -213,8 +223,8 @@ def test_steps_of_few_parameters_are_limited(limit: float) -> None:
     both = (Values((free, one)) for one in (held_back, active(AntennaPositions(), 3)))
     values, unlimited = (placed(one, x) for one in both)
     found = likelihoods(2, units(values))
-    new, std, _, moved = solve_jointly(values, found)
-    full, full_std, _, _ = solve_jointly(unlimited, found)
+    new, std, _, moved, _ = solve_jointly(values, found)
+    full, full_std, *_ = solve_jointly(unlimited, found)
     np.testing.assert_array_equal(new[:, :3], full[:, :3])
     np.testing.assert_array_equal(new[:, 3:], np.clip(full[:, 3:], -limit, limit))
     np.testing.assert_array_equal(std, full_std)
@@ -224,7 +234,7 @@ def test_steps_of_few_parameters_are_limited(limit: float) -> None:
 def test_nothing_in_use_moves_nothing() -> None:
     empty = Likelihood(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)))
     values = placed(Values((active(AntennaGains(), 0, unused=3),)), np.zeros((2, 0)))
-    new, std, covariances, moved = solve_jointly(values, [empty, empty])
+    new, std, covariances, moved, _ = solve_jointly(values, [empty, empty])
     assert new.shape == std.shape == (2, 0)
     assert [one.shape for one in covariances] == [(0, 0)] * 2
     assert moved == 0

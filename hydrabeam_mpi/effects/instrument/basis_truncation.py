@@ -86,8 +86,11 @@ class BasisTruncation(Effect):
         return modes
 
     def _next(self, setup: ObservingSetup) -> NextModes | None:
-        basis = setup.basis
-        return basis.next_modes(_amplitudes(setup), self.n_before, min(MOST_MODES, basis.n_modes))
+        key, basis = (self.kind, self.n_before), setup.basis
+        if key not in setup.kept:
+            setup.kept[key] = basis.next_modes(_amplitudes(setup), self.n_before, min(MOST_MODES, basis.n_modes))
+        modes: NextModes | None = setup.kept[key]
+        return modes
 
 
 def _amplitudes(setup: ObservingSetup) -> FloatArray:

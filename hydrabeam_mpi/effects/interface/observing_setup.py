@@ -53,6 +53,11 @@ class ObservingSetup:
     times: IntArray
     positions: Callable[[Sky, Observation], SourcePositions] = ApparentPositions
 
+    @cached_property
+    def kept(self) -> dict[tuple[str, int], Any]:
+        """What effects make of it alone and need again, by their kind and a number of theirs."""
+        return {}
+
     @property
     def reference_freq(self) -> float:
         """Hz: the mean of all channels, to which laws in frequency refer."""

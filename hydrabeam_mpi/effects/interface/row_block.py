@@ -76,7 +76,7 @@ class RowBlock:
     integrals: dict[str, ComplexArray] = field(default_factory=dict)
     places: dict[int, tuple[IntArray, FloatArray, FloatArray]] | None = None
     sky_effects: Sequence[tuple[Any, FloatArray]] = ()
-    memo: dict[tuple[int, str], tuple[bytes, dict[int, ComplexArray]]] | None = None
+    memo: dict[tuple[int, str], tuple[dict[int, ComplexArray], dict[int, tuple[bytes, ComplexArray]]]] | None = None
     _sources: dict[int, Sources] = field(default_factory=dict, init=False)
 
     @property
@@ -170,9 +170,9 @@ class RowBlock:
     def fixed_integral(
         self, name: str, columns: Callable[[Sources], FloatArray], vectors: FloatArray | None = None
     ) -> ComplexArray:
-        """Integrate columns that do not depend on the beam: once for each sky, where there is room to keep it.
+        """Integrate columns that do not depend on the beam: once, where there is room to keep it.
 
-        The result is (Ntimes, N, K).
+        Where effects change the sky, what they change is integrated besides. The result is (Ntimes, N, K).
 
         Parameters
         ----------
@@ -184,15 +184,29 @@ class RowBlock:
         if self.memo is None or not len(self.times):
             return self.integrate(columns, vectors)
         sky = b"".join(x.tobytes() for effect, x in self.sky_effects)
-        kept_for, kept = self.memo.get((self.channel, name), (b"", {}))
-        if kept_for != sky:
-            kept = {}
-        self.memo[self.channel, name] = sky, kept
-        new = np.array([time for time in self.times.tolist() if time not in kept], dtype=int)
+        as_it_is, changed = self.memo.setdefault((self.channel, name), ({}, {}))
+        new = np.array([time for time in self.times.tolist() if time not in as_it_is], dtype=int)
         if len(new):
-            integrals = replace(self, times=new).integrate(columns, vectors)
-            kept.update(zip(new.tolist(), integrals, strict=True))
-        return np.array([kept[time] for time in self.times.tolist()])
+            integrals = replace(self, times=new, sky_effects=()).integrate(columns, vectors)
+            as_it_is.update(zip(new.tolist(), integrals, strict=True))
+        if not sky:
+            return np.array([as_it_is[time] for time in self.times.tolist()])
+        for time in self.times.tolist():
+            if changed.get(time, (b"",))[0] != sky:
+                changed[time] = sky, as_it_is[time] + self._change_of_sky(time, columns, vectors)
+        return np.array([changed[time][1] for time in self.times.tolist()])
+
+    def _change_of_sky(
+        self, itime: int, columns: Callable[[Sources], FloatArray], vectors: FloatArray | None
+    ) -> ComplexArray:
+        """Integrate what effects change of the fluxes, (N, K), over the sources whose fluxes they change."""
+        sources = self.sources(itime)
+        change = sources.flux_without() - sources.flux
+        which = np.flatnonzero(change)
+        some = Sources(sources.index[which], sources.za[which], sources.az[which], change[which], sources.beam_function)
+        one_time = replace(self, times=np.array([itime]))
+        one_time._sources[itime] = some
+        return one_time.integrate(columns, vectors)[0]
 
     def further_integral(self, basis: LinearBasis) -> ComplexArray:
         """Return what the functions of a real basis see of the sources that effects add to the sky.

@@ -55,7 +55,10 @@ class Sources:
 
     @cached_property
     def beam(self) -> FloatArray:
-        """Real part of the power beam, (Nsrc,)."""
+        """Real part of the power beam, (Nsrc,); from the beam's table, where it has one."""
+        table = table_of(self.beam_function)
+        if table is not None:
+            return table(np.minimum(self.za, np.pi / 2), self.az)
         return np.asarray(self.beam_function(self.za, self.az)).real
 
     @cached_property

@@ -37,14 +37,14 @@ def beam_visibilities(block: RowBlock, vectors: FloatArray) -> ComplexArray:
         beam, times, values = kept[key]
         if beam is block.beam and times is block.times:
             return values
-    lasts = block.memo is not None and not block.sky_effects
-    if lasts and isinstance(block.beam, CoefficientBeam) and len(vectors) <= FEW:
+    if block.memo is not None and isinstance(block.beam, CoefficientBeam) and len(vectors) <= FEW:
         basis = block.beam.basis
         # Named by the basis, too, which grows where the model gets more modes.
         modes = block.fixed_integral(f"{basis.describe()} on {key!r}", lambda at: basis.columns(at.za, at.az), vectors)
         integrals = modes @ basis.column_coeffs(block.beam.coeffs).real
     else:
-        integrals = block.integrate(lambda sources: sources.beam[np.newaxis], vectors)
+        beam = block.beam
+        integrals = block.integrate(lambda at: np.asarray(beam(at.za, at.az)).real[np.newaxis], vectors)
     # Without times `integrals` has lost its axes.
     values = integrals.reshape(len(block.times), len(vectors)).astype(complex)
     kept[key] = block.beam, block.times, values

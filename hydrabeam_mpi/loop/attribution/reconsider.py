@@ -10,6 +10,7 @@ from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.fit.blocks import CandidateBlock
 from hydrabeam_mpi.fit.equations import BEAM
 from hydrabeam_mpi.fit.gauss_newton import FitContext
+from hydrabeam_mpi.fit.marginal import Marginal
 from hydrabeam_mpi.fit.state import Active, Fitted, Values
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
@@ -68,7 +69,7 @@ def _likelihoods_of(context: FitContext, fitted: Fitted, rest: Values, last: Act
         candidate = {"candidate": CandidateBlock(last.effect, last.x[number])}
         sums = candidate_sums(context, rest, cached, channel, candidate)
         if context.grid.is_group_root:
-            one = sums.likelihood([*rest.blocks, *candidate], BEAM, fitted.fit.posteriors[channel])
+            one = Marginal(sums, BEAM, fitted.fit.posteriors[channel]).likelihood([*rest.blocks, *candidate])
             n = len(rest.shared)
             score = one.score + one.information[:, n:] @ np.where(nonlinear, 0.0, last.x[number])
             found.append((number, replace(one, score=score)))

@@ -15,6 +15,7 @@ from hydrabeam_mpi.fit.blocks import CandidateBlock, add_block, sums_of
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.gauss_newton import FitContext
 from hydrabeam_mpi.fit.kept import Kept
+from hydrabeam_mpi.fit.marginal import Marginal
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Estimate, Fitted, Values
 from hydrabeam_mpi.inference.likelihood import Likelihood
@@ -70,10 +71,8 @@ def attribute(context: FitContext, fitted: Fitted, effects: Sequence[Effect]) ->
     for channel, number in enumerate(context.channels):
         sums = candidate_sums(context, values, cached, channel, candidates)
         if context.grid.is_group_root:
-            posterior = fitted.fit.posteriors[channel]
-            likelihoods.append(
-                (number, [sums.likelihood([*values.blocks, one], BEAM, posterior) for one in candidates])
-            )
+            marginal = Marginal(sums, BEAM, fitted.fit.posteriors[channel])
+            likelihoods.append((number, [marginal.likelihood([*values.blocks, one]) for one in candidates]))
     gathered = gather_objects(context.grid.world, likelihoods)
     findings = None
     with together(context.grid.world):

@@ -114,6 +114,14 @@ def may_be_better(candidate: Candidate, best: Round, enough: bool) -> bool:
     return simpler and candidate.log_bayes_factor > RULES.near_if_linear * best.candidate.log_bayes_factor
 
 
+def least_to_expect(best: Round) -> float:
+    """Return the ln evidence that the fit of another effect must promise to be gone on with, beside the best so far.
+
+    As it is linearised where it has been fitted so far, it is as good as linear.
+    """
+    return RULES.near_if_linear * best.candidate.log_bayes_factor
+
+
 def _complexity(candidate: Candidate) -> float:
     return candidate.finding.evidence.effective_parameters if candidate.finding else 0.0
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.reweighting import ReweightingFit
-from hydrabeam_mpi.fit.gauss_newton import FitContext, refit, total_log_joint
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff, FitContext, refit, total_log_joint
 from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.state import Active, Fitted, Reweighted, Values
 from hydrabeam_mpi.loop.attribution.reconsider import reconsider
@@ -25,6 +25,7 @@ from hydrabeam_mpi.loop.selection.acceptance import (
     improvement,
     in_order,
     is_better,
+    least_to_expect,
     may_be_better,
     refusal_beside,
     refusal_of,
@@ -57,7 +58,15 @@ def try_effects(
     for candidate in in_order(wanted, RULES.most_tries):
         if best is not None and not may_be_better(candidate, best, enough):
             continue
-        fitted, after = _fit(context, checked, candidate)
+        aim = -np.inf if best is None else _log_joint(context, checked.fitted) + least_to_expect(best)
+        try:
+            fitted, after = _fit(context, checked, candidate, aim)
+        except BrokenOff:
+            assert best is not None
+            why = f"its fit was broken off, as it does not come near what {best.candidate.title} explains"
+            say(f"    refused: {why}", context.grid.is_world_root)
+            tried.append((candidate, why))
+            continue
         reason = refusal_of(checked, after, fitted, settings)
         reason = reason or _refusal_by_rivals(context, after.fitted, rivals_of(fitted, ranking, settings))
         say(f"    refused: {reason}", context.grid.is_world_root and reason is not None)
@@ -108,31 +117,40 @@ def _round(
     return Round(fitted, tuple(ranking), before, after, sigma, change, place if fitted.finding else None)
 
 
-def _fit(context: FitContext, checked: Checked, candidate: Candidate) -> tuple[Candidate, Checked]:
-    """Fit a candidate and predict the held-out rows with it. Collective: all ranks of the grid."""
+def _fit(
+    context: FitContext, checked: Checked, candidate: Candidate, wanted: float = -np.inf
+) -> tuple[Candidate, Checked]:
+    """Fit a candidate and predict the held-out rows with it; ``wanted`` as for `refit`.
+
+    Collective: all ranks of the grid.
+    """
     say(f"  trying {candidate.title} (ln BF {candidate.log_bayes_factor:.4g})", context.grid.is_world_root)
     fit = _fit_weights if candidate.finding is None else _fit_effect
-    found, fitted = fit(context, checked.fitted, candidate)
+    found, fitted = fit(context, checked.fitted, candidate, wanted)
     after = check(context, fitted)
     told = f"held-out chi^2 {after.score.chi2:.4g}, rms {after.numbers.of_all['rms']:.4g} Jy"
     say(f"    {told} (ln BF {found.log_bayes_factor:.4g})", context.grid.is_world_root)
     return found, after
 
 
-def _fit_effect(context: FitContext, before: Fitted, candidate: Candidate) -> tuple[Candidate, Fitted]:
-    """Fit an effect and weigh it again where it has been fitted, as no effect is quite linear."""
+def _fit_effect(context: FitContext, before: Fitted, candidate: Candidate, wanted: float) -> tuple[Candidate, Fitted]:
+    """Fit an effect and weigh it again where it has been fitted, as no effect is quite linear.
+
+    One that is unphysical there is not fitted with other priors.
+    """
     assert candidate.finding is not None
     effect, evidence = candidate.finding.effect, candidate.finding.evidence
     start = Active.start(effect, context.setup, evidence.prior_var, evidence.x)
-    fitted = fit_patiently(context, before.values.extended(start), before)
+    fitted = fit_patiently(context, before.values.extended(start), before, wanted)
     again = reconsider(context, fitted)
     for _ in range(RULES.most_refits):
-        prior_var = again.prior_var
-        if is_same_prior(prior_var, evidence.prior_var):
+        prior_var, there = again.prior_var, fitted.values.active[-1]
+        unphysical = effect.unphysical(there.x, fitted.fit.std[-1]) is not None
+        if unphysical or is_same_prior(prior_var, evidence.prior_var):
             break
         evidence = replace(again, prior_var=prior_var)
-        start = restarted(context, fitted.values.active[-1], prior_var)
-        fitted = fit_patiently(context, before.values.extended(start), before)
+        start = restarted(context, there, prior_var)
+        fitted = fit_patiently(context, before.values.extended(start), fitted, wanted)
         again = reconsider(context, fitted)
     gained = rise(context, before, fitted)
     log_bayes_factor = again.log_bayes_factor - again.linear_gain + gained
@@ -145,29 +163,29 @@ def is_same_prior(one: FloatArray, two: FloatArray) -> bool:
     return np.array_equal(one > 0, two > 0) and np.allclose(one, two, rtol=1.0, atol=0.0)
 
 
-def fit_patiently(context: FitContext, values: Values, before: Fitted) -> Fitted:
+def fit_patiently(context: FitContext, values: Values, before: Fitted, wanted: float = -np.inf) -> Fitted:
     """Fit, and again with a shorter first step where that does not converge; return what is likelier then.
 
-    Collective: all ranks of the grid.
+    Arguments and what is raised are those of `refit`. Collective: all ranks of the grid.
     """
-    fitted = refit(context, values, before)
+    fitted = refit(context, values, before, wanted=wanted)
     if fitted.diagnostics.converged:
         return fitted
-    again = refit(context, values, before, RULES.first_step)
+    again = refit(context, values, before, RULES.first_step, wanted)
     return again if again.diagnostics.converged or rise(context, fitted, again, of_nonlinear=True) > 0 else fitted
 
 
 def rise(context: FitContext, before: Fitted, after: Fitted, of_nonlinear: bool = False) -> float:
     """Return by how much ln(likelihood x prior) is higher; see `total_log_joint`. Collective: all ranks of the grid."""
-    one, two = (
-        total_log_joint(context, fitted.values, fitted.diagnostics.log_joint, of_nonlinear)
-        for fitted in (before, after)
-    )
-    return two - one
+    return _log_joint(context, after, of_nonlinear) - _log_joint(context, before, of_nonlinear)
 
 
-def _fit_weights(context: FitContext, before: Fitted, candidate: Candidate) -> tuple[Candidate, Fitted]:
-    """Fit with changed weights, then fit the noise scales again to the residuals."""
+def _log_joint(context: FitContext, fitted: Fitted, of_nonlinear: bool = True) -> float:
+    return total_log_joint(context, fitted.values, fitted.diagnostics.log_joint, of_nonlinear)
+
+
+def _fit_weights(context: FitContext, before: Fitted, candidate: Candidate, wanted: float) -> tuple[Candidate, Fitted]:
+    """Fit with changed weights, then fit the noise scales again to the residuals; nothing is ``wanted`` of that."""
     assert candidate.weights is not None
     found = candidate.weights
 

@@ -234,7 +234,19 @@ class LinearBasis(Protocol):
         ----------
         coeffs : ndarray, (n_modes,)
         """
+        if self.table_nodes is None:
+            return None
+        per_unit, n_az = self.table_nodes
+        return PolarTable(self.at_nodes(coeffs, per_unit, n_az), per_unit)
+
+    @property
+    def table_nodes(self) -> tuple[int, int] | None:
+        """Radial nodes per unit and azimuths that a table needs (see `PolarTable`); None where there can be none."""
         return None
+
+    def at_nodes(self, coeffs: Array, per_unit: int, n_az: int) -> FloatArray:
+        """Return the real part of the beam, with coefficients (n_modes,), at a table's nodes, (Nradii, Naz)."""
+        raise ValueError(f"{self.title} bases have no table")
 
 
 # Points evaluated together: few enough to stay in cache, enough to hide the cost of a call.

@@ -28,7 +28,7 @@ from hydrabeam_mpi.model.bases.disc import EDGE, azimuthal_rows
 from hydrabeam_mpi.model.bases.expected import largest_expected
 from hydrabeam_mpi.model.bases.joined import Joined
 from hydrabeam_mpi.model.bases.plans import complex_columns, plan_mixing, plan_products
-from hydrabeam_mpi.model.bases.polar_table import PolarTable, n_nodes, radii
+from hydrabeam_mpi.model.bases.polar_table import n_nodes, radii
 from hydrabeam_mpi.model.bases.ring_fit import fit_rings
 from hydrabeam_mpi.model.bases.rings import RingGrid
 
@@ -263,16 +263,20 @@ class FourierBessel(LinearBasis):
         same = all(getattr(self, key) == getattr(other, key) for key in ("form", "edge", "boundary", "n_az"))
         return self.with_modes([*self.modes, *other.modes]) if same else None
 
-    def table(self, coeffs: Array) -> PolarTable:
-        """Tabulate the real part of a beam; see :meth:`LinearBasis.table`."""
+    @property
+    def table_nodes(self) -> tuple[int, int]:
+        """What the highest orders need; see :meth:`LinearBasis.table_nodes`."""
+        return n_nodes(np.sqrt(2 * self._inv_alpha_squared) * max(self._ks), self._m_max)
+
+    def at_nodes(self, coeffs: Array, per_unit: int, n_az: int) -> FloatArray:
+        """Evaluate a beam at a table's nodes, (Nradii, Naz); see :meth:`LinearBasis.at_nodes`."""
         stretch = np.sqrt(2 * self._inv_alpha_squared)
-        per_unit, n_az = n_nodes(stretch * max(self._ks), self._m_max)
         azimuthal = np.empty((2 * self._m_max + 2, n_az))
         az = np.linspace(0, 2 * np.pi, n_az, endpoint=False)
         azimuthal_rows(az, azimuthal, np.empty((self._m_max + 1, n_az)))
         azimuthal[0] *= 1.0 if self.is_complex else np.sqrt(0.5)
         radial = self._radial.scale * j0(stretch * radii(per_unit)[:, np.newaxis] * self._radial.u)
-        return PolarTable(radial @ self._by_orders(coeffs).real.T @ azimuthal, per_unit)
+        return np.asarray(radial @ self._by_orders(coeffs).real.T @ azimuthal)
 
     def _by_orders(self, coeffs: Array) -> Array:
         """Return the coefficients of products of azimuthal and radial functions, (2 m_max + 2, Nk)."""

@@ -10,7 +10,6 @@ import numpy as np
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases.base import LinearBasis
-from hydrabeam_mpi.model.bases.polar_table import PolarTable
 
 
 def join(parts: Sequence[LinearBasis], kept: Iterable[int] | None = None) -> LinearBasis:
@@ -72,9 +71,19 @@ class Joined(LinearBasis):
         pairs = zip(self.parts, self._of_parts(coeffs), strict=True)
         return np.asarray(sum(part.synthesize(own, za, az) for part, own in pairs))
 
-    def table(self, coeffs: Array) -> PolarTable | None:
-        """Tabulate the real part of a beam, where there is one part only."""
-        return self.parts[0].table(*self._of_parts(coeffs)) if len(self.parts) == 1 else None
+    @property
+    def table_nodes(self) -> tuple[int, int] | None:
+        """As many as the part needs that needs most; none where one part has no table."""
+        needed = [nodes for part in self.parts if (nodes := part.table_nodes) is not None]
+        if len(needed) < len(self.parts):
+            return None
+        per_unit, n_az = zip(*needed, strict=True)
+        return max(per_unit), max(n_az)
+
+    def at_nodes(self, coeffs: Array, per_unit: int, n_az: int) -> FloatArray:
+        """Evaluate the beam, the sum of all parts, at a table's nodes, (Nradii, Naz)."""
+        pairs = zip(self.parts, self._of_parts(coeffs), strict=True)
+        return np.asarray(sum(part.at_nodes(own, per_unit, n_az) for part, own in pairs))
 
     def _of_parts(self, coeffs: Array) -> list[Array]:
         """Give each part its coefficients, zero of what is not kept, (..., n_modes of the part)."""

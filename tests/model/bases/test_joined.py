@@ -32,11 +32,18 @@ def test_modes_on_one_disc_are_one_basis() -> None:
     few = join([some, Joined([others])], [5, 2])
     assert isinstance(few, Joined)
     np.testing.assert_array_equal(few.evaluate(za, az), full.evaluate(za, az)[[5, 2]])
-    table = few.table(np.array([0.3, -2.0]))
-    assert table is not None
-    np.testing.assert_allclose(table(za, az), few.synthesize(np.array([0.3, -2.0]), za, az), atol=1e-6)
     for other in (some, FourierBessel.full(3, 2, boundary="neumann"), Zernike(1)):
         apart = join([some, other])
         assert isinstance(apart, Joined)
         assert len(apart.parts) == 2
-        assert apart.table(np.ones(apart.n_modes)) is None
+
+
+def test_a_table_is_of_all_parts_and_there_is_none_where_one_part_has_none() -> None:
+    full, (za, az) = FourierBessel.full(3, 2), generator(2, "joined").uniform(0, 1.5, (2, 40))
+    other = FourierBessel.full(2, 3, form="complex", boundary="neumann")
+    for basis in (join([full], [5, 2]), join([full, other]), join([other, full], [1, 0, 20])):
+        coeffs = generator(3, "joined").standard_normal(basis.n_modes)
+        table = basis.table(coeffs)
+        assert table is not None
+        np.testing.assert_allclose(table(za, az), basis.synthesize(coeffs, za, az).real, atol=3e-6)
+    assert join([full, Zernike(1)]).table(np.ones(full.n_modes + 3)) is None

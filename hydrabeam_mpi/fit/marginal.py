@@ -1,0 +1,64 @@
+"""The sums over rows with one block marginalised (the Schur complement): what the data say of the others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from hydrabeam_mpi.fit.equations import Array, NormalEquations
+from hydrabeam_mpi.inference.likelihood import Likelihood
+from hydrabeam_mpi.inference.posterior import Posterior
+
+
+class Marginal:
+    """Normal equations with a block marginalised; what it takes of the others is worked out once for each.
+
+    Parameters
+    ----------
+    sums : NormalEquations
+        Their data are residuals at the ``posterior``'s mean.
+    without : str
+        Block to marginalise.
+    posterior : Posterior
+        Its posterior given the others, of which the factor counts.
+    """
+
+    def __init__(self, sums: NormalEquations, without: str, posterior: Posterior) -> None:
+        self.sums, self._without, self._posterior = sums, without, posterior
+        self._halves: dict[str, Array] = {}
+        self._taken: dict[tuple[str, str], Array] = {}
+
+    def likelihood(self, names: Sequence[str]) -> Likelihood:
+        """Return what the data say of some blocks with real unknowns."""
+        known = self.sums.likelihood_alone(names)
+        lines = [np.concatenate([self._taken_of(one, two) for two in names], axis=1) for one in names]
+        taken = np.concatenate(lines) if lines else known.signal
+        return Likelihood(known.signal - taken, known.score, known.signal)
+
+    def response(self, names: Sequence[str]) -> Array:
+        """Return by how much the best values of the block move with each unknown of others, (n, q)."""
+        posterior = self._posterior
+        half = np.concatenate([self._half(name) for name in names], axis=1) if names else self._across([])
+        kappa = 1.0 if posterior.is_complex else 2.0
+        return np.asarray(-kappa * solve_triangular(posterior.factor, half, lower=True, trans="C", check_finite=False))
+
+    def _across(self, names: Sequence[str]) -> Array:
+        return self.sums.gather([self._without], names)
+
+    def _half(self, name: str) -> Array:
+        """Return L^-1 G of a block, with L the factor of the marginalised one's precision."""
+        if name not in self._halves:
+            across = self._across([name])
+            self._halves[name] = solve_triangular(self._posterior.factor, across, lower=True, check_finite=False)
+        return self._halves[name]
+
+    def _taken_of(self, one: str, two: str) -> Array:
+        """Return how much information on two blocks is lost."""
+        if (two, one) in self._taken:
+            return self._taken[two, one].T
+        if (one, two) not in self._taken:
+            kappa = 2.0 if self._posterior.is_complex else 4.0
+            self._taken[one, two] = kappa * (self._half(one).conj().T @ self._half(two)).real
+        return self._taken[one, two]
