@@ -11,7 +11,7 @@ import pytest
 PACKAGE = "hydrabeam_mpi"
 ROOT = Path(__file__).parents[1]
 LAYERS = (
-    ("errors", "memory", "random", "registry", "version"),
+    ("errors", "memory", "random", "registry", "version", "words"),
     ("data",),
     ("mpi", "terminal"),
     ("model.bases", "model.engines"),

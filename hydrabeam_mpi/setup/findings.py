@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from hydrabeam_mpi.config import Job
+from hydrabeam_mpi.words import capital
 
 QUARTER = 0.25
 """Of an integration, before and after the centre of one that is named: no other's is so near."""
@@ -41,7 +42,13 @@ class Finding:
     @property
     def line(self) -> str:
         """All of it in a line."""
-        return f"{self.what[:1].upper()}{self.what[1:]} ({self.where}): {self.why}. Remedy: {self.remedy}."
+        return f"{capital(self.what)} ({self.where}): {self.why}. Remedy: {self.remedy}."
+
+    @classmethod
+    def of_record(cls, record: Mapping[str, object]) -> Finding:
+        """Return the words that `record` returned, empty where one is missing."""
+        what, where, why, remedy = (str(record.get(key) or "") for key in ("what", "where", "why", "remedy"))
+        return cls(what, where, why, remedy)
 
     def record(self) -> dict[str, str]:
         """Return the words by name, as ``loop.json`` has them."""

@@ -142,7 +142,8 @@ def record(verdict: str, rounds: list[Entry], before: float, after: float) -> En
         "verdict": verdict,
         "error_before": before,
         "error_after": after,
-        "said": [*(one["sentence"] for one in rounds), f"That is all (held-out reduced chi^2 {after})."],
+        "sentence": f"So it ended (held-out reduced chi^2 {before} -> {after}).",
+        "said": [*(one["sentence"] for one in rounds), "That is all."],
         "rounds": rounds,
         "last_ranking": ranking({"diffuse": 3.1}),
         "tried": [],
@@ -179,12 +180,12 @@ def unexplained() -> Entry:
     loop["tried"] = [
         {"effect": "diffuse", "log_bayes_factor": 55.1, "reason": "held-out chi^2 does not fall: 2.31 to 2.40"}
     ]
-    loop["why"] = "predictions are not calibrated: so it is"
     loop |= {"rms_zero": 12.1, "rms_model": 10.2, "rms_model_scaled": 9.4, "rms_before": 9.1, "rms_after": 4.2}
     loop |= {"rms_noise": 3.9, "explained_before": 0.434, "explained_after": 0.88, "heldout_channels": []}
     loop |= {"predictive_chi2_before": 11.4, "predictive_chi2_after": 2.31, "noise_only_chi2_before": 11.9}
     loop |= {"noise_only_chi2_after": 2.6, "log_density_before": -91000.0, "log_density_after": -24000.0}
     loop["where"] = where()
+    loop["sentence"] += f" {loop['where']['sentence']}"
     loop["structures"] = structures()
     loop["residual"] = statistics(2.31, antenna=11, boost=3.0, seed=7)
     return loop

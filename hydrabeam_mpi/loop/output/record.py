@@ -59,30 +59,16 @@ def make_record(
     dict
         JSON-able; the same on all ranks.
     """
-    checks = [history.first, *(one.after for one in history.rounds)]
-    remains = [checked.remains for checked in checks]
-    chi2 = [_train_chi2(context, checked) for checked in checks]
-    rounds = [
-        _round(context, one, chi2[i : i + 2], remains[i], history.last.fitted) for i, one in enumerate(history.rounds)
-    ]
-    tried = [_refused(one, reason) for one, reason in history.tried if not one.is_control]
-    reasons = [{"effect": kind, "reason": reason} for kind, reason in skipped]
-    if leakage is not None:
-        # Leakage is seen in rows of its own; in those that are fitted it is of second order, and may look like others.
-        place = rounds if "parameters" in leakage else tried if "log_bayes_factor" in leakage else reasons
-        place.insert(0, leakage)
-    degenerate_directions = [*UNDECIDABLE, *([UNDECIDABLE_LEAKAGE] if "parameters" in (leakage or {}) else [])]
-    if conventions["found"]:
-        rounds = [_convention(history, conventions)]
-    last, control = remains[-1], _foreign(history)
+    found = _found(context, history, skipped, conventions, leakage)
+    last, control = history.last.remains, _foreign(history)
     why = why_unexplained(history.last, history.control)
     verdict = "unexplained"
     if interrupted:
         verdict = "interrupted"
     elif conventions["found"]:
         verdict = "convention"
-    elif why is None or (last.consistent and control is None and not rounds):
-        verdict = "explained" if rounds else "consistent"
+    elif why is None or (last.consistent and control is None and not found["rounds"]):
+        verdict = "explained" if found["rounds"] else "consistent"
     unexplained = verdict == "unexplained"
     bad = leave_out(last.where, context.setup.observation) if unexplained else []
     record: dict[str, Any] = {
@@ -93,30 +79,57 @@ def make_record(
         "heldout_n": history.last.score.n_data,
         **heldout_change(history.first, history.last, context.setup.observation.freqs),
         "why": why if unexplained else None,
-        "said": [
-            *(one["sentence"] for one in rounds),
-            say_verdict(verdict, history.last.score.chi2, last.where, control, why),
-            *(one.line for one in bad),
-        ],
-        "warnings": [_warning_of(conventions)] if conventions["found"] else [],
         "foreign": control,
-        "rounds": rounds,
+        **found,
         "last_ranking": [_ranked(one) for one in known_effects(history.ranking)],
-        "tried": tried,
-        "skipped": reasons,
-        "undecidable": [{"what": what, "why": why} for what, why in degenerate_directions],
         "health": [one.record() for one in (*context.problem.findings, *bad)],
         "conventions": conventions,
         "where": last.where if unexplained else None,
         "residual": last.statistics,
         "structures": last.structures if unexplained else None,
     }
+    record["sentence"] = say_verdict(record)
+    record["said"] = [
+        *(one["sentence"] for one in found["rounds"]),
+        record["sentence"],
+        *(one.line for one in bad),
+    ]
+    record["warnings"] = [record["sentence"]] if conventions["found"] else []
     return {key: _finite(value) for key, value in record.items()}
 
 
-def _refused(candidate: Candidate, reason: str) -> dict[str, Any]:
-    """Tell what was tried in vain."""
-    return {"effect": candidate.kind, "log_bayes_factor": candidate.log_bayes_factor, "reason": reason}
+def _found(
+    context: FitContext,
+    history: History,
+    skipped: Sequence[tuple[str, str]],
+    conventions: dict[str, Any],
+    leakage: dict[str, Any] | None,
+) -> dict[str, Any]:
+    """Tell what was found, tried in vain, not looked for, or cannot be decided. Collective: all ranks of the grid."""
+    checks = [history.first, *(one.after for one in history.rounds)]
+    chi2 = [_train_chi2(context, checked) for checked in checks]
+    rounds = [
+        _round(context, one, chi2[i : i + 2], checks[i].remains, history.last.fitted)
+        for i, one in enumerate(history.rounds)
+    ]
+    tried = [
+        {"effect": one.kind, "log_bayes_factor": one.log_bayes_factor, "reason": reason}
+        for one, reason in history.tried
+        if not one.is_control
+    ]
+    reasons = [{"effect": kind, "reason": reason} for kind, reason in skipped]
+    undecidable = [*UNDECIDABLE]
+    if leakage is not None:
+        # Leakage is seen in rows of its own; in those that are fitted it is of second order, and may look like others.
+        place = rounds if "parameters" in leakage else tried if "log_bayes_factor" in leakage else reasons
+        place.insert(0, leakage)
+        undecidable += [UNDECIDABLE_LEAKAGE] if place is rounds else []
+    return {
+        "rounds": [_convention(history, conventions)] if conventions["found"] else rounds,
+        "tried": tried,
+        "skipped": reasons,
+        "undecidable": [{"what": what, "why": why} for what, why in undecidable],
+    }
 
 
 def _foreign(history: History) -> dict[str, Any] | None:
@@ -164,14 +177,6 @@ def _convention(history: History, conventions: dict[str, Any]) -> dict[str, Any]
         "ranking": [],
         "residual": None,
     }
-
-
-def _warning_of(conventions: dict[str, Any]) -> str:
-    """Say that nothing that follows from these data is to be used."""
-    return (
-        f"The data follow another convention than the one stated ({conventions['found']}): {conventions['remedy']}. "
-        "Nothing was fitted to it, and the inferred beam is not to be used."
-    )
 
 
 def _train_chi2(context: FitContext, checked: Checked) -> float:

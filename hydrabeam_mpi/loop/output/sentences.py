@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from hydrabeam_mpi.words import capital, joined
+
 MOST_NAMED = 4
 
 
@@ -13,7 +15,7 @@ def say_round(told: dict[str, Any]) -> str:
     parameters = sorted(told["parameters"], key=lambda one: -_sigmas(one))
     named = [say_parameter(one) for one in parameters[:MOST_NAMED]]
     more = len(parameters) - len(named) + len(told["parameters_not_told"])
-    what = f"{told['title'].capitalize()}: {'; '.join(named)}{f'; and {more} more' if more > 0 else ''}"
+    what = f"{capital(told['title'])}: {'; '.join(named)}{f'; and {more} more' if more > 0 else ''}"
     sure = f"log Bayes factor {told['log_bayes_factor']:,.0f}; the beam can absorb {told['absorbed_by_beam']:.0%} of it"
     error = f"Held-out reduced chi^2 {told['heldout_before']:.3g} -> {told['heldout_after']:.3g}"
     rms = f"rms {told['rms_before']:.3g} -> {told['rms_after']:.3g} Jy (noise {told['rms_noise']:.3g} Jy)"
@@ -37,27 +39,37 @@ def _sigmas(one: dict[str, Any]) -> float:
     return float(one["sigma"] or 0.0)
 
 
-def say_verdict(
-    verdict: str, chi2: float, where: dict[str, Any], control: dict[str, Any] | None = None, why: str | None = None
-) -> str:
-    """Tell how the loop ended.
+def say_verdict(told: dict[str, Any]) -> str:
+    """Tell how the loop ended, by what else ``loop.json`` has: verdict, errors, rounds, why and where."""
+    names = list(dict.fromkeys(one["title"] for one in told["rounds"]))
+    lacked = f"The model lacked {joined(names)}"
+    before = f"{told['error_before']:.4g} -> " if names else ""
+    error = f"held-out reduced chi^2 {before}{told['error_after']:.4g}"
+    match told["verdict"]:
+        case "consistent":
+            return f"Nothing is missing: the data agree with the model within the noise ({error})."
+        case "interrupted":
+            return f"Interrupted: what is left ({error}) was not looked at. The same command goes on from here."
+        case "convention":
+            conventions = told["conventions"]
+            return (
+                f"The data follow another convention than the one stated ({conventions['found']}): "
+                f"{conventions['remedy']}. Nothing was fitted to it, and the inferred beam is not to be used."
+            )
+        case "explained":
+            return f"{lacked}; with that added nothing significant is left ({error})."
+    unknown = f"What is left ({error}) is explained by no effect in the catalogue."
+    if names:
+        unknown = f"{lacked}, and something else that no effect in the catalogue explains ({error})."
+    return " ".join([unknown, *_reasons(told), told["where"]["sentence"]])
 
-    ``control`` is a control model that explains more than any effect, ``why`` the reason why data stay unexplained.
-    """
-    error = f"held-out reduced chi^2 {chi2:.4g}"
-    if verdict == "consistent":
-        return f"Nothing is missing: the data agree with the model within the noise ({error})."
-    if verdict == "interrupted":
-        return f"Interrupted: what is left ({error}) was not looked at. The same command goes on from here."
-    if verdict == "convention":
-        return f"Nothing was fitted or added, and nothing is explained ({error}): mend the convention first."
-    if verdict == "explained":
-        return f"Nothing significant is left ({error})."
-    better = ""
-    if control is not None:
-        better = (
-            f"{control['title'].capitalize()} would explain more than any of them (log Bayes factor "
-            f"{control['log_bayes_factor']:,.0f}, held-out reduced chi^2 {control['heldout_after']:.4g}). "
-        )
-    reason = f"{why[:1].upper()}{why[1:]}. " if why and control is None else ""
-    return f"What is left ({error}) is explained by no effect in the catalogue. {reason}{better}{where['sentence']}"
+
+def _reasons(told: dict[str, Any]) -> list[str]:
+    """Say why data stay unexplained: a control model explains more than any effect, or predictions are off."""
+    control, why = told["foreign"], told["why"]
+    if control is None:
+        return [f"{capital(why)}."] if why else []
+    return [
+        f"{capital(control['title'])} would explain more than any of them (log Bayes factor "
+        f"{control['log_bayes_factor']:,.0f}, held-out reduced chi^2 {control['heldout_after']:.4g})."
+    ]

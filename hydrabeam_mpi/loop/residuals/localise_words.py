@@ -9,6 +9,7 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.loop.residuals.axes import Axis
+from hydrabeam_mpi.words import joined
 
 NAMES = {
     "antennas": "antennas",
@@ -61,14 +62,14 @@ def sentence(axes: dict[str, Axis], described: dict[str, Any], chosen: dict[str,
     for name, words in (("fringe_rates", ("fringe rates", "mHz", 1e3)), ("delays", ("delays", "ns", 1e9))):
         if name in told:
             phrases.append(_spectral(axes[name], chosen[name], *words))
-    main = f"It lives {_joined(phrases)}." if phrases else "It is concentrated nowhere."
+    main = f"It lives {joined(phrases)}." if phrases else "It is concentrated nowhere."
     rest = {
         state: [NAMES[name] for name in described if described[name]["state"] == state] for state in ("uneven", "even")
     }
     if rest["uneven"]:
-        main += f" It varies over {_joined(rest['uneven'])}."
+        main += f" It varies over {joined(rest['uneven'])}."
     if rest["even"]:
-        main += f" It is even over {_joined(rest['even'])}."
+        main += f" It is even over {joined(rest['even'])}."
     return main
 
 
@@ -107,7 +108,3 @@ def _span(values: FloatArray) -> str:
 
 def _pair(pair: Sequence[int]) -> str:
     return f"{pair[0]}-{pair[1]}"
-
-
-def _joined(words: Sequence[str]) -> str:
-    return ", ".join(words[:-1]) + " and " + words[-1] if len(words) > 1 else "".join(words)

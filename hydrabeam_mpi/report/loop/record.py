@@ -11,7 +11,7 @@ from typing import Any
 
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.reading import reading
-from hydrabeam_mpi.report.page.key_numbers import format_value
+from hydrabeam_mpi.report.page.key_numbers import Kind, format_value
 
 Entry = dict[str, Any]
 VERDICTS = ("consistent", "explained", "unexplained", "convention", "interrupted")
@@ -67,9 +67,9 @@ def number(record: Entry | None, key: str) -> float:
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
 
 
-def written(value: float, missing: str = "–") -> str:
-    """Write a number with three digits, and a dash where there is none."""
-    return format_value(value) if math.isfinite(value) else missing
+def written(value: float, kind: Kind = "number") -> str:
+    """Write a number with three digits or in percent, and a dash where there is none."""
+    return format_value(value, kind) if math.isfinite(value) else "–"
 
 
 def sigmas(value: float) -> str:
@@ -85,11 +85,6 @@ def effect_name(kind: str) -> str:
 def title_of(entry: Entry) -> str:
     """Return the name of a record's effect, as it is used within sentences."""
     return str(entry.get("title") or effect_name(str(entry.get("effect", "an effect without a name"))))
-
-
-def joined(names: list[str]) -> str:
-    """Join names as in a sentence: "a", "a and b", "a, b and c"."""
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}" if names else ""
 
 
 def first_statistics(loop: Entry) -> Entry | None:

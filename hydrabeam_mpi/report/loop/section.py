@@ -13,9 +13,10 @@ from hydrabeam_mpi.report.loop.statistics import statistics_table
 from hydrabeam_mpi.report.loop.structures import draw_singular_values, draw_structures
 from hydrabeam_mpi.report.loop.tables import heldout_table, left_out, parameters_table, rounds_table, seconds
 from hydrabeam_mpi.report.loop.where import where_tables
-from hydrabeam_mpi.report.loop.words import further_words, health_words, reason_words, verdict_words
+from hydrabeam_mpi.report.loop.words import further_words, verdict_words
 from hydrabeam_mpi.report.page.sections import as_html
 from hydrabeam_mpi.report.page.style import Drawing
+from hydrabeam_mpi.setup.findings import Finding
 
 Place = Callable[[Drawing], str]
 
@@ -35,15 +36,15 @@ def loop_section(loop: Entry, place: Place) -> str:
             "<h2>What the model lacked</h2>\n"
             if entries(loop, "rounds")
             else "<h2>Does the model lack anything?</h2>\n",
-            _verdict(loop),
+            f'<div class="finding verdict"><p>{as_html(verdict_words(loop))}</p></div>\n',
             _health(loop),
             rounds_table(loop),
             heldout_table(loop),
             _placed(place, draw_fall(loop), draw_ranking(loop)),
-            _parameters(loop, place),
-            _residual(loop, place),
-            _unexplained(loop, place),
-            _left_out(loop),
+            _under("<h3>What was added</h3>", _parameters(loop, place)),
+            _under("<h2>What is left</h2>", _residual(loop, place)),
+            _under("<h3>What no effect explains</h3>", _unexplained(loop, place)),
+            _under("<h2>What was not added, and why</h2>", _left_out(loop)),
         ]
     )
 
@@ -52,42 +53,34 @@ def _placed(place: Place, *drawings: Drawing | None) -> str:
     return "".join(place(drawing) for drawing in drawings if drawing is not None)
 
 
-def _verdict(loop: Entry) -> str:
-    """State the verdict, and why and where there is an unexplained residual."""
-    sentence = (loop.get("where") or {}).get("sentence")
-    said = [str(line) for line in (reason_words(loop), sentence) if line]
-    where = "".join(f"<p>{as_html(line)}</p>" for line in said)
-    return f'<div class="finding verdict"><p>{as_html(verdict_words(loop))}</p>{where}</div>\n'
-
-
 def _health(loop: Entry) -> str:
     """List what was found wrong with the data themselves before anything was fitted."""
-    said = "".join(f"<li>{as_html(line)}</li>" for line in health_words(loop))
+    said = "".join(f"<li>{as_html(Finding.of_record(one).line)}</li>" for one in entries(loop, "health"))
     return f"<p>Before anything was fitted, of the data themselves:</p><ul>{said}</ul>\n" if said else ""
 
 
+def _under(heading: str, inside: str) -> str:
+    """Return what is inside under its heading; nothing where there is nothing."""
+    return f"{heading}\n{inside}" if inside else ""
+
+
 def _parameters(loop: Entry, place: Place) -> str:
-    parts = [
+    return "".join(
         _placed(place, draw_parameters(entry, count)) + parameters_table(entry)
         for count, entry in enumerate(entries(loop, "rounds"), 1)
-    ]
-    inside = "".join(parts)
-    return f"<h3>What was added</h3>\n{inside}" if inside else ""
+    )
 
 
 def _residual(loop: Entry, place: Place) -> str:
-    inside = statistics_table(loop) + _placed(place, draw_residuals(loop), draw_baselines(loop))
-    return f"<h2>What is left</h2>\n{inside}" if inside else ""
+    return statistics_table(loop) + _placed(place, draw_residuals(loop), draw_baselines(loop))
 
 
 def _unexplained(loop: Entry, place: Place) -> str:
     structures = loop.get("structures")
-    inside = where_tables(loop) + _placed(place, draw_singular_values(structures), draw_structures(structures))
-    return f"<h3>What no effect explains</h3>\n{inside}" if inside else ""
+    return where_tables(loop) + _placed(place, draw_singular_values(structures), draw_structures(structures))
 
 
 def _left_out(loop: Entry) -> str:
     said = "".join(f"<li>{as_html(line)}</li>" for line in further_words(loop))
     closing = f"<details><summary>How the loop put it</summary><ul>{said}</ul></details>\n"
-    inside = left_out(loop) + (closing if said else "") + seconds(loop)
-    return f"<h2>What was not added, and why</h2>\n{inside}" if inside else ""
+    return left_out(loop) + (closing if said else "") + seconds(loop)

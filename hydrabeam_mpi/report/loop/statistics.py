@@ -6,10 +6,10 @@ import math
 from collections.abc import Iterator
 
 from hydrabeam_mpi.report.loop.record import Entry, entries, first_statistics, number, sigmas, written
-from hydrabeam_mpi.report.loop.tables import head_of, lines_of
+from hydrabeam_mpi.report.loop.tables import set_rows
 from hydrabeam_mpi.report.page.key_numbers import format_value
 from hydrabeam_mpi.report.page.places import place_words
-from hydrabeam_mpi.report.page.sections import as_html, set_table
+from hydrabeam_mpi.report.page.sections import as_html
 
 
 def statistics_table(loop: Entry) -> str:
@@ -21,8 +21,7 @@ def statistics_table(loop: Entry) -> str:
     missing = ("–", "–")
     rows = [(name, *(cell for state in states for cell in state.get(name, missing))) for name in names]
     heads = ("before", "in σ", "after", "in σ") if len(states) == 2 else ("value", "in σ")
-    values = range(1, 1 + len(heads))
-    table = set_table("", head_of(("held-out residual", *heads), values), lines_of(rows, values), "channels")
+    table = set_rows(("held-out residual", *heads), rows, range(1, 1 + len(heads)))
     return f"<h3>The residual in numbers</h3>\n{table}{_worst(loop)}"
 
 

@@ -6,17 +6,23 @@ import math
 from collections.abc import Sequence
 from html import escape
 
-from hydrabeam_mpi.report.loop.record import Entry, effect_name, entries, joined, number, sigmas, title_of, written
+from hydrabeam_mpi.report.loop.record import Entry, effect_name, entries, number, sigmas, title_of, written
 from hydrabeam_mpi.report.loop.words import round_words
-from hydrabeam_mpi.report.page.key_numbers import format_value
+from hydrabeam_mpi.report.page.key_numbers import Kind
 from hydrabeam_mpi.report.page.sections import as_html, set_table
 from hydrabeam_mpi.report.page.words import megahertz
+from hydrabeam_mpi.words import joined
 
 LISTED = 12
 """Parameters of an effect that the page lists."""
 
 
-def lines_of(rows: Sequence[Sequence[str]], values: Sequence[int]) -> list[str]:
+def set_rows(names: Sequence[str], rows: Sequence[Sequence[str]], values: Sequence[int]) -> str:
+    """Set a table of these columns, of which ``values`` hold numbers."""
+    return set_table("", _head_of(names, values), _lines_of(rows, values), "channels")
+
+
+def _lines_of(rows: Sequence[Sequence[str]], values: Sequence[int]) -> list[str]:
     """Set the lines of a table; the columns ``values`` hold numbers."""
     return [
         "<tr>"
@@ -29,7 +35,7 @@ def lines_of(rows: Sequence[Sequence[str]], values: Sequence[int]) -> list[str]:
     ]
 
 
-def head_of(names: Sequence[str], values: Sequence[int]) -> str:
+def _head_of(names: Sequence[str], values: Sequence[int]) -> str:
     """Set the head of such a table."""
     cells = (
         f'<th class="value">{escape(name)}</th>' if column in values else f"<th>{escape(name)}</th>"
@@ -38,8 +44,8 @@ def head_of(names: Sequence[str], values: Sequence[int]) -> str:
     return f"<tr>{''.join(cells)}</tr>"
 
 
-def _change(entry: Entry, name: str) -> str:
-    return f"{written(number(entry, f'{name}_before'))} → {written(number(entry, f'{name}_after'))}"
+def _change(entry: Entry, name: str, kind: Kind = "number") -> str:
+    return " → ".join(written(number(entry, f"{name}_{when}"), kind) for when in ("before", "after"))
 
 
 def rounds_table(loop: Entry) -> str:
@@ -49,23 +55,22 @@ def rounds_table(loop: Entry) -> str:
     values = (2, 3, 4, 5, 6)
     lines = []
     for count, entry in enumerate(entries(loop, "rounds"), 1):
-        absorbed = number(entry, "absorbed_by_beam")
         cells = (
             str(count),
             title_of(entry),
             written(number(entry, "log_bayes_factor")),
-            format_value(absorbed, "percent") if math.isfinite(absorbed) else "–",
+            written(number(entry, "absorbed_by_beam"), "percent"),
             _change(entry, "chi2"),
             _change(entry, "heldout"),
             _change(entry, "rms"),
             effect_name(str(entry.get("runner_up") or "–")),
             joined([effect_name(str(kind)) for kind in entry.get("indistinguishable_from") or []]) or "–",
         )
-        lines += lines_of([cells], values)
+        lines += _lines_of([cells], values)
         words = round_words(entry)
         if words:
             lines.append(f'<tr class="said"><td></td><td colspan="{len(names) - 1}">{as_html(words)}</td></tr>')
-    return f"<h3>Rounds</h3>\n{set_table('', head_of(names, values), lines, 'channels rounds')}" if lines else ""
+    return f"<h3>Rounds</h3>\n{set_table('', _head_of(names, values), lines, 'channels rounds')}" if lines else ""
 
 
 def heldout_table(loop: Entry) -> str:
@@ -82,14 +87,13 @@ def heldout_table(loop: Entry) -> str:
                 written(number(one, f"rms_{key}"))
                 for key in ("zero", "model", "model_scaled", "before", "after", "noise")
             ),
-            f"{_share(number(one, 'explained_before'))} → {_share(number(one, 'explained_after'))}",
+            _change(one, "explained", "percent"),
             *(_change(one, key) for key in ("predictive_chi2", "noise_only_chi2", "log_density")),
         )
         for name, one in rows
     ]
-    values = tuple(range(1, len(names)))
     title = "<h3>What is left of the held-out data, rms in Jy</h3>\n"
-    return title + set_table("", head_of(names, values), lines_of(lines, values), "channels") if rows else ""
+    return title + set_rows(names, lines, range(1, len(names))) if rows else ""
 
 
 def parameters_table(entry: Entry) -> str:
@@ -111,14 +115,13 @@ def parameters_table(entry: Entry) -> str:
                 sigmas(significance) if math.isfinite(significance) else "–",
             )
         )
-    values = (2, 3, 5)
-    head = head_of(("parameter", "frequency", "value", "std", "unit", "in std"), values)
+    table = set_rows(("parameter", "frequency", "value", "std", "unit", "in std"), rows, (2, 3, 5))
     what = f"{len(largest)} of {len(parameters):,} values, the farthest from zero in their standard deviations"
     if len(largest) == len(parameters):
         what = "The values"
     if not_told := len(entries(entry, "parameters_not_told")):
         what += f" ({not_told:,} more that the data do not tell)"
-    return f"<details><summary>{what}</summary>\n{set_table('', head, lines_of(rows, values), 'channels')}</details>\n"
+    return f"<details><summary>{what}</summary>\n{table}</details>\n"
 
 
 def _to_its_error(value: float, std: float) -> str:
@@ -148,7 +151,11 @@ def left_out(loop: Entry) -> str:
     ]
     skipped = [(title_of(entry), str(entry.get("reason") or "–")) for entry in entries(loop, "skipped")]
     tested = [
-        (effect_name(str(entry.get("name", "–"))), written(number(entry, "chi2")), _share(number(entry, "explained")))
+        (
+            effect_name(str(entry.get("name", "–"))),
+            written(number(entry, "chi2")),
+            written(number(entry, "explained"), "percent"),
+        )
         for entry in entries(loop.get("conventions"), "tested")
     ]
     return (
@@ -163,12 +170,7 @@ def _titled(title: str, names: Sequence[str], rows: Sequence[Sequence[str]]) -> 
     """Set a table under a heading; empty without rows."""
     numeric = ("ln Bayes factor", "reduced χ²", "power explained")
     values = [column for column, name in enumerate(names) if name in numeric]
-    table = set_table("", head_of(names, values), lines_of(rows, values), "channels")
-    return f"<h3>{title}</h3>\n{table}" if rows else ""
-
-
-def _share(value: float) -> str:
-    return format_value(value, "percent") if math.isfinite(value) else "–"
+    return f"<h3>{title}</h3>\n{set_rows(names, rows, values)}" if rows else ""
 
 
 def seconds(loop: Entry) -> str:

@@ -6,10 +6,8 @@ import math
 from typing import Any
 
 from hydrabeam_mpi.report.loop.record import Entry, effect_name, entries, number, sigmas, written
-from hydrabeam_mpi.report.loop.tables import head_of, lines_of
-from hydrabeam_mpi.report.page.key_numbers import format_value
+from hydrabeam_mpi.report.loop.tables import set_rows
 from hydrabeam_mpi.report.page.places import place_words
-from hydrabeam_mpi.report.page.sections import set_table
 
 NAMED, LISTED = 3, 10
 
@@ -21,11 +19,10 @@ def where_tables(loop: Entry) -> str:
         return ""
     overview = [(effect_name(name), *_overview(name, axis)) for name, axis in axes.items()]
     heads = ["over", "the excess is", "carry 2/3 of it", "unevenness, σ", "the strongest, with their shares"]
-    parts = [set_table("", head_of(heads, (2, 3)), lines_of(overview, (2, 3)), "channels")]
+    parts = [set_rows(heads, overview, (2, 3))]
     rows = [row for name, axis in axes.items() for row in _rows(name, axis)]
     if rows:
-        heads, values = ["where", "χ²", "σ", "share of the excess"], (1, 2, 3)
-        table = set_table("", head_of(heads, values), lines_of(rows, values), "channels")
+        table = set_rows(["where", "χ²", "σ", "share of the excess"], rows, (1, 2, 3))
         parts.append(f"<details><summary>Up to {LISTED} of each, the strongest first</summary>\n{table}</details>\n")
     return "".join(parts)
 
@@ -34,7 +31,7 @@ def _overview(name: str, axis: Entry) -> tuple[str, str, str, str]:
     count, total = number(axis, "count"), number(axis, "of")
     carried = f"{count:,.0f} of {total:,.0f}" if math.isfinite(count) and math.isfinite(total) else "–"
     strongest = ", ".join(
-        f"{place_words(name, entry.get('what'))} ({_share(number(entry, 'share'))})"
+        f"{place_words(name, entry.get('what'))} ({written(number(entry, 'share'), 'percent')})"
         for entry in entries(axis, "entries")[:NAMED]
     )
     return str(axis.get("state", "–")), carried, sigmas(number(axis, "sigma")), strongest or "–"
@@ -46,7 +43,7 @@ def _rows(name: str, axis: Entry) -> list[tuple[str, ...]]:
             f"{place_words(name, entry.get('what'))}{_more(entry)}",
             written(number(entry, "chi2")),
             sigmas(number(entry, "sigma")),
-            _share(number(entry, "share")),
+            written(number(entry, "share"), "percent"),
         )
         for entry in entries(axis, "entries")[:LISTED]
     ]
@@ -58,7 +55,3 @@ def _more(entry: Entry) -> str:
     if isinstance(vector, list) and len(vector) >= 2:
         return f" ({vector[0]:.1f} m East, {vector[1]:.1f} m North)"
     return ""
-
-
-def _share(value: float) -> str:
-    return format_value(value, "percent") if math.isfinite(value) else "–"

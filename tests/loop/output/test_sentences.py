@@ -95,33 +95,47 @@ def test_rounds(given: dict[str, Any], said: str) -> None:
 
 WHERE = {"sentence": "It is on antenna 5."}
 DRIFT = {"title": "a beam that changes in time", "log_bayes_factor": 1234.5, "heldout_after": 1.23456}
-VERDICTS: dict[str, tuple[str, dict[str, Any] | None, str]] = {
+GAINS, SOURCES = {"title": "antenna gains"}, {"title": "missing sources"}
+CONVENTION = {"found": "conjugated", "remedy": "conjugate the data"}
+VERDICTS: dict[str, tuple[str, dict[str, Any], str]] = {
     "nothing is missing": (
         "consistent",
-        None,
+        {},
         "Nothing is missing: the data agree with the model within the noise (held-out reduced chi^2 1.012).",
     ),
-    "nothing is left": ("explained", None, "Nothing significant is left (held-out reduced chi^2 1.012)."),
+    "nothing is left": (
+        "explained",
+        {"rounds": [GAINS, SOURCES, GAINS]},
+        "The model lacked antenna gains and missing sources; with that added nothing significant is left "
+        "(held-out reduced chi^2 11.4 -> 1.012).",
+    ),
     "it was interrupted": (
         "interrupted",
-        None,
-        "Interrupted: what is left (held-out reduced chi^2 1.012) was not looked at. "
+        {"rounds": [GAINS]},
+        "Interrupted: what is left (held-out reduced chi^2 11.4 -> 1.012) was not looked at. "
         "The same command goes on from here.",
     ),
     "a convention is broken": (
         "convention",
-        None,
-        "Nothing was fitted or added, and nothing is explained (held-out reduced chi^2 1.012): "
-        "mend the convention first.",
+        {"rounds": [{"title": "convention: conjugated"}], "conventions": CONVENTION},
+        "The data follow another convention than the one stated (conjugated): conjugate the data. Nothing was fitted "
+        "to it, and the inferred beam is not to be used.",
     ),
     "something is left": (
         "unexplained",
-        None,
-        "What is left (held-out reduced chi^2 1.012) is explained by no effect in the catalogue. It is on antenna 5.",
+        {"why": "predictions are not calibrated"},
+        "What is left (held-out reduced chi^2 1.012) is explained by no effect in the catalogue. Predictions are not "
+        "calibrated. It is on antenna 5.",
+    ),
+    "something is left beside what was found": (
+        "unexplained",
+        {"rounds": [GAINS]},
+        "The model lacked antenna gains, and something else that no effect in the catalogue explains (held-out reduced "
+        "chi^2 11.4 -> 1.012). It is on antenna 5.",
     ),
     "something that is no effect would explain it": (
         "unexplained",
-        DRIFT,
+        {"foreign": DRIFT, "why": "predictions are not calibrated"},
         "What is left (held-out reduced chi^2 1.012) is explained by no effect in the catalogue. A beam that changes "
         "in time would explain more than any of them (log Bayes factor 1,234, held-out reduced chi^2 1.235). "
         "It is on antenna 5.",
@@ -129,6 +143,7 @@ VERDICTS: dict[str, tuple[str, dict[str, Any] | None, str]] = {
 }
 
 
-@pytest.mark.parametrize(("verdict", "control", "said"), VERDICTS.values(), ids=VERDICTS)
-def test_verdicts(verdict: str, control: dict[str, Any] | None, said: str) -> None:
-    assert say_verdict(verdict, 1.01234, WHERE, control) == said
+@pytest.mark.parametrize(("verdict", "given", "said"), VERDICTS.values(), ids=VERDICTS)
+def test_verdicts(verdict: str, given: dict[str, Any], said: str) -> None:
+    usual = {"error_before": 11.4, "error_after": 1.01234, "rounds": [], "foreign": None, "why": None, "where": WHERE}
+    assert say_verdict({"verdict": verdict, **usual, **given}) == said

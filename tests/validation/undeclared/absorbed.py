@@ -9,7 +9,7 @@ import numpy as np
 
 from tests.validation.undeclared.answer import Drawn, Parameter
 from tests.validation.undeclared.setting import Catalogue, altaz
-from tests.validation.undeclared.skies import turned
+from tests.validation.undeclared.skies import refracted
 from tests.validation.undeclared.truth import Truth
 
 
@@ -32,17 +32,5 @@ def walking_refraction(truth: Truth, rng: np.random.Generator, strength: float) 
     """The sky moves by ``strength`` arcmin to and fro during the night, slowly and along one direction, as lambda^2."""
     n_times = len(truth.setting.times)
     heading, phase = rng.uniform(0, 2 * np.pi, 2)
-    along = np.deg2rad(strength / 60) * np.cos(phase + np.pi * np.arange(n_times) / n_times)
-    shifts = along[:, np.newaxis] * np.array([np.cos(heading), np.sin(heading)])
-
-    def sky(channel: int, time: int, catalogue: Catalogue) -> Catalogue:
-        scale = (truth.setting.freqs.mean() / truth.setting.freqs[channel]) ** 2
-        return turned(catalogue, truth.time(time), *(scale * shifts[time]))
-
-    truth.sky_of.append(sky)
-    parameters = [
-        Parameter(f"time {time}", f"shift towards {direction}", "arcmin", float(np.rad2deg(shift) * 60))
-        for time in range(n_times)
-        for direction, shift in zip(("East", "North"), shifts[time], strict=True)
-    ]
-    return Drawn(parameters, n_params=2 * n_times)
+    along = strength * np.cos(phase + np.pi * np.arange(n_times) / n_times)
+    return refracted(truth, along[:, np.newaxis] * np.array([np.cos(heading), np.sin(heading)]))

@@ -109,8 +109,12 @@ def turned(catalogue: Catalogue, time: float, east: float, north: float) -> Cata
 
 def ionosphere(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
     """The whole sky is turned by ``strength`` arcmin at the mean frequency, as lambda^2, anew at each time."""
-    n_times = len(truth.setting.times)
-    shifts = np.deg2rad(strength / 60) * rng.standard_normal((n_times, 2)) / np.sqrt(2)
+    return refracted(truth, strength * rng.standard_normal((len(truth.setting.times), 2)) / np.sqrt(2))
+
+
+def refracted(truth: Truth, arcmin: FloatArray) -> Drawn:
+    """Turn the sky of each time towards East and North, (Ntimes, 2) at the mean frequency, as lambda^2."""
+    shifts = np.deg2rad(arcmin / 60)
 
     def sky(channel: int, time: int, catalogue: Catalogue) -> Catalogue:
         scale = (truth.setting.freqs.mean() / truth.setting.freqs[channel]) ** 2
@@ -119,10 +123,10 @@ def ionosphere(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn
     truth.sky_of.append(sky)
     parameters = [
         Parameter(f"time {time}", f"shift towards {direction}", "arcmin", float(np.rad2deg(shift) * 60))
-        for time in range(n_times)
+        for time in range(len(shifts))
         for direction, shift in zip(("East", "North"), shifts[time], strict=True)
     ]
-    return Drawn(parameters, n_params=2 * n_times)
+    return Drawn(parameters, n_params=shifts.size)
 
 
 def horizon(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
