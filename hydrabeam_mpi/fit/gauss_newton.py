@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.fit.accumulate import accumulate_designs
-from hydrabeam_mpi.fit.blocks import BeamBlock, ModelBlock, add_block, sums_of
+from hydrabeam_mpi.fit.blocks import BeamBlock, ColumnBlock, add_block, sums_of
 from hydrabeam_mpi.fit.channels import reduced_chi2, solve_channels
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.joint_step import solve_jointly
@@ -67,9 +67,10 @@ class FitContext:
         """The numbers of this rank group's channels."""
         return [int(number) for number in self.problem.channel_numbers]
 
-    def model(self, values: Values) -> dict[str, ModelBlock]:
-        """Return the blocks of the model of this rank group's channels: the beam and the effects."""
-        return {BEAM: BeamBlock(self.problem.basis, ChannelPrior(tuple(self.problem.priors))), **values.blocks}
+    @property
+    def beam(self) -> BeamBlock:
+        """The beam of this rank group's channels."""
+        return BeamBlock(self.problem.basis, ChannelPrior(tuple(self.problem.priors)))
 
     def over_channels(self, values: FloatArray) -> float:
         """Add up what each group has of its channels, (Nlocal,). Collective: all ranks of the grid."""
@@ -78,7 +79,7 @@ class FitContext:
 
 
 class BrokenOff(Exception):
-    """A fit is not worth going on with."""
+    """A fit is not worth going on with, for the reason that the message says."""
 
 
 def refit(
@@ -195,7 +196,7 @@ def _search(context: FitContext, at: Estimate, length: float, wanted: float) -> 
         step = take_step(context, replace(at, beams=solved.beams), solved)
         # Where parameters are still zero others, such as places of sources, have no derivative.
         if best is not None and solved.reached + step.gain < wanted:
-            raise BrokenOff
+            raise BrokenOff("its fit was broken off, as it does not come near what explains more")
         best = (solved.reached, at if at.values.adds else replace(at, beams=solved.beams), step)
         still = beam_moved(context, at.beams, solved.beams) < STEP_SIGMAS * np.sqrt(misfit)
         if (still and step.gain < FLAT_NATS * misfit) or flat == FLAT_STEPS:
@@ -284,7 +285,7 @@ def take_step(context: FitContext, at: Estimate, solved: Solved) -> _Step:
     likelihoods, response = [], []
     names = list(values.blocks)
     for channel, posterior in enumerate(at.beams):
-        sums = active_sums(context, context.train, at, channel, solved.rows, solved.added)
+        sums = active_sums(context, context.train, at, channel, solved.rows, solved.added[channel], values.blocks)
         marginal = Marginal(sums, BEAM, posterior)
         response.append(marginal.response(names))
         if context.grid.is_group_root:
@@ -306,16 +307,22 @@ def take_step(context: FitContext, at: Estimate, solved: Solved) -> _Step:
 
 
 def active_sums(
-    context: FitContext, share: RankData, at: Estimate, channel: int, rows: Rows, added: ComplexArray
+    context: FitContext,
+    share: RankData,
+    at: Estimate,
+    channel: int,
+    rows: Rows,
+    added: ComplexArray,
+    effects: Mapping[str, ColumnBlock],
 ) -> NormalEquations:
-    """Sum over a group's rows what the active effects need. Collective: all ranks of `grid.world`.
+    """Sum over a group's rows the columns of the beam and of ``effects``, such as those that are active.
 
-    ``added`` is E of all rows, (Nlocal, Ntimes, Nbls).
+    ``added`` is E of the channel's rows, (Ntimes, Nbls). Collective: all ranks of `grid.world`.
     """
-    model = context.model(at.values)
+    model = {BEAM: context.beam, **effects}
     total = sums_of(model)
     with together(context.grid.world):
-        for _, block, _ in share.row_blocks(channel, at, added[channel], rows):
+        for _, block, _ in share.row_blocks(channel, at, added, rows):
             add_block(total, block, model)
     total.reduce(context.grid.group)
     return total

@@ -159,7 +159,7 @@ def _local_sums(context: FitContext, at: Estimate, kept: NDArray[np.bool_]) -> t
     n_freqs, q = at.values.x.shape
     signals, scores = np.zeros((n_freqs, q, q)), np.zeros((n_freqs, q))
     for channel, number in enumerate(context.channels):
-        sums = active_sums(context, context.test, at, channel, rows, added)
+        sums = active_sums(context, context.test, at, channel, rows, added[channel], at.values.blocks)
         if context.grid.is_group_root:
             likelihood = sums.likelihood_alone(list(at.values.blocks))
             signals[number], scores[number] = likelihood.signal, likelihood.score

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.fit.equations import Array, NormalEquations
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.inference.posterior import Posterior
@@ -28,7 +29,7 @@ class Marginal:
     def __init__(self, sums: NormalEquations, without: str, posterior: Posterior) -> None:
         self.sums, self._without, self._posterior = sums, without, posterior
         self._halves: dict[str, Array] = {}
-        self._taken: dict[tuple[str, str], Array] = {}
+        self._taken: dict[tuple[str, str], FloatArray] = {}
 
     def likelihood(self, names: Sequence[str]) -> Likelihood:
         """Return what the data say of some blocks with real unknowns."""
@@ -54,11 +55,16 @@ class Marginal:
             self._halves[name] = solve_triangular(self._posterior.factor, across, lower=True, check_finite=False)
         return self._halves[name]
 
-    def _taken_of(self, one: str, two: str) -> Array:
+    def _taken_of(self, one: str, two: str) -> FloatArray:
         """Return how much information on two blocks is lost."""
         if (two, one) in self._taken:
             return self._taken[two, one].T
         if (one, two) not in self._taken:
             kappa = 2.0 if self._posterior.is_complex else 4.0
-            self._taken[one, two] = kappa * (self._half(one).conj().T @ self._half(two)).real
+            self._taken[one, two] = kappa * (_parts(self._half(one)).T @ _parts(self._half(two)))
         return self._taken[one, two]
+
+
+def _parts(half: Array) -> FloatArray:
+    """Return real parts above imaginary ones, with which the real part of a product is a real product."""
+    return np.concatenate([half.real, half.imag]) if np.iscomplexobj(half) else half

@@ -99,14 +99,14 @@ class SharedErrors:
         self._root = root_of(covariance)
         self.gram = np.zeros((len(covariance), len(covariance)))
         self.projection = np.zeros(len(covariance))
-        self._kept: list[ComplexArray] = []
+        self._kept: list[FloatArray] = []
 
     def add(self, z: ComplexArray, columns: ComplexArray) -> None:
         """Take the rows of one time, (Nbls,) and (Nbls, q), whitened by all else."""
-        scaled = columns @ self._root
+        scaled = np.concatenate([columns.real, columns.imag]) @ self._root
         self._kept.append(scaled)
-        self.gram += (scaled.conj().T @ scaled).real
-        self.projection += (scaled.conj().T @ z).real
+        self.gram += scaled.T @ scaled
+        self.projection += scaled.T @ np.concatenate([z.real, z.imag])
 
     def changes(self) -> list[ComplexArray]:
         """Return what is to be added to the rows of each time, (Nbls,), once the sums are complete."""
@@ -114,7 +114,8 @@ class SharedErrors:
         values = np.maximum(values, 1e-12 * max(float(values.max(initial=0.0)), 1e-300))
         factor = (1 / np.sqrt(1 + values) - 1) / values
         coefficients = vectors @ (factor * (vectors.T @ self.projection))
-        return [scaled @ coefficients for scaled in self._kept]
+        parts = [(scaled @ coefficients).reshape(2, -1) for scaled in self._kept]
+        return [real + 1j * imag for real, imag in parts]
 
     @property
     def n_shared(self) -> float:

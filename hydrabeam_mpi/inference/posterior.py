@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
+from scipy.linalg import eigh, solve_triangular
 from scipy.linalg.lapack import dpotri, zpotri
 
 from hydrabeam_mpi.data.observation import FloatArray
@@ -52,6 +52,17 @@ class Posterior:
         # The transpose of the lower triangle is the upper triangle of the transpose, which is the conjugate.
         complete_hermitian(lower.T)
         return np.asarray(lower)
+
+    @cached_property
+    def spectrum(self) -> tuple[FloatArray, Array]:
+        """Eigenvalues of the precision, ascending, (n,), and its eigenvectors, (n, n).
+
+        In the covariance the best-determined ones are beside the largest as small as rounding errors.
+        """
+        precision = self.factor @ self.factor.conj().T
+        # LAPACK's search for a few of many (evr) may fail.
+        values, vectors = eigh(precision, driver="evd", overwrite_a=True, check_finite=False)
+        return np.asarray(values), np.asarray(vectors)
 
     @property
     def std(self) -> FloatArray:

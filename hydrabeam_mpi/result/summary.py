@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eigh
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.inference.posterior import Posterior
@@ -74,12 +73,12 @@ def summarise_coefficients(posterior: Posterior, prior: Prior) -> dict[str, floa
     std = posterior.std
     correlation = posterior.covariance / np.outer(std, std)
     pairs = correlation[np.triu_indices_from(correlation, 1)]
-    eigenvalues = eigh(posterior.covariance, eigvals_only=True, check_finite=False)
+    values, _ = posterior.spectrum
     # Smaller ones than this beside the largest are rounding errors, of either sign.
-    smallest = max(eigenvalues[0], np.finfo(float).eps * eigenvalues[-1])
+    smallest = max(values[0], np.finfo(float).eps * values[-1])
     return {
         "posterior_std_median": float(np.median(std)),
-        "condition_number": float(eigenvalues[-1] / smallest),
+        "condition_number": float(values[-1] / smallest),
         "correlation_below_0.1": float(np.mean(np.abs(pairs) < 0.1)) if pairs.size else 1.0,
         "correlation_max_real": float(pairs.real.max()) if pairs.size else 0.0,
         "z_update_above_10": int(np.sum(np.abs(posterior.mean - prior.mean) > 10 * std)),
@@ -149,10 +148,7 @@ def eigenbeams(posterior: Posterior, basis: LinearBasis, n: int = 4) -> tuple[Fl
     beams : ndarray, (n, 91, 360)
     """
     n = min(n, len(posterior.mean))
-    # Those of the precision: in the covariance they are beside the largest ones as small as rounding errors, where
-    # LAPACK's search for a few of many (evr) may also fail.
-    precision = posterior.factor @ posterior.factor.conj().T
-    values, vectors = eigh(precision, driver="evd", overwrite_a=True, check_finite=False)
+    values, vectors = posterior.spectrum
     variances, vectors = 1 / values[: -n - 1 : -1], vectors[:, : -n - 1 : -1]
     beams = np.empty((n, len(GRID_ZA), len(GRID_AZ)), dtype=vectors.dtype)
     for ring, za in enumerate(GRID_ZA):

@@ -24,7 +24,7 @@ from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
 from hydrabeam_mpi.fit import heldout
 from hydrabeam_mpi.fit.channels import infer_channels
 from hydrabeam_mpi.fit.clock import Clock
-from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff, FitContext, refit, total_log_joint
 from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.joint import channel_results
 from hydrabeam_mpi.fit.state import Active, Fitted, Reweighted, Values
@@ -94,6 +94,20 @@ def test_what_was_injected_comes_back(kind: str, freqs: tuple[float, ...], tmp_p
     assert heldout_chi2(context, without) > 1.5
     assert heldout_chi2(context, fitted) < 1.4
     assert beam_error(context, fitted, tmp_path) < beam_error(context, without, tmp_path)
+
+
+def test_a_fit_is_broken_off_where_it_cannot_come_to_what_is_wanted(tmp_path: Path) -> None:
+    """What it reaches, or a little more than that."""
+    injected, effect, width = CASES["antenna_gains"]
+    context = context_of(mock_job(injected), tmp_path)
+    without = refit(context, Values())
+    values = without.values.extended(free(context, effect, width))
+    fitted = refit(context, values, without)
+    reached = total_log_joint(context, fitted.values, fitted.diagnostics.log_joint)
+    again = refit(context, values, without, wanted=reached - 0.1)
+    np.testing.assert_array_equal(again.values.x, fitted.values.x)
+    with pytest.raises(BrokenOff):
+        refit(context, values, without, wanted=reached + 0.1)
 
 
 def test_predictions_are_as_wide_where_columns_are_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,20 +2,79 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.fit.blocks import CandidateBlock
 from hydrabeam_mpi.fit.equations import BEAM
-from hydrabeam_mpi.fit.gauss_newton import FitContext
+from hydrabeam_mpi.fit.gauss_newton import FitContext, active_sums
 from hydrabeam_mpi.fit.marginal import Marginal
-from hydrabeam_mpi.fit.state import Active, Fitted, Values
+from hydrabeam_mpi.fit.state import Active, Fitted
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
-from hydrabeam_mpi.loop.attribution.score_effects import CachedRowBlocks, Finding, candidate_sums, weigh
+from hydrabeam_mpi.loop.attribution.score_effects import Finding, weigh
 from hydrabeam_mpi.mpi import bcast_object, gather_objects, together
+
+
+@dataclass(frozen=True)
+class Known:
+    """What the fitted rows say of effects where they have been fitted, with the beam marginalised.
+
+    Attributes
+    ----------
+    active : tuple of Active
+        Those of the model, and what is weighed beside them.
+    by_channel : list of Likelihood or None
+        Of all parameters of all of these, in use or not; on rank 0.
+    """
+
+    active: tuple[Active, ...]
+    by_channel: list[Likelihood] | None
+
+    @classmethod
+    def of(cls, context: FitContext, fitted: Fitted, beside: Finding | None = None) -> Known:
+        """Go through the rows once. Collective: all ranks of the grid."""
+        active = fitted.values.active
+        if beside is not None:
+            evidence = beside.evidence
+            more = Active.start(beside.effect, context.setup, evidence.prior_var, np.zeros_like(evidence.x))
+            active = (*active, more)
+        with together(context.grid.world):
+            rows, added = context.train.calibrated(fitted.estimate)
+        found = []
+        for channel, number in enumerate(context.channels):
+            blocks = {f"{place}": CandidateBlock(one.effect, one.x[number]) for place, one in enumerate(active)}
+            sums = active_sums(context, context.train, fitted.estimate, channel, rows, added[channel], blocks)
+            if context.grid.is_group_root:
+                marginal = Marginal(sums, BEAM, fitted.fit.posteriors[channel])
+                found.append((number, marginal.likelihood(list(blocks))))
+        gathered = gather_objects(context.grid.world, found)
+        if gathered is None:
+            return cls(active, None)
+        by_channel = dict(pair for part in gathered for pair in part)
+        return cls(active, [by_channel[number] for number in sorted(by_channel)])
+
+    def of_one(self, context: FitContext, place: int) -> list[Likelihood]:
+        """Return what each channel says of one effect, around zero, after those parameters of the others in use.
+
+        Places and the like stay where they have been fitted: without its flux a source is gone wherever it is. On rank
+        0.
+        """
+        assert self.by_channel is not None
+        last, ends = self.active[place], np.cumsum([one.x.shape[1] for one in self.active])
+        starts = [int(end) - one.x.shape[1] for end, one in zip(ends, self.active, strict=True)]
+        own = starts[place] + np.arange(last.x.shape[1])
+        others = [start + one.used for start, one in zip(starts, self.active, strict=True) if one is not last]
+        order = np.concatenate([*others, own])
+        linear = ~last.effect.parameters(context.setup).nonlinear
+        found = []
+        for number, one in enumerate(self.by_channel):
+            score = one.score + one.information[:, own] @ np.where(linear, last.x[number], 0.0)
+            square = np.ix_(order, order)
+            found.append(Likelihood(one.information[square], score[order], one.signal[square]))
+        return found
 
 
 def reconsider(context: FitContext, fitted: Fitted, number: int = -1, beside: Finding | None = None) -> Evidence:
@@ -25,56 +84,28 @@ def reconsider(context: FitContext, fitted: Fitted, number: int = -1, beside: Fi
     is `log_joint` beyond that of a fit without it; see `Evidence.linear_gain`. What is weighed ``beside`` it, and is
     not part of the model, is marginalised as well, with the prior that was found for it.
     """
-    return _reweigh(context, fitted, number, beside, None)[0]
+    place = range(len(fitted.values.active))[number]
+    return _reweigh(context, fitted, Known.of(context, fitted, beside), place, None)[0]
 
 
 def compare_priors(
-    context: FitContext, fitted: Fitted, number: int, prior_var: FloatArray
+    context: FitContext, fitted: Fitted, known: Known, place: int, prior_var: FloatArray
 ) -> tuple[Evidence, Evidence]:
-    """Do as `reconsider`, with the best prior and with one of variances ``prior_var``, (n_params,)."""
-    best, given = _reweigh(context, fitted, number, None, None, prior_var)
+    """Do as `reconsider` from what is ``known``, with the best prior and with one of variances (n_params,)."""
+    best, given = _reweigh(context, fitted, known, place, None, prior_var)
     return best, given
 
 
 def _reweigh(
-    context: FitContext, fitted: Fitted, number: int, beside: Finding | None, *priors: FloatArray | None
+    context: FitContext, fitted: Fitted, known: Known, place: int, *priors: FloatArray | None
 ) -> list[Evidence]:
-    """Weigh an active effect with each of the priors, in one pass over the rows; None is the best one."""
-    others = list(fitted.values.active)
-    last = others.pop(number)
-    if beside is not None:
-        evidence = beside.evidence
-        others.append(Active.start(beside.effect, context.setup, evidence.prior_var, np.zeros_like(evidence.x)))
-    rest = replace(fitted.values, active=tuple(others))
-    by_channel = _likelihoods_of(context, fitted, rest, last)
+    """Weigh an active effect with each of the priors; None is the best one."""
+    last = known.active[place]
+    rest = replace(fitted.values, active=tuple(one for one in known.active if one is not last))
     weighed: list[Evidence] = []
     with together(context.grid.world):
-        if by_channel is not None:
-            weighed = [weigh(context, rest, last.effect, by_channel, prior_var) for prior_var in priors]
+        if known.by_channel is not None:
+            likelihoods = known.of_one(context, place)
+            weighed = [weigh(context, rest, last.effect, likelihoods, prior_var) for prior_var in priors]
     result: list[Evidence] = bcast_object(context.grid.world, weighed)
     return result
-
-
-def _likelihoods_of(context: FitContext, fitted: Fitted, rest: Values, last: Active) -> list[Likelihood] | None:
-    """Return what each channel says of an active effect, after the ``rest`` of them, around zero; None off rank 0.
-
-    Collective: all ranks of the grid. Places and the like stay where they have been fitted: without its flux a source
-    is gone wherever it is.
-    """
-    nonlinear = last.effect.parameters(context.setup).nonlinear
-    with together(context.grid.world):
-        cached = CachedRowBlocks.of(context, fitted.estimate)
-    found = []
-    for channel, number in enumerate(context.channels):
-        candidate = {"candidate": CandidateBlock(last.effect, last.x[number])}
-        sums = candidate_sums(context, rest, cached, channel, candidate)
-        if context.grid.is_group_root:
-            one = Marginal(sums, BEAM, fitted.fit.posteriors[channel]).likelihood([*rest.blocks, *candidate])
-            n = len(rest.shared)
-            score = one.score + one.information[:, n:] @ np.where(nonlinear, 0.0, last.x[number])
-            found.append((number, replace(one, score=score)))
-    gathered = gather_objects(context.grid.world, found)
-    if gathered is None:
-        return None
-    by_channel = dict(pair for part in gathered for pair in part)
-    return [by_channel[number] for number in sorted(by_channel)]

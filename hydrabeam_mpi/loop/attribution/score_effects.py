@@ -11,7 +11,7 @@ import numpy as np
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Effect, ScannedEffect
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.fit.blocks import CandidateBlock, add_block, sums_of
+from hydrabeam_mpi.fit.blocks import CandidateBlock, ColumnBlock, add_block, sums_of
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.gauss_newton import FitContext
 from hydrabeam_mpi.fit.kept import Kept
@@ -67,21 +67,21 @@ def attribute(context: FitContext, fitted: Fitted, effects: Sequence[Effect]) ->
         f"candidate {number}": CandidateBlock(effect, np.zeros(len(effect.parameters(context.setup))))
         for number, effect in enumerate(picked)
     }
-    likelihoods: list[tuple[int, list[Likelihood]]] = []
+    group, likelihoods = context.grid.group, {}
     for channel, number in enumerate(context.channels):
         sums = candidate_sums(context, values, cached, channel, candidates)
-        if context.grid.is_group_root:
-            marginal = Marginal(sums, BEAM, fitted.fit.posteriors[channel])
-            likelihoods.append((number, [marginal.likelihood([*values.blocks, one]) for one in candidates]))
+        marginal = Marginal(sums, BEAM, fitted.fit.posteriors[channel])
+        for one in list(candidates)[group.rank :: group.size]:
+            likelihoods[one, number] = marginal.likelihood([*values.blocks, one])
     gathered = gather_objects(context.grid.world, likelihoods)
     findings = None
     with together(context.grid.world):
         if gathered is not None:
-            by_channel = dict(pair for part in gathered for pair in part)
-            ordered = [by_channel[number] for number in sorted(by_channel)]
+            found = {key: one for part in gathered for key, one in part.items()}
+            channels = sorted({number for _, number in found})
             findings = [
-                Finding(effect, weigh(context, values, effect, [found[i] for found in ordered]))
-                for i, effect in enumerate(picked)
+                Finding(effect, weigh(context, values, effect, [found[name, number] for number in channels]))
+                for name, effect in zip(candidates, picked, strict=True)
             ]
             findings.sort(key=lambda finding: -finding.evidence.log_bayes_factor)
     result: list[Finding] = bcast_object(context.grid.world, findings)
@@ -157,7 +157,7 @@ def candidate_sums(
     context: FitContext, values: Values, cached: CachedRowBlocks, channel: int, candidates: dict[str, CandidateBlock]
 ) -> NormalEquations:
     """Sum one channel's columns of the model's effects and of candidates over the group."""
-    model = context.model(values)
+    model: dict[str, ColumnBlock] = {BEAM: context.beam, **values.blocks}
     total = sums_of(model, candidates)
     with together(context.grid.world):
         for block in cached.row_blocks(channel):

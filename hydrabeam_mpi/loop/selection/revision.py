@@ -10,7 +10,7 @@ from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.fit.gauss_newton import FitContext
 from hydrabeam_mpi.fit.state import Active, Fitted
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
-from hydrabeam_mpi.loop.attribution.reconsider import compare_priors
+from hydrabeam_mpi.loop.attribution.reconsider import Known, compare_priors
 from hydrabeam_mpi.loop.selection.acceptance import Checked, Round
 from hydrabeam_mpi.loop.selection.trials import check, fit_patiently, is_same_prior, restarted, rise
 from hydrabeam_mpi.terminal.progress import say
@@ -61,7 +61,8 @@ def revise(context: FitContext, last: Round, n_given: int) -> tuple[Round, dict[
     same: dict[int, int | None] = {place: place for place in range(len(active))}
     if len(active) - n_given < 2:
         return last, same
-    weighed = [_weigh_again(context, fitted, place) for place in range(n_given, len(active))]
+    known = Known.of(context, fitted)
+    weighed = [_weigh_again(context, fitted, known, place) for place in range(n_given, len(active))]
     revisions = [one for one in weighed if one is not None]
     if not revisions:
         return last, same
@@ -81,13 +82,13 @@ def revise(context: FitContext, last: Round, n_given: int) -> tuple[Round, dict[
     }
 
 
-def _weigh_again(context: FitContext, fitted: Fitted, place: int) -> Revision | None:
+def _weigh_again(context: FitContext, fitted: Fitted, known: Known, place: int) -> Revision | None:
     """Find the best prior of an effect given the others; None where it is the one that it has."""
     one = fitted.values.active[place]
     now: FloatArray = np.zeros(one.x.shape[1])
     now[one.used] = one.prior.of(0).std() ** 2
     now[one.effect.parameters(context.setup).nonlinear] = 0.0
-    best, present = compare_priors(context, fitted, place, now)
+    best, present = compare_priors(context, fitted, known, place, now)
     # The newest one has just been found to raise it.
     without = best.log_bayes_factor < 0 and one is not fitted.values.active[-1]
     if is_same_prior(best.prior_var, now) and not without:

@@ -61,11 +61,9 @@ def try_effects(
         aim = -np.inf if best is None else _log_joint(context, checked.fitted) + least_to_expect(best)
         try:
             fitted, after = _fit(context, checked, candidate, aim)
-        except BrokenOff:
-            assert best is not None
-            why = f"its fit was broken off, as it does not come near what {best.candidate.title} explains"
+        except BrokenOff as why:
             say(f"    refused: {why}", context.grid.is_world_root)
-            tried.append((candidate, why))
+            tried.append((candidate, str(why)))
             continue
         reason = refusal_of(checked, after, fitted, settings)
         reason = reason or _refusal_by_rivals(context, after.fitted, rivals_of(fitted, ranking, settings))
@@ -136,20 +134,22 @@ def _fit(
 def _fit_effect(context: FitContext, before: Fitted, candidate: Candidate, wanted: float) -> tuple[Candidate, Fitted]:
     """Fit an effect and weigh it again where it has been fitted, as no effect is quite linear.
 
-    One that is unphysical there is not fitted with other priors.
+    `BrokenOff` is raised where it is unphysical there.
     """
     assert candidate.finding is not None
     effect, evidence = candidate.finding.effect, candidate.finding.evidence
     start = Active.start(effect, context.setup, evidence.prior_var, evidence.x)
     fitted = fit_patiently(context, before.values.extended(start), before, wanted)
+    unphysical = effect.unphysical(fitted.values.active[-1].x, fitted.fit.std[-1])
+    if unphysical is not None and fitted.diagnostics.converged:
+        raise BrokenOff(unphysical)
     again = reconsider(context, fitted)
     for _ in range(RULES.most_refits):
-        prior_var, there = again.prior_var, fitted.values.active[-1]
-        unphysical = effect.unphysical(there.x, fitted.fit.std[-1]) is not None
-        if unphysical or is_same_prior(prior_var, evidence.prior_var):
+        prior_var = again.prior_var
+        if is_same_prior(prior_var, evidence.prior_var):
             break
         evidence = replace(again, prior_var=prior_var)
-        start = restarted(context, there, prior_var)
+        start = restarted(context, fitted.values.active[-1], prior_var)
         fitted = fit_patiently(context, before.values.extended(start), fitted, wanted)
         again = reconsider(context, fitted)
     gained = rise(context, before, fitted)

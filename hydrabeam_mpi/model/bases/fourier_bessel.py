@@ -15,6 +15,7 @@ sqrt2 cos(m az) and sqrt2 sin(m az), which keeps that norm.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from functools import lru_cache
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -81,11 +82,9 @@ class FourierBessel(LinearBasis):
         self.n_modes = len(self.modes)
         self._ks = sorted({k for k, _ in self.modes})
         self._m_max = max(abs(m) for _, m in self.modes)
-        u, q = radial_zeros(max(self._ks), boundary)
-        kept = np.array(self._ks) - 1
         self._inv_alpha_squared = 1 / (1 - np.cos(self.edge))
         azimuthal_norm = np.sqrt((1 if self.is_complex else 2) / self.n_az)
-        self._radial = BesselRows(u[kept], azimuthal_norm / q[kept])
+        self._radial = _radial_rows(tuple(self._ks), boundary, float(azimuthal_norm))
         columns = complex_columns(self.modes) if self.is_complex else self.modes
         self.n_columns = len(columns)
         # Of every column, its row among the radial and among the azimuthal functions.
@@ -302,6 +301,14 @@ class FourierBessel(LinearBasis):
         if not self.is_complex:
             azimuthal[0] = np.sqrt(0.5)
         return radial, azimuthal
+
+
+@lru_cache(maxsize=16)
+def _radial_rows(ks: tuple[int, ...], boundary: Boundary, norm: float) -> BesselRows:
+    """Return the radial functions times a norm; bases that are made again and again have them in common."""
+    u, q = radial_zeros(max(ks), boundary)
+    kept = np.array(ks) - 1
+    return BesselRows(u[kept], norm / q[kept])
 
 
 def _check(modes: list[tuple[int, int]], form: str, edge: float, boundary: str) -> None:
