@@ -5,9 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.errors import InputError
 
 EDGE = 23 * np.pi / 45
 """Zenith angle of the rim of the disc in the paper: 92 degrees."""
+
+
+def check_edge(edge: float) -> None:
+    """Raise `InputError` for a rim that is no zenith angle (radians), or of a disc without points."""
+    if not 0 < edge <= np.pi:
+        raise InputError(f"edge = {edge} rad is not between 0 and pi", field="edge", remedy="give degrees above 0")
 
 
 def azimuthal_rows(az: FloatArray, out: FloatArray, work: FloatArray) -> None:

@@ -49,3 +49,29 @@ def largest_expected(
         if len(chosen) + len(pair) <= most:
             chosen += pair
     return chosen
+
+
+def next_expected(
+    modes: Sequence[tuple[int, int]],
+    amplitudes: FloatArray,
+    before: Sequence[tuple[int, int]],
+    n_before: int,
+    most: int,
+) -> list[tuple[int, int]]:
+    """Return the first modes, ``most`` or fewer, that come when others have taken ``n_before`` of them.
+
+    Parameters
+    ----------
+    modes, amplitudes
+        As for `largest_expected`.
+    before : sequence of (k, m)
+        Modes that come before all that are expected by others.
+    n_before, most : int
+    """
+    taken: list[tuple[int, int]] = []
+    while True:
+        new = [mode for mode in before if mode not in taken][:most]
+        new += largest_expected(modes, amplitudes, taken, most - len(new))
+        if not new or len(taken) >= n_before:
+            return new
+        taken += new[: n_before - len(taken)]

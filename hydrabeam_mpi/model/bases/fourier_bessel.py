@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 from scipy.special import j0
@@ -25,8 +25,8 @@ from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases.base import LinearBasis, NextModes, Selection
 from hydrabeam_mpi.model.bases.bessel import BesselRows, Boundary, radial_zeros
-from hydrabeam_mpi.model.bases.disc import EDGE, azimuthal_rows
-from hydrabeam_mpi.model.bases.expected import largest_expected
+from hydrabeam_mpi.model.bases.disc import EDGE, azimuthal_rows, check_edge
+from hydrabeam_mpi.model.bases.expected import next_expected
 from hydrabeam_mpi.model.bases.joined import Joined
 from hydrabeam_mpi.model.bases.plans import complex_columns, plan_mixing, plan_products
 from hydrabeam_mpi.model.bases.polar_table import n_nodes, radii
@@ -38,6 +38,7 @@ Form = Literal["real", "complex"]
 AT_EDGE = 0
 """Number k by which the function that is constant in radius is called beside those that are zero at the edge."""
 
+_SETTINGS = ("form", "boundary", "edge", "n_az")
 _POINTS_AT_ONCE = 2048  # so that the work space stays near 6 MB whatever is asked
 
 
@@ -119,20 +120,13 @@ class FourierBessel(LinearBasis):
 
     def describe(self) -> dict[str, Any]:
         """Return kind, form, boundary, edge (rad), n_az and the list of modes [k, m]."""
-        return {
-            "kind": "fourier_bessel",
-            "form": self.form,
-            "boundary": self.boundary,
-            "edge": self.edge,
-            "n_az": self.n_az,
-            "modes": [list(mode) for mode in self.modes],
-        }
+        settings = {name: getattr(self, name) for name in _SETTINGS}
+        return {"kind": "fourier_bessel", **settings, "modes": [list(mode) for mode in self.modes]}
 
     @classmethod
     def from_description(cls, description: Mapping[str, Any]) -> FourierBessel:
         """Restore a basis from its description."""
-        settings = {name: description[name] for name in ("form", "edge", "boundary", "n_az")}
-        return cls(description["modes"], **settings)
+        return cls(description["modes"], **{name: description[name] for name in _SETTINGS})
 
     def largest(self, coeffs: Array, n_modes: int) -> FourierBessel:
         """Return the basis of the modes with the largest coefficients, sorted by amplitude |a_km|.
@@ -160,20 +154,10 @@ class FourierBessel(LinearBasis):
         With the Dirichlet condition all functions are zero at the edge, so that those of constant radius, which are
         not, come first, with k = 0: it would take very many others to follow a beam that is not.
         """
-        taken: list[tuple[int, int]] = []
-        new = self._lacking(amplitudes, taken, most)
-        while new and len(taken) < n_before:
-            taken += new[: n_before - len(taken)]
-            new = self._lacking(amplitudes, taken, most)
+        signed = [m for order in range(self._m_max + 1) for m in dict.fromkeys([order, -order])]
+        at_edge = [(AT_EDGE, m) for m in signed] if self.boundary == "dirichlet" else []
+        new = next_expected(self.modes, amplitudes, at_edge, n_before, most)
         return NextModes(tuple(new), lambda: self._real(new))
-
-    def _lacking(self, amplitudes: FloatArray, taken: list[tuple[int, int]], most: int) -> list[tuple[int, int]]:
-        """Return the first modes, ``most`` or fewer, that neither the basis nor ``taken`` has."""
-        at_edge: list[tuple[int, int]] = []
-        if self.boundary == "dirichlet":
-            signed = [m for order in range(self._m_max + 1) for m in dict.fromkeys([order, -order])]
-            at_edge = [(AT_EDGE, m) for m in signed if (AT_EDGE, m) not in taken][:most]
-        return at_edge + largest_expected(self.modes, amplitudes, taken, most - len(at_edge))
 
     def _real(self, modes: list[tuple[int, int]]) -> LinearBasis:
         """Return these functions, the constant ones first; only the Neumann condition has such a one."""
@@ -259,7 +243,7 @@ class FourierBessel(LinearBasis):
         """Return the basis with the modes of another one on the same disc; see :meth:`LinearBasis.with_more`."""
         if not isinstance(other, FourierBessel) or set(self.modes) & set(other.modes):
             return None
-        same = all(getattr(self, key) == getattr(other, key) for key in ("form", "edge", "boundary", "n_az"))
+        same = all(getattr(self, name) == getattr(other, name) for name in _SETTINGS)
         return self.with_modes([*self.modes, *other.modes]) if same else None
 
     @property
@@ -316,9 +300,7 @@ def _check(modes: list[tuple[int, int]], form: str, edge: float, boundary: str) 
         raise InputError("a basis needs at least one mode", field="n_modes", remedy="ask for 1 or more")
     if len(set(modes)) < len(modes) or min(k for k, _ in modes) < 1:
         raise InputError("every mode (k, m) needs k >= 1 and may occur once", field="modes")
-    if form not in ("real", "complex"):
-        raise InputError(f"unknown form {form!r}", field="form", remedy='use "real" or "complex"')
-    if boundary not in ("dirichlet", "neumann"):
-        raise InputError(f"unknown boundary {boundary!r}", field="boundary", remedy='use "dirichlet" or "neumann"')
-    if not 0 < edge <= np.pi:
-        raise InputError(f"edge = {edge} rad is not between 0 and pi", field="edge", remedy="give degrees above 0")
+    for field, value, known in (("form", form, get_args(Form)), ("boundary", boundary, get_args(Boundary))):
+        if value not in known:
+            raise InputError(f"unknown {field} {value!r}", field=field, remedy='use "{}" or "{}"'.format(*known))
+    check_edge(edge)

@@ -16,7 +16,7 @@ import numpy as np
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases.base import LinearBasis, NextModes
-from hydrabeam_mpi.model.bases.disc import EDGE, azimuthal_rows
+from hydrabeam_mpi.model.bases.disc import EDGE, azimuthal_rows, check_edge
 from hydrabeam_mpi.model.bases.joined import Joined
 
 
@@ -41,8 +41,7 @@ class Zernike(LinearBasis):
     def __init__(self, degree: int, edge: float = EDGE) -> None:
         if degree < 0:
             raise InputError(f"degree = {degree} gives no mode", field="degree", remedy="ask for 0 or more")
-        if not 0 < edge <= np.pi:
-            raise InputError(f"edge = {edge} rad is not between 0 and pi", field="edge")
+        check_edge(edge)
         self.degree, self.edge = int(degree), float(edge)
         self.modes = [(n, m) for n in range(self.degree + 1) for m in range(-n, n + 1, 2)]
         self.n_modes = self.n_columns = len(self.modes)
