@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydrabeam_mpi.config import Job, Section
 from hydrabeam_mpi.config.effects import Loop
 from hydrabeam_mpi.config.sections import Basis, Beam, Data, Holdout, Noise, Output, Prior, Sky, SkyColumns, Solver
 from hydrabeam_mpi.config.text import frequency_text, keys_text, table_text
-from hydrabeam_mpi.data.observation import FloatArray, IntArray, Observation
+from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.redundancy import find_redundant_groups
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.noise import MAX_GAP, MIN_DIFFERENCES
@@ -187,7 +186,7 @@ def _lst_range(lsts: FloatArray) -> str:
     return f"{hours[first]:.3f} to {hours[first - 1]:.3f} h"
 
 
-def _list(numbers: Sequence[int] | NDArray[Any]) -> str:
+def _list(numbers: Sequence[int] | Array) -> str:
     """Write integers with runs shortened, such as 0-3, 7."""
     runs: list[list[int]] = []
     for number in map(int, numbers):

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from hydrabeam_mpi.data.observation import FloatArray, IntArray, Observation
+from hydrabeam_mpi.data.observation import BoolArray, FloatArray, IntArray, Observation
 from hydrabeam_mpi.errors import InputError
 
 
@@ -31,7 +30,7 @@ class RedundantGroups:
 
     vectors: FloatArray
     group: IntArray
-    flipped: NDArray[np.bool_]
+    flipped: BoolArray
 
     @property
     def Ngroups(self) -> int:
@@ -117,7 +116,7 @@ def check_apart(observation: Observation, tol: float) -> None:
         )
 
 
-def _points_forward(vectors: FloatArray, tol: float) -> NDArray[np.bool_]:
+def _points_forward(vectors: FloatArray, tol: float) -> BoolArray:
     """Tell which vectors have their first component beyond ``tol`` positive."""
     significant = np.abs(vectors) > tol
     first = np.argmax(significant, axis=1)

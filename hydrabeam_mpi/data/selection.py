@@ -7,12 +7,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from hydrabeam_mpi.data.observation import FloatArray, IntArray, Observation
+from hydrabeam_mpi.data.observation import BoolArray, FloatArray, IntArray, Observation
 from hydrabeam_mpi.errors import InputError
-
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.row_buffer import RowBuffer
 from hydrabeam_mpi.fit.rows import Rows
@@ -37,7 +35,7 @@ def accumulate(rows: Rows, model: ForwardModel, basis: LinearBasis, show: bool =
     return accumulate_designs(rows, designs(rows, model, basis, "design matrix", show), basis)
 
 
-def accumulate_designs(rows: Rows, by_time: Iterable[NDArray[Any]], basis: LinearBasis) -> list[NormalEquations]:
+def accumulate_designs(rows: Rows, by_time: Iterable[Array], basis: LinearBasis) -> list[NormalEquations]:
     """Do as `accumulate` with the design of each time, (Nfreqs, ..., Nlocal, n_modes), as `designs` gives it."""
     normals = [NormalEquations([Block(BEAM, basis.n_modes, basis.is_complex)]) for _ in rows.data]
     buffers = [RowBuffer(normal, BEAM) for normal in normals]
@@ -77,7 +75,7 @@ def check_heldout(
 
 def check_designs(
     rows: Rows,
-    by_time: Iterable[NDArray[Any]],
+    by_time: Iterable[Array],
     posteriors: Sequence[Posterior],
     before: ComplexArray,
     more_variance: FloatArray | None = None,
@@ -108,7 +106,7 @@ def check_designs(
     return statistics
 
 
-def designs(rows: Rows, model: ForwardModel, basis: LinearBasis, label: str, show: bool) -> Iterator[NDArray[Any]]:
+def designs(rows: Rows, model: ForwardModel, basis: LinearBasis, label: str, show: bool) -> Iterator[Array]:
     """Yield each time's design, (Nfreqs, 2, Nlocal, n_modes) or complex (Nfreqs, Nlocal, n_modes)."""
     times = rows.tile.times
     for parts in track(model.design_columns(basis, times), len(times), label, show):
@@ -116,7 +114,7 @@ def designs(rows: Rows, model: ForwardModel, basis: LinearBasis, label: str, sho
         yield mixed[:, 0] + 1j * mixed[:, 1] if basis.is_complex else mixed
 
 
-def predict(posterior: Posterior, design: NDArray[Any]) -> tuple[ComplexArray, FloatArray]:
+def predict(posterior: Posterior, design: Array) -> tuple[ComplexArray, FloatArray]:
     """Return the posterior predictive mean (Nlocal,) and the model variance of its parts (2, Nlocal)."""
     if posterior.is_complex:
         half = 0.5 * posterior.predictive_variance(design)

@@ -10,12 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Columns as EffectColumns
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
@@ -158,7 +157,7 @@ def row_set(block: RowBlock) -> RowSet:
     return RowSet(weights * block.residual.reshape(-1), weights, member, len(block.times) * n_groups)
 
 
-def beam_columns(rows: RowSet, design: NDArray[Any]) -> Columns:
+def beam_columns(rows: RowSet, design: Array) -> Columns:
     """Return the beam's columns at the rows of a block.
 
     Parameters

@@ -10,12 +10,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array, diags_array, issparse
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray, IntArray
 
-Array = NDArray[Any]
 Matrix = Any
 """A NumPy array or a SciPy sparse one."""
 

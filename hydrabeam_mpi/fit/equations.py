@@ -17,14 +17,12 @@ derived where it is needed.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.blas import dsyrk, zherk
 from scipy.sparse import issparse
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.columns import Columns
 from hydrabeam_mpi.inference.gaussian import Block, Gaussian, spans_of
@@ -32,8 +30,6 @@ from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.inference.matrices import complete_hermitian
 from hydrabeam_mpi.inference.prior import Prior
 from hydrabeam_mpi.mpi import Comm, allreduce_sum
-
-Array = NDArray[Any]
 
 BEAM = "beam"
 """Name of the block of the beam's coefficients."""

@@ -12,12 +12,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.data.observation import Array, BoolArray, FloatArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.fit.equations import BEAM
 from hydrabeam_mpi.fit.state import Active, Fit, Fitted, Values
@@ -28,8 +26,6 @@ from hydrabeam_mpi.inference.prior import BlockPrior
 from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.bases.joined import join
 from hydrabeam_mpi.setup.problem import Problem
-
-Array = NDArray[Any]
 
 
 def growth_of(setup: ObservingSetup, values: Values) -> list[tuple[Active, LinearBasis]]:
@@ -112,7 +108,7 @@ def marginal_beams(setup: ObservingSetup, fitted: Fitted, channels: Sequence[int
 
 
 def _joint(
-    given: Posterior, response: Array, covariance: FloatArray, values: Values, channel: int, of_beam: NDArray[np.bool_]
+    given: Posterior, response: Array, covariance: FloatArray, values: Values, channel: int, of_beam: BoolArray
 ) -> Posterior:
     """Return the posterior of one channel's coefficients; ``of_beam``, (q,), says which parameters are of the beam."""
     more, others = np.flatnonzero(of_beam), np.flatnonzero(~of_beam)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, hstack
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.data.observation import Array, BoolArray, ComplexArray, FloatArray
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.gauss_newton import FitContext, active_sums
 from hydrabeam_mpi.fit.row_model import KEPT_BYTES
@@ -57,7 +57,7 @@ class Whitened:
     """
 
     z: ComplexArray
-    used: NDArray[np.bool_]
+    used: BoolArray
     share: FloatArray
     model: ComplexArray
     root: FloatArray
@@ -80,7 +80,7 @@ def whiten(context: FitContext, fitted: Fitted) -> Whitened:
     folds = _fold(context, local)
     one, two = (_whiten(context, _fit_local(context, fitted, local, folds != fold)) for fold in (0, 1))
 
-    def of_either(name: str) -> NDArray[Any]:
+    def of_either(name: str) -> Array:
         return np.where(folds == 0, getattr(one, name), getattr(two, name))
 
     names = ("z", "used", "share", "model", "root", "power", "noise", "beam")
@@ -111,7 +111,7 @@ def _fold(context: FitContext, local: str) -> NDArray[np.int64]:
     return (context.test.rows.tile.times % 2)[:, np.newaxis]
 
 
-def _fit_local(context: FitContext, fitted: Fitted, local: str, kept: NDArray[np.bool_]) -> Fitted:
+def _fit_local(context: FitContext, fitted: Fitted, local: str, kept: BoolArray) -> Fitted:
     """Fit the parameters that belong to held-out times or baselines, with all else as it is, on the rows ``kept``."""
     values, posteriors = fitted.values, fitted.fit.posteriors
     for _ in range(LOCAL_STEPS):
@@ -127,8 +127,8 @@ def _fit_local(context: FitContext, fitted: Fitted, local: str, kept: NDArray[np
 
 
 def _local_step(
-    context: FitContext, at: Estimate, local: str, kept: NDArray[np.bool_]
-) -> tuple[Values, list[tuple[NDArray[np.bool_], FloatArray]]]:
+    context: FitContext, at: Estimate, local: str, kept: BoolArray
+) -> tuple[Values, list[tuple[BoolArray, FloatArray]]]:
     """Take a Newton step of these parameters, with the beams as they are.
 
     Returns
@@ -141,7 +141,7 @@ def _local_step(
     signals, scores = _local_sums(context, at, kept)
     of_kind = np.concatenate([np.full(len(one.used), one.effect.local == local) for one in at.values.active])
     free = of_kind & (np.diag(signals.sum(axis=0)) > 0)
-    found: list[tuple[NDArray[np.bool_], FloatArray]] = []
+    found: list[tuple[BoolArray, FloatArray]] = []
     for f in range(len(x)):
         signal = np.where(np.outer(shared, shared), signals.sum(axis=0), signals[f])[np.ix_(free, free)]
         score = np.where(shared, scores.sum(axis=0), scores[f])[free] + at.values.prior_score(f)[free]
@@ -151,7 +151,7 @@ def _local_step(
     return at.values.at(x), found
 
 
-def _local_sums(context: FitContext, at: Estimate, kept: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
+def _local_sums(context: FitContext, at: Estimate, kept: BoolArray) -> tuple[FloatArray, FloatArray]:
     """Return what the held-out rows ``kept`` say, with the beams as they are: information and score of all channels."""
     with together(context.grid.world):
         rows, added = context.test.calibrated(at)
@@ -224,7 +224,7 @@ def _is_shared(context: FitContext, n_params: int) -> bool:
 
 
 def _felt(
-    context: FitContext, fitted: Fitted, channel: int, block: RowBlock, design: NDArray[Any]
+    context: FitContext, fitted: Fitted, channel: int, block: RowBlock, design: Array
 ) -> Iterator[tuple[ComplexArray, FloatArray]]:
     """Yield how predictions feel the parameters of the effects, time after time.
 

@@ -8,9 +8,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.grown import grown_beam
 from hydrabeam_mpi.fit.row_model import RowModel
@@ -45,7 +44,7 @@ class RankData(RowModel):
 
     def row_blocks(
         self, channel: int, at: Estimate, added: ComplexArray, rows: Rows
-    ) -> Iterator[tuple[slice, RowBlock, NDArray[Any]]]:
+    ) -> Iterator[tuple[slice, RowBlock, Array]]:
         """Yield blocks of times of one channel with the current model and its design rows.
 
         Parameters
@@ -62,7 +61,7 @@ class RankData(RowModel):
         posterior = at.beams[channel]
         times = self.rows.tile.times
         step = max(1, ROWS_AT_ONCE // max(len(self.rows.tile.bls), 1))
-        held: list[NDArray[Any]] = []
+        held: list[Array] = []
         for t, design in enumerate(self.designs(at.values)):
             held.append(design[channel])
             if len(held) < step and t + 1 < len(times):
@@ -152,7 +151,7 @@ def _same(one: Estimate, two: Estimate) -> bool:
     )
 
 
-def _visibilities(block: NDArray[Any], posterior: Posterior) -> ComplexArray:
+def _visibilities(block: Array, posterior: Posterior) -> ComplexArray:
     """Return A b, (Ntimes, Ngroups)."""
     if posterior.is_complex:
         return np.asarray(block @ posterior.mean)

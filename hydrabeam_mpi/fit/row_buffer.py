@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray
 from hydrabeam_mpi.fit.columns import Columns, RowSet
 from hydrabeam_mpi.fit.equations import NormalEquations
-
-Array = NDArray[Any]
 
 
 class RowBuffer:

@@ -8,9 +8,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.accumulate import designs
@@ -62,20 +61,20 @@ class RowModel:
         return 2 * n_rows * self.problem.basis.n_modes * 16 <= KEPT_BYTES
 
     @cached_property
-    def _plain(self) -> Kept[NDArray[Any]]:
+    def _plain(self) -> Kept[Array]:
         return Kept(self.keeps_designs)
 
     @cached_property
-    def _changed(self) -> Kept[NDArray[Any]]:
+    def _changed(self) -> Kept[Array]:
         return Kept(self.keeps_designs)
 
-    def designs(self, values: Values, show: bool = False) -> Iterator[NDArray[Any]]:
+    def designs(self, values: Values, show: bool = False) -> Iterator[Array]:
         """Yield the design of each time, (Nfreqs, ..., Ngroups, n_modes), as the function `designs` does.
 
         Effects that change the sky are part of them.
         """
 
-        def plain() -> Iterator[NDArray[Any]]:
+        def plain() -> Iterator[Array]:
             return designs(self.rows, self.model, self.problem.basis, "design matrix", show)
 
         of_sky = self._plain.of(None, plain)
@@ -84,7 +83,7 @@ class RowModel:
             return of_sky
         return self._changed.of(key, lambda: map(np.add, of_sky, self._changes(values)))
 
-    def _changes(self, values: Values) -> Iterator[NDArray[Any]]:
+    def _changes(self, values: Values) -> Iterator[Array]:
         """Yield what effects change of the design rows: of sources whose flux they change, and of further ones."""
         basis, engine = self.problem.basis, self.model.engine
         for t, time in enumerate(self.rows.tile.times.tolist()):

@@ -8,10 +8,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.data.observation import Array, BoolArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
@@ -145,7 +144,7 @@ class Values:
         return tuple(map(slice, ends[:-1], ends[1:]))
 
     @property
-    def shared(self) -> NDArray[np.bool_]:
+    def shared(self) -> BoolArray:
         """Whether channels share each of the active parameters in use, side by side, (q,)."""
         return np.concatenate([np.zeros(0, dtype=bool), *(np.full(one.size, one.prior.shared) for one in self.active)])
 
@@ -228,7 +227,7 @@ class Fit:
 
     posteriors: tuple[Posterior, ...] = ()
     covariances: tuple[FloatArray, ...] = ()
-    beam_response: tuple[NDArray[Any], ...] = ()
+    beam_response: tuple[Array, ...] = ()
     std: tuple[FloatArray, ...] = ()
 
 

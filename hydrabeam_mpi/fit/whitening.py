@@ -10,19 +10,16 @@ can.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.sparse import csr_array
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.inference.posterior import Posterior
 
 
 def whiten_time(
-    rows: ComplexArray, weights: FloatArray, member: IntArray, design: NDArray[Any], posterior: Posterior
+    rows: ComplexArray, weights: FloatArray, member: IntArray, design: Array, posterior: Posterior
 ) -> tuple[ComplexArray, FloatArray, float, FloatArray]:
     """Whiten the rows of one time.
 
@@ -129,7 +126,7 @@ class SharedErrors:
         return 0.5 * float(np.log1p(np.maximum(np.linalg.eigvalsh(self.gram), 0.0)).sum())
 
 
-def _model_variance(posterior: Posterior, design: NDArray[Any], used: IntArray) -> FloatArray:
+def _model_variance(posterior: Posterior, design: Array, used: IntArray) -> FloatArray:
     """Return the covariance of the predictions' parts, real parts of all groups before imaginary ones, (2N, 2N)."""
     rows = design[..., used, :]
     if not posterior.is_complex:

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cholesky
 
+from hydrabeam_mpi.data.observation import Array
 from hydrabeam_mpi.errors import InputError
-
-Array = NDArray[Any]
 
 
 def complete_hermitian(matrix: Array, block: int = 128) -> None:

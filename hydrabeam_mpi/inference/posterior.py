@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import eigh, solve_triangular
 from scipy.linalg.lapack import dpotri, zpotri
 
-from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.inference.matrices import complete_hermitian
 from hydrabeam_mpi.random import complex_normal
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True)

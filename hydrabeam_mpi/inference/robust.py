@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import stats
 
-from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.data.observation import BoolArray, FloatArray
 
 ABSURD_P = 1e-6
 """Probability, corrected for the number of looks, below which an antenna, time or baseline is not one of the others.
@@ -61,7 +61,7 @@ def outliers(values: FloatArray, error: ArrayLike = 0.0, spread: float = POWER_S
     sigma = away / np.sqrt(variance)
     n = np.count_nonzero(known)
     dof = MEDIAN_DOF * n * (variance / max(scatter**2, 1e-9 * spread**2)) ** 2
-    absurd: NDArray[np.bool_] = 2 * n * stats.t.sf(np.abs(sigma), dof) < ABSURD_P
+    absurd: BoolArray = 2 * n * stats.t.sf(np.abs(sigma), dof) < ABSURD_P
     return np.where(absurd, sigma, 0.0)
 
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import special, stats
 
-from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.data.observation import Array, FloatArray
 
 SMALLEST_LOG_P = -600.0  # log of p-values below which the distribution functions of scipy underflow
 SIGNIFICANT_P = 1e-3
@@ -94,6 +92,6 @@ def sigma_of_log_p(log_p: float) -> float:
     return float(-special.ndtri_exp(min(log_p, -1e-300)))
 
 
-def _from_tails(above: NDArray[Any], below: NDArray[Any]) -> FloatArray:
+def _from_tails(above: Array, below: Array) -> FloatArray:
     """Return Gaussian equivalents from both tails' probabilities, of which the smaller one is accurate."""
     return np.where(above < below, -special.ndtri(above), special.ndtri(below))

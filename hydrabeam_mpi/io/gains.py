@@ -16,9 +16,9 @@ from pyuvdata.utils import jnum2str
 from pyuvdata.uvcal.calfits import CALFITS
 
 from hydrabeam_mpi.data.limits import LARGEST
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray, Observation
+from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.partition import Tile
-from hydrabeam_mpi.data.selection import BoolArray, match
+from hydrabeam_mpi.data.selection import match
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.reading import check_file, reading
 from hydrabeam_mpi.io.uvdata import feeds_of, size

@@ -9,15 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydrabeam_mpi.data.limits import LARGEST
-from hydrabeam_mpi.data.observation import FloatArray, IntArray, Observation
+from hydrabeam_mpi.data.observation import Array, BoolArray, FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.partition import Tile
-from hydrabeam_mpi.data.selection import BoolArray, match
+from hydrabeam_mpi.data.selection import match
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.inference.robust import known_median, outliers
 from hydrabeam_mpi.io.gains import calibrate
@@ -245,7 +244,7 @@ def difference_variance(
     return np.where(count >= MIN_DIFFERENCES, total / np.maximum(count, 1), np.inf)
 
 
-def _by_channel(values: NDArray[Any], middle: IntArray, n_freqs: int) -> FloatArray:
+def _by_channel(values: Array, middle: IntArray, n_freqs: int) -> FloatArray:
     """Give each channel the sum over the differences that it is part of."""
     total = np.zeros((n_freqs, *values.shape[1:]))
     for step in (-1, 0, 1):

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import zipfile
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
 from hydrabeam_mpi.data.limits import LARGEST
-from hydrabeam_mpi.data.observation import FloatArray, IntArray, Observation
+from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.selection import match
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.reading import check_file, reading
@@ -19,7 +17,7 @@ from hydrabeam_mpi.io.reading import check_file, reading
 _FIELDS = ("freqs", "sigma", "antennas")
 
 
-def read_table(path: Path) -> dict[str, NDArray[Any]] | None:
+def read_table(path: Path) -> dict[str, Array] | None:
     """Read a table of sigma; None where the file is no such table but something else.
 
     Parameters
@@ -43,7 +41,7 @@ def read_table(path: Path) -> dict[str, NDArray[Any]] | None:
     return table
 
 
-def _columns(path: Path) -> dict[str, NDArray[Any]] | None:
+def _columns(path: Path) -> dict[str, Array] | None:
     if zipfile.is_zipfile(path):
         with np.load(path) as file:
             return {name: np.asarray(file[name]) for name in _FIELDS if name in file.files}
@@ -54,7 +52,7 @@ def _columns(path: Path) -> dict[str, NDArray[Any]] | None:
     return None
 
 
-def _check_columns(table: dict[str, NDArray[Any]]) -> None:
+def _check_columns(table: dict[str, Array]) -> None:
     by_antenna = "sigma" in table and table["sigma"].ndim == 2
     axes = ("antennas", "freqs") if by_antenna else ("freqs",)
     for field in ("sigma", *axes):
@@ -79,7 +77,7 @@ def _check_columns(table: dict[str, NDArray[Any]]) -> None:
         raise InputError(f"a sigma of {wrong:.3g} Jy", field="sigma", remedy="correct it, or NaN where it is not known")
 
 
-def table_sigma(table: dict[str, NDArray[Any]], path: Path, observation: Observation, bls: IntArray) -> FloatArray:
+def table_sigma(table: dict[str, Array], path: Path, observation: Observation, bls: IntArray) -> FloatArray:
     """Return the sigma of one sample of some baselines, (Nfreqs, 1, 1 or len(bls), 1) in Jy.
 
     Raises

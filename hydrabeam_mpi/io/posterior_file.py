@@ -33,9 +33,9 @@ from typing import Any
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
 from hydrabeam_mpi.data.limits import LARGEST
+from hydrabeam_mpi.data.observation import Array
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.hdf5 import new_hdf5
 from hydrabeam_mpi.io.reading import check_file, reading
@@ -54,7 +54,7 @@ class ChannelRecord:
 
     freq: float
     summary: dict[str, Any]
-    arrays: dict[str, NDArray[Any]] = field(default_factory=dict)
+    arrays: dict[str, Array] = field(default_factory=dict)
     log_evidence: float | None = None
 
 
@@ -65,8 +65,8 @@ class PosteriorFile:
     basis: dict[str, Any]
     provenance: dict[str, Any]
     polarization: str
-    grid_za: NDArray[Any]
-    grid_az: NDArray[Any]
+    grid_za: Array
+    grid_az: Array
     channels: list[ChannelRecord]
     telescope_name: str = "unknown"
 
@@ -151,7 +151,7 @@ def _shapes(group: h5py.Group, grid: tuple[int, int]) -> dict[str, tuple[int, ..
     return shapes
 
 
-def _numbers(group: h5py.Group, name: str, endless: bool = False) -> NDArray[Any]:
+def _numbers(group: h5py.Group, name: str, endless: bool = False) -> Array:
     """Read a data set of numbers; ``endless`` ones, such as the width of a flat prior, may be infinite."""
     values = np.asarray(group[name][()])
     if values.ndim == 0 or values.dtype.kind not in "iufc":
@@ -169,7 +169,7 @@ def _json(group: h5py.Group, name: str, place: str) -> dict[str, Any]:
     return table
 
 
-def read_covariance(path: Path, channel: int) -> NDArray[Any]:
+def read_covariance(path: Path, channel: int) -> Array:
     """Read one channel's covariance, (n, n).
 
     Raises

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from hydrabeam_mpi.data.limits import LARGEST
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray, Observation
+from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.partition import Tile
-from hydrabeam_mpi.data.selection import BoolArray, match
+from hydrabeam_mpi.data.selection import match
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.uvmeta import FREQ_TOLERANCE, TIME_TOLERANCE, pair_keys, read_observation
 from hydrabeam_mpi.io.uvsource import Data, as_source

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from pyuvdata import UVData
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
-from hydrabeam_mpi.data.selection import BoolArray
+from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.io.reading import reading
 from hydrabeam_mpi.io.uvfile import UVHeader, read_uvdata
 from hydrabeam_mpi.io.uvformat import FORMATS

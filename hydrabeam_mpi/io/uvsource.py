@@ -10,8 +10,7 @@ from typing import Protocol, Self, runtime_checkable
 import numpy as np
 from pyuvdata import UVData
 
-from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray, IntArray
-from hydrabeam_mpi.data.selection import BoolArray
+from hydrabeam_mpi.data.observation import Array, BoolArray, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.reading import quiet
 from hydrabeam_mpi.io.uvcheck import check_metadata

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray, Observation
-from hydrabeam_mpi.data.selection import BoolArray, Selection, match
+from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray, Observation
+from hydrabeam_mpi.data.selection import Selection, match
 from hydrabeam_mpi.io.noise import odd_autocorrelations
 from hydrabeam_mpi.io.uvdata import check_nsamples
 from hydrabeam_mpi.io.uvfile import UVHeader, read_metadata, read_uvdata

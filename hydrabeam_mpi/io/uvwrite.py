@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pyuvdata import Telescope, UVData
 from pyuvdata.utils import polstr2num
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, Observation
-from hydrabeam_mpi.data.selection import BoolArray
+from hydrabeam_mpi.data.observation import Array, BoolArray, ComplexArray, FloatArray, Observation
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.hdf5 import HDF5Target
 from hydrabeam_mpi.io.reading import quiet
@@ -70,7 +67,7 @@ class _Target(HDF5Target):
         return ""
 
 
-def _joined(cross: NDArray[Any], auto: NDArray[Any]) -> NDArray[Any]:
+def _joined(cross: Array, auto: Array) -> Array:
     """Put autocorrelations behind the cross-correlations, along the axis of baselines."""
     return np.concatenate([cross, auto], axis=2)
 
@@ -84,7 +81,7 @@ def _auto_block(observation: Observation, autos: FloatArray) -> Block:
     return Block(np.where(known, values, 0.0).astype(np.complex128), ~known, known.astype(float), known)
 
 
-def _as_uvdata(observation: Observation, antpairs: NDArray[Any], block: Block) -> UVData:
+def _as_uvdata(observation: Observation, antpairs: Array, block: Block) -> UVData:
     """Build the pyuvdata object, time by time and within a time baseline by baseline."""
     # Feeds named by direction are written as x (east) and y (north); others have no known direction.
     directed = set("".join(observation.pols)) <= {"e", "n"}
@@ -101,7 +98,7 @@ def _as_uvdata(observation: Observation, antpairs: NDArray[Any], block: Block) -
         **orientation,
     )
 
-    def rows(values: NDArray[Any]) -> NDArray[Any]:
+    def rows(values: Array) -> Array:
         return values.transpose(1, 2, 0, 3).reshape(-1, observation.Nfreqs, observation.Npols)
 
     uv = UVData.new(

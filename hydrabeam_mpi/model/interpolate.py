@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from astropy import units
 from astropy_healpix import HEALPix
-from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
-from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import Array, BoolArray, FloatArray, IntArray
 from hydrabeam_mpi.errors import InputError
 
 # Samples repeated on either side of the circle, so that a cubic spline does not notice where it is cut.
@@ -35,7 +34,7 @@ class AzZaGrid:
     """
 
     def __init__(self, za: FloatArray, az: FloatArray, values: Array) -> None:
-        gaps: NDArray[np.bool_] = np.logical_or.reduce(np.isnan(values), axis=1)
+        gaps: BoolArray = np.logical_or.reduce(np.isnan(values), axis=1)
         usable = np.flatnonzero(np.cumsum(gaps & (za > np.pi / 2 + _TOLERANCE)) == 0)
         self._za_max = za[usable][-1]
         self._has_gaps = bool(gaps[usable].any())

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.engines.base import Engine
 from hydrabeam_mpi.model.positions import SourcePositions
 
-Beam = Callable[[FloatArray, FloatArray], NDArray[Any]]
+Beam = Callable[[FloatArray, FloatArray], Array]
 
 
 @dataclass(frozen=True)

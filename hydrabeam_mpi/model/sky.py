@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.data.observation import BoolArray, FloatArray, IntArray
 from hydrabeam_mpi.random import generator
 
 
@@ -55,7 +55,7 @@ class Sky:
         """What cuts compare, (Nsrc,): the reference flux, or the mean over channels where there is none."""
         return self.flux.mean(axis=0) if self.reference_flux is None else self.reference_flux
 
-    def select(self, sources: IntArray | NDArray[np.bool_]) -> Sky:
+    def select(self, sources: IntArray | BoolArray) -> Sky:
         """Keep the sources of an index or mask; ``sources`` is (Nkept,) or (Nsrc,)."""
         index = np.flatnonzero(sources) if sources.dtype == bool else sources
         return Sky(

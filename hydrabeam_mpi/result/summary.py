@@ -6,17 +6,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.predictive_checks import LARGEST_PREDICTIVE
 from hydrabeam_mpi.inference.prior import Prior
 from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.rime import Beam
 from hydrabeam_mpi.mpi import Comm
-
-Array = NDArray[Any]
 
 # The one-degree grid of HDBI II: zenith angle 0..90, azimuth 0..359.
 GRID_ZA: FloatArray = np.deg2rad(np.arange(91.0))

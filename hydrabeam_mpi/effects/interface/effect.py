@@ -21,7 +21,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from scipy.sparse import csr_array
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
@@ -57,7 +57,7 @@ class Parameters:
     units: tuple[str, ...]
     scale: FloatArray
     element: IntArray
-    nonlinear: np.ndarray[Any, np.dtype[np.bool_]]
+    nonlinear: BoolArray
     trials: int
     nested: bool = False
 

@@ -8,9 +8,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydrabeam_mpi.data.observation import IntArray, Observation
+from hydrabeam_mpi.data.observation import Array, IntArray, Observation
 from hydrabeam_mpi.data.redundancy import RedundantGroups
 from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.positions import ApparentPositions, SourcePositions
@@ -48,7 +47,7 @@ class ObservingSetup:
     redundant: RedundantGroups
     sky: Sky
     basis: LinearBasis
-    prior_mean: tuple[NDArray[Any], ...]
+    prior_mean: tuple[Array, ...]
     file_pols: tuple[str, ...]
     times: IntArray
     positions: Callable[[Sky, Observation], SourcePositions] = ApparentPositions

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 
@@ -131,7 +130,7 @@ class Reweighting(ABC):
         """
 
 
-def fitted_counts(counts: FloatArray, effective_parameters: NDArray[Any]) -> FloatArray:
+def fitted_counts(counts: FloatArray, effective_parameters: Array) -> FloatArray:
     """Return what sum |z|^2 should be of each baseline, (Nbls,): its rows less what the beam took.
 
     Parameters

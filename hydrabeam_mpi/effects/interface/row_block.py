@@ -8,9 +8,8 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.model.bases.base import LinearBasis
@@ -72,7 +71,7 @@ class RowBlock:
     weights: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     residual: ComplexArray = field(default_factory=lambda: np.zeros((0, 0), dtype=complex))
     vis: ComplexArray = field(default_factory=lambda: np.zeros((0, 0), dtype=complex))
-    design: NDArray[Any] = field(default_factory=lambda: np.zeros((0, 0, 0)))
+    design: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
     integrals: dict[str, ComplexArray] = field(default_factory=dict)
     places: dict[int, tuple[IntArray, FloatArray, FloatArray]] | None = None
     sky_effects: Sequence[tuple[Any, FloatArray]] = ()
@@ -109,7 +108,7 @@ class RowBlock:
         """The job's engine on the groups' vectors."""
         return make_engine(self.engine_kind, self.vectors)
 
-    def spread(self, by_group: NDArray[Any]) -> NDArray[Any]:
+    def spread(self, by_group: Array) -> Array:
         """Give every baseline what its group has: (Ntimes, Ngroups, ...) to (Ntimes, Nbls, ...)."""
         return by_group[:, self.member]
 

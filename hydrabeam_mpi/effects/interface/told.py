@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
-import numpy as np
-
-from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.data.observation import BoolArray, FloatArray
 
 
 @dataclass(frozen=True)
@@ -26,4 +23,4 @@ class Told:
     units: tuple[str, ...]
     values: FloatArray
     std: FloatArray
-    from_zero: np.ndarray[Any, np.dtype[np.bool_]]
+    from_zero: BoolArray

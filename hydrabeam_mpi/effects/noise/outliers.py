@@ -18,8 +18,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import binom
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
-from hydrabeam_mpi.data.selection import BoolArray
+from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.reweighting import Reweighting, ReweightingFit, fitted_counts
 from hydrabeam_mpi.effects.interface.row_block import RowBlock

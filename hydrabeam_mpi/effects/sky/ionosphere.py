@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Columns, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
@@ -50,7 +50,7 @@ class Ionosphere(TurningSky):
         return ARCMIN * (block.setup.reference_freq / block.freq) ** 2
 
 
-def scene_times(block: RowBlock) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+def scene_times(block: RowBlock) -> IntArray:
     """Return the position of each of the block's times among the setup's, (Ntimes,)."""
     times = block.setup.times
     order = np.argsort(times)

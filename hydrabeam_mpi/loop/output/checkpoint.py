@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.fit.gauss_newton import FitContext
 from hydrabeam_mpi.fit.state import Diagnostics, Fit, Fitted
 from hydrabeam_mpi.inference.posterior import Posterior
@@ -27,7 +25,7 @@ class KeptChannel:
 
     posterior: Posterior
     covariance: FloatArray | None
-    beam_response: NDArray[Any] | None
+    beam_response: Array | None
     log_joint: float
     effective_parameters: float
 

@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray
 from hydrabeam_mpi.inference.significance import chi2_sigma
 from hydrabeam_mpi.loop.residuals.cube import Layout
 from hydrabeam_mpi.loop.residuals.spectra import Spectrum
@@ -171,7 +170,7 @@ def _axis(
     name: str,
     what: list[Any],
     sums: FloatArray,
-    values: Sequence[float] | NDArray[Any] | None = None,
+    values: Sequence[float] | Array | None = None,
     extra: list[dict[str, Any]] | None = None,
 ) -> Axis:
     kept = np.flatnonzero(sums[0] > 0)

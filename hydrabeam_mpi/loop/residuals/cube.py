@@ -11,13 +11,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray, Observation
+from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.partition import split_by_cost
 from hydrabeam_mpi.data.redundancy import RedundantGroups
 from hydrabeam_mpi.loop.residuals.spectra import Spectrum
 from hydrabeam_mpi.mpi import Comm, allreduce_max
 
-BoolArray = NDArray[np.bool_]
 MAX_BYTES = 2**26  # of what a rank sends at once
 
 

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
-from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray
 
 COLUMNS_AT_ONCE = 4096
 
@@ -58,7 +56,7 @@ class Spectrum:
         """Distance of neighbouring values."""
         return float(self.values[1] - self.values[0]) if len(self.values) > 1 else 0.0
 
-    def power(self, z: NDArray[Any]) -> Iterator[tuple[FloatArray, FloatArray]]:
+    def power(self, z: Array) -> Iterator[tuple[FloatArray, FloatArray]]:
         """Transform the columns of ``z``, (N, M), NaN where there are no samples.
 
         Yields
@@ -78,7 +76,7 @@ class Spectrum:
                     transformed = self._transform(np.nan_to_num(part[:, enough]), self.x[run])
                     yield np.sum(np.abs(transformed) ** 2 / samples[enough], axis=1), samples[enough].astype(float)
 
-    def _transform(self, z: NDArray[Any], x: FloatArray) -> NDArray[Any]:
+    def _transform(self, z: Array, x: FloatArray) -> Array:
         steps = np.diff(x) * len(self.values) * self.step
         if np.abs(steps - 1).max() < 1e-3:
             return fft.fft(z, n=len(self.values), axis=0)

@@ -6,11 +6,10 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
-from hydrabeam_mpi.loop.residuals.cube import BoolArray, Cube, Layout
+from hydrabeam_mpi.data.observation import Array, BoolArray, ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.loop.residuals.cube import Cube, Layout
 from hydrabeam_mpi.loop.residuals.spectra import Spectrum
 from hydrabeam_mpi.mpi import Comm, allreduce_sum
 
@@ -138,7 +137,7 @@ class ResidualSums:
         level = 0.5 * (np.sum(np.abs(one) ** 2) + np.sum(np.abs(two) ** 2))
         self.pairs[kind] += [one.size, np.sum((one * two.conj()).real), level]
 
-    def _add_spectra(self, which: int, sums: FloatArray, spectrum: Spectrum, z: NDArray[Any]) -> None:
+    def _add_spectra(self, which: int, sums: FloatArray, spectrum: Spectrum, z: Array) -> None:
         for power, samples in spectrum.power(z):
             sums[0] += len(samples)
             sums[1] += power

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
+from hydrabeam_mpi.data.observation import Array
 from hydrabeam_mpi.report.page.result import Channel
 from hydrabeam_mpi.report.page.style import INFERRED, MODEL, REFERENCE, UNCERTAINTY, Drawing, decades, new_figure
-
-Array = NDArray[Any]
 
 
 def draw_coefficients(channel: Channel) -> Drawing:

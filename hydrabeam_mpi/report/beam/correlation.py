@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm
-from numpy.typing import NDArray
 
+from hydrabeam_mpi.data.observation import Array
 from hydrabeam_mpi.report.page.result import Channel
 from hydrabeam_mpi.report.page.style import Drawing, colour_map, new_figure
 
-Array = NDArray[Any]
 _STEP = 0.05  # of the colour scale
 
 

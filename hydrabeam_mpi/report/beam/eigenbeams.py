@@ -8,15 +8,13 @@ import numpy as np
 from matplotlib.colors import Normalize
 from matplotlib.figure import SubFigure
 from matplotlib.image import AxesImage
-from numpy.typing import NDArray
 from scipy.linalg import eigvalsh
 
+from hydrabeam_mpi.data.observation import Array
 from hydrabeam_mpi.report.page.key_numbers import format_value
 from hydrabeam_mpi.report.page.projection import add_colorbar, draw_disc, to_disc
 from hydrabeam_mpi.report.page.result import Channel
 from hydrabeam_mpi.report.page.style import UNCERTAINTY, Drawing, new_figure
-
-Array = NDArray[Any]
 
 
 def draw_eigenbeams(channel: Channel, covariance: Array) -> Drawing | None:

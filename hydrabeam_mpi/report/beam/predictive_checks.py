@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
+from hydrabeam_mpi.data.observation import Array
 from hydrabeam_mpi.report.page.result import Channel
 from hydrabeam_mpi.report.page.style import INFERRED, MODEL, REFERENCE, Drawing, new_figure
 
-Array = NDArray[Any]
 LABELS = ("inferred beam, posterior predictive", "model beam, noise alone")
 CAPTION = (
     "Real and imaginary parts of the held-out visibilities minus their prediction, over the predicted standard "

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from matplotlib.colors import LogNorm, Normalize, SymLogNorm
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 
+from hydrabeam_mpi.data.observation import Array
 from hydrabeam_mpi.report.page.key_numbers import format_value
 from hydrabeam_mpi.report.page.projection import VIEW, add_colorbar, draw_disc, to_disc
 from hydrabeam_mpi.report.page.result import Channel
 from hydrabeam_mpi.report.page.style import AZ_0, AZ_90, MODEL, REFERENCE, Drawing, decades, new_figure
-
-Array = NDArray[Any]
 
 
 def difference(channel: Channel) -> tuple[Array, str]:

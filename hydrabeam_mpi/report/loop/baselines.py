@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from matplotlib.colors import LogNorm
-from numpy.typing import NDArray
 
+from hydrabeam_mpi.data.observation import Array
 from hydrabeam_mpi.report.loop.record import Entry, axis_entries, first_statistics, is_complete, number
 from hydrabeam_mpi.report.loop.residuals import AFTER, BEFORE
 from hydrabeam_mpi.report.page.scales import tick_label, ticks_between
 from hydrabeam_mpi.report.page.style import Drawing, colour_map, new_figure
 
-Array = NDArray[Any]
 FEW_ANTENNAS = 40  # up to here a map with some of the baselines is worth drawing
 
 

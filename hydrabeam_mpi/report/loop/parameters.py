@@ -9,12 +9,11 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import NDArray
 
+from hydrabeam_mpi.data.observation import Array
 from hydrabeam_mpi.report.loop.record import Entry, entries, number, title_of
 from hydrabeam_mpi.report.page.style import AZ_0, AZ_90, INFERRED, MODEL, REFERENCE, UNCERTAINTY, Drawing, new_figure
 
-Array = NDArray[Any]
 NUMBER = re.compile(r"(?<![\w.])[-−+]?\d+(?:\.\d+)?")
 LISTED, NUMBERED, LINES, PANELS = 20, 400, 6, 8
 COLOURS = (INFERRED, MODEL, AZ_0, AZ_90, UNCERTAINTY, REFERENCE)

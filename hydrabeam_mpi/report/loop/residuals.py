@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 
+from hydrabeam_mpi.data.observation import Array
 from hydrabeam_mpi.report.loop.record import Entry, axis_entries, first_statistics, is_complete, number
 from hydrabeam_mpi.report.page.scales import scale_values
 from hydrabeam_mpi.report.page.style import INFERRED, MODEL, REFERENCE, Drawing, new_figure
 
-Array = NDArray[Any]
 SIGNIFICANT = 5.0  # standard deviations above which a marker is filled
 ONE_NIGHT = 0.9  # days
 DAYLIGHT = 0.25  # days without data beyond which markers are not joined

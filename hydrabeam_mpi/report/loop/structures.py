@@ -8,14 +8,13 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from hydrabeam_mpi.data.observation import Array
 from hydrabeam_mpi.report.loop.record import Entry, entries, number, sigmas
 from hydrabeam_mpi.report.page.key_numbers import format_value
 from hydrabeam_mpi.report.page.scales import scale_values
 from hydrabeam_mpi.report.page.style import INFERRED, MODEL, REFERENCE, UNCERTAINTY, Drawing, colour_map, new_figure
 
-Array = NDArray[Any]
 STRONGEST = 10  # antennas and baselines that are drawn
 EDGES = {
     "expected_noise": ("largest of noise alone, mean ± 3 std", MODEL),

@@ -6,20 +6,17 @@ With azimuth from East through North the picture is a map seen from above, as on
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize, SymLogNorm
 from matplotlib.figure import FigureBase
 from matplotlib.image import AxesImage
 from matplotlib.patches import Circle
-from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
+from hydrabeam_mpi.data.observation import Array
 from hydrabeam_mpi.report.page.style import colour_map
 
-Array = NDArray[Any]
 VIEW = (
     "Equal-area projection of the hemisphere with radius √(1 − cos za): zenith in the middle, horizon at the rim, "
     "circles at za = 30° and 60°. Azimuth runs from East (right, az = 0°) through North (up, az = 90°): the view is "

@@ -8,13 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from numpy.typing import NDArray
-
+from hydrabeam_mpi.data.observation import Array
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.posterior_file import PosteriorFile, read_covariance, read_posterior
 from hydrabeam_mpi.io.reading import check_file, reading
 
-Array = NDArray[Any]
 REMEDY = "name a folder written by 'hydrabeam infer'"
 
 

@@ -10,8 +10,9 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.colors import Colormap
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from PIL import Image
+
+from hydrabeam_mpi.data.observation import Array
 
 # Colours of Okabe and Ito, told apart by colour-blind readers and in grey.
 INFERRED = "#d55e00"
@@ -85,7 +86,7 @@ def colour_map(name: str) -> Colormap:
     return colormaps[name].resampled(49)
 
 
-def decades(values: NDArray[Any], low: float = 0.0, high: float = 100.0) -> tuple[float, float]:
+def decades(values: Array, low: float = 0.0, high: float = 100.0) -> tuple[float, float]:
     """Return powers of ten that enclose the given percentiles of the positive values; (0.1, 1) without any."""
     positive = values[np.isfinite(values) & (values > 0)]
     if not positive.size:
