@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,9 +11,8 @@ import numpy as np
 from hydrabeam_mpi.api.beam import InferredBeam
 from hydrabeam_mpi.config import Job, load_job
 from hydrabeam_mpi.data.observation import FloatArray
-from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.posterior_file import PosteriorFile, read_posterior
-from hydrabeam_mpi.io.reading import reading
+from hydrabeam_mpi.io.reading import read_json
 
 if TYPE_CHECKING:
     from hydrabeam_mpi.api.setup import Setup
@@ -195,15 +193,9 @@ def load(folder: str | Path) -> Result | Found:
     """
     place = Path(folder)
     content = read_posterior(place / "posterior.h5")
-    result = Result(load_job(place / "job.toml"), content, _read_json(place / "summary.json"), place / "posterior.h5")
+    summary = read_json(place / "summary.json", what="a part of a result", remedy=REMEDY)
+    result = Result(load_job(place / "job.toml"), content, summary, place / "posterior.h5")
     if not (place / "loop.json").exists():
         return result
-    return Found(result, _read_json(place / "loop.json"), place / "amended.toml")
-
-
-def _read_json(path: Path) -> dict[str, Any]:
-    with reading(path, "a part of a result", remedy=REMEDY):
-        table = json.loads(path.read_text(encoding="utf-8"))
-    if not isinstance(table, dict):
-        raise InputError("is not a table", file=path, remedy=REMEDY)
-    return table
+    record = read_json(place / "loop.json", what="a part of a result", remedy=REMEDY)
+    return Found(result, record, place / "amended.toml")

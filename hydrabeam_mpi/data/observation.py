@@ -79,7 +79,7 @@ class Observation:
     exclude_times: tuple[tuple[float, float], ...] = ()
     exclude_baselines: tuple[tuple[int, int], ...] = ()
 
-    def excluded(self, times: IntArray, antpairs: IntArray) -> NDArray[np.bool_]:
+    def excluded(self, times: IntArray, antpairs: IntArray) -> BoolArray:
         """Tell which samples of some times (indices) and baselines (antenna numbers) are excluded, (Ntimes, Nbls)."""
         jd = self.times[times]
         bad_times = np.zeros(len(times), dtype=bool)
@@ -118,6 +118,16 @@ class Observation:
     def Npols(self) -> int:
         """Number of polarisations."""
         return len(self.pols)
+
+    @property
+    def is_copolar(self) -> bool:
+        """Whether the first polarisation is of equal feeds, so that the power beam is real."""
+        return self.pols[0][0] == self.pols[0][1]
+
+    @property
+    def lst_hours(self) -> FloatArray:
+        """Sidereal times in hours, (Ntimes,)."""
+        return np.rad2deg(self.lsts) / 15 % 24
 
     @cached_property
     def antenna_index(self) -> IntArray:

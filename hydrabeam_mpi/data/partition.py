@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -29,6 +30,12 @@ class Tile:
     def size(self) -> int:
         """Number of (time, baseline) rows."""
         return len(self.times) * len(self.bls)
+
+
+def spans(sizes: Iterable[int]) -> list[slice]:
+    """Return where parts of these sizes lie when they are side by side."""
+    ends = np.cumsum([0, *sizes]).tolist()
+    return list(map(slice, ends[:-1], ends[1:]))
 
 
 def split_by_cost(costs: FloatArray, n_parts: int) -> list[slice]:

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from hydrabeam_mpi.data.observation import Array, BoolArray, FloatArray, IntArray
+from hydrabeam_mpi.data.partition import spans
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
@@ -140,8 +141,7 @@ class Values:
     @cached_property
     def spans(self) -> tuple[slice, ...]:
         """Where each effect's parameters in use are, when those of all are side by side."""
-        ends = np.cumsum([0, *(one.size for one in self.active)]).tolist()
-        return tuple(map(slice, ends[:-1], ends[1:]))
+        return tuple(spans(one.size for one in self.active))
 
     @property
     def shared(self) -> BoolArray:

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
+from hydrabeam_mpi.data.partition import spans
 from hydrabeam_mpi.errors import InputError
 
 
@@ -141,20 +142,21 @@ class BlockPrior:
 
     def add_precision(self, matrix: Array) -> None:
         """Add Sigma^-1 to the (n, n) matrix."""
-        for prior, span in self._spans():
+        for prior, span in zip(self.priors, self._spans, strict=True):
             prior.add_precision(matrix[span, span])
 
     def precision_times(self, vector: Array) -> Array:
         """Return Sigma^-1 ``vector``, (n,)."""
-        return np.concatenate([prior.precision_times(vector[span]) for prior, span in self._spans()])
+        parts = zip(self.priors, self._spans, strict=True)
+        return np.concatenate([prior.precision_times(vector[span]) for prior, span in parts])
 
     def std(self) -> FloatArray:
         """Return the standard deviations, (n,)."""
         return np.concatenate([prior.std() for prior in self.priors])
 
-    def _spans(self) -> list[tuple[Prior, slice]]:
-        ends = np.cumsum([0, *(len(prior.mean) for prior in self.priors)]).tolist()
-        return list(zip(self.priors, map(slice, ends[:-1], ends[1:]), strict=True))
+    @property
+    def _spans(self) -> list[slice]:
+        return spans(len(prior.mean) for prior in self.priors)
 
 
 @dataclass(frozen=True)

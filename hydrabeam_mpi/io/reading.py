@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import resource
@@ -11,6 +12,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.memory import free_bytes
@@ -51,6 +53,22 @@ def reading(path: Path, what: str, *, field: str | None = None, remedy: str = DA
         reason = plain_words(error, path)
         told = f"cannot be read as {what}" + (f" ({reason})" if reason else "")
         raise InputError(told, file=path, field=field, remedy=remedy) from error
+
+
+def read_json(path: Path, *, what: str = "JSON", remedy: str) -> dict[str, Any]:
+    """Read a table of JSON.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, or it holds no table.
+    """
+    check_file(path, remedy=remedy)
+    with reading(path, what, remedy=remedy):
+        table = json.loads(path.read_text(encoding="utf-8"))
+    if not isinstance(table, dict):
+        raise InputError("is not a table", file=path, remedy=remedy)
+    return table
 
 
 @contextmanager

@@ -202,13 +202,13 @@ def _roles(job: Job, observation: Observation) -> tuple[Tile, Tile]:
 
 def find_groups(job: Job, observation: Observation) -> RedundantGroups:
     """Group redundant baselines, or keep each alone where the job says not to compress."""
-    pol = observation.pols[0]
-    redundant = find_redundant_groups(observation.bl_vectors, job.data.redundancy_tol, either_sign=pol[0] == pol[1])
+    tol, vectors = job.data.redundancy_tol, observation.bl_vectors
+    redundant = find_redundant_groups(vectors, tol, either_sign=observation.is_copolar)
     if job.solver.compress:
-        check_tolerance(observation, redundant, job.data.redundancy_tol)
+        check_tolerance(observation, redundant, tol)
         return redundant
     signs = np.where(redundant.flipped, -1.0, 1.0)[:, np.newaxis]
-    return RedundantGroups(signs * observation.bl_vectors, np.arange(observation.Nbls), redundant.flipped)
+    return RedundantGroups(signs * vectors, np.arange(observation.Nbls), redundant.flipped)
 
 
 def prepare(job: Job, files: tuple[Data, ...], truths: tuple[Beam, ...] = (), given: Given = NOTHING) -> Problem:

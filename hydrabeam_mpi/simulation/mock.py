@@ -62,7 +62,7 @@ def simulate_to(world: Comm, job: Job, folder: Path) -> tuple[Beam, ...]:
     observation, sky, beams = bcast_object(world, block)
     with together(world):
         redundant = find_redundant_groups(
-            observation.bl_vectors, job.data.redundancy_tol, either_sign=_is_copol(observation)
+            observation.bl_vectors, job.data.redundancy_tol, either_sign=observation.is_copolar
         )
         check_tolerance(observation, redundant, job.data.redundancy_tol)
         vectors = np.concatenate([redundant.vectors, np.zeros((1, 3))])
@@ -81,11 +81,6 @@ def simulate_to(world: Comm, job: Job, folder: Path) -> tuple[Beam, ...]:
     return beams[job.data.polarization]
 
 
-def _is_copol(observation: Observation) -> bool:
-    """Whether the one polarisation is of equal feeds."""
-    return observation.pols[0][0] == observation.pols[0][1]
-
-
 def _set_scene(job: Job, settings: Simulate, memory: int) -> tuple[Observation, Sky, dict[str, tuple[Beam, ...]]]:
     """Lay out what is observed, with which sky, and with which beams in which polarisations."""
     pol: str = job.data.polarization
@@ -93,7 +88,7 @@ def _set_scene(job: Job, settings: Simulate, memory: int) -> tuple[Observation, 
     needed = simulated_bytes(observation.Nants, observation.Ntimes, observation.Nfreqs)
     check_fits("[data.simulate]", needed, memory)
     check_apart(observation, job.data.redundancy_tol)
-    if not _is_copol(observation) and settings.noise:
+    if not observation.is_copolar and settings.noise:
         raise InputError(
             f"'{observation.pols[0]}' has no autocorrelations from which to draw noise",
             field="[data] polarization",
@@ -103,7 +98,7 @@ def _set_scene(job: Job, settings: Simulate, memory: int) -> tuple[Observation, 
     if settings.perturb is not None:
         own = tuple(perturb(job, beam, settings.perturb) for beam in own)
     beams = {pol: own}
-    if _is_copol(observation) and any(entry.kind in SEPARATE for entry in settings.effects):
+    if observation.is_copolar and any(entry.kind in SEPARATE for entry in settings.effects):
         one, other = next(feeds for feeds in FEEDS if pol[0] in feeds)
         observation = replace(observation, pols=(2 * one, 2 * other, one + other, other + one))
         second = 2 * (other if pol[0] == one else one)

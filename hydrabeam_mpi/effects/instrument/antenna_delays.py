@@ -49,7 +49,6 @@ class AntennaDelays(Effect):
 
     def factor(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return exp(2 pi i nu (tau_j - tau_k)), (Ntimes, Nbls)."""
-        delays = np.zeros(len(block.setup.observation.antenna_numbers))
-        delays[block.setup.antennas_in_use] = x
-        rows = np.exp(2j * np.pi * block.freq * NS * (delays[block.ant1] - delays[block.ant2]))
+        first, second = x[row_antennas(block)].T
+        rows = np.exp(2j * np.pi * block.freq * NS * (first - second))
         return np.broadcast_to(rows, block.shape)

@@ -9,7 +9,7 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.effects.shared.per_antenna import common_values
+from hydrabeam_mpi.effects.shared.per_antenna import antenna_parameters, common_values, row_antennas, row_parameters
 
 LARGEST_LN = float(np.log(LARGEST))
 """Of the product of two gains, from where a fit may start but does not stay: its square is still a double."""
@@ -29,10 +29,7 @@ class AntennaGains(Effect):
 
     def parameters(self, setup: ObservingSetup) -> Parameters:
         """Return ln amplitude and phase of every antenna."""
-        antennas = setup.antennas_in_use
-        numbers = setup.observation.antenna_numbers[antennas]
-        names = [f"antenna {number} {what}" for number in numbers for what in ("ln amplitude", "phase")]
-        return Parameters.of(names, ["", "rad"] * len(antennas), 1.0, np.repeat(np.arange(len(antennas)), 2))
+        return antenna_parameters(setup, ("ln amplitude", "phase"), ("", "rad"), 1.0)
 
     def degenerate_directions(self, setup: ObservingSetup) -> FloatArray:
         """Return the amplitude and the phase that all antennas have in common, (n_directions, n_params)."""
@@ -40,15 +37,12 @@ class AntennaGains(Effect):
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return m, i m for the first antenna of a row and m, -i m for the second; ``x`` is (n_params,)."""
-        first, second = (np.searchsorted(block.setup.antennas_in_use, ant) for ant in (block.ant1, block.ant2))
-        index = np.stack([2 * first, 2 * first + 1, 2 * second, 2 * second + 1], axis=-1)
         values = block.vis[..., np.newaxis] * np.array([1, 1j, 1, -1j])
-        return Columns(values, 2 * len(block.setup.antennas_in_use), index)
+        return Columns(values, 2 * len(block.setup.antennas_in_use), row_parameters(block, 2))
 
     def factor(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return g_j g_k*, (Ntimes, Nbls)."""
-        gains = np.zeros(len(block.setup.observation.antenna_numbers), dtype=complex)
-        gains[block.setup.antennas_in_use] = x[0::2] + 1j * x[1::2]
-        logarithm = gains[block.ant1] + gains[block.ant2].conj()
+        first, second = (x[0::2] + 1j * x[1::2])[row_antennas(block)].T
+        logarithm = first + second.conj()
         rows = np.exp(logarithm.real.clip(-LARGEST_LN, LARGEST_LN) + 1j * logarithm.imag)
         return np.broadcast_to(rows, block.shape)

@@ -7,7 +7,7 @@ import numpy as np
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.effects.shared.beam_visibilities import beam_visibilities, is_copolar
+from hydrabeam_mpi.effects.shared.beam_visibilities import beam_visibilities
 from hydrabeam_mpi.effects.shared.per_baseline import PerBaseline
 
 
@@ -30,7 +30,7 @@ class AutoCoupling(PerBaseline):
 
     def not_applicable(self, setup: ObservingSetup) -> str | None:
         """Ask for equal feeds and several times."""
-        if not is_copolar(setup):
+        if not setup.observation.is_copolar:
             return "the autocorrelations that couple are those of equal feeds, such as 'ee'; the model has none"
         if len(setup.times) < 2:
             return "what varies as the autocorrelation shows only at several times; there is one"

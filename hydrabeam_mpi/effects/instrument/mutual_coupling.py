@@ -13,7 +13,7 @@ from hydrabeam_mpi.data.redundancy import RedundantGroups, find_redundant_groups
 from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.effects.shared.beam_visibilities import beam_visibilities, is_copolar
+from hydrabeam_mpi.effects.shared.beam_visibilities import beam_visibilities
 from hydrabeam_mpi.effects.shared.per_antenna import row_antennas
 from hydrabeam_mpi.effects.shared.settings import Count
 from hydrabeam_mpi.model.engines.fringes import C_M_PER_S
@@ -59,7 +59,7 @@ class MutualCoupling(Effect):
 
     def not_applicable(self, setup: ObservingSetup) -> str | None:
         """Ask for equal feeds."""
-        if not is_copolar(setup):
+        if not setup.observation.is_copolar:
             return "visibilities couple into those of equal feeds, such as 'ee'; these are not"
         return None
 

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.partition import spans
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.model.bases.base import LinearBasis
@@ -238,9 +239,8 @@ class RowBlock:
             return np.concatenate(list(parts.values()))
 
         integrals = self.integrate(columns, flux="within columns")
-        edges = np.cumsum([0, *sizes.values()])
-        for kind, lo, hi in zip(sizes, edges[:-1], edges[1:], strict=True):
-            self.integrals[kind] = integrals[..., lo:hi]
+        for kind, span in zip(sizes, spans(sizes.values()), strict=True):
+            self.integrals[kind] = integrals[..., span]
 
 
 class GivenColumns:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
-from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.model.beam import CoefficientBeam
 from hydrabeam_mpi.model.rime import Beam
@@ -49,9 +48,3 @@ def beam_visibilities(block: RowBlock, vectors: FloatArray) -> ComplexArray:
     values = integrals.reshape(len(block.times), len(vectors)).astype(complex)
     kept[key] = block.beam, block.times, values
     return values
-
-
-def is_copolar(setup: ObservingSetup) -> bool:
-    """Tell whether the data are products of equal feeds, of which the model also has autocorrelations."""
-    pol = setup.observation.pols[0]
-    return pol[0] == pol[1]

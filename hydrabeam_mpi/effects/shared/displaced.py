@@ -18,7 +18,6 @@ from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources, table_of
-from hydrabeam_mpi.effects.shared.beam_visibilities import is_copolar
 from hydrabeam_mpi.model.bases.polar_table import PolarTable
 from hydrabeam_mpi.model.engines.fringes import C_M_PER_S, enu
 from hydrabeam_mpi.model.positions import SourcePositions
@@ -125,7 +124,7 @@ def turned_sky(block: RowBlock, rotations: FloatArray) -> RowBlock:
 
 def need_real_beam(setup: ObservingSetup) -> str | None:
     """Say why an effect that needs a real power beam cannot be used; None where it can."""
-    if is_copolar(setup):
+    if setup.observation.is_copolar:
         return None
     return f"the power beam of '{setup.observation.pols[0]}' is complex; equal feeds, such as 'ee', would tell"
 

@@ -12,12 +12,18 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 
 
-def antenna_parameters(setup: ObservingSetup, what: Sequence[str], unit: str, scale: float) -> Parameters:
-    """Return parameters named "antenna 23 ...", one after another for each antenna in use, which are the elements."""
+def antenna_parameters(
+    setup: ObservingSetup, what: Sequence[str], unit: str | Sequence[str], scale: float
+) -> Parameters:
+    """Return parameters named "antenna 23 ...", one after another for each antenna in use, which are the elements.
+
+    ``unit`` is that of all, or there is one for each of ``what``.
+    """
     antennas = setup.antennas_in_use
     numbers = setup.observation.antenna_numbers[antennas]
     names = [f"antenna {number} {name}" for number in numbers for name in what]
-    return Parameters.of(names, unit, scale, np.repeat(np.arange(len(antennas)), len(what)))
+    units = unit if isinstance(unit, str) else [*unit] * len(antennas)
+    return Parameters.of(names, units, scale, np.repeat(np.arange(len(antennas)), len(what)))
 
 
 def row_antennas(block: RowBlock) -> IntArray:

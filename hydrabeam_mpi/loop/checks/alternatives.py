@@ -140,9 +140,8 @@ def array_alternatives(observation: Observation, table: AntennaTable, tol: float
         of_number = dict(zip(table.numbers.tolist(), antpos, strict=True))
         mine = np.array([of_number[number] for number in observation.antenna_numbers.tolist()])
         layouts[name] = mine, "list the antennas' positions in the order of their numbers"
-    copol = observation.pols[0][0] == observation.pols[0][1]
     stated = observation.bl_vectors
-    known = [stated, -stated] if copol else [stated]
+    known = [stated, -stated] if observation.is_copolar else [stated]
     alternatives = []
     for name, (antpos, remedy) in layouts.items():
         vectors = replace(observation, antpos=antpos).bl_vectors
@@ -211,10 +210,9 @@ def _view(problem: Problem, rows: Rows, alternative: Alternative, times: IntArra
     if alternative.antpos is None:
         vectors, index, flipped = problem.redundant.vectors[rows.groups], rows.member, np.zeros(len(rows.member), bool)
     else:
-        copol = observation.pols[0][0] == observation.pols[0][1]
         sign = np.where(problem.redundant.flipped[rows.tile.bls], -1.0, 1.0)[:, np.newaxis]
         of_rows = sign * replace(observation, antpos=alternative.antpos).bl_vectors[rows.tile.bls]
-        found = find_redundant_groups(of_rows, job.data.redundancy_tol, either_sign=copol)
+        found = find_redundant_groups(of_rows, job.data.redundancy_tol, either_sign=observation.is_copolar)
         vectors, index, flipped = found.vectors, found.group, found.flipped
     engine = make_engine(job.solver.engine, vectors)
     positions = source_positions(job, problem.sky, moments)

@@ -130,7 +130,7 @@ def all_axes(sums: ResidualSums, layout: Layout) -> dict[str, Axis]:
     numbers = observation.antenna_numbers
     groups = _binned(sums.by_baseline, group, n_groups)
     east_norths = [{"vector_m": vector} for vector in np.round(redundant.vectors, 3).tolist()]
-    lsts = np.rad2deg(observation.lsts[layout.times]) / 15 % 24
+    lsts = observation.lst_hours[layout.times]
     jds = observation.times[layout.times]
     times = [{"jd": jd, "lst_h": lst} for jd, lst in zip(jds.tolist(), np.round(lsts, 5).tolist(), strict=True)]
     lst_centres = (np.arange(N_LSTS) + 0.5) * 24 / N_LSTS

@@ -166,7 +166,7 @@ class Coherence:
 
     def words(self, k: int, observation: Observation) -> str:
         """Name what a look is about."""
-        lst = np.rad2deg(observation.lsts) / 15 % 24
+        lst = observation.lst_hours
         if self.name in OF_TIMES:
             return f"LST {lst[self.index[k]]:.2f} h" if self.name == SPOTS else "together"
         if self.name in OF_BASELINES:

@@ -22,11 +22,11 @@ from hydrabeam_mpi.loop.residuals.coherent import Coherence
 from hydrabeam_mpi.loop.residuals.cube import Layout
 from hydrabeam_mpi.loop.residuals.sums import ResidualSums
 from hydrabeam_mpi.model.earth_orientation import EARTH_RATE
+from hydrabeam_mpi.model.engines.fringes import C_M_PER_S
 
 MOST_LISTED = 64
 LISTED_OF_MORE = 32
 PAIRS = ("within redundant groups", "neighbouring times", "neighbouring channels")
-SPEED_OF_LIGHT = 299792458.0
 
 
 @dataclass(frozen=True)
@@ -249,5 +249,5 @@ def _aliased(layout: Layout) -> bool:
     if not len(values):
         return False
     east_west = float(np.abs(layout.redundant.vectors[:, 0]).max())
-    fastest = EARTH_RATE * east_west * float(layout.observation.freqs.max()) / SPEED_OF_LIGHT
+    fastest = EARTH_RATE * east_west * float(layout.observation.freqs.max()) / C_M_PER_S
     return bool(fastest > np.abs(values).max())

@@ -161,7 +161,7 @@ def _pattern(pattern: ComplexArray, layout: Layout) -> dict[str, Any]:
     return {
         "freqs_hz": [float(observation.freqs[f].mean()) for f in freqs],
         "jds": observation.times[middle].tolist(),
-        "lsts_h": np.round(np.rad2deg(observation.lsts[middle]) / 15 % 24, 4).tolist(),
+        "lsts_h": np.round(observation.lst_hours[middle], 4).tolist(),
         "real": [[float(f"{value:.4g}") for value in row] for row in averaged.real],
         "imag": [[float(f"{value:.4g}") for value in row] for row in averaged.imag],
     }

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
+from hydrabeam_mpi.data.partition import spans
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases.base import LinearBasis
 
@@ -45,8 +46,8 @@ class Joined(LinearBasis):
         self.kept = places if kept is None else [places[number] for number in kept]
         self.n_modes, self.n_columns = len(self.kept), sum(part.n_columns for part in self.parts)
         self.is_complex = any(part.is_complex for part in self.parts)
-        self._columns = _spans(part.n_columns for part in self.parts)
-        self._functions = _spans(part.n_modes for part in self.parts)
+        self._columns = spans(part.n_columns for part in self.parts)
+        self._functions = spans(part.n_modes for part in self.parts)
 
     def columns(self, za: FloatArray, az: FloatArray, out: FloatArray | None = None) -> FloatArray:
         """Evaluate the columns of all parts, (n_columns, Npoints); see :meth:`LinearBasis.columns`."""
@@ -108,8 +109,3 @@ class Joined(LinearBasis):
         if not kept or len(set(kept)) < len(kept) or not set(kept) <= set(range(basis.n_modes)):
             raise ValueError("functions that the parts do not have")
         return cls(basis.parts, kept)
-
-
-def _spans(sizes: Iterable[int]) -> list[slice]:
-    ends = np.cumsum([0, *sizes]).tolist()
-    return list(map(slice, ends[:-1], ends[1:]))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.io.reading import reading
+from hydrabeam_mpi.io.reading import read_json
 from hydrabeam_mpi.report.page.key_numbers import Kind, format_value
 
 Entry = dict[str, Any]
@@ -29,9 +28,8 @@ def load_loop(directory: Path) -> Entry | None:
     path = directory / "loop.json"
     if not path.exists():
         return None
-    with reading(path, "JSON", remedy=REMEDY):
-        loop = json.loads(path.read_text(encoding="utf-8"))
-    if not isinstance(loop, dict) or loop.get("verdict") not in VERDICTS:
+    loop = read_json(path, remedy=REMEDY)
+    if loop.get("verdict") not in VERDICTS:
         raise InputError(f"is none of {', '.join(VERDICTS)}", file=path, field="verdict", remedy=REMEDY)
     return loop
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 from hydrabeam_mpi.data.observation import Array
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.posterior_file import PosteriorFile, read_covariance, read_posterior
-from hydrabeam_mpi.io.reading import check_file, reading
+from hydrabeam_mpi.io.reading import read_json
 
 REMEDY = "name a folder written by 'hydrabeam infer'"
 
@@ -121,11 +120,7 @@ def load_result(directory: Path) -> Result:
 
 
 def _read_summary(path: Path) -> dict[str, Any]:
-    check_file(path, remedy=REMEDY)
-    with reading(path, "JSON", remedy=REMEDY):
-        summary = json.loads(path.read_text(encoding="utf-8"))
-    if not isinstance(summary, dict):
-        raise InputError("is not a table of key numbers", file=path, remedy=REMEDY)
+    summary = read_json(path, remedy=REMEDY)
     phases = summary.get("phases_s") or {}
     if not isinstance(phases, dict) or not all(isinstance(seconds, int | float) for seconds in phases.values()):
         raise InputError("is not a table of seconds", file=path, field="phases_s", remedy=REMEDY)
