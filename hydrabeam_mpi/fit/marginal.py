@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.fit.equations import NormalEquations
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.inference.posterior import Posterior

@@ -10,6 +10,7 @@ stops at rounding level shortly after n = u/2.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -110,3 +111,11 @@ def chebyshev(y: FloatArray, out: FloatArray) -> None:
         # The first block meets T_{-n} = T_n.
         first = start - 2 * _BLOCK
         np.subtract(new, out[first : first + size] if first > 0 else out[_BLOCK - 1 :: -1], new)
+
+
+@lru_cache(maxsize=16)
+def radial_rows(ks: tuple[int, ...], boundary: Boundary, norm: float) -> BesselRows:
+    """Return the radial functions of these k times a norm; bases that are made again and again have them in common."""
+    u, q = radial_zeros(max(ks), boundary)
+    kept = np.array(ks) - 1
+    return BesselRows(u[kept], norm / q[kept])

@@ -15,7 +15,6 @@ sqrt2 cos(m az) and sqrt2 sin(m az), which keeps that norm.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from functools import lru_cache
 from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
@@ -24,7 +23,7 @@ from scipy.special import j0
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases.base import LinearBasis, NextModes, Selection
-from hydrabeam_mpi.model.bases.bessel import BesselRows, Boundary, radial_zeros
+from hydrabeam_mpi.model.bases.bessel import Boundary, radial_rows, radial_zeros
 from hydrabeam_mpi.model.bases.disc import EDGE, azimuthal_rows, check_edge
 from hydrabeam_mpi.model.bases.expected import next_expected
 from hydrabeam_mpi.model.bases.joined import Joined
@@ -85,7 +84,7 @@ class FourierBessel(LinearBasis):
         self._m_max = max(abs(m) for _, m in self.modes)
         self._inv_alpha_squared = 1 / (1 - np.cos(self.edge))
         azimuthal_norm = np.sqrt((1 if self.is_complex else 2) / self.n_az)
-        self._radial = _radial_rows(tuple(self._ks), boundary, float(azimuthal_norm))
+        self._radial = radial_rows(tuple(self._ks), boundary, float(azimuthal_norm))
         columns = complex_columns(self.modes) if self.is_complex else self.modes
         self.n_columns = len(columns)
         # Of every column, its row among the radial and among the azimuthal functions.
@@ -285,14 +284,6 @@ class FourierBessel(LinearBasis):
         if not self.is_complex:
             azimuthal[0] = np.sqrt(0.5)
         return radial, azimuthal
-
-
-@lru_cache(maxsize=16)
-def _radial_rows(ks: tuple[int, ...], boundary: Boundary, norm: float) -> BesselRows:
-    """Return the radial functions times a norm; bases that are made again and again have them in common."""
-    u, q = radial_zeros(max(ks), boundary)
-    kept = np.array(ks) - 1
-    return BesselRows(u[kept], norm / q[kept])
 
 
 def _check(modes: list[tuple[int, int]], form: str, edge: float, boundary: str) -> None:
