@@ -17,6 +17,7 @@ import numpy as np
 from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Columns as EffectColumns
 from hydrabeam_mpi.effects.interface.effect import Effect
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.columns import Columns, RowSet
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
@@ -55,6 +56,9 @@ class ModelBlock(ColumnBlock, Protocol):
     def held(self) -> FloatArray:
         """Combinations of the unknowns that no data decide and that are held at zero, (n, size)."""
 
+    def labels(self, setup: ObservingSetup) -> list[tuple[str, str]]:
+        """Return name and unit of each unknown, in their order."""
+
 
 @dataclass(frozen=True)
 class BeamBlock:
@@ -82,8 +86,12 @@ class BeamBlock:
 
     @property
     def held(self) -> FloatArray:
-        """None: of the beam the prior decides what the data do not."""
+        """None, (0, n_modes): of the beam the prior decides what the data do not."""
         return np.zeros((0, self.size))
+
+    def labels(self, setup: ObservingSetup) -> list[tuple[str, str]]:
+        """Return the numbers of the coefficients, which have no unit."""
+        return [(f"coefficient {number} of the beam", "") for number in range(self.size)]
 
     def columns(self, rows: RowSet, block: RowBlock) -> Columns:
         """Return the design rows of the block's groups."""

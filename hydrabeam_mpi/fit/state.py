@@ -92,6 +92,11 @@ class Active:
         """Combinations of the parameters in use that are held at zero, (n, n_used)."""
         return self.degenerate_directions[:, self.used]
 
+    def labels(self, setup: ObservingSetup) -> list[tuple[str, str]]:
+        """Return name and unit of each parameter in use."""
+        parameters = self.effect.parameters(setup)
+        return [(parameters.names[i], parameters.units[i]) for i in self.used]
+
     def columns(self, rows: RowSet, block: RowBlock) -> Columns:
         """Return the columns of the parameters in use."""
         return effect_columns(rows, self.effect.columns(block, self.x[block.channel]), self.used)
@@ -268,6 +273,9 @@ class Fitted:
 
 
 def independent_prior(prior_var: FloatArray, shared: bool) -> tuple[IntArray, ChannelPrior]:
-    """Return which parameters are in use, those of variance not zero, and their prior about zero."""
+    """Return which parameters are in use, those of ``prior_var``, (n_params,), not zero, and their prior about zero.
+
+    The indices are (n_used,).
+    """
     used = np.flatnonzero(prior_var)
     return used, ChannelPrior((DiagonalPrior(np.zeros(len(used)), np.sqrt(prior_var[used])),), shared)

@@ -66,7 +66,7 @@ def outliers(values: FloatArray, error: ArrayLike = 0.0, spread: float = POWER_S
 
 
 def centre_and_spread(values: FloatArray) -> tuple[float, float]:
-    """Return the median of some values, and the standard deviation of a Gaussian with their median deviation."""
+    """Return the median of values (N,), and the standard deviation of a Gaussian with their median deviation."""
     centre = float(np.median(values))
     return centre, GAUSSIAN * float(np.median(np.abs(values - centre)))
 

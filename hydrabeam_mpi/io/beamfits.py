@@ -258,7 +258,7 @@ def power_uvbeam(
     history: str = "",
     x_points: str = "east",
 ) -> UVBeam:
-    """Return power beams on an azimuth x zenith angle grid as a UVBeam; see :func:`write_power_beam`."""
+    """Return power beams on a grid, (Npols, Nfreqs, Nza, Naz), as a UVBeam; see :func:`write_power_beam`."""
     numbers = np.array([int(polstr2num(pol, x_orientation=x_points)) for pol in pols])
     copol = np.isin(numbers, _COPOLS)
     imag_max = float(np.abs(np.imag(values[copol])).max(initial=0.0))

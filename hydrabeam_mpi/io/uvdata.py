@@ -157,7 +157,10 @@ def _checked(data: ComplexArray, flags: BoolArray, nsamples: FloatArray, path: P
 
 
 def check_nsamples(nsamples: FloatArray, flags: BoolArray, path: Path) -> None:
-    """Refuse numbers of samples that cannot be where there is no flag; those below zero are flags."""
+    """Refuse numbers of samples that cannot be where there is no flag; those below zero are flags.
+
+    Both are of any, but the same, shape.
+    """
     if not np.isfinite(nsamples[~flags]).all():
         raise InputError("unflagged values that are not finite", file=path, field="nsample_array", remedy="flag them")
     if np.max(nsamples, where=~flags, initial=0.0) > LARGEST:

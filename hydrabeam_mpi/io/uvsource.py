@@ -27,13 +27,13 @@ class Source(Protocol):
         ...
 
     def may_hold(self, times: FloatArray, tolerance: float) -> bool:
-        """Tell quickly that there are no rows at some times (JD); True where only all metadata can tell."""
+        """Tell quickly that there are no rows at some times (JD), (Ntimes,); True where only all metadata can tell."""
         ...
 
     def samples(
         self, header: UVHeader, rows: IntArray, channels: IntArray, pols: IntArray, pol_convention: str | None
     ) -> Samples:
-        """Return visibilities, flags and nsamples as `hydrabeam_mpi.io.uvrows.read_samples` does."""
+        """Return visibilities, flags and nsamples, (Nrows, Nchannels, Npols), as `uvrows.read_samples` does."""
         ...
 
 
@@ -51,13 +51,13 @@ class UVFile:
         return read_metadata(self.path)
 
     def may_hold(self, times: FloatArray, tolerance: float) -> bool:
-        """Look at the times of a uvh5 file."""
+        """Look at the times of a uvh5 file; see `Source.may_hold`."""
         return may_hold(self.path, times, tolerance)
 
     def samples(
         self, header: UVHeader, rows: IntArray, channels: IntArray, pols: IntArray, pol_convention: str | None
     ) -> Samples:
-        """Read part of the file."""
+        """Read part of the file; see `Source.samples`."""
         return read_samples(header, rows, channels, pols, pol_convention)
 
 
@@ -148,13 +148,13 @@ class UVInMemory:
         return self.header, self.rows
 
     def may_hold(self, times: FloatArray, tolerance: float) -> bool:
-        """Return True: all metadata are at hand."""
+        """Return True: all metadata are at hand; see `Source.may_hold`."""
         return True
 
     def samples(
         self, header: UVHeader, rows: IntArray, channels: IntArray, pols: IntArray, pol_convention: str | None
     ) -> Samples:
-        """Take part of the data, in the convention V = 1/2 I B."""
+        """Take part of the data, in the convention V = 1/2 I B; see `Source.samples`."""
         wanted = np.ix_(rows, channels, pols)
         data: ComplexArray = self.data[wanted].astype(np.complex128)
         if (self.pol_convention or pol_convention) == "avg":

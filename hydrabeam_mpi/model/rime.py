@@ -76,7 +76,7 @@ class _BeamColumns:
     n_columns: int = 2
 
     def columns(self, za: FloatArray, az: FloatArray, out: FloatArray | None = None) -> FloatArray:
-        """Evaluate the beam; `out` is accepted for the interface and filled where given."""
+        """Evaluate real and imaginary part of the beam, (2, Npoints), into ``out`` where it is given."""
         values = np.asarray(self.beam(za, az))
         columns = np.empty((2, len(za))) if out is None else out
         columns[0], columns[1] = values.real, values.imag

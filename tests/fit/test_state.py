@@ -10,6 +10,7 @@ import pytest
 from hydrabeam_mpi.effects.instrument.antenna_delays import AntennaDelays
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
+from hydrabeam_mpi.fit.blocks import BeamBlock
 from hydrabeam_mpi.fit.state import Active, Estimate, Values
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.random import generator
@@ -72,6 +73,18 @@ def test_what_is_in_use_of_all_effects_side_by_side() -> None:
     np.testing.assert_array_equal(both.shared, [False] * 13 + [True] * 2)
     assert Values().shared.dtype == bool
     assert len(Values().prior_std(0)) == len(Values().shared) == 0
+
+
+def test_unknowns_have_names_and_units() -> None:
+    setup, gains = small_setup(), AntennaGains()
+    parameters = gains.parameters(setup)
+    prior_var = np.zeros(len(parameters))
+    prior_var[[1, 4]] = 1.0
+    active = Active.start(gains, setup, prior_var, np.zeros((1, len(parameters))))
+    assert active.labels(setup) == [(parameters.names[1], "rad"), (parameters.names[4], "")]
+    beam = BeamBlock(setup.basis, active.prior)
+    assert beam.labels(setup)[2] == ("coefficient 2 of the beam", "")
+    assert len(beam.labels(setup)) == beam.size
 
 
 def test_values_in_use_go_back_where_they_came_from() -> None:

@@ -78,7 +78,7 @@ class MissingSources(PointSources):
         return MissingSources([(ra % 360, dec) for ra, dec in sources], self.trials), part.reshape(len(x), -1), left
 
     def told(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> Told:
-        """Return flux, right ascension, declination and spectral index of every source."""
+        """Return flux, right ascension, declination and spectral index of every source, (Nfreqs, n_params)."""
         each, units = ("flux", "right ascension", "declination", "spectral index"), ("Jy", "deg", "deg", "")
         refined, left, _ = self.refined(x, np.arange(x.shape[1]))
         values, errors = (part.reshape(len(x), len(self.sources), -1).copy() for part in (left, std))

@@ -15,12 +15,12 @@ def amended_job(job: Job, fitted: Fitted, setup: ObservingSetup) -> Job:
     """Return the job with the fitted effects and their priors, from which `infer` comes to the same fit."""
     entries = []
     for one, std in zip(fitted.values.active, fitted.fit.std, strict=True):
-        used, parameters = one.used, one.effect.parameters(setup)
+        used = one.used
         entries.append(
             EffectEntry.model_construct(
                 kind=one.effect.kind,
                 settings=one.effect.describe(),
-                names=tuple(parameters.names[i] for i in used),
+                names=tuple(name for name, _ in one.labels(setup)),
                 index=tuple(int(i) for i in used),
                 values=_rows(one.x[:, used]),
                 std=_rows(std[:, used]),

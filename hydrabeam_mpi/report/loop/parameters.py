@@ -41,7 +41,7 @@ class _Family:
     errors: Array
 
     def most_significant(self, n: int) -> Array:
-        """Return the indices of the ``n`` parameters of highest significance, ascending."""
+        """Return the indices of the ``n`` parameters of highest significance, ascending, (n,)."""
         with np.errstate(divide="ignore", invalid="ignore"):
             size = np.nansum((self.values / self.errors) ** 2, axis=1)
         return np.sort(np.argsort(-np.nan_to_num(size, posinf=1e300), kind="stable")[:n])
