@@ -20,7 +20,7 @@ LARGEST_GAP = 1.5
 FEWEST_AZIMUTHS = 3
 """Fewer do not resolve a beam's shape in azimuth."""
 LARGEST_STEP = 16.0
-"""From the peak to the next largest sample: what a Gaussian falls by within its own full width at half maximum.
+"""Largest ratio of peak and next sample: what a Gaussian falls by within its own full width at half maximum.
 
 Samples farther apart than that do not describe a beam, and a single one that stands out by more is no part of it.
 """
@@ -165,7 +165,7 @@ def check_values(values: Array, what: str, path: Path) -> None:
 
 
 def check_peak(values: FloatArray, what: str, path: Path) -> None:
-    """Make sure that the peak of a co-polarised power beam is one, and no single sample that stands out.
+    """Make sure that a co-polarised power beam has a positive peak that is not one sample far above all others.
 
     ``values`` is (Npoints,).
 

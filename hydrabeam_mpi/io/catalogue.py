@@ -260,7 +260,7 @@ def _to_jansky(values: FloatArray, unit: units.UnitBase, freqs: FloatArray) -> F
 
 
 def _usable(flux: FloatArray, is_map: bool, path: Path) -> IntArray:
-    """Find the sources with a flux; a map without its mean has negative pixels that belong to it."""
+    """Find the sources with a flux: of a map, which may be without its mean, negative pixels are among them."""
     known = np.isfinite(flux).all(axis=0)
     usable = np.flatnonzero(known & ((flux != 0).any(axis=0) if is_map else (flux > 0).all(axis=0)))
     total, unknown = flux.shape[1], np.sum(~known)

@@ -36,5 +36,5 @@ def stamp_of(path: Path) -> Stamp | None:
 
 
 def _files_of(path: Path) -> list[Path]:
-    """List the files of a folder in order of name; a file is its own only one."""
+    """List the files of a folder in order of name; of a file that file alone."""
     return [file for file in sorted(path.rglob("*")) if file.is_file()] if path.is_dir() else [path]

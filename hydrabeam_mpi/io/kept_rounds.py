@@ -1,7 +1,7 @@
 """Rounds of a loop that have ended, on disk: in a folder that is filled, or in the result of a loop that was ended.
 
-The last round alone is kept, as it has all before it. It is a folder that appears whole, with the files that a result
-of it would have and with Python objects, whose files begin with the checksum of what follows.
+Only the last round is kept, as it tells of all before it. It is a folder that appears whole, with the files that a
+result would have at that point, and with Python objects, each in a file that begins with the checksum of the rest.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ PACKAGE = "hydrabeam_mpi"
 OF_NUMPY = {"ndarray", "dtype", "_reconstruct", "scalar", "_frombuffer"}
 """What NumPy's own objects are made with."""
 READABLE = ("loop.json", "amended.toml", "job.toml", "provenance.json")
-"""Files of a round that are those of a result."""
+"""Files that a round and a result have in common."""
 OBJECT = ".object"
 
 

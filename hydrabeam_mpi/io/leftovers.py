@@ -40,7 +40,7 @@ def claim(folder: Path) -> int:
 
 
 def find_abandoned(path: Path) -> list[Path]:
-    """List the folders beside ``path`` that runs, which have ended, were filling when they did."""
+    """List the folders beside ``path`` that runs were filling when they were killed."""
     return [folder for folder in _beside(path, "partial") if _state_by_lock(folder) == "abandoned"]
 
 

@@ -81,7 +81,7 @@ def remove_result(folder: Path) -> bool:
 
 
 def _content(folder: Path) -> tuple[list[str], list[str]]:
-    """Return the names of all files (and links) and of all folders below one, without those that serve the program."""
+    """Return the names of all files (and links) and of all folders below one, but for the manifest and the lock."""
 
     def fail(error: OSError) -> None:
         raise error

@@ -17,7 +17,7 @@ from hydrabeam_mpi.io.reading import check_file, reading
 from hydrabeam_mpi.model.bases.base import LinearBasis
 
 ROUNDING = float(np.finfo(np.float32).eps)
-"""Elements (i, j) and (j, i) of a covariance that differ by more, in units of sigma_i sigma_j, are no pair.
+"""Largest difference of elements (i, j) and (j, i) of a covariance that rounding makes, over sigma_i sigma_j.
 
 Single precision, in which a file may be, and the sums that make a covariance stay well below it.
 """

@@ -135,7 +135,7 @@ def plain_words(error: Exception, path: Path | None = None) -> str:
 
 
 def _without_machinery(text: str) -> str:
-    """Leave out what only their programmers know: names of classes, what HDF5 was about to do, advice on calls."""
+    """Leave out what says nothing to users: names of classes, what HDF5 was about to do, advice on calls."""
     for system in re.findall(r"error message = '([^']*)'", text):
         return str(system)
     text = re.sub(r"^(['\"])(.*)\1$", r"\2", text)

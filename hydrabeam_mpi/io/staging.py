@@ -19,7 +19,7 @@ from hydrabeam_mpi.io.manifest import MANIFEST, RUNNING, find_strangers, read_ma
 logger = logging.getLogger(__name__)
 
 NAMED_STRANGERS = 3
-"""As many files as a line has room for are named of those that keep a folder from being replaced."""
+"""How many of the files that keep a folder from being replaced are named: a line has room for no more."""
 
 
 class StagedDirectory:
@@ -109,7 +109,7 @@ class StagedDirectory:
             logger.warning("of the earlier result not all could be removed: the rest is in %s", old)
 
     def leave(self, interrupted: bool) -> None:
-        """End without a result; what is there goes, but for the rounds of a loop that have ended.
+        """End without a result: remove what has been written, except for the rounds of a loop that have ended.
 
         After a signal these are published, as a result that says so. Else they stay where a later run finds them.
         """

@@ -1,4 +1,4 @@
-"""Whether what a file says of its visibilities can be so, and whether the model has a word for it."""
+"""Whether what a file says of its visibilities can be so, and whether the model can describe such data."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def check_metadata(uv: UVData, path: Path) -> None:
     Raises
     ------
     InputError
-        That names what cannot be so, or what the forward model has no word for.
+        That names what cannot be so, or what the forward model cannot describe.
     """
     _check_supported(uv, path)
     for owner, names in ((uv, OF_DATA), (uv.telescope, OF_TELESCOPE)):
@@ -61,7 +61,7 @@ def _wrong(path: Path, field: str, message: str, remedy: str = CORRECT) -> Input
 
 
 def _check_supported(uv: UVData, path: Path) -> None:
-    """Refuse by name what the forward model has no word for."""
+    """Refuse by name what the forward model cannot describe."""
     if uv.flex_spw_polarization_array is not None:
         remedy = "convert it with UVData.remove_flex_pol()"
         raise InputError("the polarisation varies between spectral windows", file=path, remedy=remedy)

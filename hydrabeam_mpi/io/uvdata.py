@@ -168,5 +168,5 @@ def check_nsamples(nsamples: FloatArray, flags: BoolArray, path: Path) -> None:
 
 
 def size(values: ComplexArray) -> FloatArray:
-    """Return the larger of real and imaginary parts, whose squares may be too large; in the shape of ``values``."""
+    """Return the larger of |real| and |imaginary| part, which unlike |values| cannot overflow; in the same shape."""
     return np.maximum(np.abs(values.real), np.abs(values.imag))

@@ -224,7 +224,7 @@ def _select_antpairs(surveys: list[_Survey], positions: dict[int, FloatArray], s
 
 
 def linear_pols(pols: Sequence[str], path: Path) -> list[str]:
-    """Return the polarisations that the model has a word for.
+    """Return the polarisations that the model can describe, those of linear feeds.
 
     Raises
     ------

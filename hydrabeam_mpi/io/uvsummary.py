@@ -20,7 +20,7 @@ from hydrabeam_mpi.io.uvrows import SAMPLE_BYTES, WINDOW_BYTES, read_samples
 
 @dataclass
 class Power:
-    """An antenna's autocorrelations: how many are known, how many are a power, and the sum of the logs of these."""
+    """An antenna's autocorrelations: how many are known, how many are positive, and the sum of ln of these."""
 
     known: int = 0
     positive: int = 0
@@ -35,7 +35,7 @@ class Power:
 
     @property
     def mean_log(self) -> float:
-        """NaN where none is known, -inf where none is a power."""
+        """NaN where none is known, -inf where none is positive."""
         if not self.known:
             return np.nan
         return self.logs / self.positive if self.positive else -np.inf
@@ -125,7 +125,7 @@ def summarise(files: Sequence[Path]) -> Summary:
 
 
 def _first_pol(pols: Sequence[str], path: Path) -> str:
-    """Choose a polarisation that the model has a word for."""
+    """Choose a polarisation that the model can describe: the first of equal feeds, or else the first."""
     linear = linear_pols(pols, path)
     return next((pol for pol in linear if pol[0] == pol[1]), linear[0])
 

@@ -188,7 +188,7 @@ def map_beams(content: PosteriorFile) -> dict[str, Any]:
 
 
 def _add_warning(path: Path, caution: str) -> None:
-    """Add a warning to a summary that is there already; it stays as it is where the disk takes no more."""
+    """Add a warning to a summary that is there already, unless the disk is full."""
     summary = json.loads(path.read_text())
     summary["warnings"].append(caution)
     partial = path.with_name(f".{path.name}.partial")

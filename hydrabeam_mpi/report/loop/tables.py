@@ -125,7 +125,7 @@ def parameters_table(entry: Entry) -> str:
 
 
 def _to_its_error(value: float, std: float) -> str:
-    """Write a value with all digits that its error leaves, as of a place on the sky."""
+    """Write a value to the second digit of its error, where that takes many digits as for a place on the sky."""
     if not (math.isfinite(value) and 0 < std < 1e-2 * abs(value) < 1e4):
         return written(value)
     return f"{value:,.{max(0, 1 - math.floor(math.log10(std)))}f}"
