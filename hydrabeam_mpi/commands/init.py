@@ -17,9 +17,9 @@ from hydrabeam_mpi.config.text import frequency_text, keys_text, table_text
 from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.redundancy import find_redundant_groups
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.beamfits import SAME_FREQ
 from hydrabeam_mpi.io.noise import MAX_GAP, MIN_DIFFERENCES
 from hydrabeam_mpi.io.uvsummary import Summary, summarise
-from hydrabeam_mpi.setup.beams import SAME_FREQ
 from hydrabeam_mpi.tables import embedded_beam
 
 CATALOGUE, BEAM = "CATALOGUE.skyh5", "BEAM.beamfits"

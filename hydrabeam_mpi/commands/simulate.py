@@ -8,15 +8,8 @@ from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.named import for_simulation
 from hydrabeam_mpi.io.disk import writing
 from hydrabeam_mpi.io.provenance import provenance
-from hydrabeam_mpi.mpi import (
-    Comm,
-    library_version,
-    together,
-)
-from hydrabeam_mpi.result.output import (
-    staged,
-    write_job_and_provenance,
-)
+from hydrabeam_mpi.mpi import Comm, library_version, together
+from hydrabeam_mpi.result.output import staged, write_job_and_provenance
 from hydrabeam_mpi.setup.cautions import cautions_of_times
 from hydrabeam_mpi.simulation.mock import mock_observation, simulate_to
 from hydrabeam_mpi.terminal.progress import say, warn

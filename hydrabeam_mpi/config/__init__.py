@@ -3,12 +3,13 @@
 from hydrabeam_mpi.config.base import Section
 from hydrabeam_mpi.config.job import Job, load_job
 from hydrabeam_mpi.config.named import named_files
-from hydrabeam_mpi.config.sections import ANALYTIC_BEAMS, BUILT_IN_BEAMS, SkyColumns
+from hydrabeam_mpi.config.sections import ANALYTIC_BEAMS, BUILT_IN_BEAMS, EMBEDDED_BEAM, SkyColumns
 from hydrabeam_mpi.config.simulation import Perturbation, Simulate
 
 __all__ = [
     "ANALYTIC_BEAMS",
     "BUILT_IN_BEAMS",
+    "EMBEDDED_BEAM",
     "Job",
     "Perturbation",
     "Section",

@@ -37,7 +37,8 @@ else:  # a job may ask for what there is
     EngineName = Literal[tuple(ENGINES)]
 
 ANALYTIC_BEAMS = ("gaussian", "airy")
-BUILT_IN_BEAMS = ("hera-vivaldi-131MHz", *ANALYTIC_BEAMS)
+EMBEDDED_BEAM = "hera-vivaldi-131MHz"
+BUILT_IN_BEAMS = (EMBEDDED_BEAM, *ANALYTIC_BEAMS)
 
 
 class Data(Section):
@@ -175,7 +176,7 @@ class Beam(Section):
     """The electromagnetic beam model that is nearly right; the prior mean is its fit."""
 
     source: Annotated[str, AfterValidator(_beam_file)] = key(
-        "hera-vivaldi-131MHz", "beam file, or 'hera-vivaldi-131MHz', 'gaussian' or 'airy'"
+        EMBEDDED_BEAM, f"beam file, or '{EMBEDDED_BEAM}', 'gaussian' or 'airy'"
     )
     east_feed: Literal["x", "y"] | None = key(None, "feed that points East, instead of what the file says")
     diameter: Metres | None = key(None, "m, of 'gaussian' or 'airy'", gt=0, le=EARTH_DIAMETER)

@@ -27,8 +27,8 @@ from hydrabeam_mpi.model.bases.rings import SAME_ANGLE, Pixels
 from hydrabeam_mpi.model.beam import BeamInfo, SampledBeam
 from hydrabeam_mpi.model.interpolate import AzZaGrid, HealpixMap
 
-# A channel this close (relative) is the frequency asked for.
-_SAME_FREQ = 5e-4
+SAME_FREQ = 5e-4
+"""Relative distance within which a beam's frequency is the one asked for."""
 # Channels around the frequency asked for that take part in interpolation.
 _FREQS_TO_INTERPOLATE = 8
 
@@ -132,7 +132,7 @@ class BeamFile:
         """Return the power beam of all polarisations at one frequency."""
         freqs = self.freqs
         nearest = int(np.argmin(np.abs(freqs - freq)))
-        exact = abs(freqs[nearest] - freq) <= _SAME_FREQ * freq
+        exact = abs(freqs[nearest] - freq) <= SAME_FREQ * freq
         if not exact and not (freqs.min() <= freq <= freqs.max()):
             span = f"{freqs.min() / 1e6:.6g}-{freqs.max() / 1e6:.6g} MHz"
             message = f"the beam covers {span}, not {freq / 1e6:.6g} MHz"

@@ -14,11 +14,8 @@ from hydrabeam_mpi.data.limits import LARGEST
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.reading import check_file, reading
+from hydrabeam_mpi.model.bases.rings import FEWEST_AZIMUTHS, LARGEST_GAP
 
-LARGEST_GAP = 1.5
-"""Azimuths go all around where no gap is larger than this many times the mean, as those of rings do."""
-FEWEST_AZIMUTHS = 3
-"""Fewer do not resolve a beam's shape in azimuth."""
 LARGEST_STEP = 16.0
 """Largest ratio of peak and next sample: what a Gaussian falls by within its own full width at half maximum.
 

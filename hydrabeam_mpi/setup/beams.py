@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from pyuvdata import BeamInterface, UVBeam
 
-from hydrabeam_mpi.config import ANALYTIC_BEAMS, BUILT_IN_BEAMS, Job, Perturbation
+from hydrabeam_mpi.config import ANALYTIC_BEAMS, BUILT_IN_BEAMS, EMBEDDED_BEAM, Job, Perturbation
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.inference.prior import DiagonalPrior, FlatPrior, Prior
-from hydrabeam_mpi.io.beamfits import BeamFile
+from hydrabeam_mpi.io.beamfits import SAME_FREQ, BeamFile
 from hydrabeam_mpi.io.prior_file import read_prior
 from hydrabeam_mpi.io.reading import check_file
 from hydrabeam_mpi.model.bases import basis_from_settings
@@ -23,9 +23,6 @@ from hydrabeam_mpi.model.beam import Beam, BeamInfo, analytic_beam, of_formula
 from hydrabeam_mpi.model.fit import FittedBeam, fit_beam
 from hydrabeam_mpi.model.perturb import PerturbedBeam
 from hydrabeam_mpi.tables import embedded_beam
-
-# A model at this relative distance from the observed frequency is at that frequency.
-SAME_FREQ = 5e-4
 
 
 @dataclass(frozen=True)
@@ -100,7 +97,7 @@ def load_beams(job: Job, freqs: FloatArray, pol: str, given: Any = None) -> tupl
         return _given_beams(job, freqs, pol, given)
     if settings.source in ANALYTIC_BEAMS:
         return tuple(analytic_beam(settings.source, float(freq), pol, diameter=settings.diameter) for freq in freqs)
-    if settings.source == "hera-vivaldi-131MHz":
+    if settings.source == EMBEDDED_BEAM:
         return tuple(_embedded(float(freq), pol, settings.frequency == "scale") for freq in freqs)
     known = ", ".join(BUILT_IN_BEAMS)
     check_file(Path(settings.source), field="[beam] source", remedy=f"check the path, or use {known}")

@@ -15,10 +15,10 @@ from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray
 
 # Angles closer than this (radians, 0.02 arcsec) are the same angle.
 SAME_ANGLE = 1e-7
-# A ring has at least this many azimuths, unless it is the zenith, ...
-_FEWEST = 3
-# ... and no gap larger than this many times the mean.
-_LARGEST_GAP = 1.5
+FEWEST_AZIMUTHS = 3
+"""Of a ring, unless it is the zenith: fewer do not resolve a beam's shape in azimuth."""
+LARGEST_GAP = 1.5
+"""Azimuths go all around where no gap is larger than this many times the mean."""
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,8 @@ class RingGrid:
         start = np.cumsum(n_az) - n_az
         gap = np.append(np.diff(az), 0.0)
         gap[start + n_az - 1] = az[start] + 2 * np.pi - az[start + n_az - 1]
-        uneven = gap > _LARGEST_GAP * 2 * np.pi / n_az[ring]
-        few = (n_az < _FEWEST) & (za[start] > SAME_ANGLE)
+        uneven = gap > LARGEST_GAP * 2 * np.pi / n_az[ring]
+        few = (n_az < FEWEST_AZIMUTHS) & (za[start] > SAME_ANGLE)
         return None if uneven.any() or few.any() else cls(za[start], n_az, az, values)
 
     def azimuthal_orders(self, m_max: int) -> NDArray[np.complex128]:
