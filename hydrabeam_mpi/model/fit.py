@@ -85,7 +85,9 @@ def fit_beam(beam: Evaluable | Pixels, basis: LinearBasis | Selection) -> Fitted
         )
         pixels = Pixels(*degree_grid(), beam(*degree_grid()))
     coeffs, _ = _solve(full, pixels)
-    return fit_basis(full.largest(coeffs, basis.n_modes or full.n_modes), pixels)
+    amplitudes = full.amplitudes(coeffs)
+    lasting = int(np.count_nonzero(amplitudes > basis.least * amplitudes.max()))
+    return fit_basis(full.largest(coeffs, min(basis.n_modes or full.n_modes, lasting)), pixels)
 
 
 def beam_pixels(beam: Evaluable) -> Pixels:

@@ -18,7 +18,7 @@ from hydrabeam_mpi.io.beamfits import SAME_FREQ, BeamFile
 from hydrabeam_mpi.io.prior_file import read_prior
 from hydrabeam_mpi.io.reading import check_file
 from hydrabeam_mpi.model.bases import basis_from_settings
-from hydrabeam_mpi.model.bases.base import LinearBasis
+from hydrabeam_mpi.model.bases.base import NEGLIGIBLE, LinearBasis, Selection
 from hydrabeam_mpi.model.beam import Beam, BeamInfo, analytic_beam, of_formula
 from hydrabeam_mpi.model.fit import FittedBeam, fit_beam
 from hydrabeam_mpi.model.perturb import PerturbedBeam
@@ -151,9 +151,15 @@ def perturb(job: Job, beam: Beam, settings: Perturbation) -> Beam:
 
 
 def fit_model_beams(job: Job, beams: Sequence[Beam]) -> tuple[LinearBasis, list[FittedBeam]]:
-    """Choose the basis at the middle channel and fit the model beam of every channel in it."""
-    middle = len(beams) // 2
-    chosen = fit_beam(beams[middle], basis_from_settings(job.basis.model_dump()))
+    """Choose the basis at the middle channel and fit the model beam of every channel in it.
+
+    Modes that the model beam lacks altogether stay out where the prior would give them no width: the data could not
+    move them, and the basis would not have them among its next ones.
+    """
+    middle, basis = len(beams) // 2, basis_from_settings(job.basis.model_dump())
+    if isinstance(basis, Selection) and job.prior.kind == "fraction" and job.prior.floor < NEGLIGIBLE:
+        basis = replace(basis, least=NEGLIGIBLE)
+    chosen = fit_beam(beams[middle], basis)
     fits = [chosen if f == middle else fit_beam(beam, chosen.basis) for f, beam in enumerate(beams)]
     return chosen.basis, fits
 

@@ -12,7 +12,7 @@ from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.shared.displaced import need_real_beam
-from hydrabeam_mpi.model.bases.base import NEGLIGIBLE, LinearBasis, NextModes
+from hydrabeam_mpi.model.bases.base import LinearBasis, NextModes
 
 MOST_MODES = 128
 
@@ -51,13 +51,9 @@ class BasisTruncation(Effect):
         return need_real_beam(setup)
 
     def parameters(self, setup: ObservingSetup) -> Parameters:
-        """Return the coefficients of the next modes, expected to be as large as the smallest that there are."""
-        modes = self.next_modes(setup).modes
-        amplitudes = _amplitudes(setup)
-        told = np.sort(amplitudes[amplitudes > NEGLIGIBLE * amplitudes.max()])
-        return Parameters.of(
-            [f"coefficient of mode {mode}" for mode in modes], "", float(np.median(told[: len(modes)]))
-        )
+        """Return the coefficients of the next modes, in units of how large the model beam leads one to expect them."""
+        lacking = self.next_modes(setup)
+        return Parameters.of([f"coefficient of mode {mode}" for mode in lacking.modes], "", lacking.expected)
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return the visibilities of the modes; ``x`` is (n_params,)."""

@@ -33,10 +33,13 @@ class Selection:
         All modes that there are to choose from.
     n_modes : int or None
         Number of modes kept, those whose coefficients are largest; None keeps all.
+    least : float
+        Modes whose amplitude is this part of the largest one, or less, are not kept; negative to keep any.
     """
 
     basis: LinearBasis
     n_modes: int | None
+    least: float = -1.0
 
 
 @dataclass(frozen=True)
@@ -47,11 +50,14 @@ class NextModes:
     ----------
     modes : tuple of (int, int)
         Their numbers, by which they are called.
+    expected : ndarray, (len(modes),)
+        How large their coefficients are expected to be, by those of the model beam.
     make : callable
         Makes the basis of these functions.
     """
 
     modes: tuple[tuple[int, int], ...]
+    expected: FloatArray
     make: Callable[[], LinearBasis]
 
     @cached_property

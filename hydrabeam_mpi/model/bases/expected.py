@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 
 import numpy as np
 
@@ -13,10 +13,8 @@ MARGIN = 4
 """Orders beyond those of a basis that has all of its own; enough for as many modes again."""
 
 
-def largest_expected(
-    modes: Sequence[tuple[int, int]], amplitudes: FloatArray, taken: Sequence[tuple[int, int]], most: int
-) -> list[tuple[int, int]]:
-    """Return the modes that are expected to be largest by those of a basis that are near.
+def expected_amplitudes(modes: Sequence[tuple[int, int]], amplitudes: FloatArray) -> FloatArray:
+    """Return how large modes are expected to be by those of a basis that are near.
 
     A mode is expected to be as large as any other reduced by a factor e for each step in k and in |m|, and by e^3 more
     where one |m| is even and the other odd, as most feeds look alike when turned by half a turn. Of the modes that a
@@ -28,12 +26,12 @@ def largest_expected(
         Of the basis; k = 1, 2, ...
     amplitudes : ndarray, (len(modes),)
         How large their coefficients are.
-    taken : sequence of (k, m)
-        Further modes to leave out.
-    most : int
-        Most modes to return; m and -m come together.
+
+    Returns
+    -------
+    ndarray, (Nk, Nm)
+        Of the modes (k, m) and (k, -m) at [k - 1, m].
     """
-    present = {*modes, *taken}
     logs = np.log(np.maximum(amplitudes, NEGLIGIBLE * amplitudes.max()))
     k, m = np.array(modes).T
     expected = np.full((k.max() + MARGIN, abs(m).max() + 1 + MARGIN), -np.inf)
@@ -41,7 +39,14 @@ def largest_expected(
     steps_k, steps_m = (abs(np.subtract.outer(np.arange(n), np.arange(n))) for n in expected.shape)
     steps_m += 3 * (steps_m % 2)
     expected = (expected - steps_k[:, :, np.newaxis]).max(axis=1)
-    expected = (expected[:, np.newaxis] - steps_m).max(axis=2)
+    return np.exp((expected[:, np.newaxis] - steps_m).max(axis=2))
+
+
+def largest_lacking(expected: FloatArray, present: Container[tuple[int, int]], most: int) -> list[tuple[int, int]]:
+    """Return the modes that are expected to be largest, ``most`` or fewer, of those that are not ``present``.
+
+    m and -m come together. ``expected`` is that of `expected_amplitudes`.
+    """
     chosen: list[tuple[int, int]] = []
     for place in np.argsort(-expected, axis=None, kind="stable").tolist():
         row, order = divmod(place, expected.shape[1])
@@ -57,21 +62,38 @@ def next_expected(
     before: Sequence[tuple[int, int]],
     n_before: int,
     most: int,
-) -> list[tuple[int, int]]:
+) -> tuple[list[tuple[int, int]], FloatArray]:
     """Return the first modes, ``most`` or fewer, that come when others have taken ``n_before`` of them.
 
     Parameters
     ----------
     modes, amplitudes
-        As for `largest_expected`.
+        As for `expected_amplitudes`.
     before : sequence of (k, m)
         Modes that come before all that are expected by others.
     n_before, most : int
+
+    Returns
+    -------
+    modes : list of (k, m)
+    sizes : ndarray, (len(modes),)
+        How large they are expected; those that come ``before`` the others as the smallest of the basis.
     """
+    expected = expected_amplitudes(modes, amplitudes)
     taken: list[tuple[int, int]] = []
     while True:
         new = [mode for mode in before if mode not in taken][:most]
-        new += largest_expected(modes, amplitudes, taken, most - len(new))
+        n_first = len(new)
+        new += largest_lacking(expected, {*modes, *taken}, most - n_first)
         if not new or len(taken) >= n_before:
-            return new
+            break
         taken += new[: n_before - len(taken)]
+    least = smallest(amplitudes, len(new))
+    sizes = [least] * n_first + [expected[k - 1, abs(m)] for k, m in new[n_first:]]
+    return new, np.array(sizes, dtype=float)
+
+
+def smallest(amplitudes: FloatArray, n: int) -> float:
+    """Return the median of the ``n`` smallest amplitudes that are not rounding errors."""
+    told = np.sort(amplitudes[amplitudes > NEGLIGIBLE * amplitudes.max()])
+    return float(np.median(told[:n]))

@@ -155,8 +155,8 @@ class FourierBessel(LinearBasis):
         """
         signed = [m for order in range(self._m_max + 1) for m in dict.fromkeys([order, -order])]
         at_edge = [(AT_EDGE, m) for m in signed] if self.boundary == "dirichlet" else []
-        new = next_expected(self.modes, amplitudes, at_edge, n_before, most)
-        return NextModes(tuple(new), lambda: self._real(new))
+        new, sizes = next_expected(self.modes, amplitudes, at_edge, n_before, most)
+        return NextModes(tuple(new), sizes, lambda: self._real(new))
 
     def _real(self, modes: list[tuple[int, int]]) -> LinearBasis:
         """Return these functions, the constant ones first; only the Neumann condition has such a one."""

@@ -17,6 +17,7 @@ from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases.base import LinearBasis, NextModes
 from hydrabeam_mpi.model.bases.disc import EDGE, azimuthal_rows, check_edge
+from hydrabeam_mpi.model.bases.expected import smallest
 from hydrabeam_mpi.model.bases.joined import Joined
 
 
@@ -86,7 +87,10 @@ class Zernike(LinearBasis):
             top += 1
         modes = tuple((n, m) for n in range(first, top + 1) for m in range(-n, n + 1, 2))
         n_modes = (top + 1) * (top + 2) // 2
-        return NextModes(modes, lambda: Joined([Zernike(top, self.edge)], range(n_modes - len(modes), n_modes)))
+        expected = np.full(len(modes), smallest(amplitudes, len(modes)))
+        return NextModes(
+            modes, expected, lambda: Joined([Zernike(top, self.edge)], range(n_modes - len(modes), n_modes))
+        )
 
     def _radial(self, m: int, rho: FloatArray) -> list[FloatArray]:
         """Return R_n^m for n = m, m + 2, ..., degree: rho^m times Jacobi's P_j^(0,m)(2 rho^2 - 1)."""
