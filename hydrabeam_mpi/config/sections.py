@@ -207,7 +207,7 @@ class Basis(Section):
 
     kind: BasisName = key("fourier-bessel", "family of functions")
     form: Literal["real", "complex"] = key("real", "fourier-bessel: of the coefficients", FOURIER_BESSEL)
-    n_modes: int = key(2048, "fourier-bessel: coefficients kept, the largest that the model beam has", FOURIER_BESSEL, ge=1)
+    n_modes: int = key(2048, "fourier-bessel: coefficients kept, the largest of the model beam", FOURIER_BESSEL, ge=1)
     k_max: int = key(80, "fourier-bessel: radial orders 1 to k_max", FOURIER_BESSEL, ge=1, le=MOST_ZEROS)
     m_max: int = key(45, "fourier-bessel: azimuthal orders -m_max to m_max", FOURIER_BESSEL, ge=0, le=MOST_ORDERS)
     edge: Degrees = key(92.0, "deg of zenith angle where the functions end", ge=90, le=180)
