@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from hydrabeam_mpi.api.beam import InferredBeam
     from hydrabeam_mpi.api.inference import infer
     from hydrabeam_mpi.api.loop import close_loop
+    from hydrabeam_mpi.api.prediction import Prediction, predict
     from hydrabeam_mpi.api.result import Found, Result, load
     from hydrabeam_mpi.api.setup import Setup
     from hydrabeam_mpi.api.simulation import Mock, simulate
@@ -29,12 +30,14 @@ _HOMES = {
     "InferredBeam": "api.beam",
     "InputError": "errors",
     "Mock": "api.simulation",
+    "Prediction": "api.prediction",
     "Result": "api.result",
     "Setup": "api.setup",
     "Zernike": "api.arguments",
     "close_loop": "api.loop",
     "infer": "api.inference",
     "load": "api.result",
+    "predict": "api.prediction",
     "simulate": "api.simulation",
 }
 
@@ -44,6 +47,7 @@ __all__ = [
     "InferredBeam",
     "InputError",
     "Mock",
+    "Prediction",
     "Result",
     "Setup",
     "Zernike",
@@ -51,6 +55,7 @@ __all__ = [
     "close_loop",
     "infer",
     "load",
+    "predict",
     "simulate",
 ]
 

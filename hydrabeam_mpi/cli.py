@@ -83,8 +83,12 @@ def _parser() -> argparse.ArgumentParser:
     for name, what in (("simulate", simulate), ("infer", infer), ("loop", loop)):
         command = commands.add_parser(name, help=what, description=what)
         command.add_argument("job", type=Path, metavar="JOB.toml", help="job file")
-        command.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder to write")
-        command.add_argument("--overwrite", action="store_true", help="replace DIR where it is an earlier result")
+        _add_output(command)
+    what = "predict other data with a result, without fitting: prediction.json"
+    command = commands.add_parser("predict", help=what, description=what)
+    command.add_argument("result", type=Path, metavar="RESULT", help="folder that infer or loop wrote")
+    command.add_argument("job", type=Path, metavar="JOB.toml", help="job file of the other data")
+    _add_output(command)
     what = "draw the figures and report.html of a result"
     report = commands.add_parser("report", help=what, description=what)
     report.add_argument("directory", type=Path, metavar="DIR", help="folder that infer wrote")
@@ -92,6 +96,11 @@ def _parser() -> argparse.ArgumentParser:
     init = commands.add_parser("init", help=what, description=what)
     init.add_argument("data", type=Path, nargs="+", metavar="DATA", help="uvh5, uvfits, measurement set or miriad")
     return parser
+
+
+def _add_output(command: argparse.ArgumentParser) -> None:
+    command.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder to write")
+    command.add_argument("--overwrite", action="store_true", help="replace DIR where it is an earlier result")
 
 
 def _run(world: MPI.Comm, options: argparse.Namespace) -> None:
@@ -112,6 +121,11 @@ def _run(world: MPI.Comm, options: argparse.Namespace) -> None:
 
         command = {"simulate": simulate, "infer": infer, "loop": close_loop}[options.command]
         command(world, job, options.job, options.output, options.overwrite, threads)
+        return
+    if options.command == "predict":
+        from hydrabeam_mpi.commands.predict import predict
+
+        predict(world, options.result, options.job, options.output, options.overwrite, threads)
         return
     with together(world):
         if world.rank == 0 and options.command == "report":

@@ -56,9 +56,13 @@ class InferredBeam:
     @cached_property
     def covariance(self) -> Array:
         """E[(b - mean)(b - mean)^H], (Nfreqs, n_modes, n_modes); read from the file when first asked for."""
+        return np.array([self.covariance_of(channel) for channel in range(len(self.freqs))])
+
+    def covariance_of(self, channel: int) -> Array:
+        """Return that of one channel, (n_modes, n_modes)."""
         if self._path is None:
-            return self._stacked("covariance")
-        return np.array([read_covariance(self._path, channel) for channel in range(len(self.freqs))])
+            return self._content.channels[channel].arrays["covariance"]
+        return read_covariance(self._path, channel)
 
     @property
     def maps(self) -> dict[str, Array]:

@@ -13,6 +13,7 @@ from hydrabeam_mpi.fit.grown import grown_problem
 from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.joint import channel_results, fit_with_effects, read_context
 from hydrabeam_mpi.loop.checks.health import told
+from hydrabeam_mpi.loop.output.amendment import effects_found
 from hydrabeam_mpi.loop.selection.heldout_numbers import heldout_numbers
 from hydrabeam_mpi.mpi import peak_rss_mb, together
 
@@ -58,7 +59,7 @@ def run_inference(setup: Setup, folder: Path | None, threads: int) -> Result:
     """
     clock, world = Clock(), setup.comm
     grid, problem, mine = prepare_checked(setup, folder, clock, told)
-    numbers = None
+    numbers = found = None
     if setup.job.effects:
         context = read_context(grid, problem, mine, clock)
         fitted = fit_with_effects(context, clock)
@@ -66,6 +67,7 @@ def run_inference(setup: Setup, folder: Path | None, threads: int) -> Result:
             results = channel_results(context, fitted)
             numbers = heldout_numbers(context, whiten(context, fitted))
         problem = grown_problem(problem, context.setup, fitted.values)
+        found = effects_found(setup.job, fitted, context.setup)
     else:
         results = infer_channels(grid, mine, clock)
     with clock.time("describe"):
@@ -75,5 +77,5 @@ def run_inference(setup: Setup, folder: Path | None, threads: int) -> Result:
     with together(world):
         if world.rank == 0:
             run = {"wall_s": clock.inference, "phases_s": clock.seconds, "peak_rss_mb": memory}
-            result = make_result(setup, problem, records, origin_of(setup, problem, threads), run)
+            result = make_result(setup, problem, records, origin_of(setup, problem, threads), run, effects=found)
     return result

@@ -21,7 +21,7 @@ from hydrabeam_mpi.loop.attribution.control_models import control_models
 from hydrabeam_mpi.loop.checks.conventions import check_conventions
 from hydrabeam_mpi.loop.checks.health import mended
 from hydrabeam_mpi.loop.checks.leakage import check_leakage
-from hydrabeam_mpi.loop.output.amendment import amended_job
+from hydrabeam_mpi.loop.output.amendment import amended_job, effects_found
 from hydrabeam_mpi.loop.output.record import make_record
 from hydrabeam_mpi.loop.output.resume import Keeper
 from hydrabeam_mpi.loop.selection.choice import choose
@@ -119,8 +119,10 @@ def run_loop(
     with together(world):
         if world.rank == 0:
             run = {"phases_s": clock.seconds, "peak_rss_mb": memory}
-            result = make_result(setup, problem, records, origin(), run, record["warnings"])
-            amended = amended_job(problem.job, history.last.fitted, known)
+            fitted = history.last.fitted
+            effects = effects_found(problem.job, fitted, known)
+            result = make_result(setup, problem, records, origin(), run, record["warnings"], effects)
+            amended = amended_job(problem.job, fitted, known)
             found = Found(result, {**record, "seconds": clock.seconds}, setup.amended(amended))
     return found
 

@@ -52,6 +52,17 @@ class Result:
             raise RuntimeError("the result is on rank 0 alone")
         return self._content
 
+    @property
+    def path(self) -> Path | None:
+        """``posterior.h5`` of the folder that it was read from, where it was."""
+        return self._path
+
+    @property
+    def files(self) -> list[Path]:
+        """What is read of a result folder."""
+        names = ("posterior.h5", "job.toml", "summary.json")
+        return [self._path.with_name(name) for name in names] if self._path else []
+
     @cached_property
     def beam(self) -> InferredBeam:
         """The posterior of the beam."""
@@ -84,19 +95,9 @@ class Result:
             If the folder exists and may not be replaced, or cannot be written.
         """
         if self._content is not None:
-            self._write(Path(folder), overwrite)
+            from hydrabeam_mpi.io.staging import write_whole
 
-    def _write(self, folder: Path, overwrite: bool) -> None:
-        from hydrabeam_mpi.io.staging import StagedDirectory
-
-        kept = [Path(name) for name in self.content.provenance.get("sha256", {})]
-        staged = StagedDirectory(folder, overwrite, kept=kept)
-        try:
-            self.fill(staged.partial)
-        except BaseException:
-            staged.discard()
-            raise
-        staged.publish()
+            write_whole(Path(folder), self.fill, overwrite, map(Path, self.content.provenance.get("sha256", {})))
 
     def fill(self, folder: Path) -> None:
         """Write all files into an empty folder."""

@@ -183,6 +183,7 @@ def make_result(
     about: dict[str, Any],
     run: dict[str, Any],
     warnings: Sequence[str] = (),
+    effects: dict[str, Any] | None = None,
 ) -> Result:
     """Put together what rank 0 has of a run.
 
@@ -196,6 +197,8 @@ def make_result(
         Where it comes from, and what is told of the run itself.
     warnings : sequence of str
         First in the summary.
+    effects : dict, optional
+        Those of the model; see `effects_found`.
 
     Raises
     ------
@@ -211,5 +214,6 @@ def make_result(
         GRID_AZ,
         records,
         problem.observation.telescope_name,
+        effects,
     )
     return Result(setup.job, content, summarise(setup.job, problem, content, run, warnings))

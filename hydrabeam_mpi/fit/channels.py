@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.fit.accumulate import accumulate, check_heldout
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
@@ -31,12 +34,15 @@ class ChannelResult:
     posterior : Posterior
     heldout : HeldoutStatistics
         Summed over all held-out rows.
+    of_effects : dict
+        With effects in the model their joint errors, by the names that they have in ``posterior.h5``.
     """
 
     normal: NormalEquations
     train_chi2: float
     posterior: Posterior
     heldout: HeldoutStatistics
+    of_effects: dict[str, NDArray[Any]] = field(default_factory=dict)
 
 
 def infer_channels(grid: ProcessGrid, problem: Problem, clock: Clock) -> list[ChannelResult]:
@@ -77,14 +83,21 @@ def read_shares(grid: ProcessGrid, problem: Problem, whole_times: bool = False) 
 
     Collective: all ranks of `grid.world`.
     """
+    return read_share(grid, problem, problem.train), read_share(grid, problem, problem.test, whole_times, False)
+
+
+def read_share(
+    grid: ProcessGrid, problem: Problem, rows: Tile, whole_times: bool = False, must_count: bool = True
+) -> Rows:
+    """Read the rank's share of some rows, some of which ``must_count``. Collective: all ranks of `grid.world`."""
     with together(grid.world):
-        train = read_rows(problem, problem.tile_of(problem.train, grid.group.rank, grid.group.size))
-        test = read_rows(problem, problem.tile_of(problem.test, grid.group.rank, grid.group.size, whole_times))
-    counts = np.array([train.n_unflagged, np.count_nonzero(train.inv_noise_var)])
+        mine = read_rows(problem, problem.tile_of(rows, grid.group.rank, grid.group.size, whole_times))
+    counts = np.array([mine.n_unflagged, np.count_nonzero(mine.inv_noise_var)])
     allreduce_sum(grid.world, counts)
     with together(grid.world):
-        check_weights(int(counts[0]), int(counts[1]), problem.files)
-    return train, test
+        if must_count:
+            check_weights(int(counts[0]), int(counts[1]), problem.files)
+    return mine
 
 
 def _sum_normals(grid: ProcessGrid, problem: Problem, rows: Rows) -> list[NormalEquations]:

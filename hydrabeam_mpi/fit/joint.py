@@ -160,5 +160,7 @@ def channel_results(context: FitContext, fitted: Fitted) -> list[ChannelResult]:
         heldout = check_designs(test, designs, predicting, before, variance, context.test.rows)
     reduce_heldout(grid, heldout)
     beams = marginal_beams(context.setup, fitted, context.channels)
-    parts = zip(normals, map(reduced_chi2, normals, given), beams, heldout, strict=True)
+    errors = zip(fitted.fit.covariances, fitted.fit.beam_response, strict=True)
+    of_effects = [{"effects_covariance": one, "effects_beam_response": two} for one, two in errors] or [{}] * len(given)
+    parts = zip(normals, map(reduced_chi2, normals, given), beams, heldout, of_effects, strict=True)
     return [ChannelResult(*part) for part in parts]

@@ -33,6 +33,24 @@ class Posterior:
     factor: Array
     log_evidence: float | None = None
 
+    @classmethod
+    def of(cls, mean: Array, covariance: Array) -> Posterior:
+        """Return the Gaussian of a mean, (n,), and a covariance, (n, n).
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            If it is no covariance.
+        """
+        variance = np.diag(covariance).real
+        if not np.all(variance > 0):
+            raise np.linalg.LinAlgError("a variance is not positive")
+        # In units of the standard deviations, which may be of very different size.
+        std = np.sqrt(variance)
+        inverse = np.linalg.inv(covariance / std / std[:, np.newaxis])
+        precision = 0.5 * (inverse + inverse.conj().T) / std / std[:, np.newaxis]
+        return cls(mean, np.linalg.cholesky(precision))
+
     @property
     def is_complex(self) -> bool:
         """Whether the coefficients are complex."""

@@ -4,6 +4,9 @@ Layout
 ------
 Root attributes: ``basis`` (JSON, see `hydrabeam_mpi.model.bases.base`), ``provenance`` (JSON: resolved job, versions,
 checksums, ranks), ``polarization``, ``telescope_name``, ``grid_za`` and ``grid_az`` as data sets (radians).
+Where effects were part of the model a data set ``effects`` (JSON): ``basis``, that of the beam without the functions
+that effects add to it; ``entries``, the effects as in a job's ``[[effects]]``, each with the names of all of its
+parameters, ``known``.
 One group a channel, ``channel_0000`` and so on, with attributes ``freq`` (Hz), ``log_evidence`` (absent with a flat
 prior), ``summary`` (JSON) and the data sets
 
@@ -22,6 +25,9 @@ eigen_variances    (4,)                smallest eigenvalues of the covariance
 eigen_beams        (4, 91, 360)        their eigenvectors on the sky
 z_edges, z_counts  (Nb + 1,), (2, Nb)  held-out z-scores: inferred beam, model beam
 =================  ==================  =========================================================
+
+and of q parameters of effects in use, side by side, ``effects_covariance``, (q, q), and ``effects_beam_response``,
+(m, q): by how much the first m coefficients, those in ``basis``, move when one of these parameters does.
 """
 
 from __future__ import annotations
@@ -69,6 +75,7 @@ class PosteriorFile:
     grid_az: Array
     channels: list[ChannelRecord]
     telescope_name: str = "unknown"
+    effects: dict[str, Any] | None = None
 
 
 def write_posterior(path: Path, content: PosteriorFile) -> None:
@@ -85,6 +92,8 @@ def write_posterior(path: Path, content: PosteriorFile) -> None:
         file.attrs["polarization"] = content.polarization
         file.attrs["telescope_name"] = content.telescope_name
         file["grid_za"], file["grid_az"] = content.grid_za, content.grid_az
+        if content.effects is not None:
+            file["effects"] = json.dumps(content.effects)
         for number, record in enumerate(content.channels):
             group = file.create_group(CHANNEL.format(number))
             group.attrs["freq"] = record.freq
@@ -117,7 +126,9 @@ def read_posterior(path: Path) -> PosteriorFile:
             channels.append(_read_channel(file[name], name, (len(za), len(az))))
         basis, provenance = (_json(file, name, "") for name in ("basis", "provenance"))
         telescope_name = str(file.attrs.get("telescope_name", "unknown"))
-        return PosteriorFile(basis, provenance, str(file.attrs["polarization"]), za, az, channels, telescope_name)
+        polarization = str(file.attrs["polarization"])
+        effects = _table(file["effects"][()], "effects") if "effects" in file else None
+        return PosteriorFile(basis, provenance, polarization, za, az, channels, telescope_name, effects)
 
 
 def _read_channel(group: h5py.Group, name: str, grid: tuple[int, int]) -> ChannelRecord:
@@ -146,6 +157,11 @@ def _shapes(group: h5py.Group, grid: tuple[int, int]) -> dict[str, tuple[int, ..
     shapes |= {key: grid for key in group if key.startswith("map_")}
     if "eigen_variances" in group:
         shapes["eigen_beams"] = (group["eigen_variances"].size, *grid)
+    if "effects_covariance" in group:
+        q = group["effects_covariance"].shape[0]
+        shapes["effects_covariance"] = (q, q)
+        # Functions that effects have added to the basis come after those that respond.
+        shapes["effects_beam_response"] = (min(n, len(group["effects_beam_response"])), q)
     if "z_edges" in group:
         shapes["z_counts"] = (2, group["z_edges"].size - 1)
     return shapes
@@ -163,9 +179,14 @@ def _numbers(group: h5py.Group, name: str, endless: bool = False) -> Array:
 
 def _json(group: h5py.Group, name: str, place: str) -> dict[str, Any]:
     """Read an attribute that is a table in JSON."""
-    table = json.loads(group.attrs[name])
+    return _table(group.attrs[name], f"{place} {name}".strip())
+
+
+def _table(text: str | bytes, field: str) -> dict[str, Any]:
+    """Return a table in JSON."""
+    table = json.loads(text)
     if not isinstance(table, dict):
-        raise InputError("is not a table", field=f"{place} {name}".strip(), remedy=_REMEDY)
+        raise InputError("is not a table", field=field, remedy=_REMEDY)
     return table
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import shutil
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -164,6 +164,17 @@ class StagedDirectory:
             reason = f"{error.message}, now that the result is finished"
             return InputError(reason, file=error.file, field="-o", remedy=where)
         return InputError(error.message, file=error.file, remedy=f"{error.remedy}; {where}")
+
+
+def write_whole(path: Path, fill: Callable[[Path], None], overwrite: bool = False, kept: Iterable[Path] = ()) -> None:
+    """Let ``fill`` write a folder, which appears when all is in it; parameters and errors as of `StagedDirectory`."""
+    staged = StagedDirectory(path, overwrite, kept=kept)
+    try:
+        fill(staged.partial)
+    except BaseException:
+        staged.discard()
+        raise
+    staged.publish()
 
 
 def check_place(path: Path, overwrite: bool, kept: Iterable[Path] = ()) -> None:

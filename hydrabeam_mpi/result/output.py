@@ -32,17 +32,25 @@ from hydrabeam_mpi.terminal.progress import warn
 
 @contextmanager
 def staged(
-    world: Comm, job_path: Path, job: Job, out: Path, overwrite: bool, only_simulates: bool = False
+    world: Comm,
+    job_path: Path,
+    job: Job,
+    out: Path,
+    overwrite: bool,
+    only_simulates: bool = False,
+    more: Sequence[Path] = (),
 ) -> Iterator[Path]:
     """Give a folder to write into that becomes ``out`` when all went well, and vanishes otherwise.
 
-    Rounds of a loop that have ended stay; see `StagedDirectory.leave`. Collective: all ranks of `world`. An
-    `InputError` that names no file is about a key of the job file.
+    Rounds of a loop that have ended stay; see `StagedDirectory.leave`. Files of ``more`` are read besides those that
+    the job names. Collective: all ranks of `world`. An `InputError` that names no file is about a key of the job file.
     """
     folder = None
     with together(world):
         if world.rank == 0:
-            folder = StagedDirectory(out, overwrite, read_files(job, only_simulates), unread_files(job, job_path))
+            folder = StagedDirectory(
+                out, overwrite, [*read_files(job, only_simulates), *more], unread_files(job, job_path)
+            )
     others = world.bcast(folder)
     folder = folder or others  # rank 0 keeps its own, which holds the lock
     # Whichever thread leaves: the other one finds nothing more to do.

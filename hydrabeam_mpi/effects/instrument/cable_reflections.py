@@ -52,6 +52,11 @@ class CableReflections(ScannedEffect):
         """Return the antennas and delays (ns)."""
         return {"reflections": [list(reflection) for reflection in self.reflections]}
 
+    def carried_over(self, setup: ObservingSetup) -> CableReflections:
+        """Return the echoes of those of the antennas that other data have."""
+        there = setup.observation.antenna_numbers[setup.antennas_in_use].tolist()
+        return CableReflections([echo for echo in self.reflections if echo[0] in there])
+
     def not_applicable(self, setup: ObservingSetup) -> str | None:
         """Ask for enough channels to tell a ripple from a slope."""
         n_channels = len(np.unique(setup.observation.freqs))

@@ -16,13 +16,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.sparse import csr_array
 
 from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.other_data import InOtherData
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.interface.told import Told
@@ -170,7 +171,7 @@ class Cause(ABC):
         return {}
 
 
-class Effect(Cause):
+class Effect(InOtherData, Cause):
     """A cause that changes what the rows of the job's polarisation are expected to be.
 
     It sees the data through a `RowBlock`, some rows of one channel. All that depends on ``x`` is for one channel's
@@ -183,8 +184,6 @@ class Effect(Cause):
     """Whether the effect changes the sky (see `sky_factor`, `extra_sky`), by which it is part of A rather than of E."""
     linear: ClassVar[bool] = False
     """Whether the data are so nearly linear in the parameters that a fit gains about what the linear model predicts."""
-    local: ClassVar[Literal["times", "baselines"] | None] = None
-    """Whether each parameter belongs to a single time or baseline, so that other rows do not constrain it."""
     is_about_the_beam: ClassVar[bool] = False
     """Whether it is a fault of the beam's model itself, so that it may well look like another beam."""
     is_control_model: ClassVar[bool] = False

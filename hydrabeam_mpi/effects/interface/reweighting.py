@@ -63,6 +63,10 @@ class Reweighting(ABC):
         """Whether parameters, (Nfreqs, n_params), scale the noise of single antennas."""
         return False
 
+    def carried_over(self, setup: ObservingSetup) -> str:
+        """Say why it does not hold in other data."""
+        return "is about the noise of the data in which it was found"
+
     @abstractmethod
     def sizes(self, setup: ObservingSetup) -> tuple[int, ...]:
         """Return how many parameters a channel may have."""

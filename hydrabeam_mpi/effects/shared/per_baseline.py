@@ -14,6 +14,8 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.errors import InputError
 
+PARTS = ("real", "imaginary")
+
 
 class PerBaseline(ScannedEffect):
     """A complex amplitude of each baseline and channel, with a time dependence p(t) that all share: E_ij = x_ij p(t).
@@ -42,10 +44,25 @@ class PerBaseline(ScannedEffect):
         """Return the baselines."""
         return {"baselines": [list(pair) for pair in self.baselines]}
 
+    def carried_over(self, setup: ObservingSetup) -> Self | str:
+        """Return the effect on those of the baselines that other data have."""
+        there = set(map(frozenset, setup.observation.antpairs.tolist()))
+        return type(self)([pair for pair in self.baselines if frozenset(pair) in there])
+
+    def known_as(self, names: Sequence[str]) -> dict[str, tuple[int, float]]:
+        """Return the parameters by the baselines' names in either sense, in which they are conjugates."""
+        known = {}
+        for number, name in enumerate(names):
+            one, two = self.baselines[number // 2]
+            part = PARTS[number % 2]
+            for called in (f"baseline {one}-{two} {part}", f"baseline {two}-{one} {part}"):
+                known[called] = number, -1.0 if called != name and part == PARTS[1] else 1.0
+        return known
+
     def parameters(self, setup: ObservingSetup) -> Parameters:
         """Return real and imaginary part of every baseline."""
         pairs = _group_pairs(setup)[self._places(setup)]
-        names = [f"baseline {one}-{two} {part}" for one, two in pairs.tolist() for part in ("real", "imaginary")]
+        names = [f"baseline {one}-{two} {part}" for one, two in pairs.tolist() for part in PARTS]
         element = np.repeat(np.arange(len(pairs)), 2)
         return Parameters.of(names, self.unit, self.scale, element, trials=self.n_hypotheses(setup))
 

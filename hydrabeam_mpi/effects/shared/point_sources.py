@@ -35,6 +35,7 @@ class PointSources(ScannedEffect):
 
     changes_sky = True
     shared = True
+    of_the_sky = True
 
     def __init__(self, sources: Sequence[tuple[Azimuth, Elevation]] = (), trials: Count = 1) -> None:
         self.sources = tuple((float(ra), float(dec)) for ra, dec in sources)

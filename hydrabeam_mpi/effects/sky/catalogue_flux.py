@@ -47,6 +47,13 @@ class CatalogueFlux(PointSources):
     title = "fluxes of catalogue sources"
     linear = True
 
+    def carried_over(self, setup: ObservingSetup) -> CatalogueFlux:
+        """Return the errors of those of the sources that the catalogue has with which other data are modelled."""
+        places = zip(self.sources, *in_radians(self.sources), strict=True)
+        sky = setup.sky
+        there = [source for source, ra, dec in places if np.any(separation(sky.ra, sky.dec, ra, dec) <= SAME)]
+        return CatalogueFlux(there, self.trials)
+
     def parameters(self, setup: ObservingSetup) -> Parameters:
         """Return the relative error of every source's flux."""
         n = len(self.sources)

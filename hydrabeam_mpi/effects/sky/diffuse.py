@@ -50,6 +50,7 @@ class Diffuse(Effect):
     kind = "diffuse"
     title = "diffuse emission"
     changes_sky = True
+    of_the_sky = True
 
     def __init__(self, l_max: Annotated[int, Field(ge=0, le=MOST_DEGREES)] = 6) -> None:
         self.l_max = l_max

@@ -54,6 +54,7 @@ class Horizon(ScannedEffect):
     kind = "horizon"
     title = "obstruction near the horizon"
     changes_sky = True
+    of_the_sky = True
 
     def __init__(self, walls: Sequence[Box] = (), strips: Sequence[tuple[int, Box]] = (), trials: Count = 1) -> None:
         self.walls = [_box(wall) for wall in walls]

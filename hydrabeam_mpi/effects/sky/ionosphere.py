@@ -24,6 +24,7 @@ class Ionosphere(TurningSky):
     kind = "ionosphere"
     title = "ionospheric refraction"
     local = "times"
+    of_the_sky = True
 
     def parameters(self, setup: ObservingSetup) -> Parameters:
         """Return the shifts towards East and North at the reference frequency, for each time in use."""

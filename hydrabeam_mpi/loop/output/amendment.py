@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from hydrabeam_mpi.config import Job
@@ -32,6 +34,14 @@ def amended_job(job: Job, fitted: Fitted, setup: ObservingSetup) -> Job:
         entry = EffectEntry.model_construct(kind=kind, values=_rows(change.x), std=_rows(change.std))
         entries.append(entry)
     return job.model_copy(update={"effects": tuple(entries)})
+
+
+def effects_found(job: Job, fitted: Fitted, setup: ObservingSetup) -> dict[str, Any]:
+    """Return what ``posterior.h5`` says of the fitted effects; see `hydrabeam_mpi.io.posterior_file`."""
+    entries = [entry.model_dump(mode="json") for entry in amended_job(job, fitted, setup).effects]
+    for entry, one in zip(entries, fitted.values.active, strict=False):
+        entry["known"] = one.effect.parameters(setup).names
+    return {"basis": setup.basis.describe(), "entries": entries}
 
 
 def _widths(one: Active) -> tuple[tuple[float, ...], ...]:

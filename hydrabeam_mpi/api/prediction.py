@@ -1,0 +1,140 @@
+"""A fitted model applied to other data: what `hydrabeam predict` and `predict` share."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from hydrabeam_mpi.api.applied import apply_result, setup_for
+from hydrabeam_mpi.api.result import Result
+from hydrabeam_mpi.api.setup import Setup
+from hydrabeam_mpi.api.shared import begun, origin_of
+from hydrabeam_mpi.config import Job
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.fit.clock import Clock
+from hydrabeam_mpi.fit.heldout import whiten
+from hydrabeam_mpi.io.disk import writing
+from hydrabeam_mpi.io.staging import write_whole
+from hydrabeam_mpi.loop.selection.heldout_numbers import HeldoutNumbers, heldout_numbers
+from hydrabeam_mpi.mpi import together
+from hydrabeam_mpi.result.output import write_job_and_provenance
+from hydrabeam_mpi.terminal.progress import say
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """How near a fitted model comes to data that it has not seen.
+
+    On ranks other than 0 there is nothing in it but the job.
+
+    Attributes
+    ----------
+    job : Job
+        The data and the sky.
+    summary : dict
+        What ``prediction.json`` says: of all channels together, and in ``channels`` of each, the rms in Jy, explained
+        variance, reduced chi^2 over the noise alone and under the posterior predictive, and the log density of the
+        data; ``carried_over``, ``not_carried_over`` and ``at_prior``, which effects hold in these data; ``warnings``.
+    about : dict
+        Where it comes from.
+    """
+
+    job: Job
+    summary: dict[str, Any] = field(default_factory=dict)
+    about: dict[str, Any] = field(default_factory=dict)
+
+    def write(self, folder: str | Path, *, overwrite: bool = False) -> None:
+        """Write the folder as `hydrabeam predict` does; by rank 0 alone.
+
+        Raises
+        ------
+        InputError
+            If the folder exists and may not be replaced, or cannot be written.
+        """
+        if self.summary:
+            write_whole(Path(folder), self.fill, overwrite, map(Path, self.about["sha256"]))
+
+    def fill(self, folder: Path) -> None:
+        """Write all files into an empty folder."""
+        with writing(folder):
+            (folder / "prediction.json").write_text(json.dumps(self.summary, indent=2) + "\n")
+            write_job_and_provenance(folder, self.job, self.about)
+
+
+def predict(result: Result, setup: Setup) -> Prediction:
+    """Predict data with a fitted model, without fitting it again.
+
+    The result's beams, with their errors, and those of its effects that hold in other data predict all of the data of
+    the setup, of which those that the result was made from are no part. Of the setup count its data, noise and sky, and
+    its model beam for comparison.
+
+    Collective: all ranks of the setup's communicator.
+
+    Parameters
+    ----------
+    result : Result
+        Of `infer`, `close_loop` or `load`; what rank 0 has counts.
+    setup : Setup
+        Its channels must be among those of the result, and its polarisation that one.
+
+    Returns
+    -------
+    Prediction
+
+    Raises
+    ------
+    InputError
+        On all ranks, if the result cannot be applied to these data.
+    """
+    setup = setup_for(result, setup)
+    with begun(setup) as (folder, threads):
+        return run_prediction(result, setup, folder, threads)
+
+
+def run_prediction(result: Result, setup: Setup, folder: Path | None, threads: int) -> Prediction:
+    """Predict data. Collective: all ranks of the setup.
+
+    Parameters
+    ----------
+    result : Result
+    setup : Setup
+        By `setup_for`.
+    folder : Path, optional
+        For simulated data.
+    threads : int
+        BLAS threads of this rank, for the record.
+    """
+    clock = Clock()
+    problem, context, fitted, carried = apply_result(result, setup, folder, clock)
+    with clock.time("heldout"):
+        numbers = heldout_numbers(context, whiten(context, fitted))
+    prediction = Prediction(setup.job)
+    with together(setup.comm):
+        if setup.comm.rank == 0:
+            summary = {
+                "name": setup.job.name,
+                "result": str(result.path.parent) if result.path else None,
+                **_numbers(numbers, context.setup.observation.freqs, problem.channel_numbers.tolist()),
+                **carried.summary,
+                "warnings": list(problem.cautions),
+                "phases_s": clock.seconds,
+            }
+            prediction = Prediction(setup.job, summary, origin_of(setup, problem, threads))
+    return prediction
+
+
+def _numbers(numbers: HeldoutNumbers, freqs: FloatArray, channels: list[int]) -> dict[str, Any]:
+    """Say and return the numbers of all channels together, and of each of some ``channels`` of the result."""
+    told = numbers.of_all
+    say(
+        f"rms of {told['n']:.0f} visibilities {told['rms_zero']:.4g} Jy, less the model beam {told['rms_model']:.4g} "
+        f"Jy, with its best scale {told['rms_model_scaled']:.4g} Jy, less the prediction {told['rms']:.4g} Jy (noise "
+        f"{told['rms_noise']:.4g} Jy)"
+    )
+    say(
+        f"explained variance {told['explained']:.6g}; reduced chi^2 {told['noise_only_chi2']:.4g} over the noise "
+        f"alone, {told['predictive_chi2']:.4g} under the posterior predictive"
+    )
+    return {**told, "channels": [{"freq_hz": float(freqs[f]), **numbers.of_channel(f)} for f in channels]}

@@ -1,0 +1,29 @@
+"""What of an effect holds in other data than those in which it was found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar, Literal, Self
+
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+
+
+class InOtherData:
+    """An effect's word on other data of the same array and sky.
+
+    Parameters are told apart by their names, which have the antenna, baseline or source in them: what was found of an
+    antenna holds for the antenna of that number, wherever it stands among the others.
+    """
+
+    local: ClassVar[Literal["times", "baselines"] | None] = None
+    """Whether each parameter belongs to a single time or baseline, so that other rows do not constrain it."""
+    of_the_sky: ClassVar[bool] = False
+    """Whether it is the sky that differs, which data from which the instrument's effects are taken out still show."""
+
+    def carried_over(self, setup: ObservingSetup) -> Self | str:
+        """Return the effect with those of its elements that other data have, or say why it does not hold in them."""
+        return "belongs to the times of the data in which it was found" if self.local == "times" else self
+
+    def known_as(self, names: Sequence[str]) -> dict[str, tuple[int, float]]:
+        """Return number and sign of each parameter by all names that it has in any data; ``names`` are those here."""
+        return {name: (number, 1.0) for number, name in enumerate(names)}

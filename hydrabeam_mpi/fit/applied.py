@@ -1,0 +1,174 @@
+"""A fit applied to other data, none of which it has seen: what a rank's rows are expected to be, without fitting."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.data.selection import match
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.fit.carried_over import CarriedOver, carry_over
+from hydrabeam_mpi.fit.channels import read_share
+from hydrabeam_mpi.fit.gauss_newton import FitContext
+from hydrabeam_mpi.fit.joint import find_setup
+from hydrabeam_mpi.fit.rank_data import RankData
+from hydrabeam_mpi.fit.state import Fit, Fitted
+from hydrabeam_mpi.inference.posterior import Posterior
+from hydrabeam_mpi.io.posterior_file import PosteriorFile
+from hydrabeam_mpi.io.uvmeta import FREQ_TOLERANCE
+from hydrabeam_mpi.model.bases import basis_from_description
+from hydrabeam_mpi.mpi import ProcessGrid, bcast_array, bcast_object, together
+from hydrabeam_mpi.setup.problem import Problem
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Inferred:
+    """A result.
+
+    Attributes
+    ----------
+    content : PosteriorFile
+    covariance_of : callable
+        Returns the covariance of the beam's coefficients in a channel, (n_modes, n_modes).
+    path : Path, optional
+        The file that it was read from.
+    """
+
+    content: PosteriorFile
+    covariance_of: Callable[[int], Array]
+    path: Path | None = None
+
+    @contextmanager
+    def telling(self) -> Iterator[None]:
+        """Name the file where something in it is wrong."""
+        try:
+            yield
+        except InputError as error:
+            error.locate(self.path or "result")
+            raise
+
+
+def apply_fit(
+    grid: ProcessGrid, problem: Problem, result: Inferred | None
+) -> tuple[Problem, FitContext, Fitted, CarriedOver]:
+    """Return the model of a result for all rows of other data, as if they were held out from its fit.
+
+    Channels count as the result's, whose numbers they get: laws in frequency refer to all of these.
+
+    Collective: all ranks of the grid.
+
+    Parameters
+    ----------
+    grid : ProcessGrid
+    problem : Problem
+        Of the other data, all channels; all rows to be fitted.
+    result : Inferred, optional
+        On rank 0, the only one that asks for it.
+
+    Returns
+    -------
+    problem : Problem
+        Of all channels of the other data, by their numbers in the result.
+    context : FitContext
+        All rows are both ``train`` and ``test``.
+    fitted : Fitted
+    carried : CarriedOver
+
+    Raises
+    ------
+    InputError
+        On all ranks, if the result cannot be applied to these data.
+    """
+    shared: tuple[Any, ...] = ()
+    with together(grid.world):
+        if result and grid.is_world_root:
+            numbers = _channels(result.content, problem)
+            with result.telling():
+                setup = _setup_in(result.content, problem, numbers)
+                shared = numbers, setup, carry_over((result.content.effects or {}).get("entries", ()), setup)
+    numbers, setup, carried = bcast_object(grid.world, shared)
+    problem = replace(problem, basis=setup.basis, channel_numbers=numbers, test=problem.train)
+    mine = problem.of_channels(grid.channels)
+    parts = []
+    for place, number in enumerate(numbers.tolist()):
+        part = _share_fit(grid, result, carried, number)
+        if place in grid.channels:
+            parts.append(part)
+    beams, covariances, responses = zip(*parts, strict=True)
+    # Errors of the predictions of one time are whitened together.
+    rows = RankData(mine, setup, read_share(grid, mine, mine.test, whole_times=True))
+    has_effects = bool(carried.values.active)
+    fit = Fit(beams, covariances, responses) if has_effects else Fit(beams)
+    return problem, FitContext(grid, mine, setup, rows, rows), Fitted(carried.values, fit), carried
+
+
+def _channels(content: PosteriorFile, problem: Problem) -> IntArray:
+    """Return the number of each of the data's channels among the result's.
+
+    Frequencies of one channel are the same but for the rounding in file headers, far below any channel's width; beams
+    and gains of another one are not known.
+    """
+    observation, freqs = problem.observation, np.array([record.freq for record in content.channels])
+    if observation.pols[0] != content.polarization:
+        raise InputError(
+            f"is {observation.pols[0]!r}, the result is of {content.polarization!r}",
+            field="[data] polarization",
+            remedy=f'set polarization = "{content.polarization}"',
+        )
+    numbers = match(observation.freqs, freqs, FREQ_TOLERANCE)
+    if np.any(numbers < 0):
+        known = ", ".join(f"{freq / 1e6:.6f}" for freq in freqs)
+        raise InputError(
+            f"the result has no beam at {observation.freqs[numbers < 0][0] / 1e6:.6f} MHz",
+            field="[data] freqs",
+            remedy=f"select channels within {FREQ_TOLERANCE:g} Hz of the result's, {known} MHz",
+        )
+    return numbers
+
+
+def _setup_in(content: PosteriorFile, problem: Problem, numbers: IntArray) -> ObservingSetup:
+    """Return what effects may know: of these data, but with the result's basis and channels.
+
+    Nobody looks at the sky of channels that these data do not have.
+    """
+    observation, found = problem.observation, content.effects or {"basis": content.basis}
+    basis = basis_from_description(found.get("basis", {}))
+    freqs: FloatArray = np.array([record.freq for record in content.channels])
+    means = tuple(record.arrays["prior_mean"][: basis.n_modes] for record in content.channels)
+    if any(len(mean) < basis.n_modes for mean in means):
+        raise InputError(f"has not the {basis.n_modes} coefficients of its basis", field="prior_mean")
+    places = np.zeros(len(freqs), dtype=int)
+    places[numbers] = np.arange(len(numbers))
+    widths = observation.channel_width[places]
+    return replace(
+        find_setup(problem),
+        observation=replace(observation, freqs=freqs, channel_width=widths),
+        sky=problem.sky.channels(places),
+        basis=basis,
+        prior_mean=means,
+    )
+
+
+def _share_fit(
+    grid: ProcessGrid, result: Inferred | None, carried: CarriedOver, number: int
+) -> tuple[Posterior, FloatArray, Array]:
+    """Return what `CarriedOver.fit` does for a channel of the result, on all ranks."""
+    parts: tuple[Array | None, ...] = (None,) * 4
+    with together(grid.world):
+        if result and grid.is_world_root:
+            arrays = result.content.channels[number].arrays
+            with result.telling():
+                beam, covariance, response = carried.fit(number, arrays["mean"], result.covariance_of(number), arrays)
+            parts = beam.mean, beam.factor, covariance, response
+    mean, factor, covariance, response = (bcast_array(grid.world, part) for part in parts)
+    return Posterior(mean, factor), covariance, response

@@ -1,0 +1,210 @@
+"""What a fit to some data says of others: beams, and the effects that hold there, with their errors.
+
+The coefficients b of a beam and the parameters x of effects have been inferred jointly,
+
+    x ~ N(x_0, C),    b | x ~ N(b_0 + M (x - x_0), P^-1),        so that        cov(b) = P^-1 + M C M^H.
+
+Of x only a part k may hold in other data. Given that part the beam is as uncertain as the rest of x leaves it,
+
+    M_k = (M C)_k C_kk^-1,    cov(b | x_k) = cov(b) - M_k C_kk M_k^H.
+
+Where other data have elements that these lacked, such as a further antenna, their parameters are known by their prior.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from hydrabeam_mpi.config.effects import Effect as EffectEntry
+from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.effect import Effect
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.registry import EFFECTS, make_effect, make_reweighting
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.fit.state import Active, Values, independent_prior
+from hydrabeam_mpi.fit.whitening import root_of
+from hydrabeam_mpi.inference.posterior import Posterior
+from hydrabeam_mpi.inference.prior import ChannelPrior
+
+Array = NDArray[Any]
+REMEDY = "make the result again with this version"
+
+
+@dataclass(frozen=True)
+class CarriedOver:
+    """The effects of a result in other data.
+
+    Attributes
+    ----------
+    values : Values
+        At the parameters that were found, of all the result's channels.
+    kept : ndarray of int, (k,)
+        Which of the result's parameters in use hold here, all effects side by side.
+    place : ndarray of int, (k,)
+        Their numbers among those in use here.
+    sign : ndarray, (k,)
+        -1 where one counts in the opposite sense here.
+    carried, left : tuple of dict
+        What holds here and what does not, in words: ``effect``, ``title``, names of ``parameters``, and of what does
+        not the ``reason``.
+    at_prior : tuple of str
+        Parameters here of which the result knows the prior alone.
+    """
+
+    values: Values
+    kept: IntArray
+    place: IntArray
+    sign: FloatArray
+    carried: tuple[dict[str, Any], ...]
+    left: tuple[dict[str, Any], ...]
+    at_prior: tuple[str, ...]
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """What is told of the effects."""
+        return {
+            "carried_over": list(self.carried),
+            "not_carried_over": list(self.left),
+            "at_prior": list(self.at_prior),
+        }
+
+    def fit(
+        self, channel: int, mean: Array, covariance: Array, arrays: Mapping[str, Array]
+    ) -> tuple[Posterior, FloatArray, Array]:
+        """Return a channel's beam given the effects, the effects' covariance, and the beam's response to them.
+
+        Parameters
+        ----------
+        channel : int
+            Among the result's.
+        mean, covariance : ndarray, (n_modes,) and (n_modes, n_modes)
+            Of the beam with all that effects add to its basis, the effects marginalised.
+        arrays : mapping
+            ``effects_covariance``, (q, q), and ``effects_beam_response``, (m, q); neither without effects.
+
+        Returns
+        -------
+        beam : Posterior
+            Of m coefficients.
+        covariance : ndarray, (q_here, q_here)
+        response : ndarray, (m, q_here)
+
+        Raises
+        ------
+        InputError
+            If these are no joint covariance.
+        """
+        spread = arrays.get("effects_covariance", np.zeros((0, 0)))
+        response = arrays.get("effects_beam_response", np.zeros((len(mean), 0)))
+        if len(spread) <= self.kept.max(initial=-1):
+            raise InputError("has fewer effects than are told of", field="effects_covariance", remedy=REMEDY)
+        own = spread[np.ix_(self.kept, self.kept)]
+        if len(self.kept) < len(spread):
+            response = response @ spread[:, self.kept] @ np.linalg.pinv(own, hermitian=True)
+        half, m = response @ root_of(own), len(response)
+        try:
+            beam = Posterior.of(mean[:m], covariance[:m, :m] - half @ half.conj().T)
+        except np.linalg.LinAlgError as error:
+            raise InputError("is no covariance", field="covariance", remedy=REMEDY) from error
+        here = np.diag(np.square(self.values.prior_std(channel)))
+        here[np.ix_(self.place, self.place)] = own * self.sign * self.sign[:, np.newaxis]
+        follow = np.zeros((m, len(here)), dtype=response.dtype)
+        follow[:, self.place] = response * self.sign
+        return beam, here, follow
+
+
+def carry_over(found: Iterable[Mapping[str, Any]], setup: ObservingSetup) -> CarriedOver:
+    """Return the effects of a result as other data have them.
+
+    Parameters
+    ----------
+    found : iterable of mapping
+        The ``entries`` of ``posterior.h5``.
+    setup : ObservingSetup
+        Of the other data, with all of the result's channels.
+
+    Raises
+    ------
+    InputError
+        If they are not what a result says of effects.
+    """
+    active: list[Active] = []
+    kept, place, sign = np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros(0)
+    carried, left, at_prior = [], [], []
+    before = after = 0
+    for number, told in enumerate(found):
+        entry, known = _entry(told, number, setup)
+        cause = make_effect(entry.kind, entry.settings) if entry.kind in EFFECTS else make_reweighting(entry.kind, {})
+        words, here = {"effect": cause.kind, "title": cause.title}, cause.carried_over(setup)
+        lacking = list(entry.names)
+        if isinstance(here, Effect):
+            one, match = _active(here, setup, entry, known)
+            names = here.parameters(setup).names
+            if len(match.kept):
+                kept, sign = np.append(kept, before + match.kept), np.append(sign, match.sign)
+                place = np.append(place, after + np.searchsorted(one.used, match.place))
+                active.append(one)
+                after += one.size
+                carried.append({**words, "parameters": [names[i] for i in np.sort(match.place)]})
+                at_prior += [f"{here.title}: {names[i]}" for i in np.setdiff1d(one.used, match.place)]
+            lacking = [name for i, name in enumerate(entry.names) if i not in match.kept]
+        if lacking or not isinstance(here, Effect):
+            reason = here if isinstance(here, str) else "is of what these data do not have"
+            left.append({**words, "parameters": lacking, "reason": reason})
+        before += len(entry.names)
+    return CarriedOver(Values(tuple(active)), kept, place, sign, tuple(carried), tuple(left), tuple(at_prior))
+
+
+def _entry(told: Mapping[str, Any], number: int, setup: ObservingSetup) -> tuple[EffectEntry, frozenset[str]]:
+    """Return what is told of an effect, and the names of all parameters that it had in the result's data."""
+    field, n_freqs = f"effects, number {number + 1}", setup.observation.Nfreqs
+    try:
+        known = frozenset(map(str, told.get("known", ())))
+        content = {name: value for name, value in told.items() if name != "known"}
+        entry = EffectEntry.model_validate_json(json.dumps(content))
+    except (AttributeError, TypeError, ValidationError) as error:
+        raise InputError("is not understood", field=field, remedy=REMEDY) from error
+    if len(entry.values) != n_freqs or len(entry.prior_std) not in (0, 1, n_freqs):
+        raise InputError(f"has not the values of {n_freqs} channels", field=field, remedy=REMEDY)
+    return entry, known
+
+
+class _Match(NamedTuple):
+    """Which of the result's parameters in use are here, (k,), their numbers among all here, and with which sign."""
+
+    kept: IntArray
+    place: IntArray
+    sign: FloatArray
+
+
+def _active(effect: Effect, setup: ObservingSetup, entry: EffectEntry, known: frozenset[str]) -> tuple[Active, _Match]:
+    """Return an effect at the values that were found, and where these have gone.
+
+    Where all elements of the result's data were in use a further one has their prior. Where a few were found to be at
+    fault among many it has none, and is as the others.
+    """
+    parameters = effect.parameters(setup)
+    numbers = effect.known_as(parameters.names)
+    found = [(i, *numbers[name]) for i, name in enumerate(entry.names) if name in numbers]
+    kept, place = np.array([one[:2] for one in found], dtype=int).reshape(-1, 2).T
+    match = _Match(kept, place, np.array([sign for *_, sign in found]))
+    x, prior_std = (np.zeros((len(rows), len(parameters))) for rows in (entry.values, entry.prior_std))
+    x[:, place] = np.array(entry.values)[:, kept] * match.sign
+    prior_std[:, place] = np.array(entry.prior_std)[:, kept]
+    if len(entry.names) == len(known) and len(kept):
+        familiar = [number for name, (number, _) in numbers.items() if name in known]
+        unknown = np.setdiff1d(np.arange(len(parameters)), familiar)
+        widths = (prior_std[:, place] / parameters.scale[place]).max(axis=1)
+        prior_std[:, unknown] = widths[:, np.newaxis] * parameters.scale[unknown]
+    of_channels = np.square(prior_std[: 1 if effect.shared else None])
+    priors = [independent_prior(prior_var, effect.shared) for prior_var in of_channels]
+    prior = ChannelPrior(tuple(one.of(0) for _, one in priors), effect.shared)
+    free = np.full(len(parameters), np.inf)
+    return Active(effect, priors[0][0], prior, x, free, np.zeros((0, len(parameters)))), match
