@@ -21,6 +21,12 @@ GAUSSIAN = 1.4826
 """Standard deviation of a Gaussian over its median absolute deviation."""
 MEDIAN_DOF = 0.37
 """Degrees of freedom, for each value, of a variance that is known by a median absolute deviation."""
+LOG_MEAN = -0.5772156649015329
+"""Mean of the log of an exponential of mean one, which |noise|^2 over its expectation is: minus Euler's constant."""
+LOG_STD = np.pi / np.sqrt(6)
+"""Standard deviation of the same."""
+MOST_EXCEPTIONS = 0.25
+"""Of more times, antennas or baselines than this share none is an exception."""
 STRONG = 5.0
 """Log of the odds that make a claim: 150 to 1, so that prior odds against it of some tens leave it likely."""
 
@@ -60,7 +66,7 @@ def outliers(values: FloatArray, error: ArrayLike = 0.0, spread: float = POWER_S
     variance = scatter**2 + spread**2 + np.asarray(error) ** 2
     sigma = away / np.sqrt(variance)
     n = np.count_nonzero(known)
-    dof = MEDIAN_DOF * n * (variance / max(scatter**2, 1e-9 * spread**2)) ** 2
+    dof = MEDIAN_DOF * n * (variance / np.maximum(scatter**2, 1e-9 * variance)) ** 2
     absurd: BoolArray = 2 * n * stats.t.sf(np.abs(sigma), dof) < ABSURD_P
     return np.where(absurd, sigma, 0.0)
 

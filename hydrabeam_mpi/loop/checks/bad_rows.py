@@ -5,15 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
-from hydrabeam_mpi.inference.robust import known_median, outliers
+from hydrabeam_mpi.inference.robust import LOG_STD, MOST_EXCEPTIONS, known_median, outliers
 from hydrabeam_mpi.loop.checks.health_sums import Excess, Sums
 from hydrabeam_mpi.setup.findings import Finding, baseline_words, integration_words
 from hydrabeam_mpi.setup.problem import Problem
-
-LOG_STD = np.pi / np.sqrt(6)
-"""Standard deviation of the log of an exponential."""
-MOST_EXCLUDED = 0.25
-"""Of more times or baselines than this share none is an exception."""
 
 
 def bad_times(problem: Problem, times: IntArray, sums: Sums, excess: Excess) -> list[Finding]:
@@ -33,7 +28,7 @@ def bad_times(problem: Problem, times: IntArray, sums: Sums, excess: Excess) -> 
         for t, look in worst:
             ratio = np.exp(logs[look] - known_median(logs))
             why[t] = f"what the model leaves of it has {ratio:.2g} times the power of others ({absurd[look]:.0f} sigma)"
-    few = len(why) <= MOST_EXCLUDED * len(times)
+    few = len(why) <= MOST_EXCEPTIONS * len(times)
     return [_of_time(problem, int(times[t]), reason) for t, reason in sorted(why.items())] if few else []
 
 
@@ -78,7 +73,7 @@ def bad_baselines(problem: Problem, sums: Sums, excess: Excess) -> list[Finding]
         for b in np.flatnonzero(absurd > 0).tolist():
             ratio = np.exp(logs[b] - known_median(logs))
             why.setdefault(b, f"its noise has {ratio:.2g} times the power of the others' ({absurd[b]:.0f} sigma)")
-    if len(why) > MOST_EXCLUDED * np.count_nonzero(counted):
+    if len(why) > MOST_EXCEPTIONS * np.count_nonzero(counted):
         return []
     found = []
     for b, reason in sorted(why.items()):

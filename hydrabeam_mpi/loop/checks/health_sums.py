@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.fit.rows import read_rows
+from hydrabeam_mpi.inference.robust import LOG_MEAN
 from hydrabeam_mpi.io.noise import amid_neighbours
 from hydrabeam_mpi.io.uvdata import feeds_of, read_block
 from hydrabeam_mpi.mpi import ProcessGrid, allreduce_sum, together
@@ -18,8 +19,6 @@ from hydrabeam_mpi.setup.problem import Problem
 
 MOST_SAMPLES = 4_000_000
 """Samples looked at, which on a single rank is 200 MB: of more, evenly spread baselines are chosen."""
-EULER = 0.5772156649015329
-"""-E ln x of an exponential x, which |noise|^2 over its expectation is."""
 SECOND = np.array([1.0, -2.0, 1.0])
 STILL = 0.1
 """Of the noise's power: sky that moves by less between neighbouring times leaves their differences to the noise."""
@@ -215,7 +214,7 @@ class Excess:
         expected = variance + left[:, np.newaxis, np.newaxis] * moving
         power = np.abs(residual) ** 2
         known = np.isfinite(variance) & (power > 0)
-        logs = np.where(known, np.log(np.where(known, power / expected, 1.0)) + EULER, 0.0)
+        logs = np.where(known, np.log(np.where(known, power / expected, 1.0)) - LOG_MEAN, 0.0)
         made.times += logs.sum(axis=(0, 2)), known.sum(axis=(0, 2))
         made.bls[:, sample.bls] = logs.sum(axis=(0, 1)), known.sum(axis=(0, 1))
         if differenced:

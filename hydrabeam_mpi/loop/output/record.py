@@ -12,7 +12,6 @@ from hydrabeam_mpi.effects.interface.told import Told
 from hydrabeam_mpi.fit.gauss_newton import FitContext
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.loop.output.heldout_change import heldout_change
-from hydrabeam_mpi.loop.output.remedies import leave_out
 from hydrabeam_mpi.loop.output.sentences import say_round, say_verdict
 from hydrabeam_mpi.loop.residuals.remains import Remains
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round, indistinguishable, why_unexplained
@@ -70,7 +69,8 @@ def make_record(
     elif why is None or (last.consistent and control is None and not found["rounds"]):
         verdict = "explained" if found["rounds"] else "consistent"
     unexplained = verdict == "unexplained"
-    bad = leave_out(last.where, context.setup.observation) if unexplained else []
+    # Of data in another convention all is off.
+    odd = last.odd if verdict != "convention" else ()
     record: dict[str, Any] = {
         "name": context.problem.job.name,
         "verdict": verdict,
@@ -82,7 +82,7 @@ def make_record(
         "foreign": control,
         **found,
         "last_ranking": [_ranked(one) for one in known_effects(history.ranking)],
-        "health": [one.record() for one in (*context.problem.findings, *bad)],
+        "health": [one.record() for one in (*context.problem.findings, *odd)],
         "conventions": conventions,
         "where": last.where if unexplained else None,
         "residual": last.statistics,
@@ -92,7 +92,7 @@ def make_record(
     record["said"] = [
         *(one["sentence"] for one in found["rounds"]),
         record["sentence"],
-        *(one.line for one in bad),
+        *(one.line for one in odd),
     ]
     record["warnings"] = [record["sentence"]] if conventions["found"] else []
     return {key: _finite(value) for key, value in record.items()}

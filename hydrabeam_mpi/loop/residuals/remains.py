@@ -16,12 +16,14 @@ from hydrabeam_mpi.inference.significance import SIGNIFICANT_P
 from hydrabeam_mpi.loop.residuals.coherent import Coherence, CoherentRows, CoherentSums, coherences
 from hydrabeam_mpi.loop.residuals.cube import Layout, Residuals, whole_baselines
 from hydrabeam_mpi.loop.residuals.localise import where
+from hydrabeam_mpi.loop.residuals.odd_rows import ROLES, RowPower, odd_rows
 from hydrabeam_mpi.loop.residuals.statistics import statistics
 from hydrabeam_mpi.loop.residuals.structures import structures
 from hydrabeam_mpi.loop.residuals.sums import ResidualSums
 from hydrabeam_mpi.loop.residuals.transients import TransientSums, transients
 from hydrabeam_mpi.loop.residuals.whiteness import antenna_scales, is_white
 from hydrabeam_mpi.mpi import together
+from hydrabeam_mpi.setup.findings import Finding
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,8 @@ class Remains:
         If not, why not.
     statistics, where, structures : dict
         See the modules of these names.
+    odd : tuple of Finding
+        Integrations, antennas and baselines that stand out, in fitted and held-out rows alike.
     """
 
     consistent: bool
@@ -47,6 +51,7 @@ class Remains:
     statistics: dict[str, Any]
     where: dict[str, Any]
     structures: dict[str, Any] | None
+    odd: tuple[Finding, ...] = ()
 
 
 def remains_of(context: FitContext, fitted: Fitted, whitened: Whitened) -> Remains:
@@ -56,7 +61,7 @@ def remains_of(context: FitContext, fitted: Fitted, whitened: Whitened) -> Remai
     residuals = Residuals(whitened.z, whitened.used, context.problem.channel_numbers, tile.times, tile.bls)
     cube = whole_baselines(world, residuals, layout)
     sums = ResidualSums.of(cube).reduce(world)
-    coherent = _coherent(context, fitted, whitened)
+    coherent, power = _all_rows(context, fitted, whitened)
     told = statistics(sums, layout, whitened.n_shared, coherent)
     own_level = sums
     if any(one.change.scales_antennas(one.x) for one in fitted.values.reweighted):
@@ -71,19 +76,21 @@ def remains_of(context: FitContext, fitted: Fitted, whitened: Whitened) -> Remai
         statistics=told,
         where=where(sums, layout, whitened.n_shared, coherent),
         structures=structures(world, cube),
+        odd=odd_rows(power, setup.observation),
     )
 
 
-def _coherent(context: FitContext, fitted: Fitted, whitened: Whitened) -> tuple[Coherence, ...]:
-    """Look for what residuals have in common with the model or the sky. Collective: all ranks of the grid.
+def _all_rows(context: FitContext, fitted: Fitted, whitened: Whitened) -> tuple[tuple[Coherence, ...], RowPower]:
+    """Look at fitted and held-out residuals: what they have in common with the model or the sky, and their power.
 
-    In fitted rows as well: there the part that redundant baselines do not share is no less noise, as the beam has not
-    been fitted to it, and of the rest there is less than there would be of noise.
+    Collective: all ranks of the grid. In fitted rows the part that redundant baselines do not share is no less noise,
+    as the beam has not been fitted to it, and of the rest there is less than there would be of noise.
     """
     observation, antennas = context.setup.observation, context.setup.antenna_index
     vectors = context.setup.redundant.vectors
     like_model = CoherentSums.zeros(observation.Nfreqs, observation.Nants, observation.Ntimes, observation.Nbls)
     like_sky = TransientSums.zeros(observation.Ntimes, vectors, float(observation.freqs.max()))
+    power = RowPower.zeros(observation)
 
     def add(
         share: RankData, number: int, times: IntArray, z: ComplexArray, model: ComplexArray, root: FloatArray
@@ -91,6 +98,7 @@ def _coherent(context: FitContext, fitted: Fitted, whitened: Whitened) -> tuple[
         tile, member = share.rows.tile, share.rows.member
         like_model.add(number, times, z, model, CoherentRows(tile.bls, antennas[tile.bls], member))
         like_sky.add(times, z, root, vectors[share.rows.groups], member, float(observation.freqs[number]))
+        power.add(ROLES.index("fitted" if share is context.train else "held out"), times, tile.bls, z)
 
     with together(context.grid.world):
         rows, added = context.train.calibrated(fitted.estimate)
@@ -102,4 +110,5 @@ def _coherent(context: FitContext, fitted: Fitted, whitened: Whitened) -> tuple[
                 root = np.sqrt(2 * block.weights)
                 add(context.train, number, block.times, root * block.residual, root * block.vis, root)
     world = context.grid.world
-    return (*coherences(like_model.reduce(world)), *transients(like_sky.reduce(world)))
+    coherent = (*coherences(like_model.reduce(world)), *transients(like_sky.reduce(world)))
+    return coherent, power.reduce(world)

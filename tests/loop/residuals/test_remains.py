@@ -91,3 +91,24 @@ def test_what_is_left(
     assert found.consistent == (found.statistics["significance"]["p"] >= 1e-3)
     assert found.where["sentence"]
     assert found.structures is not None
+
+
+@pytest.mark.mpi
+def test_bad_integrations_are_named_among_fitted_and_held_out_rows(context: FitContext, fitted: Fitted) -> None:
+    """On any number of ranks, each alone."""
+    train, test = context.train, context.problem.test.times[5]
+    rows, bad = train.rows, context.problem.train.times[7]
+    sigma = np.divide(1.0, np.sqrt(rows.inv_noise_var), where=rows.inv_noise_var > 0, out=np.zeros(rows.data.shape))
+    shape = (2, context.setup.observation.Ntimes, context.setup.observation.Nbls)
+    local = np.ix_(context.channels, rows.tile.times, rows.tile.bls)
+    burst = 30 * sigma * complex_normal(generator(4, "burst"), shape)[local]
+    data = rows.data + np.where((rows.tile.times == bad)[:, np.newaxis], burst, 0.0)
+    hit = replace(context, train=replace(train, rows=replace(rows, data=data)))
+    z = white(context) * np.where(np.arange(N_TIMES) == test, 30.0, 1.0)[:, np.newaxis]
+    odd = remains_of(hit, fitted, with_residuals(context, whiten(context, fitted), z)).odd
+    assert [one.what for one in odd] == ["an integration that stands out"] * 2
+    told = {one.where: one.why for one in odd}
+    times = context.setup.observation.times
+    assert "fitted (" in told[f"JD {times[bad]:.6f}"]
+    assert "held out (" in told[f"JD {times[test]:.6f}"]
+    assert remains_of(context, fitted, with_residuals(context, whiten(context, fitted), white(context))).odd == ()
