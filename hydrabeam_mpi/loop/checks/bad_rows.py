@@ -27,7 +27,7 @@ def bad_times(problem: Problem, times: IntArray, sums: Sums, excess: Excess) -> 
         worst = _worst(excess, absurd, n > 0, len(times))
         for t, look in worst:
             ratio = np.exp(logs[look] - known_median(logs))
-            why[t] = f"what the model leaves of it has {ratio:.2g} times the power of others ({absurd[look]:.0f} sigma)"
+            why[t] = f"{excess.says} has {ratio:.2g} times the power of others ({absurd[look]:.0f} sigma)"
     few = len(why) <= MOST_EXCEPTIONS * len(times)
     return [_of_time(problem, int(times[t]), reason) for t, reason in sorted(why.items())] if few else []
 

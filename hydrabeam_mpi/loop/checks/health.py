@@ -61,8 +61,22 @@ def _look(
     if antennas:
         return antennas, []
     excess = Excess.of(grid, problem, sample, weights, sums)
-    rows = bad_times(problem, sample.times, sums, excess) or bad_baselines(problem, sums, excess)
-    return rows, [*flux_scale(problem, sums), *noise_level(problem, excess)]
+    partners = Excess.of_partners(grid, problem, sample, weights)
+    rows = (
+        bad_times(problem, sample.times, sums, excess)
+        or bad_times(problem, sample.times, sums, partners)
+        or bad_baselines(problem, sums, excess)
+    )
+    return rows, [*flux_scale(problem, sums), *noise_level(problem, excess), *_not_looked_for(excess, partners)]
+
+
+def _not_looked_for(excess: Excess, partners: Excess) -> list[Finding]:
+    """Say so where bad integrations can be compared with nothing but the model beam."""
+    if excess.differenced or partners.times.any():
+        return []
+    why = "times lie too far apart to be compared and no two baselines are redundant, so that only gross ones are found"
+    remedy = "after a fit `hydrabeam loop` looks for them again"
+    return [Finding("bad integrations cannot be looked for", "before a fit", why, remedy)]
 
 
 def _without(problem: Problem, found: Sequence[Finding]) -> Kept:

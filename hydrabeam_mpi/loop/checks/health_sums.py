@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.data.partition import Tile
@@ -172,10 +173,13 @@ def _median(values: NDArray[np.complexfloating] | FloatArray) -> complex:
 class Excess:
     """Logs of |residual|^2 over its expectation, summed over ranks: a mean of logs feels few wild samples little.
 
-    The residual is the data minus the scaled model; where times have neighbours, its second difference in time.
+    The residual is the data minus the scaled model; where times have neighbours, its second difference in time; or else
+    the data minus the mean of their redundant partners.
 
     Attributes
     ----------
+    says : str
+        What is left of the data in these residuals, in words.
     differenced : bool
     times, bls, noise : ndarray, (2, Nlooks), (2, Nbls), (2, Nbls)
         Sums and numbers of logs. ``noise`` has only differences in which the sky moves little.
@@ -183,6 +187,7 @@ class Excess:
         The sample's time that each residual is of, or the middle one of its three.
     """
 
+    says: str
     differenced: bool
     times: FloatArray
     bls: FloatArray
@@ -198,6 +203,7 @@ class Excess:
         differenced = 2 * len(middle) >= len(sample.times)
         n_looks = len(middle) if differenced else len(sample.times)
         made = cls(
+            "what the model leaves of it",
             differenced,
             np.zeros((2, n_looks)),
             np.zeros((2, observation.Nbls)),
@@ -222,6 +228,40 @@ class Excess:
             made.noise[:, sample.bls] = np.where(still, logs, 0.0).sum(axis=(0, 1)), still.sum(axis=(0, 1))
         for part in (made.times, made.bls, made.noise):
             allreduce_sum(grid.world, part)
+        return made
+
+    @classmethod
+    def of_partners(cls, grid: ProcessGrid, problem: Problem, sample: Sample, weights: FloatArray) -> Excess:
+        """Add up what data differ by from the mean of their redundant partners at the same time and channel.
+
+        Needs neither a model nor neighbouring times. Samples of a group of n have n - 1 differences among them. What
+        partners differ by at all times, as by gains, is expected; without redundancy there is nothing to look at.
+
+        Collective: all ranks of the grid; ``problem`` is of all channels.
+        """
+        n_times, group = len(sample.times), np.unique(problem.redundant.group[sample.bls], return_inverse=True)[1]
+        members = csr_array((np.ones(len(group)), (group, np.arange(len(group)))))
+        made = cls(
+            "what redundant baselines in it differ by",
+            False,
+            np.zeros((2, n_times)),
+            np.zeros((2, problem.observation.Nbls)),
+            np.zeros((2, problem.observation.Nbls)),
+            np.arange(n_times),
+        )
+        for data, inverse in zip(sample.data, weights, strict=True):
+            total = (members @ inverse.T).T[:, group] - inverse
+            partners = (members @ (inverse * data).T).T[:, group] - inverse * data
+            n = (members @ (inverse > 0).T.astype(float)).T[:, group]
+            known = (inverse > 0) & (n > 1)
+            mean = np.where(known, partners / np.where(known, total, 1.0), 0.0)
+            variance = 1 / np.where(known, inverse, 1.0) + 1 / np.where(known, total, 1.0)
+            power = np.where(known, np.abs(data - mean) ** 2, 0.0)
+            known &= power > 0
+            logs = np.log(np.where(known, power / variance, 1.0)) - LOG_MEAN
+            worth = np.where(known, 1 - 1 / np.maximum(n, 1), 0.0)
+            made.times += (worth * logs).sum(axis=1), worth.sum(axis=1)
+        allreduce_sum(grid.world, made.times)
         return made
 
 

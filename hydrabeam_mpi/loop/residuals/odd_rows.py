@@ -67,9 +67,9 @@ def odd_rows(power: RowPower, observation: Observation) -> tuple[Finding, ...]:
     for t, why in _stand_out(power.times):
         place, remedy, _ = integration_words(float(observation.times[t]), float(observation.integration_time[t]))
         found.append(Finding("an integration that stands out", place, why, f"if it is bad, {remedy}"))
-    by_antenna = np.zeros((2, 2, observation.Nants))
-    for end in ends.T:
-        np.add.at(by_antenna, (slice(None), slice(None), end), power.bls)
+    by_antenna = np.array(
+        [[sum(np.bincount(end, one, observation.Nants) for end in ends.T) for one in role] for role in power.bls]
+    )
     antennas = dict(_stand_out(by_antenna))
     for ant, why in antennas.items():
         place, remedy = antenna_words(int(observation.antenna_numbers[ant]))

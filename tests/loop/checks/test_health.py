@@ -99,7 +99,8 @@ def test_healthy_data(seed: int, close: bool, tmp_path: Path) -> None:
 )
 def test_effects_are_left_to_the_loop(kind: str, strength: float, tmp_path: Path) -> None:
     """Gains wrong by half, couplings and sources as strong as the sky: gross, and yet effects."""
-    assert found(made(tmp_path, {"kind": kind, "strength": strength}), tmp_path) == []
+    for close in (True, False):
+        assert found(made(tmp_path, {"kind": kind, "strength": strength}, close=close), tmp_path) == []
 
 
 @pytest.mark.parametrize("with_phases", [False, True])
@@ -181,6 +182,22 @@ def test_bad_integrations(job: dict[str, Any], folder: Path, how: str) -> None:
     assert sorted("held out" in one.where for one in result) == [False, True, True]
     spans = [list(one.times[0]) for one in result]
     assert found(job, folder, files=["damaged.uvh5"], exclude_times=spans) == []
+
+
+def test_bad_integrations_minutes_apart_are_off_among_redundant_baselines(tmp_path: Path) -> None:
+    """The model lacks what is as strong as the sky, and tells nothing of them."""
+    job = made(tmp_path, {"kind": "missing_sources", "strength": 200.0}, close=False)
+    names = damaged(tmp_path, lambda uv: noisy(uv, crosses(uv) & at_times(uv, 4, 5, 14)))
+    result = found(job, tmp_path, files=names)
+    assert [one.why.startswith("what redundant baselines in it differ by has") for one in result] == [True] * 3
+    spans = [list(one.times[0]) for one in result]
+    assert found(job, tmp_path, files=names, exclude_times=spans) == []
+
+
+def test_without_redundancy_it_is_said_that_integrations_minutes_apart_cannot_be_looked_for(tmp_path: Path) -> None:
+    job = made(tmp_path, close=False)
+    (one,) = found(job, tmp_path, exclude_antennas=[1, 4, 5, 6])
+    assert one.line.startswith("Bad integrations cannot be looked for (before a fit)")
 
 
 def test_a_noisy_baseline(job: dict[str, Any], folder: Path) -> None:
