@@ -12,11 +12,14 @@ from hydrabeam_mpi.effects.instrument.antenna_delays import NS
 from hydrabeam_mpi.effects.interface.effect import Columns, Parameters, ScannedEffect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.interface.told import Told
 from hydrabeam_mpi.effects.shared.per_antenna import row_antennas
 from hydrabeam_mpi.errors import InputError
 
 MIN_CHANNELS = 4
 MAX_ECHOES = 16
+NO_PHASE = np.pi / np.sqrt(3)
+"""Standard deviation of a phase that is anything, rad."""
 STEPS_APART = 2  # of the delays scanned: a resolution
 """Most candidates of one antenna that are compared together; one faulty antenna would otherwise crowd out all
 others.
@@ -72,7 +75,7 @@ class CableReflections(ScannedEffect):
         self._antennas(setup)
         names, units, scale = [], [], []
         for number, delay in self.reflections:
-            echo = f"antenna {number} reflection at {delay:.1f} ns"
+            echo = _echo(number, delay)
             names += [f"{echo} real", f"{echo} imaginary", f"{echo} delay beyond that"]
             units += ["", "", "ns"]
             scale += [0.01, 0.01, _resolution(setup)]
@@ -81,6 +84,33 @@ class CableReflections(ScannedEffect):
         return Parameters.of(
             names, units, np.array(scale), np.repeat(np.arange(n), 3), [False, False, True] * n, trials
         )
+
+    def refined(self, x: FloatArray, used: IntArray) -> tuple[CableReflections, FloatArray, IntArray]:
+        """Return the echoes in use with the delays that have been found, nothing beyond them left, (Nfreqs, n_left)."""
+        echoes = np.unique(used // 3)
+        left = (3 * echoes[:, np.newaxis] + np.arange(3)).ravel()
+        part = x[:, left]
+        delays = [self.reflections[n][1] + float(x[0, 3 * n + 2]) for n in echoes]
+        part[:, 2::3] = 0.0
+        return CableReflections([(self.reflections[n][0], delays[k]) for k, n in enumerate(echoes)]), part, left
+
+    def told(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> Told:
+        """Return amplitude, phase (at the mean frequency) and delay of every echo."""
+        refined, left, _ = self.refined(x, np.arange(x.shape[1]))
+        each = {"amplitude": "", "phase": "rad", "delay": "ns"}
+        values, errors = left.reshape(len(x), -1, 3), std.copy().reshape(len(x), -1, 3)
+        amplitude = np.hypot(values[..., 0], values[..., 1])
+        phase = np.angle(values[..., 0] + 1j * values[..., 1])
+        turn = np.stack([np.cos(phase), np.sin(phase)], axis=-1)
+        along, aside = (np.linalg.norm(one * errors[..., :2], axis=-1) for one in (turn, turn[..., ::-1]))
+        phase_known = amplitude > aside / NO_PHASE
+        errors[..., 1] = np.where(phase_known, aside / np.where(phase_known, amplitude, 1.0), NO_PHASE)
+        values[..., 0], values[..., 1], errors[..., 0] = amplitude, phase, along
+        values[..., 2] = [delay for _, delay in refined.reflections]
+        n = len(self.reflections)
+        names = tuple(f"{_echo(*reflection)}: {what}" for reflection in refined.reflections for what in each)
+        from_zero = np.tile([True, False, False], n)
+        return Told(names, tuple(each.values()) * n, values.reshape(x.shape), errors.reshape(x.shape), from_zero)
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return m d ln g for the echoes of a row's first antenna, and m (d ln g)* for those of its second.
@@ -170,6 +200,11 @@ class CableReflections(ScannedEffect):
         amplitudes, waves = self._echoes(block, x)
         n = len(block.setup.observation.antenna_numbers)
         return 1.0 + _sum_by(self._antennas(block.setup), amplitudes * waves, n)
+
+
+def _echo(number: int, delay: float) -> str:
+    """Return what an echo of an antenna is called; the delay is in ns."""
+    return f"antenna {number} reflection at {delay:.1f} ns"
 
 
 def candidate_delays(setup: ObservingSetup) -> FloatArray:

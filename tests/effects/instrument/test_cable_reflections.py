@@ -141,3 +141,28 @@ def test_scan_finds_and_fit_refines(setup: ObservingSetup) -> None:
 def test_unknown_antenna(setup: ObservingSetup) -> None:
     with pytest.raises(InputError, match="no baseline has antenna 99"):
         CableReflections([(99, 200.0)]).parameters(setup)
+
+
+def test_an_echo_is_told_by_amplitude_phase_and_one_delay(setup: ObservingSetup) -> None:
+    """With the errors of a complex number's size and angle; what is not used is left behind."""
+    numbers = setup.observation.antenna_numbers.tolist()
+    echo = CableReflections([(numbers[1], 200.0), (numbers[2], -300.0)])
+    x = np.tile([0.01, 0.02, 1.0, 0.03, -0.04, 7.5], (6, 1))
+    std = np.tile([0.1, 0.1, 2.0, 0.001, 0.002, 1.5], (6, 1))
+    refined, left, kept = echo.refined(x, np.array([3, 4, 5]))
+    assert refined.reflections == ((numbers[2], -292.5),)
+    np.testing.assert_array_equal(left[0], [0.03, -0.04, 0.0])
+    assert kept.tolist() == [3, 4, 5]
+    for effect, at in ((echo, x), (refined, left)):
+        told = effect.told(setup, at, std[:, -at.shape[1] :])
+        name = f"antenna {numbers[2]} reflection at -292.5 ns"
+        assert told.names[-3:] == tuple(f"{name}: {what}" for what in ("amplitude", "phase", "delay"))
+        assert told.units[-3:] == ("", "rad", "ns")
+        np.testing.assert_allclose(told.values[2, -3:], [0.05, np.arctan2(-4, 3), -292.5])
+        along, aside = np.hypot(0.6 * 0.001, 0.8 * 0.002), np.hypot(0.8 * 0.001, 0.6 * 0.002)
+        np.testing.assert_allclose(told.std[2, -3:], [along, aside / 0.05, 1.5])
+        assert told.from_zero[-3:].tolist() == [True, False, False]
+    block = small_block(setup, channel=1)
+    np.testing.assert_allclose(
+        refined.factor(block, left[0]), CableReflections(echo.reflections[1:]).factor(block, x[0, 3:])
+    )

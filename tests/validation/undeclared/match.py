@@ -134,24 +134,23 @@ def read_baselines(
 def read_reflections(
     parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]
 ) -> Found:
-    """Read "antenna 3 reflection at 93.2 ns real" and so on, of the strongest echo of each antenna."""
-    echoes: dict[tuple[str, float], dict[str, tuple[float, float]]] = {}
+    """Read "antenna 3 reflection at 93.2 ns: amplitude" and so on, of the strongest echo of each antenna."""
+    echoes: dict[tuple[str, str], dict[str, tuple[float, float]]] = {}
     for name, pair in averaged(parameters).items():
-        match = re.fullmatch(r"(antenna \d+) reflection at (-?[\d.]+) ns (.*)", name)
+        match = re.fullmatch(r"(antenna \d+) reflection at (-?[\d.]+) ns: (.*)", name)
         if match is not None:
-            echoes.setdefault((match[1], float(match[2])), {})[match[3]] = pair
+            echoes.setdefault((match[1], match[2]), {})[match[3]] = pair
     out: Found = {}
-    for (thing, delay), told in sorted(echoes.items(), key=lambda echo: _echo_power(echo[1])):
-        for what, (value, std) in told.items():
-            if what in ("real", "imaginary"):
-                out[thing, f"reflection {what}"] = value, std
-            else:
-                out[thing, "reflection delay"] = delay + value, std
+    for (thing, _), told in sorted(echoes.items(), key=lambda echo: echo[1].get("amplitude", (0.0,))[0]):
+        if {"amplitude", "phase"} <= told.keys():
+            (size, size_std), (phase, phase_std) = told["amplitude"], told["phase"]
+            along, aside = size_std, size * phase_std
+            cos, sin = np.cos(phase), np.sin(phase)
+            out[thing, "reflection real"] = float(size * cos), float(np.hypot(cos * along, sin * aside))
+            out[thing, "reflection imaginary"] = float(size * sin), float(np.hypot(sin * along, cos * aside))
+        if "delay" in told:
+            out[thing, "reflection delay"] = told["delay"]
     return out
-
-
-def _echo_power(told: dict[str, tuple[float, float]]) -> float:
-    return sum(told[part][0] ** 2 for part in ("real", "imaginary") if part in told)
 
 
 def read_sources(

@@ -6,7 +6,7 @@ import pytest
 from tests.validation.undeclared.claims import not_so
 from tests.validation.undeclared.faults_told import faults_not_so, names_fault
 from tests.validation.undeclared.score import at_noise, score
-from tests.validation.undeclared.test_score import a_round, answer, loop
+from tests.validation.undeclared.test_score import a_round, answer, echo_at, loop
 
 GAIN = [("antenna 3", "phase", "rad", 0.1), *((f"antenna {n}", "phase", "rad", 0.0) for n in (4, 5, 6))]
 COUPLING = [("baseline 3-17", "real", "Jy", 1.0), ("baseline 3-17", "imaginary", "Jy", 2.0)]
@@ -61,7 +61,7 @@ def found_at(ra, dec, flux):
         (
             "cable_reflections",
             DELAY,
-            [("antenna 3 reflection at 90.0 ns real", 0.1, 0.01), ("antenna 4 reflection at 90.0 ns real", 0.1, 0.01)],
+            [*echo_at(3, 90.0, 0.1), *echo_at(4, 90.0, 0.1)],
             ["cable_reflections: antenna 4"],
         ),
         ("noise_level", NOISE, [(f"antenna {n} noise scale", v, 0.01) for n, v in ((3, 1.5), (4, 1.0), (5, 1.0))], []),

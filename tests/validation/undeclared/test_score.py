@@ -172,17 +172,20 @@ def test_sources_are_compared_where_they_are():
     assert z_of("missing_sources", truth, far) == pytest.approx([99.0])
 
 
+def echo_at(number, delay, amplitude):
+    name = f"antenna {number} reflection at {delay} ns: "
+    return [(name + "amplitude", amplitude, 0.01), (name + "phase", 0.0, 0.1), (name + "delay", delay + 2.2, 1.0)]
+
+
 def test_what_is_there_must_be_found():
     truth = [("antenna 3", "reflection real", "", 0.1)]
-    assert z_of("cable_reflections", truth, [("antenna 4 reflection at 90.0 ns real", 0.1, 0.01)])[0] > 10
+    assert z_of("cable_reflections", truth, echo_at(4, 90.0, 0.1))[0] > 10
     assert len(z_of("horizon", [], [("za 80-85 deg, az 0-30 deg: transmission less one", -1.0, 0.1)])) == 0
 
 
 def test_of_several_echoes_the_strongest_counts():
     truth = [("antenna 3", "reflection real", "", 0.1), ("antenna 3", "reflection delay", "ns", 96.0)]
-    strong = [("antenna 3 reflection at 93.8 ns real", 0.1, 0.01)]
-    strong += [("antenna 3 reflection at 93.8 ns delay beyond that", 2.2, 1.0)]
-    weak = [("antenna 3 reflection at 156.2 ns real", 0.001, 0.01)]
+    strong, weak = echo_at(3, 93.8, 0.1), echo_at(3, 156.2, 0.001)
     for found in (strong + weak, weak + strong):
         np.testing.assert_allclose(z_of("cable_reflections", truth, found), 0, atol=1e-9)
 

@@ -56,7 +56,7 @@ def test_a_wrong_convention_is_named_as_such():
 @pytest.mark.parametrize(
     ("case", "seed"),
     [
-        ("gain_jump", 7),
+        ("gain_jump", 17),
         ("gain_jump", 361),  # a third of a per cent
         ("decorrelation", 393),
         ("moving_source", 330),  # chi^2 of 233 among 6840 data
