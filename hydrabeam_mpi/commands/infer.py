@@ -9,7 +9,6 @@ from hydrabeam_mpi.api.setup import Setup
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.mpi import Comm, together
 from hydrabeam_mpi.result.output import staged
-from hydrabeam_mpi.terminal.progress import say
 
 
 def infer(world: Comm, job: Job, job_path: Path, out: Path, overwrite: bool, threads: int) -> None:
@@ -41,4 +40,3 @@ def infer(world: Comm, job: Job, job_path: Path, out: Path, overwrite: bool, thr
         with together(world):
             if world.rank == 0:
                 result.fill(folder)
-    say(f"wrote {out}", world.rank == 0)

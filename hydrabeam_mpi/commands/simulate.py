@@ -12,7 +12,7 @@ from hydrabeam_mpi.mpi import Comm, library_version, together
 from hydrabeam_mpi.result.output import staged, write_job_and_provenance
 from hydrabeam_mpi.setup.cautions import cautions_of_times
 from hydrabeam_mpi.simulation.mock import mock_observation, simulate_to
-from hydrabeam_mpi.terminal.progress import say, warn
+from hydrabeam_mpi.terminal.progress import warn
 
 
 def simulate(world: Comm, job: Job, job_path: Path, out: Path, overwrite: bool, threads: int) -> None:
@@ -31,4 +31,3 @@ def simulate(world: Comm, job: Job, job_path: Path, out: Path, overwrite: bool, 
                 )
                 with writing(folder):
                     write_job_and_provenance(folder, job, record)
-    say(f"wrote {out}", world.rank == 0)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import errno
 import os
+import secrets
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from tqdm import tqdm
@@ -54,6 +55,18 @@ def writing(folder: Path) -> Iterator[None]:
         if said is None:
             raise
         raise InputError(f"cannot be written ({said})", file=folder.parent, field="-o", remedy=REMEDY) from error
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Give a hidden name beside ``path`` to write to; what is there takes its place, or vanishes with an error."""
+    partial = path.with_name(f".{path.name}.partial-{secrets.token_hex(4)}")
+    try:
+        yield partial
+        partial.replace(path)
+    finally:
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
 
 
 def write_computed(folder: Path, write: Callable[[Path], None]) -> None:

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import json
 import os
-import secrets
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
 from hydrabeam_mpi.io.checksums import checksum
+from hydrabeam_mpi.io.disk import replacing
 
 MANIFEST = "manifest.json"
 RESULT_OF = "hydrabeam_mpi"
@@ -97,10 +97,5 @@ def _content(folder: Path) -> tuple[list[str], list[str]]:
 
 
 def _write(folder: Path, files: dict[str, str]) -> None:
-    partial = folder / f".{MANIFEST}.partial-{secrets.token_hex(4)}"
-    try:
+    with replacing(folder / MANIFEST) as partial:
         partial.write_text(json.dumps({"result_of": RESULT_OF, "files": files}, indent=1) + "\n", encoding="utf-8")
-        partial.replace(folder / MANIFEST)
-    finally:
-        with suppress(OSError):
-            partial.unlink(missing_ok=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ from pyuvdata.utils import polstr2num
 
 from hydrabeam_mpi.data.observation import Array, BoolArray, ComplexArray, FloatArray, Observation
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.disk import replacing
 from hydrabeam_mpi.io.hdf5 import HDF5Target
 from hydrabeam_mpi.io.reading import quiet
 from hydrabeam_mpi.io.uvdata import Block, feeds_of
@@ -48,16 +48,12 @@ def write_uvh5(
     if autos is not None:
         antpairs = np.concatenate([antpairs, np.repeat(observation.antenna_numbers[:, None], 2, axis=1)])
         block = Block(*map(_joined, block, _auto_block(observation, autos)))
-    partial = path.with_name(f".{path.name}.partial-{os.getpid()}")
     try:
-        with quiet(), _Target(partial) as target:
+        with replacing(path) as partial, quiet(), _Target(partial) as target:
             _as_uvdata(observation, antpairs, block).write_uvh5(target, run_check=False)
             target.settle()
-        os.replace(partial, path)
     except OSError as error:
         raise InputError(f"cannot be written ({error})", file=path, remedy="choose another place") from error
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 class _Target(HDF5Target):

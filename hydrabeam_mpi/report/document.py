@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
-import secrets
 from base64 import b64encode
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from html import escape
 from importlib.resources import files
 from itertools import count
@@ -15,6 +13,7 @@ from pathlib import Path
 import matplotlib
 
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.disk import replacing
 from hydrabeam_mpi.io.manifest import MANIFEST, add_to_manifest
 from hydrabeam_mpi.report.beam.frequencies import draw_frequencies
 from hydrabeam_mpi.report.figures import draw_channel, shown_channels
@@ -75,26 +74,26 @@ def write_report(directory: Path) -> None:
 
 def _write_whole(path: Path, content: bytes) -> None:
     """Write a file under another name and rename it."""
-    partial = path.with_name(f".{path.name}.partial-{secrets.token_hex(4)}")
-    try:
+    with _to_folder(path):
         path.parent.mkdir(exist_ok=True)
-        partial.write_bytes(content)
-        os.replace(partial, path)
+        with replacing(path) as partial:
+            partial.write_bytes(content)
+
+
+@contextmanager
+def _to_folder(path: Path) -> Iterator[None]:
+    """Say in one line that a file cannot be written."""
+    try:
+        yield
     except OSError as error:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
-        raise InputError(
-            f"cannot be written ({error.strerror})", file=path, remedy="make the folder writable"
-        ) from error
+        remedy = "make the folder writable"
+        raise InputError(f"cannot be written ({error.strerror})", file=path, remedy=remedy) from error
 
 
 def _list_files(directory: Path, paths: Iterable[Path]) -> None:
     """Make files part of the result, as what --overwrite may replace."""
-    try:
+    with _to_folder(directory / MANIFEST):
         add_to_manifest(directory, (str(path.relative_to(directory)) for path in paths))
-    except OSError as error:
-        remedy = "make the folder writable"
-        raise InputError(f"cannot be written ({error.strerror})", file=directory / MANIFEST, remedy=remedy) from error
 
 
 class _Album:

@@ -16,6 +16,7 @@ from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.named import for_inference, for_simulation
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.beamfits import write_power_beam
+from hydrabeam_mpi.io.disk import replacing
 from hydrabeam_mpi.io.finite import INFERENCE, MODEL, SIMULATION, check_finite
 from hydrabeam_mpi.io.kept_rounds import drop_rounds, latest_round
 from hydrabeam_mpi.io.posterior_file import ChannelRecord, PosteriorFile, least_bytes, write_posterior
@@ -27,7 +28,7 @@ from hydrabeam_mpi.setup.cautions import cautions_of_flags
 from hydrabeam_mpi.setup.job_file import read_files, unread_files
 from hydrabeam_mpi.setup.problem import Problem
 from hydrabeam_mpi.terminal.interrupt import leaving, unbroken
-from hydrabeam_mpi.terminal.progress import warn
+from hydrabeam_mpi.terminal.progress import say, warn
 
 
 @contextmanager
@@ -40,7 +41,7 @@ def staged(
     only_simulates: bool = False,
     more: Sequence[Path] = (),
 ) -> Iterator[Path]:
-    """Give a folder to write into that becomes ``out`` when all went well, and vanishes otherwise.
+    """Give a folder to write into that becomes ``out`` when all went well, which is said, and vanishes otherwise.
 
     Rounds of a loop that have ended stay; see `StagedDirectory.leave`. Files of ``more`` are read besides those that
     the job names. Collective: all ranks of `world`. An `InputError` that names no file is about a key of the job file.
@@ -72,6 +73,7 @@ def staged(
             with unbroken():
                 drop_rounds(folder.partial)
                 folder.publish()
+    say(f"wrote {out}", world.rank == 0)
 
 
 def input_files(job: Job, problem: Problem, in_memory: frozenset[str] = frozenset()) -> list[Path]:
@@ -199,12 +201,10 @@ def _add_warning(path: Path, caution: str) -> None:
     """Add a warning to a summary that is there already, unless the disk is full."""
     summary = json.loads(path.read_text())
     summary["warnings"].append(caution)
-    partial = path.with_name(f".{path.name}.partial")
     try:
-        _write_json(partial, summary)
-        partial.replace(path)
+        with replacing(path) as partial:
+            _write_json(partial, summary)
     except OSError as error:
-        partial.unlink(missing_ok=True)
         warn([f"nor could that be added to summary.json ({error.strerror})"])
 
 
