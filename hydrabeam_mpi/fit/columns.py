@@ -14,6 +14,8 @@ from scipy.sparse import csr_array, diags_array, issparse
 
 from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray, IntArray
 
+DENSE = 0.05
+"""Part of the entries that are not zero, beyond which the product of dense matrices takes less time."""
 Matrix = Any
 """A NumPy array or a SciPy sparse one."""
 
@@ -121,6 +123,8 @@ class Columns:
 def _product(one: Matrix, two: Matrix) -> Array:
     """Return a product of dense or sparse matrices as a dense one."""
     if issparse(two) and not issparse(one):
+        if two.nnz > DENSE * two.shape[0] * two.shape[1]:
+            return np.asarray(one @ two.toarray())
         return np.asarray((two.T @ one.T).T)
     product = one @ two
     return np.asarray(product.toarray() if issparse(product) else product)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +22,7 @@ from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.prior import ChannelPrior, Prior
 from hydrabeam_mpi.mpi import ProcessGrid, bcast_object, gather_objects, together
 from hydrabeam_mpi.setup.problem import Problem
+from hydrabeam_mpi.terminal.progress import say_meanwhile
 
 MAX_STEPS = 15
 MAX_HALVED = 5
@@ -78,6 +79,10 @@ class FitContext:
         return float(sum(self.grid.world.allgather(mine)))
 
 
+Worth = Callable[[float, float], bool]
+"""Whether a fit is worth going on with; see `refit`."""
+
+
 class BrokenOff(Exception):
     """A fit is not worth going on with, for the reason that the message says."""
 
@@ -87,7 +92,7 @@ def refit(
     values: Values,
     before: Fitted | None = None,
     first_step: float = 1.0,
-    wanted: float = -np.inf,
+    worth: Worth | None = None,
 ) -> Fitted:
     """Fit beams and effects jointly, beginning with the effects' ``values``.
 
@@ -105,19 +110,20 @@ def refit(
         A fit of the first of these effects, whose beams are where this one begins.
     first_step : float
         Which part of the first step is taken; later ones are twice as long while they succeed, up to whole ones.
-    wanted : float
-        What ln(likelihood x prior) of beams and effects is to come to.
+    worth : callable, optional
+        Says whether to go on, from what ln(likelihood x prior) has come to and by how much the linear model expects the
+        next step to raise it.
 
     Raises
     ------
     BrokenOff
-        On all ranks, if the model as it is linearised where the first step has led does not expect to come to that.
+        On all ranks, where it is not worth it.
     """
     start = _start(values, before)
     if not values.active and not values.reweighted:
         solved = solve_beams(context, start)
         return Fitted(values, Fit(solved.beams), diagnostics_of(context, solved))
-    end, step, converged = _search(context, start, first_step, wanted)
+    end, step, converged = _search(context, start, first_step, worth)
     # Not converged: the beams that E is seen by stay, as E may be another one with those solved for.
     solved = solve_beams(context, end, keep=not converged and end.values.adds)
     diagnostics = replace(diagnostics_of(context, solved), converged=converged)
@@ -170,15 +176,16 @@ def _start(values: Values, before: Fitted | None) -> Estimate:
     return Estimate(replace(values, active=tuple(active)), before.fit.posteriors if before else ())
 
 
-def _search(context: FitContext, at: Estimate, length: float, wanted: float) -> tuple[Estimate, _Step, bool]:
+def _search(context: FitContext, at: Estimate, length: float, worth: Worth | None) -> tuple[Estimate, _Step, bool]:
     """Take steps until nothing moves; return where they end, the last of them, and whether they have converged.
 
-    ``length`` is that of the first one, of which it is a part; ``wanted`` what ln(likelihood x prior) must come to.
+    ``length`` is that of the first one, of which it is a part.
     """
     best: tuple[float, Estimate, _Step] | None = None
     flat = halved = 0
     length *= 0.5
-    for _ in range(MAX_STEPS):
+    for number in range(MAX_STEPS):
+        say_meanwhile(f"    fitting: step {number + 1} of {MAX_STEPS} at most", context.grid.is_world_root)
         solved = solve_beams(context, at)
         if not at.beams:
             # There were no beams to see E by.
@@ -194,8 +201,7 @@ def _search(context: FitContext, at: Estimate, length: float, wanted: float) -> 
             continue
         flat, halved = flat + 1 if rise < FLAT_NATS * misfit else 0, 0
         step = take_step(context, replace(at, beams=solved.beams), solved)
-        # Where parameters are still zero others, such as places of sources, have no derivative.
-        if best is not None and solved.reached + step.gain < wanted:
+        if worth is not None and not worth(solved.reached, step.gain):
             raise BrokenOff("its fit was broken off, as it does not come near what explains more")
         best = (solved.reached, at if at.values.adds else replace(at, beams=solved.beams), step)
         still = beam_moved(context, at.beams, solved.beams) < STEP_SIGMAS * np.sqrt(misfit)

@@ -10,6 +10,9 @@ from typing import TypeVar
 from tqdm import tqdm
 
 T = TypeVar("T")
+SECONDS = 30.0
+"""At most so long nothing is said where work goes on."""
+_last = [time.monotonic()]
 
 
 def track(items: Iterable[T], total: int, label: str, show: bool) -> Iterator[T]:
@@ -33,20 +36,25 @@ def track(items: Iterable[T], total: int, label: str, show: bool) -> Iterator[T]
         yield from _lines(items, total, label)
 
 
-def _lines(items: Iterable[T], total: int, label: str, seconds: float = 30.0) -> Iterator[T]:
-    """Print a line every ``seconds``; short work prints nothing."""
-    last = time.monotonic()
+def _lines(items: Iterable[T], total: int, label: str) -> Iterator[T]:
+    """Print a line now and then; short work prints nothing."""
+    _last[0] = time.monotonic()
     for done, item in enumerate(items, 1):
         yield item
-        if time.monotonic() - last > seconds:
-            last = time.monotonic()
-            say(f"{label}: {done} of {total}")
+        say_meanwhile(f"{label}: {done} of {total}", show=True)
 
 
 def say(line: str, show: bool = True) -> None:
     """Print one line of progress to standard error, where ``show`` is set."""
     if show:
+        _last[0] = time.monotonic()
         print(f"hydrabeam: {line}", file=sys.stderr, flush=True)
+
+
+def say_meanwhile(line: str, show: bool) -> None:
+    """Print a line of progress where nothing has been said for long and ``show`` is set."""
+    if time.monotonic() - _last[0] > SECONDS:
+        say(line, show)
 
 
 def warn(cautions: Iterable[str]) -> None:

@@ -96,18 +96,27 @@ def test_what_was_injected_comes_back(kind: str, freqs: tuple[float, ...], tmp_p
     assert beam_error(context, fitted, tmp_path) < beam_error(context, without, tmp_path)
 
 
-def test_a_fit_is_broken_off_where_it_cannot_come_to_what_is_wanted(tmp_path: Path) -> None:
-    """What it reaches, or a little more than that."""
+def test_a_fit_is_broken_off_where_it_is_not_worth_going_on(tmp_path: Path) -> None:
+    """What is told of it says where it will end; one that goes on to the end is as if nobody had asked."""
     injected, effect, width = CASES["antenna_gains"]
     context = context_of(mock_job(injected), tmp_path)
     without = refit(context, Values())
     values = without.values.extended(free(context, effect, width))
     fitted = refit(context, values, without)
-    reached = total_log_joint(context, fitted.values, fitted.diagnostics.log_joint)
-    again = refit(context, values, without, wanted=reached - 0.1)
+    told: list[tuple[float, float]] = []
+
+    def worth(reached: float, gain: float) -> bool:
+        told.append((reached, gain))
+        return True
+
+    again = refit(context, values, without, worth=worth)
     np.testing.assert_array_equal(again.values.x, fitted.values.x)
+    reached = total_log_joint(context, fitted.values, fitted.diagnostics.log_joint)
+    ends = np.sum(told, axis=1)
+    assert ends[-1] == pytest.approx(reached, abs=0.01)
+    assert abs(ends[0] - reached) < 0.1 * (reached - told[0][0])
     with pytest.raises(BrokenOff):
-        refit(context, values, without, wanted=reached + 0.1)
+        refit(context, values, without, worth=lambda _, gain: gain > 0.1)
 
 
 def test_predictions_are_as_wide_where_columns_are_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -32,7 +32,13 @@ def test_a_basis_that_is_zero_at_its_edge_is_no_horizon(tmp_path: Path) -> None:
     assert told["error_before"] > 2
     (refused,) = told["tried"]
     assert refused["effect"] == "horizon"
-    assert "sources behind it would be brighter" in refused["reason"]
+    assert "does not come near what explains more" in refused["reason"]
+    # By itself it would be fitted, and be one that lets through more than all.
+    job["loop"] = {"effects": ["horizon"]}
+    assert main(["loop", str(write_job(job, tmp_path)), "-o", str(tmp_path / "alone")]) == 0
+    alone = json.loads((tmp_path / "alone" / "loop.json").read_text())
+    assert (alone["verdict"], alone["rounds"]) == ("unexplained", [])
+    assert "sources behind it would be brighter" in alone["tried"][0]["reason"]
     assert main(["infer", str(out / "amended.toml"), "-o", str(tmp_path / "amended")]) == 0
     summary = json.loads((tmp_path / "amended" / "summary.json").read_text())
     assert summary["ppd_z_std"] < 1 + 5 / np.sqrt(4 * summary["heldout_n"])

@@ -167,9 +167,7 @@ class RowBlock:
             out.append(design[0] + 1j * design[1])
         return np.array(out)
 
-    def fixed_integral(
-        self, name: str, columns: Callable[[Sources], FloatArray], vectors: FloatArray | None = None
-    ) -> ComplexArray:
+    def fixed_integral(self, name: str, columns: Callable[[Sources], FloatArray]) -> ComplexArray:
         """Integrate columns that do not depend on the beam: once, where there is room to keep it.
 
         Where effects change the sky, what they change is integrated besides. The result is (Ntimes, N, K).
@@ -177,28 +175,26 @@ class RowBlock:
         Parameters
         ----------
         name : str
-            Of these columns and vectors.
-        columns, vectors : optional
+            Of these columns.
+        columns : callable
             As for `integrate`.
         """
         if self.memo is None or not len(self.times):
-            return self.integrate(columns, vectors)
+            return self.integrate(columns)
         sky = b"".join(x.tobytes() for effect, x in self.sky_effects)
         as_it_is, changed = self.memo.setdefault((self.channel, name), ({}, {}))
         new = np.array([time for time in self.times.tolist() if time not in as_it_is], dtype=int)
         if len(new):
-            integrals = replace(self, times=new, sky_effects=()).integrate(columns, vectors)
+            integrals = replace(self, times=new, sky_effects=()).integrate(columns)
             as_it_is.update(zip(new.tolist(), integrals, strict=True))
         if not sky:
             return np.array([as_it_is[time] for time in self.times.tolist()])
         for time in self.times.tolist():
             if changed.get(time, (b"",))[0] != sky:
-                changed[time] = sky, as_it_is[time] + self._change_of_sky(time, columns, vectors)
+                changed[time] = sky, as_it_is[time] + self._change_of_sky(time, columns)
         return np.array([changed[time][1] for time in self.times.tolist()])
 
-    def _change_of_sky(
-        self, itime: int, columns: Callable[[Sources], FloatArray], vectors: FloatArray | None
-    ) -> ComplexArray:
+    def _change_of_sky(self, itime: int, columns: Callable[[Sources], FloatArray]) -> ComplexArray:
         """Integrate what effects change of the fluxes, (N, K), over the sources whose fluxes they change."""
         sources = self.sources(itime)
         change = sources.flux_without() - sources.flux
@@ -206,7 +202,7 @@ class RowBlock:
         some = Sources(sources.index[which], sources.za[which], sources.az[which], change[which], sources.beam_function)
         one_time = replace(self, times=np.array([itime]))
         one_time._sources[itime] = some
-        return one_time.integrate(columns, vectors)[0]
+        return one_time.integrate(columns)[0]
 
     def further_integral(self, basis: LinearBasis) -> ComplexArray:
         """Return what the functions of a real basis see of the sources that effects add to the sky.

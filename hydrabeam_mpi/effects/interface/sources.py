@@ -56,10 +56,7 @@ class Sources:
     @cached_property
     def beam(self) -> FloatArray:
         """Real part of the power beam, (Nsrc,); from the beam's table, where it has one."""
-        table = table_of(self.beam_function)
-        if table is not None:
-            return table(np.minimum(self.za, np.pi / 2), self.az)
-        return np.asarray(self.beam_function(self.za, self.az)).real
+        return power_of(self.beam_function, self.za, self.az)
 
     @cached_property
     def slope(self) -> FloatArray:
@@ -86,6 +83,14 @@ class Sources:
         za = np.arctan2(np.hypot(vectors[0], vectors[1]), vectors[2])
         az = np.arctan2(vectors[1], vectors[0]) % (2 * np.pi)
         return np.asarray(self.beam_function(np.minimum(za, np.pi / 2), az)).real
+
+
+def power_of(beam: Beam, za: FloatArray, az: FloatArray) -> FloatArray:
+    """Return the real part of a beam at many points, (Npoints,); from its table, where it has one, to the horizon."""
+    table = table_of(beam)
+    if table is not None:
+        return table(np.minimum(za, np.pi / 2), az)
+    return np.asarray(beam(za, az)).real
 
 
 def table_of(beam: Beam) -> PolarTable | None:

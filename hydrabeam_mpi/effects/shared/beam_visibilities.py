@@ -6,13 +6,7 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.model.beam import CoefficientBeam
 from hydrabeam_mpi.model.rime import Beam
-
-FEW = 4
-"""For up to this many vectors the visibilities of all modes, from which those of any beam follow, are computed and
-kept.
-"""
 
 
 def beam_visibilities(block: RowBlock, vectors: FloatArray) -> ComplexArray:
@@ -36,14 +30,7 @@ def beam_visibilities(block: RowBlock, vectors: FloatArray) -> ComplexArray:
         beam, times, values = kept[key]
         if beam is block.beam and times is block.times:
             return values
-    if block.memo is not None and isinstance(block.beam, CoefficientBeam) and len(vectors) <= FEW:
-        basis = block.beam.basis
-        # Named by the basis, too, which grows where the model gets more modes.
-        modes = block.fixed_integral(f"{basis.describe()} on {key!r}", lambda at: basis.columns(at.za, at.az), vectors)
-        integrals = modes @ basis.column_coeffs(block.beam.coeffs).real
-    else:
-        beam = block.beam
-        integrals = block.integrate(lambda at: np.asarray(beam(at.za, at.az)).real[np.newaxis], vectors)
+    integrals = block.integrate(lambda sources: sources.beam[np.newaxis], vectors)
     # Without times `integrals` has lost its axes.
     values = integrals.reshape(len(block.times), len(vectors)).astype(complex)
     kept[key] = block.beam, block.times, values

@@ -20,6 +20,7 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import GivenColumns, RowBlock
+from hydrabeam_mpi.effects.interface.sources import power_of
 from hydrabeam_mpi.model.engines import make_engine
 from hydrabeam_mpi.model.engines.fringes import C_M_PER_S, enu
 from hydrabeam_mpi.model.sky import Sky
@@ -109,7 +110,7 @@ class Diffuse(Effect):
             za, azimuth, flux = (
                 np.ravel(one) for one in np.broadcast_arrays(np.arccos(part), az, area[lo : lo + step])
             )
-            columns = harmonics(self.l_max, part, az).reshape(-1, len(za)) * np.asarray(block.beam(za, azimuth)).real
+            columns = harmonics(self.l_max, part, az).reshape(-1, len(za)) * power_of(block.beam, za, azimuth)
             out += engine.design(GivenColumns(columns), za, azimuth, flux[np.newaxis], freqs)[0]
         return np.asarray(out[0] + 1j * out[1])
 

@@ -177,8 +177,16 @@ class MissingSources(PointSources):
 def candidates(setup: ObservingSetup, altitude: float = MIN_ALTITUDE) -> tuple[FloatArray, FloatArray]:
     """Return right ascension and declination of the grid points that rise to ``altitude`` in the times in use.
 
-    Each is (Npoints,).
+    Each is (Npoints,), found once for a setup.
     """
+    key = (MissingSources.kind, altitude)
+    if key not in setup.kept:
+        setup.kept[key] = _candidates(setup, altitude)
+    found: tuple[FloatArray, FloatArray] = setup.kept[key]
+    return found
+
+
+def _candidates(setup: ObservingSetup, altitude: float) -> tuple[FloatArray, FloatArray]:
     ra, dec = _grid(_spacing(setup))
     observation = setup.observation
     zenith = observation.latitude

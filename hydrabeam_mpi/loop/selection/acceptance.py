@@ -114,12 +114,15 @@ def may_be_better(candidate: Candidate, best: Round, enough: bool) -> bool:
     return simpler and candidate.log_bayes_factor > RULES.near_if_linear * best.candidate.log_bayes_factor
 
 
-def least_to_expect(best: Round) -> float:
-    """Return the ln evidence that the fit of another effect must promise to be gone on with, beside the best so far.
+def may_still_be_better(candidate: Candidate, best: Round, risen: float, expected: float) -> bool:
+    """Whether a fit that has raised ln(likelihood x prior) so far may come to more than the evidence of the best one.
 
-    As it is linearised where it has been fitted so far, it is as good as linear.
+    The linear model expects the next step to raise it by as much as ``expected``, of which there may be more to come as
+    in `may_be_better`.
     """
-    return RULES.near_if_linear * best.candidate.log_bayes_factor
+    assert candidate.finding is not None
+    near = RULES.near_if_linear if candidate.finding.effect.linear else RULES.near
+    return risen + expected / near > best.candidate.log_bayes_factor
 
 
 def _complexity(candidate: Candidate) -> float:

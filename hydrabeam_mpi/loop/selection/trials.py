@@ -10,7 +10,7 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.reweighting import ReweightingFit
-from hydrabeam_mpi.fit.gauss_newton import BrokenOff, FitContext, refit, total_log_joint
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff, FitContext, Worth, refit, total_log_joint
 from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.state import Active, Fitted, Reweighted, Values
 from hydrabeam_mpi.loop.attribution.reconsider import reconsider
@@ -25,8 +25,8 @@ from hydrabeam_mpi.loop.selection.acceptance import (
     improvement,
     in_order,
     is_better,
-    least_to_expect,
     may_be_better,
+    may_still_be_better,
     refusal_beside,
     refusal_of,
     rivals_of,
@@ -58,9 +58,8 @@ def try_effects(
     for candidate in in_order(wanted, RULES.most_tries):
         if best is not None and not may_be_better(candidate, best, enough):
             continue
-        aim = -np.inf if best is None else _log_joint(context, checked.fitted) + least_to_expect(best)
         try:
-            fitted, after = _fit(context, checked, candidate, aim)
+            fitted, after = _fit(context, checked, candidate, _worth(context, checked, candidate, best))
         except BrokenOff as why:
             say(f"    refused: {why}", context.grid.is_world_root)
             tried.append((candidate, str(why)))
@@ -74,6 +73,14 @@ def try_effects(
             best = _round(context, checked, after, fitted, ranking)
             enough = after.remains.consistent
     return best
+
+
+def _worth(context: FitContext, before: Checked, candidate: Candidate, best: Round | None) -> Worth | None:
+    """Return whether to go on with a candidate's fit, which may not come to more than the best one so far."""
+    if best is None or candidate.finding is None:
+        return None
+    start, ahead = _log_joint(context, before.fitted), best
+    return lambda reached, gain: may_still_be_better(candidate, ahead, reached - start, gain)
 
 
 def _refusal_by_rivals(context: FitContext, fitted: Fitted, rivals: Sequence[Candidate]) -> str | None:
@@ -116,22 +123,24 @@ def _round(
 
 
 def _fit(
-    context: FitContext, checked: Checked, candidate: Candidate, wanted: float = -np.inf
+    context: FitContext, checked: Checked, candidate: Candidate, worth: Worth | None = None
 ) -> tuple[Candidate, Checked]:
-    """Fit a candidate and predict the held-out rows with it; ``wanted`` as for `refit`.
+    """Fit a candidate and predict the held-out rows with it; ``worth`` as for `refit`.
 
     Collective: all ranks of the grid.
     """
     say(f"  trying {candidate.title} (ln BF {candidate.log_bayes_factor:.4g})", context.grid.is_world_root)
     fit = _fit_weights if candidate.finding is None else _fit_effect
-    found, fitted = fit(context, checked.fitted, candidate, wanted)
+    found, fitted = fit(context, checked.fitted, candidate, worth)
     after = check(context, fitted)
     told = f"held-out chi^2 {after.score.chi2:.4g}, rms {after.numbers.of_all['rms']:.4g} Jy"
     say(f"    {told} (ln BF {found.log_bayes_factor:.4g})", context.grid.is_world_root)
     return found, after
 
 
-def _fit_effect(context: FitContext, before: Fitted, candidate: Candidate, wanted: float) -> tuple[Candidate, Fitted]:
+def _fit_effect(
+    context: FitContext, before: Fitted, candidate: Candidate, worth: Worth | None
+) -> tuple[Candidate, Fitted]:
     """Fit an effect and weigh it again where it has been fitted, as no effect is quite linear.
 
     `BrokenOff` is raised where it is unphysical there.
@@ -139,7 +148,7 @@ def _fit_effect(context: FitContext, before: Fitted, candidate: Candidate, wante
     assert candidate.finding is not None
     effect, evidence = candidate.finding.effect, candidate.finding.evidence
     start = Active.start(effect, context.setup, evidence.prior_var, evidence.x)
-    fitted = fit_patiently(context, before.values.extended(start), before, wanted)
+    fitted = fit_patiently(context, before.values.extended(start), before, worth)
     unphysical = effect.unphysical(fitted.values.active[-1].x, fitted.fit.std[-1])
     if unphysical is not None and fitted.diagnostics.converged:
         raise BrokenOff(unphysical)
@@ -150,7 +159,7 @@ def _fit_effect(context: FitContext, before: Fitted, candidate: Candidate, wante
             break
         evidence = replace(again, prior_var=prior_var)
         start = restarted(context, fitted.values.active[-1], prior_var)
-        fitted = fit_patiently(context, before.values.extended(start), fitted, wanted)
+        fitted = fit_patiently(context, before.values.extended(start), fitted, worth)
         again = reconsider(context, fitted)
     gained = rise(context, before, fitted)
     log_bayes_factor = again.log_bayes_factor - again.linear_gain + gained
@@ -163,15 +172,15 @@ def is_same_prior(one: FloatArray, two: FloatArray) -> bool:
     return np.array_equal(one > 0, two > 0) and np.allclose(one, two, rtol=1.0, atol=0.0)
 
 
-def fit_patiently(context: FitContext, values: Values, before: Fitted, wanted: float = -np.inf) -> Fitted:
+def fit_patiently(context: FitContext, values: Values, before: Fitted, worth: Worth | None = None) -> Fitted:
     """Fit, and again with a shorter first step where that does not converge; return what is likelier then.
 
     Arguments and what is raised are those of `refit`. Collective: all ranks of the grid.
     """
-    fitted = refit(context, values, before, wanted=wanted)
+    fitted = refit(context, values, before, worth=worth)
     if fitted.diagnostics.converged:
         return fitted
-    again = refit(context, values, before, RULES.first_step, wanted)
+    again = refit(context, values, before, RULES.first_step, worth)
     return again if again.diagnostics.converged or rise(context, fitted, again, of_nonlinear=True) > 0 else fitted
 
 
@@ -184,8 +193,10 @@ def _log_joint(context: FitContext, fitted: Fitted, of_nonlinear: bool = True) -
     return total_log_joint(context, fitted.values, fitted.diagnostics.log_joint, of_nonlinear)
 
 
-def _fit_weights(context: FitContext, before: Fitted, candidate: Candidate, wanted: float) -> tuple[Candidate, Fitted]:
-    """Fit with changed weights, then fit the noise scales again to the residuals; nothing is ``wanted`` of that."""
+def _fit_weights(
+    context: FitContext, before: Fitted, candidate: Candidate, worth: Worth | None
+) -> tuple[Candidate, Fitted]:
+    """Fit with changed weights, then fit the noise scales again to the residuals."""
     assert candidate.weights is not None
     found = candidate.weights
 
