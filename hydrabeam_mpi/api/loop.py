@@ -88,11 +88,10 @@ def run_loop(
     _check_can_confirm(context)
     known = context.setup
     with together(world):
-        choice = choose(job, known)
-        values = restore(job, known)
+        choice, values = choose(job, known), restore(job, known)
     with clock.time("conventions"):
         conventions = check_conventions(grid, context.problem, context.train.rows)
-    wanted = () if conventions["found"] else ([*choice.effects, *control_models(known)], choice.changes)
+    wanted = ([], []) if conventions["found"] else ([*choice.effects, *control_models(known)], choice.changes)
 
     @cache
     def origin() -> dict[str, Any]:
@@ -104,7 +103,7 @@ def run_loop(
         keeper = Keeper(context, folder, choice.skipped, conventions, clock, origin)
         history, keep = keeper.go_on(earlier, out, overwrite), keeper
     history = history or begin(context, values, clock)
-    run_rounds(context, history, *(wanted or ([], [])), clock, keep)
+    run_rounds(context, history, *wanted, clock, keep)
     with clock.time("settle"):
         settle_last(context, history)
     with clock.time("leakage"):

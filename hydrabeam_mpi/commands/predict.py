@@ -10,7 +10,6 @@ from hydrabeam_mpi.api.setup import Setup
 from hydrabeam_mpi.mpi import Comm, together
 from hydrabeam_mpi.result.output import staged
 from hydrabeam_mpi.setup.job_file import check_paths, load
-from hydrabeam_mpi.terminal.progress import say
 
 
 def predict(world: Comm, source: Path, job_path: Path, out: Path, overwrite: bool, threads: int) -> None:
@@ -45,4 +44,3 @@ def predict(world: Comm, source: Path, job_path: Path, out: Path, overwrite: boo
         with together(world):
             if world.rank == 0:
                 prediction.fill(folder)
-    say(f"wrote {out}", world.rank == 0)
