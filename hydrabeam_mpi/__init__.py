@@ -16,6 +16,7 @@ from hydrabeam_mpi.version import __version__
 if TYPE_CHECKING:
     from hydrabeam_mpi.api.arguments import FourierBessel, Zernike
     from hydrabeam_mpi.api.beam import InferredBeam
+    from hydrabeam_mpi.api.correction import Correction, correct
     from hydrabeam_mpi.api.inference import infer
     from hydrabeam_mpi.api.loop import close_loop
     from hydrabeam_mpi.api.prediction import Prediction, predict
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from hydrabeam_mpi.errors import InputError
 
 _HOMES = {
+    "Correction": "api.correction",
     "FourierBessel": "api.arguments",
     "Found": "api.result",
     "InferredBeam": "api.beam",
@@ -35,6 +37,7 @@ _HOMES = {
     "Setup": "api.setup",
     "Zernike": "api.arguments",
     "close_loop": "api.loop",
+    "correct": "api.correction",
     "infer": "api.inference",
     "load": "api.result",
     "predict": "api.prediction",
@@ -42,6 +45,7 @@ _HOMES = {
 }
 
 __all__ = [
+    "Correction",
     "Found",
     "FourierBessel",
     "InferredBeam",
@@ -53,6 +57,7 @@ __all__ = [
     "Zernike",
     "__version__",
     "close_loop",
+    "correct",
     "infer",
     "load",
     "predict",

@@ -89,6 +89,11 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("result", type=Path, metavar="RESULT", help="folder that infer or loop wrote")
     command.add_argument("job", type=Path, metavar="JOB.toml", help="job file of the other data")
     _add_output(command)
+    what = "take the instrument's effects of a result out of data: corrected, model, residual, gains"
+    command = commands.add_parser("correct", help=what, description=what)
+    command.add_argument("result", type=Path, metavar="RESULT", help="folder that infer or loop wrote")
+    command.add_argument("job", type=Path, nargs="?", metavar="JOB.toml", help="other data than the result's own")
+    _add_output(command)
     what = "draw the figures and report.html of a result"
     report = commands.add_parser("report", help=what, description=what)
     report.add_argument("directory", type=Path, metavar="DIR", help="folder that infer wrote")
@@ -126,6 +131,11 @@ def _run(world: MPI.Comm, options: argparse.Namespace) -> None:
         from hydrabeam_mpi.commands.predict import predict
 
         predict(world, options.result, options.job, options.output, options.overwrite, threads)
+        return
+    if options.command == "correct":
+        from hydrabeam_mpi.commands.correct import correct
+
+        correct(world, options.result, options.job, options.output, options.overwrite, threads)
         return
     with together(world):
         if world.rank == 0 and options.command == "report":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -14,7 +14,7 @@ from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.grown import grown_beam
 from hydrabeam_mpi.fit.row_model import RowModel
 from hydrabeam_mpi.fit.rows import Rows
-from hydrabeam_mpi.fit.state import Estimate
+from hydrabeam_mpi.fit.state import Active, Estimate
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.model.beam import BeamInfo, CoefficientBeam
 
@@ -99,14 +99,14 @@ class RankData(RowModel):
     def effects(self, at: Estimate) -> tuple[ComplexArray, ComplexArray]:
         """Return C and E of all rows, each (Nfreqs, Ntimes, Nbls); those of the latest estimate are kept."""
         if not self._latest or not _same(self._latest[0][0], at):
-            self._latest[:] = [(at, *self._make_effects(at))]
+            others = [one for one in at.values.active if not one.effect.changes_sky]
+            self._latest[:] = [(at, *self.effects_of(at, others))]
         return self._latest[0][1:]
 
-    def _make_effects(self, at: Estimate) -> tuple[ComplexArray, ComplexArray]:
-        """Go through all rows for C and E."""
+    def effects_of(self, at: Estimate, others: Sequence[Active]) -> tuple[ComplexArray, ComplexArray]:
+        """Go through all rows for C and E of some of the effects, none of which changes the sky."""
         factor = np.ones(self.rows.data.shape, dtype=complex)
         added = np.zeros_like(factor)
-        others = [one for one in at.values.active if not one.effect.changes_sky]
         adding = [one.effect for one in others if not one.effect.multiplies]
         for channel, number in enumerate(self.problem.channel_numbers.tolist() if others else ()):
             for span, block, _ in self.row_blocks(channel, at, added[channel], self.rows):

@@ -64,14 +64,8 @@ def radiometer_weights(
     for field in ("integration_time", "channel_width"):
         if not np.all(getattr(observation, field) > 0):
             raise InputError("not positive", file=files[0], field=field, remedy="choose another [noise] kind")
-    autos = read_autos(files, observation, tile.times)
+    autos = calibrated_autos(files, observation, tile.times, gain_files)
     feeds = feeds_of(observation.pols)
-    if gain_files:
-        antpairs = np.repeat(observation.antenna_numbers[:, None], 2, axis=1)
-        pols = tuple(2 * feed for feed in feeds)
-        bad = np.zeros(autos.shape, bool)
-        data, *_ = calibrate(autos.astype(complex), bad, observation, tile.times, antpairs, gain_files, pols)
-        autos = data.real
     ants = match(observation.antpairs[tile.bls], observation.antenna_numbers, 0)
     first, second = (
         np.stack([autos[:, :, ants[:, end], feeds.index(pol[end])] for pol in observation.pols], axis=-1)
@@ -83,6 +77,20 @@ def radiometer_weights(
     exposure = observation.channel_width[:, None] * observation.integration_time[tile.times]
     weights = exposure[:, :, None, None] * nsamples / np.where(usable, first * second, 1.0)
     return np.where(usable, weights, 0.0)
+
+
+def calibrated_autos(
+    files: Sequence[Data], observation: Observation, times: IntArray, gain_files: Sequence[Path]
+) -> FloatArray:
+    """Return autocorrelations as `read_autos` does, with gains divided out, (Nfreqs, Ntimes, Nants, Nfeeds)."""
+    autos = read_autos(files, observation, times)
+    if not gain_files:
+        return autos
+    antpairs = np.repeat(observation.antenna_numbers[:, None], 2, axis=1)
+    pols = tuple(2 * feed for feed in feeds_of(observation.pols))
+    bad = np.zeros(autos.shape, bool)
+    data, *_ = calibrate(autos.astype(complex), bad, observation, times, antpairs, gain_files, pols)
+    return np.asarray(data.real)
 
 
 def _check_autos_stored(lacking: BoolArray, files: Sequence[Data], observation: Observation, tile: Tile) -> None:

@@ -24,6 +24,7 @@ def write_uvh5(
     flags: BoolArray,
     nsamples: FloatArray,
     autos: FloatArray | None = None,
+    history: str = "Written by hydrabeam_mpi.",
 ) -> None:
     """Write drift-scan visibilities in Jy; the file appears whole or not at all.
 
@@ -38,6 +39,7 @@ def write_uvh5(
     autos : ndarray, (Nfreqs, Ntimes, Nants, Nfeeds), optional
         Autocorrelations of the feeds ``feeds_of(observation.pols)`` in Jy; flagged where not finite, and for
         cross-hand polarisations.
+    history : str
 
     Raises
     ------
@@ -50,7 +52,7 @@ def write_uvh5(
         block = Block(*map(_joined, block, _auto_block(observation, autos)))
     try:
         with replacing(path) as partial, quiet(), _Target(partial) as target:
-            _as_uvdata(observation, antpairs, block).write_uvh5(target, run_check=False)
+            _as_uvdata(observation, antpairs, block, history).write_uvh5(target, run_check=False)
             target.settle()
     except OSError as error:
         raise InputError(f"cannot be written ({error})", file=path, remedy="choose another place") from error
@@ -77,8 +79,8 @@ def _auto_block(observation: Observation, autos: FloatArray) -> Block:
     return Block(np.where(known, values, 0.0).astype(np.complex128), ~known, known.astype(float), known)
 
 
-def _as_uvdata(observation: Observation, antpairs: Array, block: Block) -> UVData:
-    """Build the pyuvdata object, time by time and within a time baseline by baseline."""
+def telescope_of(observation: Observation) -> tuple[Telescope, dict[str, str]]:
+    """Return the telescope as pyuvdata knows it, and the orientation of its feeds as an argument."""
     # Feeds named by direction are written as x (east) and y (north); others have no known direction.
     directed = set("".join(observation.pols)) <= {"e", "n"}
     orientation = {"x_orientation": "east"} if directed else {}
@@ -93,6 +95,12 @@ def _as_uvdata(observation: Observation, antpairs: Array, block: Block) -> UVDat
         update_from_known=False,
         **orientation,
     )
+    return telescope, orientation
+
+
+def _as_uvdata(observation: Observation, antpairs: Array, block: Block, history: str) -> UVData:
+    """Build the pyuvdata object, time by time and within a time baseline by baseline."""
+    telescope, orientation = telescope_of(observation)
 
     def rows(values: Array) -> Array:
         return values.transpose(1, 2, 0, 3).reshape(-1, observation.Nfreqs, observation.Npols)
@@ -113,7 +121,7 @@ def _as_uvdata(observation: Observation, antpairs: Array, block: Block) -> UVDat
         nsample_array=rows(block.nsamples),
         vis_units="Jy",
         pol_convention="sum",
-        history="Written by hydrabeam_mpi.",
+        history=history,
     )
     uv.lst_array = np.repeat(observation.lsts, len(antpairs))
     uv.phase_center_app_ra = uv.lst_array.copy()

@@ -23,11 +23,6 @@ assert main(["predict", *sys.argv[1:3], "-o", sys.argv[3]]) == 0
 
 
 @pytest.fixture(scope="module")
-def nights(tmp_path_factory: pytest.TempPathFactory) -> Nights:
-    return Nights.make(tmp_path_factory.mktemp("nights"))
-
-
-@pytest.fixture(scope="module")
 def second(nights: Nights) -> dict[str, Any]:
     return predicted(nights.result, nights.job("second"), nights.folder / "prediction")
 

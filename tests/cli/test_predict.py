@@ -1,4 +1,4 @@
-"""`hydrabeam predict` refuses in one line what it cannot apply, and takes a result without effects as it is."""
+"""`hydrabeam predict` and `correct` refuse in one line what they cannot apply; a beam alone is applied as it is."""
 
 from __future__ import annotations
 
@@ -113,10 +113,17 @@ def test_what_cannot_be_applied(
     assert on_root(lambda: [path.name for path in workspace.folder.glob(".*")] == [] and not out.exists())
 
 
+@pytest.mark.parametrize("command", ["predict", "correct"])
 def test_the_result_itself_is_kept(
-    copy: Path, workspace: Workspace, on_root: OnRoot, comm: MPI.Comm, capfd: pytest.CaptureFixture[str]
+    command: str, copy: Path, workspace: Workspace, on_root: OnRoot, comm: MPI.Comm, capfd: pytest.CaptureFixture[str]
 ) -> None:
     job = on_root(lambda: workspace.job())
-    assert main(["predict", str(copy), str(job), "-o", str(copy), "--overwrite"]) == 2
+    assert main([command, str(copy), str(job), "-o", str(copy), "--overwrite"]) == 2
     assert "choose another folder" in refusal(capfd, comm)
     assert on_root(lambda: (copy / "posterior.h5").exists())
+
+
+def test_nothing_to_correct_by(workspace: Workspace, comm: MPI.Comm, capfd: pytest.CaptureFixture[str]) -> None:
+    missing = workspace.folder / "missing"
+    assert main(["correct", str(missing), "-o", str(workspace.folder / "out")]) == 2
+    assert f"{missing / 'posterior.h5'}: no such file" in refusal(capfd, comm)

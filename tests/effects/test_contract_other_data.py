@@ -72,6 +72,16 @@ def test_it_leaves_what_other_data_lack(kind: str) -> None:
         assert not any(name.startswith(f"antenna {gone} ") or f"baseline {gone}-" in name for name in names)
 
 
+@pytest.mark.parametrize("kind", EFFECTS)
+def test_what_multiplies_are_gains_of_antennas(kind: str) -> None:
+    effect, block, case = set_up(kind)
+    x = draw(effect, block.setup, case.strengths[0])
+    gains = effect.gains(block.setup, block.channel, x)
+    assert gains.shape == (block.setup.observation.Nants,)
+    product = np.broadcast_to(gains[block.ant1] * gains[block.ant2].conj(), block.shape)
+    np.testing.assert_allclose(product, effect.factor(block, x), rtol=1e-13)
+
+
 def test_times_and_noise_are_those_of_their_own_data() -> None:
     setup = experiment_of(Case().freqs, Case().n_times, Case().n_sources)
     for kind in EFFECTS:

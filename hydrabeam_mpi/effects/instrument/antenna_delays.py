@@ -52,3 +52,9 @@ class AntennaDelays(Effect):
         first, second = x[row_antennas(block)].T
         rows = np.exp(2j * np.pi * block.freq * NS * (first - second))
         return np.broadcast_to(rows, block.shape)
+
+    def gains(self, setup: ObservingSetup, channel: int, x: FloatArray) -> ComplexArray:
+        """Return exp(2 pi i nu tau), (Nants,)."""
+        gains = np.ones(setup.observation.Nants, dtype=complex)
+        gains[setup.antennas_in_use] = np.exp(2j * np.pi * setup.observation.freqs[channel] * NS * x)
+        return gains

@@ -46,3 +46,9 @@ class AntennaGains(Effect):
         logarithm = first + second.conj()
         rows = np.exp(logarithm.real.clip(-LARGEST_LN, LARGEST_LN) + 1j * logarithm.imag)
         return np.broadcast_to(rows, block.shape)
+
+    def gains(self, setup: ObservingSetup, channel: int, x: FloatArray) -> ComplexArray:
+        """Return exp(a + i phi), (Nants,)."""
+        gains = np.ones(setup.observation.Nants, dtype=complex)
+        gains[setup.antennas_in_use] = np.exp(x[0::2] + 1j * x[1::2])
+        return gains

@@ -121,10 +121,10 @@ class CableReflections(ScannedEffect):
         if not n:
             return Columns(np.zeros((*block.shape, 0), dtype=complex), 0)
         antennas = self._antennas(block.setup)
-        amplitudes, waves = self._echoes(block, x)
+        amplitudes, waves = self._echoes(_offset(block), x)
         turn = 2j * np.pi * _offset(block) * NS
         slopes = np.stack([waves, 1j * waves, turn * amplitudes * waves], axis=-1)
-        slopes /= self._gains(block, x)[antennas, np.newaxis]
+        slopes /= self.gains(block.setup, block.channel, x)[antennas, np.newaxis]
 
         echoes = _echoes_by_antenna(antennas, len(block.setup.observation.antenna_numbers))
         first, second = echoes[block.ant1], echoes[block.ant2]
@@ -138,7 +138,7 @@ class CableReflections(ScannedEffect):
 
     def factor(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return g_j g_k*, (Ntimes, Nbls)."""
-        gains = self._gains(block, x)
+        gains = self.gains(block.setup, block.channel, x)
         return np.broadcast_to(gains[block.ant1] * gains[block.ant2].conj(), block.shape)
 
     def n_hypotheses(self, setup: ObservingSetup) -> int:
@@ -190,16 +190,15 @@ class CableReflections(ScannedEffect):
             )
         return np.array([indices[number] for number, _ in self.reflections], dtype=int)
 
-    def _echoes(self, block: RowBlock, x: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+    def _echoes(self, offset: float, x: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         """Return z and exp(2 pi i (nu - nu_0) tau) of every echo."""
         delays = np.array([delay for _, delay in self.reflections]) + x[2::3]
-        return x[0::3] + 1j * x[1::3], np.exp(2j * np.pi * _offset(block) * NS * delays)
+        return x[0::3] + 1j * x[1::3], np.exp(2j * np.pi * offset * NS * delays)
 
-    def _gains(self, block: RowBlock, x: FloatArray) -> ComplexArray:
-        """Return g of every antenna of the observation."""
-        amplitudes, waves = self._echoes(block, x)
-        n = len(block.setup.observation.antenna_numbers)
-        return 1.0 + _sum_by(self._antennas(block.setup), amplitudes * waves, n)
+    def gains(self, setup: ObservingSetup, channel: int, x: FloatArray) -> ComplexArray:
+        """Return one plus the echoes of every antenna, (Nants,)."""
+        amplitudes, waves = self._echoes(float(setup.observation.freqs[channel]) - setup.reference_freq, x)
+        return 1.0 + _sum_by(self._antennas(setup), amplitudes * waves, setup.observation.Nants)
 
 
 def _echo(number: int, delay: float) -> str:

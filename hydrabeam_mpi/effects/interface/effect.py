@@ -233,6 +233,10 @@ class Effect(InOtherData, Cause):
         """Return C at ``x``, (Ntimes, Nbls); one for effects that add."""
         return np.ones(block.shape, dtype=complex)
 
+    def gains(self, setup: ObservingSetup, channel: int, x: FloatArray) -> ComplexArray:
+        """Return the gains g of all antennas in a channel, (Nants,), with C = g_j g_k*; one for effects that add."""
+        return np.ones(setup.observation.Nants, dtype=complex)
+
     def unphysical(self, x: FloatArray, std: FloatArray) -> str | None:
         """Say why fitted parameters, (Nfreqs, n_params), are unphysical for this effect; None where they are not."""
         return None

@@ -1,0 +1,124 @@
+"""Data without the effects of the instrument: what was taken out, put in again, gives the data."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tomli_w
+from numpy.typing import NDArray
+from pyuvdata import UVCal, UVData
+from pyuvdata.utils import uvcalibrate
+
+import hydrabeam_mpi as hb
+from hydrabeam_mpi.cli import main
+from tests.api.nights import Nights
+
+RUN = """
+import sys
+from hydrabeam_mpi.cli import main
+assert main(["correct", sys.argv[1], "-o", sys.argv[2]]) == 0
+"""
+PARTS = ("corrected", "model", "residual", "added")
+GAIN = np.exp(0.06 - 0.05j)
+"""Of antenna 2, by which the data of both nights are off."""
+
+
+def crosses(path: Path) -> UVData:
+    uvd = UVData.from_file(str(path))
+    uvd.select(ant_str="cross")
+    return uvd
+
+
+def values_of(folder: Path) -> dict[str, NDArray[Any]]:
+    return {name: crosses(folder / f"{name}.uvh5").data_array for name in PARTS}
+
+
+@pytest.fixture(scope="module")
+def corrected(nights: Nights) -> Path:
+    """The first night, the result's own data."""
+    out = nights.folder / "corrected"
+    assert main(["correct", str(nights.result), "-o", str(out)]) == 0
+    return out
+
+
+@pytest.fixture(scope="module")
+def coupled(nights: Nights) -> Path:
+    """A result with a coupling besides, which the data do not have."""
+    job = tomllib.loads((nights.result / "amended.toml").read_text())
+    coupling = {
+        "kind": "cross_coupling",
+        "settings": {"baselines": [[4, 1]]},
+        "names": ["baseline 1-4 real", "baseline 1-4 imaginary"],
+        "index": [0, 1],
+        "values": [[1e-5, 0.0]] * 2,
+        "prior_std": [1e-4, 1e-4],
+    }
+    job["effects"].append(coupling)
+    path = nights.folder / "coupled.toml"
+    path.write_text(tomli_w.dumps(job))
+    assert main(["infer", str(path), "-o", str(nights.folder / "coupled")]) == 0
+    return nights.folder / "coupled"
+
+
+def test_gains_divide_the_data(nights: Nights, corrected: Path) -> None:
+    cal = UVCal.from_file(str(corrected / "gains.calfits"))
+    assert (cal.gain_convention, cal.gain_scale, cal.pol_convention) == ("divide", "Jy", "sum")
+    gain = cal.gain_array[cal.ant_array.tolist().index(2)]
+    np.testing.assert_allclose(gain, GAIN, atol=0.002)
+    assert "hydrabeam_mpi" in cal.history
+    uvd = UVData.from_file(str(nights.data("first")))
+    uvcalibrate(uvd, cal)
+    own = UVData.from_file(str(corrected / "corrected.uvh5"))
+    for pair in uvd.get_antpairs():
+        np.testing.assert_allclose(own.get_data(pair), uvd.get_data(pair), rtol=1e-12)
+        assert not own.get_flags(pair).any()
+    assert "without the instrument's effects" in own.history
+
+
+def test_parts_are_what_they_are_called(corrected: Path) -> None:
+    parts = values_of(corrected)
+    scale = np.abs(parts["corrected"]).max()
+    np.testing.assert_allclose(parts["model"] + parts["residual"], parts["corrected"], atol=1e-15 * scale)
+    assert not parts["added"].any()
+    assert np.sqrt(np.mean(np.abs(parts["residual"]) ** 2)) < 0.01 * np.sqrt(np.mean(np.abs(parts["model"]) ** 2))
+
+
+def test_put_in_again_they_are_the_data_on_any_number_of_ranks(
+    nights: Nights, coupled: Path, tmp_path: Path, mpiexec_python: Any
+) -> None:
+    assert main(["correct", str(coupled), "-o", str(tmp_path / "one")]) == 0
+    done = mpiexec_python(2, RUN, coupled, tmp_path / "two")
+    assert done.returncode == 0, done.stderr
+    one, two = (values_of(tmp_path / name) for name in ("one", "two"))
+    for name in PARTS:
+        np.testing.assert_allclose(two[name], one[name], rtol=1e-12, atol=1e-13 * np.abs(one[name]).max())
+    again, data = crosses(tmp_path / "one" / "corrected.uvh5"), crosses(nights.data("first"))
+    assert again.get_antpairs() == data.get_antpairs()
+    again.data_array += one["added"]
+    uvcalibrate(again, UVCal.from_file(str(tmp_path / "one" / "gains.calfits")), undo=True)
+    np.testing.assert_allclose(again.data_array, data.data_array, rtol=1e-12)
+    added = crosses(tmp_path / "one" / "added.uvh5")
+    assert [pair for pair in added.get_antpairs() if added.get_data(pair).any()] == [(1, 4)]
+
+
+def test_other_data_in_python(nights: Nights) -> None:
+    job = nights.job("second", "_flagged", exclude_baselines=[[0, 3]])
+    correction = hb.correct(hb.load(nights.result), hb.Setup.from_job(job), bad_antennas=[5])
+    assert correction.observation is not None
+    pairs = correction.observation.antpairs
+    flagged = np.any(pairs == 5, axis=1) | np.all(pairs == [0, 3], axis=1)
+    np.testing.assert_array_equal(correction.flags, np.broadcast_to(flagged[:, np.newaxis], correction.flags.shape))
+    corrected = correction.visibilities["corrected"]
+    assert not corrected[:, :, flagged].any()
+    uvd = crosses(nights.data("second"))
+    for number in np.flatnonzero(~flagged):
+        one, two = pairs[number].tolist()
+        expected = uvd.get_data(one, two).T
+        off = {one: 1 / GAIN, two: 1 / GAIN.conj()}.get(2, 1.0)
+        np.testing.assert_allclose(corrected[:, :, number, 0], expected * off, rtol=0.01)
+    assert [one["effect"] for one in correction.summary["carried_over"]] == ["antenna_gains", "missing_sources"]
+    assert correction.autos.shape[2] == 7
