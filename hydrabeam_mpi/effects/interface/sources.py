@@ -59,6 +59,11 @@ class Sources:
         return power_of(self.beam_function, self.za, self.az)
 
     @cached_property
+    def exact_beam(self) -> FloatArray:
+        """The same from the beam itself, for small differences, which show what a table lacks, (Nsrc,)."""
+        return np.asarray(self.beam_function(self.za, self.az)).real
+
+    @cached_property
     def slope(self) -> FloatArray:
         """Gradient of the beam on the sphere as a vector tangent to it, (3, Nsrc), per radian.
 

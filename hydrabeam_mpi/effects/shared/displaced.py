@@ -144,7 +144,7 @@ class TurningSky(Effect):
 
     def sky_columns(self, sources: Sources) -> FloatArray:
         """Return the beam, the beam times the unit vector, and the torque of the beam's slope, (7, Nsrc)."""
-        beam = sources.beam[np.newaxis]
+        beam = sources.exact_beam[np.newaxis]
         return np.concatenate([beam, beam * sources.enu, torque(sources)])
 
     def rates(self, block: RowBlock, x: FloatArray) -> ComplexArray:
@@ -171,6 +171,6 @@ class TurningSky(Effect):
         turned = rotations.any(axis=1)
         change = np.zeros((len(block.times), len(block.groups)), dtype=complex)
         if turned.any():
-            after = turned_sky(block, rotations).integrate(lambda sources: sources.beam[np.newaxis])
+            after = turned_sky(block, rotations).integrate(lambda sources: sources.exact_beam[np.newaxis])
             change[turned] = after[..., 0] - block.integrals[self.kind][turned, :, 0]
         return block.spread(change)
