@@ -117,10 +117,10 @@ def evidence_of(
     if degenerate_directions is not None and len(degenerate_directions):
         blocks = [block.freed(degenerate_directions) for block in blocks]
     rank = sum(int(np.linalg.matrix_rank(block.information, hermitian=True)) for block in blocks)
-    return _describe(blocks, log_evidence(blocks, prior_var) - _price(parameters, prior_var), prior_var, rank)
+    return _describe(blocks, log_evidence(blocks, prior_var) - price_of(parameters, prior_var), prior_var, rank)
 
 
-def _price(parameters: Parameters, prior_var: FloatArray) -> float:
+def price_of(parameters: Parameters, prior_var: FloatArray) -> float:
     """Return the nats that widths of a prior cost that were chosen by the evidence, and the choice of elements."""
     can = (parameters.scale > 0) & ~parameters.nonlinear
     widths = np.sqrt(prior_var[can]) / parameters.scale[can]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -205,6 +206,7 @@ def _round(context: FitContext, one: Round, chi2: list[float], before: Remains, 
         "heldout_sigma": one.sigma,
         "revised": list(one.revised),
         "revoked": one.candidate.finding is not None and one.place is None,
+        "constancy": [asdict(part) for part in one.constancy],
         "converged": one.after.fitted.diagnostics.converged,
         **heldout_change(one.before, one.after, setup.observation.freqs),
         "runner_up": others[0].kind if others else None,
@@ -281,7 +283,7 @@ def parameters_of(setup: ObservingSetup, one: Round, last: Fitted) -> tuple[list
     else:
         # What was taken back is told as it was found.
         fitted, number = (one.after.fitted, -1) if one.place is None else (last, one.place)
-        active, std = fitted.values.active[number], fitted.fit.std[number]
+        active, std = one.taken_back or (fitted.values.active[number], fitted.fit.std[number])
         told, used, shared = active.effect.told(setup, active.x, std), active.used, active.effect.shared
         prior_std = np.array([active.prior.of(f).std() for f in range(len(std))])
         is_told = std[:, used] ** 2 <= LEAST_TOLD * prior_std**2

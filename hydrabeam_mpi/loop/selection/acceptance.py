@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydrabeam_mpi.config.effects import Loop as LoopSettings
-from hydrabeam_mpi.fit.state import Fitted
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.fit.state import Active, Fitted
+from hydrabeam_mpi.loop.attribution.constancy import Constancy
 from hydrabeam_mpi.loop.attribution.score_effects import Finding
 from hydrabeam_mpi.loop.attribution.score_noise import WeightsFound
 from hydrabeam_mpi.loop.residuals.remains import Remains
@@ -59,6 +61,10 @@ class Round:
         Among the active effects of the last fit; None for a change of the weights, and where it was taken back since.
     revised : tuple of str
         What became of earlier effects, and of this one, when all were weighed again.
+    taken_back : (Active, ndarray), optional
+        The effect as it was when it was taken back at the end, and its standard deviations, (Nfreqs, n_params).
+    constancy : tuple of Constancy
+        Whether the effect is the same in all parts of the data, asked at the end; empty for a change of the weights.
     """
 
     candidate: Candidate
@@ -69,6 +75,8 @@ class Round:
     beam_change: float
     place: int | None = None
     revised: tuple[str, ...] = ()
+    taken_back: tuple[Active, FloatArray] | None = None
+    constancy: tuple[Constancy, ...] = ()
 
 
 def in_order(wanted: Sequence[Candidate], most: int) -> list[Candidate]:
@@ -199,6 +207,24 @@ def refusal_beside(rival: Candidate, left: float, settings: LoopSettings) -> str
         f"{rival.title} explains as much (ln BF {rival.log_bayes_factor:.4g}), and beside that its log Bayes factor is "
         f"{left:.4g}"
     )
+
+
+def refusal_by_parts(constancy: Sequence[Constancy], settings: LoopSettings) -> str | None:
+    """Say between which parts of the data an effect differs so much that it is not what it says; None where it is.
+
+    It needs the evidence that the job asks for that its parameters have a common part. Where they cannot have as much,
+    as few parts tell them, it is not asked: it is refused only if it also falls short of what is expected of an effect
+    that is the same in all parts, by as much.
+    """
+    for one in constancy:
+        short = min(settings.min_log_bayes_factor, one.expected - settings.min_log_bayes_factor)
+        if one.log_bayes_factor < short:
+            return (
+                f"it is not the same in all parts of the data: its parameters differ between {one.between} by "
+                f"{one.spread:.2g} times what they have in common (ln BF that they have a common part "
+                f"{one.log_bayes_factor:.3g}, where {one.expected:.3g} is expected of what is the same in all)"
+            )
+    return None
 
 
 def rise_of_rms(before: Checked, after: Checked) -> str | None:

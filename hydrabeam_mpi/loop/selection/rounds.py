@@ -11,9 +11,11 @@ from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
 from hydrabeam_mpi.fit.settle import refined, settle
 from hydrabeam_mpi.fit.state import Fitted, Values
+from hydrabeam_mpi.loop.attribution.constancy import Constancy
 from hydrabeam_mpi.loop.attribution.score_effects import attribute
 from hydrabeam_mpi.loop.attribution.score_noise import fit_reweightings
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
+from hydrabeam_mpi.loop.selection.constant import take_back
 from hydrabeam_mpi.loop.selection.revision import revise
 from hydrabeam_mpi.loop.selection.trials import check, try_control, try_effects
 from hydrabeam_mpi.terminal.progress import say
@@ -132,6 +134,30 @@ def run_rounds(
         effects = _next_of(context, effects, added.after.fitted.values)
         with clock.time("keep"):
             keep(history)
+    with clock.time("trials"):
+        _take_back(context, history)
+
+
+def _take_back(context: FitContext, history: History) -> None:
+    """Take back effects that are not the same in all parts, until all that are left are. Collective: all ranks."""
+    n_given, n_before = len(history.first.fitted.values.active), None
+    while history.rounds and n_given < len(history.last.fitted.values.active) != n_before:
+        before = history.last.fitted
+        n_before = len(before.values.active)
+        last, places, asked = take_back(context, history.rounds[-1], n_given)
+        told = [_asked(one, before, places, asked) for one in (*history.rounds[:-1], last)]
+        history.rounds = told[:-1]
+        history.add(told[-1], places)
+
+
+def _asked(
+    one: Round, before: Fitted, places: Mapping[int, int | None], asked: Mapping[int, tuple[Constancy, ...]]
+) -> Round:
+    """Return a round with what is known of its effect since all were asked, as they were ``before``."""
+    if one.place is None:
+        return one
+    taken_back = None if places[one.place] is not None else (before.values.active[one.place], before.fit.std[one.place])
+    return replace(one, taken_back=taken_back, constancy=asked[one.place])
 
 
 def say_heldout(chi2: float, now: dict[str, float]) -> str:

@@ -20,6 +20,7 @@ from hydrabeam_mpi.effects.sky.horizon import Horizon
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
 from hydrabeam_mpi.fit.state import Active, Fit, Fitted, Values, independent_prior
 from hydrabeam_mpi.inference.significance import sigma_of_log_p
+from hydrabeam_mpi.loop.attribution.constancy import Constancy
 from hydrabeam_mpi.loop.attribution.control_models import BeamDrift, ShapeDrift
 from hydrabeam_mpi.loop.selection.acceptance import (
     Candidate,
@@ -29,6 +30,7 @@ from hydrabeam_mpi.loop.selection.acceptance import (
     is_better,
     may_be_better,
     refusal_beside,
+    refusal_by_parts,
     refusal_of,
     rise_of_rms,
     rivals_of,
@@ -250,6 +252,34 @@ def test_residuals_rise_beyond_their_error(one: float, two: float, rises: bool) 
             "the rms of the held-out residual rises from 3 to 3.3 Jy, by more than its error "
             "(noise 1 Jy, the data 10 Jy)"
         )
+
+
+PARTS: list[tuple[str, list[tuple[str, float, float]], str | None]] = [
+    ("nobody can ask", [], None),
+    ("the same in all", [("times", 19.8, 20.4), ("baselines", 23.3, 21.0)], None),
+    ("as little as expected, as few parts tell it", [("times", 4.0, 4.2), ("baselines", 0.0, 0.0)], None),
+    ("less than expected, and both are little", [("times", 1.0, 5.9)], None),
+    ("less by what noise does", [("times", 4.9, 9.8)], None),
+    ("less by more than that", [("times", 4.9, 10.0)], "between times"),
+    ("little where more is expected", [("times", 1.0, 6.1)], "between times"),
+    ("one that spreads beside another effect", [("times", 5.1, 800.0)], None),
+    ("times differ", [("times", -14.9, 785.8), ("baselines", 0.0, 0.0)], "between times"),
+    ("baselines differ", [("times", 91.0, 92.0), ("baselines", -0.4, 69.2)], "between baselines"),
+]
+
+
+@pytest.mark.parametrize(("found", "words"), [case[1:] for case in PARTS], ids=ids(PARTS))
+def test_an_effect_is_the_same_in_all_parts(found: list[tuple[str, float, float]], words: str | None) -> None:
+    said = refusal_by_parts([Constancy(*one, spread=2.6) for one in found], LOOP)
+    assert said is None if words is None else words in str(said)
+
+
+def test_how_parts_differ_is_told_in_numbers() -> None:
+    assert refusal_by_parts([Constancy("times", -1.534, 54.26, 2.63)], LOOP) == (
+        "it is not the same in all parts of the data: its parameters differ between times by 2.6 times what they have "
+        "in common (ln BF that they have a common part -1.53, where 54.3 is expected of what is the same in all)"
+    )
+    assert refusal_by_parts([Constancy("times", 8.0, 54.0, 2.6)], Loop(min_log_bayes_factor=8.5)) is not None
 
 
 CONTROL = round_of(effect_candidate(BeamDrift()), checked(2.0), checked(1.2))

@@ -1,0 +1,54 @@
+"""What is not the same in all parts of the data is taken back, once nothing more is found."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from hydrabeam_mpi.fit.gauss_newton import FitContext
+from hydrabeam_mpi.loop.attribution.constancy import Constancy
+from hydrabeam_mpi.loop.attribution.parts import ask_constancy
+from hydrabeam_mpi.loop.selection.acceptance import Round, refusal_by_parts
+from hydrabeam_mpi.loop.selection.trials import check, fit_patiently
+from hydrabeam_mpi.terminal.progress import say
+
+
+def take_back(
+    context: FitContext, last: Round, n_given: int
+) -> tuple[Round, dict[int, int | None], dict[int, tuple[Constancy, ...]]]:
+    """Take back the effects that are not the same in all parts of the data.
+
+    Collective: all ranks of the grid. Not before nothing more is found: while something else is not in the model yet,
+    what is true spreads as well, and has elements beside it (sources, antennas) that stand for the rest.
+
+    Parameters
+    ----------
+    context : FitContext
+    last : Round
+    n_given : int
+        How many effects the job itself has in the model, which stay as they are.
+
+    Returns
+    -------
+    last : Round
+        Fitted without what was taken back.
+    places : dict
+        Where each active effect is now, by where it was; None where it was taken back.
+    constancy : dict
+        What was found of each that was asked, by where it was.
+    """
+    fitted = last.after.fitted
+    active = fitted.values.active
+    asked = {place: ask_constancy(context, fitted, place) for place in range(n_given, len(active))}
+    found = {place: refusal_by_parts(one, context.problem.job.loop) for place, one in asked.items()}
+    gone = {place: why for place, why in found.items() if why is not None}
+    kept = [place for place in range(len(active)) if place not in gone]
+    places: dict[int, int | None] = dict.fromkeys(range(len(active)))
+    places |= {old: new for new, old in enumerate(kept)}
+    if not gone:
+        return last, places, asked
+    told = [f"{active[place].effect.title}: taken back, as {why}" for place, why in gone.items()]
+    for line in told:
+        say(f"  {line}", context.grid.is_world_root)
+    values = replace(fitted.values, active=tuple(active[place] for place in kept))
+    after = check(context, fit_patiently(context, values, fitted))
+    return replace(last, after=after, revised=(*last.revised, *told)), places, asked

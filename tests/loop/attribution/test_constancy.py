@@ -1,0 +1,248 @@
+"""Random effects between parts against densities of the data themselves, by brute force, and what a loop's rows say."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
+from hydrabeam_mpi.effects.instrument.antenna_positions import AntennaPositions
+from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
+from hydrabeam_mpi.fit.blocks import CandidateBlock
+from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
+from hydrabeam_mpi.fit.state import Active, Fitted, Values
+from hydrabeam_mpi.inference.likelihood import Likelihood
+from hydrabeam_mpi.loop.attribution import parts
+from hydrabeam_mpi.loop.attribution.constancy import Constancy, Spectrum, compare
+from hydrabeam_mpi.loop.attribution.parts import ask_constancy, likelihoods_of, parted_block
+from hydrabeam_mpi.loop.selection.constant import take_back
+from hydrabeam_mpi.loop.selection.trials import check
+from hydrabeam_mpi.random import generator
+from tests.loop.made import effect_candidate, round_of
+from tests.loop.mock import context_of, mock_job
+
+N_DATA, N_PARTS = 48, 4
+STD = np.array([2.0, 0.5])
+SPREADS = np.exp(np.linspace(np.log(1e-4), np.log(30), 150))
+
+
+@dataclass(frozen=True)
+class Model:
+    """Real data y = A b + sum_k S_k x_k + n with b ~ N(0, 1) and white noise of variance one, S_k those of part k."""
+
+    design: FloatArray
+    columns: FloatArray
+    data: FloatArray
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Of the data without the effect."""
+        return np.eye(len(self.data)) + self.design @ self.design.T
+
+    @property
+    def likelihood(self) -> Likelihood:
+        inverse = np.linalg.inv(self.covariance)
+        signal = self.columns.T @ self.columns
+        return Likelihood(self.columns.T @ inverse @ self.columns, self.columns.T @ inverse @ self.data, signal)
+
+    def log_evidence(self, spread: float, has_common: bool) -> float:
+        """Compare the density of the data with and without the effect."""
+        common = np.tile(np.diag(STD), N_PARTS).T
+        prior = np.kron(np.eye(N_PARTS), np.diag((spread * STD) ** 2)) + has_common * common @ common.T
+        with_effect = self.covariance + self.columns @ prior @ self.columns.T
+        one, two = (self.data @ np.linalg.solve(c, self.data) for c in (with_effect, self.covariance))
+        log_dets = [np.linalg.slogdet(c)[1] for c in (with_effect, self.covariance)]
+        return 0.5 * float(two - one + log_dets[1] - log_dets[0])
+
+
+def make_model(
+    seed: int, common: FloatArray, spread: float, informed: FloatArray | None = None, size: float = 1.0
+) -> Model:
+    """Draw a model whose parts differ by ``spread``; ``informed`` tells which parameters each part tells of, (K, q).
+
+    ``size`` is that of the columns.
+    """
+    rng = generator(seed, "parts")
+    part, q = np.arange(N_DATA) % N_PARTS, len(STD)
+    columns = np.zeros((N_DATA, N_PARTS, q))
+    columns[np.arange(N_DATA), part] = size * rng.standard_normal((N_DATA, q))
+    if informed is not None:
+        columns *= informed
+    flat = columns.reshape(N_DATA, -1)
+    design = rng.standard_normal((N_DATA, 5))
+    x = common + spread * STD * rng.standard_normal((N_PARTS, q))
+    data = design @ rng.standard_normal(5) + flat @ x.ravel() + rng.standard_normal(N_DATA)
+    return Model(design, flat, data)
+
+
+def spectrum_of(model: Model) -> Spectrum:
+    scale, block = np.tile(STD, N_PARTS), model.likelihood
+    return Spectrum.of(np.outer(scale, scale) * block.information, scale * block.score, len(STD))
+
+
+@pytest.mark.parametrize("spread", [0.0, 1e-3, 0.7, 40.0])
+def test_evidence_with_and_without_a_common_part(spread: float) -> None:
+    model = make_model(1, np.array([3.0, -1.0]), 0.5)
+    spectrum = spectrum_of(model)
+    assert spectrum.with_common(spread) == pytest.approx(model.log_evidence(spread, True), rel=1e-9)
+    assert spectrum.without_common(spread) == pytest.approx(model.log_evidence(spread, False), rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize("price", [0.0, 4.0])
+@pytest.mark.parametrize(("common", "spread"), [((9.0, -2.0), 0.0), ((9.0, -2.0), 0.4), ((0.0, 0.0), 3.0)])
+def test_the_bayes_factor_is_of_the_best_spreads(common: tuple[float, float], spread: float, price: float) -> None:
+    """Over independent channels that have one spread."""
+    models = [make_model(seed, np.array(common), spread) for seed in (2, 3)]
+    found = compare([model.likelihood for model in models], STD, "times", price)
+    with_common, without = (
+        max(sum(model.log_evidence(one, has) for model in models) for one in (0.0, *SPREADS)) for has in (True, False)
+    )
+    expected = with_common - price - max(without - price, 0.0)
+    assert found.log_bayes_factor == pytest.approx(expected, abs=0.05)
+    assert found.between == "times"
+
+
+def test_what_is_expected_is_the_mean_over_noise() -> None:
+    """At any one spread, of data with the common part that was found."""
+    model = make_model(4, np.array([2.0, -0.5]), 0.0)
+    same = spectrum_of(model).of_the_same()
+    x = np.tile(STD * spectrum_of(model).common_part(0.0), N_PARTS)
+    rng = generator(4, "noise")
+    root = np.linalg.cholesky(model.covariance)
+    draws = [
+        spectrum_of(replace(model, data=model.columns @ x + root @ rng.standard_normal(N_DATA))) for _ in range(2000)
+    ]
+    for spread in (0.0, 0.8):
+        for of in (Spectrum.with_common, Spectrum.without_common):
+            found = np.array([of(one, spread) for one in draws])
+            assert abs(of(same, spread) - found.mean()) < 4 * found.std() / np.sqrt(len(found)) + 1e-9
+
+
+def test_what_is_the_same_has_a_common_part() -> None:
+    found = compare([make_model(5, np.array([2.0, -0.5]), 0.0, size=10.0).likelihood], STD, "times", 2.0)
+    assert found.log_bayes_factor > 5
+    assert found.log_bayes_factor == pytest.approx(found.expected, abs=5)
+    assert found.spread < 0.05
+
+
+def test_what_differs_has_none() -> None:
+    models = [make_model(seed, np.zeros(2), 1.0, size=10.0) for seed in range(10, 40)]
+    found = [compare([model.likelihood], STD, "times", 2.0) for model in models]
+    assert max(one.log_bayes_factor for one in found) < 5
+    assert np.mean([one.log_bayes_factor for one in found]) < 0
+    assert min(one.spread for one in found) > 0.5
+    # The mean of few parts is not zero, and one of so much would be seen where it is the same in all.
+    assert np.median([one.expected - one.log_bayes_factor for one in found]) > 5
+
+
+def test_a_spread_is_measured() -> None:
+    many = [make_model(seed, np.array([2.0, -0.5]), 0.25, size=10.0).likelihood for seed in range(50, 80)]
+    found = compare(many, STD, "baselines", 1.0)
+    assert found.spread == pytest.approx(0.25, rel=0.15)
+
+
+def test_nothing_can_be_said_of_what_one_part_tells() -> None:
+    """Each parameter is told by one part, another one each: both hypotheses are the same."""
+    informed = np.zeros((N_PARTS, 2))
+    informed[1, 0] = informed[2, 1] = 1.0
+    for seed in range(5):
+        model = make_model(seed, np.array([9.0, -2.0]), 3.0, informed)
+        assert np.linalg.matrix_rank(model.likelihood.information) == 2
+        found = compare([model.likelihood], STD, "times", 1.0)
+        # A prior twice as wide can be no common part.
+        assert -1.5 < found.log_bayes_factor <= 0.01
+        assert -1.5 < found.expected <= 0.01
+
+
+GAIN = {"kind": "antenna_gains", "parameters": {"antenna 2 ln amplitude": 0.06, "antenna 2 phase": -0.05}}
+
+
+@pytest.fixture(scope="module")
+def with_gain(tmp_path_factory: pytest.TempPathFactory) -> tuple[FitContext, Fitted]:
+    """Data with one antenna's gain off, fitted with gains of three antennas and a coupling."""
+    context = context_of(mock_job(GAIN), tmp_path_factory.mktemp("constancy"))
+    gains, coupling = AntennaGains(), CrossCoupling([[1, 4]])
+    var = np.zeros(14)
+    var[[4, 5, 6, 7, 10, 11]] = 0.05**2
+    active = (
+        Active.start(gains, context.setup, var, np.zeros((1, 14))),
+        Active.start(coupling, context.setup, np.full(2, 0.1), np.zeros((1, 2))),
+    )
+    return context, refit(context, Values(active))
+
+
+def test_all_parts_together_say_what_the_whole_says(with_gain: tuple[FitContext, Fitted]) -> None:
+    context, fitted = with_gain
+    one, rest = fitted.values.active[0], replace(fitted.values, active=fitted.values.active[1:])
+    parted = parted_block(context, one, one.used)
+    assert parted.n_parts == {"times": 4, "baselines": 4}
+    found = likelihoods_of(context, fitted, {**rest.blocks, "parts": parted}, parted.x)
+    whole = likelihoods_of(context, fitted, {**rest.blocks, "whole": CandidateBlock(one.effect, one.x[0])}, one.x)
+    assert found is not None
+    assert whole is not None
+    other = len(rest.shared)
+    own = other + one.used
+    for span in parted.spans.values():
+        place = slice(other + span.start, other + span.stop)
+        n = parted.n_parts["times"]
+        summed = found[0].information[place, place].reshape(n, len(one.used), n, len(one.used)).sum(axis=(0, 2))
+        np.testing.assert_allclose(summed, whole[0].information[np.ix_(own, own)], rtol=1e-9, atol=1e-9 * summed.max())
+        score = found[0].score[place].reshape(n, -1).sum(axis=0)
+        np.testing.assert_allclose(score, whole[0].score[own], rtol=1e-9, atol=1e-9 * np.abs(score).max())
+        across = found[0].information[:other, place].reshape(other, n, -1).sum(axis=1)
+        np.testing.assert_allclose(across, whole[0].information[:other, own], rtol=1e-9, atol=1e-9 * summed.max())
+
+
+def test_parts_are_blocks_of_times_and_folds_of_groups(with_gain: tuple[FitContext, Fitted]) -> None:
+    context, fitted = with_gain
+    parted = parted_block(context, fitted.values.active[0], fitted.values.active[0].used)
+    times, train = parted.parts["times"][context.problem.train.times], context.problem.train
+    assert np.all(np.diff(times[:, 0]) >= 0)
+    assert set(np.bincount(times[:, 0]).tolist()) == {2}
+    folds = parted.parts["baselines"][:, np.unique(context.problem.redundant.group[train.bls])]
+    assert np.all(folds == folds[0])
+    assert np.ptp(np.bincount(folds[0])) <= 1
+
+
+def test_a_gain_that_is_there_is_the_same_in_all_parts(with_gain: tuple[FitContext, Fitted]) -> None:
+    context, fitted = with_gain
+    for found in ask_constancy(context, fitted, 0):
+        assert found.log_bayes_factor > 5
+        assert found.spread < 0.3
+
+
+def test_a_place_is_not_what_a_gain_looks_like(tmp_path: Path) -> None:
+    """With the true effect missing from the model another one fits in each part what is wrong there; it is taken back.
+
+    An effect of the job itself is not asked.
+    """
+    context = context_of(mock_job(GAIN), tmp_path)
+    positions = AntennaPositions()
+    n = len(positions.parameters(context.setup))
+    start = Active.start(positions, context.setup, np.full(n, 0.1**2), np.zeros((1, n)))
+    fitted = refit(context, Values((start,)))
+    found = ask_constancy(context, fitted, 0)
+    assert min(one.log_bayes_factor for one in found) < 5
+    assert max(one.expected for one in found) > 50
+    one = round_of(effect_candidate(positions), check(context, refit(context, Values())), check(context, fitted))
+    last, places, asked = take_back(context, one, 0)
+    assert (places, asked) == ({0: None}, {0: found})
+    assert last.after.fitted.values.active == ()
+    assert last.after.score.chi2 == pytest.approx(one.before.score.chi2)
+    assert "antenna positions: taken back, as it is not the same in all parts" in last.revised[0]
+    assert take_back(context, one, 1) == (one, {0: 0}, {})
+
+
+def test_many_parameters_have_fewer_parts(
+    with_gain: tuple[FitContext, Fitted], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    context, fitted = with_gain
+    monkeypatch.setattr(parts, "MOST_COLUMNS", 13)
+    assert parted_block(context, fitted.values.active[0], np.arange(6)).n_parts == {"times": 2, "baselines": 2}
+    monkeypatch.setattr(parts, "MOST_COLUMNS", 11)
+    found: tuple[Constancy, ...] = ask_constancy(context, fitted, 0)
+    assert found == ()
