@@ -56,7 +56,7 @@ def _of_time(problem: Problem, time: int, reason: str) -> Finding:
 
 
 def bad_baselines(problem: Problem, sums: Sums, excess: Excess) -> list[Finding]:
-    """Find baselines that are all zero or constant, or whose noise stands out from the others'.
+    """Find baselines that are all zero or constant, or whose changes in time stand out from the others'.
 
     Only differences in time tell of noise: what is constant in time, or slow, is for effects to describe.
     """
@@ -72,7 +72,10 @@ def bad_baselines(problem: Problem, sums: Sums, excess: Excess) -> list[Finding]
         absurd = outliers(logs, LOG_STD / np.sqrt(np.maximum(n / 2, 1)))
         for b in np.flatnonzero(absurd > 0).tolist():
             ratio = np.exp(logs[b] - known_median(logs))
-            why.setdefault(b, f"its noise has {ratio:.2g} times the power of the others' ({absurd[b]:.0f} sigma)")
+            why.setdefault(
+                b,
+                f"its changes in time have {ratio:.2g} times the others' power ({absurd[b]:.0f} sigma)",
+            )
     if len(why) > MOST_EXCEPTIONS * np.count_nonzero(counted):
         return []
     found = []

@@ -86,10 +86,13 @@ class Score:
         """Fraction of the data's power beyond the noise."""
         return 1 - self.excess / (self.data - self.n) if self.data > self.n else 0.0
 
-    def betters(self, stated: Score, left: float) -> bool:
+    def leaves_less(self, stated: Score, left: float) -> bool:
         """Tell whether this leaves significantly less than a fraction of the stated convention's residual power."""
-        good = self.excess < left * stated.excess and stated.chi2 - self.chi2 > MIN_FALL
-        return good and abs(self.amplitude - 1) < AMPLITUDE_TOLERANCE
+        return self.excess < left * stated.excess and stated.chi2 - self.chi2 > MIN_FALL
+
+    def betters(self, stated: Score, left: float) -> bool:
+        """Tell whether this leaves less, at the model's flux scale."""
+        return self.leaves_less(stated, left) and abs(self.amplitude - 1) < AMPLITUDE_TOLERANCE
 
 
 def check_conventions(grid: ProcessGrid, problem: Problem, rows: Rows) -> dict[str, Any]:
@@ -119,7 +122,7 @@ def check_conventions(grid: ProcessGrid, problem: Problem, rows: Rows) -> dict[s
     table = bcast_object(grid.world, table)
     alternatives = basic_alternatives() + array_alternatives(observation, table, problem.job.data.redundancy_tol)
     alternatives += time_alternatives(observation)
-    scores = _scores(grid, problem, rows, alternatives)
+    scores = score_alternatives(grid, problem, rows, alternatives)
     stated, candidates = scores[0], _factor(scores[0])
     clocks = []
     for one, score in zip(alternatives[1:], scores[1:], strict=True):
@@ -163,8 +166,13 @@ def sample_times(times: IntArray, most: int = N_TIMES) -> IntArray:
     return times[np.unique(np.linspace(0, len(times) - 1, min(most, len(times))).round().astype(int))]
 
 
-def _scores(grid: ProcessGrid, problem: Problem, rows: Rows, alternatives: Sequence[Alternative]) -> list[Score]:
-    """Compare the data with every alternative, over all ranks. Collective: all ranks of `grid.world`."""
+def score_alternatives(
+    grid: ProcessGrid, problem: Problem, rows: Rows, alternatives: Sequence[Alternative]
+) -> list[Score]:
+    """Compare a few times of the data with every alternative, over all ranks.
+
+    Collective: all ranks of `grid.world`. ``problem`` is of the group's channels, ``rows`` are the rank's.
+    """
     products = np.zeros((len(alternatives), 2))
     common = np.zeros(2)
     with together(grid.world):
@@ -201,7 +209,7 @@ def _is_met(grid: ProcessGrid, problem: Problem, rows: Rows, clock: Alternative,
     assert clock.shift is not None
     assert clock.tolerance is not None
     probes = [replace(clock, shift=clock.shift + sign * PROBE) for sign in (-1, 1)]
-    before, after = (one.chi2 for one in _scores(grid, problem, rows, probes))
+    before, after = (one.chi2 for one in score_alternatives(grid, problem, rows, probes))
     bend = before + after - 2 * score.chi2
     if bend <= 0:
         return False

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from hydrabeam_mpi.loop.checks.bad_antennas import absurd_antennas, absurd_autocorrelations
+from hydrabeam_mpi.loop.checks.bad_ends import by_antenna, exchanged_antennas
 from hydrabeam_mpi.loop.checks.bad_rows import bad_baselines, bad_times
 from hydrabeam_mpi.loop.checks.health_sums import Excess, Kept, Sample, Sums, read_sample
 from hydrabeam_mpi.loop.checks.scale import flux_scale, noise_level
@@ -47,7 +48,7 @@ def check_health(grid: ProcessGrid, problem: Problem) -> list[Finding]:
         if not more:
             break
         found += more
-    return found + last
+    return by_antenna(problem, found) + last
 
 
 def _look(
@@ -57,7 +58,7 @@ def _look(
     kept = _without(problem, found)
     weights = kept.weights(sample, problem.observation.antenna_index)
     sums = Sums.of(grid, problem, sample, weights)
-    antennas = absurd_antennas(problem, sums)
+    antennas = absurd_antennas(problem, sums) or exchanged_antennas(grid, problem, sums)
     if antennas:
         return antennas, []
     excess = Excess.of(grid, problem, sample, weights, sums)

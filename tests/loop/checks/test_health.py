@@ -16,6 +16,7 @@ from pyuvdata import UVData
 from hydrabeam_mpi.cli import main
 from hydrabeam_mpi.config import load_job
 from hydrabeam_mpi.io.reading import quiet
+from hydrabeam_mpi.loop.checks.bad_ends import by_antenna
 from hydrabeam_mpi.loop.checks.health import check_health
 from hydrabeam_mpi.mpi import ProcessGrid
 from hydrabeam_mpi.setup.findings import Finding, mended_job
@@ -207,6 +208,31 @@ def test_a_noisy_baseline(job: dict[str, Any], folder: Path) -> None:
     (one,) = found(job, folder, files=damaged(folder, damage))
     assert one.baselines == ((1, 4),)
     assert found(job, folder, files=["damaged.uvh5"], exclude_baselines=[[4, 1]]) == []
+
+
+def exchanged(uv: UVData) -> None:
+    """Exchange the labels of antennas 1 and 4."""
+    label = {1: 4, 4: 1}
+    uv.ant_1_array, uv.ant_2_array = (
+        np.array([label.get(ant, ant) for ant in ants.tolist()]) for ants in (uv.ant_1_array, uv.ant_2_array)
+    )
+    uv.baseline_array = uv.antnums_to_baseline(uv.ant_1_array, uv.ant_2_array)
+
+
+def test_exchanged_antennas(tmp_path: Path) -> None:
+    job = made(tmp_path)
+    (one,) = found(job, tmp_path, files=damaged(tmp_path, exchanged))
+    assert (one.what, one.where, one.antennas) == ("two antennas exchanged", "antennas 1 and 4", (1, 4))
+    assert "exclude_antennas = [1, 4]" in one.remedy
+
+
+def test_an_antenna_is_named_instead_of_most_of_its_baselines(job: dict[str, Any], folder: Path) -> None:
+    problem = prepare(load_job(write_job(job, folder)), (folder / "data.uvh5",))
+    pairs = [(0, 1), (1, 2), (1, 3), (1, 4), (2, 4)]
+    one, other = by_antenna(problem, [Finding("a bad baseline", str(pair), "", "", baselines=(pair,)) for pair in pairs])
+    assert one.baselines == ((2, 4),)
+    assert (other.where, other.antennas, other.why) == ("antenna 1", (1,), "4 of its 6 baselines are bad")
+    assert len(by_antenna(problem, [Finding("", "", "", "", baselines=(pair,)) for pair in pairs[:3]])) == 3
 
 
 def test_a_channel_width_that_does_not_fit_its_autocorrelations(job: dict[str, Any], folder: Path) -> None:
