@@ -229,7 +229,9 @@ def test_exchanged_antennas(tmp_path: Path) -> None:
 def test_an_antenna_is_named_instead_of_most_of_its_baselines(job: dict[str, Any], folder: Path) -> None:
     problem = prepare(load_job(write_job(job, folder)), (folder / "data.uvh5",))
     pairs = [(0, 1), (1, 2), (1, 3), (1, 4), (2, 4)]
-    one, other = by_antenna(problem, [Finding("a bad baseline", str(pair), "", "", baselines=(pair,)) for pair in pairs])
+    one, other = by_antenna(
+        problem, [Finding("a bad baseline", str(pair), "", "", baselines=(pair,)) for pair in pairs]
+    )
     assert one.baselines == ((2, 4),)
     assert (other.where, other.antennas, other.why) == ("antenna 1", (1,), "4 of its 6 baselines are bad")
     assert len(by_antenna(problem, [Finding("", "", "", "", baselines=(pair,)) for pair in pairs[:3]])) == 3
