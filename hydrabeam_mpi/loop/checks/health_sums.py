@@ -234,8 +234,9 @@ class Excess:
     def of_partners(cls, grid: ProcessGrid, problem: Problem, sample: Sample, weights: FloatArray) -> Excess:
         """Add up what data differ by from the mean of their redundant partners at the same time and channel.
 
-        Needs neither a model nor neighbouring times. Samples of a group of n have n - 1 differences among them. What
-        partners differ by at all times, as by gains, is expected; without redundancy there is nothing to look at.
+        Needs neither a model nor neighbouring times. Samples of a group of n have n - 1 differences among them. Gains
+        make partners differ in proportion to what they see, which varies from time to time: what a baseline differs by
+        in half of its samples is expected of all. Without redundancy there is nothing to look at.
 
         Collective: all ranks of the grid; ``problem`` is of all channels.
         """
@@ -258,7 +259,11 @@ class Excess:
             variance = 1 / np.where(known, inverse, 1.0) + 1 / np.where(known, total, 1.0)
             power = np.where(known, np.abs(data - mean) ** 2, 0.0)
             known &= power > 0
-            logs = np.log(np.where(known, power / variance, 1.0)) - LOG_MEAN
+            seen = np.maximum(np.abs(mean) ** 2, variance)
+            share = np.where(known, (power - variance) / seen, np.nan)
+            share[:, ~known.any(axis=0)] = 0.0
+            expected = variance + np.maximum(np.nanmedian(share, axis=0), 0.0) * seen
+            logs = np.log(np.where(known, power / expected, 1.0)) - LOG_MEAN
             worth = np.where(known, 1 - 1 / np.maximum(n, 1), 0.0)
             made.times += (worth * logs).sum(axis=1), worth.sum(axis=1)
         allreduce_sum(grid.world, made.times)

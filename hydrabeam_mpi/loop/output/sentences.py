@@ -40,7 +40,14 @@ def _sigmas(one: dict[str, Any]) -> float:
 
 
 def say_verdict(told: dict[str, Any]) -> str:
-    """Tell how the loop ended, by what else ``loop.json`` has: verdict, errors, rounds, why and where."""
+    """Tell how the loop ended, by what else ``loop.json`` has: verdict, errors, rounds, why, where and health."""
+    odd = [f"{one['what']} ({one['where']})" for one in told["health"]]
+    more = [f"{len(odd) - MOST_NAMED} more"] if len(odd) > MOST_NAMED else []
+    of_data = f" Of the data themselves: {joined([*odd[:MOST_NAMED], *more])}." if odd else ""
+    return f"{_verdict(told)}{of_data}"
+
+
+def _verdict(told: dict[str, Any]) -> str:
     names = list(dict.fromkeys(one["title"] for one in told["rounds"]))
     lacked = f"The model lacked {joined(names)}"
     before = f"{told['error_before']:.4g} -> " if names else ""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,11 @@ from pyuvdata import UVData
 
 from hydrabeam_mpi.cli import main
 from hydrabeam_mpi.config import load_job
+from hydrabeam_mpi.inference.robust import LOG_STD, outliers
 from hydrabeam_mpi.io.reading import quiet
 from hydrabeam_mpi.loop.checks.bad_ends import by_antenna
 from hydrabeam_mpi.loop.checks.health import check_health
+from hydrabeam_mpi.loop.checks.health_sums import Excess, read_sample
 from hydrabeam_mpi.mpi import ProcessGrid
 from hydrabeam_mpi.setup.findings import Finding, mended_job
 from hydrabeam_mpi.setup.problem import estimate_noise, prepare
@@ -102,6 +105,25 @@ def test_effects_are_left_to_the_loop(kind: str, strength: float, tmp_path: Path
     """Gains wrong by half, couplings and sources as strong as the sky: gross, and yet effects."""
     for close in (True, False):
         assert found(made(tmp_path, {"kind": kind, "strength": strength}, close=close), tmp_path) == []
+
+
+def test_redundant_partners_with_other_gains_differ_by_most_where_the_sky_is_brightest(
+    job: dict[str, Any], folder: Path
+) -> None:
+    """That is no bad integration; one in which they differ out of proportion to what they see is."""
+    problem = prepare(load_job(write_job(job, folder)), (folder / "data.uvh5",))
+    problem = estimate_noise(MPI.COMM_SELF, problem)
+    grid = ProcessGrid.split(MPI.COMM_SELF, problem.observation.Nfreqs)
+    sample, rng = read_sample(grid, problem), np.random.default_rng(2)
+    sky = 50 + 2000 * np.exp(-0.5 * (np.arange(N_TIMES) - 9.0) ** 2)
+    gains = 1 + 0.1 * rng.normal(size=len(sample.bls))
+    noise = rng.normal(size=(2, *sample.data.shape))
+    spoilt = np.where(np.arange(N_TIMES) == 17, 300.0, 0.0)[:, np.newaxis] * rng.normal(size=len(sample.bls))
+    for added, bad in ((0.0, []), (spoilt, [17])):
+        data = sky[:, np.newaxis] * gains + added + noise[0] + 1j * noise[1]
+        looked = replace(sample, data=data, weights=np.full(data.shape, 0.5))
+        total, n = Excess.of_partners(grid, problem, looked, looked.weights).times
+        assert np.flatnonzero(outliers(total / n, LOG_STD / np.sqrt(n)) > 0).tolist() == bad
 
 
 @pytest.mark.parametrize("with_phases", [False, True])

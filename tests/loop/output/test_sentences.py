@@ -96,12 +96,22 @@ def test_rounds(given: dict[str, Any], said: str) -> None:
 WHERE = {"sentence": "It is on antenna 5."}
 DRIFT = {"title": "a beam that changes in time", "log_bayes_factor": 1234.5, "heldout_after": 1.23456}
 GAINS, SOURCES = {"title": "antenna gains"}, {"title": "missing sources"}
+EXCHANGED = {"what": "two antennas exchanged", "where": "antennas 2 and 15"}
+INTEGRATION = {"what": "a bad integration", "where": "JD 1"}
 CONVENTION = {"found": "conjugated", "remedy": "conjugate the data"}
 VERDICTS: dict[str, tuple[str, dict[str, Any], str]] = {
     "nothing is missing": (
         "consistent",
         {},
         "Nothing is missing: the data agree with the model within the noise (held-out reduced chi^2 1.012).",
+    ),
+    "nothing is missing in what is left of the data": (
+        "consistent",
+        {"health": [EXCHANGED, *5 * [INTEGRATION]]},
+        "Nothing is missing: the data agree with the model within the noise (held-out reduced chi^2 1.012). "
+        "Of the data themselves: two antennas exchanged (antennas 2 and 15), a bad integration (JD 1), "
+        "a bad integration (JD 1), "
+        "a bad integration (JD 1) and 2 more.",
     ),
     "nothing is left": (
         "explained",
@@ -145,5 +155,6 @@ VERDICTS: dict[str, tuple[str, dict[str, Any], str]] = {
 
 @pytest.mark.parametrize(("verdict", "given", "said"), VERDICTS.values(), ids=VERDICTS)
 def test_verdicts(verdict: str, given: dict[str, Any], said: str) -> None:
-    usual = {"error_before": 11.4, "error_after": 1.01234, "rounds": [], "foreign": None, "why": None, "where": WHERE}
+    nothing: dict[str, Any] = {"rounds": [], "foreign": None, "why": None, "health": []}
+    usual = {"error_before": 11.4, "error_after": 1.01234, "where": WHERE, **nothing}
     assert say_verdict({"verdict": verdict, **usual, **given}) == said
