@@ -12,7 +12,7 @@ from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.applied import Inferred, apply_fit
 from hydrabeam_mpi.fit.carried_over import CarriedOver
 from hydrabeam_mpi.fit.clock import Clock
-from hydrabeam_mpi.fit.gauss_newton import FitContext
+from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.loop.checks.health import told
 from hydrabeam_mpi.mpi import Comm, together

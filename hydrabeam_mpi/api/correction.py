@@ -18,7 +18,7 @@ from hydrabeam_mpi.api.shared import begun, origin_of
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, Observation
 from hydrabeam_mpi.fit.clock import Clock
-from hydrabeam_mpi.fit.gauss_newton import FitContext
+from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.fit.taken_out import Parts, antenna_gains, take_out
 from hydrabeam_mpi.io.calfits import write_calfits

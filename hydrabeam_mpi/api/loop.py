@@ -14,7 +14,7 @@ from hydrabeam_mpi.api.setup import Setup
 from hydrabeam_mpi.api.shared import begun, gather_records, make_result, origin_of, prepare_checked
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.clock import Clock
-from hydrabeam_mpi.fit.gauss_newton import FitContext
+from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.grown import grown_problem
 from hydrabeam_mpi.fit.joint import channel_results, read_context, restore
 from hydrabeam_mpi.loop.attribution.control_models import control_models

@@ -17,7 +17,7 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.carried_over import CarriedOver, carry_over
 from hydrabeam_mpi.fit.channels import read_share
-from hydrabeam_mpi.fit.gauss_newton import FitContext
+from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.joint import find_setup
 from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.state import Fit, Fitted

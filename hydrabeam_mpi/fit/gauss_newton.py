@@ -7,28 +7,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
-from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
-from hydrabeam_mpi.fit.accumulate import accumulate_designs
-from hydrabeam_mpi.fit.blocks import BeamBlock, ColumnBlock, add_block, sums_of
-from hydrabeam_mpi.fit.channels import reduced_chi2, solve_channels
+from hydrabeam_mpi.data.observation import ComplexArray
+from hydrabeam_mpi.fit.beams_given import Solved, diagnostics_of, solve_beams
+from hydrabeam_mpi.fit.blocks import ColumnBlock, add_block, sums_of
+from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.joint_step import solve_jointly
 from hydrabeam_mpi.fit.marginal import Marginal
 from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.rows import Rows
-from hydrabeam_mpi.fit.state import Diagnostics, Estimate, Fit, Fitted, Values
+from hydrabeam_mpi.fit.state import Estimate, Fit, Fitted, Values
 from hydrabeam_mpi.inference.posterior import Posterior
-from hydrabeam_mpi.inference.prior import ChannelPrior, Prior
-from hydrabeam_mpi.mpi import ProcessGrid, bcast_object, gather_objects, together
-from hydrabeam_mpi.setup.problem import Problem
+from hydrabeam_mpi.mpi import bcast_object, gather_objects, together
 from hydrabeam_mpi.terminal.progress import say_meanwhile
 
 MAX_STEPS = 15
 MAX_HALVED = 5
 """How often a step is halved before the fit stops at the best point so far."""
 STEP_SIGMAS = 0.03
-"""Converged when no parameter moves by more than this fraction of its standard deviation.
+"""Converged when no beam moves by more than this fraction of its standard deviation, rms over coefficients.
 
 Standard deviations are those by the stated noise; where reduced chi^2 is above one they are scaled by its root.
 """
@@ -41,42 +38,6 @@ FLAT_STEPS = 2
 """The fit ends after this many steps in a row without a rise."""
 STEPS_BACK = 0.5
 """A step counts as too long at this relative loss of ln(likelihood x prior), where weights are fitted too."""
-
-
-@dataclass(frozen=True)
-class FitContext:
-    """Where the loop works: the ranks, the problem and this rank's rows.
-
-    Attributes
-    ----------
-    grid : ProcessGrid
-    problem : Problem
-        Of the rank group's channels.
-    setup : ObservingSetup
-        Of all channels.
-    train, test : RankData
-    """
-
-    grid: ProcessGrid
-    problem: Problem
-    setup: ObservingSetup
-    train: RankData
-    test: RankData
-
-    @property
-    def channels(self) -> list[int]:
-        """The numbers of this rank group's channels."""
-        return [int(number) for number in self.problem.channel_numbers]
-
-    @property
-    def beam(self) -> BeamBlock:
-        """The beam of this rank group's channels."""
-        return BeamBlock(self.problem.basis, ChannelPrior(tuple(self.problem.priors)))
-
-    def over_channels(self, values: FloatArray) -> float:
-        """Add up what each group has of its channels, (Nlocal,). Collective: all ranks of the grid."""
-        mine = float(np.sum(values)) if self.grid.is_group_root else 0.0
-        return float(sum(self.grid.world.allgather(mine)))
 
 
 Worth = Callable[[float, float], bool]
@@ -128,26 +89,6 @@ def refit(
     solved = solve_beams(context, end, keep=not converged and end.values.adds)
     diagnostics = replace(diagnostics_of(context, solved), converged=converged)
     return Fitted(end.values, replace(step.fit, posteriors=solved.beams), diagnostics)
-
-
-@dataclass(frozen=True)
-class Solved:
-    """The beams given the effects, and the sums over rows that tell them.
-
-    ``reached`` is ln(likelihood x prior) of the effects with the beams that E is seen by, or with ``beams`` if there is
-    no E.
-    """
-
-    beams: tuple[Posterior, ...]
-    normals: list[NormalEquations]
-    rows: Rows
-    added: ComplexArray
-    reached: float
-
-    @property
-    def train_chi2(self) -> FloatArray:
-        """Reduced chi^2 of the fitted rows, (Nlocal,)."""
-        return np.array(list(map(reduced_chi2, self.normals, self.beams)))
 
 
 @dataclass(frozen=True)
@@ -220,67 +161,6 @@ def _least_rise(best: float, values: Values, misfit: float) -> float:
     When weights change the likelihoods are not comparable, so that only a great loss counts.
     """
     return -STEPS_BACK * abs(best) if values.reweighted else -FLAT_NATS * misfit
-
-
-def total_log_joint(context: FitContext, values: Values, of_beams: FloatArray, of_nonlinear: bool = True) -> float:
-    """Return ln(likelihood x prior) of beams and effects, over all channels. Collective: all ranks of the grid.
-
-    Parameters
-    ----------
-    context : FitContext
-    values : Values
-    of_beams : ndarray, (Nlocal,)
-        That of the rank group's beams given the values; see `Diagnostics.log_joint`.
-    of_nonlinear : bool
-        Whether the prior of `nonlinear` parameters counts. Where effects are compared it does not: places and the like
-        are priced by the number of candidates.
-    """
-    total = context.over_channels(of_beams)
-    for one in values.active:
-        left_out = one.effect.parameters(context.setup).nonlinear[one.used] & (not of_nonlinear)
-        total += one.prior.log_density(np.where(left_out, 0.0, one.x[:, one.used]))
-    return total
-
-
-def solve_beams(context: FitContext, at: Estimate, keep: bool = False) -> Solved:
-    """Solve for the beams given the effects, E as seen by the beams ``at``; with ``keep`` these stay.
-
-    Collective: all ranks of the grid.
-    """
-    grid, share, priors = context.grid, context.train, context.problem.priors
-    with together(grid.world):
-        rows, added = share.calibrated(at) if at.beams else (share.rows, np.zeros_like(share.rows.data))
-        show = grid.world.rank == 0 and not at.beams
-        normals = accumulate_designs(rows, share.designs(at.values, show), context.problem.basis)
-    for normal in normals:
-        normal.reduce(grid.group)
-    beams = tuple(solve_channels(grid, context.problem, normals))
-    if keep:
-        beams = tuple(replace(two, mean=one.mean) for one, two in zip(at.beams, beams, strict=True))
-    # E is that of the beams before, so that only those tell what beams and effects reach together.
-    seen_by = at.beams if at.beams and at.values.adds else beams
-    reached = total_log_joint(context, at.values, np.array(list(map(_log_joint, normals, seen_by, priors))))
-    return Solved(beams, normals, rows, added, reached)
-
-
-def diagnostics_of(context: FitContext, solved: Solved) -> Diagnostics:
-    """Tell how well the fitted rows are fitted. Serial."""
-    normals, beams = solved.normals, solved.beams
-    effective = list(map(_effective, normals, beams)) if context.grid.is_group_root else []
-    log_joint = np.array(list(map(_log_joint, normals, beams, context.problem.priors)))
-    return Diagnostics(solved.train_chi2, log_joint, np.array(effective))
-
-
-def _log_joint(normal: NormalEquations, posterior: Posterior, prior: Prior) -> float:
-    """Return ln(likelihood x prior) at the mean, up to terms that neither effects nor beams change."""
-    away = posterior.mean - prior.mean
-    penalty = np.vdot(away, prior.precision_times(away)).real / (1 if posterior.is_complex else 2)
-    return -reduced_chi2(normal, posterior) * max(normal.n_data, 1) - float(penalty)
-
-
-def _effective(normal: NormalEquations, posterior: Posterior) -> float:
-    """Return how many real parameters the data have decided, tr(P^-1 kappa F^H N^-1 F) for real coefficients."""
-    return 2 * float(np.sum(posterior.covariance * normal.own(BEAM).T).real)
 
 
 def take_step(context: FitContext, at: Estimate, solved: Solved) -> _Step:

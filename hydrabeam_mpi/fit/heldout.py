@@ -12,7 +12,8 @@ from scipy.sparse import csr_array, hstack
 
 from hydrabeam_mpi.data.observation import Array, BoolArray, ComplexArray, FloatArray
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.fit.gauss_newton import FitContext, active_sums
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.gauss_newton import active_sums
 from hydrabeam_mpi.fit.row_model import KEPT_BYTES
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Estimate, Fitted, Values

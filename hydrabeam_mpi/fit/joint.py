@@ -16,7 +16,8 @@ from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.accumulate import accumulate_designs, check_designs
 from hydrabeam_mpi.fit.channels import ChannelResult, read_shares, reduce_heldout, reduced_chi2
 from hydrabeam_mpi.fit.clock import Clock
-from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.grown import beams_alone, marginal_beams
 from hydrabeam_mpi.fit.heldout import variance_by_effects
 from hydrabeam_mpi.fit.rank_data import RankData

@@ -6,7 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from hydrabeam_mpi.fit.gauss_newton import FitContext, Solved, beam_moved, diagnostics_of, solve_beams, take_step
+from hydrabeam_mpi.fit.beams_given import Solved, diagnostics_of, solve_beams
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.gauss_newton import beam_moved, take_step
 from hydrabeam_mpi.fit.state import Active, Fitted
 
 SETTLED_SIGMAS = 1e-8

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hydrabeam_mpi.data.observation import ComplexArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
-from hydrabeam_mpi.fit.gauss_newton import FitContext
+from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Active, Fitted, Values
 
 

@@ -22,9 +22,11 @@ from hydrabeam_mpi.effects.noise.noise_level import NoiseLevel
 from hydrabeam_mpi.effects.registry import make_effect
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
 from hydrabeam_mpi.fit import heldout
+from hydrabeam_mpi.fit.beams_given import total_log_joint
 from hydrabeam_mpi.fit.channels import infer_channels
 from hydrabeam_mpi.fit.clock import Clock
-from hydrabeam_mpi.fit.gauss_newton import BrokenOff, FitContext, refit, total_log_joint
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff, refit
 from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.joint import channel_results
 from hydrabeam_mpi.fit.state import Active, Fitted, Reweighted, Values

@@ -13,7 +13,8 @@ from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.instrument.basis_truncation import BasisTruncation
 from hydrabeam_mpi.fit.channels import infer_channels
 from hydrabeam_mpi.fit.clock import Clock
-from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.grown import beams_alone, grown_beam, grown_problem, growth_of, marginal_beams
 from hydrabeam_mpi.fit.joint import channel_results
 from hydrabeam_mpi.fit.settle import settle

@@ -12,7 +12,7 @@ from mpi4py import MPI
 
 from hydrabeam_mpi.api.shared import prepare_shared
 from hydrabeam_mpi.fit.clock import Clock
-from hydrabeam_mpi.fit.gauss_newton import FitContext
+from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.joint import read_context
 from hydrabeam_mpi.mpi import ProcessGrid
 from hydrabeam_mpi.setup.job_file import load

@@ -16,7 +16,8 @@ from hydrabeam_mpi.effects.instrument.antenna_delays import AntennaDelays
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
 from hydrabeam_mpi.fit.accumulate import designs
-from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.heldout import variance_by_effects
 from hydrabeam_mpi.fit.joint import channel_results
 from hydrabeam_mpi.fit.rank_data import RankData

@@ -13,8 +13,9 @@ from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.blocks import ColumnBlock
 from hydrabeam_mpi.fit.columns import Columns, RowSet
+from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.equations import BEAM
-from hydrabeam_mpi.fit.gauss_newton import FitContext, active_sums
+from hydrabeam_mpi.fit.gauss_newton import active_sums
 from hydrabeam_mpi.fit.marginal import Marginal
 from hydrabeam_mpi.fit.state import Active, Fitted
 from hydrabeam_mpi.inference.likelihood import Likelihood

@@ -8,8 +8,9 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.fit.blocks import CandidateBlock
+from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.equations import BEAM
-from hydrabeam_mpi.fit.gauss_newton import FitContext, active_sums
+from hydrabeam_mpi.fit.gauss_newton import active_sums
 from hydrabeam_mpi.fit.marginal import Marginal
 from hydrabeam_mpi.fit.state import Active, Fitted
 from hydrabeam_mpi.inference.likelihood import Likelihood

@@ -12,8 +12,8 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Effect, ScannedEffect
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.blocks import CandidateBlock, ColumnBlock, add_block, sums_of
+from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
-from hydrabeam_mpi.fit.gauss_newton import FitContext
 from hydrabeam_mpi.fit.kept import Kept
 from hydrabeam_mpi.fit.marginal import Marginal
 from hydrabeam_mpi.fit.rows import Rows

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.reweighting import Reweighting, ReweightingFit
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Fitted, Reweighted
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.mpi import allreduce_sum, bcast_object, together

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
-from hydrabeam_mpi.fit.gauss_newton import FitContext
+from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Diagnostics, Fit, Fitted
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.io.disk import writing

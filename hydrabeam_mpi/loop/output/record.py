@@ -10,7 +10,7 @@ import numpy as np
 
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.told import Told
-from hydrabeam_mpi.fit.gauss_newton import FitContext
+from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.loop.output.heldout_change import heldout_change
 from hydrabeam_mpi.loop.output.sentences import say_round, say_verdict

@@ -16,7 +16,7 @@ import tomli_w
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.clock import Clock
-from hydrabeam_mpi.fit.gauss_newton import FitContext
+from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.io.kept_rounds import latest_round, number_of, origin_of, take_over
 from hydrabeam_mpi.io.leftovers import find_abandoned
 from hydrabeam_mpi.loop.output.amendment import amended_job

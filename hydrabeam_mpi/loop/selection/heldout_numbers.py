@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
-from hydrabeam_mpi.fit.gauss_newton import FitContext
+from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.heldout import Whitened
 from hydrabeam_mpi.inference.significance import SIGNIFICANT_P, sigma_of_log_p
 from hydrabeam_mpi.loop.selection.heldout_score import fall_of_blocks

@@ -10,7 +10,9 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.reweighting import ReweightingFit
-from hydrabeam_mpi.fit.gauss_newton import BrokenOff, FitContext, Worth, refit, total_log_joint
+from hydrabeam_mpi.fit.beams_given import total_log_joint
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Worth, refit
 from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.state import Active, Fitted, Reweighted, Values
 from hydrabeam_mpi.loop.attribution.reconsider import reconsider

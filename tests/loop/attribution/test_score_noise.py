@@ -13,7 +13,8 @@ from mpi4py import MPI
 from hydrabeam_mpi.effects.interface.reweighting import Reweighting
 from hydrabeam_mpi.effects.noise.noise_level import NoiseLevel
 from hydrabeam_mpi.effects.noise.outliers import HIT, Outliers
-from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Fitted, Reweighted, Values
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.loop.attribution.score_noise import HeavyTails, _variance, fit_reweightings, refit_reweighting

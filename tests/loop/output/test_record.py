@@ -15,7 +15,7 @@ from hydrabeam_mpi.effects.instrument.antenna_delays import AntennaDelays
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.instrument.timestamp import Timestamp
 from hydrabeam_mpi.effects.interface.effect import Effect
-from hydrabeam_mpi.fit.gauss_newton import FitContext
+from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Active, Fit, Fitted, Values, independent_prior
 from hydrabeam_mpi.loop.attribution.control_models import BeamDrift
 from hydrabeam_mpi.loop.output.record import known_effects, make_record, parameters_of

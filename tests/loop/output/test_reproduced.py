@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from hydrabeam_mpi.effects.registry import EFFECTS, make_effect, make_reweighting
-from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.grown import grown_problem, marginal_beams
 from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.joint import restore

@@ -11,7 +11,8 @@ from mpi4py import MPI
 
 from hydrabeam_mpi.data.observation import ComplexArray
 from hydrabeam_mpi.effects.noise.noise_level import NoiseLevel
-from hydrabeam_mpi.fit.gauss_newton import FitContext, refit
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.heldout import Whitened, whiten
 from hydrabeam_mpi.fit.state import Fitted, Reweighted, Values
 from hydrabeam_mpi.loop.residuals.remains import remains_of

@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.fit.clock import Clock
-from hydrabeam_mpi.fit.gauss_newton import FitContext
+from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Active, Fit, Values, independent_prior
 from hydrabeam_mpi.loop.selection.heldout_numbers import HeldoutNumbers
 from hydrabeam_mpi.loop.selection.rounds import begin

@@ -1,0 +1,99 @@
+"""The beams given the effects, and how likely both are together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.fit.accumulate import accumulate_designs
+from hydrabeam_mpi.fit.channels import reduced_chi2, solve_channels
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
+from hydrabeam_mpi.fit.rows import Rows
+from hydrabeam_mpi.fit.state import Diagnostics, Estimate, Values
+from hydrabeam_mpi.inference.posterior import Posterior
+from hydrabeam_mpi.inference.prior import Prior
+from hydrabeam_mpi.mpi import together
+
+
+@dataclass(frozen=True)
+class Solved:
+    """The beams given the effects, and the sums over rows that tell them.
+
+    ``reached`` is ln(likelihood x prior) of the effects with the beams that E is seen by, or with ``beams`` if there is
+    no E.
+    """
+
+    beams: tuple[Posterior, ...]
+    normals: list[NormalEquations]
+    rows: Rows
+    added: ComplexArray
+    reached: float
+
+    @property
+    def train_chi2(self) -> FloatArray:
+        """Reduced chi^2 of the fitted rows, (Nlocal,)."""
+        return np.array(list(map(reduced_chi2, self.normals, self.beams)))
+
+
+def total_log_joint(context: FitContext, values: Values, of_beams: FloatArray, of_nonlinear: bool = True) -> float:
+    """Return ln(likelihood x prior) of beams and effects, over all channels. Collective: all ranks of the grid.
+
+    Parameters
+    ----------
+    context : FitContext
+    values : Values
+    of_beams : ndarray, (Nlocal,)
+        That of the rank group's beams given the values; see `Diagnostics.log_joint`.
+    of_nonlinear : bool
+        Whether the prior of `nonlinear` parameters counts. Where effects are compared it does not: places and the like
+        are priced by the number of candidates.
+    """
+    total = context.over_channels(of_beams)
+    for one in values.active:
+        left_out = one.effect.parameters(context.setup).nonlinear[one.used] & (not of_nonlinear)
+        total += one.prior.log_density(np.where(left_out, 0.0, one.x[:, one.used]))
+    return total
+
+
+def solve_beams(context: FitContext, at: Estimate, keep: bool = False) -> Solved:
+    """Solve for the beams given the effects, E as seen by the beams ``at``; with ``keep`` these stay.
+
+    Collective: all ranks of the grid.
+    """
+    grid, share, priors = context.grid, context.train, context.problem.priors
+    with together(grid.world):
+        rows, added = share.calibrated(at) if at.beams else (share.rows, np.zeros_like(share.rows.data))
+        show = grid.world.rank == 0 and not at.beams
+        normals = accumulate_designs(rows, share.designs(at.values, show), context.problem.basis)
+    for normal in normals:
+        normal.reduce(grid.group)
+    beams = tuple(solve_channels(grid, context.problem, normals))
+    if keep:
+        beams = tuple(replace(two, mean=one.mean) for one, two in zip(at.beams, beams, strict=True))
+    # E is that of the beams before, so that only those tell what beams and effects reach together.
+    seen_by = at.beams if at.beams and at.values.adds else beams
+    reached = total_log_joint(context, at.values, np.array(list(map(_log_joint, normals, seen_by, priors))))
+    return Solved(beams, normals, rows, added, reached)
+
+
+def diagnostics_of(context: FitContext, solved: Solved) -> Diagnostics:
+    """Tell how well the fitted rows are fitted. Serial."""
+    normals, beams = solved.normals, solved.beams
+    effective = list(map(_effective, normals, beams)) if context.grid.is_group_root else []
+    log_joint = np.array(list(map(_log_joint, normals, beams, context.problem.priors)))
+    return Diagnostics(solved.train_chi2, log_joint, np.array(effective))
+
+
+def _log_joint(normal: NormalEquations, posterior: Posterior, prior: Prior) -> float:
+    """Return ln(likelihood x prior) at the mean, up to terms that neither effects nor beams change."""
+    away = posterior.mean - prior.mean
+    penalty = np.vdot(away, prior.precision_times(away)).real / (1 if posterior.is_complex else 2)
+    return -reduced_chi2(normal, posterior) * max(normal.n_data, 1) - float(penalty)
+
+
+def _effective(normal: NormalEquations, posterior: Posterior) -> float:
+    """Return how many real parameters the data have decided, tr(P^-1 kappa F^H N^-1 F) for real coefficients."""
+    return 2 * float(np.sum(posterior.covariance * normal.own(BEAM).T).real)
