@@ -59,10 +59,13 @@ def revise(context: FitContext, last: Round, n_given: int) -> tuple[Round, dict[
     fitted = last.after.fitted
     active = fitted.values.active
     same: dict[int, int | None] = {place: place for place in range(len(active))}
-    if len(active) - n_given < 2:
+    # A change of the weights leaves none of the effects as it was when it was found.
+    newest = active[-1] if last.candidate.finding is not None else None
+    if all(one is newest for one in active[n_given:]):
         return last, same
     known = Known.of(context, fitted)
-    weighed = [_weigh_again(context, fitted, known, place) for place in range(n_given, len(active))]
+    places = range(n_given, len(active))
+    weighed = [_weigh_again(context, fitted, known, place, active[place] is newest) for place in places]
     revisions = [one for one in weighed if one is not None]
     if not revisions:
         return last, same
@@ -82,7 +85,7 @@ def revise(context: FitContext, last: Round, n_given: int) -> tuple[Round, dict[
     }
 
 
-def _weigh_again(context: FitContext, fitted: Fitted, known: Known, place: int) -> Revision | None:
+def _weigh_again(context: FitContext, fitted: Fitted, known: Known, place: int, is_newest: bool) -> Revision | None:
     """Find the best prior of an effect given the others; None where it is the one that it has."""
     one = fitted.values.active[place]
     now: FloatArray = np.zeros(one.x.shape[1])
@@ -90,7 +93,7 @@ def _weigh_again(context: FitContext, fitted: Fitted, known: Known, place: int) 
     now[one.effect.parameters(context.setup).nonlinear] = 0.0
     best, present = compare_priors(context, fitted, known, place, now)
     # The newest one has just been found to raise it.
-    without = best.log_bayes_factor < 0 and one is not fitted.values.active[-1]
+    without = best.log_bayes_factor < 0 and not is_newest
     if is_same_prior(best.prior_var, now) and not without:
         return None
     if without:

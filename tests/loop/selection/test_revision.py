@@ -1,0 +1,67 @@
+"""What becomes of effects in the model when they are weighed again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
+from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
+from hydrabeam_mpi.effects.interface.effect import Effect
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.gauss_newton import refit
+from hydrabeam_mpi.fit.state import Active, Values
+from hydrabeam_mpi.loop.selection.acceptance import Round
+from hydrabeam_mpi.loop.selection.revision import revise
+from hydrabeam_mpi.loop.selection.trials import check
+from tests.loop.made import effect_candidate, round_of
+from tests.loop.mock import context_of, mock_job
+
+GAIN = {"kind": "antenna_gains", "parameters": {"antenna 2 ln amplitude": 0.06, "antenna 2 phase": -0.05}}
+COUPLING = CrossCoupling([[1, 4]])
+GAINS = AntennaGains()
+
+
+@pytest.fixture(scope="module")
+def context(tmp_path_factory: pytest.TempPathFactory) -> FitContext:
+    return context_of(mock_job(GAIN), tmp_path_factory.mktemp("revision"))
+
+
+def round_with(context: FitContext, *effects: Effect, newest: Effect | None) -> Round:
+    """Return a round after which the model has some effects; the newest, or None for a change of the weights."""
+    widths = {GAINS: 0.05, COUPLING: 0.1}
+    active = []
+    for one in effects:
+        n = len(one.parameters(context.setup))
+        active.append(Active.start(one, context.setup, np.full(n, widths[one] ** 2), np.zeros((1, n))))
+    before, after = (check(context, refit(context, Values(values))) for values in ((), tuple(active)))
+    candidate = effect_candidate(newest or effects[-1])
+    return round_of(candidate if newest else replace(candidate, finding=None), before, after)
+
+
+def test_what_is_not_wanted_any_more_is_taken_back(context: FitContext) -> None:
+    """A coupling that is not there, once the gain is in the model; of the gains one antenna's stays."""
+    found = round_with(context, COUPLING, GAINS, newest=GAINS)
+    last, places = revise(context, found, 0)
+    assert places == {0: None, 1: 0}
+    (gains,) = last.after.fitted.values.active
+    names = GAINS.parameters(context.setup).names
+    assert {names[i] for i in gains.used} == {"antenna 2 ln amplitude", "antenna 2 phase"}
+    assert [line.split(":")[0] for line in last.revised] == [COUPLING.title, GAINS.title]
+    assert "taken back" in last.revised[0]
+
+
+def test_effects_of_the_job_stay_as_they_are(context: FitContext) -> None:
+    found = round_with(context, COUPLING, newest=None)
+    assert revise(context, found, 1) == (found, {0: 0})
+
+
+def test_a_single_effect_is_weighed_again_after_a_change_of_the_weights_only(context: FitContext) -> None:
+    """Not when it has just been found."""
+    fresh = round_with(context, COUPLING, newest=COUPLING)
+    assert revise(context, fresh, 0) == (fresh, {0: 0})
+    last, places = revise(context, round_with(context, COUPLING, newest=None), 0)
+    assert places == {0: None}
+    assert last.after.fitted.values.active == ()
