@@ -22,6 +22,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.limits import HasLimits
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.other_data import InOtherData
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
@@ -171,7 +172,7 @@ class Cause(ABC):
         return {}
 
 
-class Effect(InOtherData, Cause):
+class Effect(InOtherData, HasLimits, Cause):
     """A cause that changes what the rows of the job's polarisation are expected to be.
 
     It sees the data through a `RowBlock`, some rows of one channel. All that depends on ``x`` is for one channel's
@@ -236,10 +237,6 @@ class Effect(InOtherData, Cause):
     def gains(self, setup: ObservingSetup, channel: int, x: FloatArray) -> ComplexArray:
         """Return the gains g of all antennas in a channel, (Nants,), with C = g_j g_k*; one for effects that add."""
         return np.ones(setup.observation.Nants, dtype=complex)
-
-    def unphysical(self, x: FloatArray, std: FloatArray) -> str | None:
-        """Say why fitted parameters, (Nfreqs, n_params), are unphysical for this effect; None where they are not."""
-        return None
 
     def refined(self, x: FloatArray, used: IntArray) -> tuple[Effect, FloatArray, IntArray]:
         """Return the effect as described by what has been fitted, such as sources where they are and no others.

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from scipy.ndimage import map_coordinates, spline_filter
 from scipy.sparse import csr_array
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import ScannedEffect
+from hydrabeam_mpi.effects.interface.limits import sigmas
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.shared.settings import Azimuth, Count, Elevation
@@ -36,10 +37,23 @@ class PointSources(ScannedEffect):
     changes_sky = True
     shared = True
     of_the_sky = True
+    unphysical = "a flux below zero"
 
     def __init__(self, sources: Sequence[tuple[Azimuth, Elevation]] = (), trials: Count = 1) -> None:
         self.sources = tuple((float(ra), float(dec)) for ra, dec in sources)
         self.trials = trials
+
+    def _fluxes_below_zero(self, least: float, x: FloatArray, std: FloatArray) -> FloatArray:
+        """Return how far each source's first parameter, that of its flux, is below ``least``, as `Effect.beyond`."""
+        below, first = np.zeros(x.shape[1]), slice(None, None, x.shape[1] // len(self.sources))
+        below[first] = sigmas(least - x, std)[:, first].max(axis=0)
+        return below
+
+    def without(self, gone: BoolArray) -> tuple[Self, IntArray]:
+        """Return the other sources, and the numbers of their parameters, (n_left,); ``gone`` is (n_params,)."""
+        stays = ~np.any(gone.reshape(len(self.sources), -1), axis=1)
+        left = type(self)([one for one, kept in zip(self.sources, stays, strict=True) if kept], self.trials)
+        return left, np.flatnonzero(np.repeat(stays, len(gone) // len(stays)))
 
     def describe(self) -> dict[str, Any]:
         """Return which sources, and from how many they were picked."""

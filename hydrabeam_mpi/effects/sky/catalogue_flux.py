@@ -80,6 +80,10 @@ class CatalogueFlux(PointSources):
             seen *= flux[index]
         return Columns(values, len(index), by_group=True)
 
+    def beyond(self, x: FloatArray, std: FloatArray) -> FloatArray:
+        """Refuse errors below -1, by which a flux would be below zero; see `Effect.beyond`."""
+        return self._fluxes_below_zero(-1.0, x, std)
+
     def n_hypotheses(self, setup: ObservingSetup) -> int:
         """Return the number of sources that are looked at."""
         return min(setup.sky.Nsrc, MAX_CANDIDATES)

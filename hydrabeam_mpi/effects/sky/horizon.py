@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from scipy.sparse import csr_array
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Columns, Parameters, ScannedEffect
+from hydrabeam_mpi.effects.interface.limits import sigmas
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
@@ -55,6 +56,7 @@ class Horizon(ScannedEffect):
     title = "obstruction near the horizon"
     changes_sky = True
     of_the_sky = True
+    unphysical = "a transmission that is not between 0 and 1"
 
     def __init__(self, walls: Sequence[Box] = (), strips: Sequence[tuple[int, Box]] = (), trials: Count = 1) -> None:
         self.walls = [_box(wall) for wall in walls]
@@ -94,22 +96,43 @@ class Horizon(ScannedEffect):
             values[t] = (inside @ _seen(block, sources, low)).T
         return Columns(values, len(x), by_group=True)
 
-    def unphysical(self, x: FloatArray, std: FloatArray) -> str | None:
-        """Refuse fits that mostly make sources brighter: no obstruction does, but another beam may.
+    def beyond(self, x: FloatArray, std: FloatArray) -> FloatArray:
+        """Refuse transmissions outside 0 to 1, and walls that mostly make sources brighter; see `Effect.beyond`.
 
-        Both are (Nfreqs, n_params).
+        What is seen in the middle of each box is changed by all that hold it. What changes there is due to the last of
+        those that push that way: walls come before their strips, and better walls before others. No obstruction
+        makes sources brighter, but another beam may; within a wall it may be a hole.
         """
         boxes = np.array([*self.walls, *(strip for _, strip in self.strips)])
         middle = 0.5 * (boxes[:, ::2] + boxes[:, 1::2])
-        # What is seen in the middle of each box is changed by all boxes that hold it.
         after = (middle[:, 0] - boxes[:, :1]) % 360
         holds = (after < (boxes[:, 1] - boxes[:, 0])[:, np.newaxis]) & (middle[:, 1] >= boxes[:, 2:3])
         holds &= middle[:, 1] < boxes[:, 3:]
-        change, error = x @ holds, np.sqrt(std**2 @ holds)
-        sigmas = np.divide(change, error, out=np.zeros_like(change), where=error > 0)
-        if np.sum(sigmas[sigmas > 0] ** 2) <= np.sum(sigmas[sigmas < 0] ** 2):
-            return None
-        return f"sources behind it would be brighter, by up to {change.max():.0%}, as with a beam of another shape"
+        change, error = x @ holds, np.where(std > 0, np.sqrt(std**2 @ holds), 0.0)
+        n = len(self.walls)
+        of_wall = [*range(n), *(wall for wall, _ in self.strips)]
+        beyond, brighter = np.zeros(x.shape[1]), np.zeros(n)
+        for sign, limit in ((1, 0.0), (-1, 1.0)):
+            for f, place in np.argwhere(much := sigmas(sign * change, error)):
+                last = np.flatnonzero(holds[:, place] & (sign * x[f] > 0))[-1]
+                hole = sign > 0 and np.any(holds[:n, place] & (x[f, :n] < 0))
+                brighter[of_wall[last]] += 0.0 if hole else sign * much[f, place] ** 2
+                beyond[last] = max(beyond[last], (sign * change[f, place] - limit) / error[f, place])
+        beyond[:n] = np.where(brighter > 0, np.inf, beyond[:n])
+        return beyond
+
+    def without(self, gone: BoolArray) -> tuple[Self, IntArray]:
+        """Return the other walls and their strips that stay, and the parameters' numbers, (n_left,).
+
+        ``gone`` is (n_params,).
+        """
+        n = len(self.walls)
+        walls = np.flatnonzero(~gone[:n])
+        strips = [i for i, (wall, _) in enumerate(self.strips) if not (gone[n + i] or gone[wall])]
+        number = {wall: i for i, wall in enumerate(walls.tolist())}
+        kept = [(number[self.strips[i][0]], self.strips[i][1]) for i in strips]
+        left = np.append(walls, n + np.array(strips, dtype=int))
+        return type(self)([self.walls[wall] for wall in walls], kept, self.trials), left
 
     def _inside(self, sources: Sources) -> tuple[IntArray, Any]:
         """Return which sources are low, and which of those are in each wall and strip, (n, Nlow), sparse."""

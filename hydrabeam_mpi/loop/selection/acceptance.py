@@ -168,10 +168,6 @@ def _refusal_of_weights(before: Checked, after: Checked, settings: LoopSettings)
 
 
 def _refusal_of_effect(before: Checked, after: Checked, settings: LoopSettings) -> str | None:
-    active = after.fitted.values.active[-1]
-    unphysical = active.effect.unphysical(active.x, after.fitted.fit.std[-1])
-    if unphysical is not None:
-        return unphysical
     if (rises := rise_of_rms(before, after)) is not None:
         return rises
     gain = after.score.log_density_at_own_level - before.score.log_density_at_own_level

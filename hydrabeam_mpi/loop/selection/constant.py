@@ -1,4 +1,4 @@
-"""What is not the same in all parts of the data is taken back, once nothing more is found."""
+"""What is unphysical or not the same in all parts of the data is taken back, once nothing more is found."""
 
 from __future__ import annotations
 
@@ -8,13 +8,29 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.loop.attribution.constancy import Constancy
 from hydrabeam_mpi.loop.attribution.parts import ask_constancy
 from hydrabeam_mpi.loop.selection.acceptance import Round, refusal_by_parts
-from hydrabeam_mpi.loop.selection.trials import check, fit_patiently
+from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical
+from hydrabeam_mpi.loop.selection.refits import fit_patiently
+from hydrabeam_mpi.loop.selection.trials import check
 from hydrabeam_mpi.terminal.progress import say
 
+Taken = tuple[Round, dict[int, int | None], dict[int, tuple[Constancy, ...]]]
 
-def take_back(
-    context: FitContext, last: Round, n_given: int
-) -> tuple[Round, dict[int, int | None], dict[int, tuple[Constancy, ...]]]:
+
+def take_back_unphysical(context: FitContext, last: Round, n_given: int) -> Taken:
+    """Take back what is unphysical beside what was found since; see `take_back`. Collective: all ranks of the grid."""
+    fitted, told = last.after.fitted, last.revised
+    places: dict[int, int | None] = {place: place for place in range(len(fitted.values.active))}
+    while found := leave_out_unphysical(context, fitted, n_given):
+        for line in found.told:
+            say(f"  {line}", context.grid.is_world_root)
+        fitted, told = fit_patiently(context, found.values, fitted), (*told, *found.told)
+        places = {old: None if now is None else found.places[now] for old, now in places.items()}
+    if fitted is not last.after.fitted:
+        last = replace(last, after=check(context, fitted), revised=told)
+    return last, places, {}
+
+
+def take_back(context: FitContext, last: Round, n_given: int) -> Taken:
     """Take back the effects that are not the same in all parts of the data.
 
     Collective: all ranks of the grid. Not before nothing more is found: while something else is not in the model yet,

@@ -16,7 +16,7 @@ from hydrabeam_mpi.loop.attribution.constancy import Constancy
 from hydrabeam_mpi.loop.attribution.score_effects import attribute
 from hydrabeam_mpi.loop.attribution.score_noise import fit_reweightings
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
-from hydrabeam_mpi.loop.selection.constant import take_back
+from hydrabeam_mpi.loop.selection.constant import take_back, take_back_unphysical
 from hydrabeam_mpi.loop.selection.revision import revise
 from hydrabeam_mpi.loop.selection.trials import check, try_control, try_effects
 from hydrabeam_mpi.terminal.progress import say
@@ -140,15 +140,17 @@ def run_rounds(
 
 
 def _take_back(context: FitContext, history: History) -> None:
-    """Take back effects that are not the same in all parts, until all that are left are. Collective: all ranks."""
-    n_given, n_before = len(history.first.fitted.values.active), None
-    while history.rounds and n_given < len(history.last.fitted.values.active) != n_before:
-        before = history.last.fitted
-        n_before = len(before.values.active)
-        last, places, asked = take_back(context, history.rounds[-1], n_given)
-        told = [_asked(one, before, places, asked) for one in (*history.rounds[:-1], last)]
-        history.rounds = told[:-1]
-        history.add(told[-1], places)
+    """Take back what is unphysical or not the same in all parts, until nothing is left of it. Collective: all ranks."""
+    n_given, before = len(history.first.fitted.values.active), None
+    while history.rounds and history.last is not before:
+        before = history.last
+        for step in (take_back_unphysical, take_back):
+            fitted = history.last.fitted
+            if len(fitted.values.active) > n_given:
+                last, places, asked = step(context, history.rounds[-1], n_given)
+                told = [_asked(one, fitted, places, asked) for one in (*history.rounds[:-1], last)]
+                history.rounds = told[:-1]
+                history.add(told[-1], places)
 
 
 def _asked(
@@ -158,7 +160,7 @@ def _asked(
     if one.place is None:
         return one
     taken_back = None if places[one.place] is not None else (before.values.active[one.place], before.fit.std[one.place])
-    return replace(one, taken_back=taken_back, constancy=asked[one.place])
+    return replace(one, taken_back=taken_back, constancy=asked.get(one.place, one.constancy))
 
 
 def say_heldout(chi2: float, now: dict[str, float]) -> str:

@@ -10,7 +10,6 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.reweighting import ReweightingFit
-from hydrabeam_mpi.fit.beams_given import total_log_joint
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Worth, refit
 from hydrabeam_mpi.fit.heldout import whiten
@@ -35,6 +34,15 @@ from hydrabeam_mpi.loop.selection.acceptance import (
 )
 from hydrabeam_mpi.loop.selection.heldout_numbers import heldout_numbers
 from hydrabeam_mpi.loop.selection.heldout_score import heldout_score
+from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical
+from hydrabeam_mpi.loop.selection.refits import (
+    fit_patiently,
+    is_same_prior,
+    log_joint,
+    prior_var_of,
+    restarted,
+    rise,
+)
 from hydrabeam_mpi.result.summary import evaluate_on_grid
 from hydrabeam_mpi.terminal.progress import say
 
@@ -81,7 +89,7 @@ def _worth(context: FitContext, before: Checked, candidate: Candidate, best: Rou
     """Return whether to go on with a candidate's fit, which may not come to more than the best one so far."""
     if best is None or candidate.finding is None:
         return None
-    start, ahead = _log_joint(context, before.fitted), best
+    start, ahead = log_joint(context, before.fitted), best
     return lambda reached, gain: may_still_be_better(candidate, ahead, reached - start, gain)
 
 
@@ -145,54 +153,36 @@ def _fit_effect(
 ) -> tuple[Candidate, Fitted]:
     """Fit an effect and weigh it again where it has been fitted, as no effect is quite linear.
 
-    `BrokenOff` is raised where it is unphysical there.
+    What is unphysical there is left out; `BrokenOff` is raised where that is all of it.
     """
     assert candidate.finding is not None
     effect, evidence = candidate.finding.effect, candidate.finding.evidence
     start = Active.start(effect, context.setup, evidence.prior_var, evidence.x)
-    fitted = fit_patiently(context, before.values.extended(start), before, worth)
-    unphysical = effect.unphysical(fitted.values.active[-1].x, fitted.fit.std[-1])
-    if unphysical is not None and fitted.diagnostics.converged:
-        raise BrokenOff(unphysical)
+    fitted = _fit_physically(context, before.values.extended(start), before, worth)
     again = reconsider(context, fitted)
     for _ in range(RULES.most_refits):
-        prior_var = again.prior_var
-        if is_same_prior(prior_var, evidence.prior_var):
+        last = fitted.values.active[-1]
+        if is_same_prior(again.prior_var, prior_var_of(context, last)):
             break
-        evidence = replace(again, prior_var=prior_var)
-        start = restarted(context, fitted.values.active[-1], prior_var)
-        fitted = fit_patiently(context, before.values.extended(start), fitted, worth)
+        start = restarted(context, last, again.prior_var)
+        fitted = _fit_physically(context, before.values.extended(start), fitted, worth)
         again = reconsider(context, fitted)
     gained = rise(context, before, fitted)
     log_bayes_factor = again.log_bayes_factor - again.linear_gain + gained
-    finding = Finding(effect, replace(again, log_bayes_factor=log_bayes_factor))
+    finding = Finding(fitted.values.active[-1].effect, replace(again, log_bayes_factor=log_bayes_factor))
     return replace(candidate, finding=finding, log_bayes_factor=log_bayes_factor), fitted
 
 
-def is_same_prior(one: FloatArray, two: FloatArray) -> bool:
-    """Tell whether two priors, variances (n_params,), have the same parameters in use, of about the same widths."""
-    return np.array_equal(one > 0, two > 0) and np.allclose(one, two, rtol=1.0, atol=0.0)
-
-
-def fit_patiently(context: FitContext, values: Values, before: Fitted, worth: Worth | None = None) -> Fitted:
-    """Fit, and again with a shorter first step where that does not converge; return what is likelier then.
-
-    Arguments and what is raised are those of `refit`. Collective: all ranks of the grid.
-    """
-    fitted = refit(context, values, before, worth=worth)
-    if fitted.diagnostics.converged:
-        return fitted
-    again = refit(context, values, before, RULES.first_step, worth)
-    return again if again.diagnostics.converged or rise(context, fitted, again, of_nonlinear=True) > 0 else fitted
-
-
-def rise(context: FitContext, before: Fitted, after: Fitted, of_nonlinear: bool = False) -> float:
-    """Return by how much ln(likelihood x prior) is higher; see `total_log_joint`. Collective: all ranks of the grid."""
-    return _log_joint(context, after, of_nonlinear) - _log_joint(context, before, of_nonlinear)
-
-
-def _log_joint(context: FitContext, fitted: Fitted, of_nonlinear: bool = True) -> float:
-    return total_log_joint(context, fitted.values, fitted.diagnostics.log_joint, of_nonlinear)
+def _fit_physically(context: FitContext, values: Values, before: Fitted, worth: Worth | None) -> Fitted:
+    """Fit, and again without those parts of the last effect that are unphysical, until none is."""
+    fitted, n_before = fit_patiently(context, values, before, worth), len(values.active) - 1
+    while found := leave_out_unphysical(context, fitted, n_before):
+        for line in found.told:
+            say(f"    {line}", context.grid.is_world_root)
+        if len(found.values.active) == n_before:
+            raise BrokenOff(f"all that is left of it would have {fitted.values.active[-1].effect.unphysical}")
+        fitted = fit_patiently(context, found.values, fitted, worth)
+    return fitted
 
 
 def _fit_weights(
@@ -213,13 +203,6 @@ def _fit_weights(
         fitted = weighted(fitted, fit)
     weights = replace(found, fit=replace(fit, log_bayes_factor=found.fit.log_bayes_factor))
     return replace(candidate, weights=weights), fitted
-
-
-def restarted(context: FitContext, active: Active, prior_var: FloatArray) -> Active:
-    """Restart the fit from the fitted values with another prior."""
-    nonlinear = active.effect.parameters(context.setup).nonlinear
-    start = np.where((prior_var > 0) | nonlinear, active.x, 0.0)
-    return Active.start(active.effect, context.setup, prior_var, start)
 
 
 def _beam_change(context: FitContext, before: Fitted, after: Fitted) -> float:

@@ -125,16 +125,47 @@ def test_nothing_that_stands_there_makes_sources_brighter() -> None:
     effect = Horizon().at(setup, np.array([number_of(60, 120, 6), number_of(300, 390, 3)]))
     hidden = np.array([opaque(effect, setup)] * 2)
     std = np.full(hidden.shape, 0.1)
-    assert effect.unphysical(hidden, std) is None
+    assert not effect.beyond(hidden, std).any()
     # Parts of the rim beyond the wall that seem a little brighter, and strips within that undo the wall.
     brighter = hidden + np.where(np.arange(hidden.shape[1]) < 2, 0.0, generator(1, "rim").choice([0.0, 0.1, 1.0]))
-    assert effect.unphysical(brighter, std) is None
-    said = effect.unphysical(-0.2 * hidden, std)
-    assert said is not None
-    assert "brighter, by up to 20%" in said
-    unused = np.where(np.arange(hidden.shape[1]) < 1, 0.3, 0.0)[np.newaxis]
-    assert effect.unphysical(unused, np.where(unused, 0.1, 0.0)) is not None
-    assert effect.unphysical(-unused, np.where(unused, 0.1, 0.0)) is None
+    assert np.all(np.isfinite(effect.beyond(brighter, std)))
+    assert np.flatnonzero(effect.beyond(-0.2 * hidden, std)).tolist() == [0, 1]
+    for sign, beyond in ((1, np.inf), (-1, 0.0)):
+        unused = np.where(np.arange(hidden.shape[1]) == 1, 0.3, 0.0)[np.newaxis]
+        assert effect.beyond(sign * unused, np.where(unused, 0.1, 0.0))[:2].tolist() == [0.0, beyond]
+
+
+BOXES = Horizon([(0, 90, 0, 8), (30, 60, 0, 8)], [(0, (0, 10, 0, 8)), (0, (90, 100, 0, 8)), (1, (55, 65, 0, 8))])
+LIMITS: list[tuple[str, list[float], list[float]]] = [
+    ("all hidden, and nothing", [-1, 0, 0, 0, 0], [0, 0, 0, 0, 0]),
+    ("less than nothing behind one", [-1.4, 0, 0, 0, 0], [4, 0, 0, 0, 0]),
+    ("less than nothing behind both, due to the later", [-1, -0.4, 0, 0, 0], [0, 4, 0, 0, 0]),
+    ("a hole in a wall", [-1, 1, 0, 0, 0], [0, 0, 0, 0, 0]),
+    ("one that is a little brighter", [-1, 1.1, 0, 0, 0], [0, 1, 0, 0, 0]),
+    ("too bright a hole", [-1, 1.5, 0, 0, 0], [0, 5, 0, 0, 0]),
+    ("brighter with no wall around it", [0, 0.3, 0, 0, 0], [0, np.inf, 0, 0, 0]),
+    ("a strip that undoes the wall", [-1, 0, 1, 0, 0], [0, 0, 0, 0, 0]),
+    ("one that does more", [-1, 0, 1.5, 0, 0], [0, 0, 5, 0, 0]),
+    ("one of less than nothing", [-1, 0, 0, -3, 0], [0, 0, 0, 20, 0]),
+]
+
+
+@pytest.mark.parametrize(("x", "expected"), [one[1:] for one in LIMITS], ids=[one[0] for one in LIMITS])
+def test_a_transmission_is_between_zero_and_one(x: list[float], expected: list[float]) -> None:
+    """Errors are 0.1 of each; those of what two boxes hold are larger by the root of two."""
+    values = np.array([x], dtype=float)
+    found = BOXES.beyond(values, np.where(values, 0.1, 0.0))
+    two = np.where(np.isfinite(expected) & (np.arange(5) != 3) & (np.count_nonzero(x) > 1), np.sqrt(2), 1.0)
+    np.testing.assert_allclose(found * two, expected, atol=1e-9)
+
+
+def test_what_is_left_out_takes_its_strips_with_it() -> None:
+    effect, left = BOXES.without(np.array([True, False, False, False, False]))
+    assert effect.describe() == {"walls": [[30, 60, 0, 8]], "strips": [[0, [55, 65, 0, 8]]], "trials": 1}
+    assert left.tolist() == [1, 4]
+    effect, left = BOXES.without(np.array([False, False, False, True, False]))
+    assert left.tolist() == [0, 1, 2, 4]
+    assert effect.describe()["strips"] == [[0, [0, 10, 0, 8]], [1, [55, 65, 0, 8]]]
 
 
 def test_scan_finds_the_wall() -> None:

@@ -16,7 +16,6 @@ from hydrabeam_mpi.effects.instrument.basis_truncation import BasisTruncation
 from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
 from hydrabeam_mpi.effects.instrument.timestamp import Timestamp
 from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
-from hydrabeam_mpi.effects.sky.horizon import Horizon
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
 from hydrabeam_mpi.fit.state import Active, Fit, Fitted, Values, independent_prior
 from hydrabeam_mpi.inference.significance import sigma_of_log_p
@@ -135,7 +134,6 @@ def judged(given: dict[str, Any], settings: Loop = LOOP) -> str | None:
     return refusal_of(given["before"], after, effect_candidate(effect, given["lbf"], given["absorbed"]), settings)
 
 
-WALL = Horizon([(0, 90, 0, 5)])
 WIDER = N_DATA * np.log(2 / 1.9)
 """ln det by which a fall of chi^2 from 2 to 1.9 is bought."""
 NO_BETTER = "held-out data are predicted no better: ln of their density changes by"
@@ -147,8 +145,6 @@ REFUSALS: list[tuple[str, dict[str, Any], str | None]] = [
     ("evidence that is no number", fit(lbf=np.nan), "its log Bayes factor is nan once it is fitted"),
     ("absorbed nearly wholly, which decides nothing", fit(absorbed=0.9999), None),
     ("a basis too small, of which the beam has all", fit(absorbed=0.99, effect=BasisTruncation()), None),
-    ("walls that hide sources", fit(effect=WALL, x=-0.3), None),
-    ("walls that make them brighter", fit(effect=WALL, x=0.3), "sources behind it would be brighter"),
     ("chi2 that rises", fit(after={"chi2": 2.1, "rms": 1.4}), f"{NO_BETTER} -97.58, chi^2 from 2 to 2.1"),
     ("chi2 that is no number", fit(after={"chi2": np.nan, "rms": 1.4}), f"{NO_BETTER} nan"),
     ("wider rather than nearer", fit(after={"chi2": 1.9, "log_spread": WIDER}), NO_BETTER),

@@ -1,0 +1,79 @@
+"""Parts of effects that cannot be: fluxes below zero, transmissions that are not between 0 and 1."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import BoolArray, FloatArray
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.state import Active, Fitted, Values
+from hydrabeam_mpi.loop.selection.refits import prior_var_of
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """The model without what is unphysical in it, still to be fitted.
+
+    Attributes
+    ----------
+    values : Values
+    places : dict
+        Where each active effect is now, by where it was; None where nothing is left of it.
+    told : tuple of str
+        What was left out of each effect, and why.
+    """
+
+    values: Values
+    places: dict[int, int | None]
+    told: tuple[str, ...]
+
+
+def leave_out_unphysical(context: FitContext, fitted: Fitted, n_before: int) -> LeftOut | None:
+    """Leave single elements (a source, a wall) out of effects after the first ``n_before`` if they are unphysical.
+
+    Collective: all ranks of the grid. Others are left to be fitted again, as they may stand for what is true; what was
+    left out cannot be chosen again. None where there is nothing to leave out.
+    """
+    active, errors = fitted.values.active, _errors(context, fitted)
+    kept: list[Active] = []
+    places: dict[int, int | None] = {}
+    told = []
+    for place, (one, std) in enumerate(zip(active, errors, strict=True)):
+        left: Active | None = one
+        beyond = one.effect.beyond(one.x, std) if place >= n_before and one.size else np.zeros(0)
+        gone = is_unphysical(beyond, context.problem.job.loop.min_log_bayes_factor)
+        if gone.any():
+            names = one.effect.parameters(context.setup).names
+            each = (f"{names[i]} {one.x[:, i].mean():.4g} +- {std[:, i].mean():.2g}" for i in np.flatnonzero(gone))
+            told.append(f"{one.effect.title}: left out what would have {one.effect.unphysical}: {', '.join(each)}")
+            left = _rest(context, one, gone)
+        places[place] = None if left is None else len(kept)
+        kept += [] if left is None else [left]
+    return LeftOut(replace(fitted.values, active=tuple(kept)), places, tuple(told)) if told else None
+
+
+def is_unphysical(beyond: FloatArray, nats: float) -> BoolArray:
+    """Whether what is ``beyond`` its limit by so many standard errors is so by more than errors allow, (n_params,).
+
+    At the limit ln likelihood is less by beyond^2 / 2. It is unphysical if that is more than the evidence, ``nats``,
+    for which anything is believed.
+    """
+    return np.asarray(0.5 * beyond**2 > nats)
+
+
+def _errors(context: FitContext, fitted: Fitted) -> list[FloatArray]:
+    """Return the standard deviations of all effects' parameters, larger by the root of chi^2 where that is above one.
+
+    While something is left that the model lacks, what is true is moved by it, such as a wall that hides everything.
+    """
+    chi2 = max(context.grid.world.allgather(float(np.max(fitted.diagnostics.train_chi2, initial=1.0))))
+    return [np.sqrt(chi2) * std for std in fitted.fit.std]
+
+
+def _rest(context: FitContext, one: Active, gone: BoolArray) -> Active | None:
+    """Return an effect without some of its parameters; None where none of those left is in use."""
+    effect, left = one.effect.without(gone)
+    prior_var = prior_var_of(context, one)[left]
+    return Active.start(effect, context.setup, prior_var, one.x[:, left]) if prior_var.any() else None

@@ -1,0 +1,54 @@
+"""Fits of effects that are part of the model: with other priors, with shorter steps, and what they gain."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.fit.beams_given import total_log_joint
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.gauss_newton import Worth, refit
+from hydrabeam_mpi.fit.state import Active, Fitted, Values
+from hydrabeam_mpi.loop.rules import RULES
+
+
+def restarted(context: FitContext, active: Active, prior_var: FloatArray) -> Active:
+    """Restart the fit from the fitted values with another prior."""
+    nonlinear = active.effect.parameters(context.setup).nonlinear
+    start = np.where((prior_var > 0) | nonlinear, active.x, 0.0)
+    return Active.start(active.effect, context.setup, prior_var, start)
+
+
+def prior_var_of(context: FitContext, active: Active) -> FloatArray:
+    """Return the variances of an effect's prior, (n_params,), zero where it is not in use and where it is nonlinear."""
+    prior_var: FloatArray = np.zeros(active.x.shape[1])
+    prior_var[active.used] = active.prior.of(0).std() ** 2
+    prior_var[active.effect.parameters(context.setup).nonlinear] = 0.0
+    return prior_var
+
+
+def is_same_prior(one: FloatArray, two: FloatArray) -> bool:
+    """Tell whether two priors, variances (n_params,), have the same parameters in use, of about the same widths."""
+    return np.array_equal(one > 0, two > 0) and np.allclose(one, two, rtol=1.0, atol=0.0)
+
+
+def fit_patiently(context: FitContext, values: Values, before: Fitted, worth: Worth | None = None) -> Fitted:
+    """Fit, and again with a shorter first step where that does not converge; return what is likelier then.
+
+    Arguments and what is raised are those of `refit`. Collective: all ranks of the grid.
+    """
+    fitted = refit(context, values, before, worth=worth)
+    if fitted.diagnostics.converged:
+        return fitted
+    again = refit(context, values, before, RULES.first_step, worth)
+    return again if again.diagnostics.converged or rise(context, fitted, again, of_nonlinear=True) > 0 else fitted
+
+
+def rise(context: FitContext, before: Fitted, after: Fitted, of_nonlinear: bool = False) -> float:
+    """Return by how much ln(likelihood x prior) is higher; see `total_log_joint`. Collective: all ranks of the grid."""
+    return log_joint(context, after, of_nonlinear) - log_joint(context, before, of_nonlinear)
+
+
+def log_joint(context: FitContext, fitted: Fitted, of_nonlinear: bool = True) -> float:
+    """Return ln(likelihood x prior) of a fit; see `total_log_joint`. Collective: all ranks of the grid."""
+    return total_log_joint(context, fitted.values, fitted.diagnostics.log_joint, of_nonlinear)
