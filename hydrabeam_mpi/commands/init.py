@@ -122,7 +122,9 @@ def _about_data(summary: Summary, n_chosen: int) -> list[str]:
     for ant, why in summary.absurd_antennas.items():
         said.append(f"Dead or absurd antenna {ant}: {why}.")
     if n_chosen < observation.Nfreqs - flagged.size:
-        said.append("One channel is a quick start; without 'freqs', every channel gets a beam of its own.")
+        said.append(
+            "CHOOSE the channels in 'freqs': one is a quick start; without it every one gets a beam of its own."
+        )
     if summary.units != ("Jy",):
         stated = " and ".join(summary.units) or "none"
         said.append(f"Unit of the visibilities: {stated}. They are taken to be in Jy once 'gains' are applied.")
