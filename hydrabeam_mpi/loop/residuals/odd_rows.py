@@ -16,6 +16,8 @@ from hydrabeam_mpi.mpi import Comm, allreduce_sum
 from hydrabeam_mpi.setup.findings import Finding, antenna_words, baseline_words, integration_words
 
 ROLES = ("fitted", "held out")
+MEDIAN_WORTH = 2 / np.pi
+"""Of a mean of as many Gaussian values, a median's."""
 
 
 @dataclass
@@ -64,17 +66,15 @@ def odd_rows(power: RowPower, observation: Observation) -> tuple[Finding, ...]:
         Of all channels.
     """
     ends, found = observation.antenna_index, []
-    for t, why in _stand_out(power.times):
+    for t, why in _stand_out(*_means(power.times)):
         place, remedy, _ = integration_words(float(observation.times[t]), float(observation.integration_time[t]))
         found.append(Finding("an integration that stands out", place, why, f"if it is bad, {remedy}"))
-    by_antenna = np.array(
-        [[sum(np.bincount(end, one, observation.Nants) for end in ends.T) for one in role] for role in power.bls]
-    )
-    antennas = dict(_stand_out(by_antenna))
+    logs, n = _means(power.bls)
+    antennas = dict(_stand_out(*_of_antennas(logs, n, ends)))
     for ant, why in antennas.items():
         place, remedy = antenna_words(int(observation.antenna_numbers[ant]))
         found.append(Finding("an antenna that stands out", place, why, f"if it is bad, {remedy}"))
-    for b, why in _stand_out(power.bls):
+    for b, why in _stand_out(logs, n):
         # Of an antenna that is named all baselines may.
         if not antennas.keys() & set(ends[b].tolist()):
             place, remedy = baseline_words(*observation.antpairs[b].tolist())
@@ -82,10 +82,24 @@ def odd_rows(power: RowPower, observation: Observation) -> tuple[Finding, ...]:
     return tuple(found)
 
 
-def _stand_out(sums: FloatArray) -> list[tuple[int, str]]:
-    """Return what is off among all, and by how much; ``sums`` are (2, 2, N), as of `RowPower`."""
+def _means(sums: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return mean logs, NaN where there are none, and their numbers, both (2, N); ``sums`` as those of `RowPower`."""
     total, n = sums.swapaxes(0, 1)
-    logs = np.where(n > 0, total / np.maximum(n, 1), np.nan)
+    return np.where(n > 0, total / np.maximum(n, 1), np.nan), n
+
+
+def _of_antennas(logs: FloatArray, n: FloatArray, ends: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return medians over each antenna's baselines, and the numbers they are worth, both (2, Nants).
+
+    It takes half of an antenna's baselines to move them: a few that are bad are bad by themselves.
+    """
+    of_antennas = [(ends == ant).any(axis=1) for ant in range(int(ends.max()) + 1)]
+    medians = [[known_median(role[mine]) for mine in of_antennas] for role in logs]
+    return np.array(medians), MEDIAN_WORTH * np.array([[role[mine].sum() for mine in of_antennas] for role in n])
+
+
+def _stand_out(logs: FloatArray, n: FloatArray) -> list[tuple[int, str]]:
+    """Return what is off among all, and by how much: mean logs and their numbers, (2, N)."""
     # Beside the median of their role, so that there is one scatter, known as well as can be.
     beside = logs - np.array([[known_median(one)] for one in logs])
     error = LOG_STD / np.sqrt(np.maximum(n, 1))

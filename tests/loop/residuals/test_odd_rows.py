@@ -85,6 +85,15 @@ def test_a_baseline_stands_for_itself(observation: Observation) -> None:
     assert one.remedy == "if it is bad, exclude_baselines = [[3, 7]] in [data]"
 
 
+def test_baselines_among_few_antennas_are_no_bad_antennas(observation: Observation) -> None:
+    z = noise(observation)
+    bad = np.isin(observation.antpairs, [3, 7, 9]).all(axis=1)
+    z[:, bad] *= 30
+    found = told(z, observation)
+    assert [one.what for one in found] == ["a baseline that stands out"] * 3
+    assert [one.where for one in found] == ["baseline 3-7", "baseline 3-9", "baseline 7-9"]
+
+
 @pytest.mark.parametrize("axis", [0, 1])
 def test_what_is_uneven_everywhere_is_not_odd(axis: int, observation: Observation) -> None:
     """An effect that nobody knows, in all integrations or baselines, of some ten times the power in some."""
