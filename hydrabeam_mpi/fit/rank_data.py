@@ -104,7 +104,7 @@ class RankData(RowModel):
         return self._latest[0][1:]
 
     def effects_of(self, at: Estimate, others: Sequence[Active]) -> tuple[ComplexArray, ComplexArray]:
-        """Go through all rows for C and E of some of the effects, none of which changes the sky."""
+        """Return C and E, (Nlocal, Ntimes, Nbls) each, of some of the effects, none of which changes the sky."""
         factor = np.ones(self.rows.data.shape, dtype=complex)
         added = np.zeros_like(factor)
         adding = [one.effect for one in others if not one.effect.multiplies]

@@ -121,7 +121,10 @@ def evidence_of(
 
 
 def price_of(parameters: Parameters, prior_var: FloatArray) -> float:
-    """Return the nats that widths of a prior cost that were chosen by the evidence, and the choice of elements."""
+    """Return the nats that it costs that the evidence chose the widths of a prior and its elements.
+
+    ``prior_var`` is (q,), zero for parameters that are left out.
+    """
     can = (parameters.scale > 0) & ~parameters.nonlinear
     widths = np.sqrt(prior_var[can]) / parameters.scale[can]
     n_taken = len(np.unique(parameters.element[prior_var > 0]))

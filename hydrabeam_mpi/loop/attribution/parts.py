@@ -156,6 +156,7 @@ def parted_block(context: FitContext, active: Active, used: IntArray) -> PartedB
     """Cut the fitted rows into blocks of times, and besides into folds of groups, of which there are two at least.
 
     Times of a block follow each other; groups are dealt out at random, so that no fold has a direction of its own.
+    ``used``, (q,), are the numbers of the effect's parameters that are asked.
     """
     times, redundant = np.sort(context.problem.train.times), context.problem.redundant
     groups = np.unique(redundant.group[context.problem.train.bls])

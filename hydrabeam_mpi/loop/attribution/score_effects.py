@@ -106,7 +106,10 @@ def weigh(
     by_channel: list[Likelihood],
     prior_var: FloatArray | None = None,
 ) -> Evidence:
-    """Weigh one effect over all channels, with the active effects marginalised and without what is part of them."""
+    """Weigh one effect over all channels, with the active effects marginalised and without what is part of them.
+
+    With ``prior_var``, (n_params,), by that prior; else by the one that has the most evidence.
+    """
     parameters = effect.parameters(context.setup)
     scale = parameters.scale.copy()
     scale[_taken(values, effect)] = 0.0

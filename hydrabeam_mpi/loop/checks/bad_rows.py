@@ -15,7 +15,8 @@ def bad_times(problem: Problem, times: IntArray, sums: Sums, excess: Excess) -> 
     """Find integrations that are all zero, or that stand out from the others on most baselines.
 
     A second difference has three integrations in it: bad is one of which all differences stand out, and the worst of
-    neighbours that blame each other; another look tells whether what is left of the others does.
+    neighbours that blame each other; another look tells whether what is left of the others does. ``times``, (Nlooks,),
+    are those of the sample.
     """
     counted = sums.time_counts.sum(axis=0)
     power = sums.time_products[2].real.sum(axis=0)

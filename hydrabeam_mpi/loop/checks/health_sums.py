@@ -121,7 +121,10 @@ class Sums:
 
     @classmethod
     def of(cls, grid: ProcessGrid, problem: Problem, sample: Sample, weights: FloatArray) -> Sums:
-        """Add up what counts; ``problem`` is of all channels. Collective: all ranks of the grid."""
+        """Add up what counts by ``weights``, (Nlocal, Ntimes, Nbls); ``problem`` is of all channels.
+
+        Collective: all ranks of the grid.
+        """
         n_freqs, n_bls, n_times = problem.observation.Nfreqs, problem.observation.Nbls, len(sample.times)
         made = cls(
             np.zeros((3, n_freqs, n_times), complex),
@@ -196,7 +199,10 @@ class Excess:
 
     @classmethod
     def of(cls, grid: ProcessGrid, problem: Problem, sample: Sample, weights: FloatArray, sums: Sums) -> Excess:
-        """Add up; ``problem`` is of all channels. Collective: all ranks of the grid."""
+        """Add up by ``weights``, (Nlocal, Ntimes, Nbls); ``problem`` is of all channels.
+
+        Collective: all ranks of the grid.
+        """
         observation = problem.observation
         scale, left = sums.scale[sample.channels], sums.unexplained(sums.scale)[sample.channels]
         middle = amid_neighbours(observation.times[sample.times] * PER_DAY, observation.integration_time[sample.times])

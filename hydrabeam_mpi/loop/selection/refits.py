@@ -13,7 +13,7 @@ from hydrabeam_mpi.loop.rules import RULES
 
 
 def restarted(context: FitContext, active: Active, prior_var: FloatArray) -> Active:
-    """Restart the fit from the fitted values with another prior."""
+    """Return an effect where it has been fitted, with another prior: variances ``prior_var``, (n_params,)."""
     nonlinear = active.effect.parameters(context.setup).nonlinear
     start = np.where((prior_var > 0) | nonlinear, active.x, 0.0)
     return Active.start(active.effect, context.setup, prior_var, start)

@@ -45,7 +45,7 @@ def expected_amplitudes(modes: Sequence[tuple[int, int]], amplitudes: FloatArray
 def largest_lacking(expected: FloatArray, present: Container[tuple[int, int]], most: int) -> list[tuple[int, int]]:
     """Return the modes that are expected to be largest, ``most`` or fewer, of those that are not ``present``.
 
-    m and -m come together. ``expected`` is that of `expected_amplitudes`.
+    m and -m come together. ``expected``, (Nk, Nm), is that of `expected_amplitudes`.
     """
     chosen: list[tuple[int, int]] = []
     for place in np.argsort(-expected, axis=None, kind="stable").tolist():
@@ -94,6 +94,6 @@ def next_expected(
 
 
 def smallest(amplitudes: FloatArray, n: int) -> float:
-    """Return the median of the ``n`` smallest amplitudes that are not rounding errors."""
+    """Return the median of the ``n`` smallest of the amplitudes, (n_modes,), that are not rounding errors."""
     told = np.sort(amplitudes[amplitudes > NEGLIGIBLE * amplitudes.max()])
     return float(np.median(told[:n]))
