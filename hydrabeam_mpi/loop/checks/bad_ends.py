@@ -8,14 +8,12 @@ from itertools import combinations
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
-from hydrabeam_mpi.data.partition import Tile
-from hydrabeam_mpi.fit.rows import read_rows
 from hydrabeam_mpi.inference.robust import known_median
 from hydrabeam_mpi.loop.checks.alternatives import Alternative
 from hydrabeam_mpi.loop.checks.bad_antennas import NOISE_SIGMAS
-from hydrabeam_mpi.loop.checks.conventions import LEFT, Score, sample_times, score_alternatives
-from hydrabeam_mpi.loop.checks.health_sums import Sums
-from hydrabeam_mpi.mpi import ProcessGrid, together
+from hydrabeam_mpi.loop.checks.conventions import LEFT, Score, score_alternatives
+from hydrabeam_mpi.loop.checks.health_sums import Sample, Sums, scale_of_half
+from hydrabeam_mpi.mpi import ProcessGrid
 from hydrabeam_mpi.setup.findings import Finding, antenna_words
 from hydrabeam_mpi.setup.problem import Problem
 
@@ -23,7 +21,7 @@ MOST_ASKED = 4
 """Antennas among which exchanged ones are looked for at a time: two pairs, or one beside two others that are bad."""
 
 
-def exchanged_antennas(grid: ProcessGrid, problem: Problem, sums: Sums) -> list[Finding]:
+def exchanged_antennas(grid: ProcessGrid, problem: Problem, sample: Sample, sums: Sums) -> list[Finding]:
     """Find pairs of antennas that have been exchanged, by their labels or by their cables.
 
     Of both the model beam explains less than of the others, and most of it once their places are exchanged. That is
@@ -35,8 +33,9 @@ def exchanged_antennas(grid: ProcessGrid, problem: Problem, sums: Sums) -> list[
     grid : ProcessGrid
     problem : Problem
         Of all channels.
+    sample : Sample
     sums : Sums
-        Of the data that count.
+        Of what counts of it.
     """
     left = _unexplained(problem, sums)
     worst = [ant for ant in np.argsort(-left, kind="stable")[:MOST_ASKED].tolist() if np.isfinite(left[ant])]
@@ -44,7 +43,7 @@ def exchanged_antennas(grid: ProcessGrid, problem: Problem, sums: Sums) -> list[
     free = set(problem.observation.antenna_numbers[worst].tolist())
     for pair in combinations(sorted(free), 2):
         if free.issuperset(pair):
-            stated, other = _exchanged(grid, problem, pair)
+            stated, other = _exchanged(grid, problem, sample, pair)
             if other.leaves_less(stated, LEFT):
                 found.append(_of_pair(pair, stated, other))
                 free -= set(pair)
@@ -57,8 +56,7 @@ def _unexplained(problem: Problem, sums: Sums) -> FloatArray:
     The scale is that of half of the baselines, and so is what is left of an antenna: a few exchanged ones move neither.
     """
     overlap, model, data = sums.bl_products
-    ratio = np.where(model.real > 0, overlap / np.where(model.real > 0, model.real, 1.0), np.nan)
-    scale = np.array([[known_median(one.real) + 1j * known_median(one.imag)] for one in ratio])
+    scale = scale_of_half(sums.bl_products)[:, np.newaxis]
     left = data.real - 2 * (scale.conj() * overlap).real + np.abs(scale) ** 2 * model.real
     beyond = data.real - sums.bl_counts
     hidden = NOISE_SIGMAS * np.sqrt(sums.bl_counts)
@@ -106,7 +104,7 @@ def _bad_ends(problem: Problem, found: Sequence[Finding]) -> dict[int, tuple[int
         bad = {pair for pair in bad if worst not in pair}
 
 
-def _exchanged(grid: ProcessGrid, problem: Problem, pair: tuple[int, int]) -> tuple[Score, Score]:
+def _exchanged(grid: ProcessGrid, problem: Problem, sample: Sample, pair: tuple[int, int]) -> tuple[Score, Score]:
     """Compare the baselines of two antennas with the model beam, as stated and with the antennas' places exchanged.
 
     Collective: all ranks of the grid.
@@ -115,12 +113,9 @@ def _exchanged(grid: ProcessGrid, problem: Problem, pair: tuple[int, int]) -> tu
     one, two = (int(np.flatnonzero(observation.antenna_numbers == ant)[0]) for ant in pair)
     antpos = observation.antpos.copy()
     antpos[[one, two]] = antpos[[two, one]]
-    mine = problem.of_channels(grid.channels)
-    bls = np.flatnonzero(np.isin(observation.antpairs, pair).any(axis=1)) if grid.is_group_root else np.zeros(0, int)
-    with together(grid.world):
-        rows = read_rows(mine, Tile(sample_times(mine.train.times), bls))
+    rows = sample.rows(problem, np.asarray(np.isin(observation.antpairs[sample.bls], pair).any(axis=1)))
     alternatives = [Alternative("as stated"), Alternative("exchanged", antpos=antpos)]
-    stated, other = score_alternatives(grid, mine, rows, alternatives)
+    stated, other = score_alternatives(grid, problem.of_channels(grid.channels), rows, alternatives)
     return stated, other
 
 

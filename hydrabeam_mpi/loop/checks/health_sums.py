@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.data.partition import Tile
-from hydrabeam_mpi.fit.rows import read_rows
+from hydrabeam_mpi.fit.rows import Rows, read_rows
 from hydrabeam_mpi.inference.robust import LOG_MEAN
 from hydrabeam_mpi.io.noise import amid_neighbours
 from hydrabeam_mpi.io.uvdata import feeds_of, read_block
@@ -51,6 +51,14 @@ class Sample:
     model: ComplexArray
     weights: FloatArray
     autos: FloatArray
+
+    def rows(self, problem: Problem, kept: BoolArray) -> Rows:
+        """Return the rows of some of the baselines, (Nbls,)."""
+        bls, weights = self.bls[kept], self.weights[..., kept]
+        groups, member = np.unique(problem.redundant.group[bls], return_inverse=True)
+        return Rows(
+            Tile(self.times, bls), self.data[..., kept], weights, groups, member, int(np.count_nonzero(weights))
+        )
 
 
 def read_sample(grid: ProcessGrid, problem: Problem) -> Sample:
@@ -151,10 +159,7 @@ class Sums:
     @property
     def scale(self) -> ComplexArray:
         """The complex scale of the data over the model beam's visibilities, best for half of the times, (Nfreqs,)."""
-        overlap, model, _ = self.time_products
-        with np.errstate(invalid="ignore", divide="ignore"):
-            ratio = np.where(model.real > 0, overlap / np.where(model.real > 0, model.real, 1.0), np.nan)
-        return np.array([_median(one) for one in ratio])
+        return scale_of_half(self.time_products)
 
     def unexplained(self, scale: ComplexArray) -> FloatArray:
         """Return what the scaled model leaves beyond the noise over the scaled model's power, (Nfreqs,)."""
@@ -164,6 +169,17 @@ class Sums:
         known = power > 0
         ratio = np.where(known, left / np.where(known, power, 1.0), np.nan)
         return np.array([max(_median(one).real, 0.0) for one in ratio])
+
+
+def scale_of_half(products: ComplexArray) -> ComplexArray:
+    """Return the complex scale of data over model that is best for half of the times or baselines, (Nfreqs,).
+
+    ``products``, (3, Nfreqs, N), are those of `Sums`.
+    """
+    overlap, model, _ = products
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.where(model.real > 0, overlap / np.where(model.real > 0, model.real, 1.0), np.nan)
+    return np.array([_median(one) for one in ratio])
 
 
 def _median(values: NDArray[np.complexfloating] | FloatArray) -> complex:
