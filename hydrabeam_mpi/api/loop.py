@@ -15,6 +15,7 @@ from hydrabeam_mpi.api.shared import begun, gather_records, make_result, origin_
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.error_scale import error_scale
 from hydrabeam_mpi.fit.grown import grown_problem
 from hydrabeam_mpi.fit.joint import channel_results, read_context, restore
 from hydrabeam_mpi.loop.attribution.control_models import control_models
@@ -113,6 +114,7 @@ def run_loop(
         problem = grown_problem(problem, known, history.last.fitted.values)
         records = gather_records(grid, problem, results, history.last.numbers)
     record = make_record(context, history, choice.skipped, conventions, leakage)
+    scale = error_scale(context, history.last.fitted)
     memory = peak_rss_mb(world)
     found = Found(Result(job))
     with together(world):
@@ -121,7 +123,7 @@ def run_loop(
             fitted = history.last.fitted
             effects = effects_found(problem.job, fitted, known)
             result = make_result(setup, problem, records, origin(), run, record["warnings"], effects)
-            amended = amended_job(problem.job, fitted, known)
+            amended = amended_job(problem.job, fitted, known, scale)
             found = Found(result, {**record, "seconds": clock.seconds}, setup.amended(amended))
     return found
 

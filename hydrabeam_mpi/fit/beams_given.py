@@ -84,7 +84,8 @@ def diagnostics_of(context: FitContext, solved: Solved) -> Diagnostics:
     normals, beams = solved.normals, solved.beams
     effective = list(map(_effective, normals, beams)) if context.grid.is_group_root else []
     log_joint = np.array(list(map(_log_joint, normals, beams, context.problem.priors)))
-    return Diagnostics(solved.train_chi2, log_joint, np.array(effective))
+    n_data = np.array([float(normal.n_data) for normal in normals])
+    return Diagnostics(solved.train_chi2, log_joint, np.array(effective), n_data)
 
 
 def _log_joint(normal: NormalEquations, posterior: Posterior, prior: Prior) -> float:

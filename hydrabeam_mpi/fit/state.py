@@ -248,6 +248,8 @@ class Diagnostics:
         Logarithm of the likelihood of the fitted rows times the prior of the beam at its mean, up to a constant.
     effective_parameters : ndarray, (Nlocal,)
         How many real parameters of the beam the fitted rows have decided, tr(P^-1 F^H N^-1 F); on group roots.
+    n_data : ndarray, (Nlocal,)
+        Number of complex data that were fitted; on group roots.
     converged : bool
         Whether the fit ended where nothing moves any more, rather than where it could not get on.
     """
@@ -255,6 +257,7 @@ class Diagnostics:
     train_chi2: FloatArray = field(default_factory=lambda: np.zeros(0))
     log_joint: FloatArray = field(default_factory=lambda: np.zeros(0))
     effective_parameters: FloatArray = field(default_factory=lambda: np.zeros(0))
+    n_data: FloatArray = field(default_factory=lambda: np.zeros(0))
     converged: bool = True
 
 

@@ -95,7 +95,9 @@ def checked(
     """A fit with held-out data of this reduced chi^2, and of the rms that belongs to it if no other is given."""
     why = "it has no structure beyond chance" if white else "its times differ (9.0 sigma)"
     remains = Remains(consistent, white, why, {"overall": {"chi2": chi2}}, WHERE, {"largest": []})
-    diagnostics = Diagnostics(np.array([chi2]) if train_chi2 is None else train_chi2)
+    of_channels = np.array([chi2]) if train_chi2 is None else train_chi2
+    effective, n_data = np.zeros_like(of_channels), np.full_like(of_channels, N_DATA)
+    diagnostics = Diagnostics(of_channels, effective_parameters=effective, n_data=n_data)
     return Checked(
         replace(fitted, diagnostics=diagnostics),
         blocks(chi2, log_spread),

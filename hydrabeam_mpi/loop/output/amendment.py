@@ -10,13 +10,18 @@ from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.effects import Effect as EffectEntry
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.fit.error_scale import ErrorScale
 from hydrabeam_mpi.fit.state import Active, Fitted
 
 
-def amended_job(job: Job, fitted: Fitted, setup: ObservingSetup) -> Job:
-    """Return the job with the fitted effects and their priors, from which `infer` comes to the same fit."""
+def amended_job(job: Job, fitted: Fitted, setup: ObservingSetup, scale: ErrorScale | None = None) -> Job:
+    """Return the job with the fitted effects and their priors, from which `infer` comes to the same fit.
+
+    The errors that it tells are larger than those by the noise alone by ``scale``, where it is given.
+    """
     entries = []
-    for one, std in zip(fitted.values.active, fitted.fit.std, strict=True):
+    for one, by_noise in zip(fitted.values.active, fitted.fit.std, strict=True):
+        std = by_noise if scale is None else scale.of(one, by_noise)
         used = one.used
         entries.append(
             EffectEntry.model_construct(

@@ -28,6 +28,7 @@ class KeptChannel:
     beam_response: Array | None
     log_joint: float
     effective_parameters: float
+    n_data: float
 
 
 @dataclass(frozen=True)
@@ -162,6 +163,7 @@ def _channels_of(fitted: Fitted, is_group_root: bool) -> list[KeptChannel]:
             fit.beam_response[f] if fit.beam_response else None,
             float(diagnostics.log_joint[f]),
             float(diagnostics.effective_parameters[f]),
+            float(diagnostics.n_data[f]),
         )
         for f, posterior in enumerate(fit.posteriors)
     ]
@@ -190,6 +192,7 @@ def _complete(context: FitContext, history: History, mine: list[KeptChannel]) ->
         before.fitted.diagnostics.train_chi2,
         np.array([one.log_joint for one in mine]),
         np.array([one.effective_parameters for one in mine]),
+        np.array([one.n_data for one in mine]),
         before.fitted.diagnostics.converged,
     )
     last = Fitted(before.fitted.values, fit, diagnostics)

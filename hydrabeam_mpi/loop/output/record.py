@@ -8,18 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
-from hydrabeam_mpi.effects.interface.told import Told
 from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.error_scale import ErrorScale, error_scale
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.loop.output.heldout_change import heldout_change
+from hydrabeam_mpi.loop.output.parameters import parameters_of, widened
 from hydrabeam_mpi.loop.output.sentences import say_round, say_verdict
 from hydrabeam_mpi.loop.residuals.remains import Remains
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round, indistinguishable, why_unexplained
 from hydrabeam_mpi.loop.selection.rounds import History
 
-LEAST_TOLD = 0.5
-"""A parameter counts as measured if its posterior variance is at most this fraction of the prior's."""
 UNDECIDABLE = (
     ("common flux scale", "all fluxes times a number are the same as the beam times that number"),
     ("common gain amplitude", "all gains times a number are the same as the beam times its square"),
@@ -109,8 +107,9 @@ def _found(
     """Tell what was found, tried in vain, not looked for, or cannot be decided. Collective: all ranks of the grid."""
     checks = [history.first, *(one.after for one in history.rounds)]
     chi2 = [_train_chi2(context, checked) for checked in checks]
+    scale = error_scale(context, history.last.fitted)
     rounds = [
-        _round(context, one, chi2[i : i + 2], checks[i].remains, history.last.fitted)
+        _round(context, one, chi2[i : i + 2], checks[i].remains, history.last.fitted, scale)
         for i, one in enumerate(history.rounds)
     ]
     tried = [
@@ -186,17 +185,20 @@ def _train_chi2(context: FitContext, checked: Checked) -> float:
     return float(np.mean(np.concatenate(context.grid.world.allgather(mine))))
 
 
-def _round(context: FitContext, one: Round, chi2: list[float], before: Remains, last: Fitted) -> dict[str, Any]:
+def _round(
+    context: FitContext, one: Round, chi2: list[float], before: Remains, last: Fitted, scale: ErrorScale
+) -> dict[str, Any]:
     """Tell one round."""
     setup, candidate = context.setup, one.candidate
     ranking = known_effects(one.ranking)
     others = [other for other in ranking if other.kind != candidate.kind]
-    parameters, not_told = parameters_of(setup, one, last)
+    parameters, not_told = parameters_of(setup, one, last, scale)
     told = {
         "effect": candidate.kind,
         "title": candidate.title,
         "parameters": parameters,
         "parameters_not_told": not_told,
+        "errors_widened_by": widened(one, scale),
         "log_bayes_factor": candidate.log_bayes_factor,
         "absorbed_by_beam": candidate.finding.evidence.absorbed if candidate.finding else 0.0,
         "chi2_before": chi2[0],
@@ -267,32 +269,3 @@ def _prior_scale(one: Round) -> float | None:
         return None
     widths = np.sqrt(one.candidate.finding.evidence.prior_var)
     return float(widths.max()) if widths.size else None
-
-
-def parameters_of(setup: ObservingSetup, one: Round, last: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Return the parameters in use with their posterior standard deviations, channel by channel where they differ.
-
-    They are those of the last fit, in which all effects are fitted jointly. Those whose variance is more than half of
-    the prior's come apart: they are no measurements, as what is said of them depends on the prior. Where all are such,
-    all are returned as parameters.
-    """
-    if one.candidate.weights is not None:
-        fit, shared = one.candidate.weights.fit, False
-        told = Told(fit.names, fit.units, fit.x, fit.std, np.zeros(len(fit.names), dtype=bool))
-        used, is_told = np.arange(len(fit.names)), np.ones(fit.std.shape, dtype=bool)
-    else:
-        # What was taken back is told as it was found.
-        fitted, number = (one.after.fitted, -1) if one.place is None else (last, one.place)
-        active, std = one.taken_back or (fitted.values.active[number], fitted.fit.std[number])
-        told, used, shared = active.effect.told(setup, active.x, std), active.used, active.effect.shared
-        prior_std = np.array([active.prior.of(f).std() for f in range(len(std))])
-        is_told = std[:, used] ** 2 <= LEAST_TOLD * prior_std**2
-    parameters: list[dict[str, Any]] = []
-    not_told: list[dict[str, Any]] = []
-    for f, freq in enumerate([None] if shared else setup.observation.freqs.tolist()):
-        for i, known in zip(used.tolist(), is_told[f], strict=True):
-            value, error = float(told.values[f, i]), float(told.std[f, i])
-            sigma = abs(value) / error if told.from_zero[i] and error else None
-            entry = {"name": told.names[i], "unit": told.units[i], "value": value, "std": error, "sigma": sigma}
-            (parameters if known else not_told).append({**entry, "freq_hz": freq})
-    return (parameters, not_told) if parameters else (not_told, [])

@@ -17,6 +17,7 @@ from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.error_scale import error_scale
 from hydrabeam_mpi.io.kept_rounds import latest_round, number_of, origin_of, take_over
 from hydrabeam_mpi.io.leftovers import find_abandoned
 from hydrabeam_mpi.loop.output.amendment import amended_job
@@ -114,6 +115,7 @@ class Keeper:
     def __call__(self, history: History) -> None:
         """Keep a history whose last round has ended. Collective: all ranks of the grid."""
         record = make_record(self.context, history, self.skipped, self.conventions, None, interrupted=True)
+        scale = error_scale(self.context, history.last.fitted)
         texts = {}
         with together(self.context.grid.world):
             if self.context.grid.is_world_root:
@@ -123,7 +125,7 @@ class Keeper:
                     "provenance.json": json.dumps(about, indent=2) + "\n",
                     **loop_texts(
                         {**record, "seconds": self.clock.seconds},
-                        amended_job(job, history.last.fitted, self.context.setup),
+                        amended_job(job, history.last.fitted, self.context.setup, scale),
                     ),
                 }
         keep_round(self.context, history, self.folder, texts, self.clock.seconds)

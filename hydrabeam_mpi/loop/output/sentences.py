@@ -22,7 +22,16 @@ def say_round(told: dict[str, Any]) -> str:
     beam = f"the beam moves by up to {told['beam_change_max']:.1e}"
     doubt = told["indistinguishable_from"]
     unsure = f" These data do not tell it from {' or '.join(doubt)}." if doubt else ""
-    return f"{what} ({sure}). Added. {error}; {rms}; {beam}.{unsure}"
+    return f"{what} ({sure}). Added. {error}; {rms}; {beam}.{_say_widened(told)}{unsure}"
+
+
+def _say_widened(told: dict[str, Any]) -> str:
+    """Say so where errors are larger than those by the noise alone."""
+    widest = max(told["errors_widened_by"])
+    if not widest > 1:
+        return ""
+    up_to = "up to " if min(told["errors_widened_by"]) < widest else ""
+    return f" Errors are {up_to}{widest:.3g} times those by the noise alone, as more than noise is left of the data."
 
 
 def say_parameter(one: dict[str, Any]) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import BoolArray, FloatArray
 from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.error_scale import error_scale
 from hydrabeam_mpi.fit.state import Active, Fitted, Values
 from hydrabeam_mpi.loop.selection.refits import prior_var_of
 
@@ -36,12 +37,14 @@ def leave_out_unphysical(context: FitContext, fitted: Fitted, n_before: int) -> 
     Collective: all ranks of the grid. Others are left to be fitted again, as they may stand for what is true; what was
     left out cannot be chosen again. None where there is nothing to leave out.
     """
-    active, errors = fitted.values.active, _errors(context, fitted)
+    # While something is left that the model lacks, what is true is moved by it, such as a wall that hides everything.
+    active, scale = fitted.values.active, error_scale(context, fitted)
     kept: list[Active] = []
     places: dict[int, int | None] = {}
     told = []
-    for place, (one, std) in enumerate(zip(active, errors, strict=True)):
+    for place, (one, by_noise) in enumerate(zip(active, fitted.fit.std, strict=True)):
         left: Active | None = one
+        std = scale.of(one, by_noise)
         beyond = one.effect.beyond(one.x, std) if place >= n_before and one.size else np.zeros(0)
         gone = is_unphysical(beyond, context.problem.job.loop.min_log_bayes_factor)
         if gone.any():
@@ -61,15 +64,6 @@ def is_unphysical(beyond: FloatArray, nats: float) -> BoolArray:
     for which anything is believed.
     """
     return np.asarray(0.5 * beyond**2 > nats)
-
-
-def _errors(context: FitContext, fitted: Fitted) -> list[FloatArray]:
-    """Return the standard deviations of all effects' parameters, larger by the root of chi^2 where that is above one.
-
-    While something is left that the model lacks, what is true is moved by it, such as a wall that hides everything.
-    """
-    chi2 = max(context.grid.world.allgather(float(np.max(fitted.diagnostics.train_chi2, initial=1.0))))
-    return [np.sqrt(chi2) * std for std in fitted.fit.std]
 
 
 def _rest(context: FitContext, one: Active, gone: BoolArray) -> Active | None:

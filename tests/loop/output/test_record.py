@@ -16,9 +16,12 @@ from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.instrument.timestamp import Timestamp
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.error_scale import ErrorScale, error_scale
 from hydrabeam_mpi.fit.state import Active, Fit, Fitted, Values, independent_prior
 from hydrabeam_mpi.loop.attribution.control_models import BeamDrift
-from hydrabeam_mpi.loop.output.record import known_effects, make_record, parameters_of
+from hydrabeam_mpi.loop.output.amendment import amended_job
+from hydrabeam_mpi.loop.output.parameters import parameters_of
+from hydrabeam_mpi.loop.output.record import known_effects, make_record
 from hydrabeam_mpi.loop.selection.acceptance import Candidate
 from hydrabeam_mpi.loop.selection.rounds import History
 from tests.loop.made import checked, effect_candidate, numbers, round_of, weights_candidate
@@ -80,6 +83,7 @@ def history(context: FitContext, consistent: bool = True, control: bool = False,
     return made
 
 
+AS_STATED = ErrorScale(np.ones(2), 1.0)
 NONE_FOUND = {"found": None, "tested": [], "remedy": None}
 
 
@@ -267,7 +271,7 @@ def test_parameters_that_the_data_do_not_tell_come_apart(
 ) -> None:
     last = gains(context, std)
     one = round_of(effect_candidate(AntennaGains()), checked(2.0), checked(1.0, fitted=last))
-    told, not_told = parameters_of(context.setup, one, last)
+    told, not_told = parameters_of(context.setup, one, last, AS_STATED)
     assert (len(told), len(not_told)) == (n_told, n_not_told)
     number = context.setup.observation.antenna_numbers[2]
     entries = {(entry["name"], entry["freq_hz"]): entry for entry in (*told, *not_told)}
@@ -282,6 +286,23 @@ def test_parameters_that_the_data_do_not_tell_come_apart(
     }
 
 
+def test_errors_are_wider_where_more_than_noise_is_left(context: FitContext) -> None:
+    """By channel, in parameters, in the sentence and in the amended job; values stay."""
+    made = history(context, consistent=False)
+    own = made.last.fitted.diagnostics
+    chi2 = np.array([(20.0, 1.0)[number] for number in context.channels])
+    made.last = replace(made.last, fitted=replace(made.last.fitted, diagnostics=replace(own, train_chi2=chi2)))
+    (one,) = record_of(context, made)["rounds"]
+    assert one["errors_widened_by"] == pytest.approx([20**0.5, 1.0], rel=1e-3)
+    found = [entry["std"] for entry in (*one["parameters"], *one["parameters_not_told"])]
+    expected = [0.01 * 20**0.5, 0.02 * 20**0.5, 0.03, 0.04]
+    assert sorted(found) == pytest.approx(sorted(expected), rel=1e-3)
+    assert "Errors are up to 4.47 times those by the noise alone" in one["sentence"]
+    job = amended_job(context.problem.job, made.last.fitted, context.setup, error_scale(context, made.last.fitted))
+    assert [*job.effects[0].std[0], *job.effects[0].std[1]] == pytest.approx(expected, rel=1e-3)
+    assert job.effects[0].values == amended_job(context.problem.job, made.last.fitted, context.setup).effects[0].values
+
+
 def test_parameters_are_those_of_the_last_joint_fit(context: FitContext) -> None:
     """Of the round's own effect, whichever others came after; those that channels share come once."""
     before = fitted(context, AntennaDelays(), [1], 9.0, 0.01)
@@ -289,14 +310,14 @@ def test_parameters_are_those_of_the_last_joint_fit(context: FitContext) -> None
     both = delays.values.extended(later.values.active[0])
     last = Fitted(both, Fit(std=(*delays.fit.std, *later.fit.std)))
     one = round_of(effect_candidate(AntennaDelays()), checked(2.0), checked(1.0, fitted=before))
-    (told,), not_told = parameters_of(context.setup, one, last)
+    (told,), not_told = parameters_of(context.setup, one, last, AS_STATED)
     assert not not_told
     assert [told[key] for key in ("unit", "value", "std", "freq_hz")] == ["ns", 3.0, 0.02, None]
 
 
 def test_scales_of_the_noise_are_always_told(context: FitContext) -> None:
     (_, two) = history(context, n_rounds=2).rounds
-    told, not_told = parameters_of(context.setup, two, gains(context))
+    told, not_told = parameters_of(context.setup, two, gains(context), AS_STATED)
     assert [(one["name"], one["value"], one["freq_hz"]) for one in told] == [
         ("noise scale", 1.5, freq) for freq in FREQS
     ]

@@ -47,6 +47,7 @@ def told(**given: Any) -> dict[str, Any]:
         "title": "antenna gains",
         "parameters": [parameter("one", 2)],
         "parameters_not_told": [],
+        "errors_widened_by": [1.0, 1.0],
         "log_bayes_factor": 5110910.4,
         "absorbed_by_beam": 0.071,
         "heldout_before": 257.12,
@@ -79,6 +80,11 @@ ROUNDS: dict[str, tuple[dict[str, Any], str]] = {
         {"parameters": [parameter("threshold", 25, 0.0), *FEW[:2]]},
         "two -9 +- 1; one 2 +- 1; threshold 25 +- 0 (",
     ),
+    "how much wider than by the noise alone": (
+        {"errors_widened_by": [1.0, 4.472]},
+        "3.6e-03. Errors are up to 4.47 times those by the noise alone, as more than noise is left of the data.",
+    ),
+    "as much in all channels": ({"errors_widened_by": [2.0, 2.0]}, " Errors are 2 times those by the noise alone,"),
     "what it is not told from": (
         {"indistinguishable_from": ["antenna_delays", "timestamp"]},
         "3.6e-03. These data do not tell it from antenna_delays or timestamp.",

@@ -1,0 +1,68 @@
+"""Errors of what has been fitted, where more is left of the fitted data than the noise that their weights state.
+
+Then the variance of the data counts as unknown up to a common factor, for which the reduced chi^2 of the residual is
+the best estimate as long as nobody knows what is left. Errors are larger by its root. Values stay, and so does what is
+written for computing them again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.state import Active, Fitted
+from hydrabeam_mpi.mpi import allreduce_sum
+
+
+@dataclass(frozen=True)
+class ErrorScale:
+    """By how much errors are larger than the stated noise alone makes them.
+
+    Attributes
+    ----------
+    channels : ndarray, (Nfreqs,)
+        Of parameters of a channel; one where what is left is no more than noise.
+    together : float
+        Of parameters that all channels share.
+    """
+
+    channels: FloatArray
+    together: float
+
+    def of(self, one: Active, std: FloatArray) -> FloatArray:
+        """Return the standard deviations of an effect's parameters, (Nfreqs, n_params), from those by noise alone."""
+        return std * (self.together if one.effect.shared else self.channels[:, np.newaxis])
+
+
+def error_scale(context: FitContext, fitted: Fitted) -> ErrorScale:
+    """Return the root of the reduced chi^2 of the fitted rows where it is above one by more than its sampling error.
+
+    It counts degrees of freedom: of n complex data, less half of the real parameters that they decided, chi^2 has a
+    standard error of their root. Collective: all ranks of the grid.
+    """
+    n_freqs, own = context.setup.observation.Nfreqs, fitted.diagnostics
+    chi2, free = np.zeros(n_freqs), np.zeros(n_freqs)
+    if context.grid.is_group_root:
+        mine = context.channels
+        chi2[mine] = own.train_chi2 * own.n_data
+        free[mine] = np.maximum(own.n_data - 0.5 * (own.effective_parameters + _decided(fitted, n_freqs)[mine]), 1.0)
+    for part in (chi2, free):
+        allreduce_sum(context.grid.world, part)
+    return ErrorScale(_root_of_excess(chi2, free), float(_root_of_excess(chi2.sum(), free.sum())))
+
+
+def _decided(fitted: Fitted, n_freqs: int) -> FloatArray:
+    """Return how many of the effects' parameters the data have decided, tr(C K) = q - tr(C / T), a channel's part."""
+    decided = np.zeros(n_freqs)
+    for one, std in zip(fitted.values.active, fitted.fit.std, strict=True):
+        prior = np.array([one.prior.of(f).std() for f in range(n_freqs)])
+        of_channel = np.sum(1 - np.minimum(std[:, one.used] / prior, 1.0) ** 2, axis=1)
+        decided += of_channel / (n_freqs if one.effect.shared else 1)
+    return decided
+
+
+def _root_of_excess(chi2: FloatArray, free: FloatArray) -> FloatArray:
+    return np.sqrt(np.where(chi2 > free + np.sqrt(free), chi2 / free, 1.0))

@@ -1,0 +1,55 @@
+"""What is told of the parameters that a round has found: values and errors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.told import Told
+from hydrabeam_mpi.fit.error_scale import ErrorScale
+from hydrabeam_mpi.fit.state import Fitted
+from hydrabeam_mpi.loop.selection.acceptance import Round
+
+LEAST_TOLD = 0.5
+"""A parameter counts as measured if its posterior variance is at most this fraction of the prior's."""
+
+
+def widened(one: Round, scale: ErrorScale) -> list[float]:
+    """Return by how much the errors of a round's parameters are larger than the noise alone makes them, by channel."""
+    if one.candidate.finding is None:
+        return [1.0] * len(scale.channels)
+    return [scale.together] if one.candidate.finding.effect.shared else scale.channels.tolist()
+
+
+def parameters_of(
+    setup: ObservingSetup, one: Round, last: Fitted, scale: ErrorScale
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Return the parameters in use with their standard deviations, channel by channel where they differ.
+
+    These are larger than those by the noise alone by ``scale``. They are of the last fit, in which all effects are
+    fitted jointly. Those whose variance is more than half of the prior's come apart: they are no measurements, as what
+    is said of them depends on the prior. Where all are such, all are returned as parameters.
+    """
+    if one.candidate.weights is not None:
+        fit, shared = one.candidate.weights.fit, False
+        told = Told(fit.names, fit.units, fit.x, fit.std, np.zeros(len(fit.names), dtype=bool))
+        used, is_told = np.arange(len(fit.names)), np.ones(fit.std.shape, dtype=bool)
+    else:
+        # What was taken back is told as it was found.
+        fitted, number = (one.after.fitted, -1) if one.place is None else (last, one.place)
+        active, std = one.taken_back or (fitted.values.active[number], fitted.fit.std[number])
+        std = scale.of(active, std)
+        told, used, shared = active.effect.told(setup, active.x, std), active.used, active.effect.shared
+        prior_std = np.array([active.prior.of(f).std() for f in range(len(std))])
+        is_told = std[:, used] ** 2 <= LEAST_TOLD * prior_std**2
+    parameters: list[dict[str, Any]] = []
+    not_told: list[dict[str, Any]] = []
+    for f, freq in enumerate([None] if shared else setup.observation.freqs.tolist()):
+        for i, known in zip(used.tolist(), is_told[f], strict=True):
+            value, error = float(told.values[f, i]), float(told.std[f, i])
+            sigma = abs(value) / error if told.from_zero[i] and error else None
+            entry = {"name": told.names[i], "unit": told.units[i], "value": value, "std": error, "sigma": sigma}
+            (parameters if known else not_told).append({**entry, "freq_hz": freq})
+    return (parameters, not_told) if parameters else (not_told, [])
