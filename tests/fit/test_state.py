@@ -55,7 +55,7 @@ def test_what_is_undecidable_is_held_where_all_of_it_is_free(left_out: list[int]
 
 def test_what_is_in_use_of_all_effects_side_by_side() -> None:
     gains = Active.start(AntennaGains(), EXPERIMENT, np.arange(14.0), np.zeros(14))
-    delays = Active.start(AntennaDelays(), EXPERIMENT, np.array([0, 3.0, 0, 5, 0, 0, 0]), np.zeros(7))
+    delays = Active.start(AntennaDelays(), EXPERIMENT, np.array([0, 3.0, 0, 5, *[0.0] * 10]), np.zeros(14))
     one = Values().extended(gains)
     both = one.extended(delays)
     assert [effect.kind for effect in one.active] == ["antenna_gains"]
@@ -90,7 +90,7 @@ def test_unknowns_have_names_and_units() -> None:
 def test_values_in_use_go_back_where_they_came_from() -> None:
     """Into new values: those before stay as they are."""
     gains = Active.start(AntennaGains(), EXPERIMENT, np.arange(14.0), np.zeros(14))
-    delays = Active.start(AntennaDelays(), EXPERIMENT, np.array([0, 3.0, 0, 5, 0, 0, 0]), np.zeros(7))
+    delays = Active.start(AntennaDelays(), EXPERIMENT, np.array([0, 3.0, 0, 5, *[0.0] * 10]), np.zeros(14))
     values = Values((gains, delays))
     x = generator(2, "x").standard_normal((2, 15))
     moved = values.at(x)

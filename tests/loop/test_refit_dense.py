@@ -138,17 +138,17 @@ def several(context: FitContext) -> tuple[list[Active], Callable[[int, FloatArra
     """Gains of each channel, delays that channels share, and a coupling."""
     active = [
         free(context, AntennaGains(), 0.1, [0, 2, 9]),
-        free(context, AntennaDelays(), 1.0, [2, 3]),
+        free(context, AntennaDelays(), 1.0, [4, 6]),
         free(context, CrossCoupling([[2, 6]]), 1.0),
     ]
     names = active[1].effect.parameters(context.setup).names
-    assert all(f"antenna {i}" in names[i] for i in (2, 3))
+    assert [names[i] for i in (4, 6)] == ["antenna 2 delay", "antenna 3 delay"]
     row = _row(context, 2, 6)
 
     def model(f: int, x: FloatArray) -> tuple[Any, Any]:
         amplitude, phase, added = np.zeros(7), np.zeros(7), np.zeros(21, dtype=complex)
         amplitude[:2], phase[4], added[row] = x[:2], x[2], x[5] + 1j * x[6]
-        turns = context.setup.observation.freqs[f] * x[3:5] * 1e-9
+        turns = (context.setup.observation.freqs[f] - context.setup.reference_freq) * x[3:5] * 1e-9
         phase[[2, 3]] = 2 * np.pi * turns
         return gain_factor(context, amplitude, phase), added
 

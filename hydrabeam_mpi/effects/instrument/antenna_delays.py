@@ -1,4 +1,4 @@
-"""Delays that calibration left in the antennas' signals: V_jk -> g_j g_k* V_jk with g = exp(2 pi i nu tau)."""
+"""Delays that calibration left in the antennas' signals: V_jk -> g_j g_k* V_jk g = exp(i (2 pi nu tau + phi))."""
 
 from __future__ import annotations
 
@@ -8,22 +8,23 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.effects.shared.per_antenna import antenna_parameters, common_values, row_antennas
+from hydrabeam_mpi.effects.shared.per_antenna import antenna_parameters, common_values, row_antennas, row_parameters
 
 NS = 1e-9  # seconds in the unit of the parameters
 
 
 class AntennaDelays(Effect):
-    """One delay an antenna, the same at all channels: a cable longer than thought, or a clock that is behind.
+    """One delay and one phase an antenna, the same at all channels: a cable longer than thought, or a clock behind.
 
     As V_jk turns as exp(+2 pi i nu b.s / c), a signal that comes late has its phase turned forward: tau > 0 is late.
-    The phase is that of the observed frequency itself, not of its distance from the band's centre, because a delay acts
-    on the sky's own frequency; what a calibration of phases has taken out of it is left to the antenna gains. A delay
-    that all antennas share cancels.
+    A delay acts on the sky's own frequency, and alone turns the phase by 2 pi nu tau; after a mixer, or where a
+    calibration has set the phase right somewhere in the band, there is a constant phi besides. The parameter is the
+    phase at the mean frequency nu_0 of the channels, 2 pi nu_0 tau + phi, which hardly depends on the delay. What all
+    antennas have in common of either cancels.
     """
 
     kind = "antenna_delays"
-    title = "antenna delays"
+    title = "antenna delays and phases"
     multiplies = True
     shared = True
 
@@ -34,27 +35,37 @@ class AntennaDelays(Effect):
         return None
 
     def parameters(self, setup: ObservingSetup) -> Parameters:
-        """Return the delay of every antenna in ns."""
-        return antenna_parameters(setup, ["delay"], "ns", 1.0)
+        """Return delay and phase of every antenna."""
+        return antenna_parameters(setup, ("delay", "phase"), ("ns", "rad"), 1.0)
 
     def degenerate_directions(self, setup: ObservingSetup) -> FloatArray:
-        """Return the delay that all antennas have in common, (n_directions, n_params)."""
-        return common_values(len(setup.antennas_in_use), 1)
+        """Return the delay and the phase that all antennas have in common, (n_directions, n_params)."""
+        return common_values(len(setup.antennas_in_use), 2)
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
-        """Return 2 pi i nu m for the first antenna of a row and its negative for the second; ``x`` is (n_params,)."""
-        turn = 2j * np.pi * block.freq * NS
-        values = block.vis[..., np.newaxis] * np.array([turn, -turn])
-        return Columns(values, len(block.setup.antennas_in_use), row_antennas(block))
+        """Return m d ln g for a row's first antenna, and -m d ln g for its second; ``x`` is (n_params,)."""
+        turns = 1j * _slopes(block.setup, block.channel)
+        values = block.vis[..., np.newaxis] * np.concatenate([turns, -turns])
+        return Columns(values, 2 * len(block.setup.antennas_in_use), row_parameters(block, 2))
 
     def factor(self, block: RowBlock, x: FloatArray) -> ComplexArray:
-        """Return exp(2 pi i nu (tau_j - tau_k)), (Ntimes, Nbls)."""
-        first, second = x[row_antennas(block)].T
-        rows = np.exp(2j * np.pi * block.freq * NS * (first - second))
-        return np.broadcast_to(rows, block.shape)
+        """Return g_j g_k*, (Ntimes, Nbls)."""
+        first, second = _phases(block.setup, block.channel, x)[row_antennas(block)].T
+        return np.broadcast_to(np.exp(1j * (first - second)), block.shape)
 
     def gains(self, setup: ObservingSetup, channel: int, x: FloatArray) -> ComplexArray:
-        """Return exp(2 pi i nu tau), (Nants,)."""
+        """Return exp(i (2 pi nu tau + phi)), (Nants,)."""
         gains = np.ones(setup.observation.Nants, dtype=complex)
-        gains[setup.antennas_in_use] = np.exp(2j * np.pi * setup.observation.freqs[channel] * NS * x)
+        gains[setup.antennas_in_use] = np.exp(1j * _phases(setup, channel, x))
         return gains
+
+
+def _slopes(setup: ObservingSetup, channel: int) -> FloatArray:
+    """Return by how much a phase rises with a delay in ns and with the phase at the mean frequency, (2,)."""
+    offset = float(setup.observation.freqs[channel]) - setup.reference_freq
+    return np.array([2 * np.pi * offset * NS, 1.0])
+
+
+def _phases(setup: ObservingSetup, channel: int, x: FloatArray) -> FloatArray:
+    """Return the phase of every antenna in a channel, (Nused,)."""
+    return x.reshape(-1, 2) @ _slopes(setup, channel)

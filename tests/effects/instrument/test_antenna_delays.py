@@ -20,11 +20,13 @@ def test_delay_makes_up_for_the_way_to_the_source() -> None:
         fringe = np.exp(2j * np.pi * freq * path / C)
         fringe = np.where(setup.redundant.flipped, fringe.conj(), fringe)
         x = (antpos @ towards)[setup.antennas_in_use] / C * 1e9
+        # A phase that all have cancels.
+        x = np.stack([x, 2e-9 * np.pi * setup.reference_freq * x + 0.7], axis=1).ravel()
         np.testing.assert_allclose(AntennaDelays().factor(block, x) * fringe, np.ones(block.shape), atol=1e-6)
 
 
 def test_one_law_for_all_channels() -> None:
-    """With phases far beyond a turn, several channels together have the delays, but for what all share."""
+    """With phases far beyond a turn, several channels together have delays and phases, but for what all share."""
     setup = small_setup(freqs=(131e6, 151e6))
     effect = AntennaDelays()
     row_blocks = [small_block(setup, channel) for channel in range(2)]
@@ -33,7 +35,7 @@ def test_one_law_for_all_channels() -> None:
     sigma = 0.01 * float(np.abs(row_blocks[0].vis).max())
     rng = generator(5, "delays")
     data = [with_effect(effect, block, truth) + sigma * complex_normal(rng, block.shape) for block in row_blocks]
-    x = truth + 0.2 * rng.standard_normal(n)
+    x = truth + 0.1 * rng.standard_normal(n)
     for _ in range(6):
         design = np.concatenate([matrix_at(effect, block, x).reshape(-1, n) for block in row_blocks])
         left = np.concatenate(
@@ -41,6 +43,7 @@ def test_one_law_for_all_channels() -> None:
         )
         fisher = 2 * (design.conj().T @ design).real / sigma**2
         x = x + np.linalg.pinv(fisher, rcond=1e-9) @ (2 * (design.conj().T @ left).real / sigma**2)
-    error = (x - x.mean()) - (truth - truth.mean())
-    assert np.sqrt(error @ fisher @ error / (n - 1)) < 2.5
-    assert np.abs(error).max() < 0.05
+    error = (x - truth).reshape(-1, 2)
+    error -= error.mean(axis=0)
+    assert np.sqrt(error.ravel() @ fisher @ error.ravel() / (n - 2)) < 2.5
+    assert np.abs(error).max() < 0.3

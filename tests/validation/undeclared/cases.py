@@ -30,6 +30,7 @@ SHORT = Plan(rows=(2, 3, 2), cadence=150.0)
 SMALL = Plan(rows=(2, 3, 2), cadence=300.0, spacing=4.0)
 BANDS = Plan(rows=(2, 3, 2), cadence=150.0, n_freqs=4, bandwidth=30e6)
 SELF = Plan(radiometer=True)
+DELAYS = "antenna_delays"
 
 EFFECTS = {
     kind.name: kind
@@ -65,6 +66,7 @@ STRONG = {
         Kind("walking_refraction", absorbed.walking_refraction, 0.3, 5.0, "arcmin", BANDS, "ionosphere"),
         Kind("diffuse_of_few", skies.diffuse, 0.5, 20.0, "kJy/sr", SMALL, "diffuse"),
         Kind("one_gain", partial(gains.antenna_gains, counts=(1,)), 3e-3, 0.3, "", effect="antenna_gains"),
+        Kind("centred_delays", partial(gains.antenna_delays, counts=(2,), centred=True), 0.01, 3.0, "ns", BAND, DELAYS),
         Kind("two_couplings", partial(coupling.cross_coupling, counts=(2,)), 0.3, 10.0, "Jy", effect="cross_coupling"),
     )
 }

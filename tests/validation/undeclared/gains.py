@@ -42,18 +42,29 @@ def antenna_gains(
     return Drawn(parameters, Where(antennas=numbers(truth, chosen)), 2 * len(chosen))
 
 
-def antenna_delays(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
-    """Signals of one, three or all antennas come late by ``strength`` ns, or early."""
-    chosen = some_antennas(truth, rng)
+def antenna_delays(
+    truth: Truth, rng: np.random.Generator, strength: float, counts: Sequence[int] | None = None, centred: bool = False
+) -> Drawn:
+    """Signals of one, three or all antennas come late by ``strength`` ns, or early.
+
+    Where that is ``centred``, somebody has set the phases right at the band's centre. Phases are told there.
+    """
+    chosen = some_antennas(truth, rng, counts)
     delays = np.zeros(truth.setting.n_ants)
     delays[chosen] = strength * 1e-9 * rng.standard_normal(len(chosen))
-    turns = truth.setting.freqs[:, np.newaxis, np.newaxis] * delays
-    truth.corruptions.append(multiplied(np.exp(2j * np.pi * turns)))
+    middle = float(truth.setting.freqs.mean())
+    phases = np.zeros(len(delays)) if centred else 2 * np.pi * middle * delays
+    turns = (truth.setting.freqs - middle)[:, np.newaxis, np.newaxis] * delays
+    truth.corruptions.append(multiplied(np.exp(2j * np.pi * turns + 1j * phases)))
     parameters = [
-        Parameter(antenna(truth, index), "delay", "ns", float(1e9 * delays[index]))
+        parameter
         for index in range(truth.setting.n_ants)
+        for parameter in (
+            Parameter(antenna(truth, index), "delay", "ns", float(1e9 * delays[index])),
+            Parameter(antenna(truth, index), "phase", "rad", float(phases[index])),
+        )
     ]
-    return Drawn(parameters, Where(antennas=numbers(truth, chosen)), len(chosen))
+    return Drawn(parameters, Where(antennas=numbers(truth, chosen)), 2 * len(chosen))
 
 
 def cable_reflections(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:

@@ -49,7 +49,7 @@ class Comparison:
 # What antennas have in common and no data tell: with which sign it is in which quantities of an antenna.
 COMMON: dict[str, tuple[dict[str, float], ...]] = {
     "antenna_gains": ({"ln amplitude": 1}, {"phase": 1}),
-    "antenna_delays": ({"delay": 1},),
+    "antenna_delays": ({"delay": 1}, {"phase": 1}),
     "antenna_positions": ({"displaced East": 1}, {"displaced North": 1}, {"displaced Up": 1}),
     "antenna_pointing": ({"tilted towards East": 1}, {"tilted towards North": 1}),
     "nonredundant_beams": ({"width East-West": 1}, {"width North-South": 1}),
