@@ -56,6 +56,8 @@ class Reweighting(ABC):
     """Name in sentences."""
     searched_again_with_heavy_tails: ClassVar[bool] = False
     """Whether, where it is refused, it is looked for once more in the residuals of a robust fit."""
+    leaves_out: ClassVar[bool] = False
+    """Whether it leaves out rows, of which is told where they are."""
     times_refitted: ClassVar[int] = 0
     """How often it is fitted again to the residuals of a fit that has it."""
 

@@ -70,6 +70,7 @@ class Outliers(Reweighting):
     kind = "outliers"
     title = "outliers"
     searched_again_with_heavy_tails = True
+    leaves_out = True
 
     def sizes(self, setup: ObservingSetup) -> tuple[int, ...]:
         """Return three: threshold, fraction and scale."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.loop.output.heldout_change import heldout_change
 from hydrabeam_mpi.loop.output.parameters import parameters_of, widened
 from hydrabeam_mpi.loop.output.sentences import say_round, say_verdict
+from hydrabeam_mpi.loop.residuals.left_out import rows_left_out
 from hydrabeam_mpi.loop.residuals.remains import Remains
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round, indistinguishable, why_unexplained
 from hydrabeam_mpi.loop.selection.rounds import History
@@ -27,6 +28,14 @@ UNDECIDABLE_LEAKAGE = (
     "common leakage, c in d_e + c and d_n - c*",
     "of a sky that is not polarised, only a difference of the two feeds' beams shows it",
 )
+
+
+@dataclass(frozen=True)
+class _AtLast:
+    """What is told of all rounds by the last fit: the scale of errors, and which rows are left out."""
+
+    scale: ErrorScale
+    left_out: dict[str, Any] | None
 
 
 def make_record(
@@ -107,9 +116,9 @@ def _found(
     """Tell what was found, tried in vain, not looked for, or cannot be decided. Collective: all ranks of the grid."""
     checks = [history.first, *(one.after for one in history.rounds)]
     chi2 = [_train_chi2(context, checked) for checked in checks]
-    scale = error_scale(context, history.last.fitted)
+    at_last = _AtLast(error_scale(context, history.last.fitted), rows_left_out(context, history.last.fitted))
     rounds = [
-        _round(context, one, chi2[i : i + 2], checks[i].remains, history.last.fitted, scale)
+        _round(context, one, chi2[i : i + 2], checks[i].remains, history.last.fitted, at_last)
         for i, one in enumerate(history.rounds)
     ]
     tried = [
@@ -186,19 +195,21 @@ def _train_chi2(context: FitContext, checked: Checked) -> float:
 
 
 def _round(
-    context: FitContext, one: Round, chi2: list[float], before: Remains, last: Fitted, scale: ErrorScale
+    context: FitContext, one: Round, chi2: list[float], before: Remains, last: Fitted, at_last: _AtLast
 ) -> dict[str, Any]:
     """Tell one round."""
     setup, candidate = context.setup, one.candidate
     ranking = known_effects(one.ranking)
     others = [other for other in ranking if other.kind != candidate.kind]
-    parameters, not_told = parameters_of(setup, one, last, scale)
+    parameters, not_told = parameters_of(setup, one, last, at_last.scale)
+    leaves_out = candidate.weights is not None and candidate.weights.change.leaves_out
     told = {
         "effect": candidate.kind,
         "title": candidate.title,
         "parameters": parameters,
         "parameters_not_told": not_told,
-        "errors_widened_by": widened(one, scale),
+        "errors_widened_by": widened(one, at_last.scale),
+        "left_out": at_last.left_out if leaves_out else None,
         "log_bayes_factor": candidate.log_bayes_factor,
         "absorbed_by_beam": candidate.finding.evidence.absorbed if candidate.finding else 0.0,
         "chi2_before": chi2[0],

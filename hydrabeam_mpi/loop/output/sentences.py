@@ -22,7 +22,12 @@ def say_round(told: dict[str, Any]) -> str:
     beam = f"the beam moves by up to {told['beam_change_max']:.1e}"
     doubt = told["indistinguishable_from"]
     unsure = f" These data do not tell it from {' or '.join(doubt)}." if doubt else ""
-    return f"{what} ({sure}). Added. {error}; {rms}; {beam}.{_say_widened(told)}{unsure}"
+    return f"{what} ({sure}). Added. {error}; {rms}; {beam}.{_say_left_out(told)}{_say_widened(told)}{unsure}"
+
+
+def _say_left_out(told: dict[str, Any]) -> str:
+    """Say where the rows are that are left out."""
+    return f" {told['left_out']['sentence']}" if told["left_out"] else ""
 
 
 def _say_widened(told: dict[str, Any]) -> str:

@@ -48,6 +48,7 @@ def told(**given: Any) -> dict[str, Any]:
         "parameters": [parameter("one", 2)],
         "parameters_not_told": [],
         "errors_widened_by": [1.0, 1.0],
+        "left_out": None,
         "log_bayes_factor": 5110910.4,
         "absorbed_by_beam": 0.071,
         "heldout_before": 257.12,
@@ -83,6 +84,10 @@ ROUNDS: dict[str, tuple[dict[str, Any], str]] = {
     "how much wider than by the noise alone": (
         {"errors_widened_by": [1.0, 4.472]},
         "3.6e-03. Errors are up to 4.47 times those by the noise alone, as more than noise is left of the data.",
+    ),
+    "where the rows are that are left out": (
+        {"left_out": {"sentence": "30 of 600 rows (5%) are left out."}},
+        "3.6e-03. 30 of 600 rows (5%) are left out.",
     ),
     "as much in all channels": ({"errors_widened_by": [2.0, 2.0]}, " Errors are 2 times those by the noise alone,"),
     "what it is not told from": (
