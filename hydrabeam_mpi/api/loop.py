@@ -124,7 +124,8 @@ def run_loop(
             effects = effects_found(problem.job, fitted, known)
             result = make_result(setup, problem, records, origin(), run, record["warnings"], effects)
             amended = amended_job(problem.job, fitted, known, scale)
-            found = Found(result, {**record, "seconds": clock.seconds}, setup.amended(amended))
+            told = {**record, "warnings": result.summary["warnings"], "seconds": clock.seconds}
+            found = Found(result, told, setup.amended(amended))
     return found
 
 

@@ -1,4 +1,4 @@
-"""Rounds of a loop that have ended, on disk: in a folder that is filled, or in the result of a loop that was ended.
+"""Rounds of a loop on disk, or the fit before the first: in a folder that is filled, or in what an ended loop left.
 
 Only the last round is kept, as it tells of all before it. It is a folder that appears whole, with the files that a
 result would have at that point, and with Python objects, each in a file that begins with the checksum of the rest.
@@ -30,13 +30,18 @@ OBJECT = ".object"
 
 @contextmanager
 def new_round(folder: Path, number: int) -> Iterator[Path]:
-    """Give a folder to write a round into, which then takes the place of the round before."""
+    """Give a folder to write a round into, which then takes the place of the round before, or of one of its number."""
     place = folder / ROUNDS
     partial = place / ".new"
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
     yield partial
-    partial.rename(place / f"{number:04d}")
+    new, same = place / f"{number:04d}", place / ".same"
+    shutil.rmtree(same, ignore_errors=True)
+    if new.exists():
+        new.rename(same)
+    partial.rename(new)
+    shutil.rmtree(same, ignore_errors=True)
     for older in _numbered(folder)[:-1]:
         shutil.rmtree(older)
 
@@ -51,11 +56,18 @@ def number_of(kept: Path) -> int:
     return int(kept.name)
 
 
+def rounds_words(kept: Path) -> str:
+    """Say what is kept in the folder of a round."""
+    n = number_of(kept)
+    return f"{n} round(s)" if n else "the fit before the first round"
+
+
 def settle(folder: Path) -> None:
     """Make a result of the last round: its files beside it."""
     kept = latest_round(folder)
     assert kept is not None
-    shutil.rmtree(folder / ROUNDS / ".new", ignore_errors=True)
+    for hidden in (".new", ".same"):
+        shutil.rmtree(folder / ROUNDS / hidden, ignore_errors=True)
     for name in READABLE:
         shutil.copyfile(kept / name, folder / name)
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.checksums import stamp_of
-from hydrabeam_mpi.io.kept_rounds import latest_round, number_of, settle
+from hydrabeam_mpi.io.kept_rounds import latest_round, number_of, rounds_words, settle
 from hydrabeam_mpi.io.leftovers import claim, clear_leftovers, new_name
 from hydrabeam_mpi.io.manifest import MANIFEST, RUNNING, find_strangers, read_manifest, remove_result, write_manifest
 
@@ -111,13 +111,14 @@ class StagedDirectory:
     def leave(self, interrupted: bool) -> None:
         """End without a result: remove what has been written, except for the rounds of a loop that have ended.
 
-        After a signal these are published, as a result that says so. Else they stay where a later run finds them.
+        After a signal these, or the fit before the first, are published, as a result that says so. Else rounds stay
+        where a later run finds them.
         """
         kept = latest_round(self.partial)
-        if kept is None:
+        if kept is None or not (interrupted or number_of(kept)):
             self.discard()
             return
-        where, n_rounds = self.partial, number_of(kept)
+        where, what = self.partial, rounds_words(kept)
         if interrupted:
             try:
                 settle(self.partial)
@@ -125,7 +126,7 @@ class StagedDirectory:
                 where = self._asked
             except (OSError, InputError) as error:
                 logger.warning("%s", error)
-        logger.info("kept in %s: %d round(s), from where the same command goes on", where, n_rounds)
+        logger.info("kept in %s: %s, from where the same command goes on", where, what)
 
     def discard(self) -> None:
         """Remove what has been written so far; any process may do so, also several at once."""

@@ -155,7 +155,7 @@ def summarise(
         **channels[0],
         **common,
         "channels": channels,
-        "warnings": [*warnings, *problem.cautions, *flagged, *warnings_of(channels)],
+        "warnings": list(dict.fromkeys([*warnings, *problem.cautions, *flagged, *warnings_of(channels)])),
     }
 
 

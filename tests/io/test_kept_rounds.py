@@ -45,12 +45,28 @@ def test_the_last_round_that_is_whole_is_kept(tmp_path: Path) -> None:
     kept = latest_round(tmp_path)
     assert kept is not None
     assert (number_of(kept), (kept / "loop.json").read_text()) == (2, "loop.json of 2")
+    with new_round(tmp_path, 2) as place:
+        (place / "loop.json").write_text("another")
+    assert (kept / "loop.json").read_text() == "another"
+    assert sorted(path.name for path in kept.parent.iterdir()) == ["0002"]
+    for name in READABLE:
+        (kept / name).write_text(f"{name} of 2")
     (tmp_path / "later").mkdir()
     take_over(kept, tmp_path / "later")
     keep(tmp_path / "later", 10)
     assert sorted(path.name for path in (tmp_path / "later" / "rounds").iterdir()) == ["0010"]
     drop_rounds(tmp_path)
     assert latest_round(tmp_path) is None
+
+
+@pytest.mark.parametrize("interrupted", [False, True])
+def test_the_fit_before_the_first_round_is_left_after_a_signal(interrupted: bool, tmp_path: Path) -> None:
+    """Else nothing is: no round has ended."""
+    staged = StagedDirectory(tmp_path / "out", overwrite=False)
+    keep(staged.partial, 0)
+    staged.leave(interrupted)
+    assert (tmp_path / "out" / "loop.json").exists() == interrupted
+    assert list(tmp_path.iterdir()) == [tmp_path / "out"] * interrupted
 
 
 @pytest.mark.parametrize("interrupted", [False, True])

@@ -63,6 +63,7 @@ def test_all_is_written(explained: Path) -> None:
     record = record_of(explained)
     assert {"rounds", "verdict", "error_before", "error_after", "where"} <= record.keys()
     assert {"name", "said", "tried", "skipped", "undecidable", "conventions", "residual", "seconds"} <= record.keys()
+    assert record["warnings"] == summary_of(explained)["warnings"]
     (told,) = record["rounds"]
     assert told.keys() >= ROUND
     assert {"title", "sentence", "ranking", "residual", "heldout_sigma", "beam_change_max"} <= told.keys()

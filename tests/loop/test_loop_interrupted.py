@@ -23,14 +23,14 @@ from tests.loop.test_loop_ranks import assert_alike
 
 JOB = mock_job(GAIN, SHIFT, freqs=TWO, n_times=8, loop={"effects": ["antenna_gains", "antenna_positions", "outliers"]})
 HELD = """
-import io, sys, time
+import io, os, sys, time
 from hydrabeam_mpi.cli import main
 
 class Held(io.TextIOWrapper):
     told = False
 
     def write(self, text):
-        self.told = self.told or text.startswith("hydrabeam: round 2:")
+        self.told = self.told or text.startswith(os.environ["HELD_AT"])
         return super().write(text)
 
     def flush(self):
@@ -42,7 +42,7 @@ class Held(io.TextIOWrapper):
 sys.stderr = Held(sys.stderr.buffer)
 sys.exit(main(sys.argv[1:]))
 """
-"""The program, which waits in its second round for a signal, as nobody can tell how long that round takes."""
+"""The program, which waits for a signal where it says something, as nobody can tell how long what comes then takes."""
 
 
 @pytest.fixture(scope="module")
@@ -54,25 +54,27 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "result"
 
 
-def end(folder: Path, number: signal.Signals, n_ranks: int = 1) -> tuple[int, list[str]]:
-    """Run a loop and end it in its second round; return the exit status and what it has said since."""
+def end(
+    folder: Path, number: signal.Signals, n_ranks: int = 1, held_at: str = "hydrabeam: round 2:"
+) -> tuple[int, list[str]]:
+    """Run a loop and end it, in its second round or elsewhere; return the exit status and what it has said since."""
     launcher = ["mpiexec", "-n", str(n_ranks)] if n_ranks > 1 else []
     words = [*launcher, sys.executable, "-c", HELD, "loop", folder / "job.toml", "-o", folder / "result"]
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "HELD_AT": held_at}
     with subprocess.Popen(words, stderr=subprocess.PIPE, text=True, start_new_session=True, env=environment) as process:
         assert process.stderr is not None
         for line in process.stderr:
-            if line.startswith("hydrabeam: round 2:"):
+            if line.startswith(held_at):
                 break
         os.kill(process.pid, number)
         said = process.stderr.read().splitlines()
     return process.returncode, said
 
 
-def assert_goes_on(folder: Path, whole: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def assert_goes_on(folder: Path, whole: Path, capfd: pytest.CaptureFixture[str], after: str = "1 round(s)") -> None:
     capfd.readouterr()
     assert main(["loop", str(folder / "job.toml"), "-o", str(folder / "result")]) == 0
-    assert_has_gone_on(folder, whole, capfd.readouterr().err)
+    assert_has_gone_on(folder, whole, capfd.readouterr().err, after)
     one, two = record_of(whole), record_of(folder / "result")
     assert two.pop("seconds")["trials"] > 0
     one.pop("seconds")
@@ -82,9 +84,9 @@ def assert_goes_on(folder: Path, whole: Path, capfd: pytest.CaptureFixture[str])
         np.testing.assert_array_equal(first["covariance"], second["covariance"])
 
 
-def assert_has_gone_on(folder: Path, whole: Path, said: str) -> None:
-    assert "going on after round 1 of an earlier run" in said
-    assert "round 1:" not in said
+def assert_has_gone_on(folder: Path, whole: Path, said: str, after: str = "1 round(s)") -> None:
+    assert f"going on after {after} of an earlier run" in said
+    assert ("round 1:" in said) == (after != "1 round(s)")
     assert sorted(path.name for path in folder.iterdir()) == ["job.toml", "result"]
     assert {path.name for path in (folder / "result").iterdir()} == {path.name for path in whole.iterdir()}
 
@@ -122,6 +124,25 @@ def test_what_is_interrupted_says_so_and_goes_on(
     other.unlink()
     other.parent.rmdir()
     assert_goes_on(interrupted, whole, capfd)
+
+
+def test_what_is_interrupted_in_the_first_round_leaves_what_is_known(
+    whole: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """The first fit, and what was weighed; nothing of it is fitted twice."""
+    write_job(JOB, tmp_path)
+    status, said = end(tmp_path, signal.SIGTERM, held_at="hydrabeam:   trying")
+    assert status == 130
+    kept = f"kept in {tmp_path / 'result'}: the fit before the first round, from where the same command goes on"
+    assert said[0] == f"hydrabeam: {kept}"
+    record, expected = record_of(tmp_path / "result"), record_of(whole)
+    assert (record["verdict"], record["rounds"]) == ("interrupted", [])
+    assert record["error_before"] == record["error_after"] == expected["error_before"]
+    first = expected["rounds"][0]["ranking"]
+    assert record["last_ranking"] == first
+    assert record["health"] == expected["health"]
+    assert f"Weighed, but not yet fitted: {first[0]['effect'].replace('_', ' ')} (log" in record["sentence"]
+    assert_goes_on(tmp_path, whole, capfd, "the fit before the first round")
 
 
 def test_a_damaged_round_is_told(interrupted: Path, comm: MPI.Comm, capfd: pytest.CaptureFixture[str]) -> None:

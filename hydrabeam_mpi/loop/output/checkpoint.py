@@ -1,4 +1,4 @@
-"""What a loop needs to go on after a round: everything that it has found, and the last fit by channel."""
+"""What a loop needs to go on: everything that it has found, and the last fit by channel."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Kept:
 def keep_round(
     context: FitContext, history: History, folder: Path, texts: dict[str, str], seconds: dict[str, float]
 ) -> None:
-    """Write down a round that has ended.
+    """Write down a round that has ended, or the fit before the first.
 
     Collective: all ranks of the grid.
 
@@ -123,7 +123,8 @@ def _lightened(context: FitContext, history: History) -> History:
         before = rounds[-1].after
     tried = [(_light(candidate), reason) for candidate, reason in history.tried]
     control = history.control and _light_round(context, history.control, before)
-    return History(first, before, rounds, tried, control=control, control_since=history.control_since)
+    ranking = tuple(map(_light, history.ranking))
+    return History(first, before, rounds, tried, ranking, control, history.control_since)
 
 
 def _light_round(context: FitContext, one: Round, before: Checked) -> Round:
@@ -196,5 +197,8 @@ def _complete(context: FitContext, history: History, mine: list[KeptChannel]) ->
         before.fitted.diagnostics.converged,
     )
     last = Fitted(before.fitted.values, fit, diagnostics)
-    rounds[-1] = replace(rounds[-1], after=replace(before, fitted=last))
-    return replace(history, first=first, last=rounds[-1].after, rounds=rounds)
+    whole = replace(before, fitted=last)
+    if not rounds:
+        return replace(history, first=whole, last=whole)
+    rounds[-1] = replace(rounds[-1], after=whole)
+    return replace(history, first=first, last=whole, rounds=rounds)

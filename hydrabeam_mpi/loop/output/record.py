@@ -32,10 +32,15 @@ UNDECIDABLE_LEAKAGE = (
 
 @dataclass(frozen=True)
 class _AtLast:
-    """What is told of all rounds by the last fit: the scale of errors, and which rows are left out."""
+    """What is told of all rounds by the last fit.
 
+    The scale of errors, which rows are left out, and whether effects have been asked if they are what they say.
+    """
+
+    fitted: Fitted
     scale: ErrorScale
     left_out: dict[str, Any] | None
+    asked: bool
 
 
 def make_record(
@@ -66,7 +71,7 @@ def make_record(
     dict
         JSON-able; the same on all ranks.
     """
-    found = _found(context, history, skipped, conventions, leakage)
+    found = _found(context, history, skipped, conventions, leakage, interrupted)
     last, control = history.last.remains, _foreign(history)
     why = why_unexplained(history.last, history.control)
     verdict = "unexplained"
@@ -77,8 +82,8 @@ def make_record(
     elif why is None or (last.consistent and control is None and not found["rounds"]):
         verdict = "explained" if found["rounds"] else "consistent"
     unexplained = verdict == "unexplained"
-    # Of data in another convention all is off.
-    odd = last.odd if verdict != "convention" else ()
+    # Of data in another convention all is off, and before the last fit what an effect will explain.
+    odd = last.odd if verdict not in ("convention", "interrupted") else ()
     record: dict[str, Any] = {
         "name": context.problem.job.name,
         "verdict": verdict,
@@ -89,6 +94,7 @@ def make_record(
         "why": why if unexplained else None,
         "foreign": control,
         **found,
+        "not_yet_asked": [one["effect"] for one in found["rounds"] if not one.get("asked", True)],
         "last_ranking": [_ranked(one) for one in known_effects(history.ranking)],
         "health": [one.record() for one in (*context.problem.findings, *odd)],
         "conventions": conventions,
@@ -102,7 +108,9 @@ def make_record(
         record["sentence"],
         *(one.line for one in odd),
     ]
-    record["warnings"] = [record["sentence"]] if conventions["found"] else []
+    # `summary.json` has these first; of a loop that ends, ``loop.json`` has all that are in that.
+    convention = [record["sentence"]] if conventions["found"] else []
+    record["warnings"] = [*convention, *context.problem.cautions, *(one.line for one in odd)]
     return {key: _finite(value) for key, value in record.items()}
 
 
@@ -112,15 +120,14 @@ def _found(
     skipped: Sequence[tuple[str, str]],
     conventions: dict[str, Any],
     leakage: dict[str, Any] | None,
+    interrupted: bool,
 ) -> dict[str, Any]:
     """Tell what was found, tried in vain, not looked for, or cannot be decided. Collective: all ranks of the grid."""
     checks = [history.first, *(one.after for one in history.rounds)]
     chi2 = [_train_chi2(context, checked) for checked in checks]
-    at_last = _AtLast(error_scale(context, history.last.fitted), rows_left_out(context, history.last.fitted))
-    rounds = [
-        _round(context, one, chi2[i : i + 2], checks[i].remains, history.last.fitted, at_last)
-        for i, one in enumerate(history.rounds)
-    ]
+    last = history.last.fitted
+    at_last = _AtLast(last, error_scale(context, last), rows_left_out(context, last), asked=not interrupted)
+    rounds = [_round(context, one, chi2[i : i + 2], checks[i].remains, at_last) for i, one in enumerate(history.rounds)]
     tried = [
         {"effect": one.kind, "log_bayes_factor": one.log_bayes_factor, "reason": reason}
         for one, reason in history.tried
@@ -194,14 +201,12 @@ def _train_chi2(context: FitContext, checked: Checked) -> float:
     return float(np.mean(np.concatenate(context.grid.world.allgather(mine))))
 
 
-def _round(
-    context: FitContext, one: Round, chi2: list[float], before: Remains, last: Fitted, at_last: _AtLast
-) -> dict[str, Any]:
+def _round(context: FitContext, one: Round, chi2: list[float], before: Remains, at_last: _AtLast) -> dict[str, Any]:
     """Tell one round."""
     setup, candidate = context.setup, one.candidate
     ranking = known_effects(one.ranking)
     others = [other for other in ranking if other.kind != candidate.kind]
-    parameters, not_told = parameters_of(setup, one, last, at_last.scale)
+    parameters, not_told = parameters_of(setup, one, at_last.fitted, at_last.scale)
     leaves_out = candidate.weights is not None and candidate.weights.change.leaves_out
     told = {
         "effect": candidate.kind,
@@ -219,6 +224,7 @@ def _round(
         "heldout_sigma": one.sigma,
         "revised": list(one.revised),
         "revoked": one.candidate.finding is not None and one.place is None,
+        "asked": at_last.asked or one.place is None,
         "constancy": [asdict(part) for part in one.constancy],
         "converged": one.after.fitted.diagnostics.converged,
         **heldout_change(one.before, one.after, setup.observation.freqs),

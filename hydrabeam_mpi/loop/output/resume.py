@@ -18,7 +18,7 @@ from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.error_scale import error_scale
-from hydrabeam_mpi.io.kept_rounds import latest_round, number_of, origin_of, take_over
+from hydrabeam_mpi.io.kept_rounds import latest_round, number_of, origin_of, rounds_words, take_over
 from hydrabeam_mpi.io.leftovers import find_abandoned
 from hydrabeam_mpi.loop.output.amendment import amended_job
 from hydrabeam_mpi.loop.output.checkpoint import keep_round, restore_round
@@ -96,7 +96,7 @@ class Keeper:
                 owner = earlier.parent.parent
                 if owner != Path(os.path.realpath(out)):
                     shutil.rmtree(owner, ignore_errors=True)
-                say(f"going on after round {number_of(earlier)} of an earlier run, kept in {owner}")
+                say(f"going on after {rounds_words(earlier)} of an earlier run, kept in {owner}")
         return kept.history
 
     def _is_same(self, earlier: Path, out: Path, overwrite: bool) -> bool:
@@ -113,7 +113,7 @@ class Keeper:
         return False
 
     def __call__(self, history: History) -> None:
-        """Keep a history whose last round has ended. Collective: all ranks of the grid."""
+        """Keep a history whose last round has ended, or the first not yet. Collective: all ranks of the grid."""
         record = make_record(self.context, history, self.skipped, self.conventions, None, interrupted=True)
         scale = error_scale(self.context, history.last.fitted)
         texts = {}

@@ -8,6 +8,9 @@ from typing import Any
 from hydrabeam_mpi.words import capital, joined
 
 MOST_NAMED = 4
+QUESTIONS = "whether it is physical beside all others and the same in all parts of the data"
+"""What an effect is asked when nothing more is found, and may be taken back for."""
+GOES_ON = "The same command goes on from here."
 
 
 def say_round(told: dict[str, Any]) -> str:
@@ -22,7 +25,8 @@ def say_round(told: dict[str, Any]) -> str:
     beam = f"the beam moves by up to {told['beam_change_max']:.1e}"
     doubt = told["indistinguishable_from"]
     unsure = f" These data do not tell it from {' or '.join(doubt)}." if doubt else ""
-    return f"{what} ({sure}). Added. {error}; {rms}; {beam}.{_say_left_out(told)}{_say_widened(told)}{unsure}"
+    added = "Added" if told["asked"] else f"Added, but not yet asked: {QUESTIONS}"
+    return f"{what} ({sure}). {added}. {error}; {rms}; {beam}.{_say_left_out(told)}{_say_widened(told)}{unsure}"
 
 
 def _say_left_out(told: dict[str, Any]) -> str:
@@ -70,7 +74,7 @@ def _verdict(told: dict[str, Any]) -> str:
         case "consistent":
             return f"Nothing is missing: the data agree with the model within the noise ({error})."
         case "interrupted":
-            return f"Interrupted: what is left ({error}) was not looked at. The same command goes on from here."
+            return f"Interrupted: what is left ({error}) was not looked at.{_not_confirmed(told)} {GOES_ON}"
         case "convention":
             conventions = told["conventions"]
             return (
@@ -83,6 +87,20 @@ def _verdict(told: dict[str, Any]) -> str:
     if names:
         unknown = f"{lacked}, and something else that no effect in the catalogue explains ({error})."
     return " ".join([unknown, *_reasons(told), told["where"]["sentence"]])
+
+
+def _not_confirmed(told: dict[str, Any]) -> str:
+    """Say what a loop that was ended had not come to: to ask what it had found, or to fit what it had weighed."""
+    titles = [one["title"] for one in told["rounds"] if one["effect"] in told["not_yet_asked"]]
+    if titles:
+        return f" Not yet asked of {joined(list(dict.fromkeys(titles)))}: {QUESTIONS}. None of it is confirmed."
+    ranking = [one for one in told["last_ranking"] if one["log_bayes_factor"] > 0][:MOST_NAMED]
+    if told["rounds"] or not ranking:
+        return ""
+    weighed = (
+        f"{one['effect'].replace('_', ' ')} (log Bayes factor {one['log_bayes_factor']:,.0f})" for one in ranking
+    )
+    return f" Weighed, but not yet fitted: {joined(list(weighed))}."
 
 
 def _reasons(told: dict[str, Any]) -> list[str]:

@@ -110,16 +110,21 @@ def run_rounds(
     clock : Clock
         Receives the phases "attribution", "trials" and "keep".
     keep : callable
-        Gets the history after each round that has found something.
+        Gets the history before the first round, once more when all has been weighed in it, and after each round that
+        has found something.
     """
     settings, checked = context.problem.job.loop, history.last
     speaks = context.grid.is_world_root
     effects = _next_of(context, effects, checked.fitted.values)
     for number in range(len(history.rounds), settings.max_rounds + 1):
+        if not history.rounds:
+            _keep(clock, keep, history)
         say(f"round {number + 1}: {say_heldout(checked.score.chi2, checked.numbers.of_all)}; weighing effects", speaks)
         with clock.time("attribution"):
             ranking = rank(context, checked.fitted, effects, changes)
         history.ranking = ranking
+        if not history.rounds:
+            _keep(clock, keep, history)
         if number == settings.max_rounds:
             break
         with clock.time("trials"):
@@ -133,10 +138,14 @@ def run_rounds(
         if added is None:
             break
         effects = _next_of(context, effects, added.after.fitted.values)
-        with clock.time("keep"):
-            keep(history)
+        _keep(clock, keep, history)
     with clock.time("trials"):
         _take_back(context, history)
+
+
+def _keep(clock: Clock, keep: Callable[[History], None], history: History) -> None:
+    with clock.time("keep"):
+        keep(history)
 
 
 def _take_back(context: FitContext, history: History) -> None:

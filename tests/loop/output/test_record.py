@@ -24,6 +24,7 @@ from hydrabeam_mpi.loop.output.parameters import parameters_of
 from hydrabeam_mpi.loop.output.record import known_effects, make_record
 from hydrabeam_mpi.loop.selection.acceptance import Candidate
 from hydrabeam_mpi.loop.selection.rounds import History
+from hydrabeam_mpi.setup.findings import Finding
 from tests.loop.made import checked, effect_candidate, numbers, round_of, weights_candidate
 from tests.loop.mock import FREQ, context_of, mock_job
 
@@ -284,6 +285,27 @@ def test_parameters_that_the_data_do_not_tell_come_apart(
         "sigma": 0.04 / std[1][1],
         "freq_hz": FREQS[1],
     }
+
+
+@pytest.mark.parametrize("interrupted", [False, True])
+def test_what_has_not_been_asked_yet_is_not_taken_for_confirmed(interrupted: bool, context: FitContext) -> None:
+    """Effects are asked at the end alone; a change of the weights is not asked."""
+    made = history(context, n_rounds=2)
+    record = make_record(context, made, [], NONE_FOUND, None, interrupted)
+    assert [one["asked"] for one in record["rounds"]] == [not interrupted, True]
+    assert record["not_yet_asked"] == ["antenna_gains"] * interrupted
+    assert ("Not yet asked of antenna gains: whether it is physical" in record["sentence"]) == interrupted
+    assert ("Added, but not yet asked: whether it is" in record["rounds"][0]["sentence"]) == interrupted
+
+
+def test_cautions_and_what_stands_out_are_warnings(context: FitContext) -> None:
+    odd = Finding("an antenna that stands out", "antenna 3", "it has 9 times what others have", "leave it out")
+    made = history(context)
+    made.last = replace(made.last, remains=replace(made.last.remains, odd=(odd,)))
+    careful = replace(context, problem=replace(context.problem, cautions=("Antenna 5 is dead.",)))
+    record = make_record(careful, made, [], NONE_FOUND, None)
+    assert record["warnings"] == ["Antenna 5 is dead.", odd.line]
+    assert make_record(careful, made, [], NONE_FOUND, None, interrupted=True)["warnings"] == ["Antenna 5 is dead."]
 
 
 def test_errors_are_wider_where_more_than_noise_is_left(context: FitContext) -> None:

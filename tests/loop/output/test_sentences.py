@@ -48,6 +48,7 @@ def told(**given: Any) -> dict[str, Any]:
         "parameters": [parameter("one", 2)],
         "parameters_not_told": [],
         "errors_widened_by": [1.0, 1.0],
+        "asked": True,
         "left_out": None,
         "log_bayes_factor": 5110910.4,
         "absorbed_by_beam": 0.071,
@@ -89,6 +90,11 @@ ROUNDS: dict[str, tuple[dict[str, Any], str]] = {
         {"left_out": {"sentence": "30 of 600 rows (5%) are left out."}},
         "3.6e-03. 30 of 600 rows (5%) are left out.",
     ),
+    "what has not been asked yet": (
+        {"asked": False},
+        "7% of it). Added, but not yet asked: whether it is physical beside all others and the same in all parts of "
+        "the data. Held-out reduced chi^2",
+    ),
     "as much in all channels": ({"errors_widened_by": [2.0, 2.0]}, " Errors are 2 times those by the noise alone,"),
     "what it is not told from": (
         {"indistinguishable_from": ["antenna_delays", "timestamp"]},
@@ -106,7 +112,12 @@ def test_rounds(given: dict[str, Any], said: str) -> None:
 
 WHERE = {"sentence": "It is on antenna 5."}
 DRIFT = {"title": "a beam that changes in time", "log_bayes_factor": 1234.5, "heldout_after": 1.23456}
-GAINS, SOURCES = {"title": "antenna gains"}, {"title": "missing sources"}
+GAINS, SOURCES = ({"effect": name.replace(" ", "_"), "title": name} for name in ("antenna gains", "missing sources"))
+WEIGHED = [
+    {"effect": "antenna_gains", "log_bayes_factor": 1234.5},
+    {"effect": "timestamp", "log_bayes_factor": 7.0},
+    {"effect": "outliers", "log_bayes_factor": -1.0},
+]
 EXCHANGED = {"what": "two antennas exchanged", "where": "antennas 2 and 15"}
 INTEGRATION = {"what": "a bad integration", "where": "JD 1"}
 CONVENTION = {"found": "conjugated", "remedy": "conjugate the data"}
@@ -132,8 +143,22 @@ VERDICTS: dict[str, tuple[str, dict[str, Any], str]] = {
     ),
     "it was interrupted": (
         "interrupted",
-        {"rounds": [GAINS]},
-        "Interrupted: what is left (held-out reduced chi^2 11.4 -> 1.012) was not looked at. "
+        {"rounds": [GAINS, SOURCES, GAINS], "not_yet_asked": ["antenna_gains"], "last_ranking": WEIGHED},
+        "Interrupted: what is left (held-out reduced chi^2 11.4 -> 1.012) was not looked at. Not yet asked of antenna "
+        "gains: whether it is physical beside all others and the same in all parts of the data. None of it is "
+        "confirmed. The same command goes on from here.",
+    ),
+    "it was interrupted before anything was weighed": (
+        "interrupted",
+        {},
+        "Interrupted: what is left (held-out reduced chi^2 1.012) was not looked at. "
+        "The same command goes on from here.",
+    ),
+    "it was interrupted in the first round": (
+        "interrupted",
+        {"last_ranking": WEIGHED},
+        "Interrupted: what is left (held-out reduced chi^2 1.012) was not looked at. Weighed, but not yet fitted: "
+        "antenna gains (log Bayes factor 1,234) and timestamp (log Bayes factor 7). "
         "The same command goes on from here.",
     ),
     "a convention is broken": (
@@ -167,5 +192,6 @@ VERDICTS: dict[str, tuple[str, dict[str, Any], str]] = {
 @pytest.mark.parametrize(("verdict", "given", "said"), VERDICTS.values(), ids=VERDICTS)
 def test_verdicts(verdict: str, given: dict[str, Any], said: str) -> None:
     nothing: dict[str, Any] = {"rounds": [], "foreign": None, "why": None, "health": []}
+    nothing |= {"not_yet_asked": [], "last_ranking": []}
     usual = {"error_before": 11.4, "error_after": 1.01234, "where": WHERE, **nothing}
     assert say_verdict({"verdict": verdict, **usual, **given}) == said
