@@ -327,8 +327,8 @@ def test_errors_are_wider_where_more_than_noise_is_left(context: FitContext) -> 
 
 def test_parameters_are_those_of_the_last_joint_fit(context: FitContext) -> None:
     """Of the round's own effect, whichever others came after; those that channels share come once."""
-    before = fitted(context, AntennaDelays(), [1], 9.0, 0.01)
-    delays, later = fitted(context, AntennaDelays(), [1], 3.0, 0.02), gains(context)
+    before = fitted(context, AntennaDelays(), [0], 9.0, 0.01)
+    delays, later = fitted(context, AntennaDelays(), [0], 3.0, 0.02), gains(context)
     both = delays.values.extended(later.values.active[0])
     last = Fitted(both, Fit(std=(*delays.fit.std, *later.fit.std)))
     one = round_of(effect_candidate(AntennaDelays()), checked(2.0), checked(1.0, fitted=before))
