@@ -202,6 +202,6 @@ def _joined(problem: Problem, gathered: list[_Part], gains: ComplexArray, bad_an
     for values in visibilities.values():
         values[flags] = 0.0
     times = np.arange(observation.Ntimes)
-    autos = problem.job.data.flux_scale * calibrated_autos(problem.files, observation, times, problem.gain_files)
-    autos /= np.abs(gains[:, np.newaxis, :, np.newaxis]) ** 2
+    autos = calibrated_autos(problem.files, observation, times, problem.gain_files)
+    autos = autos * problem.flux_scale.reshape(-1, 1, 1, 1) / np.abs(gains[:, np.newaxis, :, np.newaxis]) ** 2
     return Correction(problem.job, observation, visibilities, flags, nsamples, autos, gains)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field, ValidationInfo, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, ValidationInfo, model_validator
 
 from hydrabeam_mpi.config.base import Section, key, refuse_unused
 from hydrabeam_mpi.config.quantities import (
@@ -41,6 +41,15 @@ EMBEDDED_BEAM = "hera-vivaldi-131MHz"
 BUILT_IN_BEAMS = (EMBEDDED_BEAM, *ANALYTIC_BEAMS)
 
 
+Scales = Annotated[
+    tuple[Annotated[float, Field(ge=1 / LARGEST, le=LARGEST)], ...],
+    BeforeValidator(lambda scales: tuple(scales) if isinstance(scales, list | tuple) else (scales,)),
+    PlainSerializer(lambda scales: scales[0] if len(scales) == 1 else scales),
+    Field(min_length=1),
+]
+"""One for all channels, written as a number, or one for each."""
+
+
 class Data(Section):
     """Which visibilities: files and a selection of them, or a simulation."""
 
@@ -56,8 +65,8 @@ class Data(Section):
     antpairs: tuple[AntennaPair, ...] | None = key(None, "keep only these baselines, [[ant1, ant2], ...]")
     exclude_baselines: tuple[AntennaPair, ...] = key((), "take these as flagged, [[ant1, ant2], ...]")
     exclude_times: tuple[JdRange, ...] = key((), "JD, take integrations within as flagged, [[from, to], ...]")
-    flux_scale: float = key(
-        1.0, "factor that brings data and their noise to Jy, where they are not", ge=1 / LARGEST, le=LARGEST
+    flux_scale: Scales = key(
+        (1.0,), "factor that brings data and their noise to Jy, where they are not: a number, or a list, one a channel"
     )
     lst_range: LstRange | None = key(None, "h, [from, to]; may wrap through 24 h")
     time_range: JdRange | None = key(None, "JD, [from, to]")

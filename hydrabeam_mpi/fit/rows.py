@@ -95,6 +95,7 @@ def read_rows(problem: Problem, tile: Tile) -> Rows:
         weights = noise.variance_weights(problem.noise_variance[:, tile.bls], flags, nsamples)
     else:
         weights = noise.radiometer_weights(files, observation, tile, flags, nsamples, problem.gain_files)
-    if job.data.flux_scale != 1:
-        data, weights = data * job.data.flux_scale, weights / job.data.flux_scale**2
+    scale = problem.flux_scale.reshape(-1, 1, 1, 1)
+    if np.any(scale != 1):
+        data, weights = data * scale, weights / scale**2
     return Rows.of(tile, Visibilities(data, weights), problem.redundant, int(np.sum(~flags)), divisor)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.words import capital
 
@@ -26,8 +28,8 @@ class Finding:
         To take as flagged.
     times : tuple of (float, float)
         To take as flagged, Julian dates from and to.
-    flux_scale : float
-        To multiply the data by.
+    flux_scale : tuple of float
+        To multiply the data by: once, or of each channel.
     """
 
     what: str
@@ -37,7 +39,7 @@ class Finding:
     antennas: tuple[int, ...] = ()
     baselines: tuple[tuple[int, int], ...] = ()
     times: tuple[tuple[float, float], ...] = ()
-    flux_scale: float = 1.0
+    flux_scale: tuple[float, ...] = (1.0,)
 
     @property
     def line(self) -> str:
@@ -75,13 +77,13 @@ def integration_words(jd: float, seconds: float) -> tuple[str, str, tuple[float,
 def mended_job(job: Job, findings: Sequence[Finding]) -> Job:
     """Return the job with what the findings leave out, and with their flux scale."""
     data = job.data
-    scale = data.flux_scale
+    scale = np.array(data.flux_scale)
     for one in findings:
-        scale *= one.flux_scale
+        scale = scale * one.flux_scale
     changes = {
         "exclude_antennas": (*data.exclude_antennas, *(ant for one in findings for ant in one.antennas)),
         "exclude_baselines": (*data.exclude_baselines, *(pair for one in findings for pair in one.baselines)),
         "exclude_times": (*data.exclude_times, *(span for one in findings for span in one.times)),
-        "flux_scale": scale,
+        "flux_scale": tuple(scale.tolist()),
     }
     return job.model_copy(update={"data": data.model_copy(update=changes)})

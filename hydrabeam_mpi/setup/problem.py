@@ -96,6 +96,12 @@ class Problem:
     noise_file: Data | None = None
     findings: tuple[Finding, ...] = ()
 
+    @property
+    def flux_scale(self) -> FloatArray:
+        """What data are multiplied by, (Nfreqs,)."""
+        scale = np.array(self.job.data.flux_scale)
+        return scale[self.channel_numbers] if len(scale) > 1 else np.full(len(self.channel_numbers), scale[0])
+
     def of_channels(self, channels: Sequence[int]) -> Problem:
         """Keep some channels."""
         index = np.array(channels, dtype=int)
@@ -230,6 +236,7 @@ def prepare(job: Job, files: tuple[Data, ...], truths: tuple[Beam, ...] = (), gi
         If a file or a setting cannot be used.
     """
     observation = _observe(job, files)
+    _check_scale(job, observation)
     train, test = _roles(job, observation)
     whole_sky = load_sky(job, observation.freqs, given.sky)
     sky = whole_sky.brighter_than(job.sky.model_flux_min)
@@ -256,6 +263,17 @@ def prepare(job: Job, files: tuple[Data, ...], truths: tuple[Beam, ...] = (), gi
         cautions=cautions_of_data(job, observation),
         noise_file=given.noise or job.noise.file,
     )
+
+
+def _check_scale(job: Job, observation: Observation) -> None:
+    """Make sure that flux scales by channel are of these channels."""
+    n = len(job.data.flux_scale)
+    if n not in (1, observation.Nfreqs):
+        raise InputError(
+            f"has {n} numbers, and there are {observation.Nfreqs} channels",
+            field="[data] flux_scale",
+            remedy="give one number for all channels, or a list with one for each",
+        )
 
 
 def estimate_noise(world: Comm, problem: Problem) -> Problem:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+from scipy.stats import chi2
 
 from hydrabeam_mpi.config.text import frequency_text
-from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray
 from hydrabeam_mpi.inference.robust import LEAST_COUNT, STRONG, centre_and_spread, log_odds_of_wide
+from hydrabeam_mpi.inference.significance import SIGNIFICANT_P
 from hydrabeam_mpi.io.noise import MIN_DIFFERENCES
 from hydrabeam_mpi.loop.checks.health_sums import Excess, Sums
 from hydrabeam_mpi.setup.findings import Finding
@@ -25,6 +29,8 @@ KNOWN_NOISE = 0.2
 """Spread of ln noise power about what receivers and correlators promise."""
 UNKNOWN_NOISE = 3.0
 """The same where a channel width, an integration time, an average or a unit is wrong: e^3 is one channel in sixteen."""
+ROUNDING = 1e-6
+"""Scales of channels that differ by less are the same."""
 CLEAR_POWER = 10.0
 """Power of the model in a baseline's data, in units of what noise puts there: three standard deviations."""
 
@@ -37,32 +43,68 @@ def flux_scale(problem: Problem, sums: Sums) -> list[Finding]:
         s_b^2 = (|sum_t w d m*|^2 / sum_t w |m|^2 - 1) / sum_t w |m|^2,
 
     in which the one is what noise adds. The median of ln s_b, whose error is taken to be as large as baselines differ,
-    is weighed under two priors: that of calibrated data and `UNCALIBRATED`.
+    is weighed under two priors: that of calibrated data and `UNCALIBRATED`. Where channels differ beyond the errors of
+    their medians each is weighed by itself, at the price of having so many.
     """
-    logs = _log_scales(sums)
-    if not logs.size:
+    channels = [_log_scales(one) for one in sums.bl_products.swapaxes(0, 1)]
+    known = np.concatenate(channels) if channels else np.zeros(0)
+    if not known.size:
         return []
-    value, error = centre_and_spread(logs)
-    odds = log_odds_of_wide(value, error, CALIBRATED if value < 0 else INCOMPLETE, UNCALIBRATED)
-    if odds < STRONG:
-        return []
-    factor = float(f"{np.exp(-value):.4g}")
+    if not _differ([one for one in channels if one.size]):
+        value, odds = _weighed(known)
+        scales, odds_of = np.array([np.exp(value)]), np.array([odds])
+    else:
+        found = [_weighed(one) if one.size else (0.0, -np.inf) for one in channels]
+        values, odds_of = np.array(found).T
+        odds_of = odds_of - np.log(len(channels))
+        # Of a channel that does not show the model nobody knows more than of the others.
+        values = np.where(np.isfinite(odds_of), values, np.median(known))
+        odds_of = np.where(np.isfinite(odds_of), odds_of, np.max(odds_of))
+        scales = np.where(odds_of < STRONG, 1.0, np.exp(values))
+    wrong = odds_of >= STRONG
+    return [_wrong_scale(problem, sums, scales, wrong, float(odds_of[wrong].min()))] if wrong.any() else []
+
+
+def _wrong_scale(problem: Problem, sums: Sums, scales: FloatArray, wrong: BoolArray, odds: float) -> Finding:
+    """Say that data are ``scales`` times as large as they should be, one or of each channel; ``wrong`` is as long."""
+    factors = tuple(float(f"{one:.4g}") for one in 1 / scales)
+    freqs = ", ".join(frequency_text(freq) for freq in problem.observation.freqs[wrong]) if not wrong.all() else ""
+    sizes = dict.fromkeys(f"{one:.3g}" for one in (scales[wrong].min(), scales[wrong].max()))
     coherent = float(np.median(np.abs(sums.scale)))
-    return [
-        Finding(
-            "a wrong flux scale",
-            "all data",
-            f"data are {np.exp(value):.3g} times as large as the model beam's visibilities ({coherent:.3g} with one "
-            f"phase for all baselines; log odds {odds:.0f} against a calibrated scale)",
-            f"calibrate the data ([data] gains), or flux_scale = {factor * problem.job.data.flux_scale:.4g} in [data]",
-            flux_scale=factor,
-        )
-    ]
+    asked = [float(f"{one:.4g}") for one in np.multiply(factors, problem.job.data.flux_scale)]
+    return Finding(
+        "a wrong flux scale",
+        f"channels at {freqs}" if freqs else "all data",
+        f"data are {' to '.join(sizes)} times as large as the model beam's visibilities ({coherent:.3g} with one "
+        f"phase for all baselines; log odds {odds:.0f} against a calibrated scale)",
+        f"calibrate the data ([data] gains), or flux_scale = {asked[0] if len(asked) == 1 else asked} in [data]",
+        flux_scale=factors,
+    )
 
 
-def _log_scales(sums: Sums) -> FloatArray:
-    """Return ln s of every baseline and channel, (Nknown,); nothing where most baselines do not follow the model."""
-    overlap, model, _ = sums.bl_products
+def _weighed(logs: FloatArray) -> tuple[float, float]:
+    """Return the median of ln s_b, (N,), and the log odds that nothing calibrates such data."""
+    value, error = centre_and_spread(logs)
+    return value, log_odds_of_wide(value, error, CALIBRATED if value < 0 else INCOMPLETE, UNCALIBRATED)
+
+
+def _differ(channels: Sequence[FloatArray]) -> bool:
+    """Whether channels, (N,) each, differ by more than the errors of their medians allow."""
+    if len(channels) < 2:
+        return False
+    values, spreads = np.array([centre_and_spread(one) for one in channels]).T
+    errors = np.sqrt(np.pi / 2) * np.maximum(spreads, ROUNDING) / np.sqrt([len(one) for one in channels])
+    weights = errors**-2.0
+    mean = np.sum(weights * values) / weights.sum()
+    return bool(chi2.sf(np.sum(weights * (values - mean) ** 2), len(channels) - 1) < SIGNIFICANT_P)
+
+
+def _log_scales(products: ComplexArray) -> FloatArray:
+    """Return ln s of a channel's baselines, (Nknown,); nothing where most of them do not follow the model.
+
+    ``products``, (3, Nbls), are those of `Sums`.
+    """
+    overlap, model, _ = products
     known = model.real > 0
     power = np.where(known, model.real, 1.0)
     explained = (np.abs(overlap) ** 2 / power - 1)[known]

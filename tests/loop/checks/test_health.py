@@ -16,6 +16,7 @@ from pyuvdata import UVData
 
 from hydrabeam_mpi.cli import main
 from hydrabeam_mpi.config import load_job
+from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.inference.robust import LOG_STD, outliers
 from hydrabeam_mpi.io.reading import quiet
 from hydrabeam_mpi.loop.checks.bad_ends import by_antenna
@@ -137,10 +138,30 @@ def test_raw_data(job: dict[str, Any], folder: Path, with_phases: bool) -> None:
 
     (one,) = found(job, folder, files=damaged(folder, uncalibrate))
     assert one.what == "a wrong flux scale"
-    assert one.flux_scale == pytest.approx(1 / 1.5e-4, rel=0.1)
-    assert f"flux_scale = {one.flux_scale:.4g} in [data]" in one.remedy
+    assert one.flux_scale == pytest.approx((1 / 1.5e-4,), rel=0.1)
+    assert f"flux_scale = {one.flux_scale[0]:.5g}" in one.remedy
     # As the remedy says.
-    assert found(job, folder, files=["damaged.uvh5"], flux_scale=one.flux_scale) == []
+    assert found(job, folder, files=["damaged.uvh5"], flux_scale=one.flux_scale[0]) == []
+
+
+@pytest.mark.parametrize("scales", [(1.5e-4, 3e-4), (1.0, 1e3)])
+def test_channels_on_scales_of_their_own(scales: tuple[float, float], job: dict[str, Any], folder: Path) -> None:
+    """Each gets its own; one that is calibrated stays as it is. The amended job says so, too."""
+
+    def uncalibrate(uv: UVData) -> None:
+        uv.data_array *= np.array(scales)[:, None]
+
+    (one,) = found(job, folder, files=damaged(folder, uncalibrate))
+    assert one.what == "a wrong flux scale"
+    assert one.flux_scale == pytest.approx(1 / np.array(scales), rel=0.2)  # as baselines differ
+    assert (one.flux_scale[0] == 1) == (scales[0] == 1)
+    assert one.where == ("all data" if scales[0] != 1 else "channels at 133 MHz")
+    mended = mended_job(load_job(folder / "job.toml"), [one]).data.flux_scale
+    assert mended == one.flux_scale
+    assert f"flux_scale = {list(one.flux_scale)} in [data]" in one.remedy
+    assert found(job, folder, files=["damaged.uvh5"], flux_scale=list(one.flux_scale)) == []
+    with pytest.raises(InputError, match=r"flux_scale: has 3 numbers, and there are 2 channels; give one number"):
+        found(job, folder, files=["damaged.uvh5"], flux_scale=[1.0, 2.0, 3.0])
 
 
 def test_scales_that_conventions_and_beams_explain(job: dict[str, Any], folder: Path) -> None:
