@@ -53,6 +53,8 @@ class Parameters:
         Number of elements from which these were picked; the number of elements where there was no scan.
     nested : bool
         Whether elements are in an order in which none is zero if a later one is not.
+    rare_above : float
+        Size, in units of ``scale``, that no more than one element is expected to exceed, by what is known of them.
     """
 
     names: tuple[str, ...]
@@ -62,6 +64,7 @@ class Parameters:
     nonlinear: BoolArray
     trials: int
     nested: bool = False
+    rare_above: float = np.inf
 
     @classmethod
     def of(

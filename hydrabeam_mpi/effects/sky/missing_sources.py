@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
@@ -27,6 +29,7 @@ MIN_SPACING = np.deg2rad(0.45)  # where an array resolves more, the search has t
 MIN_ALTITUDE = np.deg2rad(5.0)  # that a candidate must reach
 HIGH = np.deg2rad(60.0)  # where sources are placed to simulate with
 AT_MOST = 20
+BRIGHTEST = 10  # sources that tell a catalogue's counts, to a third of N
 MIN_TRIALS = 10
 STEP = 2e-4  # of derivatives by position, in resolutions
 
@@ -63,7 +66,8 @@ class MissingSources(PointSources):
         names, units, scale, nonlinear = zip(*rows, strict=True) if rows else ((), (), (), ())
         element = np.repeat(np.arange(len(self.sources)), len(each))
         trials = max(self.trials, len(self.sources)) if rows else 0
-        return Parameters.of(names, units, np.array(scale, dtype=float), element, nonlinear, trials)
+        made = Parameters.of(names, units, np.array(scale, dtype=float), element, nonlinear, trials)
+        return replace(made, rare_above=brightest_expected(setup.sky))
 
     def refined(self, x: FloatArray, used: IntArray) -> tuple[MissingSources, FloatArray, IntArray]:
         """Return the sources in use where they have been found, with no offsets left, (Nfreqs, n_left)."""
@@ -176,6 +180,16 @@ class MissingSources(PointSources):
         x = parameters.scale * rng.uniform(-0.5, 0.5, len(parameters))
         x[:: _n_each(setup)] = strength
         return x
+
+
+def brightest_expected(sky: Sky) -> float:
+    """Return the flux above which one source is expected, Jy, by the counts of the brightest ones in the catalogue.
+
+    Of counts N(> S) ~ S^-3/2 through the k-th brightest, at S_k, one is above k^2/3 S_k. What a catalogue lacks is of
+    the same kind as what it has.
+    """
+    fluxes = np.sort(sky.flux.mean(axis=0))[::-1][:BRIGHTEST]
+    return float(len(fluxes) ** (2 / 3) * fluxes[-1]) if len(fluxes) and fluxes[-1] > 0 else np.inf
 
 
 def candidates(setup: ObservingSetup, altitude: float = MIN_ALTITUDE) -> tuple[FloatArray, FloatArray]:

@@ -8,14 +8,15 @@ effect. With the prior x ~ N(0, T), T diagonal, the logarithm of the Bayes facto
 Two priors are tried. In the *dense* one every parameter has the width tau times its natural scale. In the *sparse* one
 only some elements (an antenna, a source) are at fault; they are taken one by one while the evidence grows, each with a
 width of its own and at the price of ln(trials); where elements are nested, those before the last one are then in use
-as well. Widths maximise the evidence, which overrates it by about one nat each;
-that is taken off.
+as well. Widths maximise the evidence, which overrates it by about one nat each; that is taken off. An element that is
+larger than any that is expected costs as much more as there are fewer of its size, ln 1/N(> tau).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -27,6 +28,8 @@ from hydrabeam_mpi.loop.rules import RULES
 
 TAUS: FloatArray = np.exp(np.linspace(np.log(1e-7), np.log(1e4), 160))
 """Prior widths tried, in units of an effect's natural scale."""
+COUNTS = 1.5
+"""N(> S) falls as S to minus this: sources that are alike and spread evenly over Euclidean space."""
 
 
 @dataclass(frozen=True)
@@ -89,16 +92,17 @@ def find_evidence(
     scaled = [(scale[:, np.newaxis] * block.information * scale, scale * block.score) for block in blocks]
     spectra = [_spectrum(*block) for block in scaled]
     rank = sum(int(np.count_nonzero(values)) for values, _ in spectra)
-    dense_log, tau = _dense(spectra)
+    n_elements = len(np.unique(parameters.element))
+    dense_log, tau = _dense(spectra, n_elements * _rarity(parameters, TAUS))
     dense_var = np.where(scale > 0, (tau * scale) ** 2, 0.0)
     best = (dense_log, dense_var)
-    if len(np.unique(parameters.element)) > 1 or parameters.trials > 1:
+    if n_elements > 1 or parameters.trials > 1:
         sparse_log, widths = _sparse(scaled, parameters)
         if parameters.nested and widths.any():
             taken, widths = widths, _filled(widths)
             old, new = ((one[parameters.element] * scale) ** 2 for one in (taken, widths))
             sparse_log += log_evidence(blocks, new) - log_evidence(blocks, old)
-        if sparse_log > dense_log or len(np.unique(parameters.element)) < parameters.trials:
+        if sparse_log > dense_log or n_elements < parameters.trials:
             best = (sparse_log, (widths[parameters.element] * scale) ** 2)
     log_bayes_factor, prior_var = best
     return _describe(blocks, log_bayes_factor, prior_var, rank)
@@ -130,9 +134,17 @@ def price_of(parameters: Parameters, prior_var: FloatArray) -> float:
     n_taken = len(np.unique(parameters.element[prior_var > 0]))
     if n_taken == 0:
         return 0.0
+    widest = np.zeros(int(parameters.element.max()) + 1)
+    np.maximum.at(widest, parameters.element[can], widths)
+    rarity = float(np.sum(_rarity(parameters, widest)))
     if np.allclose(widths, widths[0]) and len(np.unique(parameters.element)) >= parameters.trials:
-        return 1.0
-    return float(sum(1 + np.log(max(parameters.trials - n, 1)) - np.log(n + 1) for n in range(n_taken)))
+        return 1.0 + rarity
+    return rarity + float(sum(1 + np.log(max(parameters.trials - n, 1)) - np.log(n + 1) for n in range(n_taken)))
+
+
+def _rarity(parameters: Parameters, widths: FloatArray | float) -> Any:
+    """Return the nats that an element of these widths costs because fewer than one of its size is expected."""
+    return COUNTS * np.log(np.maximum(np.asarray(widths) / parameters.rare_above, 1.0))
 
 
 def _spectrum(information: FloatArray, score: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -149,9 +161,9 @@ def _log_bayes_factors(values: FloatArray, projections: FloatArray) -> FloatArra
     return np.sum(-0.5 * np.log(grown) + 0.5 * tau2 * projections**2 / grown, axis=-1)
 
 
-def _dense(spectra: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[float, float]:
-    """Return ln BF and tau for the prior that is the same for all."""
-    total = np.zeros(len(TAUS))
+def _dense(spectra: Sequence[tuple[FloatArray, FloatArray]], price: FloatArray) -> tuple[float, float]:
+    """Return ln BF and tau for the prior that is the same for all; a width has its ``price``, (Ntaus,)."""
+    total = -price
     for spectrum in spectra:
         total += _log_bayes_factors(*spectrum)
     best = int(total.argmax())
@@ -166,7 +178,7 @@ def _sparse(scaled: Sequence[tuple[FloatArray, FloatArray]], parameters: Paramet
     can = np.bincount(parameters.element, weights=parameters.scale > 0, minlength=len(members)) > 0
     log_bayes_factor = 0.0
     for n_taken in range(min(len(members), max(4, len(members) // 2))):
-        gains, taus = _element_gains(working, members)
+        gains, taus = _element_gains(working, members, _rarity(parameters, TAUS))
         # The k elements may be picked in any order.
         gains += np.log(n_taken + 1) - np.log(max(parameters.trials - n_taken, 1)) - 1.0
         gains[widths > 0] = -np.inf
@@ -201,11 +213,11 @@ def _members(parameters: Parameters) -> np.ndarray:
 
 
 def _element_gains(
-    working: Sequence[tuple[FloatArray, FloatArray]], members: np.ndarray
+    working: Sequence[tuple[FloatArray, FloatArray]], members: np.ndarray, price: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return by how much each element alone would raise ln BF, and at which prior width."""
+    """Return by how much each element alone would raise ln BF, and at which prior width, each at its ``price``."""
     present = members >= 0
-    total = np.zeros((len(TAUS), len(members)))
+    total = np.tile(-price[:, np.newaxis], len(members))
     for information, score in working:
         corner = information[members[:, :, np.newaxis], members[:, np.newaxis, :]]
         corner = np.where(present[:, :, np.newaxis] & present[:, np.newaxis, :], corner, 0.0)

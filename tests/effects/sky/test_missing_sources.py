@@ -6,7 +6,7 @@ import pytest
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.shared.point_sources import resolution
-from hydrabeam_mpi.effects.sky.missing_sources import MissingSources, candidates
+from hydrabeam_mpi.effects.sky.missing_sources import MissingSources, brightest_expected, candidates
 from hydrabeam_mpi.model.positions import ApparentPositions
 from hydrabeam_mpi.model.sky import Sky, concatenate, separation
 from hydrabeam_mpi.random import generator
@@ -143,3 +143,18 @@ def test_described_from_where_they_are_they_are_the_same() -> None:
     assert nothing.sources == ()
     assert empty.shape == (2, 0)
     assert not len(none)
+
+
+def test_more_than_one_source_is_not_expected_above_the_counts() -> None:
+    """By counts that fall as S^-3/2: one of many skies in three has none there, and what is fainter costs nothing."""
+    brightest, expected = [], []
+    for seed in range(300):
+        u = generator(seed, "counts").uniform(size=500)
+        sky = Sky(np.zeros(500), np.zeros(500), np.stack([u ** (-2 / 3), 3 * u ** (-2 / 3)]))
+        brightest.append(sky.flux.mean(axis=0).max())
+        expected.append(brightest_expected(sky))
+    assert np.median(expected) == pytest.approx(2 * 500 ** (2 / 3), rel=0.1)
+    assert np.mean(np.array(brightest) < 2 * 500 ** (2 / 3)) == pytest.approx(np.exp(-1), abs=0.1)
+    setup = small_setup()
+    assert two_sources(setup).parameters(setup).rare_above == brightest_expected(setup.sky)
+    assert np.isinf(brightest_expected(Sky(np.zeros(0), np.zeros(0), np.zeros((1, 0)))))

@@ -11,7 +11,7 @@ from scipy.stats import multivariate_normal
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.effect import Parameters
-from hydrabeam_mpi.loop.attribution.evidence import TAUS, Evidence, Likelihood, find_evidence, solve
+from hydrabeam_mpi.loop.attribution.evidence import TAUS, Evidence, Likelihood, find_evidence, price_of, solve
 from hydrabeam_mpi.random import generator
 
 N_DATA, N_MODES = 40, 6
@@ -342,3 +342,27 @@ def test_combinations_that_do_nothing_are_no_information(seed: int) -> None:
     np.testing.assert_allclose(block.freed(alike).information, block.information, atol=1e-9 * largest)
     evidence = find_evidence([block], of_elements(2, 3), alike)
     np.testing.assert_allclose(evidence.x[0, :3] - evidence.x[0, 3:], np.ones(3), rtol=1e-4)
+
+
+@pytest.mark.parametrize("rare_above", [1e-3, 1e3])
+def test_elements_larger_than_any_that_is_expected_cost_their_rarity(rare_above: float) -> None:
+    """Counts fall as the power -3/2 of the size; what is within them costs what it did, and has the same width."""
+    parameters = of_elements(5, 1, trials=50)
+    model = make_model(5, 3, x=np.array([0.0, 40.0, 0.0, 0.0, 0.0]))
+    usual = find_evidence([model.likelihood], parameters)
+    rare = replace(parameters, rare_above=rare_above)
+    found = find_evidence([model.likelihood], rare)
+    assert taken_elements(found, rare) == taken_elements(usual, parameters) == [1]
+    width = float(np.sqrt(found.prior_var.max()))
+    rarity = 1.5 * max(np.log(width / rare_above), 0.0)
+    assert price_of(rare, found.prior_var) == pytest.approx(price_of(parameters, found.prior_var) + rarity)
+    price = price_of(rare, found.prior_var)
+    assert found.log_bayes_factor == pytest.approx(brute_force([model], found.prior_var) - price, rel=1e-9)
+    if rare_above > 40:
+        assert found.log_bayes_factor == usual.log_bayes_factor
+    else:
+        assert width < float(np.sqrt(usual.prior_var.max()))
+    # All alike in the dense prior, each at its price.
+    dense = np.full(5, 4.0)
+    alike = of_elements(5, 1)
+    assert price_of(replace(alike, rare_above=0.5), dense) == pytest.approx(1 + 5 * 1.5 * np.log(4))
