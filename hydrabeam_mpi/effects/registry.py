@@ -25,6 +25,7 @@ EFFECTS: Registry[Effect] = Registry(
     "instrument.cross_coupling",
     "instrument.auto_coupling",
     "instrument.mutual_coupling",
+    "instrument.closure_errors",
     "sky.missing_sources",
     "sky.catalogue_flux",
     "sky.diffuse",

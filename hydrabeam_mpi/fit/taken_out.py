@@ -16,7 +16,8 @@ from hydrabeam_mpi.fit.state import Active, Fitted, Values
 class Parts(NamedTuple):
     """What data consist of, each (Nlocal, Ntimes, Nbls), Jy, baselines as they are stored.
 
-    ``corrected`` is ``model`` plus ``residual``, and C (``corrected`` + ``added``) the data.
+    ``corrected`` is ``model`` plus ``residual``, and g_j g_k* (``corrected`` + ``added``) the data. Factors of single
+    baselines are part of what is added.
     """
 
     corrected: ComplexArray
@@ -33,6 +34,7 @@ def take_out(context: FitContext, fitted: Fitted) -> tuple[Parts, NDArray[np.boo
     at, data = fitted.estimate, context.test
     rows, added = data.calibrated(at)
     _, taken = data.effects_of(at, [one for one in fitted.values.active if _is_taken_out(one, context.setup)])
+    factor, _ = data.effects_of(at, [one for one in fitted.values.active if _is_of_baselines(one)])
     model = np.zeros_like(taken)
     for channel in range(len(model)):
         for span, block, _ in data.row_blocks(channel, at, added[channel], rows):
@@ -40,6 +42,7 @@ def take_out(context: FitContext, fitted: Fitted) -> tuple[Parts, NDArray[np.boo
     model -= taken
     corrected = rows.data + added - taken
     flipped = context.setup.redundant.flipped[rows.tile.bls]
+    taken = factor * (corrected + taken) - corrected
     parts = (np.where(flipped, one.conj(), one) for one in (corrected, model, corrected - model, taken))
     return Parts(*parts), rows.inv_noise_var > 0
 
@@ -51,6 +54,11 @@ def antenna_gains(setup: ObservingSetup, values: Values) -> ComplexArray:
         for channel in range(len(gains) if one.effect.multiplies else 0):
             gains[channel] *= one.effect.gains(setup, channel, one.x[channel])
     return gains
+
+
+def _is_of_baselines(one: Active) -> bool:
+    """Whether an effect multiplies single baselines, for which no gains of antennas stand."""
+    return one.effect.multiplies and one.effect.local == "baselines"
 
 
 def _is_taken_out(one: Active, setup: ObservingSetup) -> bool:

@@ -47,7 +47,7 @@ def corrected(nights: Nights) -> Path:
 
 @pytest.fixture(scope="module")
 def coupled(nights: Nights) -> Path:
-    """A result with a coupling besides, which the data do not have."""
+    """A result with a coupling and a baseline's factor besides, which the data do not have."""
     job = tomllib.loads((nights.result / "amended.toml").read_text())
     coupling = {
         "kind": "cross_coupling",
@@ -57,7 +57,12 @@ def coupled(nights: Nights) -> Path:
         "values": [[1e-5, 0.0]] * 2,
         "prior_std": [1e-4, 1e-4],
     }
-    job["effects"].append(coupling)
+    factor = coupling | {
+        "kind": "closure_errors",
+        "settings": {"baselines": [[2, 5]]},
+        "names": ["baseline 2-5 ln amplitude", "baseline 2-5 phase"],
+    }
+    job["effects"] += [coupling, factor]
     path = nights.folder / "coupled.toml"
     path.write_text(tomli_w.dumps(job))
     assert main(["infer", str(path), "-o", str(nights.folder / "coupled")]) == 0
@@ -102,7 +107,7 @@ def test_put_in_again_they_are_the_data_on_any_number_of_ranks(
     uvcalibrate(again, UVCal.from_file(str(tmp_path / "one" / "gains.calfits")), undo=True)
     np.testing.assert_allclose(again.data_array, data.data_array, rtol=1e-12)
     added = crosses(tmp_path / "one" / "added.uvh5")
-    assert [pair for pair in added.get_antpairs() if added.get_data(pair).any()] == [(1, 4)]
+    assert [pair for pair in added.get_antpairs() if added.get_data(pair).any()] == [(1, 4), (2, 5)]
 
 
 def test_other_data_in_python(nights: Nights) -> None:

@@ -79,7 +79,8 @@ def test_what_multiplies_are_gains_of_antennas(kind: str) -> None:
     gains = effect.gains(block.setup, block.channel, x)
     assert gains.shape == (block.setup.observation.Nants,)
     product = np.broadcast_to(gains[block.ant1] * gains[block.ant2].conj(), block.shape)
-    np.testing.assert_allclose(product, effect.factor(block, x), rtol=1e-13)
+    factor = np.ones(block.shape) if effect.local == "baselines" else effect.factor(block, x)
+    np.testing.assert_allclose(product, factor, rtol=1e-13)
 
 
 def test_times_and_noise_are_those_of_their_own_data() -> None:

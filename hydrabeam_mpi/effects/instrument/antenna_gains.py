@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from hydrabeam_mpi.data.limits import LARGEST
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.effects.shared.per_antenna import antenna_parameters, common_values, row_antennas, row_parameters
-
-LARGEST_LN = float(np.log(LARGEST))
-"""Of the product of two gains, from where a fit may start but does not stay: its square is still a double."""
+from hydrabeam_mpi.effects.shared.per_antenna import (
+    LARGEST_LN,
+    antenna_parameters,
+    common_values,
+    row_antennas,
+    row_parameters,
+)
 
 
 class AntennaGains(Effect):

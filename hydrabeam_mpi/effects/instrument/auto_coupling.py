@@ -25,7 +25,6 @@ class AutoCoupling(PerBaseline):
     kind = "auto_coupling"
     title = "coupling of autocorrelations"
     linear = True
-    unit = ""
     scale = 1e-3
 
     def not_applicable(self, setup: ObservingSetup) -> str | None:
@@ -36,6 +35,6 @@ class AutoCoupling(PerBaseline):
             return "what varies as the autocorrelation shows only at several times; there is one"
         return None
 
-    def history(self, block: RowBlock) -> FloatArray:
-        """Return the model's autocorrelation, Jy, (Ntimes,)."""
-        return beam_visibilities(block, np.zeros((1, 3)))[:, 0].real
+    def signature(self, block: RowBlock) -> FloatArray:
+        """Return the model's autocorrelation, Jy, (Ntimes, 1)."""
+        return beam_visibilities(block, np.zeros((1, 3))).real

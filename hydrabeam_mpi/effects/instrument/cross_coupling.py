@@ -21,7 +21,7 @@ class CrossCoupling(PerBaseline):
     kind = "cross_coupling"
     title = "constant cross-coupling"
     linear = True
-    unit = "Jy"
+    units = ("Jy", "Jy")
     scale = 1.0
 
     def not_applicable(self, setup: ObservingSetup) -> str | None:
@@ -30,6 +30,6 @@ class CrossCoupling(PerBaseline):
             return "what is constant in time shows only at several times; there is one"
         return None
 
-    def history(self, block: RowBlock) -> FloatArray:
-        """Return ones, (Ntimes,)."""
-        return np.ones(len(block.times))
+    def signature(self, block: RowBlock) -> FloatArray:
+        """Return ones, (Ntimes, 1)."""
+        return np.ones((len(block.times), 1))

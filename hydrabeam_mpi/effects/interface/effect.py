@@ -238,7 +238,10 @@ class Effect(InOtherData, HasLimits, Cause):
         return np.ones(block.shape, dtype=complex)
 
     def gains(self, setup: ObservingSetup, channel: int, x: FloatArray) -> ComplexArray:
-        """Return the gains g of all antennas in a channel, (Nants,), with C = g_j g_k*; one for effects that add."""
+        """Return the gains g of all antennas in a channel, (Nants,), with C = g_j g_k*.
+
+        One for effects that add, and for such as multiply single baselines.
+        """
         return np.ones(setup.observation.Nants, dtype=complex)
 
     def refined(self, x: FloatArray, used: IntArray) -> tuple[Effect, FloatArray, IntArray]:

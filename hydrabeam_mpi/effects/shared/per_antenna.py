@@ -6,10 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hydrabeam_mpi.data.limits import LARGEST
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
+
+LARGEST_LN = float(np.log(LARGEST))
+"""Of the product of two gains, from where a fit may start but does not stay: its square is still a double."""
 
 
 def antenna_parameters(

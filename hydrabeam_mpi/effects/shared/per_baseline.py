@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any, ClassVar, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Columns, Parameters, ScannedEffect
@@ -14,13 +15,11 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.errors import InputError
 
-PARTS = ("real", "imaginary")
-
 
 class PerBaseline(ScannedEffect):
-    """A complex amplitude of each baseline and channel, with a time dependence p(t) that all share: E_ij = x_ij p(t).
+    """A complex number x_ij of each baseline and channel that changes V_ij by x_ij p_ij(t), with p what is known.
 
-    Amplitudes are those of the baseline in its group's sense, which is also that of the parameters' names; they are
+    These are those of the baseline in its group's sense, which is also that of the parameters' names; they are
     conjugated where the data have the baseline the other way round.
 
     Parameters
@@ -30,15 +29,17 @@ class PerBaseline(ScannedEffect):
     """
 
     local = "baselines"
-    unit: ClassVar[str]
+    parts: ClassVar[tuple[str, str]] = ("real", "imaginary")
+    """What the number consists of; the second part changes its sign with the baseline's sense."""
+    units: ClassVar[tuple[str, str]] = ("", "")
     scale: ClassVar[float]
 
     def __init__(self, baselines: Sequence[Sequence[int]] = ()) -> None:
         self.baselines = tuple((int(one), int(two)) for one, two in baselines)
 
     @abstractmethod
-    def history(self, block: RowBlock) -> FloatArray:
-        """Return p at the block's times, (Ntimes,), real."""
+    def signature(self, block: RowBlock) -> NDArray[Any]:
+        """Return p, (Ntimes, Nbls), or (Ntimes, 1) where all baselines share it."""
 
     def describe(self) -> dict[str, Any]:
         """Return the baselines."""
@@ -54,39 +55,43 @@ class PerBaseline(ScannedEffect):
         known = {}
         for number, name in enumerate(names):
             one, two = self.baselines[number // 2]
-            part = PARTS[number % 2]
+            part = self.parts[number % 2]
             for called in (f"baseline {one}-{two} {part}", f"baseline {two}-{one} {part}"):
-                known[called] = number, -1.0 if called != name and part == PARTS[1] else 1.0
+                known[called] = number, -1.0 if called != name and number % 2 else 1.0
         return known
 
     def parameters(self, setup: ObservingSetup) -> Parameters:
-        """Return real and imaginary part of every baseline."""
+        """Return both parts of every baseline's number."""
         pairs = _group_pairs(setup)[self._places(setup)]
-        names = [f"baseline {one}-{two} {part}" for one, two in pairs.tolist() for part in PARTS]
+        names = [f"baseline {one}-{two} {part}" for one, two in pairs.tolist() for part in self.parts]
         element = np.repeat(np.arange(len(pairs)), 2)
-        return Parameters.of(names, self.unit, self.scale, element, trials=self.n_hypotheses(setup))
+        return Parameters.of(names, self.units * len(pairs), self.scale, element, trials=self.n_hypotheses(setup))
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return p and i p, where a row is one of the baselines; ``x`` is (n_params,)."""
         n = len(self.baselines)
         if not n:
             return Columns(np.zeros((*block.shape, 0), dtype=complex), 0)
-        element = np.full(len(block.setup.observation.antpairs), -1)
-        element[self._places(block.setup)] = np.arange(n)
-        element = element[block.bls, np.newaxis]
+        element = self.elements(block)[:, np.newaxis]
         parts = np.where(element >= 0, np.array([1, 1j]), 0)
-        values = self.history(block)[:, np.newaxis, np.newaxis] * parts
+        values = self.signature(block)[..., np.newaxis] * parts
         return Columns(values, 2 * n, 2 * np.maximum(element, 0) + np.arange(2))
+
+    def elements(self, block: RowBlock) -> IntArray:
+        """Return which of the effect's baselines each row is, -1 where it is none, (Nbls,)."""
+        element = np.full(len(block.setup.observation.antpairs), -1)
+        element[self._places(block.setup)] = np.arange(len(self.baselines))
+        return element[block.bls]
 
     def n_hypotheses(self, setup: ObservingSetup) -> int:
         """Return the number of baselines."""
         return len(setup.observation.antpairs)
 
     def scan(self, block: RowBlock) -> tuple[FloatArray, FloatArray]:
-        """Return the sums for real and imaginary part of every baseline, (Nbls, 2)."""
-        weighted = block.weights * self.history(block)[:, np.newaxis]
-        told: ComplexArray = np.sum(weighted * block.residual, axis=0)
-        power = np.sum(weighted * self.history(block)[:, np.newaxis], axis=0)
+        """Return the sums for both parts of every baseline, (Nbls, 2)."""
+        signature = self.signature(block)
+        told: ComplexArray = np.sum(block.weights * signature.conj() * block.residual, axis=0)
+        power: FloatArray = np.sum(block.weights * np.abs(signature) ** 2, axis=0)
         sums, norms = (np.zeros((self.n_hypotheses(block.setup), 2)) for _ in range(2))
         sums[block.bls] = np.stack([told.real, told.imag], axis=-1)
         norms[block.bls] = power[:, np.newaxis]

@@ -7,6 +7,7 @@ from functools import partial
 from tests.validation.undeclared import (
     absorbed,
     beam_errors,
+    closure,
     conventions,
     coupling,
     faults,
@@ -40,6 +41,7 @@ EFFECTS = {
         Kind("cable_reflections", gains.cable_reflections, 3e-4, 0.1, "", BAND),
         Kind("cross_coupling", coupling.cross_coupling, 0.03, 10.0, "Jy", FINE),
         Kind("auto_coupling", coupling.auto_coupling, 1e-3, 0.1, "", FINE),
+        Kind("closure_errors", closure.closure_errors, 3e-3, 0.3, ""),
         Kind("mutual_coupling", coupling.mutual_coupling, 1e-4, 0.03, ""),
         Kind("missing_sources", skies.missing_sources, 0.015, 10.0, "Jy"),
         Kind("catalogue_flux", skies.catalogue_flux, 3e-3, 0.5, ""),
@@ -67,6 +69,7 @@ STRONG = {
         Kind("diffuse_of_few", skies.diffuse, 0.5, 20.0, "kJy/sr", SMALL, "diffuse"),
         Kind("one_gain", partial(gains.antenna_gains, counts=(1,)), 3e-3, 0.3, "", effect="antenna_gains"),
         Kind("centred_delays", partial(gains.antenna_delays, counts=(2,), centred=True), 0.01, 3.0, "ns", BAND, DELAYS),
+        Kind("decorrelation", closure.decorrelation, 0.01, 0.3, "", effect="closure_errors"),
         Kind("two_couplings", partial(coupling.cross_coupling, counts=(2,)), 0.3, 10.0, "Jy", effect="cross_coupling"),
     )
 }
@@ -99,7 +102,6 @@ UNKNOWN = {
     kind.name: kind
     for kind in (
         Kind("drifting_beam", unknown.drifting_beam, 0.003, 0.1, ""),
-        Kind("decorrelation", unknown.decorrelation, 0.01, 0.3, ""),
         Kind("drifting_noise", unknown.drifting_noise, 0.1, 3.0, ""),
         Kind("moving_source", unknown.moving_source, 0.1, 30.0, "Jy", Plan(n_times=40, cadence=60.0)),
         Kind("wandering_source", unknown.wandering_source, 0.3, 30.0, "arcmin", BAND),

@@ -117,17 +117,17 @@ def read_plain(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], fl
 def read_baselines(
     parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]
 ) -> Found:
-    """Read "baseline 3-17 real"; where the loop has it the other way round, the imaginary part changes its sign."""
+    """Read "baseline 3-17 real"; where the loop has it the other way round, the second part changes its sign."""
     out: Found = {}
     for name, (value, std) in averaged(parameters).items():
-        match = re.fullmatch(r"baseline (\d+)-(\d+) (real|imaginary)", name)
+        match = re.fullmatch(r"baseline (\d+)-(\d+) (real|imaginary|ln amplitude|phase)", name)
         if match is None:
             continue
         one, two, part = match.groups()
         for first, second, sign in ((one, two, 1), (two, one, -1)):
             key = (f"baseline {first}-{second}", part)
             if key in truth:
-                out[key] = (sign * value if part == "imaginary" else value), std
+                out[key] = (sign * value if part in ("imaginary", "phase") else value), std
     return out
 
 
@@ -228,6 +228,7 @@ def read_noise(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], fl
 READERS: dict[str, Callable[[list[dict[str, Any]], dict[tuple[str, str], float], dict[str, Any]], Found]] = {
     "cross_coupling": read_baselines,
     "auto_coupling": read_baselines,
+    "closure_errors": read_baselines,
     "cable_reflections": read_reflections,
     "missing_sources": read_sources,
     "catalogue_flux": read_fluxes,

@@ -203,7 +203,7 @@ def test_faults_must_be_told_in_full(case, truth, remedy, right):
         ),
         ("cables_swapped", {"antennas": [3, 4]}, "exclude_antennas = [3, 4] in [data]", []),
         ("bad_integrations", {"times": [1]}, "exclude_times = [[1.9, 3.1]] in [data]", ["bad integration: 2"]),
-        ("decorrelation", {"antpairs": [[9, 2]]}, "exclude_baselines = [[2, 9]] in [data]", []),
+        ("board_drops_packets", {"antpairs": [[9, 2]]}, "exclude_baselines = [[2, 9]] in [data]", []),
         ("jitter", None, "exclude_baselines = [[2, 9]] in [data]", ["bad baseline: 2-9"]),
         ("null", None, "flux_scale = 1.3 in [data]", ["wrong flux scale"]),
         ("convention: halved", None, "flux_scale = 2.0 in [data]", []),

@@ -13,6 +13,7 @@ KNOWN = [
     ("antenna_delays", 1001),
     ("missing_sources", 7),
     ("catalogue_flux", 8),
+    ("decorrelation", 393),
     ("antenna_positions", 10),
     ("timestamp", 11),
     ("antenna_pointing", 12),
@@ -58,7 +59,6 @@ def test_a_wrong_convention_is_named_as_such():
     [
         ("gain_jump", 17),
         ("gain_jump", 361),  # a third of a per cent
-        ("decorrelation", 393),
         ("moving_source", 330),  # chi^2 of 233 among 6840 data
         ("drifting_noise", 6002),  # which makes anything with many parameters predict better by being less sure
         ("correlated_noise", 6000),  # of one baseline, whose large rows are no outliers

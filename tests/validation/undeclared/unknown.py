@@ -27,20 +27,6 @@ def drifting_beam(truth: Truth, rng: np.random.Generator, strength: float) -> Dr
     return Drawn(n_params=2)
 
 
-def decorrelation(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
-    """Four baselines without an antenna in common lose a part of about ``strength`` each, all the time."""
-    left = list(rng.permutation(truth.setting.n_ants))
-    chosen = []
-    for _ in range(4):
-        two = {left.pop(), left.pop()}
-        chosen.append(next(bl for bl, pair in enumerate(truth.setting.antpairs.tolist()) if set(pair) == two))
-    factor = np.ones((truth.setting.n_ants, truth.setting.n_ants))
-    one, two = truth.setting.antpairs[chosen].T
-    factor[one, two] = factor[two, one] = 1 - strength * rng.uniform(0.7, 1.0, len(chosen))
-    truth.corruptions.append(lambda vis: vis * factor)
-    return Drawn(where=Where(antpairs=pairs(truth, chosen)), n_params=len(chosen))
-
-
 def drifting_noise(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
     """The noise grows over the night, by the part ``strength`` until its end."""
     n_times = len(truth.setting.times)

@@ -1,0 +1,50 @@
+"""Closure errors: V_ij -> f_ij V_ij with a factor f = exp(a + i phi) of single baselines, constant in time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.shared.per_antenna import LARGEST_LN
+from hydrabeam_mpi.effects.shared.per_baseline import PerBaseline
+
+AT_MOST = 100
+"""Baselines that are compared together, at a third of the time that all candidates of a scan take. Where more of them
+are at fault something else is."""
+
+
+class ClosureErrors(PerBaseline):
+    """What a correlator does to a baseline beyond what it does to the two antennas, each channel its own.
+
+    Losses of one of its boards, say, or unlike bandpasses of two antennas averaged over a channel. Such factors close
+    neither in phase nor in amplitude, by which the data tell them from gains.
+    """
+
+    kind = "closure_errors"
+    title = "closure errors"
+    linear = True
+    multiplies = True
+    parts = ("ln amplitude", "phase")
+    units = ("", "rad")
+    scale = 0.1
+
+    def at(self, setup: ObservingSetup, hypotheses: IntArray) -> ClosureErrors:
+        """Return the effect on the first of these baselines; ``hypotheses`` is (Nchosen,)."""
+        return super().at(setup, hypotheses[:AT_MOST])
+
+    def degenerate_directions(self, setup: ObservingSetup) -> FloatArray:
+        """Return the amplitude that all baselines have in common, where all are meant, (n_directions, n_params)."""
+        n = len(self.baselines)
+        return np.tile([1.0, 0.0], (int(n == self.n_hypotheses(setup)), n)) / np.sqrt(max(n, 1))
+
+    def signature(self, block: RowBlock) -> ComplexArray:
+        """Return the model's visibilities, Jy, (Ntimes, Nbls)."""
+        return block.vis
+
+    def factor(self, block: RowBlock, x: FloatArray) -> ComplexArray:
+        """Return f of every row, (Ntimes, Nbls)."""
+        element = self.elements(block)
+        logarithm = np.append(x[0::2].clip(-LARGEST_LN, LARGEST_LN) + 1j * x[1::2], 0.0)
+        return np.broadcast_to(np.exp(logarithm[element]), block.shape)

@@ -1,0 +1,32 @@
+import numpy as np
+
+from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
+from hydrabeam_mpi.effects.instrument.closure_errors import ClosureErrors
+from tests.effects.small import matrix_at, small_block, small_setup
+
+
+def test_known_truth() -> None:
+    """What the data as measured have on a baseline that its group has the other way round is conjugated."""
+    setup = small_setup(n_times=4)
+    block = small_block(setup)
+    flipped = np.flatnonzero(setup.redundant.flipped)
+    bls = np.array([flipped[0], np.flatnonzero(~setup.redundant.flipped)[0]])
+    factor = ClosureErrors().at(setup, bls).factor(block, np.array([np.log(0.5), 0.3, np.log(1.2), -0.1]))
+    expected = np.ones(block.shape, dtype=complex)
+    expected[:, bls[0]], expected[:, bls[1]] = 0.5 * np.exp(-0.3j), 1.2 * np.exp(-0.1j)
+    np.testing.assert_allclose(np.where(setup.redundant.flipped, factor.conj(), factor), expected, rtol=1e-14)
+
+
+def test_of_all_baselines_the_scale_is_that_of_the_beam() -> None:
+    """And gains of antennas are a combination of them."""
+    setup = small_setup(n_times=4)
+    block = small_block(setup)
+    every = ClosureErrors().at(setup, np.arange(setup.observation.Nbls))
+    (held,) = every.degenerate_directions(setup)
+    change = matrix_at(every, block, np.zeros(len(held))) @ held
+    np.testing.assert_allclose(change, block.vis / np.sqrt(setup.observation.Nbls), rtol=1e-12)
+    assert not len(ClosureErrors().at(setup, np.arange(5)).degenerate_directions(setup))
+    x = np.linspace(-0.5, 0.4, 2 * setup.observation.Nants)
+    factor = AntennaGains().factor(block, x)[0]
+    own = np.stack([np.log(np.abs(factor)), np.angle(factor)], axis=1).ravel()
+    np.testing.assert_allclose(every.factor(block, own)[0], factor, rtol=1e-12)
