@@ -28,6 +28,7 @@ EFFECTS: Registry[Effect] = Registry(
     "instrument.closure_errors",
     "sky.missing_sources",
     "sky.catalogue_flux",
+    "sky.spectral_index",
     "sky.diffuse",
     "instrument.antenna_positions",
     "instrument.timestamp",

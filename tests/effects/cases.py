@@ -52,6 +52,8 @@ CASES = {
     "missing_sources": Case(strengths=(20.0,), scan=MAPS),
     "mutual_coupling": Case({"n_shells": 2}),
     "nonredundant_beams": Case(strengths=(0.2,), exact="at zero", step=1e-3),
+    # One channel tells flux from index by no more than products.
+    "spectral_index": Case(strengths=(0.05, 2.0), scan=MAPS),
     "timestamp": Case(strengths=(1.0, 200.0), step=3e-3),
 }
 

@@ -192,6 +192,7 @@ LACKING: dict[str, Callable[[ObservingSetup], ObservingSetup]] = {
 REFUSED = {
     ("antenna_delays", "one channel"): "several channels",
     ("cable_reflections", "one channel"): "4 channels",
+    ("spectral_index", "one channel"): "several channels",
     ("cross_coupling", "one time"): "several times",
     ("auto_coupling", "one time"): "several times",
     ("auto_coupling", "unlike feeds"): "equal feeds",

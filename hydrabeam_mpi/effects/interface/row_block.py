@@ -125,7 +125,7 @@ class RowBlock:
                 self.places[itime] = self.positions.above_horizon(itime)
             index, za, az = self.places[itime]
         flux = setup.sky.flux[self.channel, index]
-        sources = Sources(index, za, az, flux, self.beam)
+        sources = Sources(index, za, az, flux, self.beam, freq=self.freq)
         for effect, x in self.sky_effects:
             change = effect.sky_factor(setup, sources, x) - 1
             # Two of a kind add up, as more parameters of one do.

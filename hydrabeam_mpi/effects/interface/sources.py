@@ -31,6 +31,8 @@ class Sources:
         The current beam.
     factors : dict of str to ndarray, (Nsrc,)
         What effects of each kind multiply the fluxes with.
+    freq : float
+        Hz, the block's.
     """
 
     index: IntArray
@@ -39,6 +41,7 @@ class Sources:
     flux: FloatArray
     beam_function: Beam
     factors: dict[str, FloatArray] = field(default_factory=dict)
+    freq: float = 0.0
 
     def flux_without(self, kind: str = "") -> FloatArray:
         """Return the fluxes with the factors of all effects that change the sky but those of one kind, (Nsrc,)."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from typing import Self
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Columns, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
@@ -47,21 +48,27 @@ class CatalogueFlux(PointSources):
     title = "fluxes of catalogue sources"
     linear = True
 
-    def carried_over(self, setup: ObservingSetup) -> CatalogueFlux:
+    def carried_over(self, setup: ObservingSetup) -> Self:
         """Return the errors of those of the sources that the catalogue has with which other data are modelled."""
         places = zip(self.sources, *in_radians(self.sources), strict=True)
         sky = setup.sky
         there = [source for source, ra, dec in places if np.any(separation(sky.ra, sky.dec, ra, dec) <= SAME)]
-        return CatalogueFlux(there, self.trials)
+        return type(self)(there, self.trials)
 
     def parameters(self, setup: ObservingSetup) -> Parameters:
         """Return the relative error of every source's flux."""
+        return self.errors(setup, {"relative flux error": 0.1})
+
+    def errors(self, setup: ObservingSetup, each: Mapping[str, float]) -> Parameters:
+        """Return parameters of every source, by name with their natural sizes."""
         n = len(self.sources)
         called = setup.sky.names or ("",) * setup.sky.Nsrc
         index = find(setup.sky, self.sources)
         names = [called[i] or f"source {place(*source)}" for i, source in zip(index, self.sources, strict=True)]
-        trials = max(self.trials, n) if n else 0
-        return Parameters.of([f"{name}: relative flux error" for name in names], "", 0.1, np.arange(n), trials=trials)
+        names, scale = [f"{name}: {error}" for name in names for error in each], np.tile([*each.values()], n)
+        return Parameters.of(
+            names, "", scale, np.repeat(np.arange(n), len(each)), trials=max(self.trials, n) if n else 0
+        )
 
     def sky_factor(self, setup: ObservingSetup, sources: Sources, x: FloatArray) -> FloatArray:
         """Return one plus the relative error of those sources that are in error, (Nsrc,)."""
@@ -71,6 +78,10 @@ class CatalogueFlux(PointSources):
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return the sources' visibilities, less what other effects take of their fluxes; ``x`` is (n_params,)."""
+        return Columns(self.seen(block), len(self.sources), by_group=True)
+
+    def seen(self, block: RowBlock) -> ComplexArray:
+        """Return the sources' visibilities, less what other effects take of their fluxes, (Ntimes, Ngroups, n)."""
         sky = block.setup.sky
         index = find(sky, self.sources)
         values = responses(block, sky.ra[index], sky.dec[index])
@@ -78,7 +89,7 @@ class CatalogueFlux(PointSources):
             sources, flux = block.sources(itime), np.zeros(sky.Nsrc)
             flux[sources.index] = sources.flux_without(self.kind)
             seen *= flux[index]
-        return Columns(values, len(index), by_group=True)
+        return values
 
     def beyond(self, x: FloatArray, std: FloatArray) -> FloatArray:
         """Refuse errors below -1, by which a flux would be below zero; see `Effect.beyond`."""
@@ -93,7 +104,7 @@ class CatalogueFlux(PointSources):
         projection, power = dirty_map(block, block.setup.sky.select(_brightest(block.setup.sky)))
         return projection[:, np.newaxis], power[:, np.newaxis]
 
-    def at(self, setup: ObservingSetup, hypotheses: IntArray) -> CatalogueFlux:
+    def at(self, setup: ObservingSetup, hypotheses: IntArray) -> Self:
         """Take these sources, the best first, leaving out those that better ones cannot be told from.
 
         ``hypotheses`` is (Nchosen,).
@@ -101,9 +112,9 @@ class CatalogueFlux(PointSources):
         sky = setup.sky
         index = _brightest(sky)[hypotheses]
         kept = index[keep_apart(sky.ra[index], sky.dec[index], APART * resolution(setup), AT_MOST)]
-        return CatalogueFlux(in_degrees(sky.ra[kept], sky.dec[kept]), self.n_hypotheses(setup))
+        return type(self)(in_degrees(sky.ra[kept], sky.dec[kept]), self.n_hypotheses(setup))
 
-    def drawn(self, setup: ObservingSetup, rng: np.random.Generator) -> CatalogueFlux:
+    def drawn(self, setup: ObservingSetup, rng: np.random.Generator) -> Self:
         """Take one of the twenty sources that the model beam sees brightest at any time."""
         sky = setup.sky.select(_brightest(setup.sky))
         positions = RotatedPositions(sky, setup.observation)
@@ -113,7 +124,7 @@ class CatalogueFlux(PointSources):
             beam = np.asarray(setup.basis.synthesize(setup.prior_mean[0], za, az)).real
             seen[index] = np.maximum(seen[index], np.abs(beam * sky.flux[0, index]))
         chosen = rng.choice(np.argsort(-seen)[:20], size=1)
-        return CatalogueFlux(in_degrees(sky.ra[chosen], sky.dec[chosen]))
+        return type(self)(in_degrees(sky.ra[chosen], sky.dec[chosen]))
 
     def draw(self, setup: ObservingSetup, rng: np.random.Generator, strength: float) -> FloatArray:
         """Draw errors of ``strength`` x scale, of either sign, (n_params,)."""

@@ -30,7 +30,7 @@ INJECTED: dict[str, dict[str, Any]] = {
     "nonredundant_beams": {"strength": 0.02},
 }
 """A tenth of the natural size where nothing else is said."""
-FREQS = {"cable_reflections": tuple(140e6 + 1e6 * np.arange(4.0)), "antenna_delays": TWO}
+FREQS = {"cable_reflections": tuple(140e6 + 1e6 * np.arange(4.0)), "antenna_delays": TWO, "spectral_index": TWO}
 
 
 def again(context: FitContext, fitted: Fitted, folder: Path) -> Fitted:

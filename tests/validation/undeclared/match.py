@@ -179,10 +179,11 @@ def read_sources(
 
 
 def read_fluxes(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]) -> Found:
-    """Read "source 17: relative flux error"."""
-    tail = ": relative flux error"
+    """Read "source 17: relative flux error", and the error of its spectral index."""
+    tails = {": relative flux error": "relative change of flux", ": error of the spectral index": "change of index"}
     return {
-        (name.removesuffix(tail), "relative change of flux"): pair
+        (name.removesuffix(tail), quantity): pair
+        for tail, quantity in tails.items()
         for name, pair in averaged(parameters).items()
         if name.endswith(tail)
     }
@@ -232,6 +233,7 @@ READERS: dict[str, Callable[[list[dict[str, Any]], dict[tuple[str, str], float],
     "cable_reflections": read_reflections,
     "missing_sources": read_sources,
     "catalogue_flux": read_fluxes,
+    "spectral_index": read_fluxes,
     "timestamp": read_clock,
     "ionosphere": read_shifts,
     "diffuse": read_harmonics,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from astropy_healpix import HEALPix
+from numpy.typing import NDArray
 from scipy.special import sph_harm_y
 
 from tests.validation.undeclared.answer import Drawn, Parameter
@@ -46,12 +47,7 @@ def _mean_scale(truth: Truth) -> float:
 
 def catalogue_flux(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
     """Fluxes of one or three of the strongest sources overhead are wrong by the part ``strength``."""
-    catalogue = truth.catalogue
-    middle = truth.setting.times[len(truth.setting.times) // 2]
-    za, az = altaz(catalogue.ra, catalogue.dec, float(middle))
-    seen = catalogue.flux * truth.setting.model_shape.power(za, az, REFERENCE_FREQ) * (za < np.pi / 2)
-    bright = np.argsort(-seen)[:8]
-    chosen = rng.choice(bright, int(rng.choice([1, 3])), replace=False)
+    catalogue, chosen = truth.catalogue, _some_bright(truth, rng)
     change = strength * rng.choice([-1, 1], len(chosen)) * rng.uniform(0.7, 1.0, len(chosen))
     flux = catalogue.flux.copy()
     flux[chosen] *= np.exp(change)
@@ -61,6 +57,38 @@ def catalogue_flux(truth: Truth, rng: np.random.Generator, strength: float) -> D
         for source, value in zip(chosen, change, strict=True)
     ]
     return Drawn(parameters, n_params=len(chosen))
+
+
+def _some_bright(truth: Truth, rng: np.random.Generator) -> NDArray[np.int_]:
+    """Draw one or three of the strongest sources overhead."""
+    catalogue = truth.catalogue
+    middle = truth.setting.times[len(truth.setting.times) // 2]
+    za, az = altaz(catalogue.ra, catalogue.dec, float(middle))
+    seen = catalogue.flux * truth.setting.model_shape.power(za, az, REFERENCE_FREQ) * (za < np.pi / 2)
+    return np.asarray(rng.choice(np.argsort(-seen)[:8], int(rng.choice([1, 3])), replace=False))
+
+
+def spectral_index(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
+    """Spectra of one or three of the strongest sources overhead are steeper or flatter, by about ``strength``.
+
+    Their fluxes are right at 150 MHz. Signs alternate: beams that follow all bright ones make the others wrong.
+    """
+    catalogue, chosen = truth.catalogue, _some_bright(truth, rng)
+    signs = rng.choice([-1, 1]) * (-1.0) ** np.arange(len(chosen))
+    change = strength * signs * rng.uniform(0.7, 1.0, len(chosen))
+    index = catalogue.index.copy()
+    index[chosen] += change
+    truth.catalogue = Catalogue(catalogue.ra, catalogue.dec, catalogue.flux, index)
+    ratio = truth.setting.freqs.mean() / REFERENCE_FREQ
+    parameters = [
+        parameter
+        for source, value in zip(chosen, change, strict=True)
+        for parameter in (
+            Parameter(f"source {source}", "relative change of flux", "", float(ratio**value - 1)),
+            Parameter(f"source {source}", "change of index", "", float(value)),
+        )
+    ]
+    return Drawn(parameters, n_params=2 * len(chosen))
 
 
 def diffuse(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
