@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from hydrabeam_mpi.api.result import Found, Result, load
@@ -9,11 +10,12 @@ from hydrabeam_mpi.api.setup import Setup
 from hydrabeam_mpi.api.shared import prepare_checked
 from hydrabeam_mpi.config.sections import Holdout, Prior
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.fit.applied import Inferred, apply_fit
+from hydrabeam_mpi.fit.applied import apply_fit
 from hydrabeam_mpi.fit.carried_over import CarriedOver
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Fitted
+from hydrabeam_mpi.io.inferred import Inferred
 from hydrabeam_mpi.loop.checks.health import told
 from hydrabeam_mpi.mpi import Comm, together
 from hydrabeam_mpi.setup.problem import Problem
@@ -42,7 +44,8 @@ def setup_for(result: Result, setup: Setup) -> Setup:
     All rows are used, and what the setup says of basis, prior, hold-out and effects is of no account.
     """
     changes = {"basis": result.job.basis, "prior": Prior(), "holdout": Holdout(kind="none"), "effects": ()}
-    return Setup.of(setup.job.model_copy(update=changes), setup.comm, setup.given, setup.path)
+    given = replace(setup.given, priors=None, earlier=None)
+    return Setup.of(setup.job.model_copy(update=changes), setup.comm, given, setup.path)
 
 
 def apply_result(
@@ -64,7 +67,7 @@ def apply_result(
     inferred = None
     with together(grid.world):
         if grid.is_world_root:
-            inferred = Inferred(result.content, lambda channel: result.beam.covariance_of(channel), result.path)
+            inferred = Inferred.of(result.content, result.path)
             had_effects = isinstance(result, Found) or result.job.effects
             if had_effects and result.content.effects is None:
                 raise InputError(

@@ -12,11 +12,13 @@ from typing import Any, TypedDict
 import numpy as np
 from pydantic import ValidationError
 
+from hydrabeam_mpi.api.result import Result
 from hydrabeam_mpi.config import Job, Section
 from hydrabeam_mpi.config.mistakes import as_input_error
 from hydrabeam_mpi.config.sections import Basis
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.inference.prior import Prior
+from hydrabeam_mpi.io.inferred import Inferred
 from hydrabeam_mpi.setup.given import Given
 
 IN_MEMORY = "in memory: {}"
@@ -74,9 +76,12 @@ def job_of(arguments: Mapping[str, Any], tables: Tables) -> tuple[Job, Given]:
     if "file" in content["sky"]:
         content["sky"]["kind"] = "catalogue"
     noise, variance = _noise(content.get("noise"))
-    prior, priors = _prior(arguments["prior"])
+    before, basis = arguments["prior"], arguments["basis"]
+    if isinstance(before, Result) and basis is None:
+        basis = before.job.basis
+    prior, priors, earlier = _prior(before)
     content |= {"noise": noise, "prior": prior}
-    for name, argument in (("basis", arguments["basis"]), ("holdout", content.get("holdout"))):
+    for name, argument in (("basis", basis), ("holdout", content.get("holdout"))):
         content[name], unknown = _table(name, argument, None)
         if unknown is not None:
             raise _kind(name, unknown, "give a mapping with the keys of that table of a job file")
@@ -89,7 +94,7 @@ def job_of(arguments: Mapping[str, Any], tables: Tables) -> tuple[Job, Given]:
         remedy = "give one UVData, or a file of noise"
         raise InputError("an array of variances goes with one UVData", file="noise", remedy=remedy)
     sigma = None if variance is None else held[0].with_sigma(variance, "noise")
-    return job, Given(held, beam_held, sky_held, sigma, priors)
+    return job, Given(held, beam_held, sky_held, sigma, priors, earlier)
 
 
 def FourierBessel(**settings: Any) -> Basis:
@@ -174,18 +179,21 @@ def _noise(noise: Any) -> tuple[dict[str, Any], Any]:
     return table, variance
 
 
-def _prior(prior: Any) -> tuple[dict[str, Any], list[Prior] | None]:
-    """Return the table, and the priors where they are objects."""
+def _prior(prior: Any) -> tuple[dict[str, Any], list[Prior] | None, Inferred | None]:
+    """Return the table, and the priors where they are objects, or the result that is not in a folder."""
+    if isinstance(prior, Result) and prior.path is not None:
+        prior = prior.path.parent
     table, given = _table("prior", prior, "file")
-    if "file" in table:
-        table["kind"] = "file"
     if given is None:
-        return table, None
+        return table, None, None
+    if isinstance(given, Result):
+        return table, None, Inferred.of(given.content)
     priors = list(given) if isinstance(given, list | tuple) else [given]
     wrong = next((one for one in priors if not hasattr(one, "add_precision")), None)
     if wrong is not None or not priors:
-        raise _kind("prior", wrong, "give a mapping, a file's name, or a prior of hydrabeam_mpi.inference.prior")
-    return table, priors
+        remedy = "give a mapping, a file's name, a result, or a prior of hydrabeam_mpi.inference.prior"
+        raise _kind("prior", wrong, remedy)
+    return table, priors, None
 
 
 def _check_objects(beam: Any, sky: Any) -> None:

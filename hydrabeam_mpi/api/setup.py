@@ -40,9 +40,11 @@ class Setup:
         131 MHz by default. ``beam_options={"frequency": "interpolate"}`` and others are as in a job.
     sky : SkyModel, str, Path or mapping, optional
         The sky, a mock by default. ``sky_options`` are the other keys of ``[sky]``.
-    prior : mapping, str, Path, Prior or a sequence of these, optional
-        As in a job, such as ``{"fraction": 0.03}``, or one for all channels or one for each.
+    prior : mapping, str, Path, Result, Prior or a sequence of these, optional
+        As in a job, such as ``{"fraction": 0.03}``, or one for all channels or one for each. A result (or its folder)
+        of other data, such as `load` gives: what these have told of the beam and of effects that carry over is known.
     basis : FourierBessel, Zernike or mapping, optional
+        That of a result which is the prior by default.
     comm : mpi4py.MPI.Comm, optional
         This process alone by default.
     noise : array_like, str, Path or mapping, optional

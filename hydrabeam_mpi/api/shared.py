@@ -151,7 +151,8 @@ def _one_line(problem: Problem) -> str:
 def origin_of(setup: Setup, problem: Problem, threads: int) -> dict[str, Any]:
     """Return where a result comes from."""
     inputs = input_files(setup.job, problem, setup.given.fields)
-    return provenance(setup.job, inputs, setup.comm.size, threads, library_version())
+    about = provenance(setup.job, inputs, setup.comm.size, threads, library_version())
+    return about if problem.earlier is None else {**about, "sha256_before": problem.earlier.made_from}
 
 
 def gather_records(

@@ -62,7 +62,7 @@ def for_inference(job: Job, in_memory: frozenset[str] = frozenset()) -> list[Nam
     """List what a job names for an inference alone: noise and prior."""
     named = [
         *_named(job.noise.file, "[noise] file", "either"),
-        *_named(job.prior.file, "[prior] file", "file"),
+        *_named(job.prior.file, "[prior] file", "either"),
     ]
     return [one for one in named if one.field not in in_memory]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, ValidationInfo, model_validator
 
@@ -243,10 +243,18 @@ RESOLVED = 2.0**-52
 class Prior(Section):
     """The Gaussian prior on the coefficients."""
 
-    kind: Literal["fraction", "flat", "file"] = key("fraction", "independent coefficients, none, or from a file")
+    kind: Literal["fraction", "flat", "file"] = key(
+        "fraction", "independent coefficients, none, or 'file', which it is where one is given"
+    )
     fraction: float = key(1.0, "standard deviation over the amplitude of the fitted coefficient", FRACTION, gt=0)
     floor: float = key(0.0, "least amplitude taken for that, relative to the largest", FRACTION, ge=0, le=1 / RESOLVED)
-    file: File | None = key(None, "kind = 'file': mean and covariance")
+    file: File | None = key(None, "mean and covariance, or a result's folder: what other data have told is known")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _is_from_a_file(cls, content: Any) -> Any:
+        is_file = isinstance(content, dict) and "file" in content and "kind" not in content
+        return {**content, "kind": "file"} if is_file else content
 
     @model_validator(mode="after")
     def _has_what_it_needs(self) -> Self:

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
-from hydrabeam_mpi.data.selection import match
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
-from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.carried_over import CarriedOver, carry_over
 from hydrabeam_mpi.fit.channels import read_share
 from hydrabeam_mpi.fit.context import FitContext
@@ -22,40 +17,11 @@ from hydrabeam_mpi.fit.joint import find_setup
 from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.state import Fit, Fitted
 from hydrabeam_mpi.inference.posterior import Posterior
-from hydrabeam_mpi.io.posterior_file import PosteriorFile
-from hydrabeam_mpi.io.uvmeta import FREQ_TOLERANCE
-from hydrabeam_mpi.model.bases import basis_from_description
+from hydrabeam_mpi.io.inferred import Inferred
 from hydrabeam_mpi.mpi import ProcessGrid, bcast_array, bcast_object, together
 from hydrabeam_mpi.setup.problem import Problem
 
 Array = NDArray[Any]
-
-
-@dataclass(frozen=True)
-class Inferred:
-    """A result.
-
-    Attributes
-    ----------
-    content : PosteriorFile
-    covariance_of : callable
-        Returns the covariance of the beam's coefficients in a channel, (n_modes, n_modes).
-    path : Path, optional
-        The file that it was read from.
-    """
-
-    content: PosteriorFile
-    covariance_of: Callable[[int], Array]
-    path: Path | None = None
-
-    @contextmanager
-    def telling(self) -> Iterator[None]:
-        """Name the file where something in it is wrong."""
-        try:
-            yield
-        except InputError as error:
-            error.locate(self.path or "result")
-            raise
 
 
 def apply_fit(
@@ -92,10 +58,10 @@ def apply_fit(
     shared: tuple[Any, ...] = ()
     with together(grid.world):
         if result and grid.is_world_root:
-            numbers = _channels(result.content, problem)
+            numbers = result.channels_in(problem.observation)
             with result.telling():
-                setup = _setup_in(result.content, problem, numbers)
-                shared = numbers, setup, carry_over((result.content.effects or {}).get("entries", ()), setup)
+                setup = _setup_in(result, problem, numbers)
+                shared = numbers, setup, carry_over(result.entries, setup)
     numbers, setup, carried = bcast_object(grid.world, shared)
     problem = replace(problem, basis=setup.basis, channel_numbers=numbers, test=problem.train)
     mine = problem.of_channels(grid.channels)
@@ -112,41 +78,13 @@ def apply_fit(
     return problem, FitContext(grid, mine, setup, rows, rows), Fitted(carried.values, fit), carried
 
 
-def _channels(content: PosteriorFile, problem: Problem) -> IntArray:
-    """Return the number of each of the data's channels among the result's.
-
-    Frequencies of one channel are the same but for the rounding in file headers, far below any channel's width; beams
-    and gains of another one are not known.
-    """
-    observation, freqs = problem.observation, np.array([record.freq for record in content.channels])
-    if observation.pols[0] != content.polarization:
-        raise InputError(
-            f"is {observation.pols[0]!r}, the result is of {content.polarization!r}",
-            field="[data] polarization",
-            remedy=f'set polarization = "{content.polarization}"',
-        )
-    numbers = match(observation.freqs, freqs, FREQ_TOLERANCE)
-    if np.any(numbers < 0):
-        known = ", ".join(f"{freq / 1e6:.6f}" for freq in freqs)
-        raise InputError(
-            f"the result has no beam at {observation.freqs[numbers < 0][0] / 1e6:.6f} MHz",
-            field="[data] freqs",
-            remedy=f"select channels within {FREQ_TOLERANCE:g} Hz of the result's, {known} MHz",
-        )
-    return numbers
-
-
-def _setup_in(content: PosteriorFile, problem: Problem, numbers: IntArray) -> ObservingSetup:
+def _setup_in(result: Inferred, problem: Problem, numbers: IntArray) -> ObservingSetup:
     """Return what effects may know: of these data, but with the result's basis and channels.
 
     Nobody looks at the sky of channels that these data do not have.
     """
-    observation, found = problem.observation, content.effects or {"basis": content.basis}
-    basis = basis_from_description(found.get("basis", {}))
-    freqs: FloatArray = np.array([record.freq for record in content.channels])
-    means = tuple(record.arrays["prior_mean"][: basis.n_modes] for record in content.channels)
-    if any(len(mean) < basis.n_modes for mean in means):
-        raise InputError(f"has not the {basis.n_modes} coefficients of its basis", field="prior_mean")
+    observation = problem.observation
+    freqs: FloatArray = np.array([record.freq for record in result.content.channels])
     places = np.zeros(len(freqs), dtype=int)
     places[numbers] = np.arange(len(numbers))
     widths = observation.channel_width[places]
@@ -154,8 +92,8 @@ def _setup_in(content: PosteriorFile, problem: Problem, numbers: IntArray) -> Ob
         find_setup(problem),
         observation=replace(observation, freqs=freqs, channel_width=widths),
         sky=problem.sky.channels(places),
-        basis=basis,
-        prior_mean=means,
+        basis=result.basis,
+        prior_mean=result.model_means,
     )
 
 

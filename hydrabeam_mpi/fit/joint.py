@@ -39,7 +39,7 @@ def find_setup(problem: Problem) -> ObservingSetup:
         redundant=problem.redundant,
         sky=problem.sky,
         basis=problem.basis,
-        prior_mean=tuple(prior.mean for prior in problem.priors),
+        prior_mean=problem.model_means,
         file_pols=read_observation(problem.files, Selection()).pols,
         times=np.union1d(problem.train.times, problem.test.times),
         positions=partial(source_positions, problem.job),

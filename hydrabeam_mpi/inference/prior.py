@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_triangular
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.data.partition import spans
@@ -120,6 +120,35 @@ class CovariancePrior:
     def std(self) -> FloatArray:
         """Return the square root of the diagonal, (n,)."""
         return self._std
+
+
+@dataclass(frozen=True)
+class FactoredPrior:
+    """A Gaussian known by the lower factor L of its precision, L L^H = Sigma^-1, such as an earlier posterior.
+
+    The factor is (n, n).
+    """
+
+    mean: Array
+    factor: Array
+
+    @property
+    def log_det_precision(self) -> float | None:
+        """ln|Sigma^-1|."""
+        return float(2 * np.sum(np.log(np.diag(self.factor).real)))
+
+    def add_precision(self, matrix: Array) -> None:
+        """Add L L^H to the (n, n) matrix."""
+        matrix += self.factor @ self.factor.conj().T
+
+    def precision_times(self, vector: Array) -> Array:
+        """Return L L^H ``vector``, (n, ...)."""
+        return self.factor @ (self.factor.conj().T @ vector)
+
+    def std(self) -> FloatArray:
+        """Return the root of the diagonal of the covariance L^-H L^-1, (n,)."""
+        half = solve_triangular(self.factor, np.eye(len(self.mean)), lower=True, check_finite=False)
+        return np.sqrt(np.sum(np.abs(half) ** 2, axis=0))
 
 
 @dataclass(frozen=True)

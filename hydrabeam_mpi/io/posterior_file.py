@@ -16,6 +16,7 @@ covariance         (n, n)              posterior covariance, E[(b - mean)(b - me
 std                (n,)                square root of its diagonal
 prior_mean         (n,)
 prior_std          (n,)                infinite where flat
+model_mean         (m,)                only with a result as prior: the model beam in the basis
 draws              (n_draws, n)        posterior draws
 map_mean           (91, 360)           MAP beam on the one-degree grid, zenith angle first
 map_std            (91, 360)
@@ -154,6 +155,8 @@ def _shapes(group: h5py.Group, grid: tuple[int, int]) -> dict[str, tuple[int, ..
     """Return the shapes that a channel's data sets must have, where they are there."""
     n = group["mean"].size
     shapes = {"mean": (n,), "covariance": (n, n), "std": (n,), "prior_mean": (n,), "prior_std": (n,)}
+    if "model_mean" in group:
+        shapes["model_mean"] = (min(n, len(group["model_mean"])),)
     shapes |= {key: grid for key in group if key.startswith("map_")}
     if "eigen_variances" in group:
         shapes["eigen_beams"] = (group["eigen_variances"].size, *grid)

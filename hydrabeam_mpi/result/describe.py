@@ -74,6 +74,8 @@ def _record(problem: Problem, f: int, result: ChannelResult, maps: SkyMaps) -> C
         "z_counts": result.heldout.counts,
         **result.of_effects,
     }
+    if problem.earlier is not None:
+        arrays["model_mean"] = problem.model_means[f]
     if maps.truth is not None:
         arrays["map_truth"] = maps.truth
     return ChannelRecord(float(problem.observation.freqs[f]), summary, arrays, posterior.log_evidence)

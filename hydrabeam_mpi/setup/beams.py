@@ -150,12 +150,16 @@ def perturb(job: Job, beam: Beam, settings: Perturbation) -> Beam:
     return PerturbedBeam(beam, job.seed, settings.stretch, settings.sidelobe)
 
 
-def fit_model_beams(job: Job, beams: Sequence[Beam]) -> tuple[LinearBasis, list[FittedBeam]]:
-    """Choose the basis at the middle channel and fit the model beam of every channel in it.
+def fit_model_beams(
+    job: Job, beams: Sequence[Beam], known: LinearBasis | None = None
+) -> tuple[LinearBasis, list[FittedBeam]]:
+    """Fit the model beam of every channel in a basis that is ``known``, or in one that is chosen at the middle channel.
 
     Modes that the model beam lacks altogether stay out where the prior would give them no width: the data could not
     move them, and the basis would not have them among its next ones.
     """
+    if known is not None:
+        return known, [fit_beam(beam, known) for beam in beams]
     middle, basis = len(beams) // 2, basis_from_settings(job.basis.model_dump())
     if isinstance(basis, Selection) and job.prior.kind == "fraction" and job.prior.floor < NEGLIGIBLE:
         basis = replace(basis, least=NEGLIGIBLE)

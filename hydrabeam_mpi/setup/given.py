@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from hydrabeam_mpi.inference.prior import Prior
+from hydrabeam_mpi.io.inferred import Inferred
 from hydrabeam_mpi.io.uvsource import UVInMemory
 
 
@@ -26,6 +27,8 @@ class Given:
         Sigma (Jy) of each visibility, in place of ``[noise] file``.
     priors : sequence of Prior, optional
         One for all channels or one for each, in place of ``[prior] file``.
+    earlier : Inferred, optional
+        A result, in place of ``[prior] file``.
     """
 
     data: tuple[UVInMemory, ...] = ()
@@ -33,6 +36,7 @@ class Given:
     sky: Any = None
     noise: UVInMemory | None = None
     priors: Sequence[Prior] | None = None
+    earlier: Inferred | None = None
 
     @property
     def fields(self) -> frozenset[str]:
@@ -42,7 +46,7 @@ class Given:
             "[beam] source": self.beam is not None,
             "[sky] file": self.sky is not None,
             "[noise] file": self.noise is not None,
-            "[prior] file": self.priors is not None,
+            "[prior] file": self.priors is not None or self.earlier is not None,
         }
         return frozenset(field for field, is_given in named.items() if is_given)
 

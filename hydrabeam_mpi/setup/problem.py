@@ -11,12 +11,13 @@ import numpy as np
 
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.named import expand
-from hydrabeam_mpi.data.observation import FloatArray, IntArray, Observation
+from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.partition import Tile, make_tiles
 from hydrabeam_mpi.data.redundancy import RedundantGroups, check_tolerance, find_redundant_groups
 from hydrabeam_mpi.data.selection import HoldoutRule, Selection, split_holdout
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.inference.prior import Prior
+from hydrabeam_mpi.io.inferred import Inferred
 from hydrabeam_mpi.io.noise import difference_variance
 from hydrabeam_mpi.io.uvmeta import read_observation
 from hydrabeam_mpi.io.uvsource import Data
@@ -28,6 +29,7 @@ from hydrabeam_mpi.model.sky import Sky
 from hydrabeam_mpi.mpi import Comm, together
 from hydrabeam_mpi.setup.beams import fit_model_beams, given_priors, load_beams, make_prior
 from hydrabeam_mpi.setup.cautions import cautions_of_data
+from hydrabeam_mpi.setup.earlier import beam_priors, find_earlier
 from hydrabeam_mpi.setup.findings import Finding
 from hydrabeam_mpi.setup.given import NOTHING, Given
 from hydrabeam_mpi.setup.skies import count_sources, load_sky, source_positions
@@ -73,6 +75,8 @@ class Problem:
         Where the noise is from, if from a file.
     findings : tuple of Finding
         What was found wrong with the data before anything was fitted.
+    earlier : Inferred, optional
+        The result that is the prior, of all the job's channels. ``priors`` have its effects marginalised.
     """
 
     job: Job
@@ -95,6 +99,14 @@ class Problem:
     cautions: tuple[str, ...] = ()
     noise_file: Data | None = None
     findings: tuple[Finding, ...] = ()
+    earlier: Inferred | None = None
+
+    @property
+    def model_means(self) -> tuple[Array, ...]:
+        """Coefficients of each channel's model beam, to which effects refer, (n_modes,) each."""
+        if self.earlier is None:
+            return tuple(prior.mean for prior in self.priors)
+        return tuple(self.earlier.model_means[number] for number in self.channel_numbers.tolist())
 
     @property
     def flux_scale(self) -> FloatArray:
@@ -242,7 +254,12 @@ def prepare(job: Job, files: tuple[Data, ...], truths: tuple[Beam, ...] = (), gi
     sky = whole_sky.brighter_than(job.sky.model_flux_min)
     time_costs = count_sources(sky, observation)
     beams = load_beams(job, observation.freqs, observation.pols[0], given.beam)
-    basis, fits = fit_model_beams(job, beams)
+    earlier = find_earlier(job, files, observation, given.earlier)
+    basis, fits = fit_model_beams(job, beams, earlier.basis if earlier else None)
+    if earlier is not None:
+        priors: tuple[Prior, ...] = beam_priors(earlier)
+    else:
+        priors = given_priors(given.priors, fits) if given.priors else tuple(make_prior(job, fit) for fit in fits)
     return Problem(
         job=job,
         files=files,
@@ -255,13 +272,14 @@ def prepare(job: Job, files: tuple[Data, ...], truths: tuple[Beam, ...] = (), gi
         flux_removed=1 - float(sky.flux.sum() / whole_sky.flux.sum()),
         basis=basis,
         beams=tuple(beams),
-        priors=given_priors(given.priors, fits) if given.priors else tuple(make_prior(job, fit) for fit in fits),
+        priors=priors,
         fit_rms=tuple(fit.rms_residual for fit in fits),
         time_costs=time_costs,
         channel_numbers=np.arange(observation.Nfreqs),
         truths=truths,
         cautions=cautions_of_data(job, observation),
         noise_file=given.noise or job.noise.file,
+        earlier=earlier,
     )
 
 

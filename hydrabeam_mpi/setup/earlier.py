@@ -1,0 +1,118 @@
+"""A result as prior: what data of other nights say of the beam and of effects, of which these data know nothing.
+
+With p(d_1, d_2 | b, x) = p(d_1 | b, x) p(d_2 | b, x) the posterior of a first night is the prior of a second one, and
+the posterior that follows is that of both at once. So no data may come in twice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hydrabeam_mpi.config import Job
+from hydrabeam_mpi.data.observation import Observation
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.inference.posterior import Posterior
+from hydrabeam_mpi.inference.prior import FactoredPrior
+from hydrabeam_mpi.io.checksums import checksum
+from hydrabeam_mpi.io.inferred import Inferred, read_inferred
+from hydrabeam_mpi.io.uvsource import Data, files_among
+
+FIELD = "[prior] file"
+
+
+def find_earlier(
+    job: Job, files: Sequence[Data], observation: Observation, given: Inferred | None = None
+) -> Inferred | None:
+    """Return the result that is the prior of a job, of the job's channels; None where there is none. Serial.
+
+    Parameters
+    ----------
+    job : Job
+    files : sequence of Path or Source
+        The visibilities.
+    observation : Observation
+    given : Inferred, optional
+        In place of a folder.
+
+    Raises
+    ------
+    InputError
+        If it cannot be the prior of these data.
+    """
+    folder = job.prior.file
+    if given is None and (folder is None or not folder.is_dir()):
+        return None
+    result = given or read_inferred(Path(folder or ""), FIELD)
+    with result.telling():
+        _check_basis(job, result)
+        _check_data(job, files, result)
+    numbers = result.channels_in(observation).tolist()
+    if result.entries and numbers != list(range(len(result.content.channels))):
+        raise InputError(
+            f"the result has effects in {len(result.content.channels)} channels, of which these are {len(numbers)}",
+            field="[data] freqs",
+            remedy="select all of the result's channels",
+        )
+    return result.of_channels(numbers)
+
+
+def beam_priors(result: Inferred) -> tuple[FactoredPrior, ...]:
+    """Return what a result says of each channel's beam, effects marginalised.
+
+    Raises
+    ------
+    InputError
+        If that is no Gaussian.
+    """
+    n, priors = result.basis.n_modes, []
+    with result.telling():
+        for channel, record in enumerate(result.content.channels):
+            priors.append(prior_of(record.arrays["mean"][:n], result.covariance_of(channel)[:n, :n]))
+    return tuple(priors)
+
+
+def prior_of(mean: Any, covariance: Any) -> FactoredPrior:
+    """Return the Gaussian of a mean, (n,), and a covariance, (n, n), as a prior.
+
+    Raises
+    ------
+    InputError
+        If it is no covariance.
+    """
+    try:
+        found = Posterior.of(mean, covariance)
+    except np.linalg.LinAlgError as error:
+        raise InputError("is no covariance", field="covariance", remedy="make the result again") from error
+    return FactoredPrior(found.mean, found.factor)
+
+
+def _check_basis(job: Job, result: Inferred) -> None:
+    """Make sure that the coefficients are those of the same functions."""
+    told = result.content.provenance.get("job", {}).get("basis", {})
+    own = job.basis.model_dump(mode="json", exclude_none=True)
+    if told != own:
+        other = ", ".join(f"{name} = {value!r}" for name, value in told.items() if own.get(name) != value)
+        raise InputError(
+            f"is of another basis than the job's: {other}",
+            field="basis",
+            remedy="set the job's [basis] to the result's",
+        )
+
+
+def _check_data(job: Job, files: Sequence[Data], result: Inferred) -> None:
+    """Make sure that the result knows nothing of these data yet."""
+    about = result.content.provenance
+    remedy = "give data that the result was not made from, or another prior"
+    if job.data.simulate is not None:
+        own = job.model_dump(mode="json", exclude_none=True)
+        if all(own.get(key) == about.get("job", {}).get(key) for key in ("data", "seed", "sky", "beam")):
+            raise InputError("was made from the same data, which would count twice", file=result.path, remedy=remedy)
+        return
+    for path in files_among(files):
+        if checksum(path) in result.made_from.values():
+            told = f"was made from the same data, {path}, which would count twice"
+            raise InputError(told, file=result.path, remedy=remedy)

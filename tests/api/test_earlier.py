@@ -1,0 +1,146 @@
+"""A result as the prior of the next job: nights one after the other are as both at once, and none counts twice."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pyuvdata import UVData
+
+import hydrabeam_mpi as hb
+from hydrabeam_mpi.cli import main
+from tests.loop.mock import mock_job, write_job
+from tests.loop.test_loop_command import TWO
+
+JOB = mock_job(freqs=TWO)
+NIGHTS: tuple[dict[str, Any], ...] = (
+    {"lst_range": [0.0, 6.0]},
+    {"start": 2459867.0, "lst_range": [6.1, 12.1]},
+    {"start": 2459868.0, "lst_range": [12.2, 18.2]},
+)
+
+
+class Files:
+    """Three nights of one array and sky, and results of them, made when they are asked for."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        for number, changes in enumerate(NIGHTS):
+            settings = {**JOB["data"]["simulate"], **changes}
+            job = write_job({**JOB, "data": {"simulate": settings}}, folder, f"simulate{number}.toml")
+            assert main(["simulate", str(job), "-o", str(folder / f"night{number}")]) == 0
+
+    def data(self, *nights: int) -> list[str]:
+        return [str(self.folder / f"night{night}" / "data.uvh5") for night in nights]
+
+    def job(self, nights: tuple[int, ...], prior: Path | None = None, **tables: Any) -> Path:
+        before = {} if prior is None else {"prior": {"file": str(prior)}}
+        job = {**JOB, **tables, **before, "data": {"files": self.data(*nights), **tables.get("data", {})}}
+        return write_job(job, self.folder, "job.toml")
+
+    def result(self, *nights: int, prior: Path | None = None) -> Path:
+        """Infer from some nights at once, with what others have told as the prior."""
+        out = self.folder / f"{prior.name if prior else 'result'}-{''.join(map(str, nights))}"
+        if not out.exists():
+            assert main(["infer", str(self.job(nights, prior)), "-o", str(out)]) == 0
+        return out
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Files:
+    return Files(tmp_path_factory.mktemp("earlier"))
+
+
+def assert_same(one: hb.Result, two: hb.Result, within: float) -> None:
+    """Beams agree to a fraction of their standard deviation, and so do the standard deviations."""
+    np.testing.assert_array_less(np.abs(one.beam.mean - two.beam.mean), within * two.beam.std)
+    np.testing.assert_array_less(np.abs(one.beam.std - two.beam.std), within * two.beam.std)
+    spread = two.beam.std[:, :, np.newaxis] * two.beam.std[:, np.newaxis]
+    np.testing.assert_array_less(np.abs(one.beam.covariance - two.beam.covariance), within * spread)
+
+
+def evidence(result: hb.Result) -> np.ndarray:
+    return np.array([channel["log_evidence"] for channel in result.summary["channels"]])
+
+
+def test_nights_one_after_the_other_are_as_all_at_once(files: Files) -> None:
+    """Also the evidence, p(d1, d2, d3) = p(d1) p(d2 | d1) p(d3 | d1, d2), but for rounding of all that the data say."""
+    first = files.result(0)
+    second = files.result(1, prior=first)
+    third, at_once = hb.load(files.result(2, prior=second)), hb.load(files.result(0, 1, 2))
+    assert_same(third, at_once, 1e-6)
+    steps = [hb.load(first), hb.load(second), third]
+    np.testing.assert_allclose(sum(map(evidence, steps)), evidence(at_once), atol=1e-3)
+    about = json.loads((second / "provenance.json").read_text())
+    assert about["sha256_before"] == json.loads((first / "provenance.json").read_text())["sha256"]
+    assert str(first) in about["sha256"]
+
+
+def test_python_takes_a_result_from_memory_and_from_its_folder(files: Files) -> None:
+    first = files.result(0)
+    wanted = hb.load(files.result(1, prior=first))
+    uvd, common = UVData.from_file(files.data(1)[0]), {"holdout": JOB["holdout"], "output": JOB["output"]}
+    job = hb.load(first).job
+    beam, sky = job.beam.model_dump(exclude_none=True), job.sky.model_dump(exclude_none=True)
+    fresh = hb.infer(hb.Setup(files.data(0), beam=beam, sky=sky, basis=job.basis, seed=4, **common))
+    for before in (fresh, hb.load(first)):
+        found = hb.infer(hb.Setup(uvd, beam=beam, sky=sky, prior=before, seed=4, **common))
+        assert_same(found, wanted, 1e-6)
+
+
+def test_a_channel_by_itself_has_its_own_prior(files: Files) -> None:
+    before, out = files.result(1, prior=files.result(0)), files.folder / "channel"
+    assert main(["infer", str(files.job((2,), before, data={"freqs": [TWO[1]]})), "-o", str(out)]) == 0
+    alone, wanted = hb.load(out).beam, hb.load(files.result(0, 1, 2)).beam
+    np.testing.assert_allclose(alone.mean[0], wanted.mean[1], atol=1e-6 * wanted.std[1].min())
+
+
+def damaged(folder: Path, into: Path, name: str) -> Path:
+    """Copy a result and write over the middle of one of its files."""
+    shutil.copytree(folder, into / "damaged")
+    path = into / "damaged" / name
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2 : len(content) // 2 + 8] = b"\xff" * 8
+    path.write_bytes(content)
+    return into / "damaged"
+
+
+def refused(
+    files: Files, capfd: pytest.CaptureFixture[str], nights: tuple[int, ...], prior: Path, **tables: Any
+) -> str:
+    """Return the one line that says why."""
+    capfd.readouterr()
+    job = files.job(nights, prior, **tables)
+    assert main(["infer", str(job), "-o", str(files.folder / "refused")]) == 2
+    lines = [line for line in capfd.readouterr().err.splitlines() if "error" in line]
+    assert len(lines) == 1
+    assert not (files.folder / "refused").exists()
+    return lines[0]
+
+
+def test_no_data_count_twice(files: Files, capfd: pytest.CaptureFixture[str]) -> None:
+    """Not even those of the result before the last one, under another name."""
+    second = files.result(1, prior=files.result(0))
+    copy = files.folder / "copy.uvh5"
+    shutil.copy(files.data(0)[0], copy)
+    for data in (files.data(1)[0], str(copy)):
+        said = refused(files, capfd, (), second, data={"files": [data]})
+        assert f"posterior.h5: was made from the same data, {data}, which would count twice; give data that" in said
+
+
+def test_what_cannot_be_the_prior_is_refused(files: Files, capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    first = files.result(0)
+    said = refused(files, capfd, (1,), first, basis={**JOB["basis"], "n_modes": 23})
+    assert "posterior.h5: basis: is of another basis than the job's: n_modes = 24; set the job's [basis] to" in said
+    said = refused(files, capfd, (1,), files.folder / "night0")
+    assert "[prior] file: is no result: no manifest.json lists posterior.h5 in it; name a folder written by" in said
+    said = refused(files, capfd, (1,), damaged(first, tmp_path, "posterior.h5"))
+    assert "posterior.h5" in said
+    alone = files.folder / "alone"
+    assert main(["infer", str(files.job((2,), data={"freqs": [TWO[0]]})), "-o", str(alone)]) == 0
+    said = refused(files, capfd, (1,), alone)
+    assert "[data] freqs: the result has no beam at" in said
