@@ -79,16 +79,6 @@ def apply_result(
     with clock.time("read"):
         applied = apply_fit(grid, problem, inferred)
     if grid.is_world_root:
-        _say(applied[-1])
+        for line in applied[-1].lines:
+            say(line)
     return applied
-
-
-def _say(carried: CarriedOver) -> None:
-    """Tell what holds in the other data and what does not."""
-    for one in carried.carried:
-        say(f"carried over: {one['title']} ({len(one['parameters'])} parameters)")
-    for one in carried.left:
-        what = f" ({', '.join(one['parameters'])})" if one["parameters"] else ""
-        say(f"not carried over: {one['title']}{what}, which {one['reason']}")
-    if carried.at_prior:
-        say(f"unknown to the result, known by their prior: {', '.join(carried.at_prior)}")

@@ -12,7 +12,6 @@ from typing import Any, TypedDict
 import numpy as np
 from pydantic import ValidationError
 
-from hydrabeam_mpi.api.result import Result
 from hydrabeam_mpi.config import Job, Section
 from hydrabeam_mpi.config.mistakes import as_input_error
 from hydrabeam_mpi.config.sections import Basis
@@ -77,7 +76,7 @@ def job_of(arguments: Mapping[str, Any], tables: Tables) -> tuple[Job, Given]:
         content["sky"]["kind"] = "catalogue"
     noise, variance = _noise(content.get("noise"))
     before, basis = arguments["prior"], arguments["basis"]
-    if isinstance(before, Result) and basis is None:
+    if _is_result(before) and basis is None:
         basis = before.job.basis
     prior, priors, earlier = _prior(before)
     content |= {"noise": noise, "prior": prior}
@@ -181,12 +180,12 @@ def _noise(noise: Any) -> tuple[dict[str, Any], Any]:
 
 def _prior(prior: Any) -> tuple[dict[str, Any], list[Prior] | None, Inferred | None]:
     """Return the table, and the priors where they are objects, or the result that is not in a folder."""
-    if isinstance(prior, Result) and prior.path is not None:
+    if _is_result(prior) and prior.path is not None:
         prior = prior.path.parent
     table, given = _table("prior", prior, "file")
     if given is None:
         return table, None, None
-    if isinstance(given, Result):
+    if _is_result(given):
         return table, None, Inferred.of(given.content)
     priors = list(given) if isinstance(given, list | tuple) else [given]
     wrong = next((one for one in priors if not hasattr(one, "add_precision")), None)
@@ -194,6 +193,11 @@ def _prior(prior: Any) -> tuple[dict[str, Any], list[Prior] | None, Inferred | N
         remedy = "give a mapping, a file's name, a result, or a prior of hydrabeam_mpi.inference.prior"
         raise _kind("prior", wrong, remedy)
     return table, priors, None
+
+
+def _is_result(prior: Any) -> bool:
+    """Whether it is what `infer`, `close_loop` and `load` return."""
+    return hasattr(type(prior), "content")
 
 
 def _check_objects(beam: Any, sky: Any) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from hydrabeam_mpi.api.result import Result
 from hydrabeam_mpi.api.setup import Setup
-from hydrabeam_mpi.api.shared import begun, gather_records, make_result, origin_of, prepare_checked
+from hydrabeam_mpi.api.shared import begun, gather_records, make_result, origin_of, prepare_checked, prior_told
 from hydrabeam_mpi.fit.channels import infer_channels
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.grown import grown_problem
@@ -59,15 +59,15 @@ def run_inference(setup: Setup, folder: Path | None, threads: int) -> Result:
     """
     clock, world = Clock(), setup.comm
     grid, problem, mine = prepare_checked(setup, folder, clock, told)
-    numbers = found = None
-    if setup.job.effects:
+    numbers = found = carried = None
+    if setup.job.effects or (problem.earlier and problem.earlier.entries):
         context = read_context(grid, problem, mine, clock)
         fitted = fit_with_effects(context, clock)
         with clock.time("heldout"):
             results = channel_results(context, fitted)
             numbers = heldout_numbers(context, whiten(context, fitted))
-        problem = grown_problem(problem, context.setup, fitted.values)
-        found = effects_found(setup.job, fitted, context.setup)
+        problem = grown_problem(problem, context.setup, fitted.values, context.learned)
+        found, carried = effects_found(setup.job, fitted, context.setup), context.carried
     else:
         results = infer_channels(grid, mine, clock)
     with clock.time("describe"):
@@ -76,6 +76,11 @@ def run_inference(setup: Setup, folder: Path | None, threads: int) -> Result:
     result = Result(setup.job)
     with together(world):
         if world.rank == 0:
-            run = {"wall_s": clock.inference, "phases_s": clock.seconds, "peak_rss_mb": memory}
+            run = {
+                "wall_s": clock.inference,
+                "phases_s": clock.seconds,
+                "peak_rss_mb": memory,
+                **prior_told(setup, carried),
+            }
             result = make_result(setup, problem, records, origin_of(setup, problem, threads), run, effects=found)
     return result

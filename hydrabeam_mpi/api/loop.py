@@ -11,7 +11,7 @@ import numpy as np
 
 from hydrabeam_mpi.api.result import Found, Result
 from hydrabeam_mpi.api.setup import Setup
-from hydrabeam_mpi.api.shared import begun, gather_records, make_result, origin_of, prepare_checked
+from hydrabeam_mpi.api.shared import begun, gather_records, make_result, origin_of, prepare_checked, prior_told
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
@@ -89,7 +89,7 @@ def run_loop(
     _check_can_confirm(context)
     known = context.setup
     with together(world):
-        choice, values = choose(job, known), restore(job, known)
+        choice, values = choose(job, known), restore(job, known, context.learned)
     with clock.time("conventions"):
         conventions = check_conventions(grid, context.problem, context.train.rows)
     wanted = ([], []) if conventions["found"] else ([*choice.effects, *control_models(known)], choice.changes)
@@ -111,7 +111,7 @@ def run_loop(
         leakage = check_leakage(grid, context.problem, known) if choice.leakage else None
     with clock.time("describe"):
         results = channel_results(context, history.last.fitted)
-        problem = grown_problem(problem, known, history.last.fitted.values)
+        problem = grown_problem(problem, known, history.last.fitted.values, context.learned)
         records = gather_records(grid, problem, results, history.last.numbers)
     record = make_record(context, history, choice.skipped, conventions, leakage)
     scale = error_scale(context, history.last.fitted)
@@ -119,7 +119,7 @@ def run_loop(
     found = Found(Result(job))
     with together(world):
         if world.rank == 0:
-            run = {"phases_s": clock.seconds, "peak_rss_mb": memory}
+            run = {"phases_s": clock.seconds, "peak_rss_mb": memory, **prior_told(setup, context.carried)}
             fitted = history.last.fitted
             effects = effects_found(problem.job, fitted, known)
             result = make_result(setup, problem, records, origin(), run, record["warnings"], effects)

@@ -14,6 +14,7 @@ from hydrabeam_mpi.api.setup import Setup
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.named import expand
 from hydrabeam_mpi.config.sizes import check_sizes
+from hydrabeam_mpi.fit.carried_over import CarriedOver
 from hydrabeam_mpi.fit.channels import ChannelResult
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.io.disk import check_space
@@ -153,6 +154,11 @@ def origin_of(setup: Setup, problem: Problem, threads: int) -> dict[str, Any]:
     inputs = input_files(setup.job, problem, setup.given.fields)
     about = provenance(setup.job, inputs, setup.comm.size, threads, library_version())
     return about if problem.earlier is None else {**about, "sha256_before": problem.earlier.made_from}
+
+
+def prior_told(setup: Setup, carried: CarriedOver | None) -> dict[str, Any]:
+    """Return what a summary says of effects of the result that is the prior."""
+    return {"prior": {"result": str(setup.job.prior.file), **carried.summary}} if carried else {}
 
 
 def gather_records(

@@ -10,15 +10,14 @@ from numpy.typing import NDArray
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
-from hydrabeam_mpi.fit.carried_over import CarriedOver, carry_over
+from hydrabeam_mpi.fit.carried_over import CarriedOver, carry_over, share_fit
 from hydrabeam_mpi.fit.channels import read_share
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.joint import find_setup
 from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.state import Fit, Fitted
-from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.io.inferred import Inferred
-from hydrabeam_mpi.mpi import ProcessGrid, bcast_array, bcast_object, together
+from hydrabeam_mpi.mpi import ProcessGrid, bcast_object, together
 from hydrabeam_mpi.setup.problem import Problem
 
 Array = NDArray[Any]
@@ -67,7 +66,7 @@ def apply_fit(
     mine = problem.of_channels(grid.channels)
     parts = []
     for place, number in enumerate(numbers.tolist()):
-        part = _share_fit(grid, result, carried, number)
+        part = share_fit(grid, result, carried, number)
         if place in grid.channels:
             parts.append(part)
     beams, covariances, responses = zip(*parts, strict=True)
@@ -95,18 +94,3 @@ def _setup_in(result: Inferred, problem: Problem, numbers: IntArray) -> Observin
         basis=result.basis,
         prior_mean=result.model_means,
     )
-
-
-def _share_fit(
-    grid: ProcessGrid, result: Inferred | None, carried: CarriedOver, number: int
-) -> tuple[Posterior, FloatArray, Array]:
-    """Return what `CarriedOver.fit` does for a channel of the result, on all ranks."""
-    parts: tuple[Array | None, ...] = (None,) * 4
-    with together(grid.world):
-        if result and grid.is_world_root:
-            arrays = result.content.channels[number].arrays
-            with result.telling():
-                beam, covariance, response = carried.fit(number, arrays["mean"], result.covariance_of(number), arrays)
-            parts = beam.mean, beam.factor, covariance, response
-    mean, factor, covariance, response = (bcast_array(grid.world, part) for part in parts)
-    return Posterior(mean, factor), covariance, response

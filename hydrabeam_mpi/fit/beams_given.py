@@ -55,7 +55,7 @@ def total_log_joint(context: FitContext, values: Values, of_beams: FloatArray, o
     for one in values.active:
         left_out = one.effect.parameters(context.setup).nonlinear[one.used] & (not of_nonlinear)
         total += one.prior.log_density(np.where(left_out, 0.0, one.x[:, one.used]))
-    return total
+    return total + (context.learned.log_likelihood(values) if context.learned else 0.0)
 
 
 def solve_beams(context: FitContext, at: Estimate, keep: bool = False) -> Solved:
@@ -63,27 +63,27 @@ def solve_beams(context: FitContext, at: Estimate, keep: bool = False) -> Solved
 
     Collective: all ranks of the grid.
     """
-    grid, share, priors = context.grid, context.train, context.problem.priors
+    grid, share, problem = context.grid, context.train, context.given(at.values)
     with together(grid.world):
         rows, added = share.calibrated(at) if at.beams else (share.rows, np.zeros_like(share.rows.data))
         show = grid.world.rank == 0 and not at.beams
         normals = accumulate_designs(rows, share.designs(at.values, show), context.problem.basis)
     for normal in normals:
         normal.reduce(grid.group)
-    beams = tuple(solve_channels(grid, context.problem, normals))
+    beams = tuple(solve_channels(grid, problem, normals))
     if keep:
         beams = tuple(replace(two, mean=one.mean) for one, two in zip(at.beams, beams, strict=True))
     # E is that of the beams before, so that only those tell what beams and effects reach together.
     seen_by = at.beams if at.beams and at.values.adds else beams
-    reached = total_log_joint(context, at.values, np.array(list(map(_log_joint, normals, seen_by, priors))))
+    reached = total_log_joint(context, at.values, np.array(list(map(_log_joint, normals, seen_by, problem.priors))))
     return Solved(beams, normals, rows, added, reached)
 
 
-def diagnostics_of(context: FitContext, solved: Solved) -> Diagnostics:
-    """Tell how well the fitted rows are fitted. Serial."""
+def diagnostics_of(context: FitContext, values: Values, solved: Solved) -> Diagnostics:
+    """Tell how well the fitted rows are fitted with the effects at ``values``. Serial."""
     normals, beams = solved.normals, solved.beams
     effective = list(map(_effective, normals, beams)) if context.grid.is_group_root else []
-    log_joint = np.array(list(map(_log_joint, normals, beams, context.problem.priors)))
+    log_joint = np.array(list(map(_log_joint, normals, beams, context.given(values).priors)))
     n_data = np.array([float(normal.n_data) for normal in normals])
     return Diagnostics(solved.train_chi2, log_joint, np.array(effective), n_data)
 

@@ -45,6 +45,14 @@ class ColumnBlock(Protocol):
         """Return the derivatives of the model at the current values, for ``block``, whose rows are ``rows``."""
 
 
+class EffectBlock(ColumnBlock, Protocol):
+    """Unknowns that are parameters of an effect."""
+
+    @property
+    def used(self) -> IntArray:
+        """Which of the effect's parameters these are."""
+
+
 class ModelBlock(ColumnBlock, Protocol):
     """A part of the model: unknowns with a prior."""
 
@@ -110,6 +118,11 @@ class CandidateBlock:
     def size(self) -> int:
         """Number of parameters."""
         return len(self.x)
+
+    @property
+    def used(self) -> IntArray:
+        """The numbers of its parameters: all of them."""
+        return np.arange(self.size)
 
     @property
     def effects(self) -> Sequence[Effect]:

@@ -32,9 +32,10 @@ from hydrabeam_mpi.fit.state import Active, Values, independent_prior
 from hydrabeam_mpi.fit.whitening import root_of
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.prior import ChannelPrior
+from hydrabeam_mpi.io.inferred import REMEDY, Inferred
+from hydrabeam_mpi.mpi import ProcessGrid, bcast_array, together
 
 Array = NDArray[Any]
-REMEDY = "make the result again with this version"
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,16 @@ class CarriedOver:
     carried: tuple[dict[str, Any], ...]
     left: tuple[dict[str, Any], ...]
     at_prior: tuple[str, ...]
+
+    @property
+    def lines(self) -> list[str]:
+        """What is said of the effects."""
+        lines = [f"carried over: {one['title']} ({len(one['parameters'])} parameters)" for one in self.carried]
+        for one in self.left:
+            what = f" ({', '.join(one['parameters'])})" if one["parameters"] else ""
+            lines.append(f"not carried over: {one['title']}{what}, which {one['reason']}")
+        unknown = f"unknown to the result, known by their prior: {', '.join(self.at_prior)}"
+        return [*lines, unknown] if self.at_prior else lines
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -162,6 +173,24 @@ def carry_over(found: Iterable[Mapping[str, Any]], setup: ObservingSetup) -> Car
     return CarriedOver(Values(tuple(active)), kept, place, sign, tuple(carried), tuple(left), tuple(at_prior))
 
 
+def share_fit(
+    grid: ProcessGrid, result: Inferred | None, carried: CarriedOver, number: int
+) -> tuple[Posterior, FloatArray, Array]:
+    """Return what `CarriedOver.fit` does for a channel of the result, on all ranks. Collective: all ranks of the grid.
+
+    The ``result`` is needed on rank 0 alone.
+    """
+    parts: tuple[Array | None, ...] = (None,) * 4
+    with together(grid.world):
+        if result and grid.is_world_root:
+            arrays = result.content.channels[number].arrays
+            with result.telling():
+                beam, covariance, response = carried.fit(number, arrays["mean"], result.covariance_of(number), arrays)
+            parts = beam.mean, beam.factor, covariance, response
+    mean, factor, covariance, response = (bcast_array(grid.world, part) for part in parts)
+    return Posterior(mean, factor), covariance, response
+
+
 def _entry(told: Mapping[str, Any], number: int, setup: ObservingSetup) -> tuple[EffectEntry, frozenset[str]]:
     """Return what is told of an effect, and the names of all parameters that it had in the result's data."""
     field, n_freqs = f"effects, number {number + 1}", setup.observation.Nfreqs
@@ -206,5 +235,5 @@ def _active(effect: Effect, setup: ObservingSetup, entry: EffectEntry, known: fr
     of_channels = np.square(prior_std[: 1 if effect.shared else None])
     priors = [independent_prior(prior_var, effect.shared) for prior_var in of_channels]
     prior = ChannelPrior(tuple(one.of(0) for _, one in priors), effect.shared)
-    free = np.full(len(parameters), np.inf)
-    return Active(effect, priors[0][0], prior, x, free, np.zeros((0, len(parameters)))), match
+    limits = np.where(parameters.nonlinear, parameters.scale, np.inf)
+    return Active(effect, priors[0][0], prior, x, limits, np.zeros((0, len(parameters)))), match

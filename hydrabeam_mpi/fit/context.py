@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.fit.blocks import BeamBlock
+from hydrabeam_mpi.fit.carried_over import CarriedOver
+from hydrabeam_mpi.fit.learned import Learned
 from hydrabeam_mpi.fit.rank_data import RankData
+from hydrabeam_mpi.fit.state import Values
 from hydrabeam_mpi.inference.prior import ChannelPrior
 from hydrabeam_mpi.mpi import ProcessGrid
 from hydrabeam_mpi.setup.problem import Problem
@@ -27,6 +30,10 @@ class FitContext:
     setup : ObservingSetup
         Of all channels.
     train, test : RankData
+    carried : CarriedOver, optional
+        The effects of the result that is the prior, as these data have them.
+    learned : Learned, optional
+        What that result says of them and of the beam given these; None where it has none that hold here.
     """
 
     grid: ProcessGrid
@@ -34,6 +41,8 @@ class FitContext:
     setup: ObservingSetup
     train: RankData
     test: RankData
+    carried: CarriedOver | None = None
+    learned: Learned | None = None
 
     @property
     def channels(self) -> list[int]:
@@ -44,6 +53,13 @@ class FitContext:
     def beam(self) -> BeamBlock:
         """The beam of this rank group's channels."""
         return BeamBlock(self.problem.basis, ChannelPrior(tuple(self.problem.priors)))
+
+    def given(self, values: Values) -> Problem:
+        """Return the problem of this rank group with the beams' priors given the effects."""
+        if self.learned is None:
+            return self.problem
+        priors = tuple(self.learned.beam_prior(channel, values) for channel in self.channels)
+        return replace(self.problem, priors=priors)
 
     def over_channels(self, values: FloatArray) -> float:
         """Add up what each group has of its channels, (Nlocal,). Collective: all ranks of the grid."""

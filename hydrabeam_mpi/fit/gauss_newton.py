@@ -9,7 +9,7 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray
 from hydrabeam_mpi.fit.beams_given import Solved, diagnostics_of, solve_beams
-from hydrabeam_mpi.fit.blocks import ColumnBlock, add_block, sums_of
+from hydrabeam_mpi.fit.blocks import EffectBlock, add_block, sums_of
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.joint_step import solve_jointly
@@ -83,11 +83,11 @@ def refit(
     start = _start(values, before)
     if not values.active and not values.reweighted:
         solved = solve_beams(context, start)
-        return Fitted(values, Fit(solved.beams), diagnostics_of(context, solved))
+        return Fitted(values, Fit(solved.beams), diagnostics_of(context, values, solved))
     end, step, converged = _search(context, start, first_step, worth)
     # Not converged: the beams that E is seen by stay, as E may be another one with those solved for.
     solved = solve_beams(context, end, keep=not converged and end.values.adds)
-    diagnostics = replace(diagnostics_of(context, solved), converged=converged)
+    diagnostics = replace(diagnostics_of(context, end.values, solved), converged=converged)
     return Fitted(end.values, replace(step.fit, posteriors=solved.beams), diagnostics)
 
 
@@ -199,11 +199,12 @@ def active_sums(
     channel: int,
     rows: Rows,
     added: ComplexArray,
-    effects: Mapping[str, ColumnBlock],
+    effects: Mapping[str, EffectBlock],
 ) -> NormalEquations:
     """Sum over a group's rows the columns of the beam and of ``effects``, such as those that are active.
 
-    ``added`` is E of the channel's rows, (Ntimes, Nbls). Collective: all ranks of `grid.world`.
+    ``added`` is E of the channel's rows, (Ntimes, Nbls). What a result says that is the prior counts as fitted rows.
+    Collective: all ranks of `grid.world`.
     """
     model = {BEAM: context.beam, **effects}
     total = sums_of(model)
@@ -211,6 +212,8 @@ def active_sums(
         for _, block, _ in share.row_blocks(channel, at, added, rows):
             add_block(total, block, model)
     total.reduce(context.grid.group)
+    if context.learned and share is context.train:
+        context.learned.add_to(total, effects, context.channels[channel], at)
     return total
 
 

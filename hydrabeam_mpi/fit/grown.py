@@ -18,11 +18,13 @@ import numpy as np
 from hydrabeam_mpi.data.observation import Array, BoolArray, FloatArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.fit.equations import BEAM
+from hydrabeam_mpi.fit.learned import Learned
 from hydrabeam_mpi.fit.state import Active, Fit, Fitted, Values
 from hydrabeam_mpi.fit.whitening import root_of
 from hydrabeam_mpi.inference.gaussian import Block, Gaussian
+from hydrabeam_mpi.inference.matrices import inverse_of_covariance
 from hydrabeam_mpi.inference.posterior import Posterior
-from hydrabeam_mpi.inference.prior import BlockPrior
+from hydrabeam_mpi.inference.prior import BlockPrior, Prior
 from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.bases.joined import join
 from hydrabeam_mpi.setup.problem import Problem
@@ -56,7 +58,7 @@ def grown_beam(
     return join([basis, *(more for _, more in growth)]), np.concatenate([mean, *coeffs])
 
 
-def grown_problem(problem: Problem, setup: ObservingSetup, values: Values) -> Problem:
+def grown_problem(problem: Problem, setup: ObservingSetup, values: Values, learned: Learned | None = None) -> Problem:
     """Return the problem whose beam has the functions that effects add to its basis, with their priors.
 
     Parameters
@@ -66,12 +68,18 @@ def grown_problem(problem: Problem, setup: ObservingSetup, values: Values) -> Pr
     setup : ObservingSetup
         Of all channels.
     values : Values
+    learned : Learned, optional
+        What is known of the first effects beforehand.
     """
     growth = growth_of(setup, values)
     if not growth:
         return problem
+
+    def known(one: Active, channel: int) -> Prior:
+        return learned.prior_of(values.active.index(one), one, channel) if learned else one.prior.of(channel)
+
     priors = tuple(
-        BlockPrior((prior, *(one.prior.of(int(number)) for one, _ in growth)))
+        BlockPrior((prior, *(known(one, int(number)) for one, _ in growth)))
         for prior, number in zip(problem.priors, problem.channel_numbers, strict=True)
     )
     return replace(problem, basis=join([problem.basis, *(more for _, more in growth)]), priors=priors)
@@ -88,7 +96,9 @@ def beams_alone(fit: Fit) -> tuple[Posterior, ...]:
     return tuple(_wider(posterior, follow @ root_of(covariance)) for posterior, follow, covariance in parts)
 
 
-def marginal_beams(setup: ObservingSetup, fitted: Fitted, channels: Sequence[int]) -> tuple[Posterior, ...]:
+def marginal_beams(
+    setup: ObservingSetup, fitted: Fitted, channels: Sequence[int], learned: Learned | None = None
+) -> tuple[Posterior, ...]:
     """Return the posteriors of the coefficients of `grown_problem`, all other effects marginalised.
 
     Parameters
@@ -97,6 +107,8 @@ def marginal_beams(setup: ObservingSetup, fitted: Fitted, channels: Sequence[int
     fitted : Fitted
     channels : sequence of int
         The rank group's.
+    learned : Learned, optional
+        What is known of the first effects beforehand.
     """
     values, fit = fitted.values, fitted.fit
     growth = [one.effect.beam_functions(setup) is not None for one in values.active]
@@ -104,16 +116,28 @@ def marginal_beams(setup: ObservingSetup, fitted: Fitted, channels: Sequence[int
         return beams_alone(fit)
     of_beam = np.concatenate([np.full(len(one.used), own) for one, own in zip(values.active, growth, strict=True)])
     parts = zip(fit.posteriors, fit.beam_response, fit.covariances, channels, strict=True)
-    return tuple(_joint(beam, follow, spread, values, f, of_beam) for beam, follow, spread, f in parts)
+    found = []
+    for beam, follow, spread, f in parts:
+        prior = learned.of_prior(values, f) if learned else (values.prior_precision(f), values.prior_score(f))
+        found.append(_joint(beam, follow, spread, values.x[f], prior, of_beam))
+    return tuple(found)
 
 
 def _joint(
-    given: Posterior, response: Array, covariance: FloatArray, values: Values, channel: int, of_beam: BoolArray
+    given: Posterior,
+    response: Array,
+    covariance: FloatArray,
+    x: FloatArray,
+    prior: tuple[FloatArray, FloatArray],
+    of_beam: BoolArray,
 ) -> Posterior:
-    """Return the posterior of one channel's coefficients; ``of_beam``, (q,), says which parameters are of the beam."""
+    """Return the posterior of one channel's coefficients; ``of_beam``, (q,), says which parameters are of the beam.
+
+    The effects' parameters are at ``x``, (q,), and of their ``prior`` precision and score there are known.
+    """
     more, others = np.flatnonzero(of_beam), np.flatnonzero(~of_beam)
     own, across = covariance[np.ix_(more, more)], covariance[np.ix_(others, more)]
-    inverse = _inverse(own)
+    inverse = inverse_of_covariance(own)
     follow = across @ inverse
     left = covariance[np.ix_(others, others)] - follow @ across.T
     beam = _wider(given, response[:, others] @ root_of(left)) if len(others) else given
@@ -123,10 +147,10 @@ def _joint(
     factor = np.zeros((n + len(more),) * 2, dtype=beam.factor.dtype)
     factor[:n, :n], factor[n:, :n] = beam.factor, -half.conj().T
     factor[n:, n:] = np.linalg.cholesky(inverse)
-    mean = np.concatenate([beam.mean, values.x[channel, more]])
+    mean = np.concatenate([beam.mean, x[more]])
     evidence = given.log_evidence
     if evidence is not None:
-        evidence += _log_ratio(values, channel, more, _inverse(covariance)[np.ix_(more, more)])
+        evidence += _log_ratio(prior, more, inverse_of_covariance(covariance)[np.ix_(more, more)])
     return Posterior(mean, factor, evidence)
 
 
@@ -141,19 +165,12 @@ def _wider(posterior: Posterior, spread: Array) -> Posterior:
     return replace(posterior, factor=left.solve(overwrite=True).factor)
 
 
-def _inverse(covariance: FloatArray) -> FloatArray:
-    """Invert a covariance whose standard deviations may be of very different size."""
-    std = np.sqrt(np.diag(covariance))
-    inverse: FloatArray = np.linalg.inv(covariance / std / std[:, np.newaxis]) / std / std[:, np.newaxis]
-    return 0.5 * (inverse + inverse.T)
-
-
-def _log_ratio(values: Values, channel: int, index: Array, precision: FloatArray) -> float:
+def _log_ratio(prior: tuple[FloatArray, FloatArray], index: Array, precision: FloatArray) -> float:
     """Return by how much ln evidence changes if some parameters are integrated over, given the other effects.
 
     That is ln p(x) + ln |2 pi / precision| / 2, the prior's density at the maximum times the volume of the posterior.
+    The ``prior`` is known by its precision and its score there, (q, q) and (q,).
     """
-    prior_mean = np.concatenate([one.prior.of(channel).mean for one in values.active])
-    away, width = (values.x[channel] - prior_mean)[index], values.prior_std(channel)[index]
-    log_prior = -0.5 * float(np.sum((away / width) ** 2)) - float(np.sum(np.log(width)))
+    own, score = prior[0][np.ix_(index, index)], prior[1][index]
+    log_prior = 0.5 * float(np.linalg.slogdet(own)[1]) - 0.5 * float(score @ np.linalg.solve(own, score))
     return log_prior - 0.5 * float(np.linalg.slogdet(precision)[1])

@@ -14,20 +14,23 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.registry import EFFECTS, REWEIGHTINGS, make_effect, make_reweighting
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.accumulate import accumulate_designs, check_designs
+from hydrabeam_mpi.fit.carried_over import CarriedOver, carry_over, share_fit
 from hydrabeam_mpi.fit.channels import ChannelResult, read_shares, reduce_heldout, reduced_chi2
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.grown import beams_alone, marginal_beams
 from hydrabeam_mpi.fit.heldout import variance_by_effects
+from hydrabeam_mpi.fit.learned import Learned
 from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.settle import settle
 from hydrabeam_mpi.fit.state import Active, Fitted, Reweighted, Values, independent_prior
-from hydrabeam_mpi.inference.prior import ChannelPrior
+from hydrabeam_mpi.inference.prior import ChannelPrior, FactoredPrior
 from hydrabeam_mpi.io.uvmeta import read_observation
 from hydrabeam_mpi.mpi import ProcessGrid, bcast_object, together
 from hydrabeam_mpi.setup.problem import Problem
 from hydrabeam_mpi.setup.skies import source_positions
+from hydrabeam_mpi.terminal.progress import say
 
 AS_WRITTEN = "use the job as 'hydrabeam loop' wrote it, with the same data, or run the loop again"
 
@@ -63,14 +66,39 @@ def read_context(grid: ProcessGrid, problem: Problem, mine: Problem, clock: Cloc
             if grid.is_world_root:
                 known = find_setup(problem)
         setup = bcast_object(grid.world, known)
+        carried, learned = _learn(grid, problem, setup)
     with clock.time("read"):
         # Errors of the predictions of one time are whitened together.
         train, test = read_shares(grid, mine, whole_times=True)
-    return FitContext(grid, mine, setup, RankData(mine, setup, train), RankData(mine, setup, test))
+    return FitContext(grid, mine, setup, RankData(mine, setup, train), RankData(mine, setup, test), carried, learned)
 
 
-def restore(job: Job, setup: ObservingSetup) -> Values:
-    """Return the values that a job's ``[[effects]]`` describe, not yet fitted.
+def _learn(grid: ProcessGrid, problem: Problem, setup: ObservingSetup) -> tuple[CarriedOver | None, Learned | None]:
+    """Return what the result that is the prior says of effects, which is told. Collective: all ranks of the grid."""
+    result = problem.earlier
+    if result is None or not result.entries:
+        return None, None
+    shared = None
+    with together(grid.world):
+        if grid.is_world_root:
+            with result.telling():
+                shared = carry_over(result.entries, setup)
+            for line in shared.lines:
+                say(line)
+    carried: CarriedOver = bcast_object(grid.world, shared)
+    if not carried.values.active:
+        return carried, None
+    beams, covariances, responses = {}, [], {}
+    for channel in range(setup.observation.Nfreqs):
+        beam, covariance, response = share_fit(grid, result, carried, channel)
+        covariances.append(covariance)
+        if channel in grid.channels:
+            beams[channel], responses[channel] = FactoredPrior(beam.mean, beam.factor), response
+    return carried, Learned(carried.values, tuple(covariances), beams, responses)
+
+
+def restore(job: Job, setup: ObservingSetup, learned: Learned | None = None) -> Values:
+    """Return the values of what is ``learned`` and of a job's ``[[effects]]``, not yet fitted.
 
     Raises
     ------
@@ -93,7 +121,7 @@ def restore(job: Job, setup: ObservingSetup) -> Values:
         except InputError as error:
             error.within(f"[[effects]] number {number + 1} ({entry.kind})")
             raise
-    return Values(tuple(active), tuple(reweighted))
+    return Values(learned.joined(active) if learned else tuple(active), tuple(reweighted))
 
 
 def _restore_reweighting(entry: EffectEntry, setup: ObservingSetup) -> Reweighted:
@@ -133,7 +161,7 @@ def fit_with_effects(context: FitContext, clock: Clock) -> Fitted:
         Receives the phases "design" and "solve"; each step of the fit solves, so that "design" has all of it.
     """
     with together(context.grid.world):
-        values = restore(context.problem.job, context.setup)
+        values = restore(context.problem.job, context.setup, context.learned)
     with clock.time("design"):
         fitted = settle(context, refit(context, values))
     with clock.time("solve"):
@@ -160,7 +188,7 @@ def channel_results(context: FitContext, fitted: Fitted) -> list[ChannelResult]:
         designs = context.test.designs(fitted.values)
         heldout = check_designs(test, designs, predicting, before, variance, context.test.rows)
     reduce_heldout(grid, heldout)
-    beams = marginal_beams(context.setup, fitted, context.channels)
+    beams = marginal_beams(context.setup, fitted, context.channels, context.learned)
     errors = zip(fitted.fit.covariances, fitted.fit.beam_response, strict=True)
     of_effects = [{"effects_covariance": one, "effects_beam_response": two} for one, two in errors] or [{}] * len(given)
     parts = zip(normals, map(reduced_chi2, normals, given), beams, heldout, of_effects, strict=True)

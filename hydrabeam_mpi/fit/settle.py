@@ -22,10 +22,13 @@ MAX_SETTLING = 60
 """Steps at most; nearly all fits take three to ten."""
 
 
-def refined(fitted: Fitted) -> Fitted:
-    """Return the fit with effects as they are described by what has been fitted; see `Effect.refined`."""
-    active, stds = [], []
-    for one, std in zip(fitted.values.active, fitted.fit.std, strict=True):
+def refined(fitted: Fitted, n_known: int = 0) -> Fitted:
+    """Return the fit with effects as they are described by what has been fitted; see `Effect.refined`.
+
+    The first ``n_known`` stay as they are: what is known of them beforehand is in terms of these.
+    """
+    active, stds = list(fitted.values.active[:n_known]), list(fitted.fit.std[:n_known])
+    for one, std in zip(fitted.values.active[n_known:], fitted.fit.std[n_known:], strict=True):
         effect, x, left = one.effect.refined(one.x, one.used)
         used, limits, held = np.searchsorted(left, one.used), one.step_limit[left], one.degenerate_directions[:, left]
         active.append(Active(effect, used, one.prior, x, limits, held))
@@ -55,4 +58,4 @@ def settle(context: FitContext, fitted: Fitted) -> Fitted:
         if moved < SETTLED_SIGMAS:
             break
         before, at = moved, step.to
-    return fitted if best is None else replace(best[0], diagnostics=diagnostics_of(context, best[1]))
+    return fitted if best is None else replace(best[0], diagnostics=diagnostics_of(context, best[0].values, best[1]))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import LinAlgError, cholesky
 
-from hydrabeam_mpi.data.observation import Array
+from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
 
 
@@ -16,6 +16,13 @@ def complete_hermitian(matrix: Array, block: int = 128) -> None:
         corner = np.triu(matrix[lo:hi, lo:hi])
         matrix[lo:hi, lo:hi] = corner + np.triu(corner, 1).conj().T
         matrix[hi:, lo:hi] = matrix[lo:hi, hi:].conj().T
+
+
+def inverse_of_covariance(covariance: FloatArray) -> FloatArray:
+    """Invert a covariance, (n, n), whose standard deviations may be of very different size."""
+    std = np.sqrt(np.diag(covariance))
+    inverse: FloatArray = np.linalg.inv(covariance / std / std[:, np.newaxis]) / std / std[:, np.newaxis]
+    return 0.5 * (inverse + inverse.T)
 
 
 def cholesky_lower(matrix: Array) -> Array:

@@ -17,6 +17,11 @@ from tests.loop.mock import mock_job, write_job
 from tests.loop.test_loop_command import TWO
 
 JOB = mock_job(freqs=TWO)
+RUN = """
+import sys
+from hydrabeam_mpi.cli import main
+assert main(["infer", sys.argv[1], "-o", sys.argv[2]]) == 0
+"""
 NIGHTS: tuple[dict[str, Any], ...] = (
     {"lst_range": [0.0, 6.0]},
     {"start": 2459867.0, "lst_range": [6.1, 12.1]},
@@ -42,11 +47,11 @@ class Files:
         job = {**JOB, **tables, **before, "data": {"files": self.data(*nights), **tables.get("data", {})}}
         return write_job(job, self.folder, "job.toml")
 
-    def result(self, *nights: int, prior: Path | None = None) -> Path:
+    def result(self, *nights: int, prior: Path | None = None, name: str = "result", **tables: Any) -> Path:
         """Infer from some nights at once, with what others have told as the prior."""
-        out = self.folder / f"{prior.name if prior else 'result'}-{''.join(map(str, nights))}"
+        out = self.folder / f"{prior.name if prior else name}-{''.join(map(str, nights))}"
         if not out.exists():
-            assert main(["infer", str(self.job(nights, prior)), "-o", str(out)]) == 0
+            assert main(["infer", str(self.job(nights, prior, **tables)), "-o", str(out)]) == 0
         return out
 
 
@@ -61,6 +66,37 @@ def assert_same(one: hb.Result, two: hb.Result, within: float) -> None:
     np.testing.assert_array_less(np.abs(one.beam.std - two.beam.std), within * two.beam.std)
     spread = two.beam.std[:, :, np.newaxis] * two.beam.std[:, np.newaxis]
     np.testing.assert_array_less(np.abs(one.beam.covariance - two.beam.covariance), within * spread)
+
+
+def entry(kind: str, names: list[str], **settings: Any) -> dict[str, Any]:
+    """Return an effect that is to be fitted, with a prior of a tenth."""
+    n = len(names)
+    fitted = {"index": list(range(n)), "values": [[0.0] * n] * len(TWO), "prior_std": [[0.1] * n]}
+    return {"kind": kind, "settings": settings, "names": names, **fitted}
+
+
+PAIRS = [[0, 1], [2, 3], [0, 5]]
+COUPLING = entry(
+    "cross_coupling", [f"baseline {i}-{j} {part}" for i, j in PAIRS for part in ("real", "imaginary")], baselines=PAIRS
+)
+GAINS = entry("antenna_gains", [f"antenna {i} {what}" for i in range(7) for what in ("ln amplitude", "phase")])
+DELAYS = entry("antenna_delays", [f"antenna {i} delay" for i in range(7)])
+
+
+def assert_same_effects(one: Path, two: Path, within: float) -> None:
+    """Effects and their joint errors agree, and how the beam follows them."""
+    first, second = hb.load(one).content, hb.load(two).content
+    assert first.effects is not None
+    assert second.effects is not None
+    for mine, wanted in zip(first.effects["entries"], second.effects["entries"], strict=True):
+        assert mine["names"] == wanted["names"]
+        assert mine["prior_std"] == wanted["prior_std"]
+        np.testing.assert_array_less(np.abs(np.subtract(mine["values"], wanted["values"])) / wanted["std"], within)
+    for mine, wanted in zip(first.channels, second.channels, strict=True):
+        spread = wanted.arrays["effects_covariance"]
+        sigma = np.sqrt(np.diag(spread))
+        away = np.abs(mine.arrays["effects_covariance"] - spread) / sigma / sigma[:, np.newaxis]
+        np.testing.assert_array_less(away, within)
 
 
 def evidence(result: hb.Result) -> np.ndarray:
@@ -78,6 +114,41 @@ def test_nights_one_after_the_other_are_as_all_at_once(files: Files) -> None:
     about = json.loads((second / "provenance.json").read_text())
     assert about["sha256_before"] == json.loads((first / "provenance.json").read_text())["sha256"]
     assert str(first) in about["sha256"]
+
+
+def test_effects_that_add_are_as_of_all_at_once(files: Files) -> None:
+    """Beam and constant couplings together are a linear model, so that this is exact."""
+    first = files.result(0, name="coupling", effects=[COUPLING])
+    second, at_once = files.result(1, prior=first), files.result(0, 1, name="coupling", effects=[COUPLING])
+    assert_same(hb.load(second), hb.load(at_once), 1e-6)
+    assert_same_effects(second, at_once, 1e-6)
+    told = hb.load(second).summary["prior"]
+    assert told["result"] == str(first)
+    assert [(one["effect"], one["parameters"]) for one in told["carried_over"]] == [
+        ("cross_coupling", COUPLING["names"])
+    ]
+
+
+def test_gains_and_delays_are_as_of_all_at_once(files: Files) -> None:
+    """But for what is not linear in them within their errors, of which a thousandth of an error is left here.
+
+    Delays are the same in all channels, and gains each channel's own; together they are degenerate but for the prior.
+    """
+    effects = [GAINS, DELAYS, COUPLING]
+    first = files.result(0, name="gains", effects=effects)
+    second, at_once = files.result(1, prior=first), files.result(0, 1, name="gains", effects=effects)
+    assert_same(hb.load(second), hb.load(at_once), 2e-3)
+    assert_same_effects(second, at_once, 2e-3)
+
+
+def test_two_ranks_say_the_same(files: Files, mpiexec_python: Any) -> None:
+    prior = files.result(0, name="coupling", effects=[COUPLING])
+    wanted = files.result(1, prior=prior)
+    out = files.folder / "ranks"
+    done = mpiexec_python(2, RUN, files.job((1,), prior), out)
+    assert done.returncode == 0, done.stderr
+    assert_same(hb.load(out), hb.load(wanted), 1e-6)
+    assert_same_effects(out, wanted, 1e-6)
 
 
 def test_python_takes_a_result_from_memory_and_from_its_folder(files: Files) -> None:

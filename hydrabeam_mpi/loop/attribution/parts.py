@@ -11,7 +11,7 @@ from scipy.sparse import csr_array, hstack
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.fit.blocks import ColumnBlock
+from hydrabeam_mpi.fit.blocks import EffectBlock
 from hydrabeam_mpi.fit.columns import Columns, RowSet
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.equations import BEAM
@@ -117,7 +117,7 @@ def ask_constancy(context: FitContext, fitted: Fitted, place: int) -> tuple[Cons
 
 
 def likelihoods_of(
-    context: FitContext, fitted: Fitted, blocks: Mapping[str, ColumnBlock], x: FloatArray
+    context: FitContext, fitted: Fitted, blocks: Mapping[str, EffectBlock], x: FloatArray
 ) -> list[Likelihood] | None:
     """Return what each channel says of blocks with the beam marginalised, of the last one around zero; None off rank 0.
 

@@ -12,7 +12,7 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.equations import BEAM
 from hydrabeam_mpi.fit.gauss_newton import active_sums
 from hydrabeam_mpi.fit.marginal import Marginal
-from hydrabeam_mpi.fit.state import Active, Fitted
+from hydrabeam_mpi.fit.state import Active, Fitted, Values
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.attribution.score_effects import Finding, weigh
@@ -46,7 +46,8 @@ class Known:
             rows, added = context.train.calibrated(fitted.estimate)
         found = []
         for channel, number in enumerate(context.channels):
-            blocks = {f"{place}": CandidateBlock(one.effect, one.x[number]) for place, one in enumerate(active)}
+            named = Values(active).blocks.items()
+            blocks = {name: CandidateBlock(one.effect, one.x[number]) for name, one in named}
             sums = active_sums(context, context.train, fitted.estimate, channel, rows, added[channel], blocks)
             if context.grid.is_group_root:
                 marginal = Marginal(sums, BEAM, fitted.fit.posteriors[channel])

@@ -166,6 +166,8 @@ def candidate_sums(
         for block in cached.row_blocks(channel):
             add_block(total, block, model, candidates)
     total.reduce(context.grid.group)
+    if context.learned:
+        context.learned.add_to(total, values.blocks, context.channels[channel], cached.at)
     return total
 
 

@@ -80,7 +80,8 @@ def settle_last(context: FitContext, history: History) -> None:
 
     Effects are described by what has been fitted first. Collective: all ranks of the grid.
     """
-    last = check(context, settle(context, refined(history.last.fitted)))
+    n_known = len(context.learned.values.active) if context.learned else 0
+    last = check(context, settle(context, refined(history.last.fitted, n_known)))
     history.last = last
     if history.rounds:
         history.rounds[-1] = replace(history.rounds[-1], after=last)
