@@ -13,6 +13,8 @@ from pyuvdata import UVData
 
 import hydrabeam_mpi as hb
 from hydrabeam_mpi.cli import main
+from tests.api.nights import JOB as NIGHTS_JOB
+from tests.api.nights import Nights
 from tests.loop.mock import mock_job, write_job
 from tests.loop.test_loop_command import TWO
 
@@ -139,6 +141,28 @@ def test_gains_and_delays_are_as_of_all_at_once(files: Files) -> None:
     second, at_once = files.result(1, prior=first), files.result(0, 1, name="gains", effects=effects)
     assert_same(hb.load(second), hb.load(at_once), 2e-3)
     assert_same_effects(second, at_once, 2e-3)
+
+
+def test_a_loop_goes_on_from_what_is_known(nights: Nights) -> None:
+    """Gains and a source that the first night has found are nothing new in the second, and are known better."""
+    prior, out = {"prior": {"file": str(nights.result)}}, nights.folder / "after"
+    data = {"data": {"files": [str(nights.data("second"))]}}
+    assert (
+        main(["loop", str(write_job({**NIGHTS_JOB, **prior, **data}, nights.folder, "after.toml")), "-o", str(out)])
+        == 0
+    )
+    found, before = hb.load(out), hb.load(nights.result)
+    assert isinstance(found, hb.Found)
+    assert found.rounds == []
+    assert found.verdict == "consistent"
+    assert found.content.effects is not None
+    assert before.content.effects is not None
+    for one, two in zip(found.content.effects["entries"], before.content.effects["entries"], strict=True):
+        assert (one["settings"], one["names"], one["prior_std"]) == (two["settings"], two["names"], two["prior_std"])
+        assert np.all(np.less(one["std"], two["std"]))
+    assert main(["infer", str(out / "amended.toml"), "-o", str(nights.folder / "again")]) == 0
+    assert_same(hb.load(nights.folder / "again"), found, 1e-6)
+    assert_same_effects(nights.folder / "again", out, 1e-6)
 
 
 def test_two_ranks_say_the_same(files: Files, mpiexec_python: Any) -> None:
