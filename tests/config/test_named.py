@@ -73,7 +73,7 @@ def test_layout_of_a_simulation(tmp_path: Path) -> None:
 @pytest.mark.parametrize("what", ["missing", "loop", "other kind", "pipe"])
 def test_what_is_not_there_or_not_as_it_should_be(name: str, field: str, what: str, job: Job, tmp_path: Path) -> None:
     path = tmp_path / name
-    either = name in ("data.ms", "noise.npz")
+    either = name in ("data.ms", "noise.npz", "prior.h5")
     path.rmdir() if path.is_dir() else path.unlink()
     if what == "loop":
         path.symlink_to(path)
