@@ -30,6 +30,13 @@ def pytest_configure(config: pytest.Config) -> None:
             config.pluginmanager.unregister(name="terminalreporter")
 
 
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Import no file for ``-m mpi`` that has no such test: every rank would."""
+    if config.getoption("markexpr") != "mpi" or collection_path.suffix != ".py":
+        return None
+    return "mark.mpi" not in collection_path.read_text() or None
+
+
 @pytest.fixture(scope="session")
 def comm() -> MPI.Comm:
     """All ranks of the test run: one, unless it was started with mpiexec."""
