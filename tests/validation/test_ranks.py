@@ -72,7 +72,7 @@ def on_one_rank(jobs, tmp_path_factory):
     return folder
 
 
-@pytest.fixture(scope="module", params=[2, 3, 5])
+@pytest.fixture(scope="module", params=[2, 5])
 def on_many_ranks(request, jobs, tmp_path_factory, mpiexec_python):
     folder = tmp_path_factory.mktemp(f"ranks{request.param}")
     done = mpiexec_python(request.param, RUN_ALL, jobs, folder, timeout=300)
