@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any, ClassVar
 
 from hydrabeam_mpi.api.result import Found, Result, load
 from hydrabeam_mpi.api.setup import Setup
 from hydrabeam_mpi.api.shared import prepare_checked
+from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.sections import Holdout, Prior
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.applied import apply_fit
@@ -15,11 +19,69 @@ from hydrabeam_mpi.fit.carried_over import CarriedOver
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Fitted
+from hydrabeam_mpi.io.disk import writing
 from hydrabeam_mpi.io.inferred import Inferred
+from hydrabeam_mpi.io.staging import write_whole
 from hydrabeam_mpi.loop.checks.health import told
 from hydrabeam_mpi.mpi import Comm, together
+from hydrabeam_mpi.result.output import write_job_and_provenance
 from hydrabeam_mpi.setup.problem import Problem
 from hydrabeam_mpi.terminal.progress import say
+
+
+@dataclass(frozen=True)
+class Applied:
+    """What comes of a result in other data; on ranks other than 0 there is nothing in it but the job.
+
+    Attributes
+    ----------
+    job : Job
+        The data and the sky.
+    summary : dict
+        What is told, in `told_in`.
+    about : dict
+        Where it comes from.
+    """
+
+    told_in: ClassVar[str]
+    """Name of the file that has the summary."""
+    job: Job
+    summary: dict[str, Any] = field(default_factory=dict)
+    about: dict[str, Any] = field(default_factory=dict)
+
+    def write(self, folder: str | Path, *, overwrite: bool = False) -> None:
+        """Write the folder as the command does; by rank 0 alone.
+
+        Raises
+        ------
+        InputError
+            If the folder exists and may not be replaced, or cannot be written.
+        """
+        if self.summary:
+            write_whole(Path(folder), self.fill, overwrite, map(Path, self.about["sha256"]))
+
+    def fill(self, folder: Path) -> None:
+        """Write all files into an empty folder."""
+        with writing(folder):
+            self.write_data(folder)
+            (folder / self.told_in).write_text(json.dumps(self.summary, indent=2) + "\n")
+            write_job_and_provenance(folder, self.job, self.about)
+
+    def write_data(self, folder: Path) -> None:
+        """Write what there is besides the summary."""
+
+
+def summary_of(
+    result: Result, problem: Problem, carried: CarriedOver, numbers: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """Return what is told of a result in other data, with further ``numbers``."""
+    return {
+        "name": problem.job.name,
+        "result": str(result.path.parent) if result.path else None,
+        **(numbers or {}),
+        **carried.summary,
+        "warnings": list(problem.cautions),
+    }
 
 
 def load_shared(world: Comm, folder: Path) -> Result:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,24 +10,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydrabeam_mpi.api.applied import apply_result, setup_for
+from hydrabeam_mpi.api.applied import Applied, apply_result, setup_for, summary_of
 from hydrabeam_mpi.api.result import Result
 from hydrabeam_mpi.api.setup import Setup
 from hydrabeam_mpi.api.shared import begun, origin_of
-from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, Observation
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.fit.taken_out import Parts, antenna_gains, take_out
 from hydrabeam_mpi.io.calfits import write_calfits
-from hydrabeam_mpi.io.disk import writing
 from hydrabeam_mpi.io.noise import calibrated_autos
-from hydrabeam_mpi.io.staging import write_whole
 from hydrabeam_mpi.io.uvdata import read_visibilities
 from hydrabeam_mpi.io.uvwrite import write_uvh5
 from hydrabeam_mpi.mpi import gather_objects, together
-from hydrabeam_mpi.result.output import write_job_and_provenance
 from hydrabeam_mpi.setup.problem import Problem
 
 WHAT = {
@@ -41,7 +36,7 @@ WHAT = {
 
 
 @dataclass(frozen=True)
-class Correction:
+class Correction(Applied):
     """Data, and what of them is the instrument's: V = g_i g_j* (corrected + added), corrected = model + residual.
 
     On ranks other than 0 there is nothing in it but the job.
@@ -64,40 +59,24 @@ class Correction:
         Where it comes from.
     """
 
-    job: Job
+    told_in = "correction.json"
     observation: Observation | None = None
     visibilities: dict[str, ComplexArray] = field(default_factory=dict)
     flags: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
     nsamples: FloatArray = field(default_factory=lambda: np.zeros(0))
     autos: FloatArray = field(default_factory=lambda: np.zeros(0))
     gains: ComplexArray = field(default_factory=lambda: np.zeros(0, dtype=complex))
-    summary: dict[str, Any] = field(default_factory=dict)
-    about: dict[str, Any] = field(default_factory=dict)
 
-    def write(self, folder: str | Path, *, overwrite: bool = False) -> None:
-        """Write the folder as `hydrabeam correct` does; by rank 0 alone.
-
-        Raises
-        ------
-        InputError
-            If the folder exists and may not be replaced, or cannot be written.
-        """
-        if self.observation is not None:
-            write_whole(Path(folder), self.fill, overwrite, map(Path, self.about["sha256"]))
-
-    def fill(self, folder: Path) -> None:
-        """Write all files into an empty folder."""
+    def write_data(self, folder: Path) -> None:
+        """Write visibilities and gains."""
         assert self.observation is not None
         by = f"hydrabeam_mpi {self.about['versions']['hydrabeam_mpi']}, result {self.summary['result']}."
-        with writing(folder):
-            for name, values in self.visibilities.items():
-                autos = self.autos if name == "corrected" and np.isfinite(self.autos).any() else None
-                path, history = folder / f"{name}.uvh5", f"{WHAT[name]} Written by {by}"
-                write_uvh5(path, self.observation, values, self.flags, self.nsamples, autos, history)
-            history = f"Gains that effects stand for. Written by {by}"
-            write_calfits(folder / "gains.calfits", self.observation, self.gains, history)
-            (folder / "correction.json").write_text(json.dumps(self.summary, indent=2) + "\n")
-            write_job_and_provenance(folder, self.job, self.about)
+        for name, values in self.visibilities.items():
+            autos = self.autos if name == "corrected" and np.isfinite(self.autos).any() else None
+            path, history = folder / f"{name}.uvh5", f"{WHAT[name]} Written by {by}"
+            write_uvh5(path, self.observation, values, self.flags, self.nsamples, autos, history)
+        history = f"Gains that effects stand for. Written by {by}"
+        write_calfits(folder / "gains.calfits", self.observation, self.gains, history)
 
 
 def correct(result: Result, setup: Setup, bad_antennas: Collection[int] = ()) -> Correction:
@@ -165,13 +144,7 @@ def run_correction(
     with together(world):
         if gathered is not None:
             gains = antenna_gains(context.setup, fitted.values)[problem.channel_numbers]
-            summary = {
-                "name": setup.job.name,
-                "result": str(result.path.parent) if result.path else None,
-                **carried.summary,
-                "warnings": list(problem.cautions),
-            }
-            about = origin_of(setup, problem, threads)
+            summary, about = summary_of(result, problem, carried), origin_of(setup, problem, threads)
             correction = _joined(problem, gathered, gains, bad_antennas)
             correction = replace(correction, job=setup.job, summary=summary, about=about)
     return correction
@@ -204,4 +177,12 @@ def _joined(problem: Problem, gathered: list[_Part], gains: ComplexArray, bad_an
     times = np.arange(observation.Ntimes)
     autos = calibrated_autos(problem.files, observation, times, problem.gain_files)
     autos = autos * problem.flux_scale.reshape(-1, 1, 1, 1) / np.abs(gains[:, np.newaxis, :, np.newaxis]) ** 2
-    return Correction(problem.job, observation, visibilities, flags, nsamples, autos, gains)
+    return Correction(
+        job=problem.job,
+        observation=observation,
+        visibilities=visibilities,
+        flags=flags,
+        nsamples=nsamples,
+        autos=autos,
+        gains=gains,
+    )

@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hydrabeam_mpi.api.applied import apply_result, setup_for
+from hydrabeam_mpi.api.applied import Applied, apply_result, setup_for, summary_of
 from hydrabeam_mpi.api.result import Result
 from hydrabeam_mpi.api.setup import Setup
 from hydrabeam_mpi.api.shared import begun, origin_of
-from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.heldout import whiten
-from hydrabeam_mpi.io.disk import writing
-from hydrabeam_mpi.io.staging import write_whole
 from hydrabeam_mpi.loop.selection.heldout_numbers import HeldoutNumbers, heldout_numbers
 from hydrabeam_mpi.mpi import together
-from hydrabeam_mpi.result.output import write_job_and_provenance
 from hydrabeam_mpi.terminal.progress import say
 
 
 @dataclass(frozen=True)
-class Prediction:
+class Prediction(Applied):
     """How near a fitted model comes to data that it has not seen.
 
     On ranks other than 0 there is nothing in it but the job.
@@ -41,26 +36,7 @@ class Prediction:
         Where it comes from.
     """
 
-    job: Job
-    summary: dict[str, Any] = field(default_factory=dict)
-    about: dict[str, Any] = field(default_factory=dict)
-
-    def write(self, folder: str | Path, *, overwrite: bool = False) -> None:
-        """Write the folder as `hydrabeam predict` does; by rank 0 alone.
-
-        Raises
-        ------
-        InputError
-            If the folder exists and may not be replaced, or cannot be written.
-        """
-        if self.summary:
-            write_whole(Path(folder), self.fill, overwrite, map(Path, self.about["sha256"]))
-
-    def fill(self, folder: Path) -> None:
-        """Write all files into an empty folder."""
-        with writing(folder):
-            (folder / "prediction.json").write_text(json.dumps(self.summary, indent=2) + "\n")
-            write_job_and_provenance(folder, self.job, self.about)
+    told_in = "prediction.json"
 
 
 def predict(result: Result, setup: Setup) -> Prediction:
@@ -113,14 +89,8 @@ def run_prediction(result: Result, setup: Setup, folder: Path | None, threads: i
     prediction = Prediction(setup.job)
     with together(setup.comm):
         if setup.comm.rank == 0:
-            summary = {
-                "name": setup.job.name,
-                "result": str(result.path.parent) if result.path else None,
-                **_numbers(numbers, context.setup.observation.freqs, problem.channel_numbers.tolist()),
-                **carried.summary,
-                "warnings": list(problem.cautions),
-                "phases_s": clock.seconds,
-            }
+            told = _numbers(numbers, context.setup.observation.freqs, problem.channel_numbers.tolist())
+            summary = {**summary_of(result, problem, carried, told), "phases_s": clock.seconds}
             prediction = Prediction(setup.job, summary, origin_of(setup, problem, threads))
     return prediction
 

@@ -13,13 +13,11 @@ from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.named import expand
 from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.partition import Tile, make_tiles
-from hydrabeam_mpi.data.redundancy import RedundantGroups, check_tolerance, find_redundant_groups
-from hydrabeam_mpi.data.selection import HoldoutRule, Selection, split_holdout
+from hydrabeam_mpi.data.redundancy import RedundantGroups
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.inference.prior import Prior
 from hydrabeam_mpi.io.inferred import Inferred
 from hydrabeam_mpi.io.noise import difference_variance
-from hydrabeam_mpi.io.uvmeta import read_observation
 from hydrabeam_mpi.io.uvsource import Data
 from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.beam import Beam
@@ -32,6 +30,7 @@ from hydrabeam_mpi.setup.cautions import cautions_of_data
 from hydrabeam_mpi.setup.earlier import beam_priors, find_earlier
 from hydrabeam_mpi.setup.findings import Finding
 from hydrabeam_mpi.setup.given import NOTHING, Given
+from hydrabeam_mpi.setup.selected import find_groups, observe, roles_of
 from hydrabeam_mpi.setup.skies import count_sources, load_sky, source_positions
 
 
@@ -158,77 +157,6 @@ class Problem:
         )
 
 
-def select(job: Job) -> Selection:
-    """Turn the data section into a selection in radians and Hz."""
-    data = job.data
-    return Selection(
-        pols=(data.polarization,),
-        antennas=data.antennas,
-        exclude_antennas=data.exclude_antennas,
-        antpairs=data.antpairs,
-        min_bl_length=data.min_bl_length or None,
-        max_bl_length=data.max_bl_length,
-        channels=data.channels,
-        freqs=data.freqs,
-        freq_range=data.freq_range,
-        time_range=data.time_range,
-        lst_range=None if data.lst_range is None else _radians(data.lst_range),
-        every_time=data.every_time,
-    )
-
-
-def _radians(hours: tuple[float, float]) -> tuple[float, float]:
-    return hours[0] * np.pi / 12, hours[1] * np.pi / 12
-
-
-def _observe(job: Job, files: tuple[Data, ...]) -> Observation:
-    """Read what was observed, and take of it what the job selects and corrects."""
-    observation = read_observation(files, select(job))
-    known = set(observation.antpairs.ravel().tolist())
-    if unknown := {ant for pair in job.data.exclude_baselines for ant in pair} - known:
-        listed = ", ".join(map(str, sorted(unknown)))
-        field = "[data] exclude_baselines"
-        raise InputError(f"antenna {listed} is not in the data", field=field, remedy="remove it from the list")
-    width = job.data.channel_width
-    return replace(
-        observation,
-        pol_convention=job.data.pol_convention,
-        exclude_times=job.data.exclude_times,
-        exclude_baselines=job.data.exclude_baselines,
-        channel_width=observation.channel_width if width is None else np.full(observation.Nfreqs, width),
-    )
-
-
-def _holdout_rule(job: Job) -> HoldoutRule:
-    """Turn the hold-out section into a rule in radians."""
-    holdout = job.holdout
-    return HoldoutRule(
-        kind=holdout.kind,
-        every=holdout.every,
-        lst_ranges=tuple(_radians(lst_range) for lst_range in holdout.lst_ranges),
-        jd_ranges=holdout.jd_ranges,
-        antpairs=holdout.antpairs,
-    )
-
-
-def _roles(job: Job, observation: Observation) -> tuple[Tile, Tile]:
-    """Return the rows to infer from and those held out."""
-    split = split_holdout(observation, _holdout_rule(job))
-    train = Tile(np.flatnonzero(split.train_times), np.flatnonzero(split.train_bls))
-    return train, Tile(np.flatnonzero(split.test_times), np.flatnonzero(split.test_bls))
-
-
-def find_groups(job: Job, observation: Observation) -> RedundantGroups:
-    """Group redundant baselines, or keep each alone where the job says not to compress."""
-    tol, vectors = job.data.redundancy_tol, observation.bl_vectors
-    redundant = find_redundant_groups(vectors, tol, either_sign=observation.is_copolar)
-    if job.solver.compress:
-        check_tolerance(observation, redundant, tol)
-        return redundant
-    signs = np.where(redundant.flipped, -1.0, 1.0)[:, np.newaxis]
-    return RedundantGroups(signs * vectors, np.arange(observation.Nbls), redundant.flipped)
-
-
 def prepare(job: Job, files: tuple[Data, ...], truths: tuple[Beam, ...] = (), given: Given = NOTHING) -> Problem:
     """Read and fit everything but the visibilities. Serial.
 
@@ -247,9 +175,9 @@ def prepare(job: Job, files: tuple[Data, ...], truths: tuple[Beam, ...] = (), gi
     InputError
         If a file or a setting cannot be used.
     """
-    observation = _observe(job, files)
+    observation = observe(job, files)
     _check_scale(job, observation)
-    train, test = _roles(job, observation)
+    train, test = roles_of(job, observation)
     whole_sky = load_sky(job, observation.freqs, given.sky)
     sky = whole_sky.brighter_than(job.sky.model_flux_min)
     time_costs = count_sources(sky, observation)
@@ -316,7 +244,7 @@ def estimate_noise(world: Comm, problem: Problem) -> Problem:
 
 def select_anew(problem: Problem, job: Job) -> Problem:
     """Return the problem of a job that differs only in what it selects of the data, or in their scale. Serial."""
-    observation = _observe(job, problem.files)
-    train, test = _roles(job, observation)
+    observation = observe(job, problem.files)
+    train, test = roles_of(job, observation)
     redundant = find_groups(job, observation)
     return replace(problem, job=job, observation=observation, redundant=redundant, train=train, test=test)
