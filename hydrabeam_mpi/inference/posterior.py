@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy.linalg import eigh, solve_triangular
 from scipy.linalg.lapack import dpotri, zpotri
+from scipy.sparse.linalg import ArpackNoConvergence, eigsh
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.inference.matrices import complete_hermitian
 from hydrabeam_mpi.random import complex_normal
+
+DENSE = 64
+"""Matrices with fewer rows are decomposed as a whole, which takes no time."""
 
 
 @dataclass(frozen=True)
@@ -67,16 +72,23 @@ class Posterior:
         complete_hermitian(lower.T)
         return np.asarray(lower)
 
-    @cached_property
-    def spectrum(self) -> tuple[FloatArray, Array]:
-        """Eigenvalues of the precision, ascending, (n,), and its eigenvectors, (n, n).
+    def largest(self, k: int) -> tuple[FloatArray, Array]:
+        """Return the ``k`` largest eigenvalues of the precision, descending, (k,), and their eigenvectors, (n, k).
 
         In the covariance the best-determined ones are beside the largest as small as rounding errors.
         """
         precision = self.factor @ self.factor.conj().T
-        # LAPACK's search for a few of many (evr) may fail.
-        values, vectors = eigh(precision, driver="evd", overwrite_a=True, check_finite=False)
-        return np.asarray(values), np.asarray(vectors)
+        values, vectors = _largest(precision, k)
+        # Eigenvectors have any phase; here their largest component is positive.
+        top = vectors[np.argmax(np.abs(vectors), axis=0), np.arange(k)]
+        return values, vectors * (np.abs(top) / top)
+
+    @cached_property
+    def condition_number(self) -> float:
+        """Of the precision; at most what rounding errors leave of it."""
+        (best,), _ = self.largest(1)
+        (worst,), _ = _largest(self.covariance, 1)
+        return float(min(best * worst, 1 / np.finfo(float).eps))
 
     @property
     def std(self) -> FloatArray:
@@ -89,11 +101,34 @@ class Posterior:
         return np.einsum("ij,ij->j", half, half.conj()).real
 
     def draw(self, rng: np.random.Generator) -> Array:
-        """Draw coefficients, (n,).
+        """Draw coefficients, (n,)."""
+        return self.draws([rng])[0]
+
+    def draws(self, rngs: Sequence[np.random.Generator]) -> Array:
+        """Draw coefficients with each of the generators, (Ndraws, n).
 
         The Gaussian constrained realisation solves P x = h + Sigma^(-1/2) w0 + A^H N^(-1/2) w1; its two noise
         terms together have covariance P = L L^H, so they are drawn as one, L w, and x = mean + L^-H w.
         """
         n = len(self.mean)
-        white = complex_normal(rng, (n,)) if self.is_complex else rng.standard_normal(n)
-        return self.mean + solve_triangular(self.factor, white, lower=True, trans="C", check_finite=False)
+        each = [complex_normal(rng, (n,)) if self.is_complex else rng.standard_normal(n) for rng in rngs]
+        white = np.array(each).reshape(len(each), n)
+        if not len(white):
+            return white.astype(self.mean.dtype)
+        moved = solve_triangular(self.factor, white.T, lower=True, trans="C", check_finite=False).T
+        return np.asarray(self.mean + moved)
+
+
+def _largest(matrix: Array, k: int) -> tuple[FloatArray, Array]:
+    """Return the ``k`` largest eigenvalues of a Hermitian matrix, descending, and their eigenvectors, (n, k)."""
+    n = len(matrix)
+    if max(DENSE, 4 * k) < n:
+        try:
+            # Begun from the same vector, so that the same matrix gives the same.
+            values, vectors = eigsh(matrix, k, which="LA", v0=np.ones(n, dtype=matrix.dtype))
+        except ArpackNoConvergence:
+            values, vectors = eigh(matrix, driver="evd", check_finite=False)
+    else:
+        values, vectors = eigh(matrix, driver="evd", check_finite=False)
+    order = np.argsort(values)[: -k - 1 : -1]
+    return np.asarray(values[order].real), np.asarray(vectors[:, order])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from hydrabeam_mpi.fit.channels import ChannelResult
 from hydrabeam_mpi.inference.predictive_checks import Z_EDGES
 from hydrabeam_mpi.io.posterior_file import ChannelRecord
@@ -44,10 +42,8 @@ def _record(problem: Problem, f: int, result: ChannelResult, maps: SkyMaps) -> C
     """Put together one channel's numbers and arrays; see `hydrabeam_mpi.io.posterior_file`."""
     prior, posterior = problem.priors[f], result.posterior
     variances, beams = eigenbeams(posterior, problem.basis)
-    draws = [
-        posterior.draw(generator(problem.job.seed, "posterior draw", int(problem.channel_numbers[f]), draw))
-        for draw in range(problem.job.output.draws)
-    ]
+    key = problem.job.seed, "posterior draw", int(problem.channel_numbers[f])
+    draws = posterior.draws([generator(*key, draw) for draw in range(problem.job.output.draws)])
     summary = {
         "freq_hz": float(problem.observation.freqs[f]),
         "n_data": result.normal.n_data,
@@ -64,7 +60,7 @@ def _record(problem: Problem, f: int, result: ChannelResult, maps: SkyMaps) -> C
         "std": posterior.std,
         "prior_mean": prior.mean,
         "prior_std": prior.std(),
-        "draws": np.array(draws).reshape(len(draws), len(posterior.mean)),
+        "draws": draws,
         "map_mean": maps.mean,
         "map_std": maps.std,
         "map_model": maps.model,

@@ -70,12 +70,9 @@ def summarise_coefficients(posterior: Posterior, prior: Prior) -> dict[str, floa
     std = posterior.std
     correlation = posterior.covariance / np.outer(std, std)
     pairs = correlation[np.triu_indices_from(correlation, 1)]
-    values, _ = posterior.spectrum
-    # Smaller ones than this beside the largest are rounding errors, of either sign.
-    smallest = max(values[0], np.finfo(float).eps * values[-1])
     return {
         "posterior_std_median": float(np.median(std)),
-        "condition_number": float(values[-1] / smallest),
+        "condition_number": posterior.condition_number,
         "correlation_below_0.1": float(np.mean(np.abs(pairs) < 0.1)) if pairs.size else 1.0,
         "correlation_max_real": float(pairs.real.max()) if pairs.size else 0.0,
         "z_update_above_10": int(np.sum(np.abs(posterior.mean - prior.mean) > 10 * std)),
@@ -145,8 +142,8 @@ def eigenbeams(posterior: Posterior, basis: LinearBasis, n: int = 4) -> tuple[Fl
     beams : ndarray, (n, 91, 360)
     """
     n = min(n, len(posterior.mean))
-    values, vectors = posterior.spectrum
-    variances, vectors = 1 / values[: -n - 1 : -1], vectors[:, : -n - 1 : -1]
+    values, vectors = posterior.largest(n)
+    variances = 1 / values
     beams = np.empty((n, len(GRID_ZA), len(GRID_AZ)), dtype=vectors.dtype)
     for ring, za in enumerate(GRID_ZA):
         beams[:, ring] = vectors.T @ basis.evaluate(np.full(len(GRID_AZ), za), GRID_AZ)
