@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
 
-from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.shared.displaced import need_real_beam
 from hydrabeam_mpi.model.bases.base import LinearBasis, NextModes
+from hydrabeam_mpi.model.bases.joined import join
 
-MOST_MODES = 128
+N_MODES = 128
+"""Modes that are weighed together: many enough that what is lacking shows, and few beside the other effects."""
+MOST_MODES = 512
+"""Modes that are added at once at most: of so many it can still be asked whether two halves of the data agree."""
 
 
 class BasisTruncation(Effect):
@@ -28,6 +33,8 @@ class BasisTruncation(Effect):
     ----------
     n_before : int
         How many of the next modes others have taken.
+    n_modes : int
+        How many of those after them these are; not more than the basis has.
     """
 
     kind = "basis_truncation"
@@ -35,34 +42,43 @@ class BasisTruncation(Effect):
     linear = True
     is_about_the_beam = True
 
-    def __init__(self, n_before: Annotated[int, Field(ge=0)] = 0) -> None:
-        self.n_before = n_before
+    def __init__(
+        self, n_before: Annotated[int, Field(ge=0)] = 0, n_modes: Annotated[int, Field(ge=1, le=MOST_MODES)] = N_MODES
+    ) -> None:
+        self.n_before, self.n_modes = n_before, n_modes
 
     def describe(self) -> dict[str, Any]:
-        """Return how many of the next modes others have taken."""
-        return {"n_before": self.n_before}
+        """Return how many of the next modes others have taken, and how many these are."""
+        return {"n_before": self.n_before, "n_modes": self.n_modes}
 
     def not_applicable(self, setup: ObservingSetup) -> str | None:
         """Refuse complex beams, and bases that do not know their next modes."""
-        if self._next(setup) is None:
+        if not self._next(setup):
             return "it is not known which functions come next; a Fourier-Bessel or Zernike basis would tell"
         if not self.next_modes(setup).modes:
             return f"no modes come after the next {self.n_before}; fewer before them would leave some"
         return need_real_beam(setup)
 
     def parameters(self, setup: ObservingSetup) -> Parameters:
-        """Return the coefficients of the next modes, in units of how large the model beam leads one to expect them."""
-        lacking = self.next_modes(setup)
-        return Parameters.of([f"coefficient of mode {mode}" for mode in lacking.modes], "", lacking.expected)
+        """Return the coefficients of the next modes, in units of how large the model beam leads one to expect them.
+
+        Each so many of them may be as large again as they like: those at the edge are not what the model beam expects.
+        """
+        batches = [one.modes for one in self._next(setup)]
+        names = [f"coefficient of mode {mode}" for modes in batches for mode in modes]
+        element = np.repeat(np.arange(len(batches)), list(map(len, batches)))
+        return replace(Parameters.of(names, "", self.next_modes(setup).expected, element), nested=True)
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return the visibilities of the modes; ``x`` is (n_params,)."""
-        key = f"{self.kind} {self.n_before}"
-        if key not in block.integrals:
-            modes = self.beam_functions(block.setup)
-            known = block.fixed_integral(key, lambda sources: modes.evaluate(sources.za, sources.az))
-            block.integrals[key] = known + block.further_integral(modes)
-        values = block.integrals[key]
+        parts, n_before = [], self.n_before
+        for batch in self._next(block.setup):
+            key = f"{self.kind} {n_before} {len(batch.modes)}"
+            if key not in block.integrals:
+                block.integrals[key] = _integrated(block, key, batch.basis)
+            parts.append(block.integrals[key])
+            n_before += len(batch.modes)
+        values = np.concatenate(parts, axis=-1)
         return Columns(values, values.shape[-1], by_group=True)
 
     def next_after(self, setup: ObservingSetup, newest: Effect) -> Effect:
@@ -71,22 +87,44 @@ class BasisTruncation(Effect):
             return self
         return BasisTruncation(newest.n_before + len(newest.parameters(setup)))
 
+    def larger(self, setup: ObservingSetup) -> BasisTruncation | None:
+        """Return more modes; None where there are no more, or that would be too many at once."""
+        more = BasisTruncation(self.n_before, self.n_modes + N_MODES)
+        has_more = len(more.next_modes(setup).modes) > len(self.next_modes(setup).modes)
+        return more if has_more and more.n_modes <= MOST_MODES else None
+
     def beam_functions(self, setup: ObservingSetup) -> LinearBasis:
         """Return the modes."""
         return self.next_modes(setup).basis
 
     def next_modes(self, setup: ObservingSetup) -> NextModes:
-        """Return the modes, at most 128 and not more than the basis has; it must know which come next."""
-        modes = self._next(setup)
-        assert modes is not None
-        return modes
+        """Return the modes; the basis must know which come next."""
+        batches = self._next(setup)
+        modes = tuple(mode for one in batches for mode in one.modes)
+        expected = np.concatenate([one.expected for one in batches])
+        return NextModes(modes, expected, lambda: join([one.basis for one in batches]))
 
-    def _next(self, setup: ObservingSetup) -> NextModes | None:
-        key, basis = (self.kind, self.n_before), setup.basis
+    def _next(self, setup: ObservingSetup) -> list[NextModes]:
+        """Return the modes in batches, none of which is empty but the first; no batch where it is not known."""
+        key, wanted = (self.kind, self.n_before, self.n_modes), min(self.n_modes, setup.basis.n_modes)
         if key not in setup.kept:
-            setup.kept[key] = basis.next_modes(_amplitudes(setup), self.n_before, min(MOST_MODES, basis.n_modes))
-        modes: NextModes | None = setup.kept[key]
-        return modes
+            found: list[NextModes] = []
+            n_before = self.n_before
+            for start in range(0, wanted, N_MODES):
+                more = setup.basis.next_modes(_amplitudes(setup), n_before, min(N_MODES, wanted - start))
+                if more is None or (found and not more.modes):
+                    break
+                found.append(more)
+                n_before += len(more.modes)
+            setup.kept[key] = found
+        batches: list[NextModes] = setup.kept[key]
+        return batches
+
+
+def _integrated(block: RowBlock, key: str, modes: LinearBasis) -> ComplexArray:
+    """Return the visibilities of modes, (Ntimes, Ngroups, n_modes)."""
+    known = block.fixed_integral(key, lambda sources: modes.evaluate(sources.za, sources.az))
+    return known + block.further_integral(modes)
 
 
 def _amplitudes(setup: ObservingSetup) -> FloatArray:

@@ -201,7 +201,7 @@ class Effect(InOtherData, HasLimits, Cause):
     def sky_columns(self, sources: Sources) -> FloatArray | None:
         """Return what the effect needs integrated over the sky at one time, (K, Nsrc) real.
 
-        The block then has ``block.integrals[self.kind]``, (Ntimes, Ngroups, K) complex, with
+        `RowBlock.integral` then has, (Ntimes, Ngroups, K) complex,
 
             1/2 sum_s I_s column_k(s) exp(2 pi i nu b_g.s / c)
 
@@ -263,6 +263,13 @@ class Effect(InOtherData, HasLimits, Cause):
         That is this effect itself, or where it has a successor and ``newest`` is of its kind, the one after that.
         """
         return self
+
+    def larger(self, setup: ObservingSetup) -> Effect | None:
+        """Return the effect with more parameters of the same sort, these among them, which it may need all at once.
+
+        None where there are no more.
+        """
+        return None
 
     def beam_functions(self, setup: ObservingSetup) -> LinearBasis | None:
         """Return the functions of the beam, one a parameter, by which the effect makes the beam's basis larger.

@@ -53,7 +53,7 @@ class ObservingSetup:
     positions: Callable[[Sky, Observation], SourcePositions] = ApparentPositions
 
     @cached_property
-    def kept(self) -> dict[tuple[str, float], Any]:
+    def kept(self) -> dict[tuple[str | float, ...], Any]:
         """What effects make of it alone and need again, by their kind and a number of theirs."""
         return {}
 

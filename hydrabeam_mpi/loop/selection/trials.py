@@ -15,7 +15,7 @@ from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Worth, refit
 from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.state import Active, Fitted, Reweighted, Values
 from hydrabeam_mpi.loop.attribution.reconsider import reconsider
-from hydrabeam_mpi.loop.attribution.score_effects import Finding
+from hydrabeam_mpi.loop.attribution.score_effects import Finding, attribute
 from hydrabeam_mpi.loop.attribution.score_noise import refit_reweighting
 from hydrabeam_mpi.loop.residuals.remains import remains_of
 from hydrabeam_mpi.loop.rules import RULES
@@ -39,7 +39,6 @@ from hydrabeam_mpi.loop.selection.refits import (
     fit_patiently,
     is_same_prior,
     log_joint,
-    prior_var_of,
     restarted,
     rise,
 )
@@ -69,6 +68,7 @@ def try_effects(
         if best is not None and not may_be_better(candidate, best, enough):
             continue
         try:
+            candidate = as_large_as_wanted(context, checked.fitted, candidate)
             fitted, after = _fit(context, checked, candidate, _worth(context, checked, candidate, best))
         except BrokenOff as why:
             say(f"    refused: {why}", context.grid.is_world_root)
@@ -83,6 +83,18 @@ def try_effects(
             best = _round(context, checked, after, fitted, ranking)
             enough = after.remains.consistent
     return best
+
+
+def as_large_as_wanted(context: FitContext, fitted: Fitted, candidate: Candidate) -> Candidate:
+    """Take more parameters of an effect's sort at once while that has more evidence. Collective: all ranks."""
+    finding = candidate.finding
+    while finding is not None and (larger := finding.effect.larger(context.setup)) is not None:
+        (more,) = attribute(context, fitted, [larger])
+        if not more.evidence.log_bayes_factor > finding.evidence.log_bayes_factor:
+            break
+        finding = more
+        candidate = replace(candidate, finding=finding, log_bayes_factor=finding.evidence.log_bayes_factor)
+    return candidate
 
 
 def _worth(context: FitContext, before: Checked, candidate: Candidate, best: Round | None) -> Worth | None:
@@ -162,7 +174,7 @@ def _fit_effect(
     again = reconsider(context, fitted)
     for _ in range(RULES.most_refits):
         last = fitted.values.active[-1]
-        if is_same_prior(again.prior_var, prior_var_of(context, last)):
+        if is_same_prior(again.prior_var, last.prior_var(context.setup)):
             break
         start = restarted(context, last, again.prior_var)
         fitted = _fit_physically(context, before.values.extended(start), fitted, worth)

@@ -88,7 +88,7 @@ def next_expected(
         if not new or len(taken) >= n_before:
             break
         taken += new[: n_before - len(taken)]
-    least = smallest(amplitudes, len(new))
+    least = smallest(amplitudes, len(new)) if n_first else 0.0
     sizes = [least] * n_first + [expected[k - 1, abs(m)] for k, m in new[n_first:]]
     return new, np.array(sizes, dtype=float)
 

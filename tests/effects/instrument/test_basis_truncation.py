@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hydrabeam_mpi.data.observation import FloatArray
-from hydrabeam_mpi.effects.instrument.basis_truncation import BasisTruncation
+from hydrabeam_mpi.effects.instrument.basis_truncation import MOST_MODES, BasisTruncation
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
 from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
@@ -79,6 +79,20 @@ def test_modes_see_what_is_added_to_the_sky(basis) -> None:
     expected = source.added(replace(block, beam=larger), flux)
     assert np.abs(expected).max() > 0
     np.testing.assert_allclose(seen, expected, atol=1e-9 * np.abs(expected).max())
+
+
+def test_more_modes_at_once_begin_with_the_same() -> None:
+    """Those of a batch have one width; more come until there are no more, or they are too many."""
+    setup = with_basis(FourierBessel.full(24, 12, form="real", edge=EDGE, boundary="dirichlet"))
+    effect, sizes = BasisTruncation(), []
+    while (larger := effect.larger(setup)) is not None:
+        modes, more = effect.next_modes(setup).modes, larger.next_modes(setup).modes
+        assert more[: len(modes)] == modes
+        sizes.append(len(np.unique(larger.parameters(setup).element)))
+        effect = larger
+    assert sizes == [2, 3]
+    assert BasisTruncation(0, MOST_MODES).larger(setup) is None
+    assert BasisTruncation().larger(with_basis(BASES["real"])) is None
 
 
 class Unknown(FourierBessel):
