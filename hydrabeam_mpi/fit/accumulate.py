@@ -35,9 +35,18 @@ def accumulate(rows: Rows, model: ForwardModel, basis: LinearBasis, show: bool =
     return accumulate_designs(rows, designs(rows, model, basis, "design matrix", show), basis)
 
 
-def accumulate_designs(rows: Rows, by_time: Iterable[Array], basis: LinearBasis) -> list[NormalEquations]:
-    """Do as `accumulate` with the design of each time, (Nfreqs, ..., Nlocal, n_modes), as `designs` gives it."""
-    normals = [NormalEquations([Block(BEAM, basis.n_modes, basis.is_complex)]) for _ in rows.data]
+def accumulate_designs(
+    rows: Rows, by_time: Iterable[Array], basis: LinearBasis, grams: Sequence[Array] | None = None
+) -> list[NormalEquations]:
+    """Do as `accumulate` with the design of each time, (Nfreqs, ..., Nlocal, n_modes), as `designs` gives it.
+
+    A^H N^-1 A of all ranks' rows may be known already, ``grams``, (n_modes, n_modes) a channel.
+    """
+    block = Block(BEAM, basis.n_modes, basis.is_complex)
+    if grams is None:
+        normals = [NormalEquations([block]) for _ in rows.data]
+    else:
+        normals = [NormalEquations([block], known={(BEAM, BEAM): gram}) for gram in grams]
     buffers = [RowBuffer(normal, BEAM) for normal in normals]
     weighted, weights = rows.compressed()
     for f, normal in enumerate(normals):

@@ -11,6 +11,7 @@ from hydrabeam_mpi.fit.accumulate import accumulate_designs
 from hydrabeam_mpi.fit.channels import reduced_chi2, solve_channels
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
+from hydrabeam_mpi.fit.known_precision import Key, KnownPrecision
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Diagnostics, Estimate, Values
 from hydrabeam_mpi.inference.posterior import Posterior
@@ -66,11 +67,17 @@ def solve_beams(context: FitContext, at: Estimate, keep: bool = False) -> Solved
     grid, share, problem = context.grid, context.train, context.given(at.values)
     with together(grid.world):
         rows, added = share.calibrated(at) if at.beams else (share.rows, np.zeros_like(share.rows.data))
-        show = grid.world.rank == 0 and not at.beams
-        normals = accumulate_designs(rows, share.designs(at.values, show), context.problem.basis)
+    # Effects move the mean of the beams' prior at most.
+    key = Key(rows.inv_noise_var, share.key_of_sky(at.values), (context.problem, context.learned))
+    known = share.known.find(grid.group, key)
+    with together(grid.world):
+        designs = share.designs(at.values, show=grid.world.rank == 0 and not at.beams)
+        normals = accumulate_designs(rows, designs, context.problem.basis, None if known is None else known.grams)
     for normal in normals:
         normal.reduce(grid.group)
-    beams = tuple(solve_channels(grid, problem, normals))
+    beams = tuple(solve_channels(grid, problem, normals, None if known is None else known.factors))
+    if known is None:
+        share.known.keep(KnownPrecision.of(key, normals, beams))
     if keep:
         beams = tuple(replace(two, mean=one.mean) for one, two in zip(at.beams, beams, strict=True))
     # E is that of the beams before, so that only those tell what beams and effects reach together.

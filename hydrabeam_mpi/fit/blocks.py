@@ -166,7 +166,6 @@ def add_block(
 
 def _integrate(block: RowBlock, blocks: Mapping[str, ColumnBlock]) -> None:
     """Integrate over the sky what these need, in one pass."""
-    block.integrals.clear()
     block.integrate_for([effect for one in blocks.values() for effect in one.effects])
 
 

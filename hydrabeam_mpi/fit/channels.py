@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hydrabeam_mpi.data.observation import Array
 from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.fit.accumulate import accumulate, check_heldout
 from hydrabeam_mpi.fit.clock import Clock
@@ -109,23 +111,25 @@ def _sum_normals(grid: ProcessGrid, problem: Problem, rows: Rows) -> list[Normal
     return normals
 
 
-def solve_channels(grid: ProcessGrid, problem: Problem, normals: list[NormalEquations]) -> list[Posterior]:
+def solve_channels(
+    grid: ProcessGrid, problem: Problem, normals: list[NormalEquations], factors: Sequence[Array] | None = None
+) -> list[Posterior]:
     """Solve on the group's root and share the posterior, which every rank needs for its held-out rows.
 
-    Collective: all ranks of `grid.world`.
+    Collective: all ranks of `grid.world`. The factors of the channels' precision may be known already, on all ranks.
     """
     solved: list[Posterior] = []
     with together(grid.world):
         if grid.is_group_root:
-            pairs = zip(normals, problem.priors, strict=True)
-            solved = [normal.gaussian({BEAM: prior}).solve(overwrite=True) for normal, prior in pairs]
+            parts = zip(normals, problem.priors, factors or len(normals) * (None,), strict=True)
+            solved = [normal.gaussian({BEAM: prior}).solve(True, factor) for normal, prior, factor in parts]
             for number, posterior in zip(problem.channel_numbers.tolist(), solved, strict=True):
                 numbers = {"posterior mean": posterior.mean, "posterior precision": np.diag(posterior.factor)}
                 check_finite(f"channel {number}", numbers, INFERENCE)
     for f in range(len(normals)):
         root = solved[f] if grid.is_group_root else None
         mean = bcast_array(grid.group, root.mean if root else None)
-        factor = bcast_array(grid.group, root.factor if root else None)
+        factor = factors[f] if factors else bcast_array(grid.group, root.factor if root else None)
         if not root:
             solved.append(Posterior(mean, factor))
     return solved

@@ -97,7 +97,8 @@ class Columns:
         if self.in_parts:
             real, imag = self.values
             return np.asarray(real.T @ data.real + imag.T @ data.imag)
-        product = np.asarray(self.values.conj().T @ data)
+        # What is conjugated is the smaller one.
+        product = np.asarray(self.values.T @ data.conj()).conj()
         return product if is_complex else product.real
 
     def times(self, other: Columns, is_complex: bool) -> Array:
@@ -112,12 +113,19 @@ class Columns:
             product = _product(real, two.real) + _product(imag, two.imag)
             return product + 1j * (_product(real, two.imag) - _product(imag, two.real)) if is_complex else product
         if self.by_group:
-            product = _product(self.values.conj().T, other.group_weighted)
+            product = _adjoint_product(self.values, other.group_weighted)
         elif other.by_group:
-            product = _product(self.group_weighted.conj().T, other.values)
+            product = _adjoint_product(self.group_weighted, other.values)
         else:
-            product = _product(self.values.conj().T, other.weighted)
+            product = _adjoint_product(self.values, other.weighted)
         return product if is_complex else product.real
+
+
+def _adjoint_product(one: Matrix, two: Matrix) -> Array:
+    """Return one^H two; the one with fewer columns is conjugated, which takes a copy."""
+    if one.shape[1] <= two.shape[1]:
+        return _product(one.conj().T, two)
+    return _product(one.T, two.conj()).conj()
 
 
 def _product(one: Matrix, two: Matrix) -> Array:

@@ -43,7 +43,9 @@ class NormalEquations:
     blocks : sequence of Block
     pairs : iterable of (str, str), optional
         Pairs of blocks of which products are summed, the one that comes first in ``blocks`` named first; all by
-        default.
+        default but those that are known.
+    known : mapping of (str, str) to ndarray, optional
+        Products of pairs of blocks that are complete already, over the rows of all ranks.
 
     Attributes
     ----------
@@ -55,13 +57,20 @@ class NormalEquations:
         d^H N^-1 d, ln|N^-1| (of the data as read; see `add_data`) and the number of (complex) data.
     """
 
-    def __init__(self, blocks: Sequence[Block], pairs: Iterable[tuple[str, str]] | None = None) -> None:
+    def __init__(
+        self,
+        blocks: Sequence[Block],
+        pairs: Iterable[tuple[str, str]] | None = None,
+        known: Mapping[tuple[str, str], Array] | None = None,
+    ) -> None:
         self.blocks = {one.name: one for one in blocks}
         names = list(self.blocks)
         if len(names) < len(blocks):
             raise ValueError("blocks need names of their own")
         if pairs is None:
             pairs = [(one, two) for i, one in enumerate(names) for two in names[i:]]
+        self._known = dict(known or {})
+        pairs = [pair for pair in pairs if pair not in self._known]
         self.gram = {(one, two): self._zeros(one, two) for one, two in pairs}
         self.projection = {name: self._zeros(name) for name in names}
         self.scalars: FloatArray = np.zeros(3)
@@ -152,6 +161,8 @@ class NormalEquations:
 
     def own(self, name: str) -> Array:
         """Return A^H N^-1 A of a block with itself, (n, n); not to be changed."""
+        if (name, name) in self._known:
+            return self._known[name, name]
         if name in self._half_filled:
             complete_hermitian(self.gram[name, name])
             self._half_filled.remove(name)

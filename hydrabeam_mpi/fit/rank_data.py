@@ -107,10 +107,8 @@ class RankData(RowModel):
         """Return C and E, (Nlocal, Ntimes, Nbls) each, of some of the effects, none of which changes the sky."""
         factor = np.ones(self.rows.data.shape, dtype=complex)
         added = np.zeros_like(factor)
-        adding = [one.effect for one in others if not one.effect.multiplies]
         for channel, number in enumerate(self.problem.channel_numbers.tolist() if others else ()):
             for span, block, _ in self.row_blocks(channel, at, added[channel], self.rows):
-                block.integrate_for(adding)
                 for one in others:
                     if one.effect.multiplies:
                         factor[channel, span] *= one.effect.factor(block, one.x[number])

@@ -9,11 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.place import Place
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.accumulate import designs
 from hydrabeam_mpi.fit.kept import Kept
+from hydrabeam_mpi.fit.known_precision import RecentlyKnown
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Values
 from hydrabeam_mpi.model.rime import Beam, ForwardModel
@@ -40,7 +42,7 @@ class RowModel:
     problem: Problem
     setup: ObservingSetup
     rows: Rows
-    _places: dict[int, tuple[IntArray, FloatArray, FloatArray]] = field(default_factory=dict)
+    _places: dict[int, Place] = field(default_factory=dict)
     _memo: dict[tuple[int, str], Any] = field(default_factory=dict)
 
     @cached_property
@@ -68,6 +70,11 @@ class RowModel:
     def _changed(self) -> Kept[Array]:
         return Kept(self.keeps_designs)
 
+    @cached_property
+    def known(self) -> RecentlyKnown:
+        """How well the beams are known, which many fits have in common."""
+        return RecentlyKnown()
+
     def designs(self, values: Values, show: bool = False) -> Iterator[Array]:
         """Yield the design of each time, (Nfreqs, ..., Ngroups, n_modes), as the function `designs` does.
 
@@ -77,11 +84,14 @@ class RowModel:
         def plain() -> Iterator[Array]:
             return designs(self.rows, self.model, self.problem.basis, "design matrix", show)
 
-        of_sky = self._plain.of(None, plain)
-        key = b"".join(one.x.tobytes() for one in values.active if one.effect.changes_sky)
+        of_sky, key = self._plain.of(None, plain), self.key_of_sky(values)
         if not key:
             return of_sky
         return self._changed.of(key, lambda: map(np.add, of_sky, self._changes(values)))
+
+    def key_of_sky(self, values: Values) -> bytes:
+        """Return what tells the sky with its effects from another one; nothing where there are none."""
+        return b"".join(one.x.tobytes() for one in values.active if one.effect.changes_sky)
 
     def _changes(self, values: Values) -> Iterator[Array]:
         """Yield what effects change of the design rows: of sources whose flux they change, and of further ones."""
@@ -103,7 +113,10 @@ class RowModel:
     def block(self, channel: int, span: slice, beam: Beam, values: Values, **data: Any) -> RowBlock:
         """Return the block of some of the rank's times; ``data`` are fields of `RowBlock` about its rows."""
         number = int(self.problem.channel_numbers[channel])
-        room = self.setup.sky.Nsrc * len(self.rows.tile.times) * 24 <= KEPT_BYTES / 4
+        n_sources = self.setup.sky.Nsrc * len(self.rows.tile.times)
+        room = n_sources * 24 <= KEPT_BYTES / 4
+        # Of the sources half are above the horizon.
+        of_waves = n_sources * len(self.rows.groups) * 8 * len(self.rows.data)
         return RowBlock(
             setup=self.setup,
             channel=number,
@@ -115,6 +128,7 @@ class RowModel:
             beam=beam,
             engine_kind=self.problem.job.solver.engine,
             places=self._places if room else None,
+            keeps_waves=room and of_waves <= KEPT_BYTES / 4 and self.problem.job.solver.engine == "gemm",
             sky_effects=[(one.effect, one.x[number]) for one in values.active if one.effect.changes_sky],
             memo=self._memo if self.keeps_designs else None,
             **data,

@@ -196,20 +196,23 @@ class Gaussian:
         covariance[np.ix_(rest, rest)] = own + response @ spread @ response.conj().T
         return mean, covariance
 
-    def solve(self, overwrite: bool = False) -> Posterior:
+    def solve(self, overwrite: bool = False, factor: Array | None = None) -> Posterior:
         """Return the normalised Gaussian, with ln of the integral of f as its evidence.
 
         Parameters
         ----------
         overwrite : bool
             Whether the memory of the precision may be used for its factor; this object is of no use then.
+        factor : ndarray, (n, n), optional
+            Lower L with L L^H the precision, where it is known already.
 
         Raises
         ------
         InputError
             If some combination of the unknowns is not determined.
         """
-        factor = cholesky_lower(self.precision if overwrite else self.precision.copy())
+        if factor is None:
+            factor = cholesky_lower(self.precision if overwrite else self.precision.copy())
         half = solve_triangular(factor, self.source, lower=True, check_finite=False)
         mean = solve_triangular(factor, half, lower=True, trans="C", check_finite=False)
         log_evidence = None

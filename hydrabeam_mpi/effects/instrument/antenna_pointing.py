@@ -49,7 +49,7 @@ class AntennaPointing(Effect):
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return half of what tilting further does, for a row's first and second antenna; ``x`` is (n_params,)."""
-        values: ComplexArray = np.repeat(block.spread(block.integrals[self.kind])[:, :, np.newaxis], 2, axis=2)
+        values: ComplexArray = np.repeat(block.spread(block.integral(self))[:, :, np.newaxis], 2, axis=2)
         rotations = _rotations(x)
         tilted = np.flatnonzero(rotations.any(axis=1))
         place = np.full(len(rotations), -1)

@@ -51,7 +51,7 @@ class AntennaPositions(Effect):
 
         ``x`` is (n_params,).
         """
-        moments = block.spread(block.integrals[self.kind][..., 1:])
+        moments = block.spread(block.integral(self)[..., 1:])
         moved, vectors = self._moved(block, x)
         if len(moved):
             moments[:, moved] = _integrate(block, lambda sources: sources.beam * sources.enu, vectors)
@@ -65,7 +65,7 @@ class AntennaPositions(Effect):
         change = np.zeros(block.shape, dtype=complex)
         if len(moved):
             after = _integrate(block, lambda sources: sources.beam[np.newaxis], vectors)[..., 0]
-            change[:, moved] = after - block.integrals[self.kind][:, block.member[moved], 0]
+            change[:, moved] = after - block.integral(self)[:, block.member[moved], 0]
         return change
 
     @staticmethod

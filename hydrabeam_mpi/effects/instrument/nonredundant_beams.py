@@ -57,7 +57,7 @@ class NonredundantBeams(Effect):
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return half the modes' visibilities, for a row's first and second antenna; ``x`` is (n_params,)."""
-        values = block.spread(0.5 * np.tile(block.integrals[self.kind], 2))
+        values = block.spread(0.5 * np.tile(block.integral(self), 2))
         n_params = len(MODES) * len(block.setup.antennas_in_use)
         return Columns(values, n_params, row_parameters(block, len(MODES)))
 

@@ -12,10 +12,11 @@ import numpy as np
 from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.data.partition import spans
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.place import Place
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.engines import make_engine
-from hydrabeam_mpi.model.engines.base import Engine
+from hydrabeam_mpi.model.engines.base import Engine, amplitude
 from hydrabeam_mpi.model.positions import SourcePositions
 from hydrabeam_mpi.model.rime import Beam
 
@@ -54,6 +55,8 @@ class RowBlock:
         By kind of effect; see `Effect.sky_columns`.
     places : dict, optional
         Keeps what ``positions`` says of each time, for blocks to share where there is room for it.
+    keeps_waves : bool
+        Whether there is room in ``places`` for the fringes of the groups, too.
     sky_effects : sequence of (Effect, ndarray)
         Effects in the model that change the sky, with their parameters.
     memo : dict, optional
@@ -74,7 +77,8 @@ class RowBlock:
     vis: ComplexArray = field(default_factory=lambda: np.zeros((0, 0), dtype=complex))
     design: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
     integrals: dict[str, ComplexArray] = field(default_factory=dict)
-    places: dict[int, tuple[IntArray, FloatArray, FloatArray]] | None = None
+    places: dict[int, Place] | None = None
+    keeps_waves: bool = False
     sky_effects: Sequence[tuple[Any, FloatArray]] = ()
     memo: dict[tuple[int, str], tuple[dict[int, ComplexArray], dict[int, tuple[bytes, ComplexArray]]]] | None = None
     _sources: dict[int, Sources] = field(default_factory=dict, init=False)
@@ -117,22 +121,27 @@ class RowBlock:
         """Return the sources above the horizon at an observation's time."""
         if itime in self._sources:
             return self._sources[itime]
-        setup = self.setup
-        if self.places is None:
-            index, za, az = self.positions.above_horizon(itime)
-        else:
-            if itime not in self.places:
-                self.places[itime] = self.positions.above_horizon(itime)
-            index, za, az = self.places[itime]
-        flux = setup.sky.flux[self.channel, index]
-        sources = Sources(index, za, az, flux, self.beam, freq=self.freq)
+        setup, place = self.setup, self._place(itime)
+        known = place.seen(self.channel, self.beam, self.sky_effects)
+        if known is not None:
+            return known
+        flux = setup.sky.flux[self.channel, place.index]
+        sources = Sources(place.index, place.za, place.az, flux, self.beam, freq=self.freq)
+        # A cached property that is known already.
+        vars(sources)["enu"] = place.enu
         for effect, x in self.sky_effects:
             change = effect.sky_factor(setup, sources, x) - 1
             # Two of a kind add up, as more parameters of one do.
             sources.factors[effect.kind] = sources.factors.get(effect.kind, 1.0) + change
-        if self.places is not None:
-            self._sources[itime] = sources
+        place.keep(self.channel, self.beam, self.sky_effects, sources)
         return sources
+
+    def _place(self, itime: int) -> Place:
+        if self.places is None:
+            return Place(*self.positions.above_horizon(itime))
+        if itime not in self.places:
+            self.places[itime] = Place(*self.positions.above_horizon(itime))
+        return self.places[itime]
 
     def integrate(
         self,
@@ -162,8 +171,12 @@ class RowBlock:
         for itime in self.times.tolist():
             sources = self.sources(itime)
             weights = sources.flux_without() if flux is None else np.ones(len(sources.za))
-            given = GivenColumns(columns(sources))
-            design = engine.design(given, sources.za, sources.az, weights[np.newaxis], freqs)[0]
+            values = columns(sources)
+            if vectors is None and self.keeps_waves and itime not in self._sources:
+                waves = self._place(itime).waves(self.channel, engine, self.freq)
+                design = (waves @ (amplitude(weights) * values).T).reshape(2, engine.n_vectors, -1)
+            else:
+                design = engine.design(GivenColumns(values), sources.za, sources.az, weights[np.newaxis], freqs)[0]
             out.append(design[0] + 1j * design[1])
         return np.array(out)
 
@@ -219,12 +232,16 @@ class RowBlock:
                     out[t] += basis.mix(parts[0]) + 1j * basis.mix(parts[1])
         return out
 
+    def integral(self, effect: Any) -> ComplexArray:
+        """Return what an effect needs integrated over the sky, (Ntimes, Ngroups, K); see `Effect.sky_columns`."""
+        self.integrate_for([effect])
+        return self.integrals[effect.kind]
+
     def integrate_for(self, effects: Sequence[Any]) -> None:
-        """Fill ``integrals`` for these effects in one pass over the sky."""
-        if not len(self.times):
-            return
-        first = self.sources(int(self.times[0]))
-        effects = [effect for effect in effects if effect.sky_columns(first) is not None]
+        """Fill ``integrals`` for those of these effects that they lack, in one pass over the sky."""
+        lacking = {effect.kind: effect for effect in effects if effect.kind not in self.integrals}
+        first = self.sources(int(self.times[0])) if lacking and len(self.times) else None
+        effects = [one for one in lacking.values() if first is not None and one.sky_columns(first) is not None]
         if not effects:
             return
         sizes: dict[str, int] = {}

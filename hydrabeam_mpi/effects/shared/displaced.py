@@ -119,7 +119,7 @@ def turned_sky(block: RowBlock, rotations: FloatArray) -> RowBlock:
     turned = rotations.any(axis=1)
     times = block.times[turned]
     positions = TurnedPositions(block.positions, dict(zip(times.tolist(), rotations[turned], strict=True)))
-    return replace(block, times=times, positions=positions, places=None)
+    return replace(block, times=times, positions=positions, places=None, keeps_waves=False)
 
 
 def need_real_beam(setup: ObservingSetup) -> str | None:
@@ -156,7 +156,7 @@ class TurningSky(Effect):
             Jy per radian.
         """
         rotations = self.rotations(block, x)
-        moments = block.integrals[self.kind]
+        moments = block.integral(self)
         turned = rotations.any(axis=1)
         if turned.any():
             moments = moments.copy()
@@ -172,5 +172,5 @@ class TurningSky(Effect):
         change = np.zeros((len(block.times), len(block.groups)), dtype=complex)
         if turned.any():
             after = turned_sky(block, rotations).integrate(lambda sources: sources.exact_beam[np.newaxis])
-            change[turned] = after[..., 0] - block.integrals[self.kind][turned, :, 0]
+            change[turned] = after[..., 0] - block.integral(self)[turned, :, 0]
         return block.spread(change)

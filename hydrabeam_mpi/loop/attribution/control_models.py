@@ -81,7 +81,7 @@ class ShapeDrift(BeamDrift):
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return these columns' visibilities times the time, from -1 to 1, (Nrows, n)."""
-        values = block.integrals[self.kind] * _time(block)[:, np.newaxis, np.newaxis]
+        values = block.integral(self) * _time(block)[:, np.newaxis, np.newaxis]
         return Columns(values, len(SHAPE), by_group=True)
 
 

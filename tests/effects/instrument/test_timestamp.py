@@ -48,7 +48,7 @@ def test_places_that_are_kept_are_not_mistaken_for_turned_ones() -> None:
     effect = Timestamp()
     block.integrate_for([effect])
     change = effect.added(block, np.array([60.0]))
-    block = replace(block, places={})
+    block = replace(block, places={}, integrals={})
     block.integrate_for([effect])
     assert len(block.places) == len(block.times)
     assert_same(effect.added(block, np.array([60.0])), change, block, rtol=1e-12)

@@ -1,0 +1,68 @@
+"""Where the sources are at one time, and what is kept of that for as long as there is room."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.sources import Sources
+from hydrabeam_mpi.model.engines.base import Engine
+from hydrabeam_mpi.model.engines.fringes import enu
+from hydrabeam_mpi.model.rime import Beam
+
+SkyEffects = Sequence[tuple[Any, FloatArray]]
+"""Effects that change the sky, with their parameters."""
+
+
+@dataclass
+class Place:
+    """The sources above the horizon at one time.
+
+    Attributes
+    ----------
+    index : ndarray of int, (Nsrc,)
+        Which of the sky's sources.
+    za, az : ndarray, (Nsrc,)
+        Radians.
+    """
+
+    index: IntArray
+    za: FloatArray
+    az: FloatArray
+    _seen: dict[int, tuple[Beam, SkyEffects, Sources]] = field(default_factory=dict)
+    _waves: dict[int, FloatArray] = field(default_factory=dict)
+
+    @cached_property
+    def enu(self) -> FloatArray:
+        """Unit vectors, (3, Nsrc)."""
+        return enu(self.za, self.az)
+
+    def waves(self, channel: int, engine: Engine, freq: float) -> FloatArray:
+        """Return real parts, then imaginary ones, of the fringes of an engine's vectors, (2 Nvectors, Nsrc)."""
+        if channel not in self._waves:
+            made = np.empty((2, engine.n_vectors, len(self.za)))
+            engine.fringes.fill(made, self.enu, np.ones(len(self.za)), freq)
+            self._waves[channel] = made.reshape(2 * engine.n_vectors, -1)
+        return self._waves[channel]
+
+    def seen(self, channel: int, beam: Beam, sky_effects: SkyEffects) -> Sources | None:
+        """Return the sources as they were seen last, where that was by the same beam and with the same effects."""
+        if channel not in self._seen:
+            return None
+        known_beam, known_effects, sources = self._seen[channel]
+        return sources if beam is known_beam and _are_same(known_effects, sky_effects) else None
+
+    def keep(self, channel: int, beam: Beam, sky_effects: SkyEffects, sources: Sources) -> None:
+        """Keep the sources as a beam sees them with effects."""
+        self._seen[channel] = beam, sky_effects, sources
+
+
+def _are_same(one: SkyEffects, two: SkyEffects) -> bool:
+    return len(one) == len(two) and all(
+        first is second and np.array_equal(x, y) for (first, x), (second, y) in zip(one, two, strict=True)
+    )
