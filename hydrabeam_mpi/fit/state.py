@@ -92,6 +92,13 @@ class Active:
         """Combinations of the parameters in use that are held at zero, (n, n_used)."""
         return self.degenerate_directions[:, self.used]
 
+    def prior_var(self, setup: ObservingSetup) -> FloatArray:
+        """Return the variances of the prior, (n_params,), zero for what is not in use and for what is nonlinear."""
+        prior_var: FloatArray = np.zeros(self.x.shape[1])
+        prior_var[self.used] = self.prior.of(0).std() ** 2
+        prior_var[self.effect.parameters(setup).nonlinear] = 0.0
+        return prior_var
+
     def labels(self, setup: ObservingSetup) -> list[tuple[str, str]]:
         """Return name and unit of each parameter in use."""
         parameters = self.effect.parameters(setup)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,17 +11,15 @@ from scipy.sparse import csr_array, hstack
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.fit.blocks import EffectBlock
 from hydrabeam_mpi.fit.columns import Columns, RowSet
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.equations import BEAM
-from hydrabeam_mpi.fit.gauss_newton import active_sums
 from hydrabeam_mpi.fit.marginal import Marginal
-from hydrabeam_mpi.fit.state import Active, Fitted
+from hydrabeam_mpi.fit.state import Active, Fitted, Values
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.loop.attribution.constancy import Constancy, compare
 from hydrabeam_mpi.loop.attribution.evidence import price_of
-from hydrabeam_mpi.loop.attribution.score_effects import without_active
+from hydrabeam_mpi.loop.attribution.score_effects import CachedRowBlocks, candidate_sums, without_active
 from hydrabeam_mpi.mpi import bcast_object, gather_objects, together
 from hydrabeam_mpi.random import generator
 
@@ -90,53 +88,60 @@ class PartedBlock:
         return Columns(rows, hstack(of_kinds, format="csr"), made.by_group)
 
 
-def ask_constancy(context: FitContext, fitted: Fitted, place: int) -> tuple[Constancy, ...]:
-    """Tell whether the active effect at a ``place`` is the same in all parts, for each kind of parts.
+def ask_constancy(context: FitContext, fitted: Fitted, places: Iterable[int]) -> dict[int, tuple[Constancy, ...]]:
+    """Tell whether the active effects at some ``places`` are the same in all parts, for each kind of parts.
 
     Collective: all ranks of the grid. Takes one pass over the rows. Places and the like stay where they are. Empty for
     effects that cannot be asked, as there are less than two parts.
     """
-    others = list(fitted.values.active)
-    one = others.pop(place)
-    prior_var: FloatArray = np.zeros(one.x.shape[1])
-    prior_var[one.used] = one.prior.of(0).std() ** 2
-    prior_var[one.effect.parameters(context.setup).nonlinear] = 0.0
-    parted = parted_block(context, one, np.flatnonzero(prior_var))
-    if not parted.n_parts:
-        return ()
-    rest = replace(fitted.values, active=tuple(others))
-    by_channel = likelihoods_of(context, fitted, {**rest.blocks, "parts": parted}, parted.x)
-    found: tuple[Constancy, ...] = ()
+    active, widths, parted = fitted.values.active, {}, {}
+    for place in places:
+        widths[place] = active[place].prior_var(context.setup)
+        parted[place] = parted_block(context, active[place], np.flatnonzero(widths[place]))
+    asked = {place: block for place, block in parted.items() if block.n_parts}
+    likelihoods = likelihoods_of(context, fitted, asked) if asked else {}
+    found: dict[int, tuple[Constancy, ...]] = {}
     with together(context.grid.world):
-        if by_channel is not None:
-            blocks = without_active(rest, one.effect, by_channel) if others else by_channel
-            blocks = [sum(blocks[1:], start=blocks[0])] if one.effect.shared else blocks
-            found = tuple(_compare(context, parted, kind, prior_var, blocks) for kind in parted.n_parts)
-    result: tuple[Constancy, ...] = bcast_object(context.grid.world, found)
-    return result
+        for place, by_channel in (likelihoods or {}).items():
+            effect, rest = active[place].effect, _without(fitted.values, place)
+            blocks = without_active(rest, effect, by_channel) if rest.active else by_channel
+            blocks = [sum(blocks[1:], start=blocks[0])] if effect.shared else blocks
+            block = parted[place]
+            found[place] = tuple(_compare(context, block, kind, widths[place], blocks) for kind in block.n_parts)
+    result: dict[int, tuple[Constancy, ...]] = bcast_object(context.grid.world, found)
+    return {place: result.get(place, ()) for place in parted}
 
 
 def likelihoods_of(
-    context: FitContext, fitted: Fitted, blocks: Mapping[str, EffectBlock], x: FloatArray
-) -> list[Likelihood] | None:
-    """Return what each channel says of blocks with the beam marginalised, of the last one around zero; None off rank 0.
+    context: FitContext, fitted: Fitted, parted: Mapping[int, PartedBlock]
+) -> dict[int, list[Likelihood]] | None:
+    """Return what each channel says of the active effects at some places in parts, around zero; None off rank 0.
 
-    Collective: all ranks of the grid. ``x``, (Nfreqs, size), is where the last block's unknowns have been fitted.
+    Collective: all ranks of the grid. Those of the other active effects come first, the beam is marginalised.
     """
+    names, values = list(fitted.values.blocks), fitted.values
     with together(context.grid.world):
-        rows, added = context.train.calibrated(fitted.estimate)
+        cached = CachedRowBlocks.of(context, fitted.estimate)
     found = []
     for channel, number in enumerate(context.channels):
-        sums = active_sums(context, context.train, fitted.estimate, channel, rows, added[channel], blocks)
+        blocks = {f"parts of {place}": block for place, block in parted.items()}
+        sums = candidate_sums(context, values, cached, channel, blocks)
         if context.grid.is_group_root:
-            one = Marginal(sums, BEAM, fitted.fit.posteriors[channel]).likelihood(list(blocks))
-            score = one.score + one.information[:, -x.shape[1] :] @ x[number]
-            found.append((number, replace(one, score=score)))
+            marginal = Marginal(sums, BEAM, fitted.fit.posteriors[channel])
+            for place, block in parted.items():
+                one = marginal.likelihood([*names[:place], *names[place + 1 :], f"parts of {place}"])
+                score = one.score + one.information[:, -block.size :] @ block.x[number]
+                found.append((place, number, replace(one, score=score)))
     gathered = gather_objects(context.grid.world, found)
     if gathered is None:
         return None
-    by_channel = dict(pair for part in gathered for pair in part)
-    return [by_channel[number] for number in sorted(by_channel)]
+    by_channel = {(place, number): one for part in gathered for place, number, one in part}
+    channels = sorted({number for _, number in by_channel})
+    return {place: [by_channel[place, number] for number in channels] for place in parted}
+
+
+def _without(values: Values, place: int) -> Values:
+    return replace(values, active=(*values.active[:place], *values.active[place + 1 :]))
 
 
 def _compare(

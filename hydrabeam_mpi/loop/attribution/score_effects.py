@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -157,7 +157,7 @@ def without_active(values: Values, effect: Effect, by_channel: list[Likelihood])
 
 
 def candidate_sums(
-    context: FitContext, values: Values, cached: CachedRowBlocks, channel: int, candidates: dict[str, CandidateBlock]
+    context: FitContext, values: Values, cached: CachedRowBlocks, channel: int, candidates: Mapping[str, ColumnBlock]
 ) -> NormalEquations:
     """Sum one channel's columns of the model's effects and of candidates over the group."""
     model: dict[str, ColumnBlock] = {BEAM: context.beam, **values.blocks}

@@ -54,7 +54,7 @@ def take_back(context: FitContext, last: Round, n_given: int) -> Taken:
     """
     fitted = last.after.fitted
     active = fitted.values.active
-    asked = {place: ask_constancy(context, fitted, place) for place in range(n_given, len(active))}
+    asked = ask_constancy(context, fitted, range(n_given, len(active)))
     found = {place: refusal_by_parts(one, context.problem.job.loop) for place, one in asked.items()}
     gone = {place: why for place, why in found.items() if why is not None}
     kept = [place for place in range(len(active)) if place not in gone]

@@ -10,7 +10,6 @@ from hydrabeam_mpi.data.observation import BoolArray, FloatArray
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.error_scale import error_scale
 from hydrabeam_mpi.fit.state import Active, Fitted, Values
-from hydrabeam_mpi.loop.selection.refits import prior_var_of
 
 
 @dataclass(frozen=True)
@@ -69,5 +68,5 @@ def is_unphysical(beyond: FloatArray, nats: float) -> BoolArray:
 def _rest(context: FitContext, one: Active, gone: BoolArray) -> Active | None:
     """Return an effect without some of its parameters; None where none of those left is in use."""
     effect, left = one.effect.without(gone)
-    prior_var = prior_var_of(context, one)[left]
+    prior_var = one.prior_var(context.setup)[left]
     return Active.start(effect, context.setup, prior_var, one.x[:, left]) if prior_var.any() else None

@@ -19,14 +19,6 @@ def restarted(context: FitContext, active: Active, prior_var: FloatArray) -> Act
     return Active.start(active.effect, context.setup, prior_var, start)
 
 
-def prior_var_of(context: FitContext, active: Active) -> FloatArray:
-    """Return the variances of an effect's prior, (n_params,), zero where it is not in use and where it is nonlinear."""
-    prior_var: FloatArray = np.zeros(active.x.shape[1])
-    prior_var[active.used] = active.prior.of(0).std() ** 2
-    prior_var[active.effect.parameters(context.setup).nonlinear] = 0.0
-    return prior_var
-
-
 def is_same_prior(one: FloatArray, two: FloatArray) -> bool:
     """Tell whether two priors, variances (n_params,), have the same parameters in use, of about the same widths."""
     return np.array_equal(one > 0, two > 0) and np.allclose(one, two, rtol=1.0, atol=0.0)

@@ -11,7 +11,7 @@ from hydrabeam_mpi.fit.state import Active, Fitted
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.attribution.reconsider import Known, compare_priors
 from hydrabeam_mpi.loop.selection.acceptance import Checked, Round
-from hydrabeam_mpi.loop.selection.refits import fit_patiently, is_same_prior, prior_var_of, restarted, rise
+from hydrabeam_mpi.loop.selection.refits import fit_patiently, is_same_prior, restarted, rise
 from hydrabeam_mpi.loop.selection.trials import check
 from hydrabeam_mpi.terminal.progress import say
 
@@ -88,7 +88,7 @@ def revise(context: FitContext, last: Round, n_given: int) -> tuple[Round, dict[
 def _weigh_again(context: FitContext, fitted: Fitted, known: Known, place: int, is_newest: bool) -> Revision | None:
     """Find the best prior of an effect given the others; None where it is the one that it has."""
     one = fitted.values.active[place]
-    now = prior_var_of(context, one)
+    now = one.prior_var(context.setup)
     best, present = compare_priors(context, fitted, known, place, now)
     # The newest one has just been found to raise it.
     without = best.log_bayes_factor < 0 and not is_newest
