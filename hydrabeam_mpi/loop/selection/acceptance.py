@@ -82,15 +82,22 @@ class Round:
 def in_order(wanted: Sequence[Candidate], most: int) -> list[Candidate]:
     """Order candidates for trial: by evidence, but a change of the weights after all effects that come near it.
 
-    A residual with structure is not noise, but a higher noise level seems to explain any residual. At most ``most``
-    effects are returned.
+    A residual with structure is not noise, but a higher noise level seems to explain any residual. Linear effects that
+    come near the first go before others: their fits are short, and long ones of no use are then broken off. At most
+    ``most`` effects are returned.
     """
     top = max((one.log_bayes_factor for one in wanted), default=0.0)
+    effects = [one for one in wanted if one.finding is not None]
+    first = max((one.log_bayes_factor for one in effects), default=0.0)
 
     def place(one: Candidate) -> int:
-        return 1 if one.finding is None else 0 if one.log_bayes_factor >= RULES.near * top else 2
+        if one.finding is None:
+            return 2
+        if one.log_bayes_factor < RULES.near * top:
+            return 3
+        return 0 if one.finding.effect.linear and one.log_bayes_factor >= RULES.near_if_linear * first else 1
 
-    tried = {id(one) for one in [one for one in wanted if one.finding is not None][:most]}
+    tried = {id(one) for one in effects[:most]}
     return [one for one in sorted(wanted, key=place) if one.finding is None or id(one) in tried]
 
 
@@ -108,7 +115,8 @@ def may_be_better(candidate: Candidate, best: Round, enough: bool) -> bool:
     """Whether an effect with less evidence than the best one fitted so far may have more once it is fitted.
 
     Most effects are only roughly linear, so that what comes near is fitted too. Where the best one leaves nothing
-    (``enough``) another can only be simpler, as may be what needs several elements until places or delays are refined.
+    (``enough``) another with no more evidence can only be simpler, as may be what needs several elements until places
+    or delays are refined.
     A structure that was found is no noise.
     """
     if candidate.finding is None:
@@ -117,6 +125,8 @@ def may_be_better(candidate: Candidate, best: Round, enough: bool) -> bool:
     if candidate.log_bayes_factor < near * best.candidate.log_bayes_factor:
         return False
     if not enough or _complexity(candidate) < _complexity(best.candidate):
+        return True
+    if candidate.log_bayes_factor > best.candidate.log_bayes_factor:
         return True
     simpler = candidate.finding.effect.gets_simpler_when_fitted
     return simpler and candidate.log_bayes_factor > RULES.near_if_linear * best.candidate.log_bayes_factor

@@ -51,9 +51,11 @@ ORDERS: list[tuple[str, dict[str, float], int, list[str]]] = [
     ("noise after effects near it", {"noise": 100, "gains": 50, "delays": 10}, 6, ["gains", "delays", "noise"]),
     ("noise before effects that do not", {"noise": 100, "gains": 50, "delays": 9.9}, 6, ["gains", "noise", "delays"]),
     ("noise alone where no effect comes near", {"noise": 100, "gains": 9}, 6, ["noise", "gains"]),
+    ("linear ones that come near first", {"places": 60, "delays": 50, "gains": 42}, 6, ["gains", "places", "delays"]),
+    ("others that are linear later", {"places": 61, "gains": 42}, 6, ["places", "gains"]),
     ("only so many effects, and noise besides", {"gains": 50, "noise": 45, "delays": 40}, 1, ["gains", "noise"]),
 ]  # fmt: skip
-NAMED = {"gains": AntennaGains(), "delays": AntennaDelays()}
+NAMED = {"gains": AntennaGains(), "delays": AntennaDelays(), "places": AntennaPositions()}
 
 
 @pytest.mark.parametrize(("wanted", "most", "order"), [case[1:] for case in ORDERS], ids=ids(ORDERS))
@@ -90,6 +92,7 @@ MAY_BE = [
     ("a linear one with less", effect_candidate(AntennaGains(), 69.0), False, False),
     ("a simpler one where nothing is left", effect_candidate(Timestamp(), 20.0, effective=1.0), True, True),
     ("no simpler one where nothing is left", effect_candidate(AntennaPositions(), 90.0, effective=2.0), True, False),
+    ("one with more evidence, which was tried later", effect_candidate(AntennaPositions(), 101.0), True, True),
     ("one whose places are refined only then", effect_candidate(MissingSources(), 71.0, effective=9.0), True, True),
     ("one of these with too little evidence", effect_candidate(MissingSources(), 70.0, effective=9.0), True, False),
     ("one that is scanned but linear", effect_candidate(CrossCoupling(), 90.0, effective=9.0), True, False),
