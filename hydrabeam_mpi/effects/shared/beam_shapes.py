@@ -8,7 +8,7 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.sources import Sources
-from hydrabeam_mpi.effects.shared.displaced import BeamToHorizon
+from hydrabeam_mpi.effects.shared.displaced import BeamToHorizon, azimuth
 
 NEARLY = 0.9
 """Beams scale with the aperture in direction cosines, of radius sin za; sin(0.9 za) is regular at the horizon."""
@@ -30,10 +30,8 @@ def reshaped(sources: Sources, shape: FloatArray) -> FloatArray:
     plane = np.sin(NEARLY * sources.za) * np.stack([np.cos(sources.az), np.sin(sources.az)])
     stretch = np.array([[1 + east_west, diagonal], [diagonal, 1 + north_south]])
     x, y = np.linalg.solve(stretch, plane)
-    za = np.arcsin(np.minimum(np.hypot(x, y), 1.0)) / NEARLY
-    moved = replace(
-        sources, za=za, az=np.arctan2(y, x) % (2 * np.pi), beam_function=BeamToHorizon(sources.beam_function)
-    )
+    za = np.arcsin(np.minimum(np.sqrt(x**2 + y**2), 1.0)) / NEARLY
+    moved = replace(sources, za=za, az=azimuth(x, y), beam_function=BeamToHorizon(sources.beam_function))
     # Sidelobes belong to the sky's directions, as columns do.
     east, north, _ = sources.enu
     return moved.beam + moved.beam * (1 - moved.beam) ** SHARPNESS * (levels[0] + levels[1] * east + levels[2] * north)

@@ -47,7 +47,13 @@ def rotation_rate(rotation: FloatArray) -> FloatArray:
 def angles(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return zenith angle and azimuth of vectors (3, N), radians."""
     east, north, up = vectors
-    return np.arctan2(np.hypot(east, north), up), np.arctan2(north, east) % (2 * np.pi)
+    return np.arctan2(np.sqrt(east**2 + north**2), up), azimuth(east, north)
+
+
+def azimuth(east: FloatArray, north: FloatArray) -> FloatArray:
+    """Return azimuths from 0 to 2 pi, (N,); faster than a modulus."""
+    az = np.arctan2(north, east)
+    return np.where(az < 0, az + 2 * np.pi, az)
 
 
 @dataclass(frozen=True)

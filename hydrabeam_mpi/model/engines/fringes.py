@@ -68,7 +68,12 @@ def plane_waves(vectors: FloatArray, directions: FloatArray, freq: float) -> Com
     -------
     ndarray of complex, (Nvectors, Nsrc)
     """
-    return np.asarray(np.exp(1j * ((2 * np.pi * freq / C_M_PER_S * vectors) @ directions)))
+    phase = (2 * np.pi * freq / C_M_PER_S * vectors) @ directions
+    # Several times as fast as the exponential of a complex number.
+    waves = np.empty(phase.shape, dtype=complex)
+    np.cos(phase, out=waves.real)
+    np.sin(phase, out=waves.imag)
+    return waves
 
 
 class Fringes:
