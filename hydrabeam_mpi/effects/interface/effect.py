@@ -205,8 +205,8 @@ class Effect(InOtherData, HasLimits, Cause):
 
             1/2 sum_s I_s column_k(s) exp(2 pi i nu b_g.s / c)
 
-        for every group g. One pass over the sky serves all effects. The beam must be part of the columns. The fluxes
-        I_s are those with all effects that change the sky but this one.
+        for every group g. The beam must be part of the columns. The fluxes I_s are those with all effects that change
+        the sky but this one.
         """
         return None
 
@@ -265,10 +265,7 @@ class Effect(InOtherData, HasLimits, Cause):
         return self
 
     def larger(self, setup: ObservingSetup) -> Effect | None:
-        """Return the effect with more parameters of the same sort, these among them, which it may need all at once.
-
-        None where there are no more.
-        """
+        """Return the effect with these parameters and more of their sort, where it may need them all at once."""
         return None
 
     def beam_functions(self, setup: ObservingSetup) -> LinearBasis | None:
