@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -99,6 +99,12 @@ def power_of(beam: Beam, za: FloatArray, az: FloatArray) -> FloatArray:
     if table is not None:
         return table(np.minimum(za, np.pi / 2), az)
     return np.asarray(beam(za, az)).real
+
+
+def from_table(beam: Beam) -> Beam:
+    """Return a beam as its table gives it, to 1e-10 of its peak; the beam itself where it has none or is complex."""
+    is_real = getattr(getattr(beam, "info", None), "is_copol", False)
+    return partial(power_of, beam) if is_real and table_of(beam) is not None else beam
 
 
 def table_of(beam: Beam) -> PolarTable | None:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.redundancy import find_redundant_groups
+from hydrabeam_mpi.effects.interface.sources import from_table
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.model.engines import make_engine
 from hydrabeam_mpi.model.rime import ForwardModel
@@ -189,10 +190,11 @@ def predictions(
     """
     times = rows.tile.times[chosen]
     turned = tuple(TurnedBeam(beam, other_feed(problem.observation.pols[0])) for beam in problem.beams)
+    as_stated = tuple(map(from_table, problem.beams))
     for n, alternative in enumerate(alternatives):
         cached = _view(problem, rows, alternative, times)
         for k, t in enumerate(chosen.tolist()):
-            beams = turned if alternative.turned else problem.beams
+            beams = turned if alternative.turned else as_stated
             vis = cached.model.visibilities(beams, np.array([k]))[:, 0, cached.index]
             yield n, t, np.where(cached.flipped, vis.conj(), vis)
 

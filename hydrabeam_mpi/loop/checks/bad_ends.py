@@ -11,7 +11,7 @@ from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.inference.robust import known_median
 from hydrabeam_mpi.loop.checks.alternatives import Alternative
 from hydrabeam_mpi.loop.checks.bad_antennas import NOISE_SIGMAS
-from hydrabeam_mpi.loop.checks.conventions import LEFT, Score, score_alternatives
+from hydrabeam_mpi.loop.checks.conventions import LEFT, Score, score_alternatives, score_model
 from hydrabeam_mpi.loop.checks.health_sums import Sample, Sums, scale_of_half
 from hydrabeam_mpi.mpi import ProcessGrid
 from hydrabeam_mpi.setup.findings import Finding, antenna_words
@@ -113,9 +113,11 @@ def _exchanged(grid: ProcessGrid, problem: Problem, sample: Sample, pair: tuple[
     one, two = (int(np.flatnonzero(observation.antenna_numbers == ant)[0]) for ant in pair)
     antpos = observation.antpos.copy()
     antpos[[one, two]] = antpos[[two, one]]
-    rows = sample.rows(problem, np.asarray(np.isin(observation.antpairs[sample.bls], pair).any(axis=1)))
-    alternatives = [Alternative("as stated"), Alternative("exchanged", antpos=antpos)]
-    stated, other = score_alternatives(grid, problem.of_channels(grid.channels), rows, alternatives)
+    theirs = np.asarray(np.isin(observation.antpairs[sample.bls], pair).any(axis=1))
+    rows = sample.rows(problem, theirs)
+    stated = score_model(grid, problem, rows, sample.model[..., theirs])
+    exchanged = [Alternative("exchanged", antpos=antpos)]
+    (other,) = score_alternatives(grid, problem.of_channels(grid.channels), rows, exchanged)
     return stated, other
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import IntArray
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.io.uvsource import as_source
 from hydrabeam_mpi.loop.checks.alternatives import (
@@ -166,6 +166,26 @@ def sample_times(times: IntArray, most: int = N_TIMES) -> IntArray:
     return times[np.unique(np.linspace(0, len(times) - 1, min(most, len(times))).round().astype(int))]
 
 
+def score_model(grid: ProcessGrid, problem: Problem, rows: Rows, model: ComplexArray) -> Score:
+    """Compare the same few times of the data with visibilities that are known already, (Nlocal, Ntimes, Nbls).
+
+    Collective: all ranks of `grid.world`.
+    """
+    sums = np.zeros(4)
+    with together(grid.world):
+        chosen = np.flatnonzero(np.isin(rows.tile.times, sample_times(problem.train.times)))
+        weight, data, seen = rows.inv_noise_var[:, chosen], rows.data[:, chosen], model[:, chosen]
+        power = float(np.sum(weight * np.abs(data) ** 2))
+        sums += np.array([np.count_nonzero(weight), power, *_products(weight, data, seen)])
+    allreduce_sum(grid.world, sums)
+    return Score(*sums.tolist())
+
+
+def _products(weight: FloatArray, data: ComplexArray, model: ComplexArray) -> tuple[float, float]:
+    """Return sum w Re(d* m) and sum w |m|^2."""
+    return float(np.sum(weight * (data.conj() * model).real)), float(np.sum(weight * np.abs(model) ** 2))
+
+
 def score_alternatives(
     grid: ProcessGrid, problem: Problem, rows: Rows, alternatives: Sequence[Alternative]
 ) -> list[Score]:
@@ -182,8 +202,7 @@ def score_alternatives(
         if len(rows.tile.bls):
             for n, t, vis in predictions(problem, rows, alternatives, chosen):
                 seen = rows.data[:, t].conj() if alternatives[n].conjugated else rows.data[:, t]
-                weight = rows.inv_noise_var[:, t]
-                products[n] += np.sum(weight * (seen.conj() * vis).real), np.sum(weight * np.abs(vis) ** 2)
+                products[n] += _products(rows.inv_noise_var[:, t], seen, vis)
     allreduce_sum(grid.world, products)
     allreduce_sum(grid.world, common)
     return [Score(*common.tolist(), *pair) for pair in products.tolist()]

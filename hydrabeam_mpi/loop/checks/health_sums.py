@@ -11,6 +11,7 @@ from scipy.sparse import csr_array
 
 from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.data.partition import Tile
+from hydrabeam_mpi.effects.interface.sources import from_table
 from hydrabeam_mpi.fit.rows import Rows, read_rows
 from hydrabeam_mpi.inference.robust import LOG_MEAN
 from hydrabeam_mpi.io.noise import amid_neighbours
@@ -72,7 +73,8 @@ def read_sample(grid: ProcessGrid, problem: Problem) -> Sample:
         group = problem.redundant.group[thinned]
         mine = thinned[np.isin(group, np.array_split(np.unique(group), grid.group.size)[grid.group.rank])]
         rows = read_rows(problem, Tile(times, mine))
-        model = problem.forward_model(rows.groups).visibilities(problem.beams, times)[:, :, rows.member]
+        beams = list(map(from_table, problem.beams))
+        model = problem.forward_model(rows.groups).visibilities(beams, times)[:, :, rows.member]
         autos = _read_autos(problem, np.array_split(times, grid.group.size)[grid.group.rank])
     return Sample(problem.channel_numbers, times, mine, rows.data, model, rows.inv_noise_var, autos)
 
