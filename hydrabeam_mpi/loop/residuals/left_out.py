@@ -24,7 +24,7 @@ from hydrabeam_mpi.inference.significance import SIGNIFICANT_P
 from hydrabeam_mpi.mpi import allreduce_sum, together
 from hydrabeam_mpi.words import joined
 
-MOST_NAMED = 4
+MOST_NAMED, MOST_LISTED = 4, 64
 
 
 def rows_left_out(context: FitContext, fitted: Fitted) -> dict[str, Any] | None:
@@ -37,7 +37,8 @@ def rows_left_out(context: FitContext, fitted: Fitted) -> dict[str, Any] | None:
     dict
         ``n`` rows of ``of``, all channels together; ``times`` (stretches of neighbouring ones: ``jd`` of the first and
         the last, ``integrations``), ``antennas`` and ``baselines`` (``what``) that lost more than their share, each
-        with ``n`` and ``of``; what was left out of all others, ``elsewhere``; and ``sentence``.
+        with ``n`` and ``of``; what was left out of all others, ``elsewhere``, with the first of these ``rows``
+        (``baseline``, ``jd``); and ``sentence``.
     """
     if not any(one.change.leaves_out for one in fitted.values.reweighted):
         return None
@@ -62,7 +63,13 @@ def rows_left_out(context: FitContext, fitted: Fitted) -> dict[str, Any] | None:
         ],
         "antennas": [{"what": numbers[k]} | _numbers(whole[1][:, k]) for k in np.flatnonzero(antennas)],
         "baselines": [{"what": pairs[k]} | _numbers(whole[2][:, k]) for k in np.flatnonzero(bls)],
-        "elsewhere": _numbers(rest[0].sum(axis=1)),
+        "elsewhere": _numbers(rest[0].sum(axis=1))
+        | {
+            "rows": [
+                {"baseline": pairs[k], "jd": float(observation.times[t])}
+                for t, k in np.argwhere((rows[1] > 0) & (lost > 0))[:MOST_LISTED].tolist()
+            ]
+        },
     }
     return {**told, "sentence": _sentence(told)}
 
@@ -138,11 +145,12 @@ def _sentence(told: dict[str, Any]) -> str:
     ]
     unnamed = sum(max(len(told[axis]) - MOST_NAMED, 0) for axis in ("times", "antennas", "baselines"))
     names += [f"more of {unnamed} others than chance has"] if unnamed else []
-    head = f"{told['n']:,} of {told['of']:,} rows ({_share(told)}) are left out"
+    head, rest = f"{told['n']:,} of {told['of']:,} visibilities ({_share(told)}) are left out", told["elsewhere"]
+    single = [f"baseline {a}-{b} at JD {one['jd']:.6f}" for one in rest["rows"] for a, b in [one["baseline"]]]
+    where = f" ({joined(single)})" if 0 < len(single) <= MOST_NAMED else ""
     if not names:
-        return f"{head}, no more of any time, antenna or baseline than chance has."
-    rest = told["elsewhere"]
-    return f"{head}: {joined(names)}; {rest['n']:,} elsewhere, as chance has them."
+        return f"{head}, no more of any time, antenna or baseline than chance has{where}."
+    return f"{head}: {joined(names)}; {rest['n']:,} elsewhere, as chance has them{where}."
 
 
 def _largest(found: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -62,7 +62,7 @@ def test_times_antennas_and_baselines_are_named(context: FitContext) -> None:
     assert found["times"][0]["jd"] == observation.times[[5, 7]].tolist()
     assert [one["what"] for one in found["antennas"]] == [int(observation.antenna_numbers[4])]
     assert [one["what"] for one in found["baselines"]] == [observation.antpairs[other].tolist()]
-    assert found["elsewhere"]["n"] == 0
+    assert found["elsewhere"] == {"n": 0, "of": found["elsewhere"]["of"], "rows": []}
     assert f"of JD {observation.times[5]:.6f} to {observation.times[7]:.6f} (3 integrations)" in found["sentence"]
     one, two = observation.antpairs[other].tolist()
     assert f"% of antenna {observation.antenna_numbers[4]} and " in found["sentence"]
@@ -78,6 +78,16 @@ def test_what_chance_scatters_is_named_nowhere(context: FitContext) -> None:
         assert found["elsewhere"]["n"] + sum(one["n"] for one in found["times"]) <= found["n"]
     assert named <= 1
     assert "no more of any time, antenna or baseline than chance has" in found["sentence"]
+
+
+def test_a_few_rows_are_named_one_by_one(context: FitContext) -> None:
+    observation, lost = context.setup.observation, np.zeros((24, context.setup.observation.Nbls))
+    lost[[3, 11], [2, 7]] = 1
+    found = told(context, lost)
+    rows = [(observation.antpairs[k].tolist(), float(observation.times[t])) for t, k in ((3, 2), (11, 7))]
+    assert [(one["baseline"], one["jd"]) for one in found["elsewhere"]["rows"]] == rows
+    (one, two), jd = rows[1]
+    assert f" and baseline {one}-{two} at JD {jd:.6f})." in found["sentence"]
 
 
 def test_nothing_is_told_where_nothing_leaves_out(context: FitContext) -> None:
