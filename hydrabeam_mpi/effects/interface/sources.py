@@ -102,7 +102,7 @@ def power_of(beam: Beam, za: FloatArray, az: FloatArray) -> FloatArray:
 
 
 def from_table(beam: Beam) -> Beam:
-    """Return a beam as its table gives it, to 1e-10 of its peak; the beam itself where it has none or is complex."""
+    """Return a beam as its `PolarTable` gives it; the beam itself where it has none or is complex."""
     is_real = getattr(getattr(beam, "info", None), "is_copol", False)
     return partial(power_of, beam) if is_real and table_of(beam) is not None else beam
 

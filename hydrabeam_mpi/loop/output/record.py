@@ -13,7 +13,7 @@ from hydrabeam_mpi.fit.error_scale import ErrorScale, error_scale
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.loop.output.heldout_change import heldout_change
 from hydrabeam_mpi.loop.output.parameters import parameters_of, widened
-from hydrabeam_mpi.loop.output.sentences import say_round, say_verdict
+from hydrabeam_mpi.loop.output.sentences import say_round, say_verdict, still_there
 from hydrabeam_mpi.loop.residuals.left_out import rows_left_out
 from hydrabeam_mpi.loop.residuals.remains import Remains
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round, indistinguishable, why_unexplained
@@ -79,8 +79,8 @@ def make_record(
         verdict = "interrupted"
     elif conventions["found"]:
         verdict = "convention"
-    elif why is None or (last.consistent and control is None and not found["rounds"]):
-        verdict = "explained" if found["rounds"] else "consistent"
+    elif why is None or (last.consistent and control is None and not still_there(found["rounds"])):
+        verdict = "explained" if still_there(found["rounds"]) else "consistent"
     unexplained = verdict == "unexplained"
     # Of data in another convention all is off, and before the last fit what an effect will explain.
     odd = last.odd if verdict not in ("convention", "interrupted") else ()

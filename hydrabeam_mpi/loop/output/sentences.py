@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from hydrabeam_mpi.words import capital, joined
@@ -26,6 +27,7 @@ def say_round(told: dict[str, Any]) -> str:
     doubt = told["indistinguishable_from"]
     unsure = f" These data do not tell it from {' or '.join(doubt)}." if doubt else ""
     added = "Added" if told["asked"] else f"Added, but not yet asked: {QUESTIONS}"
+    added = "Added at first, but taken back since" if told["revoked"] else added
     return f"{what} ({sure}). {added}. {error}; {rms}; {beam}.{_say_left_out(told)}{_say_widened(told)}{unsure}"
 
 
@@ -66,7 +68,7 @@ def say_verdict(told: dict[str, Any]) -> str:
 
 
 def _verdict(told: dict[str, Any]) -> str:
-    names = list(dict.fromkeys(one["title"] for one in told["rounds"]))
+    names = _titles(still_there(told["rounds"]))
     lacked = f"The model lacked {joined(names)}"
     before = f"{told['error_before']:.4g} -> " if names else ""
     error = f"held-out reduced chi^2 {before}{told['error_after']:.4g}"
@@ -86,14 +88,26 @@ def _verdict(told: dict[str, Any]) -> str:
     unknown = f"What is left ({error}) is explained by no effect in the catalogue."
     if names:
         unknown = f"{lacked}, and something else that no effect in the catalogue explains ({error})."
-    return " ".join([unknown, *_reasons(told), told["where"]["sentence"]])
+    revoked = _titles([one for one in told["rounds"] if one not in still_there(told["rounds"])])
+    gone = [f"What was added at first was taken back: {joined(revoked)}."] if revoked else []
+    return " ".join([unknown, *gone, *_reasons(told), told["where"]["sentence"]])
+
+
+def still_there(rounds: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the rounds whose effect has not been taken back since."""
+    return [one for one in rounds if not one.get("revoked")]
+
+
+def _titles(rounds: Sequence[dict[str, Any]]) -> list[str]:
+    """Name effects, each once."""
+    return list(dict.fromkeys(one["title"] for one in rounds))
 
 
 def _not_confirmed(told: dict[str, Any]) -> str:
     """Say what a loop that was ended had not come to: to ask what it had found, or to fit what it had weighed."""
-    titles = [one["title"] for one in told["rounds"] if one["effect"] in told["not_yet_asked"]]
+    titles = _titles([one for one in told["rounds"] if one["effect"] in told["not_yet_asked"]])
     if titles:
-        return f" Not yet asked of {joined(list(dict.fromkeys(titles)))}: {QUESTIONS}. None of it is confirmed."
+        return f" Not yet asked of {joined(titles)}: {QUESTIONS}. None of it is confirmed."
     ranking = [one for one in told["last_ranking"] if one["log_bayes_factor"] > 0][:MOST_NAMED]
     if told["rounds"] or not ranking:
         return ""

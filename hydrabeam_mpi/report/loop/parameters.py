@@ -183,5 +183,7 @@ def _draw_lines(axes: Axes, family: _Family) -> None:
         above: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0, 0.98), "borderpad": 0, "borderaxespad": 0}
         axes.legend(fontsize=7, ncols=LINES, handlelength=1, columnspacing=0.8, handletextpad=0.3, **above)
     axes.set(xlabel="frequency (MHz)", ylabel=_label(family))
-    axes.set_title(family.title, fontsize=8.5, pad=14)
+    # A single line has no legend to name it.
+    title = family.title or (family.labels[0] if len(family.labels) == 1 else "")
+    axes.set_title(title, fontsize=8.5, pad=14)
     axes.grid()

@@ -34,7 +34,7 @@ def loop_section(loop: Entry, place: Place) -> str:
     return "".join(
         [
             "<h2>What the model lacked</h2>\n"
-            if entries(loop, "rounds")
+            if any(not one.get("revoked") for one in entries(loop, "rounds"))
             else "<h2>Does the model lack anything?</h2>\n",
             f'<div class="finding verdict"><p>{as_html(verdict_words(loop))}</p></div>\n',
             _health(loop),
@@ -54,9 +54,9 @@ def _placed(place: Place, *drawings: Drawing | None) -> str:
 
 
 def _health(loop: Entry) -> str:
-    """List what was found wrong with the data themselves before anything was fitted."""
+    """List what was found wrong with the data themselves, before and after a fit."""
     said = "".join(f"<li>{as_html(Finding.of_record(one).line)}</li>" for one in entries(loop, "health"))
-    return f"<p>Before anything was fitted, of the data themselves:</p><ul>{said}</ul>\n" if said else ""
+    return f"<p>Of the data themselves:</p><ul>{said}</ul>\n" if said else ""
 
 
 def _under(heading: str, inside: str) -> str:

@@ -74,26 +74,23 @@ def rounds_table(loop: Entry) -> str:
 
 
 def heldout_table(loop: Entry) -> str:
-    """Set how near the held-out data are predicted, in Jy: of all channels and of each; empty in older results."""
-    names = ["", "zero", "model beam", "its best scale", "before", "after", "noise alone", "explained"]
-    names += ["χ² predictive", "χ² over the noise", "ln density"]
+    """Set how near the held-out data are predicted: of all channels and of each; empty in older results.
+
+    In two tables: residuals in Jy, and what follows from them.
+    """
+    powers = ("zero", "model", "model_scaled", "before", "after", "noise")
+    in_jy = ["", "zero", "model beam", "its best scale", "before", "after", "noise alone"]
+    names = ["", "explained", "χ² predictive", "χ² over the noise", "ln density"]
     channels = entries(loop, "heldout_channels")
     rows = [("all", loop)] if math.isfinite(number(loop, "rms_after")) else []
     rows += [(megahertz(number(one, "freq_hz")), one) for one in channels] if len(channels) > 1 else []
-    lines = [
-        (
-            name,
-            *(
-                written(number(one, f"rms_{key}"))
-                for key in ("zero", "model", "model_scaled", "before", "after", "noise")
-            ),
-            _change(one, "explained", "percent"),
-            *(_change(one, key) for key in ("predictive_chi2", "noise_only_chi2", "log_density")),
-        )
-        for name, one in rows
-    ]
-    title = "<h3>What is left of the held-out data, rms in Jy</h3>\n"
-    return title + set_rows(names, lines, range(1, len(names))) if rows else ""
+    if not rows:
+        return ""
+    rms = [(name, *(written(number(one, f"rms_{key}")) for key in powers)) for name, one in rows]
+    keys = ("predictive_chi2", "noise_only_chi2", "log_density")
+    lines = [(name, _change(one, "explained", "percent"), *(_change(one, key) for key in keys)) for name, one in rows]
+    tables = (set_rows(heads, cells, range(1, len(heads))) for heads, cells in ((in_jy, rms), (names, lines)))
+    return "<h3>What is left of the held-out data, rms in Jy</h3>\n" + "".join(tables)
 
 
 def parameters_table(entry: Entry) -> str:

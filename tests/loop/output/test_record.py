@@ -298,6 +298,17 @@ def test_what_has_not_been_asked_yet_is_not_taken_for_confirmed(interrupted: boo
     assert ("Added, but not yet asked: whether it is" in record["rounds"][0]["sentence"]) == interrupted
 
 
+def test_what_was_taken_back_is_not_what_the_model_lacked(context: FitContext) -> None:
+    made = history(context)
+    made.rounds[0] = replace(made.rounds[0], place=None)
+    made.last = made.rounds[0].after
+    record = record_of(context, made)
+    assert record["rounds"][0]["revoked"]
+    assert "Added at first, but taken back since." in record["rounds"][0]["sentence"]
+    assert record["verdict"] == "consistent"
+    assert "antenna gains" not in record["sentence"]
+
+
 def test_cautions_and_what_stands_out_are_warnings(context: FitContext) -> None:
     odd = Finding("an antenna that stands out", "antenna 3", "it has 9 times what others have", "leave it out")
     made = history(context)

@@ -49,6 +49,7 @@ def told(**given: Any) -> dict[str, Any]:
         "parameters_not_told": [],
         "errors_widened_by": [1.0, 1.0],
         "asked": True,
+        "revoked": False,
         "left_out": None,
         "log_bayes_factor": 5110910.4,
         "absorbed_by_beam": 0.071,
@@ -94,6 +95,10 @@ ROUNDS: dict[str, tuple[dict[str, Any], str]] = {
         {"asked": False},
         "7% of it). Added, but not yet asked: whether it is physical beside all others and the same in all parts of "
         "the data. Held-out reduced chi^2",
+    ),
+    "what has been taken back": (
+        {"revoked": True},
+        "7% of it). Added at first, but taken back since. Held-out reduced",
     ),
     "as much in all channels": ({"errors_widened_by": [2.0, 2.0]}, " Errors are 2 times those by the noise alone,"),
     "what it is not told from": (
@@ -178,6 +183,12 @@ VERDICTS: dict[str, tuple[str, dict[str, Any], str]] = {
         {"rounds": [GAINS]},
         "The model lacked antenna gains, and something else that no effect in the catalogue explains (held-out reduced "
         "chi^2 11.4 -> 1.012). It is on antenna 5.",
+    ),
+    "nothing is left of what was found": (
+        "unexplained",
+        {"rounds": [GAINS | {"revoked": True}]},
+        "What is left (held-out reduced chi^2 1.012) is explained by no effect in the catalogue. What was added at "
+        "first was taken back: antenna gains. It is on antenna 5.",
     ),
     "something that is no effect would explain it": (
         "unexplained",
