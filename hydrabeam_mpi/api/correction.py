@@ -52,7 +52,7 @@ class Correction(Applied):
     flags, nsamples : ndarray, same shape
     autos : ndarray, (Nfreqs, Ntimes, Nants, Nfeeds)
         Corrected autocorrelations, Jy; NaN where there are none.
-    gains : ndarray of complex, (Nfreqs, Nants)
+    gains : ndarray of complex, (Nfreqs, Ntimes, Nants)
     summary : dict
         What ``correction.json`` says: which effects hold in these data, and warnings.
     about : dict
@@ -176,7 +176,7 @@ def _joined(problem: Problem, gathered: list[_Part], gains: ComplexArray, bad_an
         values[flags] = 0.0
     times = np.arange(observation.Ntimes)
     autos = calibrated_autos(problem.files, observation, times, problem.gain_files)
-    autos = autos * problem.flux_scale.reshape(-1, 1, 1, 1) / np.abs(gains[:, np.newaxis, :, np.newaxis]) ** 2
+    autos = autos * problem.flux_scale.reshape(-1, 1, 1, 1) / np.abs(gains[..., np.newaxis]) ** 2
     return Correction(
         job=problem.job,
         observation=observation,

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from dataclasses import fields
 from typing import TYPE_CHECKING, Any, get_type_hints
 
 from pydantic import ConfigDict, TypeAdapter
@@ -46,6 +47,9 @@ REWEIGHTINGS: Registry[Reweighting] = Registry("hydrabeam_mpi.effects", "noise.n
 SEPARATE: Registry[CrossPolarised] = Registry("hydrabeam_mpi.effects", "instrument.leakage")
 """Causes that are seen in other rows than those of the job's polarisation."""
 
+CONSTANT = "constant"
+"""The law of what is the same at all times."""
+
 KINDS = (*EFFECTS, *SEPARATE, *REWEIGHTINGS)
 """All that a job may name."""
 
@@ -53,18 +57,44 @@ KINDS = (*EFFECTS, *SEPARATE, *REWEIGHTINGS)
 def make_effect(kind: str, settings: Mapping[str, Any]) -> Effect:
     """Restore an effect from its kind and what its `describe` returned.
 
+    With a ``law`` it changes in time; the law's own settings go with it.
+
     Raises
     ------
     InputError
         If these are no settings of this kind.
     """
-    effect: Effect = _make(EFFECTS[kind], settings)
-    return effect
+    law = settings.get("law", CONSTANT)
+    if law == CONSTANT:
+        constant: Effect = _make(EFFECTS[kind], _without(settings, ("law",)))
+        return constant
+    return _in_time(kind, str(law), settings)
+
+
+def laws_of(kind: str) -> list[Effect]:
+    """Return an effect that is to be looked for, with each of the laws by which it may go on in time."""
+    return [make_effect(kind, {"law": law}) for law in (CONSTANT, *EFFECTS[kind].laws)]
+
+
+def _in_time(kind: str, law: str, settings: Mapping[str, Any]) -> Effect:
+    from hydrabeam_mpi.effects.shared.in_time import InTime
+    from hydrabeam_mpi.effects.shared.time_laws import LAWS
+
+    known = (CONSTANT, *EFFECTS[kind].laws)
+    if law not in known:
+        raise InputError(f"no law '{law}' of this effect", field="settings", remedy=f"there are {', '.join(known)}")
+    own = [field.name for field in fields(LAWS[law])]
+    time_law = _make(LAWS[law], {name: settings[name] for name in own if name in settings})
+    return InTime(_make(EFFECTS[kind], _without(settings, ("law", *own))), time_law)
+
+
+def _without(settings: Mapping[str, Any], names: Collection[str]) -> dict[str, Any]:
+    return {name: value for name, value in settings.items() if name not in names}
 
 
 def make_cause(kind: str, settings: Mapping[str, Any]) -> Cause:
     """Do the same for an effect or one that is `SEPARATE`."""
-    cause: Cause = _make({**EFFECTS, **SEPARATE}[kind], settings)
+    cause: Cause = make_effect(kind, settings) if kind in EFFECTS else _make(SEPARATE[kind], settings)
     return cause
 
 

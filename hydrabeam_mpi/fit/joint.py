@@ -46,6 +46,7 @@ def find_setup(problem: Problem) -> ObservingSetup:
         file_pols=read_observation(problem.files, Selection()).pols,
         times=np.union1d(problem.train.times, problem.test.times),
         positions=partial(source_positions, problem.job),
+        fitted=problem.train.times,
     )
 
 

@@ -48,8 +48,9 @@ def take_out(context: FitContext, fitted: Fitted) -> tuple[Parts, NDArray[np.boo
 
 
 def antenna_gains(setup: ObservingSetup, values: Values) -> ComplexArray:
-    """Return the gains that the effects stand for, of each channel and antenna, (Nfreqs, Nants)."""
-    gains = np.ones((setup.observation.Nfreqs, setup.observation.Nants), dtype=complex)
+    """Return the gains that the effects stand for, of each channel, time and antenna, (Nfreqs, Ntimes, Nants)."""
+    observation = setup.observation
+    gains = np.ones((observation.Nfreqs, observation.Ntimes, observation.Nants), dtype=complex)
     for one in values.active:
         for channel in range(len(gains) if one.effect.multiplies else 0):
             gains[channel] *= one.effect.gains(setup, channel, one.x[channel])

@@ -15,7 +15,7 @@ from hydrabeam_mpi.io.uvwrite import telescope_of
 
 
 def write_calfits(path: Path, observation: Observation, gains: ComplexArray, history: str) -> None:
-    """Write gains that are the same at all times and for all feeds, by which data are divided: V / (g_i g_j*).
+    """Write gains that are the same for all feeds, by which data are divided: V / (g_i g_j*).
 
     Parameters
     ----------
@@ -23,13 +23,13 @@ def write_calfits(path: Path, observation: Observation, gains: ComplexArray, his
         Replaced if it exists.
     observation : Observation
         Their antennas, channels, times and feeds.
-    gains : ndarray of complex, (Nfreqs, Nants)
+    gains : ndarray of complex, (Nfreqs, Ntimes, Nants)
     history : str
     """
     telescope, orientation = telescope_of(observation)
     feeds = feeds_of(observation.pols)
     shape = (observation.Nants, observation.Nfreqs, observation.Ntimes, len(feeds))
-    values = np.broadcast_to(gains.T[:, :, np.newaxis, np.newaxis], shape).copy()
+    values = np.broadcast_to(np.moveaxis(gains, 2, 0)[..., np.newaxis], shape).copy()
     with quiet():
         cal = UVCal.new(
             cal_style="redundant",

@@ -168,7 +168,7 @@ class Injection:
         not_applicable = cause.not_applicable(self.setup)
         if not_applicable is not None:
             raise InputError(not_applicable, remedy="remove it")
-        if not entry.settings:
+        if not len(cause.parameters(self.setup)):
             cause = cause.drawn(self.setup, generator(self.job.seed, "injected elements", number))
         if entry.parameters:
             nothing = dict.fromkeys(cause.parameters(self.setup).names, 0.0)

@@ -56,6 +56,17 @@ CASES = {
     "spectral_index": Case(strengths=(0.05, 2.0), scan=MAPS),
     "timestamp": Case(strengths=(1.0, 200.0), step=3e-3),
 }
+IN_TIME = {
+    f"{kind}, {law}": replace(CASES.get(kind, Case()), settings={"law": law}, n_times=8, strengths=(0.3,))
+    for kind, law in (
+        ("antenna_gains", "smooth"),
+        ("antenna_gains", "piecewise"),
+        ("cross_coupling", "smooth"),
+        ("catalogue_flux", "smooth"),
+    )
+}
+"""Effects with the laws by which they may change in time."""
+CASES |= IN_TIME
 
 
 @cache
@@ -75,7 +86,7 @@ def set_up(kind: str, n_sources: int | None = None) -> tuple[Effect, RowBlock, C
     weights = rng.uniform(0.5, 2.0, block.shape) * (rng.uniform(size=block.shape) > 0.2)
     block = replace(block, residual=residual, weights=weights)
     block.weights[2] = 0.0
-    effect = make_effect(kind, case.settings)
+    effect = make_effect(kind.split(", ")[0], case.settings)
     if isinstance(effect, ScannedEffect):
         effect = effect.at(block.setup, candidates(effect, block))
     block.integrate_for([effect])

@@ -15,15 +15,17 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.registry import EFFECTS, KINDS, REWEIGHTINGS, SEPARATE, make_cause, make_effect
 from hydrabeam_mpi.random import generator
-from tests.effects.cases import CASES, Case, candidates, draw, experiment_of, places, set_up
+from tests.effects.cases import CASES, IN_TIME, Case, candidates, draw, experiment_of, places, set_up
 from tests.effects.direct import C, assert_same, row_vectors, seen_by_the_beam, unit_vectors
 from tests.effects.small import check_adjoint, check_derivative, check_recovery, matrix_at, part_of, with_effect
 
 
 def test_no_two_have_one_name() -> None:
     assert len(set(KINDS)) == len(KINDS) == len(EFFECTS) + len(REWEIGHTINGS) + len(SEPARATE)
-    assert set(CASES) <= set(EFFECTS)
+    assert set(CASES) - set(IN_TIME) <= set(EFFECTS)
+    assert set(IN_TIME) == {f"{kind}, {law}" for kind, one in EFFECTS.items() for law in one.laws}
     titles = [one.title for one in (*EFFECTS.values(), *REWEIGHTINGS.values(), *SEPARATE.values())]
+    titles += [title for one in EFFECTS.values() for title in one.laws.values()]
     assert len(set(titles)) == len(titles)
     assert all(title == title.strip() and title[0].islower() for title in titles)
 
@@ -35,7 +37,7 @@ def cause_of(kind: str) -> tuple[Cause, ObservingSetup]:
     return effect, block.setup
 
 
-@pytest.mark.parametrize("kind", [*EFFECTS, *SEPARATE])
+@pytest.mark.parametrize("kind", [*EFFECTS, *SEPARATE, *IN_TIME])
 def test_parameters_have_names_units_scales_and_elements(kind: str) -> None:
     effect, setup = cause_of(kind)
     parameters = effect.parameters(setup)
@@ -56,12 +58,13 @@ def test_parameters_have_names_units_scales_and_elements(kind: str) -> None:
     np.testing.assert_allclose(held @ held.T, np.diag(np.diag(held @ held.T)), atol=1e-12)
 
 
-@pytest.mark.parametrize("kind", [*EFFECTS, *SEPARATE])
+@pytest.mark.parametrize("kind", [*EFFECTS, *SEPARATE, *IN_TIME])
 def test_it_is_what_its_kind_and_description_say(kind: str) -> None:
     effect, setup = cause_of(kind)
-    described = make_cause(kind, json.loads(json.dumps(effect.describe(), allow_nan=False)))
+    described = make_cause(effect.kind, json.loads(json.dumps(effect.describe(), allow_nan=False)))
     for again in (described, pickle.loads(pickle.dumps(effect))):
-        assert again.kind == kind
+        assert again.kind == kind.split(", ")[0]
+        assert again.law == effect.law
         assert again.describe() == effect.describe()
         one, two = effect.parameters(setup), again.parameters(setup)
         assert (one.names, one.units, one.trials) == (two.names, two.units, two.trials)
@@ -121,7 +124,7 @@ def test_draws_are_told_by_their_seed(kind: str) -> None:
         assert not one.beyond(x, 0.01 * np.abs(x)).any()
 
 
-@pytest.mark.parametrize("kind", EFFECTS)
+@pytest.mark.parametrize("kind", [*EFFECTS, *IN_TIME])
 def test_without_strength_nothing_changes(kind: str) -> None:
     effect, block, _ = set_up(kind)
     for x in (np.zeros(len(effect.parameters(block.setup))), draw(effect, block.setup, 0.0)):
@@ -129,7 +132,7 @@ def test_without_strength_nothing_changes(kind: str) -> None:
         assert_same(seen_by_the_beam(effect, block, x), block.vis, block, rtol=1e-12)
 
 
-@pytest.mark.parametrize("kind", EFFECTS)
+@pytest.mark.parametrize("kind", [*EFFECTS, *IN_TIME])
 def test_it_multiplies_or_adds_or_changes_the_sky(kind: str) -> None:
     effect, block, case = set_up(kind)
     x = draw(effect, block.setup, case.strengths[0])
@@ -143,7 +146,7 @@ def test_it_multiplies_or_adds_or_changes_the_sky(kind: str) -> None:
     assert_same(seen_by_the_beam(effect, block, x), expected, block, rtol=1e-12)
 
 
-@pytest.mark.parametrize("kind", EFFECTS)
+@pytest.mark.parametrize("kind", [*EFFECTS, *IN_TIME])
 def test_columns_are_the_derivative_of_the_exact_change(kind: str) -> None:
     effect, block, case = set_up(kind)
     for x in places(effect, block, case):
@@ -151,7 +154,7 @@ def test_columns_are_the_derivative_of_the_exact_change(kind: str) -> None:
         check_adjoint(effect, block, x)
 
 
-@pytest.mark.parametrize("kind", [kind for kind in EFFECTS if CASES.get(kind, Case()).noise is not None])
+@pytest.mark.parametrize("kind", [kind for kind in (*EFFECTS, *IN_TIME) if CASES.get(kind, Case()).noise is not None])
 def test_an_injected_truth_is_recovered(kind: str) -> None:
     effect, block, case = set_up(kind)
     assert case.noise is not None
@@ -162,7 +165,7 @@ def test_an_injected_truth_is_recovered(kind: str) -> None:
     check_recovery(effect, block, x, sigma=case.noise * float(np.abs(change).max()), start=start)
 
 
-@pytest.mark.parametrize("kind", EFFECTS)
+@pytest.mark.parametrize("kind", [*EFFECTS, *IN_TIME])
 def test_what_is_undecidable_looks_like_another_beam(kind: str) -> None:
     """At every time, by a beam of any values towards the few sources there are."""
     effect, block, _ = set_up(kind, n_sources=12)
@@ -222,7 +225,7 @@ def test_it_is_refused_in_words_where_the_data_cannot_carry_it(kind: str) -> Non
             assert "\n" not in not_applicable
 
 
-@pytest.mark.parametrize("kind", EFFECTS)
+@pytest.mark.parametrize("kind", [*EFFECTS, *IN_TIME])
 def test_some_rows_have_what_they_have_among_all(kind: str) -> None:
     """So that sums over rows are those of scenes and ranks together, and parameters `local` are those of few rows."""
     effect, block, case = set_up(kind)

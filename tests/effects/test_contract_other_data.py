@@ -14,7 +14,7 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.registry import EFFECTS, REWEIGHTINGS, make_effect, make_reweighting
 from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
-from tests.effects.cases import Case, draw, experiment_of, set_up
+from tests.effects.cases import IN_TIME, Case, draw, experiment_of, set_up
 from tests.effects.small import small_block, with_effect
 
 
@@ -36,7 +36,7 @@ def as_stored(block: RowBlock, values: ComplexArray) -> ComplexArray:
     return np.where(block.setup.redundant.flipped, values.conj(), values)
 
 
-@pytest.mark.parametrize("kind", EFFECTS)
+@pytest.mark.parametrize("kind", [*EFFECTS, *IN_TIME])
 def test_it_does_the_same_to_the_same_antennas_and_sources(kind: str) -> None:
     effect, block, case = set_up(kind)
     keep = np.arange(block.setup.observation.Nbls)[::-1]
@@ -59,7 +59,7 @@ def test_it_does_the_same_to_the_same_antennas_and_sources(kind: str) -> None:
     assert np.abs(two - as_stored(other, other.vis)).max() > 1e-6 * np.abs(one).max()
 
 
-@pytest.mark.parametrize("kind", EFFECTS)
+@pytest.mark.parametrize("kind", [*EFFECTS, *IN_TIME])
 def test_it_leaves_what_other_data_lack(kind: str) -> None:
     effect, block, _ = set_up(kind)
     observation = block.setup.observation
@@ -72,13 +72,15 @@ def test_it_leaves_what_other_data_lack(kind: str) -> None:
         assert not any(name.startswith(f"antenna {gone} ") or f"baseline {gone}-" in name for name in names)
 
 
-@pytest.mark.parametrize("kind", EFFECTS)
+@pytest.mark.parametrize("kind", [*EFFECTS, *IN_TIME])
 def test_what_multiplies_are_gains_of_antennas(kind: str) -> None:
     effect, block, case = set_up(kind)
     x = draw(effect, block.setup, case.strengths[0])
     gains = effect.gains(block.setup, block.channel, x)
-    assert gains.shape == (block.setup.observation.Nants,)
-    product = np.broadcast_to(gains[block.ant1] * gains[block.ant2].conj(), block.shape)
+    observation = block.setup.observation
+    at_times = () if effect.law == "constant" else (observation.Ntimes,)
+    assert gains.shape == (*at_times, observation.Nants)
+    product = np.broadcast_to(gains[..., block.ant1] * gains[..., block.ant2].conj(), block.shape)
     factor = np.ones(block.shape) if effect.local == "baselines" else effect.factor(block, x)
     np.testing.assert_allclose(product, factor, rtol=1e-13)
 

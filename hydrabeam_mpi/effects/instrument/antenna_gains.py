@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
@@ -28,6 +30,7 @@ class AntennaGains(Effect):
     title = "antenna gains"
     linear = True
     multiplies = True
+    laws: ClassVar = {"smooth": "antenna gains that drift", "piecewise": "antenna gains that jump"}
 
     def parameters(self, setup: ObservingSetup) -> Parameters:
         """Return ln amplitude and phase of every antenna."""
@@ -36,6 +39,14 @@ class AntennaGains(Effect):
     def degenerate_directions(self, setup: ObservingSetup) -> FloatArray:
         """Return the amplitude and the phase that all antennas have in common, (n_directions, n_params)."""
         return common_values(len(setup.antennas_in_use), 2)
+
+    def undecidable_in_time(self, setup: ObservingSetup) -> FloatArray:
+        """Return the phase that all antennas have in common: an amplitude is told from a beam that does not change."""
+        return self.degenerate_directions(setup)[1:]
+
+    def common_in_time(self, setup: ObservingSetup) -> tuple[tuple[str, ...], FloatArray]:
+        """Return the amplitude, as all receivers have the weather in common."""
+        return ("all antennas ln amplitude",), np.tile([[1.0, 0.0]], len(setup.antennas_in_use))
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return m, i m for the first antenna of a row and m, -i m for the second; ``x`` is (n_params,)."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
@@ -23,6 +25,7 @@ class CrossCoupling(PerBaseline):
     linear = True
     units = ("Jy", "Jy")
     scale = 1.0
+    laws: ClassVar = {"smooth": "cross-coupling that drifts"}
 
     def not_applicable(self, setup: ObservingSetup) -> str | None:
         """Ask for several times."""

@@ -22,6 +22,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.changing import MayChange, ScannedInTime
 from hydrabeam_mpi.effects.interface.limits import HasLimits
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.other_data import InOtherData
@@ -55,6 +56,10 @@ class Parameters:
         Whether elements are in an order in which none is zero if a later one is not.
     rare_above : float
         Size, in units of ``scale``, that no more than one element is expected to exceed, by what is known of them.
+    across : ndarray of int, (n_params,), optional
+        Numbers of sets across all elements, such as what changes with one function of time, each of a width of its own.
+    across_trials : int
+        Number of sets from which these were picked.
     """
 
     names: tuple[str, ...]
@@ -65,6 +70,8 @@ class Parameters:
     trials: int
     nested: bool = False
     rare_above: float = np.inf
+    across: IntArray | None = None
+    across_trials: int = 0
 
     @classmethod
     def of(
@@ -139,11 +146,13 @@ class Cause(ABC):
     A plain picklable object without data.
     """
 
-    kind: ClassVar[str]
+    kind: str
     """Name in job files and in ``loop.json``."""
-    title: ClassVar[str]
+    title: str
     """Name in sentences."""
-    shared: ClassVar[bool] = False
+    law: str = "constant"
+    """How its parameters go on in time; see `effects.shared.in_time`."""
+    shared: bool = False
     """Whether all channels have the same parameters, through a law in frequency."""
 
     def not_applicable(self, setup: ObservingSetup) -> str | None:
@@ -175,18 +184,18 @@ class Cause(ABC):
         return {}
 
 
-class Effect(InOtherData, HasLimits, Cause):
+class Effect(InOtherData, HasLimits, MayChange, Cause):
     """A cause that changes what the rows of the job's polarisation are expected to be.
 
     It sees the data through a `RowBlock`, some rows of one channel. All that depends on ``x`` is for one channel's
     parameters, whether or not they are shared between channels.
     """
 
-    multiplies: ClassVar[bool] = False
+    multiplies: bool = False
     """Whether the effect multiplies (C) rather than adds (E)."""
-    changes_sky: ClassVar[bool] = False
+    changes_sky: bool = False
     """Whether the effect changes the sky (see `sky_factor`, `extra_sky`), by which it is part of A rather than of E."""
-    linear: ClassVar[bool] = False
+    linear: bool = False
     """Whether the data are so nearly linear in the parameters that a fit gains about what the linear model predicts."""
     is_about_the_beam: ClassVar[bool] = False
     """Whether it is a fault of the beam's model itself, so that it may well look like another beam."""
@@ -238,9 +247,10 @@ class Effect(InOtherData, HasLimits, Cause):
         return np.ones(block.shape, dtype=complex)
 
     def gains(self, setup: ObservingSetup, channel: int, x: FloatArray) -> ComplexArray:
-        """Return the gains g of all antennas in a channel, (Nants,), with C = g_j g_k*.
+        """Return the gains g of all antennas in a channel, with C = g_j g_k*.
 
-        One for effects that add, and for such as multiply single baselines.
+        They are (Nants,), or where they change in time (Ntimes, Nants) with all times of the observation; one for
+        effects that add, and for such as multiply single baselines.
         """
         return np.ones(setup.observation.Nants, dtype=complex)
 
@@ -277,7 +287,7 @@ class Effect(InOtherData, HasLimits, Cause):
         return None
 
 
-class ScannedEffect(Effect):
+class ScannedEffect(ScannedInTime, Effect):
     """An effect with too many candidates to fit together: they are scanned one by one first."""
 
     @property

@@ -39,6 +39,8 @@ class ObservingSetup:
         All polarisations that the data files have.
     times : ndarray of int
         Indices of the times in use, for fitting or held out.
+    fitted : ndarray of int, optional
+        Those of them that are fitted; all by default.
     positions : callable
         From a sky and the observation to the `SourcePositions` by the job's rule.
     """
@@ -51,6 +53,7 @@ class ObservingSetup:
     file_pols: tuple[str, ...]
     times: IntArray
     positions: Callable[[Sky, Observation], SourcePositions] = ApparentPositions
+    fitted: IntArray | None = None
 
     @cached_property
     def kept(self) -> dict[tuple[str | float, ...], Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import ClassVar, Literal, Self
+from typing import Literal, Self
 
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 
@@ -15,9 +15,9 @@ class InOtherData:
     antenna holds for the antenna of that number, wherever it stands among the others.
     """
 
-    local: ClassVar[Literal["times", "baselines"] | None] = None
+    local: Literal["times", "baselines"] | None = None
     """Whether each parameter belongs to a single time or baseline, so that other rows do not constrain it."""
-    of_the_sky: ClassVar[bool] = False
+    of_the_sky: bool = False
     """Whether it is the sky that differs, which data from which the instrument's effects are taken out still show."""
 
     def carried_over(self, setup: ObservingSetup) -> Self | str:

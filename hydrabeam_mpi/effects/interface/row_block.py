@@ -126,7 +126,7 @@ class RowBlock:
         if known is not None:
             return known
         flux = setup.sky.flux[self.channel, place.index]
-        sources = Sources(place.index, place.za, place.az, flux, self.beam, freq=self.freq)
+        sources = Sources(place.index, place.za, place.az, flux, self.beam, freq=self.freq, itime=itime)
         # A cached property that is known already.
         vars(sources)["enu"] = place.enu
         for effect, x in self.sky_effects:

@@ -33,6 +33,8 @@ class Sources:
         What effects of each kind multiply the fluxes with.
     freq : float
         Hz, the block's.
+    itime : int
+        Index into the observation's times.
     """
 
     index: IntArray
@@ -42,6 +44,7 @@ class Sources:
     beam_function: Beam
     factors: dict[str, FloatArray] = field(default_factory=dict)
     freq: float = 0.0
+    itime: int = 0
 
     def flux_without(self, kind: str = "") -> FloatArray:
         """Return the fluxes with the factors of all effects that change the sky but those of one kind, (Nsrc,)."""

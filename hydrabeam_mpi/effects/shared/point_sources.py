@@ -112,8 +112,8 @@ def responses(block: RowBlock, ra: FloatArray, dec: FloatArray) -> ComplexArray:
     return out
 
 
-def dirty_map(block: RowBlock, sky: Sky) -> tuple[FloatArray, FloatArray]:
-    """Correlate the residual with every source of a sky by itself.
+def dirty_map(block: RowBlock, sky: Sky, functions: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
+    """Correlate the residual with every source of a sky by itself, as it is or with each of some functions of time.
 
     Redundant baselines are summed first, and the beam is interpolated between samples. Nothing larger than the sky and
     the fringes of a few of its sources is held.
@@ -123,13 +123,16 @@ def dirty_map(block: RowBlock, sky: Sky) -> tuple[FloatArray, FloatArray]:
     block : RowBlock
     sky : Sky
         Sources at the setup's channels; many.
+    functions : ndarray, (Ntimes, k), optional
+        At the block's times; by default one, for sources as they are.
 
     Returns
     -------
-    projection, power : ndarray, (Nsrc,)
-        Re sum w s* r and sum w |s|^2 over the block's rows, s being a source's visibilities.
+    projection, power : ndarray, (Nsrc, k)
+        Re sum w s* r and sum w |s|^2 over the block's rows, s being a source's visibilities times a function.
     """
-    projection, power = np.zeros(sky.Nsrc), np.zeros(sky.Nsrc)
+    functions = np.ones((len(block.times), 1)) if functions is None else functions
+    projection, power = (np.zeros((sky.Nsrc, functions.shape[1])) for _ in range(2))
     n_bls = len(block.bls)
     members = csr_array((np.ones(n_bls), (block.member, np.arange(n_bls))), (len(block.groups), n_bls))
     summed = (members @ (block.weights * block.residual).T).T
@@ -141,8 +144,9 @@ def dirty_map(block: RowBlock, sky: Sky) -> tuple[FloatArray, FloatArray]:
         index, za, az = positions.above_horizon(int(block.times[t]))
         directions = enu(za, az)
         seen = sky.flux[block.channel, index] * beam(directions)
-        projection[index] += block.engine.adjoint(summed[t], directions, seen, block.freq)
-        power[index] += weights[t] * amplitude(seen) ** 2
+        told = block.engine.adjoint(summed[t], directions, seen, block.freq)
+        projection[index] += told[:, np.newaxis] * functions[t]
+        power[index] += weights[t] * amplitude(seen)[:, np.newaxis] ** 2 * functions[t] ** 2
     return projection, power
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -47,6 +47,7 @@ class CatalogueFlux(PointSources):
     kind = "catalogue_flux"
     title = "fluxes of catalogue sources"
     linear = True
+    laws: ClassVar = {"smooth": "catalogue sources that vary"}
 
     def carried_over(self, setup: ObservingSetup) -> Self:
         """Return the errors of those of the sources that the catalogue has with which other data are modelled."""
@@ -101,8 +102,11 @@ class CatalogueFlux(PointSources):
 
     def scan(self, block: RowBlock) -> tuple[FloatArray, FloatArray]:
         """Correlate the residual with every source, each (n_hypotheses, p)."""
-        projection, power = dirty_map(block, block.setup.sky.select(_brightest(block.setup.sky)))
-        return projection[:, np.newaxis], power[:, np.newaxis]
+        return dirty_map(block, block.setup.sky.select(_brightest(block.setup.sky)))
+
+    def scan_in_time(self, block: RowBlock, functions: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Do so with all functions, (Ntimes, k), in one pass, each (n_hypotheses, k)."""
+        return dirty_map(block, block.setup.sky.select(_brightest(block.setup.sky)), functions)
 
     def at(self, setup: ObservingSetup, hypotheses: IntArray) -> Self:
         """Take these sources, the best first, leaving out those that better ones cannot be told from.

@@ -154,8 +154,7 @@ class MissingSources(PointSources):
         ra, dec = candidates(block.setup)
         spectrum = (block.setup.observation.freqs / block.setup.reference_freq) ** SPECTRAL_INDEX
         sky = Sky(ra, dec, np.broadcast_to(spectrum[:, np.newaxis], (len(spectrum), len(ra))))
-        projection, power = dirty_map(block, sky)
-        return projection[:, np.newaxis], power[:, np.newaxis]
+        return dirty_map(block, sky)
 
     def at(self, setup: ObservingSetup, hypotheses: IntArray) -> MissingSources:
         """Place sources at these points, the best first, leaving out those within a resolution of better ones.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
@@ -20,6 +22,7 @@ class SpectralIndex(CatalogueFlux):
 
     kind = "spectral_index"
     title = "spectral indices of catalogue sources"
+    laws: ClassVar = {}
 
     def not_applicable(self, setup: ObservingSetup) -> str | None:
         """Ask for several channels."""

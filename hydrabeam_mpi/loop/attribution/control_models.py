@@ -18,7 +18,7 @@ from hydrabeam_mpi.effects.shared.displaced import TILTS, need_real_beam, torque
 
 MOST_MODES = 64
 LEAST_TIMES = 4
-SHAPE = ("level", "tilt towards East", "tilt towards North", *MODES)
+SHAPE = ("tilt towards East", "tilt towards North", *MODES)
 CHANGE = 0.05
 FLOOR = 1e-3
 """Least expected change of a mode, relative to that of the largest one."""
@@ -60,9 +60,10 @@ class BeamDrift(Effect):
 
 
 class ShapeDrift(BeamDrift):
-    """Change of the beam's level, pointing, widths and sidelobes from the middle to the end of the times.
+    """Change of the beam's pointing, widths and sidelobes from the middle to the end of the times.
 
-    A few numbers describe what would take many modes of the basis; each changes independently.
+    A few numbers describe what would take many modes of the basis; each changes independently. A beam of another level
+    is no other beam, but the gain that all antennas have in common.
     """
 
     def not_applicable(self, setup: ObservingSetup) -> str | None:
@@ -71,13 +72,13 @@ class ShapeDrift(BeamDrift):
 
     def parameters(self, setup: ObservingSetup) -> Parameters:
         """Return the changes: relative ones, and tilts in radians."""
-        scale = [CHANGE, *[CHANGE / 5] * len(TILTS.T), *[CHANGE] * len(MODES)]
+        scale = [*[CHANGE / 5] * len(TILTS.T), *[CHANGE] * len(MODES)]
         return Parameters.of([f"change of {name}" for name in SHAPE], "", np.array(scale), np.arange(len(SHAPE)))
 
     def sky_columns(self, sources: Sources) -> FloatArray:
-        """Return the beam, and how it changes with tilts, widths and sidelobes, (9, Nsrc)."""
+        """Return how the beam changes with tilts, widths and sidelobes, (8, Nsrc)."""
         tilts = -TILTS.T @ torque(sources)
-        return np.concatenate([sources.beam[np.newaxis], tilts, stretches(sources), sidelobes(sources)])
+        return np.concatenate([tilts, stretches(sources), sidelobes(sources)])
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return these columns' visibilities times the time, from -1 to 1, (Nrows, n)."""

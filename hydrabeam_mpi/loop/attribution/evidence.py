@@ -9,14 +9,15 @@ Two priors are tried. In the *dense* one every parameter has the width tau times
 only some elements (an antenna, a source) are at fault; they are taken one by one while the evidence grows, each with a
 width of its own and at the price of ln(trials); where elements are nested, those before the last one are then in use
 as well. Widths maximise the evidence, which overrates it by about one nat each; that is taken off. An element that is
-larger than any that is expected costs as much more as there are fewer of its size, ln 1/N(> tau).
+larger than any that is expected costs as much more as there are fewer of its size, ln 1/N(> tau). Effects that change
+in time have a third prior, in which whole sets of parameters are taken so: those of all antennas with one function of
+time.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -24,12 +25,11 @@ from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.effect import Parameters
 from hydrabeam_mpi.inference.gaussian import Block, Gaussian
 from hydrabeam_mpi.inference.likelihood import RANK_RTOL, Likelihood
+from hydrabeam_mpi.loop.attribution.price import price_of, rarity, sets_of
 from hydrabeam_mpi.loop.rules import RULES
 
 TAUS: FloatArray = np.exp(np.linspace(np.log(1e-7), np.log(1e4), 160))
 """Prior widths tried, in units of an effect's natural scale."""
-COUNTS = 1.5
-"""N(> S) falls as S to minus this: sources that are alike and spread evenly over Euclidean space."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ def find_evidence(
     spectra = [_spectrum(*block) for block in scaled]
     rank = sum(int(np.count_nonzero(values)) for values, _ in spectra)
     n_elements = len(np.unique(parameters.element))
-    dense_log, tau = _dense(spectra, n_elements * _rarity(parameters, TAUS))
+    dense_log, tau = _dense(spectra, n_elements * rarity(parameters, TAUS))
     dense_var = np.where(scale > 0, (tau * scale) ** 2, 0.0)
     best = (dense_log, dense_var)
     if n_elements > 1 or parameters.trials > 1:
@@ -104,6 +104,11 @@ def find_evidence(
             sparse_log += log_evidence(blocks, new) - log_evidence(blocks, old)
         if sparse_log > dense_log or n_elements < parameters.trials:
             best = (sparse_log, (widths[parameters.element] * scale) ** 2)
+    if parameters.across is not None:
+        sets = sets_of(parameters)
+        across_log, widths = _sparse(scaled, sets)
+        if across_log > best[0]:
+            best = (across_log, (widths[sets.element] * scale) ** 2)
     log_bayes_factor, prior_var = best
     return _describe(blocks, log_bayes_factor, prior_var, rank)
 
@@ -122,29 +127,6 @@ def evidence_of(
         blocks = [block.freed(degenerate_directions) for block in blocks]
     rank = sum(int(np.linalg.matrix_rank(block.information, hermitian=True)) for block in blocks)
     return _describe(blocks, log_evidence(blocks, prior_var) - price_of(parameters, prior_var), prior_var, rank)
-
-
-def price_of(parameters: Parameters, prior_var: FloatArray) -> float:
-    """Return the nats that it costs that the evidence chose the widths of a prior and its elements.
-
-    ``prior_var`` is (q,), zero for parameters that are left out.
-    """
-    can = (parameters.scale > 0) & ~parameters.nonlinear
-    widths = np.sqrt(prior_var[can]) / parameters.scale[can]
-    n_taken = len(np.unique(parameters.element[prior_var > 0]))
-    if n_taken == 0:
-        return 0.0
-    widest = np.zeros(int(parameters.element.max()) + 1)
-    np.maximum.at(widest, parameters.element[can], widths)
-    rarity = float(np.sum(_rarity(parameters, widest)))
-    if np.allclose(widths, widths[0]) and len(np.unique(parameters.element)) >= parameters.trials:
-        return 1.0 + rarity
-    return rarity + float(sum(1 + np.log(max(parameters.trials - n, 1)) - np.log(n + 1) for n in range(n_taken)))
-
-
-def _rarity(parameters: Parameters, widths: FloatArray | float) -> Any:
-    """Return the nats that an element of these widths costs because fewer than one of its size is expected."""
-    return COUNTS * np.log(np.maximum(np.asarray(widths) / parameters.rare_above, 1.0))
 
 
 def _spectrum(information: FloatArray, score: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -178,7 +160,7 @@ def _sparse(scaled: Sequence[tuple[FloatArray, FloatArray]], parameters: Paramet
     can = np.bincount(parameters.element, weights=parameters.scale > 0, minlength=len(members)) > 0
     log_bayes_factor = 0.0
     for n_taken in range(min(len(members), max(4, len(members) // 2))):
-        gains, taus = _element_gains(working, members, _rarity(parameters, TAUS))
+        gains, taus = _element_gains(working, members, rarity(parameters, TAUS))
         # The k elements may be picked in any order.
         gains += np.log(n_taken + 1) - np.log(max(parameters.trials - n_taken, 1)) - 1.0
         gains[widths > 0] = -np.inf

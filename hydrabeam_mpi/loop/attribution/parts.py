@@ -18,7 +18,7 @@ from hydrabeam_mpi.fit.marginal import Marginal
 from hydrabeam_mpi.fit.state import Active, Fitted, Values
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.loop.attribution.constancy import Constancy, compare
-from hydrabeam_mpi.loop.attribution.evidence import price_of
+from hydrabeam_mpi.loop.attribution.price import price_of
 from hydrabeam_mpi.loop.attribution.score_effects import CachedRowBlocks, candidate_sums, without_active
 from hydrabeam_mpi.mpi import bcast_object, gather_objects, together
 from hydrabeam_mpi.random import generator

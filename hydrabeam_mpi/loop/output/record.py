@@ -129,7 +129,7 @@ def _found(
     at_last = _AtLast(last, error_scale(context, last), rows_left_out(context, last), asked=not interrupted)
     rounds = [_round(context, one, chi2[i : i + 2], checks[i].remains, at_last) for i, one in enumerate(history.rounds)]
     tried = [
-        {"effect": one.kind, "log_bayes_factor": one.log_bayes_factor, "reason": reason}
+        {"effect": one.kind, "law": one.law, "log_bayes_factor": one.log_bayes_factor, "reason": reason}
         for one, reason in history.tried
         if not one.is_control
     ]
@@ -210,6 +210,7 @@ def _round(context: FitContext, one: Round, chi2: list[float], before: Remains, 
     leaves_out = candidate.weights is not None and candidate.weights.change.leaves_out
     told = {
         "effect": candidate.kind,
+        "law": candidate.law,
         "title": candidate.title,
         "parameters": parameters,
         "parameters_not_told": not_told,
@@ -271,6 +272,7 @@ def _ranked(candidate: Candidate) -> dict[str, Any]:
     absorbed = candidate.finding.evidence.absorbed if candidate.finding else 0.0
     line = {
         "effect": candidate.kind,
+        "law": candidate.law,
         "log_bayes_factor": candidate.log_bayes_factor,
         "absorbed_by_beam": absorbed,
         **_size(candidate),

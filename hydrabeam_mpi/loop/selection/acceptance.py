@@ -40,6 +40,11 @@ class Candidate:
     weights: WeightsFound | None = None
 
     @property
+    def law(self) -> str | None:
+        """How its parameters go on in time; None for a change of the weights."""
+        return self.finding.effect.law if self.finding is not None else None
+
+    @property
     def is_control(self) -> bool:
         """Whether it is a control model: compared with the effects, but never claimed."""
         return self.finding is not None and self.finding.effect.is_control_model

@@ -9,7 +9,7 @@ from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.reweighting import Reweighting
-from hydrabeam_mpi.effects.registry import EFFECTS, REWEIGHTINGS, SEPARATE
+from hydrabeam_mpi.effects.registry import EFFECTS, REWEIGHTINGS, SEPARATE, laws_of
 
 
 @dataclass(frozen=True)
@@ -41,12 +41,9 @@ def choose(job: Job, setup: ObservingSetup) -> Choice:
         if kind in job.loop.skip:
             choice.skipped.append((kind, "the job says so ([loop] skip)"))
         elif kind in EFFECTS:
-            effect = EFFECTS[kind]()
-            not_applicable = effect.not_applicable(setup)
-            if not_applicable is None:
-                choice.effects.append(effect)
-            else:
-                choice.skipped.append((kind, not_applicable))
+            effects = laws_of(kind)
+            choice.effects.extend(effect for effect in effects if effect.not_applicable(setup) is None)
+            choice.skipped.extend((kind, why) for effect in effects[:1] if (why := effect.not_applicable(setup)))
         elif kind in SEPARATE:
             choice = replace(choice, leakage=True)
         elif kind in REWEIGHTINGS and kind not in present:

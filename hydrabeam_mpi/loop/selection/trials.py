@@ -155,9 +155,28 @@ def _fit(
     fit = _fit_weights if candidate.finding is None else _fit_effect
     found, fitted = fit(context, checked.fitted, candidate, worth)
     after = check(context, fitted)
+    if found.finding is not None:
+        after = _by_heldout(context, after)
+        effect = after.fitted.values.active[-1].effect
+        found = replace(found, finding=replace(found.finding, effect=effect))
     told = f"held-out chi^2 {after.score.chi2:.4g}, rms {after.numbers.of_all['rms']:.4g} Jy"
     say(f"    {told} (ln BF {found.log_bayes_factor:.4g})", context.grid.is_world_root)
     return found, after
+
+
+def _by_heldout(context: FitContext, checked: Checked) -> Checked:
+    """Let the held-out rows say what of the last effect the fitted ones cannot, as they are the same with either.
+
+    Such is a jump between two fitted times: it may be before or after those that lie between. Collective: all ranks of
+    the grid.
+    """
+    *others, last = checked.fitted.values.active
+    after = [checked]
+    for effect in last.effect.alternatives(context.setup, last.used):
+        values = replace(checked.fitted.values, active=(*others, replace(last, effect=effect)))
+        after.append(check(context, replace(checked.fitted, values=values)))
+    best = max(after, key=lambda one: one.score.log_density)
+    return checked if best is checked else _by_heldout(context, best)
 
 
 def _fit_effect(

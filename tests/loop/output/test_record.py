@@ -203,7 +203,7 @@ def test_what_is_no_effect_is_neither_ranked_nor_tried(context: FitContext) -> N
     (line,) = record["last_ranking"]
     assert [line["effect"], line["reason"]] == ["noise_level", "of times"]
     reason = "held-out chi^2 does not fall: 4 to 5"
-    assert record["tried"] == [{"effect": "timestamp", "log_bayes_factor": 30.0, "reason": reason}]
+    assert record["tried"] == [{"effect": "timestamp", "law": "constant", "log_bayes_factor": 30.0, "reason": reason}]
     assert record["skipped"] == [{"effect": "diffuse", "reason": "too long"}]
     some: list[Candidate] = [effect_candidate(BeamDrift()), effect_candidate(AntennaGains()), weights_candidate()]
     assert known_effects(some) == some[1:]

@@ -96,6 +96,8 @@ class Kind:
         What it needs of the setting.
     effect : str
         As in the loop's records, for effects that it knows; where it is not the name.
+    law : str
+        How it goes on in time, as in the loop's records.
     """
 
     name: str
@@ -105,6 +107,7 @@ class Kind:
     unit: str
     plan: Plan = field(default_factory=Plan)
     effect: str = ""
+    law: str = "constant"
 
     @property
     def is_called(self) -> str:

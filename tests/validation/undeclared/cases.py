@@ -13,6 +13,7 @@ from tests.validation.undeclared import (
     faults,
     gains,
     geometry,
+    in_time,
     noise,
     polarisation,
     skies,
@@ -76,6 +77,21 @@ STRONG = {
 }
 """Effects that it knows, strong, of a single thing, or such that a beam can take up most of them."""
 
+ONE_GAIN = partial(in_time.drifting_gains, counts=(1,))
+GAINS, SMOOTH = "antenna_gains", "smooth"
+IN_TIME = {
+    kind.name: kind
+    for kind in (
+        Kind("drifting_gain", ONE_GAIN, 1e-3, 0.1, "", effect=GAINS, law=SMOOTH),
+        Kind("drifting_gains", in_time.drifting_gains, 1e-3, 0.1, "", effect=GAINS, law=SMOOTH),
+        Kind("gain_jump", in_time.gain_jump, 0.003, 0.3, "", effect=GAINS, law="piecewise"),
+        Kind("ambient_temperature", strange.ambient_temperature, 0.003, 0.1, "", effect=GAINS, law=SMOOTH),
+        Kind("drifting_coupling", in_time.drifting_coupling, 0.1, 10.0, "Jy", FINE, "cross_coupling", SMOOTH),
+        Kind("fading_source", in_time.fading_source, 0.01, 0.5, "", effect="catalogue_flux", law=SMOOTH),
+    )
+}
+"""Effects that it knows and that change during the night."""
+
 FAULTS = {
     kind.name: kind
     for kind in (
@@ -106,10 +122,8 @@ UNKNOWN = {
         Kind("drifting_noise", unknown.drifting_noise, 0.1, 3.0, ""),
         Kind("moving_source", unknown.moving_source, 0.1, 30.0, "Jy", Plan(n_times=40, cadence=60.0)),
         Kind("wandering_source", unknown.wandering_source, 0.3, 30.0, "arcmin", BAND),
-        Kind("gain_jump", unknown.gain_jump, 0.003, 0.3, ""),
         Kind("correlated_noise", unknown.correlated_noise, 0.5, 30.0, "sigma"),
         Kind("compression", strange.compression, 0.003, 0.1, ""),
-        Kind("ambient_temperature", strange.ambient_temperature, 0.003, 0.1, ""),
         Kind("turning_antenna", strange.turning_antenna, 0.003, 0.2, ""),
         Kind("jitter", strange.jitter, 0.01, 0.3, ""),
         Kind("board_stops_wrong_fringes", strange.board_stops_wrong_fringes, 0.003, 1.0, ""),
@@ -122,7 +136,7 @@ UNKNOWN = {
 }
 """Effects that it does not know."""
 
-ALL = EFFECTS | STRONG | FAULTS | CONVENTIONS | UNKNOWN
+ALL = EFFECTS | STRONG | IN_TIME | FAULTS | CONVENTIONS | UNKNOWN
 
 PAIRS = (
     ("antenna_gains", "missing_sources"),

@@ -23,7 +23,6 @@ PARTLY_SO = {
     ("correlated_noise", "noise_level"): "there is more of it than its weights say",
     ("board_drops_packets", "closure_errors"): "its baselines' mean factor of the night is another",
     ("board_stops_wrong_fringes", "closure_errors"): "its baselines' mean factor of the night is another",
-    ("gain_jump", "antenna_gains"): "the mean gain of the night is another",
 }
 """(what is so, what may be said of it): not all of it, yet nothing that is not so."""
 

@@ -129,6 +129,7 @@ def _told(effect: tuple[Kind, float, Drawn], total: float, left: float) -> dict[
     kind, strength, drawn = effect
     return {
         "kind": kind.is_called,
+        "law": kind.law,
         "known": kind.is_called in EFFECTS,
         "strength": strength,
         "strength_unit": kind.unit,

@@ -48,7 +48,12 @@ class Comparison:
 
 # What antennas have in common and no data tell: with which sign it is in which quantities of an antenna.
 COMMON: dict[str, tuple[dict[str, float], ...]] = {
-    "antenna_gains": ({"ln amplitude": 1}, {"phase": 1}),
+    "antenna_gains": (
+        {"ln amplitude": 1},
+        {"phase": 1},
+        {"phase, drift from first to last time": 1},
+        {"phase, curvature, ends less middle": 1},
+    ),
     "antenna_delays": ({"delay": 1}, {"phase": 1}),
     "antenna_positions": ({"displaced East": 1}, {"displaced North": 1}, {"displaced Up": 1}),
     "antenna_pointing": ({"tilted towards East": 1}, {"tilted towards North": 1}),
@@ -114,20 +119,31 @@ def read_plain(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], fl
     return {keys[name]: value for name, value in found.items() if name in keys}
 
 
+def read_gains(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]) -> Found:
+    """Read "antenna 3 phase" and the like; of "phase, jump at JD 2459866.12345" the first time after it counts."""
+    times = np.array(answer["times"])
+
+    def place(match: re.Match[str]) -> str:
+        return f"jump before time {np.searchsorted(times, float(match[1]))}"
+
+    renamed = [{**p, "name": re.sub(r"jump at JD ([\d.]+)", place, p["name"])} for p in parameters]
+    return read_plain(renamed, truth, answer)
+
+
 def read_baselines(
     parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]
 ) -> Found:
     """Read "baseline 3-17 real"; where the loop has it the other way round, the second part changes its sign."""
     out: Found = {}
     for name, (value, std) in averaged(parameters).items():
-        match = re.fullmatch(r"baseline (\d+)-(\d+) (real|imaginary|ln amplitude|phase)", name)
+        match = re.fullmatch(r"baseline (\d+)-(\d+) ((?:real|imaginary|ln amplitude|phase).*)", name)
         if match is None:
             continue
         one, two, part = match.groups()
         for first, second, sign in ((one, two, 1), (two, one, -1)):
             key = (f"baseline {first}-{second}", part)
             if key in truth:
-                out[key] = (sign * value if part in ("imaginary", "phase") else value), std
+                out[key] = (sign * value if part.startswith(("imaginary", "phase")) else value), std
     return out
 
 
@@ -179,13 +195,13 @@ def read_sources(
 
 
 def read_fluxes(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]) -> Found:
-    """Read "source 17: relative flux error", and the error of its spectral index."""
-    tails = {": relative flux error": "relative change of flux", ": error of the spectral index": "change of index"}
+    """Read "source 17: relative flux error", how that goes on in time, and the error of its spectral index."""
+    heads = {"relative flux error": "relative change of flux", "error of the spectral index": "change of index"}
+    matches = {name: re.fullmatch(rf"(.*): ({'|'.join(heads)})(.*)", name) for name in averaged(parameters)}
     return {
-        (name.removesuffix(tail), quantity): pair
-        for tail, quantity in tails.items()
-        for name, pair in averaged(parameters).items()
-        if name.endswith(tail)
+        (match[1], heads[match[2]] + match[3]): averaged(parameters)[name]
+        for name, match in matches.items()
+        if match is not None
     }
 
 
@@ -227,6 +243,7 @@ def read_noise(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], fl
 
 
 READERS: dict[str, Callable[[list[dict[str, Any]], dict[tuple[str, str], float], dict[str, Any]], Found]] = {
+    "antenna_gains": read_gains,
     "cross_coupling": read_baselines,
     "auto_coupling": read_baselines,
     "closure_errors": read_baselines,

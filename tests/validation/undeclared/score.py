@@ -29,7 +29,8 @@ def score(answer: dict[str, Any], loop: dict[str, Any]) -> dict[str, Any]:
     dict
         "class" (`class_of`); "first", what the loop names first and does not revoke, or "none";
         "named": "right", "equivalent" (`EQUIVALENT`), "indistinguishable" (the loop says that it may as well be the
-        right one), "wrong" or "none"; "detectable"; "z", deviations of parameters in sigma; "parameters_hold";
+        right one), "wrong" or "none"; "detectable"; "law_named", whether what changes in time is named with its law;
+        "z", deviations of parameters in sigma; "parameters_hold";
         "heldout_holds"; "not_so", all that is claimed and is not so; "revoked", rounds that a later one took back, and
         "revoked_so", whether they were right; "at_noise" (`at_noise`); "rms" before, after, expected and
         of the noise, Jy; for pairs and triples "both", all are named, and
@@ -89,6 +90,8 @@ def _judged(told: dict[str, Any], answer: dict[str, Any], loop: dict[str, Any]) 
         for key, names in (("both", told["found"]), ("both_or_indistinguishable", allowed)):
             wanted = {effect["kind"] for effect in effects} - faults
             out[key] = all(any(same(kind, name) for name in names) for kind in wanted)
+    changing = [effect for effect in effects if law_of(effect) != "constant"]
+    out["law_named"] = all(_round_of(effect, rounds) is not None for effect in changing) if changing else None
     comparisons = _comparisons(effects, rounds, answer)
     holds = [one.holds for one in comparisons if one.holds is not None]
     out["z"] = [float(z) for one in comparisons for z in one.z]
@@ -153,10 +156,21 @@ def _comparisons(
     """Compare each effect with the first round that names it."""
     out = []
     for effect in effects:
-        named = next((one for one in rounds if one["effect"] == effect["kind"]), None)
+        named = _round_of(effect, rounds)
         if named is not None and effect["kind"] in EFFECTS:
             out.append(compare(effect, named, answer))
     return out
+
+
+def law_of(told: dict[str, Any]) -> str:
+    """Return how an effect, of an answer or of a round, goes on in time."""
+    return str(told.get("law") or "constant")
+
+
+def _round_of(effect: dict[str, Any], rounds: list[dict[str, Any]]) -> dict[str, Any] | None:
+    """Return the first round that names an effect with its law."""
+    same_law = (one for one in rounds if one["effect"] == effect["kind"] and law_of(one) == law_of(effect))
+    return next(same_law, None)
 
 
 def is_where(truth: dict[str, Any], told: dict[str, Any] | None, answer: dict[str, Any]) -> bool:

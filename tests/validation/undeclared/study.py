@@ -12,12 +12,12 @@ import time
 from pathlib import Path
 from typing import Any
 
-from tests.validation.undeclared.cases import CONVENTIONS, EFFECTS, FAULTS, PAIRS, STRONG, TRIPLES, UNKNOWN
+from tests.validation.undeclared.cases import CONVENTIONS, EFFECTS, FAULTS, IN_TIME, PAIRS, STRONG, TRIPLES, UNKNOWN
 from tests.validation.undeclared.generate import GIVEN, SEALED, generate
 from tests.validation.undeclared.score import class_of, score
 
 REPOSITORY = Path(__file__).resolve().parents[3]
-A_PASS = {"null": 3, "strong": 3, "fault": 2, "pair": 5, "triple": 2, "unknown": 5, "convention": 2}
+A_PASS = {"null": 3, "strong": 3, "in time": 2, "fault": 2, "pair": 5, "triple": 2, "unknown": 5, "convention": 2}
 """Draws of each sort beside one of every known effect."""
 LONGEST_S = 900
 
@@ -27,6 +27,7 @@ def schedule(n: int, seed: int) -> list[tuple[str, int]]:
     others = {
         "null": ["null"],
         "strong": list(STRONG),
+        "in time": list(IN_TIME),
         "fault": list(FAULTS),
         "pair": ["+".join(pair) for pair in PAIRS],
         "triple": ["+".join(triple) for triple in TRIPLES],

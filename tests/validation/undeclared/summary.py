@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.validation.undeclared.cases import CONVENTIONS, EFFECTS, FAULTS, STRONG, UNKNOWN
+from tests.validation.undeclared.cases import CONVENTIONS, EFFECTS, FAULTS, IN_TIME, STRONG, UNKNOWN
 from tests.validation.undeclared.score import class_of
 
 ALONE = ("single", "convention", "fault")
@@ -19,6 +19,7 @@ CLASSES = ("null", *ALONE, "unknown", "pair", "triple")
 KEYS = (
     "named_right",
     "named_right_alone",
+    "law_named",
     "clean",
     "parameters_within_3_sigma",
     "two_at_once",
@@ -54,6 +55,7 @@ def summarise(draws: Sequence[dict[str, Any]]) -> dict[str, Any]:
     return {
         "named_right": _fraction([one in right for one in singles] + names),
         "named_right_alone": _fraction([one["named"] == "right" for one in singles] + names),
+        "law_named": _fraction([one["law_named"] for one in singles if one.get("law_named") is not None]),
         "clean": _fraction([not one["not_so"] for one in fine] + [False] * len(failed)),
         "parameters_within_3_sigma": _fraction(compared),
         "parameters_within_3_sigma_each": _fraction((np.abs(z) <= 3).tolist()),
@@ -113,7 +115,7 @@ def confusion(draws: Sequence[dict[str, Any]]) -> tuple[list[str], list[str], np
     fine = [
         one for one in draws if "failed" not in one and one["class"] not in ("pair", "triple") and one["detectable"]
     ]
-    rows = [*EFFECTS, *STRONG, *FAULTS, *CONVENTIONS, *UNKNOWN, "null"]
+    rows = [*EFFECTS, *STRONG, *IN_TIME, *FAULTS, *CONVENTIONS, *UNKNOWN, "null"]
     columns = [*EFFECTS, *sorted({one["first"] for one in fine} - {*EFFECTS, "none"}), "unexplained", "none"]
     counts = np.zeros((len(rows), len(columns)), dtype=int)
     for one in fine:

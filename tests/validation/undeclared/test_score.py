@@ -48,6 +48,18 @@ def test_the_first_name_counts(rounds, named):
     assert score(answer(), loop(*rounds))["named"] == named
 
 
+def test_what_changes_in_time_needs_its_law():
+    truth = [("antenna 3", "phase, jump before time 2", "rad", 0.1)]
+    given = answer("antenna_gains", truth)
+    given["effects"][0]["law"] = "piecewise"
+    jump = a_round("antenna_gains", [("antenna 3 phase, jump at JD 2.50000", 0.12, 0.01)]) | {"law": "piecewise"}
+    told = score(given, loop(a_round("antenna_gains"), jump))
+    assert told["law_named"]
+    assert told["z"] == pytest.approx([2.0])
+    assert not score(given, loop(a_round("antenna_gains")))["law_named"]
+    assert score(answer(), loop(a_round("antenna_gains")))["law_named"] is None
+
+
 def test_equivalent_names_are_told_apart_from_right_ones():
     assert score(answer("auto_coupling"), loop(a_round("cross_coupling")))["named"] == "equivalent"
     assert score(answer("timestamp"), loop(a_round("antenna_gains")))["named"] == "wrong"
@@ -90,14 +102,14 @@ EVEN = axis("even")
 
 
 def test_unknown_effects_must_be_where_they_are():
-    jump = answer("gain_jump", where={"antennas": [7]})
+    turning = answer("turning_antenna", where={"antennas": [7]})
     right = {"antennas": axis("concentrated", {"what": 7, "share": 0.6}, {"what": 3, "share": 0.1}), "times": EVEN}
     wrong = {"antennas": axis("concentrated", {"what": 3, "share": 0.6}, {"what": 7, "share": 0.1}), "times": EVEN}
-    told = score(jump, loop(verdict="unexplained", where=right))
+    told = score(turning, loop(verdict="unexplained", where=right))
     assert told["kept_unknown"]
     assert told["where_right"]
-    assert not score(jump, loop(verdict="unexplained", where=wrong))["where_right"]
-    assert not score(jump, loop(verdict="explained"))["kept_unknown"]
+    assert not score(turning, loop(verdict="unexplained", where=wrong))["where_right"]
+    assert not score(turning, loop(verdict="explained"))["kept_unknown"]
 
 
 def test_what_all_have_alike_must_not_be_pinned_on_one_antenna():

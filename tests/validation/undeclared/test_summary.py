@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.validation.undeclared.cases import CONVENTIONS, FAULTS, STRONG, UNKNOWN
+from tests.validation.undeclared.cases import CONVENTIONS, FAULTS, IN_TIME, STRONG, UNKNOWN
 from tests.validation.undeclared.study import schedule
 from tests.validation.undeclared.summary import KEYS, confusion, summarise, table
 
@@ -18,7 +18,7 @@ DRAWS = [
     draw("timestamp", "single", named="wrong", first="horizon", z=[], parameters_hold=None),
     draw("timestamp", "single", named="none", detectable=False, z=[], parameters_hold=None),
     draw("antenna_gains+timestamp", "pair", both=True, both_or_indistinguishable=True, named="right"),
-    draw("gain_jump", "unknown", kept_unknown=True, where_right=False),
+    draw("turning_antenna", "unknown", kept_unknown=True, where_right=False),
     draw("null", "null", false_alarm=False),
     draw("null", "null", false_alarm=True, first="diffuse"),
     {"case": "horizon", "seed": 2, "class": "single", "failed": "reason"},
@@ -93,7 +93,7 @@ def test_the_confusion_matrix_counts_detectable_draws():
     rows, columns, counts = confusion(DRAWS)
     assert counts[rows.index("timestamp"), columns.index("timestamp")] == 1
     assert counts[rows.index("timestamp"), columns.index("horizon")] == 1
-    assert counts[rows.index("gain_jump"), columns.index("unexplained")] == 1
+    assert counts[rows.index("turning_antenna"), columns.index("unexplained")] == 1
     assert counts[rows.index("null"), columns.index("none")] == 1
     assert counts.sum() == 5
 
@@ -105,12 +105,12 @@ def test_the_table_names_what_went_wrong():
 
 
 def test_a_pass_has_every_effect_and_seeds_differ():
-    draws = schedule(164, 1000)
-    assert len(draws) == 164
-    assert len({seed for _, seed in draws}) == 164
+    draws = schedule(180, 1000)
+    assert len(draws) == 180
+    assert len({seed for _, seed in draws}) == 180
     counts = np.unique([case for case, _ in draws], return_counts=True)
     counts = dict(zip(*counts, strict=True))
     assert counts["leakage"] == 4
     assert counts["null"] == 12
     assert sum(name.count("+") == 2 for name in counts) == 6
-    assert set(STRONG) | set(FAULTS) | set(CONVENTIONS) | set(UNKNOWN) <= set(counts)
+    assert set(STRONG) | set(IN_TIME) | set(FAULTS) | set(CONVENTIONS) | set(UNKNOWN) <= set(counts)

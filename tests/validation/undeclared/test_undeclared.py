@@ -55,8 +55,6 @@ def test_a_wrong_convention_is_named_as_such():
 @pytest.mark.parametrize(
     ("case", "seed"),
     [
-        ("gain_jump", 17),
-        ("gain_jump", 361),  # a third of a per cent
         ("moving_source", 330),  # chi^2 of 233 among 6840 data
         ("drifting_noise", 6002),  # which makes anything with many parameters predict better by being less sure
         ("correlated_noise", 6000),  # of one baseline, whose large rows are no outliers

@@ -6,9 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from tests.validation.undeclared.answer import Drawn, Where, numbers, pairs
+from tests.validation.undeclared.answer import Drawn, Where, pairs
 from tests.validation.undeclared.beams import Shape
-from tests.validation.undeclared.gains import multiplied
 from tests.validation.undeclared.setting import Catalogue, altaz, icrs
 from tests.validation.undeclared.truth import ComplexArray, Truth
 
@@ -77,17 +76,6 @@ def wandering_source(truth: Truth, rng: np.random.Generator, strength: float) ->
     truth.sky_of.append(sky)
     ends = [float(freqs[0]), float(freqs[-1])]
     return Drawn(where=Where(freqs=ends), n_params=2)
-
-
-def gain_jump(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
-    """The gain of one antenna jumps by ``strength`` somewhere in the middle third of the night."""
-    index, n_times = int(rng.integers(truth.setting.n_ants)), len(truth.setting.times)
-    jump = int(rng.integers(n_times // 3, 2 * n_times // 3))
-    change = strength * np.exp(2j * np.pi * rng.random())
-    gains = np.ones((1, n_times, truth.setting.n_ants), dtype=complex)
-    gains[0, jump:, index] += change
-    truth.corruptions.append(multiplied(gains))
-    return Drawn(where=Where(antennas=numbers(truth, [index])), n_params=3, about={"first time after it": jump})
 
 
 def correlated_noise(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:

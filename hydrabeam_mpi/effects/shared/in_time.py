@@ -1,0 +1,236 @@
+"""Effects whose parameters change in time: x_p(t) = sum_k x_pk phi_k(t), with the functions phi_k of a law.
+
+What is constant is left to the effect itself, of which this is a further one. Its columns do not depend on its
+parameters, so that those of a number x_pk are the effect's own, of each time, times phi_k(t). Nothing else is needed to
+weigh a change in time beside everything else, and no more than that it costs: its parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters, ScannedEffect
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.interface.sources import Sources
+from hydrabeam_mpi.effects.shared.time_laws import TimeLaw
+
+LEAST_TIMES = 4
+MOST_COLUMNS = 300
+"""Parameters that are weighed together: of all antennas with the functions of time that explain most by themselves, as
+many as take the time of a few other effects. More come a round later."""
+LEAST_FUNCTIONS = 2
+SCANNED_FUNCTIONS = 4
+"""With each of the baselines or sources that are picked."""
+
+
+class InTime(ScannedEffect):
+    """An effect that changes in time by a law.
+
+    Where the effect has few enough elements (antennas) it is the functions that are scanned; else it is the effect's
+    own candidates (baselines, sources), each with the first few functions.
+
+    Parameters
+    ----------
+    effect : Effect
+        Of which one has to be able to say how it goes on in time; its columns must not depend on its parameters.
+    law : TimeLaw
+    """
+
+    linear = True
+
+    def __init__(self, effect: Effect, law: TimeLaw) -> None:
+        self.effect, self.time_law = effect, law
+        self.kind, self.title, self.law = effect.kind, effect.laws[law.name], law.name
+        self.shared, self.local, self.of_the_sky = effect.shared, effect.local, effect.of_the_sky
+        self.multiplies, self.changes_sky = effect.multiplies, effect.changes_sky
+
+    def describe(self) -> dict[str, Any]:
+        """Return what makes the effect, and the law."""
+        return {**self.effect.describe(), **self.time_law.describe()}
+
+    def not_applicable(self, setup: ObservingSetup) -> str | None:
+        """Ask for several times."""
+        n_times = len(_fitted_times(setup))
+        if n_times < LEAST_TIMES:
+            return f"a change in time needs {LEAST_TIMES} fitted times or more; there are {n_times}"
+        return self.effect.not_applicable(setup)
+
+    def carried_over(self, setup: ObservingSetup) -> InTime | str:
+        """Return the effect in other data, where these are of the same hours: nobody knows how it went on."""
+        if not self.time_law.covers(_times(setup)):
+            return "changes in time, by a law that is known for the times of the data in which it was found"
+        here = self.effect.carried_over(setup)
+        return here if isinstance(here, str) else InTime(here, self.time_law)
+
+    def known_as(self, names: Sequence[str]) -> dict[str, tuple[int, float]]:
+        """Return the parameters by the names that the effect's own have, with those of the functions."""
+        functions = self.time_law.names()
+        n = max(len(functions), 1)
+        own = self.effect.known_as([name.removesuffix(f", {functions[0]}") for name in names[::n]])
+        return {
+            f"{name}, {function}": (n * number + k, sign)
+            for name, (number, sign) in own.items()
+            for k, function in enumerate(functions)
+        }
+
+    def parameters(self, setup: ObservingSetup) -> Parameters:
+        """Return those of the effect with each of the functions; an element is one of its own with one function."""
+        own, functions = self._own_parameters(setup), self.time_law.names()
+        n, of = len(functions), self._candidates(setup)
+        number = np.arange(n)
+        names = [f"{name}, {function}" for name in own.names for function in functions]
+        units = [unit for unit in own.units for _ in functions]
+        element = (n * own.element[:, np.newaxis] + number).reshape(-1)
+        of_functions = len(of.names()) if len(own) and n else 0
+        parameters = Parameters.of(names, units, np.repeat(own.scale, n), element, trials=own.trials * of_functions)
+        if isinstance(self.effect, ScannedEffect):
+            return parameters
+        n_common = len(self.effect.common_in_time(setup)[0])
+        common = np.arange(len(own)) >= len(own) - n_common
+        across = (n * np.cumsum(common)[:, np.newaxis] + number).reshape(-1)
+        return replace(parameters, across=across, across_trials=(1 + n_common) * of_functions)
+
+    def degenerate_directions(self, setup: ObservingSetup) -> FloatArray:
+        """Return what no data tell, with each of the functions by itself, (n_directions, n_params)."""
+        own, n = self.effect.undecidable_in_time(setup), len(self.time_law.names())
+        own = np.pad(own, ((0, 0), (0, len(self.effect.common_in_time(setup)[0]))))
+        return np.einsum("dp,kl->dkpl", own, np.eye(n)).reshape(len(own) * n, own.shape[1] * n)
+
+    def columns(self, block: RowBlock, x: FloatArray) -> Columns:
+        """Return the effect's own columns times the functions; ``x`` is (n_params,)."""
+        own = self._own_columns(block)
+        functions = self._functions(block.setup)[block.times]
+        n = functions.shape[1]
+        values = own.values[..., np.newaxis] * functions[:, np.newaxis, np.newaxis]
+        index = None if own.index is None else _several(n * own.index[..., np.newaxis] + np.arange(n))
+        return Columns(_several(values), n * own.n_params, index, own.by_group)
+
+    def factor(self, block: RowBlock, x: FloatArray) -> ComplexArray:
+        """Return C, (Ntimes, Nbls)."""
+        if not self.multiplies:
+            return super().factor(block, x)
+        at_times = zip(block.times.tolist(), self._at_times(block.setup, x)[block.times], strict=True)
+        rows = [self.effect.factor(replace(block, times=np.array([itime])), now)[0] for itime, now in at_times]
+        return np.array(rows).reshape(block.shape)
+
+    def gains(self, setup: ObservingSetup, channel: int, x: FloatArray) -> ComplexArray:
+        """Return the gains of all antennas at all times, (Ntimes, Nants)."""
+        return np.array([self.effect.gains(setup, channel, now) for now in self._at_times(setup, x)])
+
+    def sky_factor(self, setup: ObservingSetup, sources: Sources, x: FloatArray) -> FloatArray:
+        """Return what multiplies each source's flux at its time, (Nsrc,)."""
+        return self.effect.sky_factor(setup, sources, self._at_times(setup, x)[sources.itime])
+
+    def n_hypotheses(self, setup: ObservingSetup) -> int:
+        """Return the number of the effect's candidates, or where it has none that of functions."""
+        if isinstance(self.effect, ScannedEffect):
+            return self.effect.n_hypotheses(setup)
+        return len(self._candidates(setup).names())
+
+    def scan(self, block: RowBlock) -> tuple[FloatArray, FloatArray]:
+        """Return the sums for every candidate, each (n_hypotheses, p): s phi_k is correlated as s is."""
+        functions = self._candidates(block.setup).functions(block.setup.observation.times)[block.times]
+        if isinstance(self.effect, ScannedEffect):
+            return self.effect.scan_in_time(block, functions)
+        told, power = self._sums_of_times(block)
+        return functions.T @ told, functions.T**2 @ power
+
+    def at(self, setup: ObservingSetup, hypotheses: IntArray) -> InTime:
+        """Return the effect with the best candidates; ``hypotheses`` is (Nchosen,)."""
+        law = self._candidates(setup)
+        if isinstance(self.effect, ScannedEffect):
+            n_each = 2 * len(law.names())
+            return InTime(self.effect.at(setup, hypotheses[: MOST_COLUMNS // max(n_each, 1)]), law)
+        most = max(MOST_COLUMNS // len(self.effect.parameters(setup)), LEAST_FUNCTIONS)
+        return InTime(self.effect, law.at(law.best(np.asarray(hypotheses), most)))
+
+    def drawn(self, setup: ObservingSetup, rng: np.random.Generator) -> InTime:
+        """Pick an element at random, or a function."""
+        law = self.time_law.over(_times(setup)) if self.time_law.names() else self._candidates(setup)
+        if isinstance(self.effect, ScannedEffect):
+            return InTime(self.effect.drawn(setup, rng), law)
+        return InTime(self.effect, law.at(rng.integers(len(law.names()), size=1)))
+
+    def alternatives(self, setup: ObservingSetup, used: IntArray) -> list[InTime]:
+        """Return the effect with each function in use as it may be as well by the times that are fitted."""
+        n, of_fitted = len(self.time_law.names()), _fitted_times(setup)
+        numbers = np.unique(used % n).tolist() if n else []
+        laws = [law for k in numbers for law in self.time_law.alternatives(k, of_fitted, _times(setup))]
+        return [InTime(self.effect, law) for law in laws]
+
+    def _candidates(self, setup: ObservingSetup) -> TimeLaw:
+        """Return the law with all functions that are looked at."""
+        law = self.time_law.over(_times(setup)).candidates(_fitted_times(setup), _times(setup))
+        return law.at(range(len(law.names()))[:SCANNED_FUNCTIONS]) if isinstance(self.effect, ScannedEffect) else law
+
+    def _functions(self, setup: ObservingSetup) -> FloatArray:
+        """Return the functions at all times of the observation, (Ntimes, n)."""
+        return self.time_law.over(_times(setup)).functions(setup.observation.times)
+
+    def _at_times(self, setup: ObservingSetup, x: FloatArray) -> FloatArray:
+        """Return the effect's own parameters at all times of the observation, (Ntimes, n_params of the effect)."""
+        functions, (names, common) = self._functions(setup), self.effect.common_in_time(setup)
+        now = functions @ x.reshape(-1, functions.shape[1]).T
+        n = now.shape[1] - len(names)
+        return now[:, :n] + now[:, n:] @ common
+
+    def _own_parameters(self, setup: ObservingSetup) -> Parameters:
+        """Return the parameters of the effect, and what they have in common as elements of its own, n_own."""
+        own, (names, common) = self.effect.parameters(setup), self.effect.common_in_time(setup)
+        first = np.argmax(common != 0, axis=1)
+        units = (*own.units, *(own.units[i] for i in first))
+        element = np.concatenate([own.element, own.element.max(initial=-1) + 1 + np.arange(len(names))])
+        scale = np.concatenate([own.scale, own.scale[first]])
+        return Parameters.of((*own.names, *names), units, scale, element, trials=own.trials + len(names))
+
+    def _own_columns(self, block: RowBlock) -> Columns:
+        """Return the columns of these."""
+        n = len(self.effect.parameters(block.setup))
+        own, common = self.effect.columns(block, np.zeros(n)), self.effect.common_in_time(block.setup)[1]
+        if not len(common):
+            return own
+        values = np.concatenate([own.values, *(own.apply(one)[..., np.newaxis] for one in common)], axis=-1)
+        index = own.index
+        if index is not None:
+            further = np.broadcast_to(n + np.arange(len(common)), (*index.shape[:-1], len(common)))
+            index = np.concatenate([index, further], axis=-1)
+        return Columns(values, n + len(common), index, own.by_group)
+
+    def _sums_of_times(self, block: RowBlock) -> tuple[FloatArray, FloatArray]:
+        """Return Re sum w s* r and sum w |s|^2 of the effect's own columns at each time, (Ntimes, n_own)."""
+        own = self._own_columns(block)
+        values = block.spread(own.values) if own.by_group else own.values
+        index = np.arange(own.n_params) if own.index is None else own.index
+        n_times = len(block.times)
+        place = np.arange(n_times)[:, np.newaxis, np.newaxis] * own.n_params + index
+        place = np.broadcast_to(place, values.shape).ravel()
+        weights = block.weights[..., np.newaxis]
+        told = (weights * (values.conj() * block.residual[..., np.newaxis]).real).ravel()
+        power = (weights * np.abs(values) ** 2).ravel()
+        return _summed(place, told, n_times, own.n_params), _summed(place, power, n_times, own.n_params)
+
+
+def _summed(place: IntArray, values: FloatArray, *shape: int) -> FloatArray:
+    """Add up values by place in an array of a shape."""
+    return np.bincount(place, values, int(np.prod(shape))).astype(float).reshape(shape)
+
+
+def _times(setup: ObservingSetup) -> FloatArray:
+    """Return the times in use, JD ascending."""
+    return np.sort(setup.observation.times[setup.times])
+
+
+def _fitted_times(setup: ObservingSetup) -> FloatArray:
+    """Return those of them that are fitted, JD ascending."""
+    return _times(setup) if setup.fitted is None else np.sort(setup.observation.times[setup.fitted])
+
+
+def _several(values: Any) -> Any:
+    """Join the last two axes."""
+    return values.reshape(*values.shape[:-2], -1)

@@ -1,0 +1,179 @@
+"""Laws by which something may change in time: functions phi_k of the time, one for each number that describes it."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, ClassVar, Self
+
+import numpy as np
+from numpy.polynomial.legendre import Legendre
+from pydantic import Field
+
+from hydrabeam_mpi.data.observation import FloatArray, IntArray
+
+MOST_ORDERS = 8
+"""Orders of polynomials that are looked at: four swings in a night. What changes faster needs jumps."""
+SECOND = 1 / 86400
+"""Days by which times may be off, as files round them."""
+
+Order = Annotated[int, Field(ge=1, le=99)]
+Jd = Annotated[float, Field(ge=0, le=1e8)]
+
+
+@dataclass(frozen=True)
+class TimeLaw(ABC):
+    """Functions of the time between the first and the last time of some data; none for a law yet to be found.
+
+    Attributes
+    ----------
+    span : (float, float), optional
+        First and last time, JD. Without it they are those of the data at hand.
+    """
+
+    span: tuple[Jd, Jd] | None = None
+
+    name: ClassVar[str]
+
+    @abstractmethod
+    def candidates(self, fitted: FloatArray, times: FloatArray) -> Self:
+        """Return the law with all functions that the ``fitted`` ones of some ``times``, JD ascending, can tell."""
+
+    @abstractmethod
+    def at(self, chosen: IntArray | Sequence[int]) -> Self:
+        """Return the law with some of its functions, in their order."""
+
+    @abstractmethod
+    def names(self) -> list[str]:
+        """Return what the number of each function is called."""
+
+    @abstractmethod
+    def functions(self, times: FloatArray) -> FloatArray:
+        """Return the functions at ``times``, JD, (Ntimes, n); the span must be known."""
+
+    @abstractmethod
+    def best(self, ordered: IntArray, most: int) -> IntArray:
+        """Return at most so many of the functions, the best ones first, that are not nearly the same."""
+
+    def alternatives(self, number: int, fitted: FloatArray, times: FloatArray) -> list[Self]:
+        """Return the law with one of its functions other than it is at those of the ``times`` that are not fitted."""
+        return []
+
+    def over(self, times: FloatArray) -> Self:
+        """Return the law with its span, that of ``times`` where it has none of its own."""
+        return self if self.span is not None else replace(self, span=(float(times.min()), float(times.max())))
+
+    def covers(self, times: FloatArray) -> bool:
+        """Whether it is known at all of these ``times``, JD."""
+        if self.span is None:
+            return False
+        return bool(times.min() > self.span[0] - SECOND and times.max() < self.span[1] + SECOND)
+
+    def describe(self) -> dict[str, Any]:
+        """Return name and span."""
+        return {"law": self.name} | ({} if self.span is None else {"span": list(self.span)})
+
+
+@dataclass(frozen=True)
+class Smooth(TimeLaw):
+    """Legendre polynomials over the span, each of range one: its number is the change between the extremes.
+
+    Attributes
+    ----------
+    orders : tuple of int
+    """
+
+    orders: tuple[Order, ...] = ()
+    name = "smooth"
+
+    def candidates(self, fitted: FloatArray, times: FloatArray) -> Smooth:
+        """Return the law with as many orders as half of the fitted times determine."""
+        return replace(self, orders=tuple(range(1, min(MOST_ORDERS, len(fitted) // 2) + 1)))
+
+    def at(self, chosen: IntArray | Sequence[int]) -> Smooth:
+        """Return the law with some orders."""
+        return replace(self, orders=tuple(self.orders[i] for i in sorted(set(chosen))))
+
+    def best(self, ordered: IntArray, most: int) -> IntArray:
+        """Return the first ones, as polynomials are nearly orthogonal."""
+        return ordered[:most]
+
+    def names(self) -> list[str]:
+        """Return what the change is."""
+        known = {1: "drift from first to last time", 2: "curvature, ends less middle"}
+        return [known.get(order, f"wave of Legendre order {order}, peak to peak") for order in self.orders]
+
+    def functions(self, times: FloatArray) -> FloatArray:
+        """Return the polynomials, constant beyond the span."""
+        assert self.span is not None
+        first, last = self.span
+        place = np.clip(2 * (times - first) / max(last - first, SECOND) - 1, -1, 1)
+        known = [_of_range_one(order)(place) for order in self.orders]
+        return np.stack(known, axis=-1) if known else np.zeros((len(times), 0))
+
+    def describe(self) -> dict[str, Any]:
+        """Return name, span and orders."""
+        return {**super().describe(), "orders": list(self.orders)}
+
+
+@dataclass(frozen=True)
+class Piecewise(TimeLaw):
+    """Constant but for jumps: steps, each of them zero before and one from its time on.
+
+    Attributes
+    ----------
+    jumps : tuple of float
+        JD, between two times of the data.
+    """
+
+    jumps: tuple[Jd, ...] = ()
+    name = "piecewise"
+
+    def candidates(self, fitted: FloatArray, times: FloatArray) -> Piecewise:
+        """Return the law with a jump before each of the fitted times but the first."""
+        middles = 0.5 * (times[1:] + times[:-1])
+        return replace(self, jumps=tuple(middles[np.searchsorted(times, fitted[1:]) - 1].tolist()))
+
+    def at(self, chosen: IntArray | Sequence[int]) -> Piecewise:
+        """Return the law with some jumps."""
+        return replace(self, jumps=tuple(self.jumps[i] for i in sorted(set(chosen))))
+
+    def best(self, ordered: IntArray, most: int) -> IntArray:
+        """Return the first ones and none next to them, which explain nearly as much."""
+        kept: list[int] = []
+        for one in ordered.tolist():
+            if len(kept) < most and all(abs(one - other) > 1 for other in kept):
+                kept.append(one)
+        return np.array(kept, dtype=int)
+
+    def alternatives(self, number: int, fitted: FloatArray, times: FloatArray) -> list[Piecewise]:
+        """Return the law with a jump before any other of the times between the same two that are fitted."""
+        jump, others = self.jumps[number], tuple(np.delete(self.jumps, number).tolist())
+        place = int(np.clip(np.searchsorted(fitted, jump), 1, len(fitted) - 1))
+        between = times[(times >= fitted[place - 1]) & (times <= fitted[place])]
+        moved = [other for other in (0.5 * (between[1:] + between[:-1])).tolist() if other != jump]
+        return [replace(self, jumps=tuple(sorted((*others, other)))) for other in moved]
+
+    def names(self) -> list[str]:
+        """Return when it jumps."""
+        return [f"jump at JD {jump:.5f}" for jump in self.jumps]
+
+    def functions(self, times: FloatArray) -> FloatArray:
+        """Return the steps."""
+        return (times[:, np.newaxis] >= np.array(self.jumps).reshape(-1)).astype(float)
+
+    def describe(self) -> dict[str, Any]:
+        """Return name, span and jumps."""
+        return {**super().describe(), "jumps": list(self.jumps)}
+
+
+LAWS: dict[str, type[TimeLaw]] = {law.name: law for law in (Smooth, Piecewise)}
+"""By the names that jobs give them."""
+
+
+def _of_range_one(order: int) -> Legendre:
+    """Return a Legendre polynomial over its range on [-1, 1]."""
+    polynomial = Legendre.basis(order)
+    extremes = polynomial(np.concatenate([[-1.0, 1.0], polynomial.deriv().roots().real]))
+    return polynomial / float(np.ptp(extremes))

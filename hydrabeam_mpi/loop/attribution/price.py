@@ -1,0 +1,50 @@
+"""What it costs that the evidence chooses a prior: the nats by which its maximum overrates an effect."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.effect import Parameters
+
+COUNTS = 1.5
+"""N(> S) falls as S to minus this: sources that are alike and spread evenly over Euclidean space."""
+
+
+def price_of(parameters: Parameters, prior_var: FloatArray) -> float:
+    """Return the nats that it costs that the evidence chose the widths of a prior and its elements.
+
+    ``prior_var`` is (q,), zero for parameters that are left out.
+    """
+    can = (parameters.scale > 0) & ~parameters.nonlinear
+    widths = np.sqrt(prior_var[can]) / parameters.scale[can]
+    n_taken = len(np.unique(parameters.element[prior_var > 0]))
+    if n_taken == 0:
+        return 0.0
+    widest = np.zeros(int(parameters.element.max()) + 1)
+    np.maximum.at(widest, parameters.element[can], widths)
+    rare = float(np.sum(rarity(parameters, widest)))
+    if np.allclose(widths, widths[0]) and len(np.unique(parameters.element)) >= parameters.trials:
+        return 1.0 + rare
+    if parameters.across is not None and _is_of_sets(parameters.across[can], widths):
+        return price_of(sets_of(parameters), prior_var)
+    return rare + float(sum(1 + np.log(max(parameters.trials - n, 1)) - np.log(n + 1) for n in range(n_taken)))
+
+
+def rarity(parameters: Parameters, widths: FloatArray | float) -> Any:
+    """Return the nats that an element of these widths costs because fewer than one of its size is expected."""
+    return COUNTS * np.log(np.maximum(np.asarray(widths) / parameters.rare_above, 1.0))
+
+
+def _is_of_sets(sets: IntArray, widths: FloatArray) -> bool:
+    """Whether all parameters of a set have the same width, which for some is zero."""
+    return all(np.allclose(widths[sets == one], widths[sets == one][0]) for one in np.unique(sets))
+
+
+def sets_of(parameters: Parameters) -> Parameters:
+    """Return the parameters with their sets across all elements as the elements."""
+    assert parameters.across is not None
+    return replace(parameters, element=parameters.across, trials=parameters.across_trials, nested=False, across=None)

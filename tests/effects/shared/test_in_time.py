@@ -1,0 +1,120 @@
+"""Laws in time: what their numbers mean, which functions are picked, and where a law is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hydrabeam_mpi.effects.interface.effect import Effect
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.registry import laws_of, make_effect
+from hydrabeam_mpi.effects.shared.in_time import InTime
+from hydrabeam_mpi.effects.shared.time_laws import Piecewise, Smooth
+from hydrabeam_mpi.errors import InputError
+from tests.effects.cases import experiment_of
+from tests.effects.small import small_block, with_effect
+
+TIMES = np.linspace(2459866.6, 2459866.9, 31)
+
+
+@pytest.fixture(scope="module")
+def setup() -> ObservingSetup:
+    return experiment_of((131e6,), 8, 60)
+
+
+def changing(kind: str, setup: ObservingSetup, **law: object) -> Effect:
+    return make_effect(kind, {"span": setup.observation.times[[0, -1]].tolist(), **law})
+
+
+def test_numbers_of_smooth_laws_are_changes() -> None:
+    drift, curvature, third = Smooth(orders=(1, 2, 3)).over(TIMES).functions(TIMES).T
+    assert drift[-1] - drift[0] == pytest.approx(1)
+    assert np.mean([curvature[0], curvature[-1]]) - curvature[15] == pytest.approx(1)
+    assert np.ptp(third) == pytest.approx(1, abs=0.02)
+    np.testing.assert_allclose(np.diff(drift), 1 / 30)
+
+
+def test_a_law_does_not_go_on_beyond_the_times_in_which_it_was_found() -> None:
+    law = Smooth(orders=(1, 4)).over(TIMES)
+    assert law.covers(TIMES[3:])
+    assert not law.covers(TIMES + 1)
+    assert not Smooth(orders=(1,)).covers(TIMES)
+    np.testing.assert_array_equal(law.functions(TIMES + 1), np.tile(law.functions(TIMES)[-1], (31, 1)))
+
+
+def test_jumps_are_looked_for_between_fitted_times_and_may_be_elsewhere_between_these() -> None:
+    fitted = TIMES[::3]
+    law = Piecewise().candidates(fitted, TIMES).at([2])
+    steps = law.functions(fitted)[:, 0]
+    np.testing.assert_array_equal(steps, np.arange(len(fitted)) >= 3)
+    others = law.alternatives(0, fitted, TIMES)
+    assert [int(one.functions(TIMES).sum()) for one in (*others, law)] == [24, 23, 22]
+    assert all(np.array_equal(one.functions(fitted)[:, 0], steps) for one in others)
+    assert not Piecewise(jumps=law.jumps).alternatives(0, TIMES, TIMES)
+
+
+def test_of_neighbouring_jumps_one_is_weighed() -> None:
+    assert Piecewise().best(np.array([5, 6, 4, 9, 8, 1, 0, 13, 20]), 4).tolist() == [5, 9, 1, 13]
+
+
+def test_the_functions_that_explain_most_are_picked(setup: ObservingSetup) -> None:
+    block = small_block(setup)
+    jump = float(setup.observation.times[3:5].mean())
+    for law, wanted in (({"law": "smooth", "orders": [3]}, "order 3"), ({"law": "piecewise", "jumps": [jump]}, "jump")):
+        effect = changing("antenna_gains", setup, **law)
+        x = np.zeros(len(effect.parameters(setup)))
+        x[4] = 0.01
+        found = replace(block, residual=with_effect(effect, block, x) - block.vis, weights=np.ones(block.shape))
+        search = make_effect("antenna_gains", {"law": law["law"]})
+        assert isinstance(search, InTime)
+        best = np.argsort(-np.sum(search.scan(found)[0] ** 2 / search.scan(found)[1].clip(1e-300), axis=1))
+        (name,) = search.at(setup, best[:1]).time_law.names()
+        assert wanted in name
+        assert search.at(setup, best[:1]).describe() == effect.describe()
+
+
+def test_what_all_antennas_have_in_common_is_a_number_of_its_own(setup: ObservingSetup) -> None:
+    block = small_block(setup)
+    effect = changing("antenna_gains", setup, law="smooth", orders=[1, 2])
+    names = effect.parameters(setup).names
+    common, each = (
+        np.array([name.startswith(who) and "amplitude, drift" in name for name in names]) for who in ("all", "antenna")
+    )
+    assert (common.sum(), each.sum()) == (1, 7)
+    np.testing.assert_allclose(effect.factor(block, 0.1 * common), effect.factor(block, 0.1 * each), rtol=1e-14)
+    assert np.ptp(np.abs(effect.factor(block, 0.1 * common))[:, 0]) > 0.1
+
+
+def test_a_source_fades_and_the_others_do_not(setup: ObservingSetup) -> None:
+    block = small_block(setup)
+    place = np.rad2deg([setup.sky.ra[0], setup.sky.dec[0]]).tolist()
+    fading = changing("catalogue_flux", setup, law="smooth", orders=[1], sources=[place])
+    for itime in (0, 7):
+        sources = block.sources(itime)
+        expected = np.where(sources.index == 0, 1.4 if itime else 0.6, 1.0)
+        np.testing.assert_allclose(fading.sky_factor(setup, sources, np.array([0.8])), expected)
+
+
+def test_it_needs_several_fitted_times(setup: ObservingSetup) -> None:
+    _, smooth, piecewise = laws_of("antenna_gains")
+    few = replace(setup, fitted=np.arange(3))
+    for effect in (smooth, piecewise):
+        assert effect.not_applicable(setup) is None
+        assert "4 fitted times or more; there are 3" in str(effect.not_applicable(few))
+
+
+@pytest.mark.parametrize(
+    ("kind", "law"),
+    [("antenna_gains", "linear"), ("cross_coupling", "piecewise"), ("timestamp", "smooth"), ("antenna_gains", 3)],
+)
+def test_laws_that_an_effect_does_not_have_are_refused(kind: str, law: object) -> None:
+    with pytest.raises(InputError, match=f"no law '{law}' of this effect; there are constant"):
+        make_effect(kind, {"law": law})
+
+
+@pytest.mark.parametrize("settings", [{"orders": [0]}, {"orders": "a"}, {"span": [1.0]}, {"jumps": [2.0]}])
+def test_what_no_law_has_is_refused(settings: dict[str, object]) -> None:
+    with pytest.raises(InputError, match="settings: are not understood"):
+        make_effect("antenna_gains", {"law": "smooth", **settings})
