@@ -5,16 +5,14 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.parameters import Parameters
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-
-if TYPE_CHECKING:
-    from hydrabeam_mpi.effects.interface.effect import Parameters
 
 
 class MayChange:
