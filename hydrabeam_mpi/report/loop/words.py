@@ -25,6 +25,6 @@ def round_words(entry: Entry) -> str:
     if math.isfinite(n):
         of_them = f", {written(effective)} effective" if math.isfinite(effective) else ""
         parts.append(f"{n:,.0f} parameter{'s' if n != 1 else ''}{of_them}.")
-    if math.isfinite(sigma):
+    if math.isfinite(sigma) and not entry.get("revoked"):
         parts.append(f"The held-out data confirm it at {sigmas(sigma)}σ.")
     return " ".join(parts)

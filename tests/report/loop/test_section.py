@@ -17,6 +17,7 @@ from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.report.document import write_report
 from hydrabeam_mpi.report.loop.record import VERDICTS
 from hydrabeam_mpi.report.loop.section import loop_section
+from hydrabeam_mpi.report.loop.words import round_words
 from hydrabeam_mpi.report.page.style import STYLE, Drawing, render
 from tests.report import loops
 from tests.report.conftest import BULK, Edit, drop_arrays
@@ -111,6 +112,11 @@ def test_the_table_of_rounds(reported: dict[str, Path]) -> None:
     assert "0.041 ± 0.0011" in told
     assert "χ² 11.4 → 2.31" in told
     assert "16 parameters, 14.2 effective. The held-out data confirm it at 57.3σ." in told
+
+
+def test_what_was_taken_back_is_not_called_confirmed() -> None:
+    words = [round_words({"sentence": "Gains.", "heldout_sigma": 9.0, "revoked": revoked}) for revoked in (False, True)]
+    assert words == ["Gains. The held-out data confirm it at 9.0σ.", "Gains."]
 
 
 def test_the_table_of_held_out_data_in_jy(reported: dict[str, Path]) -> None:
