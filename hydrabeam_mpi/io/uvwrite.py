@@ -84,11 +84,15 @@ def telescope_of(observation: Observation) -> tuple[Telescope, dict[str, str]]:
     # Feeds named by direction are written as x (east) and y (north); others have no known direction.
     directed = set("".join(observation.pols)) <= {"e", "n"}
     orientation = {"x_orientation": "east"} if directed else {}
+    names = observation.antenna_names
+    if len(set(names)) < len(names):
+        # Files have been read by numbers, and pyuvdata takes no name twice.
+        names = tuple(map(str, observation.antenna_numbers.tolist()))
     telescope = Telescope.new(
         name=observation.telescope_name,
         location=observation.location,
         antenna_positions=observation.antpos @ enu_axes(observation.location),
-        antenna_names=list(observation.antenna_names),
+        antenna_names=list(names),
         antenna_numbers=observation.antenna_numbers,
         instrument=observation.telescope_name,
         mount_type="fixed",

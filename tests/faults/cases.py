@@ -140,7 +140,9 @@ def set_up(samples: Path, target: Target, folder: Path) -> list[str]:
     if target.job is not None:
         job = folder / "job.toml"
         job.write_text(tomli_w.dumps(target.job(samples, file)))
-    return [target.command, str(job), "-o", str(folder / "out")]
+    result = file if target.name == "both" else samples / "both"
+    applied = [str(result)] if target.command in ("predict", "correct") else []
+    return [target.command, *applied, str(job), "-o", str(folder / "out")]
 
 
 def _damaged(target: Target, path: Path, rng: Rng) -> Damage:

@@ -129,7 +129,11 @@ def answer_of(command: str, folder: Path, outcome: Outcome) -> Answer:
     """Return the numbers by which two results are compared; of commands without a result folder, the words."""
     if command in ("init", "report"):
         return {"out": outcome.out}
-    path, names = (folder / "data.uvh5", ("Data/visdata",)) if command == "simulate" else (folder / "posterior.h5", ())
+    if command == "predict":
+        told = json.loads((folder / "prediction.json").read_text())
+        return {name: np.array(value) for name, value in told.items() if isinstance(value, float)}
+    of_data = {"simulate": "data.uvh5", "correct": "corrected.uvh5"}
+    path, names = folder / of_data.get(command, "posterior.h5"), ("Data/visdata",) if command in of_data else ()
     with h5py.File(path) as file:
         groups = sorted(name for name in file if name.startswith("channel"))
         names = names or tuple(f"{group}/{name}" for group in groups for name in ("mean", "covariance"))

@@ -111,6 +111,12 @@ def _laid_out(samples: Path, file: Path) -> dict[str, Any]:
     return changed(simulation(), {"data.simulate.array": {"file": str(file)}, "data.exclude_antennas": None})
 
 
+def _after(samples: Path, file: Path) -> dict[str, Any]:
+    """Return a job whose prior is a result; the same visibilities in another file stand for those of another night."""
+    files = [str(samples / "data.uvfits")]
+    return from_files(samples, data__files=files, prior={"kind": "file"}, prior__file=str(file))
+
+
 _BYTES, _HDF5, _FITS, _TEXT, _TOML, _JSON = ("bytes",), ("bytes", "hdf5", "hdf5", "hdf5"), ("bytes", "fits", "fits"), (
     "bytes", "text",
 ), ("text", "toml", "toml", "toml", "toml"), ("text", "json", "json")  # fmt: skip
@@ -144,6 +150,10 @@ TARGETS = (
     Target("files.toml", "infer", _TOML, weight=3),
     Target("files.toml", "loop", _TOML),
     Target("amended.toml", "infer", _TOML, weight=2),
+    Target("both", "infer", _HDF5, _after, inside="posterior.h5"),
+    Target("both", "predict", _HDF5, lambda samples, file: from_files(samples), inside="posterior.h5"),
+    Target("data.uvh5", "predict", _HDF5, _DATA),
+    Target("data.uvh5", "correct", _HDF5, _DATA),
     Target("result", "report", _HDF5, inside="posterior.h5", weight=0.4),
     Target("result", "report", _JSON, inside="summary.json", weight=0.3),
     Target("looped", "report", _JSON, inside="loop.json", weight=0.3),

@@ -43,6 +43,13 @@ def make(pols=("ee", "nn")):
     return obs, data, flags, nsamples, autos
 
 
+def test_antennas_of_one_name_are_told_apart_by_number(tmp_path):
+    obs, data, flags, nsamples, _ = make()
+    obs = dataclasses.replace(obs, antenna_names=("nan",) * 5)
+    write_uvh5(tmp_path / "data.uvh5", obs, data, flags, nsamples)
+    assert list(UVData.from_file(tmp_path / "data.uvh5").telescope.antenna_names) == ["3", "7", "11", "20", "41"]
+
+
 def test_pyuvdata_reads_back_every_number(tmp_path):
     obs, data, flags, nsamples, autos = make()
     write_uvh5(tmp_path / "data.uvh5", obs, data, flags, nsamples, autos)
