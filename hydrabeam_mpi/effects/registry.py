@@ -27,6 +27,8 @@ EFFECTS: Registry[Effect] = Registry(
     "instrument.auto_coupling",
     "instrument.mutual_coupling",
     "instrument.closure_errors",
+    "instrument.compression",
+    "instrument.ground_emitter",
     "sky.missing_sources",
     "sky.catalogue_flux",
     "sky.spectral_index",

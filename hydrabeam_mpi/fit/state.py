@@ -110,8 +110,8 @@ class Active:
 
     @property
     def adds(self) -> bool:
-        """Whether it gives an E, visibilities that are added to those of the beam and may depend on it."""
-        return not self.effect.multiplies and not self.effect.changes_sky
+        """Whether it gives an E, visibilities that are added to those of the beam, or a C, that may depend on it."""
+        return (not self.effect.multiplies or self.effect.sees_beam) and not self.effect.changes_sky
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ class Values:
 
     @property
     def adds(self) -> bool:
-        """Whether there is an E that may depend on the beams."""
+        """Whether there is an E, or a C, that may depend on the beams."""
         return any(one.adds for one in self.active)
 
     @cached_property

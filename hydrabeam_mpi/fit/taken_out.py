@@ -16,8 +16,8 @@ from hydrabeam_mpi.fit.state import Active, Fitted, Values
 class Parts(NamedTuple):
     """What data consist of, each (Nlocal, Ntimes, Nbls), Jy, baselines as they are stored.
 
-    ``corrected`` is ``model`` plus ``residual``, and g_j g_k* (``corrected`` + ``added``) the data. Factors of single
-    baselines are part of what is added.
+    ``corrected`` is ``model`` plus ``residual``, and g_j g_k* (``corrected`` + ``added``) the data. Factors
+    for which no gains of antennas stand are part of what is added.
     """
 
     corrected: ComplexArray
@@ -34,7 +34,7 @@ def take_out(context: FitContext, fitted: Fitted) -> tuple[Parts, NDArray[np.boo
     at, data = fitted.estimate, context.test
     rows, added = data.calibrated(at)
     _, taken = data.effects_of(at, [one for one in fitted.values.active if _is_taken_out(one, context.setup)])
-    factor, _ = data.effects_of(at, [one for one in fitted.values.active if _is_of_baselines(one)])
+    factor, _ = data.effects_of(at, [one for one in fitted.values.active if not one.effect.has_gains])
     model = np.zeros_like(taken)
     for channel in range(len(model)):
         for span, block, _ in data.row_blocks(channel, at, added[channel], rows):
@@ -55,11 +55,6 @@ def antenna_gains(setup: ObservingSetup, values: Values) -> ComplexArray:
         for channel in range(len(gains) if one.effect.multiplies else 0):
             gains[channel] *= one.effect.gains(setup, channel, one.x[channel])
     return gains
-
-
-def _is_of_baselines(one: Active) -> bool:
-    """Whether an effect multiplies single baselines, for which no gains of antennas stand."""
-    return one.effect.multiplies and one.effect.local == "baselines"
 
 
 def _is_taken_out(one: Active, setup: ObservingSetup) -> bool:

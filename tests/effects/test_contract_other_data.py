@@ -81,7 +81,7 @@ def test_what_multiplies_are_gains_of_antennas(kind: str) -> None:
     at_times = () if effect.law == "constant" else (observation.Ntimes,)
     assert gains.shape == (*at_times, observation.Nants)
     product = np.broadcast_to(gains[..., block.ant1] * gains[..., block.ant2].conj(), block.shape)
-    factor = np.ones(block.shape) if effect.local == "baselines" else effect.factor(block, x)
+    factor = effect.factor(block, x) if effect.has_gains else np.ones(block.shape)
     np.testing.assert_allclose(product, factor, rtol=1e-13)
 
 

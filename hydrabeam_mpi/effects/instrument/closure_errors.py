@@ -26,6 +26,7 @@ class ClosureErrors(PerBaseline):
     title = "closure errors"
     linear = True
     multiplies = True
+    has_gains = False
     parts = ("ln amplitude", "phase")
     units = ("", "rad")
     scale = 0.1

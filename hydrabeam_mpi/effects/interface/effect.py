@@ -123,6 +123,11 @@ class Effect(InOtherData, HasLimits, MayChange, Cause):
 
     multiplies: bool = False
     """Whether the effect multiplies (C) rather than adds (E)."""
+    has_gains: bool = True
+    """Whether what it multiplies with are gains of antennas that files of gains can hold; they are part of what
+    data have besides otherwise."""
+    sees_beam: bool = False
+    """Whether what it multiplies with depends on the current beam, as what effects add may."""
     changes_sky: bool = False
     """Whether the effect changes the sky (see `sky_factor`, `extra_sky`), by which it is part of A rather than of E."""
     linear: bool = False
@@ -180,7 +185,7 @@ class Effect(InOtherData, HasLimits, MayChange, Cause):
         """Return the gains g of all antennas in a channel, with C = g_j g_k*.
 
         They are (Nants,), or where they change in time (Ntimes, Nants) with all times of the observation; one for
-        effects that add, and for such as multiply single baselines.
+        effects that add, and where there are none (`has_gains`).
         """
         return np.ones(setup.observation.Nants, dtype=complex)
 

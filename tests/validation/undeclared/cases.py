@@ -43,6 +43,8 @@ EFFECTS = {
         Kind("cross_coupling", coupling.cross_coupling, 0.03, 10.0, "Jy", FINE),
         Kind("auto_coupling", coupling.auto_coupling, 1e-3, 0.1, "", FINE),
         Kind("closure_errors", closure.closure_errors, 3e-3, 0.3, ""),
+        Kind("compression", strange.compression, 0.003, 0.1, ""),
+        Kind("ground_emitter", coupling.ground_emitter, 0.01, 3.0, "Jy", FINE),
         Kind("mutual_coupling", coupling.mutual_coupling, 1e-4, 0.03, ""),
         Kind("missing_sources", skies.missing_sources, 0.015, 10.0, "Jy"),
         Kind("catalogue_flux", skies.catalogue_flux, 3e-3, 0.5, ""),
@@ -72,6 +74,7 @@ STRONG = {
         Kind("one_gain", partial(gains.antenna_gains, counts=(1,)), 3e-3, 0.3, "", effect="antenna_gains"),
         Kind("centred_delays", partial(gains.antenna_delays, counts=(2,), centred=True), 0.01, 3.0, "ns", BAND, DELAYS),
         Kind("decorrelation", closure.decorrelation, 0.01, 0.3, "", effect="closure_errors"),
+        Kind("compressed_alike", partial(strange.compression, alike=True), 3e-3, 0.1, "", effect="compression"),
         Kind("two_couplings", partial(coupling.cross_coupling, counts=(2,)), 0.3, 10.0, "Jy", effect="cross_coupling"),
     )
 }
@@ -123,7 +126,6 @@ UNKNOWN = {
         Kind("moving_source", unknown.moving_source, 0.1, 30.0, "Jy", Plan(n_times=40, cadence=60.0)),
         Kind("wandering_source", unknown.wandering_source, 0.3, 30.0, "arcmin", BAND),
         Kind("correlated_noise", unknown.correlated_noise, 0.5, 30.0, "sigma"),
-        Kind("compression", strange.compression, 0.003, 0.1, ""),
         Kind("turning_antenna", strange.turning_antenna, 0.003, 0.2, ""),
         Kind("jitter", strange.jitter, 0.01, 0.3, ""),
         Kind("board_stops_wrong_fringes", strange.board_stops_wrong_fringes, 0.003, 1.0, ""),

@@ -41,6 +41,20 @@ def cross_coupling(
     return Drawn(parameters, Where(antpairs=pairs(truth, chosen)), 2 * len(chosen))
 
 
+def ground_emitter(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
+    """Something on the horizon is heard all the time, by ``strength`` Jy on every baseline."""
+    azimuth = rng.uniform(0, 2 * np.pi)
+    path = truth.setting.antpos @ np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    waves = truth.setting.freqs[:, np.newaxis] / speed_of_light.value * path
+    voltages = np.sqrt(strength) * np.exp(-2j * np.pi * waves)[:, np.newaxis]
+    truth.corruptions.append(lambda vis: vis + voltages[..., :, np.newaxis] * voltages[..., np.newaxis, :].conj())
+    parameters = [
+        Parameter("emitter", "azimuth", "deg", float(np.rad2deg(azimuth))),
+        Parameter("emitter", "power", "Jy", strength),
+    ]
+    return Drawn(parameters, n_params=2)
+
+
 def auto_coupling(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
     """Part ``strength`` of one antenna's voltage comes out of the other's: V_jk += e_jk* V_jj + e_kj V_kk.
 

@@ -211,6 +211,33 @@ def read_clock(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], fl
     return {("clock", "later"): pairs[0]} if pairs else {}
 
 
+def read_compression(
+    parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]
+) -> Found:
+    """Read what all antennas have in common, and what each has beyond that, whose errors are taken as independent."""
+    told = averaged(parameters)
+    common, std = told.get("compression of all antennas", (0.0, 0.0))
+    out: Found = {}
+    for thing, quantity in truth:
+        own, own_std = told.get(f"{thing} compression beyond that", (0.0, 0.0))
+        out[thing, quantity] = common + own, float(np.hypot(std, own_std))
+    return out
+
+
+def read_emitter(
+    parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]
+) -> Found:
+    """Read power and azimuth of the strongest emitter."""
+    told = averaged(parameters)
+    powers = [(value, name) for name, (value, _) in told.items() if name.endswith(": power")]
+    if not powers:
+        return {}
+    name = max(powers)[1].removesuffix(": power")
+    azimuth, std = told[f"{name}: azimuth"]
+    turns = 360 * round((truth["emitter", "azimuth"] - azimuth) / 360)
+    return {("emitter", "power"): told[f"{name}: power"], ("emitter", "azimuth"): (azimuth + turns, std)}
+
+
 def read_shifts(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]) -> Found:
     """Read "shift towards East at JD 2459866.12345"."""
     times = np.array(answer["times"])
@@ -252,6 +279,8 @@ READERS: dict[str, Callable[[list[dict[str, Any]], dict[tuple[str, str], float],
     "catalogue_flux": read_fluxes,
     "spectral_index": read_fluxes,
     "timestamp": read_clock,
+    "ground_emitter": read_emitter,
+    "compression": read_compression,
     "ionosphere": read_shifts,
     "diffuse": read_harmonics,
     "noise_level": read_noise,

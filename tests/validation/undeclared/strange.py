@@ -10,23 +10,37 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.validation.undeclared.answer import Drawn, Where, numbers, pairs
+from tests.validation.undeclared.answer import Drawn, Parameter, Where, antenna, numbers, pairs
 from tests.validation.undeclared.beams import FloatArray, Shape
 from tests.validation.undeclared.gains import multiplied
 from tests.validation.undeclared.setting import LOCATION, Catalogue, altaz
 from tests.validation.undeclared.truth import ComplexArray, Truth
 
 
-def compression(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
-    """Amplifiers lose the part ``strength``, each its own, of their gain where the sky is twice as bright as always."""
-    slopes = strength * rng.uniform(0.5, 1.5, truth.setting.n_ants)
+def compression(truth: Truth, rng: np.random.Generator, strength: float, alike: bool = False) -> Drawn:
+    """Amplifiers lose the part ``strength``, each its own, of their gain where the sky is twice as bright as always.
+
+    That is what the job's beam would see on average. Where they are ``alike`` all lose the same.
+    """
+    n, setting = truth.setting.n_ants, truth.setting
+    slopes = strength * (np.ones(n) if alike else rng.uniform(0.5, 1.5, n))
+    usual = np.zeros(len(setting.freqs))
+    for time in setting.times.tolist():
+        za, az = altaz(setting.catalogue.ra, setting.catalogue.dec, time)
+        for channel, freq in enumerate(setting.freqs.tolist()):
+            seen = setting.model_shape.power(za, az, freq) * setting.catalogue.at(freq)
+            usual[channel] += 0.5 * np.sum(seen[za < np.pi / 2]) / len(setting.times)
 
     def corruption(vis: ComplexArray) -> ComplexArray:
         power = np.einsum("ftjj->ftj", vis).real
-        return multiplied(1 - slopes * (power / power.mean(axis=1, keepdims=True) - 1) + 0j)(vis)
+        return multiplied(1 - slopes * (power / usual[:, np.newaxis, np.newaxis] - 1) + 0j)(vis)
 
     truth.corruptions.append(corruption)
-    return Drawn(n_params=truth.setting.n_ants)
+    per_kjy = slopes * float(np.mean(1e3 / usual))
+    parameters = [
+        Parameter(antenna(truth, index), "compression", "1/kJy", value) for index, value in enumerate(per_kjy.tolist())
+    ]
+    return Drawn(parameters, n_params=1 if alike else n)
 
 
 def ambient_temperature(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
