@@ -25,6 +25,8 @@ KNOWN = [
     ("leakage", 5548),  # of one antenna
     ("flux_at_transit", 3),  # the beam could absorb 98% of it
     ("clock_of_few", 5),  # and 98% of 5 s, with seven antennas
+    ("gain_jump", 361),  # by a third of a per cent
+    ("fading_source", 50016),
 ]
 
 
@@ -34,6 +36,7 @@ def test_an_undeclared_effect_is_named_and_measured(case, seed):
     assert told.get("failed") is None
     assert told["detectable"]
     assert told["named"] == "right"
+    assert told["law_named"] is not False
     assert told["verdict"] == "explained"
     assert told["heldout_holds"]
     assert told["parameters_hold"] is not False
