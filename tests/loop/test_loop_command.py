@@ -246,7 +246,7 @@ def test_what_is_skipped_is_told(tmp_path: Path) -> None:
     record = record_of(run_loop(job, tmp_path))
     reasons = {one["effect"]: one["reason"] for one in record["skipped"]}
     assert reasons["diffuse"] == reasons["outliers"] == "the job says so ([loop] skip)"
-    assert reasons.keys() == {"diffuse", "outliers", "antenna_delays", "cable_reflections", "leakage"}
+    assert reasons.keys() == {"diffuse", "outliers", "antenna_delays", "cable_reflections", "leakage", "spectral_index"}
     weighed = {one["effect"] for one in record["last_ranking"]}
     assert weighed == {*EFFECTS, *REWEIGHTINGS} - reasons.keys()
 
