@@ -91,6 +91,14 @@ def refit(
     return Fitted(end.values, replace(step.fit, posteriors=solved.beams), diagnostics)
 
 
+def solved_at(context: FitContext, values: Values, before: Fitted) -> Fitted:
+    """Solve for the beams alone, with the effects at ``values``. Collective: all ranks of the grid."""
+    at = Estimate(values, before.fit.posteriors)
+    solved = solve_beams(context, at)
+    step = take_step(context, replace(at, beams=solved.beams), solved)
+    return Fitted(values, replace(step.fit, posteriors=solved.beams), diagnostics_of(context, values, solved))
+
+
 @dataclass(frozen=True)
 class _Step:
     """A Gauss-Newton step: where it leads, what it tells of the effects, and how many standard deviations it is long.

@@ -83,6 +83,11 @@ class Round:
     taken_back: tuple[Active, FloatArray] | None = None
     constancy: tuple[Constancy, ...] = ()
 
+    @property
+    def revoked(self) -> bool:
+        """Whether its effect was taken back since."""
+        return self.candidate.finding is not None and self.place is None
+
 
 def in_order(wanted: Sequence[Candidate], most: int) -> list[Candidate]:
     """Order candidates for trial: by evidence, but a change of the weights after all effects that come near it.

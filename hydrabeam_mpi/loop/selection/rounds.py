@@ -17,6 +17,7 @@ from hydrabeam_mpi.loop.attribution.score_effects import attribute
 from hydrabeam_mpi.loop.attribution.score_noise import fit_reweightings
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
 from hydrabeam_mpi.loop.selection.constant import take_back, take_back_unphysical
+from hydrabeam_mpi.loop.selection.exchange import exchange
 from hydrabeam_mpi.loop.selection.revision import revise
 from hydrabeam_mpi.loop.selection.trials import check, try_control, try_effects
 from hydrabeam_mpi.terminal.progress import say
@@ -62,7 +63,8 @@ class History:
             self.control, self.control_since = control, len(self.rounds) - (control.before is not self.last)
         if self.control is None:
             return
-        evidence = sum(one.candidate.log_bayes_factor for one in self.rounds[self.control_since :])
+        since = self.rounds[self.control_since :]
+        evidence = sum(one.candidate.log_bayes_factor for one in since if not one.revoked)
         ahead = self.control.candidate.log_bayes_factor - evidence
         if not ahead + self.control.after.score.log_density - self.last.score.log_density > 0:
             self.control = None
@@ -131,10 +133,12 @@ def run_rounds(
         with clock.time("trials"):
             added = try_effects(context, checked, ranking, history.tried)
             control = try_control(context, checked, ranking, added)
+            if added is None:
+                added = _exchanged(context, history, effects)
             if added is not None:
                 added, places = revise(context, added, len(history.first.fitted.values.active))
                 history.add(added, places)
-                checked = history.last
+            checked = history.last
         history.compare(control)
         if added is None:
             break
@@ -142,6 +146,17 @@ def run_rounds(
         _keep(clock, keep, history)
     with clock.time("trials"):
         _take_back(context, history)
+
+
+def _exchanged(context: FitContext, history: History, effects: Sequence[Effect]) -> Round | None:
+    """Exchange an effect for a better one where there is one; return the round. Collective: all ranks of the grid."""
+    found = exchange(context, history.last, history.rounds, effects, history.tried)
+    if found is None:
+        return None
+    added, places = found
+    history.rounds = [_asked(one, history.last.fitted, places, {}) for one in history.rounds]
+    history.add(added, places)
+    return history.rounds.pop()
 
 
 def _keep(clock: Clock, keep: Callable[[History], None], history: History) -> None:

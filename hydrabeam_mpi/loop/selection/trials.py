@@ -54,16 +54,20 @@ def check(context: FitContext, fitted: Fitted) -> Checked:
 
 
 def try_effects(
-    context: FitContext, checked: Checked, ranking: Sequence[Candidate], tried: list[tuple[Candidate, str]]
+    context: FitContext,
+    checked: Checked,
+    ranking: Sequence[Candidate],
+    tried: list[tuple[Candidate, str]],
+    best: Round | None = None,
 ) -> Round | None:
     """Fit the candidates that may be the best; return the best of those that held-out data confirm.
 
-    Collective: all ranks of the grid. ``tried`` receives those that they do not confirm, with the reason.
+    Collective: all ranks of the grid. ``tried`` receives those that they do not confirm, with the reason. Where there
+    is a ``best`` one already, others have to be better.
     """
     settings = context.problem.job.loop
     wanted = [one for one in _wanted(context, ranking) if not one.is_control]
-    best: Round | None = None
-    enough = False
+    enough = best is not None and best.after.remains.consistent
     for candidate in in_order(wanted, RULES.most_tries):
         if best is not None and not may_be_better(candidate, best, enough):
             continue
@@ -80,7 +84,7 @@ def try_effects(
         if reason is not None:
             tried.append((fitted, reason))
         elif best is None or is_better(fitted, after, best):
-            best = _round(context, checked, after, fitted, ranking)
+            best = round_of(context, checked, after, fitted, ranking)
             enough = after.remains.consistent
     return best
 
@@ -127,7 +131,7 @@ def try_control(
     if not controls or (found is not None and not may_be_better(controls[0], found, found.after.remains.consistent)):
         return None
     fitted, after = _fit(context, checked, controls[0])
-    return _round(context, checked, after, fitted, ranking)
+    return round_of(context, checked, after, fitted, ranking)
 
 
 def _wanted(context: FitContext, ranking: Sequence[Candidate]) -> list[Candidate]:
@@ -135,7 +139,7 @@ def _wanted(context: FitContext, ranking: Sequence[Candidate]) -> list[Candidate
     return [one for one in ranking if one.log_bayes_factor >= context.problem.job.loop.min_log_bayes_factor]
 
 
-def _round(
+def round_of(
     context: FitContext, before: Checked, after: Checked, fitted: Candidate, ranking: Sequence[Candidate]
 ) -> Round:
     """Tell what a fitted candidate changes. Collective: all ranks of the grid."""

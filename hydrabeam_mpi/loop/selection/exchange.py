@@ -1,0 +1,99 @@
+"""Effects that were chosen before others were known: another may stand in their place beside what was found since."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from hydrabeam_mpi.effects.interface.effect import Effect
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.gauss_newton import solved_at
+from hydrabeam_mpi.loop.attribution.reconsider import reconsider
+from hydrabeam_mpi.loop.attribution.score_effects import attribute
+from hydrabeam_mpi.loop.rules import RULES
+from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
+from hydrabeam_mpi.loop.selection.refits import rise
+from hydrabeam_mpi.loop.selection.trials import check, round_of, try_effects
+from hydrabeam_mpi.terminal.progress import say
+
+
+def exchange(
+    context: FitContext,
+    last: Checked,
+    rounds: Sequence[Round],
+    effects: Sequence[Effect],
+    tried: list[tuple[Candidate, str]],
+) -> tuple[Round, dict[int, int | None]] | None:
+    """Give the place of one effect to another that came near it when it was chosen, if that is better now.
+
+    While something else is missing, an effect with many parameters may take up a part of that and so come before the
+    right one. So each effect that is not the newest is left out, and those that had come near are weighed and fitted
+    beside all the others, as in any round. The best of them is taken if it has more evidence, with the held-out data's
+    density, than the effect that it replaces.
+
+    Collective: all ranks of the grid.
+
+    Parameters
+    ----------
+    context : FitContext
+    last : Checked
+    rounds : sequence of Round
+        So far.
+    effects : sequence of Effect
+        To look for.
+    tried : list
+        Receives what was refused, as for `try_effects`.
+
+    Returns
+    -------
+    Round, dict or None
+        The exchange as a round, and where each active effect is now, by where it was; None where there is none.
+    """
+    for number, found in enumerate(rounds[:-1]):
+        near = _near(found, effects)
+        if found.place is None or not near or all(one.revoked for one in rounds[number + 1 :]):
+            continue
+        better = _better_than(context, last, found, near, tried)
+        if better is not None:
+            return better, _places_without(found.place, len(last.fitted.values.active))
+    return None
+
+
+def _near(found: Round, effects: Sequence[Effect]) -> list[Effect]:
+    """Return the effects that came near one when it was chosen."""
+    least = RULES.near_if_linear * found.candidate.log_bayes_factor
+    kinds = {one.kind for one in found.ranking if one.finding is not None and one.log_bayes_factor > least}
+    return [one for one in effects if one.kind in kinds - {found.candidate.kind}]
+
+
+def _better_than(
+    context: FitContext, last: Checked, found: Round, near: Sequence[Effect], tried: list[tuple[Candidate, str]]
+) -> Round | None:
+    """Fit what came near an effect in its place; return the best if it is better. Collective: all ranks of the grid."""
+    assert found.place is not None
+    active = last.fitted.values.active
+    title = active[found.place].effect.title
+    say(f"  in the place of {title}, beside what was found since:", context.grid.is_world_root)
+    others = tuple(one for one in active if one is not active[found.place])
+    # The others stay where they are: left alone, they would make up for it.
+    without = check(context, solved_at(context, replace(last.fitted.values, active=others), last.fitted))
+    own = reconsider(context, last.fitted, found.place)
+    evidence = own.log_bayes_factor - own.linear_gain + rise(context, without.fitted, last.fitted)
+    present = replace(found, candidate=replace(found.candidate, log_bayes_factor=evidence), before=without, after=last)
+    ranking = [
+        Candidate(one.kind, one.effect.title, one.evidence.log_bayes_factor, one)
+        for one in attribute(context, without.fitted, near)
+    ]
+    best = try_effects(context, without, ranking, tried, present)
+    if best is None or best is present:
+        return None
+    told = f"{title}: taken back, as {best.candidate.title} explain more in its place beside what was found since"
+    say(f"  {told}", context.grid.is_world_root)
+    added = round_of(context, last, best.after, best.candidate, best.ranking)
+    return replace(added, revised=(told,), place=len(active))
+
+
+def _places_without(gone: int, n: int) -> dict[int, int | None]:
+    """Return where each of ``n`` active effects is once one is gone, and the one that comes after them."""
+    places: dict[int, int | None] = {place: place - (place > gone) for place in range(n + 1)}
+    return places | {gone: None}
