@@ -24,7 +24,7 @@ class Solved:
     """The beams given the effects, and the sums over rows that tell them.
 
     ``reached`` is ln(likelihood x prior) of the effects with the beams that E is seen by, or with ``beams`` if there is
-    no E.
+    no E; ``rises`` by how much it would be higher with ``beams``, were E the same for them.
     """
 
     beams: tuple[Posterior, ...]
@@ -32,6 +32,7 @@ class Solved:
     rows: Rows
     added: ComplexArray
     reached: float
+    rises: float
 
     @property
     def train_chi2(self) -> FloatArray:
@@ -82,8 +83,11 @@ def solve_beams(context: FitContext, at: Estimate, keep: bool = False) -> Solved
         beams = tuple(replace(two, mean=one.mean) for one, two in zip(at.beams, beams, strict=True))
     # E is that of the beams before, so that only those tell what beams and effects reach together.
     seen_by = at.beams if at.beams and at.values.adds else beams
-    reached = total_log_joint(context, at.values, np.array(list(map(_log_joint, normals, seen_by, problem.priors))))
-    return Solved(beams, normals, rows, added, reached)
+    reached, best = (
+        total_log_joint(context, at.values, np.array(list(map(_log_joint, normals, one, problem.priors))))
+        for one in (seen_by, beams)
+    )
+    return Solved(beams, normals, rows, added, reached, best - reached)
 
 
 def diagnostics_of(context: FitContext, values: Values, solved: Solved) -> Diagnostics:

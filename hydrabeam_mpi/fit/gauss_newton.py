@@ -150,7 +150,7 @@ def _search(context: FitContext, at: Estimate, length: float, worth: Worth | Non
             continue
         flat, halved = flat + 1 if rise < FLAT_NATS * misfit else 0, 0
         step = take_step(context, replace(at, beams=solved.beams), solved)
-        if worth is not None and not worth(solved.reached, step.gain):
+        if worth is not None and not worth(solved.reached, solved.rises + step.gain):
             raise BrokenOff("its fit was broken off, as it does not come near what explains more")
         best = (solved.reached, at if at.values.adds else replace(at, beams=solved.beams), step)
         still = beam_moved(context, at.beams, solved.beams) < STEP_SIGMAS * np.sqrt(misfit)

@@ -1,0 +1,80 @@
+"""What was chosen before others were known gives its place to what explains more beside them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
+from hydrabeam_mpi.effects.instrument.closure_errors import ClosureErrors
+from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
+from hydrabeam_mpi.effects.interface.effect import Effect
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.gauss_newton import refit
+from hydrabeam_mpi.fit.state import Active, Values
+from hydrabeam_mpi.loop.selection.acceptance import Round
+from hydrabeam_mpi.loop.selection.exchange import exchange
+from hydrabeam_mpi.loop.selection.trials import check
+from tests.loop.made import effect_candidate, round_of
+from tests.loop.mock import context_of, mock_job
+
+GAIN = {"kind": "antenna_gains", "parameters": {"antenna 2 ln amplitude": 0.06, "antenna 2 phase": -0.05}}
+COUPLED = {"kind": "cross_coupling", "settings": {"baselines": [[1, 4]]}, "parameters": {"baseline 1-4 real": 0.5}}
+GAINS, COUPLING = AntennaGains(), CrossCoupling([[1, 4]])
+
+
+@pytest.fixture(scope="module")
+def context(tmp_path_factory: pytest.TempPathFactory) -> FitContext:
+    return context_of(mock_job(GAIN, COUPLED), tmp_path_factory.mktemp("exchange"))
+
+
+def factors(context: FitContext) -> ClosureErrors:
+    """Of all baselines of the antenna whose gain is wrong: as good as the gain, with many more parameters."""
+    return ClosureErrors([pair for pair in context.setup.observation.antpairs.tolist() if 2 in pair])
+
+
+def rounds(context: FitContext, first: Effect, near: Effect | None, since: Effect | None) -> list[Round]:
+    """Two rounds: an effect, which another may have come near, and the coupling."""
+    active: list[Active] = []
+    fits = [check(context, refit(context, Values()))]
+    found: list[Round] = []
+    for one in (first, since):
+        if one is not None:
+            n = len(one.parameters(context.setup))
+            active.append(Active.start(one, context.setup, np.full(n, 0.1**2), np.zeros((1, n))))
+            fits.append(check(context, refit(context, Values(tuple(active)))))
+            others = [effect_candidate(near, 99.0)] if near is not None and one is first else []
+            found.append(round_of(effect_candidate(one), fits[-2], fits[-1], *others))
+    return found
+
+
+def test_one_gain_in_the_place_of_the_factors_of_all_its_baselines(context: FitContext) -> None:
+    so_far = rounds(context, factors(context), GAINS, COUPLING)
+    last = so_far[-1].after
+    found = exchange(context, last, so_far, [GAINS, COUPLING], [])
+    assert found is not None
+    added, places = found
+    assert places == {0: None, 1: 0, 2: 1}
+    assert [one.kind for one in added.after.fitted.values.active] == ["cross_coupling", "antenna_gains"]
+    names = GAINS.parameters(context.setup).names
+    used = added.after.fitted.values.active[1].used
+    assert {names[i] for i in used} == {"antenna 2 ln amplitude", "antenna 2 phase"}
+    assert added.before is last
+    assert added.after.score.log_density > last.score.log_density - 5
+    assert added.revised[0].startswith("closure errors: taken back")
+
+
+def test_what_is_right_keeps_its_place(context: FitContext) -> None:
+    so_far = rounds(context, GAINS, factors(context), COUPLING)
+    tried: list = []
+    assert exchange(context, so_far[-1].after, so_far, [factors(context)], tried) is None
+
+
+@pytest.mark.parametrize("near", [None, GAINS])
+def test_only_what_came_near_is_asked_and_only_once_something_was_found_since(
+    near: Effect | None, context: FitContext
+) -> None:
+    so_far = rounds(context, factors(context), near, COUPLING if near is None else None)
+    tried: list = []
+    assert exchange(context, so_far[-1].after, so_far, [GAINS], tried) is None
+    assert tried == []
