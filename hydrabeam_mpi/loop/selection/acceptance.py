@@ -228,13 +228,13 @@ def refusal_beside(rival: Candidate, left: float, settings: LoopSettings) -> str
 def refusal_by_parts(constancy: Sequence[Constancy], settings: LoopSettings) -> str | None:
     """Say between which parts of the data an effect differs so much that it is not what it says; None where it is.
 
-    It needs the evidence that the job asks for that its parameters have a common part. Where they cannot have as much,
-    as few parts tell them, it is not asked: it is refused only if it also falls short of what is expected of an effect
-    that is the same in all parts, by as much.
+    It needs the evidence that the job asks for that its parameters have a common part, or what is expected of an effect
+    that is the same in all parts, less as much, where few parts tell them. Where even such an effect is expected to
+    have none, the answer says nothing.
     """
     for one in constancy:
         short = min(settings.min_log_bayes_factor, one.expected - settings.min_log_bayes_factor)
-        if one.log_bayes_factor < short:
+        if one.expected > 0 and one.log_bayes_factor < short:
             return (
                 f"it is not the same in all parts of the data: its parameters differ between {one.between} by "
                 f"{one.spread:.2g} times what they have in common (ln BF that they have a common part "

@@ -262,6 +262,7 @@ PARTS: list[tuple[str, list[tuple[str, float, float]], str | None]] = [
     ("less by more than that", [("times", 4.9, 10.0)], "between times"),
     ("little where more is expected", [("times", 1.0, 6.1)], "between times"),
     ("one that spreads beside another effect", [("times", 5.1, 800.0)], None),
+    ("none where none is expected", [("times", -61.2, -48.2)], None),
     ("times differ", [("times", -14.9, 785.8), ("baselines", 0.0, 0.0)], "between times"),
     ("baselines differ", [("times", 91.0, 92.0), ("baselines", -0.4, 69.2)], "between baselines"),
 ]
