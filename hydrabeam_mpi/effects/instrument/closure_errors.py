@@ -36,9 +36,15 @@ class ClosureErrors(PerBaseline):
         return super().at(setup, hypotheses[:AT_MOST])
 
     def degenerate_directions(self, setup: ObservingSetup) -> FloatArray:
-        """Return the amplitude that all baselines have in common, where all are meant, (n_directions, n_params)."""
-        n = len(self.baselines)
-        return np.tile([1.0, 0.0], (int(n == self.n_hypotheses(setup)), n)) / np.sqrt(max(n, 1))
+        """Return what is a gain of an antenna all of whose baselines are meant, (n_directions, n_params)."""
+        pairs, every = setup.antenna_index[self._places(setup)], setup.antenna_index.ravel()
+        whole = [one for one in np.unique(pairs) if np.sum(pairs == one) == np.sum(every == one)]
+        gains = np.zeros((2, len(whole), len(pairs), 2))
+        for number, antenna in enumerate(whole):
+            first, second = (pairs == antenna).T.astype(float)
+            gains[0, number, :, 0], gains[1, number, :, 1] = first + second, first - second
+        _, sizes, directions = np.linalg.svd(gains.reshape(2 * len(whole), 2 * len(pairs)), full_matrices=False)
+        return np.asarray(directions[sizes > 1e-9])
 
     def signature(self, block: RowBlock) -> ComplexArray:
         """Return the model's visibilities, Jy, (Ntimes, Nbls)."""
