@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray
+from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.beams_given import Solved, diagnostics_of, solve_beams
 from hydrabeam_mpi.fit.blocks import EffectBlock, add_block, sums_of
 from hydrabeam_mpi.fit.context import FitContext
@@ -78,13 +79,18 @@ def refit(
     Raises
     ------
     BrokenOff
-        On all ranks, where it is not worth it.
+        On all ranks, where it is not worth it, or no beams can be solved for with the effects as they are at first.
     """
     start = _start(values, before)
     if not values.active and not values.reweighted:
         solved = solve_beams(context, start)
         return Fitted(values, Fit(solved.beams), diagnostics_of(context, values, solved))
-    end, step, converged = _search(context, start, first_step, worth)
+    try:
+        end, step, converged = _search(context, start, first_step, worth)
+    except InputError as error:
+        if before is None:
+            raise
+        raise BrokenOff("its fit was broken off, as no beams can be solved for where it begins") from error
     # Not converged: the beams that E is seen by stay, as E may be another one with those solved for.
     solved = solve_beams(context, end, keep=not converged and end.values.adds)
     diagnostics = replace(diagnostics_of(context, end.values, solved), converged=converged)
@@ -135,19 +141,19 @@ def _search(context: FitContext, at: Estimate, length: float, worth: Worth | Non
     length *= 0.5
     for number in range(MAX_STEPS):
         say_meanwhile(f"    fitting: step {number + 1} of {MAX_STEPS} at most", context.grid.is_world_root)
-        solved = solve_beams(context, at)
-        if not at.beams:
+        solved = _solved_or_too_far(context, at, best is None)
+        if solved is not None and not at.beams:
             # There were no beams to see E by.
             at = replace(at, beams=solved.beams)
             continue
-        misfit = max(1.0, context.over_channels(solved.train_chi2) / context.setup.observation.Nfreqs)
-        rise = np.inf if best is None else solved.reached - best[0]
-        if best is not None and rise < _least_rise(best[0], at.values, misfit):
+        if best is not None and (solved is None or _fell(context, at.values, solved, best[0])):
             if halved == MAX_HALVED:
                 break
             halved, length = halved + 1, 0.5 * length
             at = best[1].towards(at, 0.5)
             continue
+        assert solved is not None
+        misfit, rise = _misfit(context, solved), np.inf if best is None else solved.reached - best[0]
         flat, halved = flat + 1 if rise < FLAT_NATS * misfit else 0, 0
         step = take_step(context, replace(at, beams=solved.beams), solved)
         if worth is not None and not worth(solved.reached, solved.rises + step.gain):
@@ -163,12 +169,31 @@ def _search(context: FitContext, at: Estimate, length: float, worth: Worth | Non
     return best[1], best[2], False
 
 
-def _least_rise(best: float, values: Values, misfit: float) -> float:
-    """Return the rise of ln(likelihood x prior) below which a step was too long.
+def _solved_or_too_far(context: FitContext, at: Estimate, first: bool) -> Solved | None:
+    """Solve for the beams; None where the effects have gone so far that none can be solved for.
+
+    At the ``first`` values that is an error. Collective: all ranks of the grid.
+    """
+    try:
+        return solve_beams(context, at)
+    except InputError:
+        if first:
+            raise
+        return None
+
+
+def _misfit(context: FitContext, solved: Solved) -> float:
+    """Return the mean reduced chi^2 of the channels, at least one. Collective: all ranks of the grid."""
+    return max(1.0, context.over_channels(solved.train_chi2) / context.setup.observation.Nfreqs)
+
+
+def _fell(context: FitContext, values: Values, solved: Solved, best: float) -> bool:
+    """Whether ln(likelihood x prior) is lower than at best, by more than rounding. Collective: all ranks of the grid.
 
     When weights change the likelihoods are not comparable, so that only a great loss counts.
     """
-    return -STEPS_BACK * abs(best) if values.reweighted else -FLAT_NATS * misfit
+    least = -STEPS_BACK * abs(best) if values.reweighted else -FLAT_NATS * _misfit(context, solved)
+    return solved.reached - best < least
 
 
 def take_step(context: FitContext, at: Estimate, solved: Solved) -> _Step:

@@ -20,13 +20,15 @@ from hydrabeam_mpi.effects.instrument.nonredundant_beams import NonredundantBeam
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.noise.noise_level import NoiseLevel
 from hydrabeam_mpi.effects.registry import make_effect
+from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
-from hydrabeam_mpi.fit import heldout
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.fit import gauss_newton, heldout
 from hydrabeam_mpi.fit.beams_given import total_log_joint
 from hydrabeam_mpi.fit.channels import infer_channels
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.gauss_newton import BrokenOff, refit
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff, refit, take_step
 from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.joint import channel_results
 from hydrabeam_mpi.fit.state import Active, Fitted, Reweighted, Values
@@ -291,3 +293,26 @@ def test_an_effect_comes_back_from_its_description() -> None:
     effect = make_effect("missing_sources", MissingSources([(10.0, -30.0)], trials=50).describe())
     assert isinstance(effect, MissingSources)
     assert effect.sources == ((10.0, -30.0),)
+
+
+def test_steps_that_go_too_far_are_shortened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """To where no beam can be solved for; a fit that begins there is broken off, or an error where it was asked for."""
+    context = context_of(mock_job(), tmp_path)
+    sky, before = context.setup.sky, refit(context, Values())
+    one = free(context, CatalogueFlux([np.rad2deg([sky.ra[0], sky.dec[0]]).tolist()]), 1.0)
+    far = Values((replace(one, x=np.full((1, 1), 1e40)),))
+    with pytest.raises(BrokenOff, match="no beams can be solved for"):
+        refit(context, far, before)
+    with pytest.raises(InputError):
+        refit(context, far)
+    steps = []
+
+    def too_far(*given: Any) -> Any:
+        steps.append(take_step(*given))
+        return replace(steps[0], to=replace(steps[0].to, values=far))
+
+    monkeypatch.setattr(gauss_newton, "take_step", too_far)
+    fitted = refit(context, Values((one,)), before)
+    assert len(steps) == 1
+    assert not fitted.diagnostics.converged
+    assert fitted.values.x == 0

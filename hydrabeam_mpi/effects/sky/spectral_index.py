@@ -8,10 +8,16 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.effects.interface.effect import Columns, Parameters
+from hydrabeam_mpi.effects.interface.limits import sigmas
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux, find
+
+STEEPEST = 3.0
+"""Error of an index that no source has: they are between -2.5 (relics) and 0.5 (compact cores, or thermal)."""
+LARGEST_LN = np.log(1e3)
+"""Of a flux over that at the mean frequency, from where a fit may start but does not stay."""
 
 
 class SpectralIndex(CatalogueFlux):
@@ -22,6 +28,7 @@ class SpectralIndex(CatalogueFlux):
 
     kind = "spectral_index"
     title = "spectral indices of catalogue sources"
+    unphysical = "a flux below zero or an index that no source has"
     laws: ClassVar = {}
 
     def not_applicable(self, setup: ObservingSetup) -> str | None:
@@ -33,6 +40,11 @@ class SpectralIndex(CatalogueFlux):
     def parameters(self, setup: ObservingSetup) -> Parameters:
         """Return both errors of every source."""
         return self.errors(setup, {"relative flux error": 0.1, "error of the spectral index": 0.5})
+
+    def beyond(self, x: FloatArray, std: FloatArray) -> FloatArray:
+        """Refuse fluxes below zero and indices that no source has; see `Effect.beyond`."""
+        too_steep = sigmas(np.abs(x[:, 1::2]) - STEEPEST, std[:, 1::2]).max(axis=0)
+        return super().beyond(x, std) + np.stack([np.zeros_like(too_steep), too_steep], axis=1).ravel()
 
     def sky_factor(self, setup: ObservingSetup, sources: Sources, x: FloatArray) -> FloatArray:
         """Return what those sources that are in error have more or less, and one for the others, (Nsrc,)."""
@@ -60,6 +72,6 @@ def _factors(setup: ObservingSetup, freq: float, x: FloatArray) -> tuple[FloatAr
     """Return (1 + x) (nu/nu_0)^a of every source, (n,), and its derivatives by x and a, (n, 2)."""
     flux, index = x.reshape(-1, 2).T
     ratio = freq / setup.reference_freq
-    power = ratio**index
+    power = np.exp(np.clip(index * np.log(ratio), -LARGEST_LN, LARGEST_LN))
     factor = (1 + flux) * power
     return factor, np.stack([power, factor * np.log(ratio)], axis=1)
