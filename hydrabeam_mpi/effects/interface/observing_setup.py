@@ -55,6 +55,10 @@ class ObservingSetup:
     positions: Callable[[Sky, Observation], SourcePositions] = ApparentPositions
     fitted: IntArray | None = None
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out what is kept, which other ranks make anew."""
+        return {name: value for name, value in self.__dict__.items() if name != "kept"}
+
     @cached_property
     def kept(self) -> dict[tuple[str | float, ...], Any]:
         """What effects make of it alone and need again, by their kind and a number of theirs."""

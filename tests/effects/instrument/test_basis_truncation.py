@@ -1,3 +1,4 @@
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -107,3 +108,10 @@ def test_a_basis_that_does_not_know_its_next_modes_is_refused() -> None:
     assert reason is not None
     assert "not known which functions come next" in reason
     assert all(BasisTruncation().not_applicable(with_basis(basis)) is None for basis in BASES.values())
+
+
+def test_a_setup_that_has_been_of_use_goes_to_other_ranks() -> None:
+    setup = small_setup()
+    names = BasisTruncation().parameters(setup).names
+    again = pickle.loads(pickle.dumps(setup))
+    assert BasisTruncation().parameters(again).names == names
