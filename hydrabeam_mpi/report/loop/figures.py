@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import NullFormatter
 
-from hydrabeam_mpi.report.loop.record import Entry, effect_name, entries, number, title_of, written
+from hydrabeam_mpi.report.loop.record import Entry, candidate_name, entries, number, title_of, written
 from hydrabeam_mpi.report.page.scales import scale_values, tick_label
 from hydrabeam_mpi.report.page.style import INFERRED, MODEL, REFERENCE, Drawing, new_figure
 
@@ -33,18 +33,19 @@ def draw_ranking(loop: Entry) -> Drawing | None:
     best: dict[str, float] = {}
     for _, _, scores in panels[::-1]:  # the first round decides the order
         best |= scores
-    kinds = sorted(best, key=lambda kind: best[kind], reverse=True)[:SHOWN]
-    kinds += [str(chosen) for _, entry, _ in panels if (chosen := entry.get("effect")) in best and chosen not in kinds]
+    names = sorted(best, key=lambda name: best[name], reverse=True)[:SHOWN]
+    added = [candidate_name(entry) for _, entry, _ in panels]
+    names += [name for name in added if name in best and name not in names]
     columns = min(ABREAST, len(panels))
     rows = -(-len(panels) // columns)
-    figure = new_figure(rows * (0.175 * len(kinds) + 0.75) + 0.2)
+    figure = new_figure(rows * (0.175 * len(names) + 0.75) + 0.2)
     grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
-    drawn = [value for _, _, scores in panels for kind, value in scores.items() if kind in kinds]
+    drawn = [value for _, _, scores in panels for name, value in scores.items() if name in names]
     for axes, panel in zip(grid.ravel(), panels, strict=False):
-        _draw_round(axes, kinds, *panel)
+        _draw_round(axes, names, *panel)
     _scale(grid[0, 0], min(drawn), max(drawn), columns)
-    grid[0, 0].set(ylim=(len(kinds) - 0.4, -0.6), yticks=range(len(kinds)))
-    grid[0, 0].set_yticklabels([effect_name(kind) for kind in kinds])
+    grid[0, 0].set(ylim=(len(names) - 0.4, -0.6), yticks=range(len(names)))
+    grid[0, 0].set_yticklabels(names)
     for index, axes in enumerate(grid.ravel()):
         axes.spines["left"].set_visible(False)
         axes.tick_params(labelbottom=index + columns >= len(panels), left=False)
@@ -57,25 +58,31 @@ def draw_ranking(loop: Entry) -> Drawing | None:
         "Natural logarithm of the Bayes factor of every effect against the model of that round, after the beam has had "
         "its say, on a scale that is linear below 10. The effect that was added is orange, the runner-up dark; what is "
         "not above zero explains nothing.",
-        f"{len(panels)} panels of horizontal bars, one bar for each of {len(kinds)} effects.",
+        f"{len(panels)} panels of horizontal bars, one bar for each of {len(names)} effects.",
         figure,
     )
 
 
 def _scores(entry: Entry, key: str = "ranking") -> dict[str, float]:
-    """Return the ln Bayes factors of a ranking by kind."""
-    scores = {str(candidate.get("effect")): number(candidate, "log_bayes_factor") for candidate in entries(entry, key)}
-    return {kind: score for kind, score in scores.items() if math.isfinite(score)}
+    """Return the ln Bayes factors of a ranking by the names of the candidates."""
+    scores = {candidate_name(candidate): number(candidate, "log_bayes_factor") for candidate in entries(entry, key)}
+    return {name: score for name, score in scores.items() if math.isfinite(score)}
 
 
-def _draw_round(axes: Axes, kinds: list[str], title: str, entry: Entry, scores: dict[str, float]) -> None:
-    colours = {str(entry.get("runner_up")): REFERENCE, str(entry.get("effect")): INFERRED}
-    for place, kind in enumerate(kinds):
-        score = scores.get(kind)
+def _runner_up(entry: Entry) -> str | None:
+    """Return the name of the best candidate of the kind that came second."""
+    best_first = (one for one in entries(entry, "ranking") if one.get("effect") == entry.get("runner_up"))
+    return next(map(candidate_name, best_first), None)
+
+
+def _draw_round(axes: Axes, names: list[str], title: str, entry: Entry, scores: dict[str, float]) -> None:
+    colours = {_runner_up(entry): REFERENCE, candidate_name(entry): INFERRED}
+    for place, name in enumerate(names):
+        score = scores.get(name)
         if score is None:
             axes.text(0, place, " –", va="center", fontsize=7, color="0.6")
             continue
-        axes.barh(place, score, height=0.72, color=colours.get(kind, MODEL if score > 0 else "0.75"))
+        axes.barh(place, score, height=0.72, color=colours.get(name, MODEL if score > 0 else "0.75"))
         axes.text(max(score, 0), place, f" {_short(score)}", va="center", fontsize=7, color="0.25")
     axes.axvline(0, color="0.4", linewidth=0.7)
     axes.set_title(title if len(title) < 36 else f"{title[:34]}…", fontsize=8.5)

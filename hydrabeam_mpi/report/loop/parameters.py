@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import textwrap
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +17,7 @@ from hydrabeam_mpi.report.page.style import AZ_0, AZ_90, INFERRED, MODEL, REFERE
 
 NUMBER = re.compile(r"(?<![\w.])[-−+]?\d+(?:\.\d+)?")
 LISTED, NUMBERED, LINES, PANELS = 20, 400, 6, 8
+TITLE = 40  # characters that a panel is wide
 COLOURS = (INFERRED, MODEL, AZ_0, AZ_90, UNCERTAINTY, REFERENCE)
 
 
@@ -127,7 +129,8 @@ def _label(family: _Family, what: str = "") -> str:
 
 def _heading(axes: Axes, family: _Family, shown: int) -> None:
     of_all = f"the {shown} of {len(family.labels):,} farthest from 0" if shown < len(family.labels) else ""
-    axes.set_title(": ".join(part for part in (family.title, of_all) if part), fontsize=8.5)
+    lines = [*textwrap.wrap(family.title, TITLE), *([of_all] if of_all else [])]
+    axes.set_title("\n".join(lines), fontsize=8.5)
     axes.grid()
 
 

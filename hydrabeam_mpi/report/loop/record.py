@@ -80,6 +80,12 @@ def effect_name(kind: str) -> str:
     return kind.replace("_", " ")
 
 
+def candidate_name(entry: Entry) -> str:
+    """Name a candidate of a ranking: the words of its kind, with the law by which it changes in time."""
+    name, law = effect_name(str(entry.get("effect"))), str(entry.get("law") or "constant")
+    return name if law == "constant" else f"{name}, {law}"
+
+
 def title_of(entry: Entry) -> str:
     """Return the name of a record's effect, as it is used within sentences."""
     return str(entry.get("title") or effect_name(str(entry.get("effect", "an effect without a name"))))

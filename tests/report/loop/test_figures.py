@@ -8,6 +8,7 @@ from typing import Any
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib.colors import to_hex
 
 from hydrabeam_mpi.report.loop.baselines import draw_baselines
 from hydrabeam_mpi.report.loop.figures import draw_fall, draw_ranking
@@ -16,7 +17,7 @@ from hydrabeam_mpi.report.loop.residuals import draw_residuals
 from hydrabeam_mpi.report.loop.structures import draw_singular_values, draw_structures
 from hydrabeam_mpi.report.page.places import place_words
 from hydrabeam_mpi.report.page.scales import tick_label, ticks_between
-from hydrabeam_mpi.report.page.style import STYLE, Drawing, render
+from hydrabeam_mpi.report.page.style import INFERRED, STYLE, Drawing, render
 from tests.report import loops
 
 
@@ -42,6 +43,25 @@ def test_bars_of_the_ranking() -> None:
         widths = {names[round(bar.get_y() + 0.36)]: bar.get_width() for bar in axes.patches}
         assert widths == {one["effect"].replace("_", " "): one["log_bayes_factor"] for one in entries}
     assert all(axes.get_xscale() == "symlog" for axes in panels)
+
+
+def test_an_effect_with_several_laws_has_a_bar_for_each() -> None:
+    """The one that was added is the one in colour."""
+    loop = loops.explained()
+    first = loop["rounds"][0]
+    constant, second = first["ranking"][0], {**first["ranking"][0], "law": "piecewise", "log_bayes_factor": 3.0}
+    first["ranking"] = [{**constant, "law": "smooth", "log_bayes_factor": 1e6}, *first["ranking"], second]
+    first["law"] = "smooth"
+    drawing = draw_ranking(loop)
+    assert drawing is not None
+    axes = drawing.figure.axes[0]
+    names = [text.get_text() for text in axes.get_yticklabels()]
+    bars = {names[round(bar.get_y() + 0.36)]: bar for bar in axes.patches}
+    widths = {name: bar.get_width() for name, bar in bars.items() if name.startswith("antenna gains")}
+    known = constant["log_bayes_factor"]
+    assert widths == {"antenna gains, smooth": 1e6, "antenna gains": known, "antenna gains, piecewise": 3.0}
+    added = [name for name, bar in bars.items() if to_hex(bar.get_facecolor()) == INFERRED.lower()]
+    assert added == ["antenna gains, smooth"]
 
 
 def test_the_fall() -> None:
