@@ -146,14 +146,16 @@ def _search(context: FitContext, at: Estimate, length: float, worth: Worth | Non
             # There were no beams to see E by.
             at = replace(at, beams=solved.beams)
             continue
-        if best is not None and (solved is None or _fell(context, at.values, solved, best[0])):
+        misfit = 1.0 if solved is None else _misfit(context, solved)
+        reached = -np.inf if solved is None else solved.reached
+        rise = np.inf if best is None else reached - best[0]
+        if best is not None and rise < _least_rise(best[0], at.values, misfit):
             if halved == MAX_HALVED:
                 break
             halved, length = halved + 1, 0.5 * length
             at = best[1].towards(at, 0.5)
             continue
         assert solved is not None
-        misfit, rise = _misfit(context, solved), np.inf if best is None else solved.reached - best[0]
         flat, halved = flat + 1 if rise < FLAT_NATS * misfit else 0, 0
         step = take_step(context, replace(at, beams=solved.beams), solved)
         if worth is not None and not worth(solved.reached, solved.rises + step.gain):
@@ -187,13 +189,12 @@ def _misfit(context: FitContext, solved: Solved) -> float:
     return max(1.0, context.over_channels(solved.train_chi2) / context.setup.observation.Nfreqs)
 
 
-def _fell(context: FitContext, values: Values, solved: Solved, best: float) -> bool:
-    """Whether ln(likelihood x prior) is lower than at best, by more than rounding. Collective: all ranks of the grid.
+def _least_rise(best: float, values: Values, misfit: float) -> float:
+    """Return the rise of ln(likelihood x prior) below which a step was too long.
 
     When weights change the likelihoods are not comparable, so that only a great loss counts.
     """
-    least = -STEPS_BACK * abs(best) if values.reweighted else -FLAT_NATS * _misfit(context, solved)
-    return solved.reached - best < least
+    return -STEPS_BACK * abs(best) if values.reweighted else -FLAT_NATS * misfit
 
 
 def take_step(context: FitContext, at: Estimate, solved: Solved) -> _Step:

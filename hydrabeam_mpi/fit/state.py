@@ -140,6 +140,10 @@ class Values:
         """Return these and one more effect."""
         return replace(self, active=(*self.active, active))
 
+    def without(self, place: int) -> Values:
+        """Return these but for the effect at a place."""
+        return replace(self, active=(*self.active[:place], *self.active[place + 1 :]))
+
     @property
     def adds(self) -> bool:
         """Whether there is an E, or a C, that may depend on the beams."""

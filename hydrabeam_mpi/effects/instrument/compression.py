@@ -14,7 +14,7 @@ from hydrabeam_mpi.effects.shared.per_antenna import row_antennas
 from hydrabeam_mpi.model.beam import BeamInfo, CoefficientBeam
 from hydrabeam_mpi.model.engines.base import amplitude
 
-KJY = 1e3
+KJY = 1e3  # Jy in the unit of the parameters
 
 
 class Compression(Effect):

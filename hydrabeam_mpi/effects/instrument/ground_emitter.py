@@ -19,6 +19,7 @@ from hydrabeam_mpi.model.engines.fringes import C_M_PER_S
 
 SPACING = 0.2  # of candidates, in resolutions: fine, as a scan along one line costs little
 AT_MOST = 10
+"""Emitters that are weighed together; where there are more, the next come a round later."""
 DEGREE = np.pi / 180
 
 

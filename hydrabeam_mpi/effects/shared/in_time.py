@@ -21,12 +21,14 @@ from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.shared.time_laws import TimeLaw
 
 LEAST_TIMES = 4
+"""Fitted times that tell a slope and a curvature and still contradict them."""
 MOST_COLUMNS = 300
 """Parameters that are weighed together: of all antennas with the functions of time that explain most by themselves, as
 many as take the time of a few other effects. More come a round later."""
 LEAST_FUNCTIONS = 2
+"""However many antennas there are: with one alone nothing is chosen."""
 SCANNED_FUNCTIONS = 4
-"""With each of the baselines or sources that are picked."""
+"""With each of the baselines or sources that are picked, whose number they divide: two swings in a night."""
 
 
 class InTime(ScannedEffect):

@@ -15,7 +15,7 @@ from hydrabeam_mpi.fit.columns import Columns, RowSet
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.equations import BEAM
 from hydrabeam_mpi.fit.marginal import Marginal
-from hydrabeam_mpi.fit.state import Active, Fitted, Values
+from hydrabeam_mpi.fit.state import Active, Fitted
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.loop.attribution.constancy import Constancy, compare
 from hydrabeam_mpi.loop.attribution.price import price_of
@@ -103,7 +103,7 @@ def ask_constancy(context: FitContext, fitted: Fitted, places: Iterable[int]) ->
     found: dict[int, tuple[Constancy, ...]] = {}
     with together(context.grid.world):
         for place, by_channel in (likelihoods or {}).items():
-            effect, rest = active[place].effect, _without(fitted.values, place)
+            effect, rest = active[place].effect, fitted.values.without(place)
             blocks = without_active(rest, effect, by_channel) if rest.active else by_channel
             blocks = [sum(blocks[1:], start=blocks[0])] if effect.shared else blocks
             block = parted[place]
@@ -138,10 +138,6 @@ def likelihoods_of(
     by_channel = {(place, number): one for part in gathered for place, number, one in part}
     channels = sorted({number for _, number in by_channel})
     return {place: [by_channel[place, number] for number in channels] for place in parted}
-
-
-def _without(values: Values, place: int) -> Values:
-    return replace(values, active=(*values.active[:place], *values.active[place + 1 :]))
 
 
 def _compare(

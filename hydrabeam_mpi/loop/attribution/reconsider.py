@@ -103,7 +103,7 @@ def _reweigh(
 ) -> list[Evidence]:
     """Weigh an active effect with each of the priors; None is the best one."""
     last = known.active[place]
-    rest = replace(fitted.values, active=tuple(one for one in known.active if one is not last))
+    rest = replace(fitted.values, active=known.active).without(place)
     weighed: list[Evidence] = []
     with together(context.grid.world):
         if known.by_channel is not None:

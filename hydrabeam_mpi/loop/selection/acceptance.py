@@ -39,6 +39,11 @@ class Candidate:
     finding: Finding | None = None
     weights: WeightsFound | None = None
 
+    @classmethod
+    def of(cls, finding: Finding) -> Candidate:
+        """Return an effect with the evidence that has been found for it."""
+        return cls(finding.kind, finding.effect.title, finding.evidence.log_bayes_factor, finding)
+
     @property
     def law(self) -> str | None:
         """How its parameters go on in time; None for a change of the weights."""

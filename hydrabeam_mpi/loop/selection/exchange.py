@@ -74,16 +74,12 @@ def _better_than(
     active = last.fitted.values.active
     title = active[found.place].effect.title
     say(f"  in the place of {title}, beside what was found since:", context.grid.is_world_root)
-    others = tuple(one for one in active if one is not active[found.place])
     # The others stay where they are: left alone, they would make up for it.
-    without = check(context, solved_at(context, replace(last.fitted.values, active=others), last.fitted))
+    without = check(context, solved_at(context, last.fitted.values.without(found.place), last.fitted))
     own = reconsider(context, last.fitted, found.place)
     evidence = own.log_bayes_factor - own.linear_gain + rise(context, without.fitted, last.fitted)
     present = replace(found, candidate=replace(found.candidate, log_bayes_factor=evidence), before=without, after=last)
-    ranking = [
-        Candidate(one.kind, one.effect.title, one.evidence.log_bayes_factor, one)
-        for one in attribute(context, without.fitted, near)
-    ]
+    ranking = list(map(Candidate.of, attribute(context, without.fitted, near)))
     best = try_effects(context, without, ranking, tried, present)
     if best is None or best is present:
         return None

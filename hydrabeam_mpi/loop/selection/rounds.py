@@ -209,10 +209,7 @@ def rank(
     context: FitContext, fitted: Fitted, effects: Sequence[Effect], changes: Sequence[Reweighting]
 ) -> tuple[Candidate, ...]:
     """Order everything that may be tried by its evidence. Collective: all ranks of the grid."""
-    candidates = [
-        Candidate(finding.kind, finding.effect.title, finding.evidence.log_bayes_factor, finding)
-        for finding in attribute(context, fitted, effects)
-    ]
+    candidates = list(map(Candidate.of, attribute(context, fitted, effects)))
     done = {one.change.kind for one in fitted.values.reweighted}
     candidates += [
         Candidate(found.change.kind, found.change.title, found.fit.log_bayes_factor, weights=found)
