@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Active, Fitted
 from hydrabeam_mpi.mpi import allreduce_sum
@@ -34,7 +35,11 @@ class ErrorScale:
 
     def of(self, one: Active, std: FloatArray) -> FloatArray:
         """Return the standard deviations of an effect's parameters, (Nfreqs, n_params), from those by noise alone."""
-        return std * (self.together if one.effect.shared else self.channels[:, np.newaxis])
+        return std * self.of_blocks(one.effect)[:, np.newaxis]
+
+    def of_blocks(self, effect: Effect) -> FloatArray:
+        """Return the scale of each set of an effect's parameters: (1,) if channels share one, else (Nfreqs,)."""
+        return np.array([self.together]) if effect.shared else self.channels
 
 
 def error_scale(context: FitContext, fitted: Fitted) -> ErrorScale:

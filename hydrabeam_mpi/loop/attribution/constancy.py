@@ -14,12 +14,15 @@ is the same in all groups, and the other way round, so that either is asked by i
 Where parameters are told by one part only both hypotheses are the same, and with few or uncertain parts nearly so: then
 the data cannot decide, whatever they say. That is known beforehand, from the Bayes factor that is expected of these
 data if the effect is the same in all parts.
+
+Where more is left of the data than noise, that differs between parts as well, and so do the parameters of a true effect
+beside it. Then the variance of the data counts as unknown up to a factor, see `fit.error_scale`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -48,12 +51,15 @@ class Constancy:
         What it is on average for parameters as they have been found, if they are the same in all parts.
     spread : float
         By how much parameters differ between parts, in units of their common part; both are rms values.
+    expected_by_noise : float
+        What would be expected if nothing but noise of the stated size were left of the data.
     """
 
     between: str
     log_bayes_factor: float
     expected: float
     spread: float
+    expected_by_noise: float
 
 
 @dataclass(frozen=True)
@@ -84,6 +90,10 @@ class Spectrum:
         common = vectors.reshape(-1, q, len(values)).sum(axis=0).T
         return cls(values, vectors.T @ score, np.zeros(len(values)), common)
 
+    def at_variance(self, factor: float) -> Spectrum:
+        """Return what the same data say if their variance is ``factor`` times as large."""
+        return replace(self, values=self.values / factor, scores=self.scores / factor, noise=self.noise / factor)
+
     def of_the_same(self) -> Spectrum:
         """Return what is expected of data in which the common part is as it is here, and nothing differs."""
         return Spectrum(self.values, self.values * (self.common @ self.common_part(0.0)), self.values, self.common)
@@ -113,7 +123,9 @@ class Spectrum:
         return self.without_common(spread) + 0.5 * (quadratic - float(np.linalg.slogdet(precision)[1]))
 
 
-def compare(blocks: Sequence[Likelihood], std: FloatArray, between: str, price: float) -> Constancy:
+def compare(
+    blocks: Sequence[Likelihood], std: FloatArray, between: str, price: float, variances: Sequence[float]
+) -> Constancy:
     """Compare parameters with a common part in all parts with such as have none.
 
     Parameters
@@ -126,15 +138,21 @@ def compare(blocks: Sequence[Likelihood], std: FloatArray, between: str, price: 
         What the parts are.
     price : float
         Nats that the choice of the prior costs, whether it is that of a common part or of what differs.
+    variances : sequence of float
+        Of the data of each block, in units of the stated one.
     """
-    spectra = []
+    by_noise = []
     for one in blocks:
         scale = np.tile(std, len(one.score) // len(std))
-        spectra.append(Spectrum.of(scale[:, np.newaxis] * one.information * scale, scale * one.score, len(std)))
+        by_noise.append(Spectrum.of(scale[:, np.newaxis] * one.information * scale, scale * one.score, len(std)))
+    spectra = [one.at_variance(factor) for one, factor in zip(by_noise, variances, strict=True)]
     found, spread = _log_bayes_factor(spectra, price)
-    expected, _ = _log_bayes_factor([one.of_the_same() for one in spectra], price)
+    expected, expected_by_noise = (
+        _log_bayes_factor([one.of_the_same() for one in of], price)[0] for of in (spectra, by_noise)
+    )
     common = np.concatenate([one.common_part(spread) for one in spectra])
-    return Constancy(between, found, expected, spread / max(float(np.sqrt(np.mean(common**2))), 1e-300))
+    relative = spread / max(float(np.sqrt(np.mean(common**2))), 1e-300)
+    return Constancy(between, found, expected, relative, expected_by_noise)
 
 
 def _log_bayes_factor(spectra: Sequence[Spectrum], price: float) -> tuple[float, float]:

@@ -14,6 +14,7 @@ from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.columns import Columns, RowSet
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.equations import BEAM
+from hydrabeam_mpi.fit.error_scale import ErrorScale, error_scale
 from hydrabeam_mpi.fit.marginal import Marginal
 from hydrabeam_mpi.fit.state import Active, Fitted
 from hydrabeam_mpi.inference.likelihood import Likelihood
@@ -100,6 +101,7 @@ def ask_constancy(context: FitContext, fitted: Fitted, places: Iterable[int]) ->
         parted[place] = parted_block(context, active[place], np.flatnonzero(widths[place]))
     asked = {place: block for place, block in parted.items() if block.n_parts}
     likelihoods = likelihoods_of(context, fitted, asked) if asked else {}
+    errors = error_scale(context, fitted)
     found: dict[int, tuple[Constancy, ...]] = {}
     with together(context.grid.world):
         for place, by_channel in (likelihoods or {}).items():
@@ -107,7 +109,9 @@ def ask_constancy(context: FitContext, fitted: Fitted, places: Iterable[int]) ->
             blocks = without_active(rest, effect, by_channel) if rest.active else by_channel
             blocks = [sum(blocks[1:], start=blocks[0])] if effect.shared else blocks
             block = parted[place]
-            found[place] = tuple(_compare(context, block, kind, widths[place], blocks) for kind in block.n_parts)
+            found[place] = tuple(
+                _compare(context, block, kind, widths[place], blocks, errors) for kind in block.n_parts
+            )
     result: dict[int, tuple[Constancy, ...]] = bcast_object(context.grid.world, found)
     return {place: result.get(place, ()) for place in parted}
 
@@ -141,7 +145,12 @@ def likelihoods_of(
 
 
 def _compare(
-    context: FitContext, parted: PartedBlock, kind: str, prior_var: FloatArray, blocks: list[Likelihood]
+    context: FitContext,
+    parted: PartedBlock,
+    kind: str,
+    prior_var: FloatArray,
+    blocks: list[Likelihood],
+    errors: ErrorScale,
 ) -> Constancy:
     """Compare the parameters in parts of one kind."""
     active, used, span = parted.active, parted.used, parted.spans[kind]
@@ -150,7 +159,7 @@ def _compare(
     if len(held):
         own = [one.freed(held) for one in own]
     price = price_of(active.effect.parameters(context.setup), prior_var)
-    return compare(own, np.sqrt(prior_var[used]), kind, price)
+    return compare(own, np.sqrt(prior_var[used]), kind, price, (errors.of_blocks(active.effect) ** 2).tolist())
 
 
 def parted_block(context: FitContext, active: Active, used: IntArray) -> PartedBlock:

@@ -235,9 +235,16 @@ def refusal_by_parts(constancy: Sequence[Constancy], settings: LoopSettings) -> 
 
     It needs the evidence that the job asks for that its parameters have a common part, or what is expected of an effect
     that is the same in all parts, less as much, where few parts tell them. Where even such an effect is expected to
-    have none, the answer says nothing.
+    have none, the answer says nothing; but where that is so because of what else is left, which it would have by noise
+    alone, it cannot be told from that.
     """
     for one in constancy:
+        if one.expected <= 0 and one.expected_by_noise >= settings.min_log_bayes_factor:
+            return (
+                f"it cannot be told from what is left beside it: with errors as large as that makes them, ln BF "
+                f"{one.expected:.3g} is expected of a common part between {one.between} even if it has one, where by "
+                f"noise alone {one.expected_by_noise:.3g} were"
+            )
         short = min(settings.min_log_bayes_factor, one.expected - settings.min_log_bayes_factor)
         if one.expected > 0 and one.log_bayes_factor < short:
             return (

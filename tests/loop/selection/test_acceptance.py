@@ -270,16 +270,27 @@ PARTS: list[tuple[str, list[tuple[str, float, float]], str | None]] = [
 
 @pytest.mark.parametrize(("found", "words"), [case[1:] for case in PARTS], ids=ids(PARTS))
 def test_an_effect_is_the_same_in_all_parts(found: list[tuple[str, float, float]], words: str | None) -> None:
-    said = refusal_by_parts([Constancy(*one, spread=2.6) for one in found], LOOP)
+    said = refusal_by_parts([Constancy(*one, spread=2.6, expected_by_noise=one[-1]) for one in found], LOOP)
     assert said is None if words is None else words in str(said)
 
 
+def test_what_cannot_be_told_from_what_is_left_is_not_claimed() -> None:
+    """Where noise alone would leave it enough evidence; else the answer says nothing."""
+    said = refusal_by_parts([Constancy("times", -2.0, -1.2, 39.2, expected_by_noise=153.8)], LOOP)
+    assert said == (
+        "it cannot be told from what is left beside it: with errors as large as that makes them, ln BF -1.2 is "
+        "expected of a common part between times even if it has one, where by noise alone 154 were"
+    )
+    assert refusal_by_parts([Constancy("times", -2.0, -1.2, 39.2, expected_by_noise=4.0)], LOOP) is None
+    assert refusal_by_parts([Constancy("times", 4.6, 4.9, 0.0, expected_by_noise=25.9)], LOOP) is None
+
+
 def test_how_parts_differ_is_told_in_numbers() -> None:
-    assert refusal_by_parts([Constancy("times", -1.534, 54.26, 2.63)], LOOP) == (
+    assert refusal_by_parts([Constancy("times", -1.534, 54.26, 2.63, 54.26)], LOOP) == (
         "it is not the same in all parts of the data: its parameters differ between times by 2.6 times what they have "
         "in common (ln BF that they have a common part -1.53, where 54.3 is expected of what is the same in all)"
     )
-    assert refusal_by_parts([Constancy("times", 8.0, 54.0, 2.6)], Loop(min_log_bayes_factor=8.5)) is not None
+    assert refusal_by_parts([Constancy("times", 8.0, 54.0, 2.6, 54.0)], Loop(min_log_bayes_factor=8.5)) is not None
 
 
 CONTROL = round_of(effect_candidate(BeamDrift()), checked(2.0), checked(1.2))
