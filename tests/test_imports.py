@@ -23,6 +23,8 @@ LAYERS = (
     ("effects",),
     ("config",),
     ("io",),
+    ("sample.storage",),
+    ("sample.convergence", "sample.arviz"),
     ("setup",),
     ("fit",),
     ("result",),
@@ -33,6 +35,7 @@ LAYERS = (
     ("loop.output",),
     ("loop.checks",),
     ("loop",),
+    ("sample",),
     ("report.page",),
     ("report.beam", "report.loop"),
     ("report",),
@@ -42,7 +45,20 @@ LAYERS = (
     ("__main__",),
 )
 """The rooms from the ground up: what is in one may import from its own and from those in the layers before it."""
-SERIAL = ("config", "data", "effects", "inference", "io", "model", "report", "tables", "terminal")
+SERIAL = (
+    "config",
+    "data",
+    "effects",
+    "inference",
+    "io",
+    "model",
+    "report",
+    "sample.arviz",
+    "sample.convergence",
+    "sample.storage",
+    "tables",
+    "terminal",
+)
 # What knows of processes: the layers that run.
 RUNNING = (
     "mpi",
