@@ -10,6 +10,12 @@ def joined(words: Sequence[str]) -> str:
     return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
 
 
+def effect_words(kind: str, law: str | None = None) -> str:
+    """Name an effect by its kind, and by the law by which it changes in time if it does: "antenna gains, smooth"."""
+    name = kind.replace("_", " ")
+    return name if law in (None, "constant") else f"{name}, {law}"
+
+
 def capital(text: str) -> str:
     """Begin a sentence, leaving all other letters as they are."""
     return f"{text[:1].upper()}{text[1:]}"

@@ -126,7 +126,7 @@ def source_round() -> Entry:
         "heldout_after": 1.03,
         "heldout_sigma": 21.0,
         "runner_up": "catalogue_flux",
-        "indistinguishable_from": ["catalogue_flux", "diffuse"],
+        "indistinguishable_from": [{"effect": "catalogue_flux", "law": "smooth"}, {"effect": "diffuse", "law": None}],
         "beam_change_max": 4.4e-4,
         "n_parameters": 3,
         "effective_parameters": 2.9,
@@ -178,7 +178,12 @@ def explained() -> Entry:
 def unexplained() -> Entry:
     loop = record("unexplained", [gains_round()], 11.4, 2.31)
     loop["tried"] = [
-        {"effect": "diffuse", "log_bayes_factor": 55.1, "reason": "held-out chi^2 does not fall: 2.31 to 2.40"}
+        {
+            "effect": "diffuse",
+            "law": "smooth",
+            "log_bayes_factor": 55.1,
+            "reason": "held-out chi^2 does not fall: 2.31 to 2.40",
+        }
     ]
     loop |= {"rms_zero": 12.1, "rms_model": 10.2, "rms_model_scaled": 9.4, "rms_before": 9.1, "rms_after": 4.2}
     loop |= {"rms_noise": 3.9, "explained_before": 0.434, "explained_after": 0.88, "heldout_channels": []}

@@ -205,7 +205,8 @@ def _round(context: FitContext, one: Round, chi2: list[float], before: Remains, 
     """Tell one round."""
     setup, candidate = context.setup, one.candidate
     ranking = known_effects(one.ranking)
-    others = [other for other in ranking if other.kind != candidate.kind]
+    others = [other for other in ranking if other.name != candidate.name]
+    as_good = indistinguishable(candidate, ranking, context.problem.job.loop)
     parameters, not_told = parameters_of(setup, one, at_last.fitted, at_last.scale)
     leaves_out = candidate.weights is not None and candidate.weights.change.leaves_out
     told = {
@@ -230,8 +231,9 @@ def _round(context: FitContext, one: Round, chi2: list[float], before: Remains, 
         "converged": one.after.fitted.diagnostics.converged,
         **heldout_change(one.before, one.after, setup.observation.freqs),
         "runner_up": others[0].kind if others else None,
+        "runner_up_law": others[0].law if others else None,
         "runner_up_log_bayes_factor": others[0].log_bayes_factor if others else None,
-        "indistinguishable_from": indistinguishable(candidate, ranking, context.problem.job.loop),
+        "indistinguishable_from": [{"effect": other.kind, "law": other.law} for other in as_good],
         "beam_change_max": one.beam_change,
         "prior_scale": _prior_scale(one),
         **_size(candidate),

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from hydrabeam_mpi.words import capital, joined
+from hydrabeam_mpi.words import capital, effect_words, joined
 
 MOST_NAMED = 4
 QUESTIONS = "whether it is physical beside all others and the same in all parts of the data"
@@ -24,7 +24,7 @@ def say_round(told: dict[str, Any]) -> str:
     error = f"Held-out reduced chi^2 {told['heldout_before']:.3g} -> {told['heldout_after']:.3g}"
     rms = f"rms {told['rms_before']:.3g} -> {told['rms_after']:.3g} Jy (noise {told['rms_noise']:.3g} Jy)"
     beam = f"the beam moves by up to {told['beam_change_max']:.1e}"
-    doubt = told["indistinguishable_from"]
+    doubt = [effect_words(one["effect"], one["law"]) for one in told["indistinguishable_from"]]
     unsure = f" These data do not tell it from {' or '.join(doubt)}." if doubt else ""
     added = "Added" if told["asked"] else f"Added, but not yet asked: {QUESTIONS}"
     added = "Added at first, but taken back since" if told["revoked"] else added

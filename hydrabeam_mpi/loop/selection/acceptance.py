@@ -50,6 +50,11 @@ class Candidate:
         return self.finding.effect.law if self.finding is not None else None
 
     @property
+    def name(self) -> tuple[str, str | None]:
+        """What tells it from others: two effects, or two laws of one, are two candidates."""
+        return self.kind, self.law
+
+    @property
     def is_control(self) -> bool:
         """Whether it is a control model: compared with the effects, but never claimed."""
         return self.finding is not None and self.finding.effect.is_control_model
@@ -286,7 +291,7 @@ def why_unexplained(last: Checked, control: Round | None) -> str | None:
     return None if control is None else f"{control.candidate.title} would explain more than any effect"
 
 
-def indistinguishable(candidate: Candidate, ranking: Sequence[Candidate], settings: LoopSettings) -> list[str]:
-    """Name the effects that explain the residual as well as the candidate: by less than the evidence asked for."""
+def indistinguishable(candidate: Candidate, ranking: Sequence[Candidate], settings: LoopSettings) -> list[Candidate]:
+    """Return what explains the residual as well as the candidate: by less than the evidence asked for."""
     near = candidate.log_bayes_factor - settings.min_log_bayes_factor
-    return [one.kind for one in ranking if one.kind != candidate.kind and one.log_bayes_factor > near]
+    return [one for one in ranking if one.name != candidate.name and one.log_bayes_factor > near]

@@ -62,8 +62,8 @@ def exchange(
 def _near(found: Round, effects: Sequence[Effect]) -> list[Effect]:
     """Return the effects that came near one when it was chosen."""
     least = RULES.near_if_linear * found.candidate.log_bayes_factor
-    kinds = {one.kind for one in found.ranking if one.finding is not None and one.log_bayes_factor > least}
-    return [one for one in effects if one.kind in kinds - {found.candidate.kind}]
+    names = {one.name for one in found.ranking if one.finding is not None and one.log_bayes_factor > least}
+    return [one for one in effects if (one.kind, one.law) in names - {found.candidate.name}]
 
 
 def _better_than(

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import NullFormatter
 
-from hydrabeam_mpi.report.loop.record import Entry, candidate_name, entries, number, title_of, written
+from hydrabeam_mpi.report.loop.record import Entry, candidate_name, entries, number, runner_up, title_of, written
 from hydrabeam_mpi.report.page.scales import scale_values, tick_label
 from hydrabeam_mpi.report.page.style import INFERRED, MODEL, REFERENCE, Drawing, new_figure
 
@@ -69,14 +69,8 @@ def _scores(entry: Entry, key: str = "ranking") -> dict[str, float]:
     return {name: score for name, score in scores.items() if math.isfinite(score)}
 
 
-def _runner_up(entry: Entry) -> str | None:
-    """Return the name of the best candidate of the kind that came second."""
-    best_first = (one for one in entries(entry, "ranking") if one.get("effect") == entry.get("runner_up"))
-    return next(map(candidate_name, best_first), None)
-
-
 def _draw_round(axes: Axes, names: list[str], title: str, entry: Entry, scores: dict[str, float]) -> None:
-    colours = {_runner_up(entry): REFERENCE, candidate_name(entry): INFERRED}
+    colours = {runner_up(entry): REFERENCE, candidate_name(entry): INFERRED}
     for place, name in enumerate(names):
         score = scores.get(name)
         if score is None:

@@ -11,6 +11,7 @@ from typing import Any
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.reading import read_json
 from hydrabeam_mpi.report.page.key_numbers import Kind, format_value
+from hydrabeam_mpi.words import effect_words
 
 Entry = dict[str, Any]
 VERDICTS = ("consistent", "explained", "unexplained", "convention", "interrupted")
@@ -81,9 +82,15 @@ def effect_name(kind: str) -> str:
 
 
 def candidate_name(entry: Entry) -> str:
-    """Name a candidate of a ranking: the words of its kind, with the law by which it changes in time."""
-    name, law = effect_name(str(entry.get("effect"))), str(entry.get("law") or "constant")
-    return name if law == "constant" else f"{name}, {law}"
+    """Name what was weighed or tried: the words of its kind, with the law by which it changes in time."""
+    law = entry.get("law")
+    return effect_words(str(entry.get("effect") or "an effect without a name"), None if law is None else str(law))
+
+
+def runner_up(entry: Entry) -> str | None:
+    """Name the candidate that came second in a round; None where there was no other."""
+    kind = entry.get("runner_up")
+    return None if kind is None else candidate_name({"effect": kind, "law": entry.get("runner_up_law")})
 
 
 def title_of(entry: Entry) -> str:

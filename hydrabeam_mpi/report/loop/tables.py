@@ -6,7 +6,17 @@ import math
 from collections.abc import Sequence
 from html import escape
 
-from hydrabeam_mpi.report.loop.record import Entry, effect_name, entries, number, sigmas, title_of, written
+from hydrabeam_mpi.report.loop.record import (
+    Entry,
+    candidate_name,
+    effect_name,
+    entries,
+    number,
+    runner_up,
+    sigmas,
+    title_of,
+    written,
+)
 from hydrabeam_mpi.report.loop.words import round_words
 from hydrabeam_mpi.report.page.key_numbers import Kind
 from hydrabeam_mpi.report.page.sections import as_html, set_table
@@ -63,8 +73,8 @@ def rounds_table(loop: Entry) -> str:
             _change(entry, "chi2"),
             _change(entry, "heldout"),
             _change(entry, "rms"),
-            effect_name(str(entry.get("runner_up") or "–")),
-            joined([effect_name(str(kind)) for kind in entry.get("indistinguishable_from") or []]) or "–",
+            runner_up(entry) or "–",
+            joined([candidate_name(one) for one in entries(entry, "indistinguishable_from")]) or "–",
         )
         lines += _lines_of([cells], values)
         words = round_words(entry)
@@ -139,7 +149,7 @@ def _significance(parameter: Entry) -> float:
 def left_out(loop: Entry) -> str:
     """Set what was not added: refused, not decidable, not looked for; and the conventions that were tested."""
     refused = [
-        (title_of(entry), written(number(entry, "log_bayes_factor")), str(entry.get("reason") or "–"))
+        (candidate_name(entry), written(number(entry, "log_bayes_factor")), str(entry.get("reason") or "–"))
         for entry in entries(loop, "tried")
     ]
     degenerate_directions = [

@@ -102,8 +102,13 @@ ROUNDS: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "as much in all channels": ({"errors_widened_by": [2.0, 2.0]}, " Errors are 2 times those by the noise alone,"),
     "what it is not told from": (
-        {"indistinguishable_from": ["antenna_delays", "timestamp"]},
-        "3.6e-03. These data do not tell it from antenna_delays or timestamp.",
+        {
+            "indistinguishable_from": [
+                {"effect": "antenna_delays", "law": "smooth"},
+                {"effect": "timestamp", "law": None},
+            ]
+        },
+        "3.6e-03. These data do not tell it from antenna delays, smooth or timestamp.",
     ),
 }
 

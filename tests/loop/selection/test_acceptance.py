@@ -15,6 +15,7 @@ from hydrabeam_mpi.effects.instrument.antenna_positions import AntennaPositions
 from hydrabeam_mpi.effects.instrument.basis_truncation import BasisTruncation
 from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
 from hydrabeam_mpi.effects.instrument.timestamp import Timestamp
+from hydrabeam_mpi.effects.registry import make_effect
 from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
 from hydrabeam_mpi.fit.state import Active, Fit, Fitted, Values, independent_prior
@@ -325,8 +326,12 @@ def test_what_explains_as_much_is_named() -> None:
     ranking = [effect_candidate(effect, evidence) for effect, evidence in others.items()]
     chosen = effect_candidate(AntennaGains(), 100.0)
     ranking += [effect_candidate(AntennaGains(), 99.0), weights_candidate(98.0)]
-    assert indistinguishable(chosen, ranking, LOOP) == ["antenna_delays", "catalogue_flux", "noise_level"]
-    assert indistinguishable(chosen, ranking, Loop(min_log_bayes_factor=1.0)) == ["catalogue_flux"]
+    ranking += [effect_candidate(make_effect("antenna_gains", {"law": "smooth"}), 99.5)]
+    as_good = [("antenna_delays", "constant"), ("catalogue_flux", "constant"), ("noise_level", None)]
+    as_good += [("antenna_gains", "smooth")]
+    assert [one.name for one in indistinguishable(chosen, ranking, LOOP)] == as_good
+    few = [("catalogue_flux", "constant"), ("antenna_gains", "smooth")]
+    assert [one.name for one in indistinguishable(chosen, ranking, Loop(min_log_bayes_factor=1.0))] == few
     assert indistinguishable(chosen, [], LOOP) == []
 
 

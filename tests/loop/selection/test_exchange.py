@@ -9,6 +9,7 @@ from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.instrument.closure_errors import ClosureErrors
 from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
 from hydrabeam_mpi.effects.interface.effect import Effect
+from hydrabeam_mpi.effects.registry import make_effect
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Active, Values
@@ -62,6 +63,18 @@ def test_one_gain_in_the_place_of_the_factors_of_all_its_baselines(context: FitC
     assert added.before is last
     assert added.after.score.log_density > last.score.log_density - 5
     assert added.revised[0].startswith("closure errors: taken back")
+
+
+def test_a_law_in_the_place_of_another_of_the_same_effect(context: FitContext) -> None:
+    drifting = make_effect("antenna_gains", {"law": "smooth", "orders": (1,)})
+    so_far = rounds(context, drifting, GAINS, COUPLING)
+    found = exchange(context, so_far[-1].after, so_far, [GAINS, COUPLING], [])
+    assert found is not None
+    active = found[0].after.fitted.values.active
+    assert [(one.kind, one.effect.law) for one in active] == [
+        ("cross_coupling", "constant"),
+        ("antenna_gains", "constant"),
+    ]
 
 
 def test_what_is_right_keeps_its_place(context: FitContext) -> None:

@@ -106,7 +106,7 @@ def test_the_table_of_rounds(reported: dict[str, Path]) -> None:
         "2.31 → 1.03",
         "– → –",
         "catalogue flux",
-        "catalogue flux and diffuse",
+        "catalogue flux, smooth and diffuse",
     ]
     told = rows[rows.index(first) + 1][1]
     assert "0.041 ± 0.0011" in told
@@ -137,7 +137,7 @@ def test_the_table_of_parameters_has_those_farthest_from_zero(reported: dict[str
 
 def test_what_was_left_out(reported: dict[str, Path]) -> None:
     page = Page.of(reported["unexplained"])
-    assert ["diffuse", "55.1", "held-out χ² does not fall: 2.31 to 2.40"] in page.rows
+    assert ["diffuse, smooth", "55.1", "held-out χ² does not fall: 2.31 to 2.40"] in page.rows
     assert ["leakage", "needs cross-polarisations; the files have ee alone"] in page.rows
     assert any(row[0] == "common flux scale" for row in page.rows)
     assert ["conjugated", "15,321", "12.0%"] in page.rows

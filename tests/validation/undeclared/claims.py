@@ -44,6 +44,11 @@ def kept(loop: dict[str, Any]) -> list[dict[str, Any]]:
     return [one for one in loop["rounds"] if not one.get("revoked")]
 
 
+def as_good_as(one: dict[str, Any]) -> set[str]:
+    """Return the kinds of effects that a round says it cannot be told from."""
+    return {other["effect"] for other in one["indistinguishable_from"]}
+
+
 def same(kind: str, name: str) -> bool:
     """Tell whether a name is right."""
     return kind == name or (kind, name) in EQUIVALENT
@@ -66,9 +71,7 @@ def not_so(answer: dict[str, Any], loop: dict[str, Any]) -> list[str]:
         so = [
             effect
             for effect in answer["effects"]
-            if same(effect["kind"], name)
-            or (effect["kind"], name) in PARTLY_SO
-            or effect["kind"] in one["indistinguishable_from"]
+            if same(effect["kind"], name) or (effect["kind"], name) in PARTLY_SO or effect["kind"] in as_good_as(one)
         ]
         if not so:
             out.append(name)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from tests.validation.undeclared.cases import CONVENTIONS, EFFECTS, FAULTS, UNKNOWN
-from tests.validation.undeclared.claims import CONVENTION_NAMES, EQUIVALENT, kept, not_so, same
+from tests.validation.undeclared.claims import CONVENTION_NAMES, EQUIVALENT, as_good_as, kept, not_so, same
 from tests.validation.undeclared.faults_told import faults_not_so, names_fault
 from tests.validation.undeclared.match import SIGMAS, Comparison, compare
 
@@ -86,7 +86,7 @@ def _judged(told: dict[str, Any], answer: dict[str, Any], loop: dict[str, Any]) 
     faults = {effect["kind"] for effect in effects if effect["kind"] in FAULTS and names_fault(effect, loop, answer)}
     out: dict[str, Any] = {"named": "right" if faults else _named(effects, rounds)}
     if told["class"] in ("pair", "triple"):
-        allowed = {*told["found"], *(other for one in rounds for other in one["indistinguishable_from"])}
+        allowed = {*told["found"], *(kind for one in rounds for kind in as_good_as(one))}
         for key, names in (("both", told["found"]), ("both_or_indistinguishable", allowed)):
             wanted = {effect["kind"] for effect in effects} - faults
             out[key] = all(any(same(kind, name) for name in names) for kind in wanted)
@@ -137,7 +137,7 @@ def _named(effects: list[dict[str, Any]], rounds: list[dict[str, Any]]) -> str:
         return "right"
     if any(same(kind, first["effect"]) for kind in kinds):
         return "equivalent"
-    return "indistinguishable" if set(kinds) & set(first["indistinguishable_from"]) else "wrong"
+    return "indistinguishable" if set(kinds) & as_good_as(first) else "wrong"
 
 
 def _named_convention(kind: str, first: str, verdict: str) -> str:

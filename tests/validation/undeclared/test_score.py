@@ -26,7 +26,11 @@ def answer(case="antenna_gains", parameters=(), where=None, **changes):
 
 def a_round(effect, parameters=(), indistinguishable=()):
     told = [dict(zip(("name", "value", "std", "unit", "freq_hz"), (*p, "", None), strict=True)) for p in parameters]
-    return {"effect": effect, "parameters": told, "indistinguishable_from": list(indistinguishable)}
+    return {
+        "effect": effect,
+        "parameters": told,
+        "indistinguishable_from": [{"effect": kind} for kind in indistinguishable],
+    }
 
 
 def loop(*rounds, verdict="explained", **changes):
