@@ -20,6 +20,7 @@ from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.io.disk import check_space
 from hydrabeam_mpi.io.posterior_file import ChannelRecord, PosteriorFile
 from hydrabeam_mpi.io.provenance import provenance
+from hydrabeam_mpi.io.same_data import integration_checksums
 from hydrabeam_mpi.loop.selection.heldout_numbers import HeldoutNumbers
 from hydrabeam_mpi.mpi import (
     Comm,
@@ -213,6 +214,8 @@ def make_result(
         If not all numbers are finite.
     """
     check_records(records)
+    before = problem.earlier.integrations if problem.earlier else ()
+    about = {**about, "integrations": [*before, *integration_checksums(problem.files, problem.observation)]}
     content = PosteriorFile(
         problem.basis.describe(),
         about,

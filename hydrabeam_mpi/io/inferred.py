@@ -78,6 +78,20 @@ class Inferred:
         about = self.content.provenance
         return {**about.get("sha256_before", {}), **about.get("sha256", {})}
 
+    @property
+    def integrations(self) -> frozenset[str]:
+        """Checksums of all integrations that it, and results that were its prior, have been made from.
+
+        Raises
+        ------
+        InputError
+            If they are not told.
+        """
+        told = self.content.provenance.get("integrations")
+        if not isinstance(told, list):
+            raise InputError("does not tell which integrations it was made from", field="integrations", remedy=REMEDY)
+        return frozenset(map(str, told))
+
     def covariance_of(self, channel: int) -> Array:
         """Return that of the beam's coefficients, effects marginalised, (n_modes, n_modes).
 

@@ -17,9 +17,9 @@ from hydrabeam_mpi.data.observation import Observation
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.prior import FactoredPrior
-from hydrabeam_mpi.io.checksums import checksum
 from hydrabeam_mpi.io.inferred import Inferred, read_inferred
-from hydrabeam_mpi.io.uvsource import Data, files_among
+from hydrabeam_mpi.io.same_data import integration_checksums
+from hydrabeam_mpi.io.uvsource import Data
 
 FIELD = "[prior] file"
 
@@ -49,7 +49,7 @@ def find_earlier(
     result = given or read_inferred(Path(folder or ""), FIELD)
     with result.telling():
         _check_basis(job, result)
-        _check_data(job, files, result)
+        _check_data(files, observation, result)
     numbers = result.channels_in(observation).tolist()
     if result.entries and numbers != list(range(len(result.content.channels))):
         raise InputError(
@@ -103,16 +103,15 @@ def _check_basis(job: Job, result: Inferred) -> None:
         )
 
 
-def _check_data(job: Job, files: Sequence[Data], result: Inferred) -> None:
-    """Make sure that the result knows nothing of these data yet."""
-    about = result.content.provenance
-    remedy = "give data that the result was not made from, or another prior"
-    if job.data.simulate is not None:
-        own = job.model_dump(mode="json", exclude_none=True)
-        if all(own.get(key) == about.get("job", {}).get(key) for key in ("data", "seed", "sky", "beam")):
-            raise InputError("was made from the same data, which would count twice", file=result.path, remedy=remedy)
-        return
-    for path in files_among(files):
-        if checksum(path) in result.made_from.values():
-            told = f"was made from the same data, {path}, which would count twice"
-            raise InputError(told, file=result.path, remedy=remedy)
+def _check_data(files: Sequence[Data], observation: Observation, result: Inferred) -> None:
+    """Make sure that the result knows nothing of these data yet, whatever file they are in."""
+    known = result.integrations
+    for data in files:
+        own = integration_checksums([data], observation)
+        n_known = sum(one in known for one in own)
+        if n_known:
+            raise InputError(
+                f"was made from the same data, {data}, which would count twice ({n_known} of {len(own)} integrations)",
+                file=result.path,
+                remedy="give data that the result was not made from, or another prior",
+            )

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mpi4py import MPI
 from pyuvdata import UVData
 
 import hydrabeam_mpi as hb
@@ -19,11 +20,6 @@ from tests.loop.mock import mock_job, write_job
 from tests.loop.test_loop_command import TWO
 
 JOB = mock_job(freqs=TWO)
-RUN = """
-import sys
-from hydrabeam_mpi.cli import main
-assert main(["infer", sys.argv[1], "-o", sys.argv[2]]) == 0
-"""
 NIGHTS: tuple[dict[str, Any], ...] = (
     {"lst_range": [0.0, 6.0]},
     {"start": 2459867.0, "lst_range": [6.1, 12.1]},
@@ -165,14 +161,21 @@ def test_a_loop_goes_on_from_what_is_known(nights: Nights) -> None:
     assert_same_effects(nights.folder / "amended", out, 1e-6)
 
 
-def test_two_ranks_say_the_same(files: Files, mpiexec_python: Any) -> None:
-    prior = files.result(0, name="coupling", effects=[COUPLING])
-    wanted = files.result(1, prior=prior)
-    out = files.folder / "ranks"
-    done = mpiexec_python(2, RUN, files.job((1,), prior), out)
-    assert done.returncode == 0, done.stderr
-    assert_same(hb.load(out), hb.load(wanted), 1e-6)
-    assert_same_effects(out, wanted, 1e-6)
+@pytest.mark.mpi
+def test_any_number_of_ranks_says_the_same(comm: MPI.Comm, common_tmp_path: Path) -> None:
+    """What all ranks infer from a second night after a first one, rank 0 does alone."""
+    prior, jobs = common_tmp_path / "first", [common_tmp_path / f"job{number}.toml" for number in (0, 1)]
+    if comm.rank == 0:
+        for path, changes, before in zip(jobs, NIGHTS, ({}, {"file": str(prior)}), strict=False):
+            data = {"simulate": {**JOB["data"]["simulate"], **changes, "n_times": 6}}
+            write_job({**JOB, "data": data, "prior": before, "effects": [COUPLING]}, common_tmp_path, path.name)
+    comm.Barrier()
+    assert main(["infer", str(jobs[0]), "-o", str(prior)]) == 0
+    assert main(["infer", str(jobs[1]), "-o", str(common_tmp_path / "all")]) == 0
+    if comm.rank == 0:
+        hb.infer(hb.Setup.from_job(jobs[1])).write(common_tmp_path / "alone")
+        assert_same(hb.load(common_tmp_path / "all"), hb.load(common_tmp_path / "alone"), 1e-6)
+        assert_same_effects(common_tmp_path / "all", common_tmp_path / "alone", 1e-6)
 
 
 def test_python_takes_a_result_from_memory_and_from_its_folder(files: Files) -> None:
@@ -218,13 +221,31 @@ def refused(
 
 
 def test_no_data_count_twice(files: Files, capfd: pytest.CaptureFixture[str]) -> None:
-    """Not even those of the result before the last one, under another name."""
+    """Not even those of the result before the last one, in part, and saved in another way."""
     second = files.result(1, prior=files.result(0))
     copy = files.folder / "copy.uvh5"
-    shutil.copy(files.data(0)[0], copy)
-    for data in (files.data(1)[0], str(copy)):
+    uvd = UVData.from_file(files.data(0)[0])
+    uvd.select(times=np.unique(uvd.time_array)[2:7])
+    uvd.conjugate_bls("ant2<ant1")
+    uvd.reorder_blts("baseline")
+    uvd.flag_array[:3] = True
+    uvd.data_array = uvd.data_array.astype(np.complex64)
+    uvd.write_uvh5(str(copy))
+    for data, told in ((files.data(1)[0], "24 of 24"), (str(copy), "10 of 10")):
         said = refused(files, capfd, (), second, data={"files": [data]})
-        assert f"posterior.h5: was made from the same data, {data}, which would count twice; give data that" in said
+        twice = f"was made from the same data, {data}, which would count twice ({told} integrations); give data that"
+        assert f"posterior.h5: {twice}" in said
+
+
+def test_halves_of_a_file_count_once_each(files: Files) -> None:
+    """What of a file no result was made from is new, and both halves together are the whole."""
+    times = np.unique(UVData.from_file(files.data(0)[0], read_data=False).time_array)
+    middle = float(times[5:7].mean())
+    halves = [{"time_range": [float(times[0]) - 1, middle]}, {"time_range": [middle, float(times[-1]) + 1]}]
+    none = {"kind": "none"}
+    first = files.result(0, name="half", data=halves[0], holdout=none)
+    both = hb.load(files.result(0, prior=first, data=halves[1], holdout=none))
+    assert_same(both, hb.load(files.result(0, name="whole", holdout=none)), 1e-6)
 
 
 def test_what_cannot_be_the_prior_is_refused(files: Files, capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
