@@ -16,6 +16,7 @@ from hydrabeam_mpi.version import __version__
 if TYPE_CHECKING:
     from hydrabeam_mpi.api.arguments import FourierBessel, Zernike
     from hydrabeam_mpi.api.beam import InferredBeam
+    from hydrabeam_mpi.api.chains import Chains, load_chains
     from hydrabeam_mpi.api.correction import Correction, correct
     from hydrabeam_mpi.api.inference import infer
     from hydrabeam_mpi.api.loop import close_loop
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from hydrabeam_mpi.errors import InputError
 
 _HOMES = {
+    "Chains": "api.chains",
     "Correction": "api.correction",
     "FourierBessel": "api.arguments",
     "Found": "api.result",
@@ -40,11 +42,13 @@ _HOMES = {
     "correct": "api.correction",
     "infer": "api.inference",
     "load": "api.result",
+    "load_chains": "api.chains",
     "predict": "api.prediction",
     "simulate": "api.simulation",
 }
 
 __all__ = [
+    "Chains",
     "Correction",
     "Found",
     "FourierBessel",
@@ -60,6 +64,7 @@ __all__ = [
     "correct",
     "infer",
     "load",
+    "load_chains",
     "predict",
     "simulate",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -56,3 +57,12 @@ def check_draws(store: ChainStore, chain: int, n: int) -> None:
             store.read(name, chain, slice(None)), np.reshape(expected, (n, *store.variable(name).shape))
         )
     np.testing.assert_array_equal(store.info("log_posterior", chain, slice(None)), -np.arange(float(n)))
+
+
+def write_values(store: ChainStore, values: Mapping[str, Array], seconds: float) -> None:
+    """Write draws, (n_chains, n_draws, ...) of every variable."""
+    for chain in range(store.chains):
+        with store.writer(chain) as writer:
+            for number in range(store.total):
+                draw = {name: array[chain, number] for name, array in values.items()}
+                writer.append(draw, draw, {"seconds": seconds})

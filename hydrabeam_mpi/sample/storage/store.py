@@ -158,6 +158,32 @@ class ChainStore:
         segments = self.files(chain).segments()
         return segments[-1].end if segments else 0
 
+    def comparable(self) -> tuple[tuple[int, ...], slice]:
+        """Choose chains that can be compared: those at least half as long as the longest, cut to a common length.
+
+        Returns
+        -------
+        chains : tuple of int
+        draws : slice
+            For `read`, after the warm-up.
+        """
+        lengths = {chain: max(0, self.n_draws(chain) - self.warm_up) for chain in range(self.chains)}
+        longest = max(lengths.values(), default=0)
+        chains = tuple(chain for chain, n in lengths.items() if n and 2 * n >= longest)
+        common = min((lengths[chain] for chain in chains), default=0)
+        return chains, slice(self.warm_up, self.warm_up + common)
+
+    def info_names(self, chain: int) -> list[str]:
+        """Name the numbers that there are about every draw; none before the first."""
+
+        def read() -> list[str]:
+            for segment in self.files(chain).segments()[:1]:
+                with h5py.File(segment.path, "r") as file:
+                    return list(file["info"])
+            return []
+
+        return retried(read)
+
     def last(self, chain: int) -> tuple[int, dict[str, Array]]:
         """Return how many draws of a chain are whole, and its state after the last of them; none before the first."""
 
