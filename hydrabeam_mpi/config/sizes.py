@@ -81,7 +81,9 @@ def _needed(job: Job) -> Iterator[tuple[str, int]]:
     if simulate and simulate.array.file is None:
         n_antennas = _hexagon(*simulate.array.hex)
         yield f"[data.simulate.array] hex = {list(simulate.array.hex)}", simulated_bytes(n_antennas, 1, 1)
-        yield f"[data.simulate] n_times = {simulate.n_times}", simulated_bytes(n_antennas, simulate.n_times, n_freqs)
+        for name, n_times in (("n_times", simulate.n_times), ("nights", simulate.n_times * simulate.nights)):
+            told = f"[data.simulate] {name} = {getattr(simulate, name)}"
+            yield told, simulated_bytes(n_antennas, n_times, n_freqs)
 
 
 def _hexagon(side: int, diagonal: int) -> int:

@@ -26,6 +26,9 @@ ComplexArray = NDArray[np.complex128]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
+SIDEREAL_DAY = 0.99726956632908
+"""Days of UT1: a turn of the Earth against the stars."""
+
 
 @dataclass(frozen=True)
 class Observation:

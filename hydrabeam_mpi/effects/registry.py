@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Collection, Mapping
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING, Any, get_type_hints
 
 from pydantic import ConfigDict, TypeAdapter
@@ -79,8 +79,7 @@ def laws_of(kind: str) -> list[Effect]:
 
 
 def _in_time(kind: str, law: str, settings: Mapping[str, Any]) -> Effect:
-    from hydrabeam_mpi.effects.shared.in_time import InTime
-    from hydrabeam_mpi.effects.shared.time_laws import LAWS
+    from hydrabeam_mpi.effects.shared.in_time import LAWS, InTime
 
     known = (CONSTANT, *EFFECTS[kind].laws)
     if law not in known:
@@ -107,7 +106,7 @@ def make_reweighting(kind: str, settings: Mapping[str, Any]) -> Reweighting:
 
 
 def _make(of_kind: Any, settings: Mapping[str, Any]) -> Any:
-    kinds = get_type_hints(of_kind.__init__, include_extras=True)
+    kinds = get_type_hints(of_kind if is_dataclass(of_kind) else of_kind.__init__, include_extras=True)
     try:
         values = {name: _checked(kinds[name], value) if name in kinds else value for name, value in settings.items()}
         return of_kind(**values)

@@ -9,11 +9,14 @@ Of x only a part k may hold in other data. Given that part the beam is as uncert
     M_k = (M C)_k C_kk^-1,    cov(b | x_k) = cov(b) - M_k C_kk M_k^H.
 
 Where other data have elements that these lacked, such as a further antenna, their parameters are known by their prior.
+So are those of an effect that is there in other data, too, but not as it was found, such as a gain that drifts anew
+each night: what it may be counts among the errors.
 """
 
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -34,8 +37,12 @@ from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.prior import ChannelPrior
 from hydrabeam_mpi.io.inferred import REMEDY, Inferred
 from hydrabeam_mpi.mpi import ProcessGrid, bcast_array, together
+from hydrabeam_mpi.words import joined
 
 Array = NDArray[Any]
+
+MOST_NAMED = 6
+"""Parameters that a line has room for; the summary has all."""
 
 
 @dataclass(frozen=True)
@@ -72,10 +79,13 @@ class CarriedOver:
         """What is said of the effects."""
         lines = [f"carried over: {one['title']} ({len(one['parameters'])} parameters)" for one in self.carried]
         for one in self.left:
-            what = f" ({', '.join(one['parameters'])})" if one["parameters"] else ""
+            n = len(one["parameters"])
+            what = f" ({', '.join(one['parameters']) if n <= MOST_NAMED else f'{n} parameters'})" if n else ""
             lines.append(f"not carried over: {one['title']}{what}, which {one['reason']}")
-        unknown = f"unknown to the result, known by their prior: {', '.join(self.at_prior)}"
-        return [*lines, unknown] if self.at_prior else lines
+        of = Counter(name.split(": ", 1)[0] for name in self.at_prior)
+        unknown = joined([f"{title} ({n} parameters)" for title, n in of.items()])
+        told = "not known from the result: what may be so counts as an error, by its prior, and is not predicted"
+        return [*lines, f"{told}: {unknown}"] if unknown else lines
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -166,6 +176,10 @@ def carry_over(found: Iterable[Mapping[str, Any]], setup: ObservingSetup) -> Car
                 carried.append({**words, "parameters": [names[i] for i in np.sort(match.place)]})
                 at_prior += [f"{here.title}: {names[i]}" for i in np.setdiff1d(one.used, match.place)]
             lacking = [name for i, name in enumerate(entry.names) if i not in match.kept]
+        elif isinstance(cause, Effect) and (again := _anew(cause, setup, entry)):
+            active.append(again)
+            after += again.size
+            at_prior += [f"{cause.title}: {name}" for name, _ in again.labels(setup)]
         if lacking or not isinstance(here, Effect):
             reason = here if isinstance(here, str) else "is of what these data do not have"
             left.append({**words, "parameters": lacking, "reason": reason})
@@ -232,8 +246,28 @@ def _active(effect: Effect, setup: ObservingSetup, entry: EffectEntry, known: fr
         unknown = np.setdiff1d(np.arange(len(parameters)), familiar)
         widths = (prior_std[:, place] / parameters.scale[place]).max(axis=1)
         prior_std[:, unknown] = widths[:, np.newaxis] * parameters.scale[unknown]
-    of_channels = np.square(prior_std[: 1 if effect.shared else None])
-    priors = [independent_prior(prior_var, effect.shared) for prior_var in of_channels]
+    return _with_prior(effect, setup, x, np.square(prior_std)), match
+
+
+def _anew(effect: Effect, setup: ObservingSetup, entry: EffectEntry) -> Active | None:
+    """Return what is there of an effect that does not hold as it was found, at zero and as large as it was; or None."""
+    found = effect.anew(setup)
+    if found is None:
+        return None
+    here, sizes = found
+    there = {name: np.square(std) for name, std in zip(entry.names, np.array(entry.prior_std).T, strict=True)}
+    prior_var = np.zeros((len(entry.prior_std), len(here.parameters(setup))))
+    for number, name in enumerate(here.parameters(setup).names):
+        for other, share in sizes[name].items():
+            prior_var[:, number] += share * there.get(other, 0.0)
+    active = _with_prior(here, setup, np.zeros((len(entry.values), prior_var.shape[1])), prior_var)
+    return active if active.size else None
+
+
+def _with_prior(effect: Effect, setup: ObservingSetup, x: FloatArray, prior_var: FloatArray) -> Active:
+    """Return an effect with variances of its prior in each channel, (Nfreqs, n_params), zero for what is not in use."""
+    parameters = effect.parameters(setup)
+    priors = [independent_prior(one, effect.shared) for one in prior_var[: 1 if effect.shared else None]]
     prior = ChannelPrior(tuple(one.of(0) for _, one in priors), effect.shared)
     limits = np.where(parameters.nonlinear, parameters.scale, np.inf)
-    return Active(effect, priors[0][0], prior, x, limits, np.zeros((0, len(parameters)))), match
+    return Active(effect, priors[0][0], prior, x, limits, np.zeros((0, len(parameters))))

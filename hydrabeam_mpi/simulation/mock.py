@@ -15,7 +15,7 @@ from astropy.time import Time
 from hydrabeam_mpi.config import Job, Simulate
 from hydrabeam_mpi.config.sizes import check_fits, simulated_bytes
 from hydrabeam_mpi.data.limits import LARGEST
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, Observation
+from hydrabeam_mpi.data.observation import SIDEREAL_DAY, ComplexArray, FloatArray, Observation
 from hydrabeam_mpi.data.partition import make_tiles
 from hydrabeam_mpi.data.redundancy import RedundantGroups, check_apart, check_tolerance, find_redundant_groups
 from hydrabeam_mpi.effects.interface.observing_setup import FEEDS
@@ -38,8 +38,6 @@ from hydrabeam_mpi.setup.skies import count_sources, load_sky, source_positions
 from hydrabeam_mpi.simulation.arrays import hexagon, read_layout
 from hydrabeam_mpi.simulation.inject import Injection, Truth, Visibilities
 from hydrabeam_mpi.terminal.progress import say
-
-SIDEREAL_DAY = 0.99726956632908  # days of UT1
 
 
 def simulate_to(world: Comm, job: Job, folder: Path) -> tuple[Beam, ...]:
@@ -113,7 +111,10 @@ def _least_bytes(observation: Observation) -> int:
 
 
 def mock_observation(settings: Simulate, pol: str) -> Observation:
-    """Lay out array, channels and times: evenly spaced in sidereal time from the first LST, the last excluded."""
+    """Lay out array, channels and times: evenly spaced in sidereal time from the first LST, the last excluded.
+
+    All nights have the same ones.
+    """
     array = settings.array
     layout = read_layout(array.file) if array.file else hexagon(*array.hex, array.spacing)
     location = EarthLocation.from_geodetic(
@@ -123,6 +124,7 @@ def mock_observation(settings: Simulate, pol: str) -> Observation:
     span = (last - first) % 24 or 24.0
     wait = (first - _lst_hours(settings.start, location)) % 24
     hours = wait + span * np.arange(settings.n_times) / settings.n_times
+    hours = (24 * np.arange(settings.nights)[:, np.newaxis] + hours).ravel()
     times = settings.start + hours / 24 * SIDEREAL_DAY
     n_freqs = len(settings.freqs)
     one, two = np.triu_indices(len(layout.numbers), 1)
@@ -137,7 +139,7 @@ def mock_observation(settings: Simulate, pol: str) -> Observation:
         channel_width=np.full(n_freqs, settings.channel_width),
         times=times,
         lsts=np.deg2rad(15 * _lst_hours(times, location)),
-        integration_time=np.full(settings.n_times, settings.integration_time),
+        integration_time=np.full(len(times), settings.integration_time),
         pols=(pol,),
     )
 

@@ -116,6 +116,7 @@ height = "1 km"
 start = 2460000.5
 lst_range = ["20 h", "2 h"]
 n_times = 3
+nights = 2
 freqs = ["130 MHz", 131e6]
 channel_width = "1 MHz"
 integration_time = "1 min"

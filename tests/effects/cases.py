@@ -29,6 +29,7 @@ class Case:
     settings: dict[str, Any] = field(default_factory=dict)
     freqs: tuple[float, ...] = (131e6, 151e6)
     n_times: int = 4
+    nights: int = 1
     n_sources: int = 60
     channel: int = 0
     strengths: tuple[float, ...] = (1.0,)
@@ -65,13 +66,23 @@ IN_TIME = {
         ("catalogue_flux", "smooth"),
     )
 }
+IN_TIME |= {
+    f"{kind}, {law}": replace(IN_TIME[f"{kind}, smooth"], settings={"law": law}, n_times=5, nights=2)
+    for kind, law in (
+        ("antenna_gains", "sidereal"),
+        ("antenna_gains", "nightly"),
+        ("cross_coupling", "sidereal"),
+        ("cross_coupling", "nightly"),
+        ("catalogue_flux", "nightly"),
+    )
+}
 """Effects with the laws by which they may change in time."""
 CASES |= IN_TIME
 
 
 @cache
-def experiment_of(freqs: tuple[float, ...], n_times: int, n_sources: int) -> ObservingSetup:
-    return small_setup(freqs, n_times, n_sources)
+def experiment_of(freqs: tuple[float, ...], n_times: int, n_sources: int, nights: int = 1) -> ObservingSetup:
+    return small_setup(freqs, n_times, n_sources, nights=nights)
 
 
 def set_up(kind: str, n_sources: int | None = None) -> tuple[Effect, RowBlock, Case]:
@@ -80,7 +91,7 @@ def set_up(kind: str, n_sources: int | None = None) -> tuple[Effect, RowBlock, C
     Some rows are without weight, and so is all of one time.
     """
     case = CASES.get(kind, Case())
-    block = small_block(experiment_of(case.freqs, case.n_times, n_sources or case.n_sources), case.channel)
+    block = small_block(experiment_of(case.freqs, case.n_times, n_sources or case.n_sources, case.nights), case.channel)
     rng = generator(11, "rows")
     residual = complex_normal(rng, block.shape)
     weights = rng.uniform(0.5, 2.0, block.shape) * (rng.uniform(size=block.shape) > 0.2)

@@ -22,10 +22,10 @@ from hydrabeam_mpi.simulation.mock import mock_observation
 
 
 def small_setup(
-    freqs: tuple[float, ...] = (131e6, 151e6), n_times: int = 6, n_sources: int = 60, pol: str = "ee"
+    freqs: tuple[float, ...] = (131e6, 151e6), n_times: int = 6, n_sources: int = 60, pol: str = "ee", nights: int = 1
 ) -> ObservingSetup:
     """Seven antennas in a hexagon, sixty sources, six times over six hours, an Airy beam."""
-    settings = Simulate(array=Array(hex=(2, 3)), n_times=n_times, freqs=freqs)
+    settings = Simulate(array=Array(hex=(2, 3)), n_times=n_times, nights=nights, freqs=freqs)
     observation = mock_observation(settings, pol)
     sky = mock_sky(3, observation.freqs, n_sources=n_sources)
     spec = FourierBessel.selection(n_modes=60, form="real", k_max=20, m_max=8, edge=np.deg2rad(92), boundary="neumann")

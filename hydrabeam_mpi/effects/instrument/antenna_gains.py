@@ -30,7 +30,12 @@ class AntennaGains(Effect):
     title = "antenna gains"
     linear = True
     multiplies = True
-    laws: ClassVar = {"smooth": "antenna gains that drift", "piecewise": "antenna gains that jump"}
+    laws: ClassVar = {
+        "smooth": "antenna gains that drift",
+        "sidereal": "antenna gains that drift by sidereal time",
+        "nightly": "antenna gains that drift anew each night",
+        "piecewise": "antenna gains that jump",
+    }
 
     def parameters(self, setup: ObservingSetup) -> Parameters:
         """Return ln amplitude and phase of every antenna."""

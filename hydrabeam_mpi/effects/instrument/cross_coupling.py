@@ -25,7 +25,11 @@ class CrossCoupling(PerBaseline):
     linear = True
     units = ("Jy", "Jy")
     scale = 1.0
-    laws: ClassVar = {"smooth": "cross-coupling that drifts"}
+    laws: ClassVar = {
+        "smooth": "cross-coupling that drifts",
+        "sidereal": "cross-coupling that drifts by sidereal time",
+        "nightly": "cross-coupling that drifts anew each night",
+    }
 
     def not_applicable(self, setup: ObservingSetup) -> str | None:
         """Ask for several times."""

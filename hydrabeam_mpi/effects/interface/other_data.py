@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal, Self
 
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
@@ -23,6 +23,14 @@ class InOtherData:
     def carried_over(self, setup: ObservingSetup) -> Self | str:
         """Return the effect with those of its elements that other data have, or say why it does not hold in them."""
         return "belongs to the times of the data in which it was found" if self.local == "times" else self
+
+    def anew(self, setup: ObservingSetup) -> tuple[Self, Mapping[str, Mapping[str, float]]] | None:
+        """Return what other data have of an effect that is there, too, but not as it was found.
+
+        With it come, for the name of each of its parameters, the names of those whose prior says how large it may be,
+        with what their variances count in its own.
+        """
+        return None
 
     def known_as(self, names: Sequence[str]) -> dict[str, tuple[int, float]]:
         """Return number and sign of each parameter by all names that it has in any data; ``names`` are those here."""

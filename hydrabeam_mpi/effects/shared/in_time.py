@@ -18,8 +18,11 @@ from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters, 
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
-from hydrabeam_mpi.effects.shared.time_laws import TimeLaw
+from hydrabeam_mpi.effects.shared.nightly_laws import Nightly, Sidereal
+from hydrabeam_mpi.effects.shared.time_laws import Piecewise, Smooth, TimeLaw
 
+LAWS: dict[str, type[TimeLaw]] = {law.name: law for law in (Smooth, Sidereal, Nightly, Piecewise)}
+"""By the names that jobs give them."""
 LEAST_TIMES = 4
 """Fitted times that tell a slope and a curvature and still contradict them."""
 MOST_COLUMNS = 300
@@ -28,7 +31,8 @@ many as take the time of a few other effects. More come a round later."""
 LEAST_FUNCTIONS = 2
 """However many antennas there are: with one alone nothing is chosen."""
 SCANNED_FUNCTIONS = 4
-"""With each of the baselines or sources that are picked, whose number they divide: two swings in a night."""
+"""With each of the baselines or sources that are picked, whose number they divide: two swings, in each night that has
+its own."""
 
 
 class InTime(ScannedEffect):
@@ -58,10 +62,10 @@ class InTime(ScannedEffect):
 
     def not_applicable(self, setup: ObservingSetup) -> str | None:
         """Ask for several times."""
-        n_times = len(_fitted_times(setup))
-        if n_times < LEAST_TIMES:
-            return f"a change in time needs {LEAST_TIMES} fitted times or more; there are {n_times}"
-        return self.effect.not_applicable(setup)
+        fitted = _fitted_times(setup)
+        if len(fitted) < LEAST_TIMES:
+            return f"a change in time needs {LEAST_TIMES} fitted times or more; there are {len(fitted)}"
+        return self.time_law.not_applicable(fitted, _times(setup)) or self.effect.not_applicable(setup)
 
     def carried_over(self, setup: ObservingSetup) -> InTime | str:
         """Return the effect in other data, where these are of the same hours: nobody knows how it went on."""
@@ -69,6 +73,20 @@ class InTime(ScannedEffect):
             return "changes in time, by a law that is known for the times of the data in which it was found"
         here = self.effect.carried_over(setup)
         return here if isinstance(here, str) else InTime(here, self.time_law)
+
+    def anew(self, setup: ObservingSetup) -> tuple[InTime, dict[str, dict[str, float]]] | None:
+        """Return the effect with the law over other times: it changes as much there, but nobody knows how."""
+        law, here = self.time_law.anew(_times(setup)), self.effect.carried_over(setup)
+        if law is None or isinstance(here, str):
+            return None
+        effect, before = InTime(here, law[0]), self.time_law.names()
+        own = effect._own_parameters(setup).names
+        sizes: dict[str, dict[str, float]] = {}
+        for name, (number, _) in here.known_as(own).items():
+            for function, alike in zip(law[0].names(), law[1], strict=True):
+                size = sizes.setdefault(f"{own[number]}, {function}", {})
+                size.update({f"{name}, {before[i]}": 1 / len(alike) for i in alike})
+        return effect, sizes
 
     def known_as(self, names: Sequence[str]) -> dict[str, tuple[int, float]]:
         """Return the parameters by the names that the effect's own have, with those of the functions."""
@@ -148,7 +166,7 @@ class InTime(ScannedEffect):
         law = self._candidates(setup)
         if isinstance(self.effect, ScannedEffect):
             n_each = 2 * len(law.names())
-            return InTime(self.effect.at(setup, hypotheses[: MOST_COLUMNS // max(n_each, 1)]), law)
+            return InTime(self.effect.at(setup, hypotheses[: max(MOST_COLUMNS // max(n_each, 1), 1)]), law)
         most = max(MOST_COLUMNS // len(self.effect.parameters(setup)), LEAST_FUNCTIONS)
         return InTime(self.effect, law.at(law.best(np.asarray(hypotheses), most)))
 
@@ -169,7 +187,7 @@ class InTime(ScannedEffect):
     def _candidates(self, setup: ObservingSetup) -> TimeLaw:
         """Return the law with all functions that are looked at."""
         law = self.time_law.over(_times(setup)).candidates(_fitted_times(setup), _times(setup))
-        return law.at(range(len(law.names()))[:SCANNED_FUNCTIONS]) if isinstance(self.effect, ScannedEffect) else law
+        return law.first(SCANNED_FUNCTIONS) if isinstance(self.effect, ScannedEffect) else law
 
     def _functions(self, setup: ObservingSetup) -> FloatArray:
         """Return the functions at all times of the observation, (Ntimes, n)."""

@@ -18,7 +18,7 @@ MOST_ORDERS = 8
 SECOND = 1 / 86400
 """Days by which times may be off, as files round them."""
 
-Order = Annotated[int, Field(ge=1, le=99)]
+Order = Annotated[int, Field(ge=0, le=99)]
 Jd = Annotated[float, Field(ge=0, le=1e8)]
 
 
@@ -60,6 +60,21 @@ class TimeLaw(ABC):
         """Return the law with one of its functions other than it is at those of the ``times`` that are not fitted."""
         return []
 
+    def not_applicable(self, fitted: FloatArray, times: FloatArray) -> str | None:
+        """Say why the ``fitted`` ones of some ``times``, JD ascending, cannot show it; None where they can."""
+        return None
+
+    def first(self, n: int) -> Self:
+        """Return the law with so many of its functions, or of each night, where these have their own."""
+        return self.at(range(len(self.names()))[:n])
+
+    def anew(self, times: FloatArray) -> tuple[Self, list[list[int]]] | None:
+        """Return the law over other ``times``, JD, where only the sizes of its numbers are known.
+
+        With it come, for each of its functions, those of this law whose numbers are of this size.
+        """
+        return None
+
     def over(self, times: FloatArray) -> Self:
         """Return the law with its span, that of ``times`` where it has none of its own."""
         return self if self.span is not None else replace(self, span=(float(times.min()), float(times.max())))
@@ -82,16 +97,17 @@ class Smooth(TimeLaw):
     Attributes
     ----------
     orders : tuple of int
+        Order zero is the level, which is not looked for, as it is what is constant.
     """
 
     orders: tuple[Order, ...] = ()
     name = "smooth"
 
-    def candidates(self, fitted: FloatArray, times: FloatArray) -> Smooth:
+    def candidates(self, fitted: FloatArray, times: FloatArray) -> Self:
         """Return the law with as many orders as half of the fitted times determine."""
-        return replace(self, orders=tuple(range(1, min(MOST_ORDERS, len(fitted) // 2) + 1)))
+        return replace(self, orders=tuple(range(1, highest_order(fitted, len(fitted)) + 1)))
 
-    def at(self, chosen: IntArray | Sequence[int]) -> Smooth:
+    def at(self, chosen: IntArray | Sequence[int]) -> Self:
         """Return the law with some orders."""
         return replace(self, orders=tuple(self.orders[i] for i in sorted(set(chosen))))
 
@@ -99,9 +115,14 @@ class Smooth(TimeLaw):
         """Return the first ones, as polynomials are nearly orthogonal."""
         return ordered[:most]
 
+    def anew(self, times: FloatArray) -> tuple[Self, list[list[int]]]:
+        """Return the law with the span of other times, at another level, which is to drift as far."""
+        alike = [[*range(len(self.orders))], *([number] for number in range(len(self.orders)))]
+        return replace(self, span=None, orders=(0, *self.orders)).over(times), alike
+
     def names(self) -> list[str]:
         """Return what the change is."""
-        known = {1: "drift from first to last time", 2: "curvature, ends less middle"}
+        known = {0: "level", 1: "drift from first to last time", 2: "curvature, ends less middle"}
         return [known.get(order, f"wave of Legendre order {order}, peak to peak") for order in self.orders]
 
     def functions(self, times: FloatArray) -> FloatArray:
@@ -109,7 +130,7 @@ class Smooth(TimeLaw):
         assert self.span is not None
         first, last = self.span
         place = np.clip(2 * (times - first) / max(last - first, SECOND) - 1, -1, 1)
-        known = [_of_range_one(order)(place) for order in self.orders]
+        known = [_of_range_one(order)(place) if order else np.ones(len(times)) for order in self.orders]
         return np.stack(known, axis=-1) if known else np.zeros((len(times), 0))
 
     def describe(self) -> dict[str, Any]:
@@ -155,6 +176,11 @@ class Piecewise(TimeLaw):
         moved = [other for other in (0.5 * (between[1:] + between[:-1])).tolist() if other != jump]
         return [replace(self, jumps=tuple(sorted((*others, other)))) for other in moved]
 
+    def anew(self, times: FloatArray) -> tuple[Self, list[list[int]]]:
+        """Return the law with one level of other times, that differs by as much as the jumps do."""
+        law = replace(self, span=None, jumps=(float(times.min()) - SECOND,)).over(times)
+        return law, [[*range(len(self.jumps))]]
+
     def names(self) -> list[str]:
         """Return when it jumps."""
         return [f"jump at JD {jump:.5f}" for jump in self.jumps]
@@ -168,8 +194,13 @@ class Piecewise(TimeLaw):
         return {**super().describe(), "jumps": list(self.jumps)}
 
 
-LAWS: dict[str, type[TimeLaw]] = {law.name: law for law in (Smooth, Piecewise)}
-"""By the names that jobs give them."""
+def highest_order(fitted: FloatArray, n: int) -> int:
+    """Return the order that half of ``n`` times tell, with no swing shorter than the longest of which there are none.
+
+    The fitted times, (Ntimes,), are ascending; of some that are alike only ``n`` may count.
+    """
+    gap = float(np.diff(fitted).max(initial=0.0))
+    return min(MOST_ORDERS, n // 2, int(np.ptp(fitted) / gap) if gap > 0 else 0)
 
 
 def _of_range_one(order: int) -> Legendre:

@@ -47,7 +47,7 @@ class CatalogueFlux(PointSources):
     kind = "catalogue_flux"
     title = "fluxes of catalogue sources"
     linear = True
-    laws: ClassVar = {"smooth": "catalogue sources that vary"}
+    laws: ClassVar = {"smooth": "catalogue sources that vary", "nightly": "catalogue sources that vary anew each night"}
 
     def carried_over(self, setup: ObservingSetup) -> Self:
         """Return the errors of those of the sources that the catalogue has with which other data are modelled."""
