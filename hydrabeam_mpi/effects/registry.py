@@ -32,6 +32,7 @@ EFFECTS: Registry[Effect] = Registry(
     "sky.missing_sources",
     "sky.catalogue_flux",
     "sky.spectral_index",
+    "sky.resolved_source",
     "sky.diffuse",
     "instrument.antenna_positions",
     "instrument.timestamp",

@@ -55,6 +55,7 @@ CASES = {
     "nonredundant_beams": Case(strengths=(0.2,), exact="at zero", step=1e-3),
     # One channel tells flux from index by no more than products.
     "spectral_index": Case(strengths=(0.05, 2.0), scan=MAPS),
+    "resolved_source": Case(strengths=(1.0, 400.0)),  # up to three degrees
     "timestamp": Case(strengths=(1.0, 200.0), step=3e-3),
 }
 IN_TIME = {

@@ -27,7 +27,6 @@ from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.positions import RotatedPositions
 from hydrabeam_mpi.model.sky import Sky, separation
 
-MAX_CANDIDATES = 20_000
 AT_MOST = 40
 APART = 0.1  # resolutions between two sources that the data could tell apart
 SAME = 1e-6  # rad, within which a direction is that of a catalogue source
@@ -47,6 +46,8 @@ class CatalogueFlux(PointSources):
     kind = "catalogue_flux"
     title = "fluxes of catalogue sources"
     linear = True
+    most: ClassVar[int] = 20_000
+    """Sources that are looked at, the brightest ones."""
     laws: ClassVar = {"smooth": "catalogue sources that vary", "nightly": "catalogue sources that vary anew each night"}
 
     def carried_over(self, setup: ObservingSetup) -> Self:
@@ -96,17 +97,22 @@ class CatalogueFlux(PointSources):
         """Refuse errors below -1, by which a flux would be below zero; see `Effect.beyond`."""
         return self._fluxes_below_zero(-1.0, x, std)
 
+    def brightest(self, sky: Sky) -> IntArray:
+        """Return the sources of largest mean flux that are looked at, ascending, (n_hypotheses,)."""
+        faintest_first = np.argsort(np.abs(sky.flux.mean(axis=0)), kind="stable")
+        return np.sort(faintest_first[-self.most :])
+
     def n_hypotheses(self, setup: ObservingSetup) -> int:
         """Return the number of sources that are looked at."""
-        return min(setup.sky.Nsrc, MAX_CANDIDATES)
+        return min(setup.sky.Nsrc, self.most)
 
     def scan(self, block: RowBlock) -> tuple[FloatArray, FloatArray]:
         """Correlate the residual with every source, each (n_hypotheses, p)."""
-        return dirty_map(block, block.setup.sky.select(_brightest(block.setup.sky)))
+        return dirty_map(block, block.setup.sky.select(self.brightest(block.setup.sky)))
 
     def scan_in_time(self, block: RowBlock, functions: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Do so with all functions, (Ntimes, k), in one pass, each (n_hypotheses, k)."""
-        return dirty_map(block, block.setup.sky.select(_brightest(block.setup.sky)), functions)
+        return dirty_map(block, block.setup.sky.select(self.brightest(block.setup.sky)), functions)
 
     def at(self, setup: ObservingSetup, hypotheses: IntArray) -> Self:
         """Take these sources, the best first, leaving out those that better ones cannot be told from.
@@ -114,13 +120,13 @@ class CatalogueFlux(PointSources):
         ``hypotheses`` is (Nchosen,).
         """
         sky = setup.sky
-        index = _brightest(sky)[hypotheses]
+        index = self.brightest(sky)[hypotheses]
         kept = index[keep_apart(sky.ra[index], sky.dec[index], APART * resolution(setup), AT_MOST)]
         return type(self)(in_degrees(sky.ra[kept], sky.dec[kept]), self.n_hypotheses(setup))
 
     def drawn(self, setup: ObservingSetup, rng: np.random.Generator) -> Self:
         """Take one of the twenty sources that the model beam sees brightest at any time."""
-        sky = setup.sky.select(_brightest(setup.sky))
+        sky = setup.sky.select(self.brightest(setup.sky))
         positions = RotatedPositions(sky, setup.observation)
         seen = np.zeros(sky.Nsrc)
         for itime in setup.times.tolist():
@@ -160,9 +166,3 @@ def _find(sky: Sky, sources: tuple[tuple[float, float], ...]) -> list[int]:
             )
         index.append(int(np.argmin(distance)))
     return index
-
-
-def _brightest(sky: Sky) -> IntArray:
-    """Return the sources of largest mean flux that are looked at, ascending."""
-    faintest_first = np.argsort(np.abs(sky.flux.mean(axis=0)), kind="stable")
-    return np.sort(faintest_first[-MAX_CANDIDATES:])

@@ -49,6 +49,7 @@ EFFECTS = {
         Kind("missing_sources", skies.missing_sources, 0.015, 10.0, "Jy"),
         Kind("catalogue_flux", skies.catalogue_flux, 3e-3, 0.5, ""),
         Kind("spectral_index", skies.spectral_index, 0.03, 1.0, "", BAND),
+        Kind("resolved_source", skies.resolved_source, 3.0, 90.0, "arcmin"),
         Kind("diffuse", skies.diffuse, 0.005, 10.0, "kJy/sr", CLOSE),
         Kind("antenna_positions", geometry.antenna_positions, 2e-4, 0.2, "m"),
         Kind("timestamp", geometry.timestamp, 0.04, 30.0, "s", FINE),

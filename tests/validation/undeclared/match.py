@@ -195,9 +195,11 @@ def read_sources(
 
 
 def read_fluxes(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]) -> Found:
-    """Read "source 17: relative flux error", how that goes on in time, and the error of its spectral index."""
+    """Read "source 17: relative flux error", how that goes on in time, the error of its spectral index, its width."""
     heads = {"relative flux error": "relative change of flux", "error of the spectral index": "change of index"}
-    matches = {name: re.fullmatch(rf"(.*): ({'|'.join(heads)})(.*)", name) for name in averaged(parameters)}
+    heads["width (FWHM)"] = "width (FWHM)"
+    either = "|".join(map(re.escape, heads))
+    matches = {name: re.fullmatch(rf"(.*): ({either})(.*)", name) for name in averaged(parameters)}
     return {
         (match[1], heads[match[2]] + match[3]): averaged(parameters)[name]
         for name, match in matches.items()
@@ -278,6 +280,7 @@ READERS: dict[str, Callable[[list[dict[str, Any]], dict[tuple[str, str], float],
     "missing_sources": read_sources,
     "catalogue_flux": read_fluxes,
     "spectral_index": read_fluxes,
+    "resolved_source": read_fluxes,
     "timestamp": read_clock,
     "ground_emitter": read_emitter,
     "compression": read_compression,

@@ -91,6 +91,32 @@ def spectral_index(truth: Truth, rng: np.random.Generator, strength: float) -> D
     return Drawn(parameters, n_params=2 * len(chosen))
 
 
+def resolved_source(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
+    """One or three of the strongest sources overhead are round Gaussians of about ``strength`` arcmin (FWHM).
+
+    Each is as many points as it takes to integrate it over the fringes of short baselines.
+    """
+    catalogue, chosen = truth.catalogue, _some_bright(truth, rng)
+    widths = strength * rng.uniform(0.7, 1.0, len(chosen))
+    nodes, weights = np.polynomial.hermite_e.hermegauss(9)
+    share = (np.outer(weights, weights) / weights.sum() ** 2).ravel()
+    wide = catalogue.select(np.setdiff1d(np.arange(len(catalogue.ra)), chosen))
+    for source, width in zip(chosen, widths, strict=True):
+        spread = np.deg2rad(width / 60) / np.sqrt(8 * np.log(2))
+        east, north = (offset.ravel() for offset in np.meshgrid(spread * nodes, spread * nodes))
+        ra, dec = catalogue.ra[source], catalogue.dec[source]
+        away = np.cos(dec) - north * np.sin(dec)
+        placed = np.arctan2(np.sin(dec) + north * np.cos(dec), np.hypot(east, away))
+        flux, index = catalogue.flux[source] * share, np.full(len(share), catalogue.index[source])
+        wide = wide.joined(Catalogue((ra + np.arctan2(east, away)) % (2 * np.pi), placed, flux, index))
+    truth.catalogue = wide
+    parameters = [
+        Parameter(f"source {source}", "width (FWHM)", "arcmin", float(width))
+        for source, width in zip(chosen, widths, strict=True)
+    ]
+    return Drawn(parameters, n_params=len(chosen))
+
+
 def diffuse(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
     """Emission of low order in right ascension and declination, ``strength`` kJy/sr, nowhere negative."""
     pixels = HEALPix(64, order="nested")
