@@ -38,7 +38,7 @@ LAYERS = (
     ("loop",),
     ("sample",),
     ("report.page",),
-    ("report.beam", "report.loop"),
+    ("report.beam", "report.chains", "report.loop"),
     ("report",),
     ("api",),
     ("commands",),

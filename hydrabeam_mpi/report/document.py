@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from base64 import b64encode
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -25,6 +26,7 @@ from hydrabeam_mpi.report.page.result import Result, load_result
 from hydrabeam_mpi.report.page.sections import channel_table, finding, key_numbers, provenance, warnings
 from hydrabeam_mpi.report.page.style import STYLE, Drawing, render
 from hydrabeam_mpi.report.page.words import introduction, megahertz, remarks
+from hydrabeam_mpi.sample.storage.store import ChainStore
 
 FOOTER = "“The paper” is Wilensky et al. 2025, High Dimensional Beam Inference II, whose method this is."
 
@@ -37,13 +39,16 @@ def write_report(directory: Path) -> None:
     Parameters
     ----------
     directory : Path
-        Folder that ``hydrabeam infer`` or ``hydrabeam loop`` wrote.
+        Folder that ``hydrabeam infer`` or ``hydrabeam loop`` wrote, or that ``hydrabeam sample`` wrote or is writing.
 
     Raises
     ------
     InputError
         If it is no such folder, or cannot be written.
     """
+    if ChainStore.exists(directory):
+        _write_chains(directory)
+        return
     loop = load_loop(directory)
     if loop is not None and loop["verdict"] == "interrupted":
         remedy = "run its command again to go on, or 'hydrabeam infer' with its amended.toml"
@@ -59,10 +64,7 @@ def write_report(directory: Path) -> None:
             with as_written(directory):
                 of_loop, verdict = loop_section(loop, album.place), verdict_words(loop)
         page = _page(result, of_loop, album)
-    contents[directory / "report.html"] = page.encode()
-    for path, content in contents.items():
-        _write_whole(path, content)
-    _list_files(directory, contents)
+    _write_page(directory, page, contents)
     print(introduction(result), end="\n\n")
     print(text_table(table(result.numbers, result.name)), end="\n\n")
     for remark in remarks(result):
@@ -70,6 +72,32 @@ def write_report(directory: Path) -> None:
     if verdict:
         print(verdict)
     print(f"Report: {directory / 'report.html'}")
+
+
+def _write_chains(directory: Path) -> None:
+    """Write the page of a folder of chains, and print how far they are."""
+    # What compares chains takes seconds to import.
+    from hydrabeam_mpi.report.chains.section import chains_body
+    from hydrabeam_mpi.sample.status import status_of
+
+    store = ChainStore.open(directory)
+    status = status_of(store)
+    contents: dict[Path, bytes] = {}
+    album = _Album(contents, directory / "figures")
+    title = f"Chains: {Path(os.path.realpath(directory)).name}"
+    with matplotlib.rc_context(STYLE):
+        page = _framed(title, f"<h1>{escape(title)}</h1>\n{chains_body(store, status, album.place)}")
+    _write_page(directory, page, contents)
+    print(status, end="\n\n")
+    print(f"Report: {directory / 'report.html'}")
+
+
+def _write_page(directory: Path, page: str, contents: dict[Path, bytes]) -> None:
+    """Write the page and its figures."""
+    contents[directory / "report.html"] = page.encode()
+    for path, content in contents.items():
+        _write_whole(path, content)
+    _list_files(directory, contents)
 
 
 def _write_whole(path: Path, content: bytes) -> None:
@@ -118,7 +146,6 @@ class _Album:
 
 
 def _page(result: Result, of_loop: str, album: _Album) -> str:
-    style = files("hydrabeam_mpi.report.page").joinpath("page.css").read_text(encoding="utf-8")
     title = f"Beam posterior: {result.name}"
     body = [
         f"<h1>{escape(title)}</h1>\n<p>{escape(introduction(result))}</p>\n",
@@ -129,10 +156,16 @@ def _page(result: Result, of_loop: str, album: _Album) -> str:
         _channels(result, album),
         provenance(result),
     ]
+    return _framed(title, "".join(body))
+
+
+def _framed(title: str, body: str) -> str:
+    """Return a whole page."""
+    style = files("hydrabeam_mpi.report.page").joinpath("page.css").read_text(encoding="utf-8")
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n{''.join(body)}"
+        f"<title>{escape(title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n{body}"
         f"<footer>{FOOTER}</footer>\n</body>\n</html>\n"
     )
 

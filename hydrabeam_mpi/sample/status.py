@@ -13,8 +13,6 @@ from hydrabeam_mpi.sample.storage.store import ChainStore
 
 LATEST = 100
 """Draws from which the pace is taken."""
-AT_WORK = 10.0
-"""A chain is at work whose last draw came less than so many draws' times before the last one of all."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +89,7 @@ def status_of(store: ChainStore) -> Status:
     chains = tuple(_progress(store, chain) for chain in range(store.chains))
     diagnosis = diagnose(store)
     cautions = (*store.cautions(), *diagnosis.warnings())
-    return Status(chains, store.warm_up, _seconds_left(chains), diagnosis, cautions)
+    return Status(chains, store.warm_up, _seconds_left(store, chains), diagnosis, cautions)
 
 
 def mixing_table(diagnosis: Diagnosis) -> str:
@@ -113,16 +111,17 @@ def _progress(store: ChainStore, chain: int) -> Progress:
     return Progress(chain, n, store.total, seconds, float(store.info("time", chain, slice(n - 1, n))[0]))
 
 
-def _seconds_left(chains: tuple[Progress, ...]) -> float:
-    """Return how long the rest takes, with as many chains at work at a time as there are now."""
+def _seconds_left(store: ChainStore, chains: tuple[Progress, ...]) -> float:
+    """Return how long the rest takes at the pace of all chains together in the last `LATEST` draws' time."""
     begun = [one for one in chains if one.n_draws]
     if not begun:
         return float("nan")
-    latest = max(one.latest for one in begun)
-    open_ = [one for one in begun if one.n_draws < one.total]
-    at_work = sum(latest - one.latest < AT_WORK * max(1.0, one.seconds) for one in open_)
-    left = sum(max(0, one.total - one.n_draws) for one in chains)
-    return left * float(np.median([one.seconds for one in begun])) / max(1, at_work)
+    seconds = float(np.median([one.seconds for one in begun]))
+    last = [slice(max(0, one.n_draws - LATEST), one.n_draws) for one in begun]
+    times = np.concatenate([store.info("time", one.chain, draws) for one, draws in zip(begun, last, strict=True)])
+    window = min(LATEST * seconds, float(np.ptp(times)) + seconds)
+    pace = np.count_nonzero(times > times.max() - window) / window if window > 0 else np.inf
+    return float(sum(max(0, one.total - one.n_draws) for one in chains) / pace)
 
 
 def number(value: float) -> str:

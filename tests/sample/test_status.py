@@ -10,22 +10,27 @@ from hydrabeam_mpi.commands.sample_status import print_status
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.sample.status import duration, number, status_of
 from hydrabeam_mpi.sample.storage.store import ChainStore
-from tests.sample.made import add, new_store
+from tests.sample.made import add, draw_of, new_store
 
 
 def test_progress_is_told_while_a_chain_grows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     store = new_store(tmp_path, chains=3, draws=30, warm_up=5)
     assert "0 of 35" in str(status_of(store))
     with store.writer(0) as one, store.writer(1) as other:
-        add(one, 0, 25, 5)
-        add(other, 1, 15, 5)
+        for number in range(25):
+            at = {"seconds": 0.5, "time": 1e9 + 0.5 * number}
+            one.append(draw_of(0, number), {}, at)
+            if number < 15:
+                other.append(draw_of(1, number), {}, {**at, "time": at["time"] + 5})
+        one.flush()
+        other.flush()
         found = status_of(ChainStore.open(tmp_path))
         assert [chain.n_draws for chain in found.chains] == [25, 15, 0]
-        # Two chains at work at half a second a draw; the third one comes after them.
-        assert found.seconds_left == pytest.approx((10 + 20 + 35) * 0.5 / 2)
+        # 40 draws in 12.5 s; the third chain comes after the others.
+        assert found.seconds_left == pytest.approx((10 + 20 + 35) * 12.5 / 40)
         print_status(tmp_path)
     said = capsys.readouterr().out
-    for words in ("25 of 35", "The first 5 draws of each chain are its warm-up", "time left: 16 s", "catalogue_flux"):
+    for words in ("25 of 35", "The first 5 draws of each chain are its warm-up", "time left: 20 s", "catalogue_flux"):
         assert words in said
     assert "R-hat of scale is" in said.splitlines()[-1]
 

@@ -70,7 +70,7 @@ class Variable:
         """Name the number at a place of the flattened array: "flux[source=B3]"."""
         place = (int(at) for at in np.unravel_index(index, self.shape))
         labels = (
-            f"{dim}={self.coords[dim][at] if dim in self.coords else at}"
+            f"{dim}={_written(self.coords[dim][at]) if dim in self.coords else at}"
             for dim, at in zip(self.dims, place, strict=True)
         )
         return f"{self.name}[{', '.join(labels)}]" if self.shape else self.name
@@ -83,6 +83,11 @@ class Variable:
     def from_table(cls, table: Mapping[str, Any]) -> Variable:
         """Read what `to_table` wrote."""
         return cls(**{**table, "shape": tuple(table["shape"]), "dims": tuple(table["dims"])})
+
+
+def _written(label: Any) -> str:
+    """Write a label; numbers with as many digits as they need."""
+    return f"{label:.10g}" if isinstance(label, float) else str(label)
 
 
 def _plain(label: Any) -> Any:

@@ -1,0 +1,106 @@
+"""Draws of all chains together, at even intervals, so that no more are in memory than a figure shows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import Array, FloatArray
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.model.bases import basis_from_description
+from hydrabeam_mpi.model.bases.base import LinearBasis
+from hydrabeam_mpi.sample.storage.store import ChainStore
+from hydrabeam_mpi.sample.storage.variable import Variable
+
+BEAM = "beam"
+MOST = 800
+"""Draws of all chains together: standard deviations of as many have errors of 2.5%."""
+AT_ONCE = 256
+"""Draws that are read at a time."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pooled:
+    """Draws of the beam in one channel and of all else, one after the other by chain.
+
+    Attributes
+    ----------
+    freq : float or None
+        Of the channel, Hz.
+    basis : LinearBasis
+    beam : ndarray, (n_draws, n_modes)
+    others : ndarray, (n_draws, n_others)
+        All other numbers that move; of complex ones the real and the imaginary parts.
+    labels : list of str
+        Their names.
+    """
+
+    freq: float | None
+    basis: LinearBasis
+    beam: Array
+    others: FloatArray
+    labels: list[str]
+
+    @property
+    def n_draws(self) -> int:
+        """How many there are."""
+        return len(self.beam)
+
+    @cached_property
+    def standardised(self) -> FloatArray:
+        """The others with mean 0 and variance 1, (n_draws, n_others)."""
+        return standardised(self.others)
+
+
+def standardised(values: FloatArray) -> FloatArray:
+    """Give each column mean 0 and variance 1; to one that does not move, 0."""
+    away = values - values.mean(axis=0)
+    std = away.std(axis=0, ddof=1)
+    return np.divide(away, std, out=np.zeros_like(away), where=std > 0)
+
+
+def pool(store: ChainStore) -> Pooled | None:
+    """Read draws of the beam and of all else; None where there is no beam, or no draw.
+
+    Raises
+    ------
+    InputError
+        If it is not known in which basis the beam is.
+    """
+    beam = next((one for one in store.variables if one.block == BEAM and one.dims[-1:] == ("mode",)), None)
+    chains, draws = store.comparable()
+    if beam is None or draws.stop - draws.start < 2:
+        return None
+    if "basis" not in store.about:
+        raise InputError("does not say in which basis the beam is", file=store.folder, field="about basis")
+    basis = basis_from_description(store.about["basis"])
+    step = -(-len(chains) * (draws.stop - draws.start) // MOST)
+    first_channel = slice(0, beam.shape[-1])
+    read = _read(store, beam, chains, draws, step, first_channel)
+    others, labels = [np.empty((len(read), 0))], []
+    for variable in store.variables:
+        if variable.block != BEAM:
+            values = _read(store, variable, chains, draws, step, slice(0, variable.size))
+            names = [variable.label(index) for index in range(variable.size)]
+            parts = [(values, "")] if variable.dtype == "float64" else [(values.real, ""), (values.imag, "imaginary ")]
+            for part, prefix in parts:
+                moves = np.ptp(part, axis=0) > 0
+                others.append(part[:, moves])
+                labels += [prefix + name for name, keeps in zip(names, moves, strict=True) if keeps]
+    freqs = beam.coords.get("freq", ())
+    freq = float(freqs[0]) if len(freqs) else None
+    return Pooled(freq, basis, read, np.concatenate(others, axis=1), labels)
+
+
+def _read(
+    store: ChainStore, variable: Variable, chains: tuple[int, ...], draws: slice, step: int, index: slice
+) -> Array:
+    """Read every ``step``-th draw of some numbers of a variable, (n, n_numbers)."""
+    parts = []
+    for chain in chains:
+        for begin in range(draws.start, draws.stop, step * max(1, AT_ONCE // step)):
+            end = min(begin + step * max(1, AT_ONCE // step), draws.stop)
+            parts.append(store.read(variable.name, chain, slice(begin, end), index)[::step])
+    return np.concatenate(parts)
