@@ -25,7 +25,8 @@ def exchanged_antennas(grid: ProcessGrid, problem: Problem, sample: Sample, sums
     """Find pairs of antennas that have been exchanged, by their labels or by their cables.
 
     Of both the model beam explains less than of the others, and most of it once their places are exchanged. That is
-    asked of those of which it explains least; with healthy data it is not so.
+    asked of those of which it explains least. Where it leaves no more of them than exchanged ones may leave, they are
+    where they should be, and no other place is tried.
     Collective: all ranks of the grid.
 
     Parameters
@@ -38,7 +39,7 @@ def exchanged_antennas(grid: ProcessGrid, problem: Problem, sample: Sample, sums
         Of what counts of it.
     """
     left = _unexplained(problem, sums)
-    worst = [ant for ant in np.argsort(-left, kind="stable")[:MOST_ASKED].tolist() if np.isfinite(left[ant])]
+    worst = [ant for ant in np.argsort(-left, kind="stable")[:MOST_ASKED].tolist() if left[ant] > np.log(LEFT)]
     found: list[Finding] = []
     free = set(problem.observation.antenna_numbers[worst].tolist())
     for pair in combinations(sorted(free), 2):
