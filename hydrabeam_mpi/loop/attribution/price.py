@@ -11,7 +11,11 @@ from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Parameters
 
 COUNTS = 1.5
-"""N(> S) falls as S to minus this: sources that are alike and spread evenly over Euclidean space."""
+"""N(> S) falls as S to minus this: sources that are alike and spread evenly over Euclidean space.
+
+dN/dS falls with one power more, S^-5/2. Radio sources at 150 MHz follow both where they are bright, above a Jansky, as
+those that are rare beside a catalogue are; fainter counts are flatter, and there nothing is rare.
+"""
 
 
 def price_of(parameters: Parameters, prior_var: FloatArray) -> float:
@@ -35,7 +39,12 @@ def price_of(parameters: Parameters, prior_var: FloatArray) -> float:
 
 
 def rarity(parameters: Parameters, widths: FloatArray | float) -> Any:
-    """Return the nats that an element of these widths costs because fewer than one of its size is expected."""
+    """Return the nats that an element of these widths costs because fewer than one of its size is expected.
+
+    That is ln 1 / N(> S): what has to be explained is that there is one as bright or brighter at all, which is why the
+    slope is that of N and not of dN/dS; how its flux is spread below its width is the prior's own matter. A source 50
+    times as bright as the brightest that is expected costs 1.5 ln 50 = 6 nats: of 350 skies one has it.
+    """
     return COUNTS * np.log(np.maximum(np.asarray(widths) / parameters.rare_above, 1.0))
 
 
