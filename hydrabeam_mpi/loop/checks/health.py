@@ -15,6 +15,7 @@ from hydrabeam_mpi.loop.checks.bad_antennas import absurd_antennas, absurd_autoc
 from hydrabeam_mpi.loop.checks.bad_ends import by_antenna, exchanged_antennas
 from hydrabeam_mpi.loop.checks.bad_rows import bad_baselines, bad_times
 from hydrabeam_mpi.loop.checks.health_sums import Excess, Kept, Sample, Sums, read_sample
+from hydrabeam_mpi.loop.checks.partners import noise_beside_partners, noisy_baselines
 from hydrabeam_mpi.loop.checks.scale import flux_scale, noise_level
 from hydrabeam_mpi.mpi import ProcessGrid, bcast_object, together
 from hydrabeam_mpi.setup.findings import Finding, mended_job
@@ -63,12 +64,18 @@ def _look(
         return antennas, []
     excess = Excess.of(grid, problem, sample, weights, sums)
     partners = Excess.of_partners(grid, problem, sample, weights)
+    noise = noise_beside_partners(grid, problem, sample, weights)
     rows = (
         bad_times(problem, sample.times, sums, excess)
         or bad_times(problem, sample.times, sums, partners)
         or bad_baselines(problem, sums, excess)
+        or noisy_baselines(problem, noise)
     )
-    return rows, [*flux_scale(problem, sums), *noise_level(problem, excess), *_not_looked_for(excess, partners)]
+    return rows, [
+        *flux_scale(problem, sums),
+        *noise_level(problem, excess.noise, noise),
+        *_not_looked_for(excess, partners),
+    ]
 
 
 def _not_looked_for(excess: Excess, partners: Excess) -> list[Finding]:

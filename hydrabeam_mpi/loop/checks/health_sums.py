@@ -238,8 +238,8 @@ class Excess:
         residual = sample.data - model
         variance = np.divide(1.0, weights, out=np.full(weights.shape, np.inf), where=weights > 0)
         if differenced:
-            residual, model = _differences(residual, middle, SECOND), _differences(model, middle, SECOND)
-            variance = _differences(variance, middle, SECOND**2)
+            residual, model = second_differences(residual, middle, SECOND), second_differences(model, middle, SECOND)
+            variance = second_differences(variance, middle, SECOND**2)
         moving = np.abs(model) ** 2
         expected = variance + left[:, np.newaxis, np.newaxis] * moving
         power = np.abs(residual) ** 2
@@ -294,7 +294,7 @@ class Excess:
         return made
 
 
-def _differences(values: NDArray[Any], middle: IntArray, kernel: FloatArray) -> NDArray[Any]:
+def second_differences(values: NDArray[Any], middle: IntArray, kernel: FloatArray) -> NDArray[Any]:
     """Apply a kernel of three to neighbouring times, (Nfreqs, Nmiddle, Nbls)."""
     first, second, third = (factor * values[:, middle + step] for factor, step in zip(kernel, (-1, 0, 1), strict=True))
     return np.asarray(first + second + third)

@@ -12,7 +12,7 @@ from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray
 from hydrabeam_mpi.inference.robust import LEAST_COUNT, STRONG, centre_and_spread, log_odds_of_wide
 from hydrabeam_mpi.inference.significance import SIGNIFICANT_P
 from hydrabeam_mpi.io.noise import MIN_DIFFERENCES
-from hydrabeam_mpi.loop.checks.health_sums import Excess, Sums
+from hydrabeam_mpi.loop.checks.health_sums import Sums
 from hydrabeam_mpi.setup.findings import Finding
 from hydrabeam_mpi.setup.problem import Problem
 
@@ -113,17 +113,18 @@ def _log_scales(products: ComplexArray) -> FloatArray:
     return 0.5 * np.log(np.maximum(explained, 1.0) / power[known])
 
 
-def noise_level(problem: Problem, excess: Excess) -> list[Finding]:
-    """Find out whether neighbouring times differ by what the noise's weights promise, where the sky moves little.
+def noise_level(problem: Problem, *looks: FloatArray) -> list[Finding]:
+    """Find out whether neighbouring times differ by what the noise's weights promise.
 
-    Noise that is stated wrong is wrong by the same factor on all baselines: its error is taken to be as large as these
-    differ.
+    Each of the ``looks``, (2, Nbls) sums and numbers of logs, has noise and what else moves beyond its expectation (sky
+    that the model lacks, gains that drift): that which has less of it is believed. Noise that is stated wrong is wrong
+    by the same factor on all baselines: its error is taken to be as large as these differ.
     """
-    total, n = excess.noise
-    logs = total[n >= MIN_DIFFERENCES] / n[n >= MIN_DIFFERENCES]
-    if len(logs) < LEAST_COUNT or problem.job.noise.kind == "time-differences":
+    logs = [total[n >= MIN_DIFFERENCES] / n[n >= MIN_DIFFERENCES] for total, n in looks]
+    told = [centre_and_spread(one) for one in logs if len(one) >= LEAST_COUNT]
+    if not told or problem.job.noise.kind == "time-differences":
         return []
-    value, error = centre_and_spread(logs)
+    value, error = min(told)
     odds = log_odds_of_wide(value, error, KNOWN_NOISE, UNKNOWN_NOISE)
     if odds < STRONG:
         return []

@@ -34,9 +34,10 @@ CLOSE = [6.0, 6.0 + N_TIMES * 10 / 3600]
 Change = Callable[[UVData], None]
 
 
-def made(folder: Path, *injected: dict[str, Any], seed: int = 4, close: bool = True) -> dict[str, Any]:
+def made(folder: Path, *injected: dict[str, Any], seed: int = 4, close: bool = True, **array: Any) -> dict[str, Any]:
     """Simulate ``data.uvh5`` in two channels and return a job that reads it."""
     job = mock_job(*injected, n_times=N_TIMES, freqs=(131e6, 133e6))
+    job["data"]["simulate"]["array"].update(array)
     job["seed"] = seed
     if close:
         job["data"]["simulate"]["lst_range"] = CLOSE
@@ -251,6 +252,34 @@ def test_a_noisy_baseline(job: dict[str, Any], folder: Path) -> None:
     (one,) = found(job, folder, files=damaged(folder, damage))
     assert one.baselines == ((1, 4),)
     assert found(job, folder, files=["damaged.uvh5"], exclude_baselines=[[4, 1]]) == []
+
+
+def test_noise_beside_redundant_partners_needs_no_model(tmp_path: Path) -> None:
+    """What the model lacks is as strong as the sky, and hides a noisy baseline from it."""
+    job = made(tmp_path, {"kind": "missing_sources", "strength": 200.0})
+    names = damaged(tmp_path, lambda uv: noisy(uv, (uv.ant_1_array == 1) & (uv.ant_2_array == 4), 0.2))
+    (one,) = found(job, tmp_path, files=names)
+    assert one.baselines == ((1, 4),)
+    assert one.why.startswith("beside its redundant partners it has")
+    assert found(job, tmp_path, files=names, exclude_baselines=[[1, 4]]) == []
+
+
+def test_sky_that_the_model_lacks_is_no_noise(tmp_path: Path) -> None:
+    assert found(made(tmp_path, {"kind": "missing_sources", "strength": 200.0}, hex=[3, 4]), tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("kind", "settings", "strength"),
+    [
+        ("antenna_gains", {"law": "smooth", "orders": [1, 2]}, 0.5),
+        ("antenna_pointing", {}, 3.0),
+    ],
+)
+def test_baselines_that_effects_make_differ_from_their_partners(
+    kind: str, settings: dict[str, Any], strength: float, tmp_path: Path
+) -> None:
+    """No fault: that is smooth in time, noise is not."""
+    assert found(made(tmp_path, {"kind": kind, "settings": settings, "strength": strength}), tmp_path) == []
 
 
 def exchanged(uv: UVData) -> None:

@@ -1,0 +1,101 @@
+"""Baselines that are noisier than their redundant partners, whatever factors and constants they differ by."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.inference.robust import LOG_MEAN, LOG_STD, MOST_EXCEPTIONS, known_median, outliers
+from hydrabeam_mpi.io.noise import amid_neighbours
+from hydrabeam_mpi.loop.checks.health_sums import PER_DAY, SECOND, Sample, second_differences
+from hydrabeam_mpi.mpi import ProcessGrid, allreduce_sum
+from hydrabeam_mpi.setup.findings import Finding, baseline_words
+from hydrabeam_mpi.setup.problem import Problem
+
+LEAST_PARTNERS = 2
+"""Of two that differ nobody knows which is wrong."""
+
+
+def noisy_baselines(problem: Problem, noise: FloatArray) -> list[Finding]:
+    """Find baselines that are noisier than the others, by what `noise_beside_partners` says.
+
+    A baseline's noise is in the mean of its partners' as well: only the worst of a redundant group is named, and the
+    others are looked at again without it.
+    """
+    total, n = noise
+    logs = np.where(n > 0, total / np.maximum(n, 1), np.nan)
+    # Differences that share a time are worth half as many.
+    absurd = outliers(logs, LOG_STD / np.sqrt(np.maximum(n / 2, 1)))
+    found, group = [], problem.redundant.group
+    for b in np.flatnonzero(absurd > 0).tolist():
+        if logs[b] == np.nanmax(logs[group == group[b]]):
+            one, two = (int(ant) for ant in problem.observation.antpairs[b])
+            name, remedy = baseline_words(one, two)
+            ratio = np.exp(logs[b] - known_median(logs))
+            why = (
+                f"beside its redundant partners it has {ratio:.2g} times the others' noise, beyond a factor and a "
+                f"constant ({absurd[b]:.0f} sigma)"
+            )
+            found.append(Finding("a bad baseline", name, why, remedy, baselines=((one, two),)))
+    return found if len(found) <= MOST_EXCEPTIONS * np.count_nonzero(n) else []
+
+
+def noise_beside_partners(grid: ProcessGrid, problem: Problem, sample: Sample, weights: FloatArray) -> FloatArray:
+    """Compare baselines with the mean of their redundant partners. Collective: all ranks of the grid.
+
+    Gains make a factor, couplings a constant: both are taken off, and whatever else an effect does to the sky is as
+    smooth in time as the sky itself. What is left of second differences in time beyond that is noise. It needs
+    neighbouring times, and three redundant baselines, but no model.
+
+    Parameters
+    ----------
+    grid : ProcessGrid
+    problem : Problem
+        Of all channels.
+    sample : Sample
+    weights : ndarray, (Nlocal, Ntimes, Nbls)
+        Of what counts of it.
+
+    Returns
+    -------
+    ndarray, (2, Nbls)
+        Sums and numbers of logs of power over that of the noise; zero where nobody can tell.
+    """
+    observation, logs = problem.observation, np.zeros((2, problem.observation.Nbls))
+    middle = amid_neighbours(observation.times[sample.times] * PER_DAY, observation.integration_time[sample.times])
+    group = np.unique(problem.redundant.group[sample.bls], return_inverse=True)[1]
+    members = csr_array((np.ones(len(group)), (group, np.arange(len(group)))))
+    if 2 * len(middle) < len(sample.times):
+        return logs
+    for data, inverse in zip(sample.data, weights, strict=True):
+        total = (members @ inverse.T).T[:, group] - inverse
+        partners = (members @ (inverse * data).T).T[:, group] - inverse * data
+        n = (members @ (inverse > 0).T.astype(float)).T[:, group] - 1
+        known = (inverse > 0) & (n >= LEAST_PARTNERS)
+        mean = np.where(known, partners / np.where(known, total, 1.0), 0.0)
+        left, factor = _beyond_factor_and_constant(np.where(known, data, 0.0), mean, np.where(known, inverse, 0.0))
+        variance = 1 / np.where(known, inverse, 1.0) + np.abs(factor) ** 2 / np.where(known, total, 1.0)
+        beyond = np.maximum(np.sum(np.where(known, np.abs(left) ** 2 - variance, 0.0), axis=0), 0.0)
+        seen = np.sum(np.abs(mean) ** 2, axis=0)
+        moves = np.abs(second_differences(mean[np.newaxis], middle, SECOND)[0]) ** 2
+        expected = second_differences(np.where(known, variance, np.inf)[np.newaxis], middle, SECOND**2)[0]
+        expected = expected + moves * beyond / np.where(seen > 0, seen, 1.0)
+        power = np.abs(second_differences(left[np.newaxis], middle, SECOND)[0]) ** 2
+        told = np.isfinite(expected) & (power > 0)
+        of_each = np.where(told, np.log(np.where(told, power / expected, 1.0)) - LOG_MEAN, 0.0)
+        logs[:, sample.bls] += of_each.sum(axis=0), told.sum(axis=0)
+    allreduce_sum(grid.world, logs)
+    return logs
+
+
+def _beyond_factor_and_constant(
+    data: ComplexArray, mean: ComplexArray, weights: FloatArray
+) -> tuple[ComplexArray, ComplexArray]:
+    """Return d - g m - c with g and c best at all times for each baseline, (Ntimes, Nbls), and g, (Nbls,)."""
+    total = weights.sum(axis=0)
+    total = np.where(total > 0, total, 1.0)
+    data, mean = (values - np.sum(weights * values, axis=0) / total for values in (data, mean))
+    power = np.sum(weights * np.abs(mean) ** 2, axis=0)
+    factor = np.where(power > 0, np.sum(weights * mean.conj() * data, axis=0) / np.where(power > 0, power, 1.0), 0.0)
+    return np.where(weights > 0, data - factor * mean, 0.0), factor
