@@ -97,6 +97,8 @@ def _parser() -> argparse.ArgumentParser:
     what = "draw the figures and report.html of a result"
     report = commands.add_parser("report", help=what, description=what)
     report.add_argument("directory", type=Path, metavar="DIR", help="folder that infer wrote")
+    compare = "compare with gains that were not applied to the data (calfits)"
+    report.add_argument("--gains", type=Path, nargs="+", default=[], metavar="FILE", help=compare)
     what = "print a job file filled in from data files"
     init = commands.add_parser("init", help=what, description=what)
     init.add_argument("data", type=Path, nargs="+", metavar="DATA", help="uvh5, uvfits, measurement set or miriad")
@@ -141,7 +143,7 @@ def _run(world: MPI.Comm, options: argparse.Namespace) -> None:
         if world.rank == 0 and options.command == "report":
             from hydrabeam_mpi.report.document import write_report
 
-            write_report(options.directory)
+            write_report(options.directory, options.gains)
         elif world.rank == 0:
             from hydrabeam_mpi.commands.init import job_from_data
 

@@ -75,7 +75,9 @@ class Correction(Applied):
             autos = self.autos if name == "corrected" and np.isfinite(self.autos).any() else None
             path, history = folder / f"{name}.uvh5", f"{WHAT[name]} Written by {by}"
             write_uvh5(path, self.observation, values, self.flags, self.nsamples, autos, history)
-        history = f"Gains that effects stand for. Written by {by}"
+        given = ", ".join(map(str, self.job.data.gains))
+        relative = f"Relative to those of {given}, by which the data were divided before." if given else "Total."
+        history = f"Gains that effects stand for. {relative} Written by {by}"
         write_calfits(folder / "gains.calfits", self.observation, self.gains, history)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from hydrabeam_mpi.api.result import Result
 from hydrabeam_mpi.api.setup import Setup
@@ -16,6 +17,7 @@ from hydrabeam_mpi.loop.checks.health import told
 from hydrabeam_mpi.loop.output.amendment import effects_found
 from hydrabeam_mpi.loop.selection.heldout_numbers import heldout_numbers
 from hydrabeam_mpi.mpi import peak_rss_mb, together
+from hydrabeam_mpi.result.gains import gains_told
 
 
 def infer(setup: Setup) -> Result:
@@ -60,6 +62,7 @@ def run_inference(setup: Setup, folder: Path | None, threads: int) -> Result:
     clock, world = Clock(), setup.comm
     grid, problem, mine = prepare_checked(setup, folder, clock, told)
     numbers = found = carried = None
+    fitted_gains: tuple[Any, ...] = ()
     if setup.job.effects or (problem.earlier and problem.earlier.entries):
         context = read_context(grid, problem, mine, clock)
         fitted = fit_with_effects(context, clock)
@@ -68,6 +71,7 @@ def run_inference(setup: Setup, folder: Path | None, threads: int) -> Result:
             numbers = heldout_numbers(context, whiten(context, fitted))
         problem = grown_problem(problem, context.setup, fitted.values, context.learned)
         found, carried = effects_found(setup.job, fitted, context.setup), context.carried
+        fitted_gains = context.setup, fitted.values
     else:
         results = infer_channels(grid, mine, clock)
     with clock.time("describe"):
@@ -81,6 +85,7 @@ def run_inference(setup: Setup, folder: Path | None, threads: int) -> Result:
                 "phases_s": clock.seconds,
                 "peak_rss_mb": memory,
                 **prior_told(setup, carried),
+                **gains_told(problem, records, *fitted_gains),
             }
             result = make_result(setup, problem, records, origin_of(setup, problem, threads), run, effects=found)
     return result

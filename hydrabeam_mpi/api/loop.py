@@ -28,6 +28,7 @@ from hydrabeam_mpi.loop.output.resume import Keeper
 from hydrabeam_mpi.loop.selection.choice import choose
 from hydrabeam_mpi.loop.selection.rounds import History, begin, run_rounds, settle_last
 from hydrabeam_mpi.mpi import peak_rss_mb, together
+from hydrabeam_mpi.result.gains import gains_told
 from hydrabeam_mpi.setup.job_file import check_holds_out
 
 
@@ -119,8 +120,9 @@ def run_loop(
     found = Found(Result(job))
     with together(world):
         if world.rank == 0:
-            run = {"phases_s": clock.seconds, "peak_rss_mb": memory, **prior_told(setup, context.carried)}
             fitted = history.last.fitted
+            gains = gains_told(problem, records, known, fitted.values)
+            run = {"phases_s": clock.seconds, "peak_rss_mb": memory, **prior_told(setup, context.carried), **gains}
             effects = effects_found(problem.job, fitted, known)
             result = make_result(setup, problem, records, origin(), run, record["warnings"], effects)
             amended = amended_job(problem.job, fitted, known, scale)

@@ -135,6 +135,24 @@ def read_gains(files: Sequence[Path], observation: Observation, times: IntArray)
     return gains, flags
 
 
+def mean_gains(files: Sequence[Path], observation: Observation) -> ComplexArray:
+    """Return the means over an observation's times of the gains of its first feed; NaN where all are flagged.
+
+    Returns
+    -------
+    ndarray of complex, (Nfreqs, Nants)
+    """
+    gains, flags = read_gains(files, observation, np.arange(observation.Ntimes))
+    number = np.sum(~flags[..., 0], axis=1)
+    total = np.sum(gains[..., 0], axis=1, where=~flags[..., 0])
+    return np.where(number > 0, total / np.maximum(number, 1), np.nan)
+
+
+def antennas_of(path: Path, observation: Observation) -> IntArray:
+    """Return the numbers of the antennas that a file has gains of."""
+    return np.asarray(_read_uvcal(path, observation).ant_array)
+
+
 def _read_solution(path: Path, observation: Observation) -> _Solution:
     """Read one gain file and pick the observation's antennas and channels."""
     cal = _read_uvcal(path, observation)

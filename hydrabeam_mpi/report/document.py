@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from base64 import b64encode
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from html import escape
 from importlib.resources import files
@@ -18,6 +18,7 @@ from hydrabeam_mpi.io.disk import replacing
 from hydrabeam_mpi.io.manifest import MANIFEST, add_to_manifest
 from hydrabeam_mpi.report.beam.frequencies import draw_frequencies
 from hydrabeam_mpi.report.figures import draw_channel, shown_channels
+from hydrabeam_mpi.report.gains import gains_section
 from hydrabeam_mpi.report.loop.record import as_written, load_loop
 from hydrabeam_mpi.report.loop.section import loop_section
 from hydrabeam_mpi.report.loop.words import verdict_words
@@ -31,7 +32,7 @@ from hydrabeam_mpi.sample.storage.store import ChainStore
 FOOTER = "“The paper” is Wilensky et al. 2025, High Dimensional Beam Inference II, whose method this is."
 
 
-def write_report(directory: Path) -> None:
+def write_report(directory: Path, other_gains: Sequence[Path] = ()) -> None:
     """Write ``report.html`` and ``figures/`` into a result folder, and print its key numbers.
 
     Everything is drawn before the first file is written, and each file appears whole.
@@ -40,13 +41,15 @@ def write_report(directory: Path) -> None:
     ----------
     directory : Path
         Folder that ``hydrabeam infer`` or ``hydrabeam loop`` wrote, or that ``hydrabeam sample`` wrote or is writing.
+    other_gains : sequence of Path
+        Files of gains that were not applied to the data, to be compared with those that were given and found.
 
     Raises
     ------
     InputError
         If it is no such folder, or cannot be written.
     """
-    if ChainStore.exists(directory):
+    if ChainStore.exists(directory) and not other_gains:
         _write_chains(directory)
         return
     loop = load_loop(directory)
@@ -56,6 +59,10 @@ def write_report(directory: Path) -> None:
             "is of a loop that was interrupted: it has rounds, and no posterior", file=directory, remedy=remedy
         )
     result = load_result(directory)
+    told = result.numbers.get("gains")
+    if other_gains and not told:
+        remedy = "name a result with gains, of files or found, made with this version"
+        raise InputError("tells of no gains", file=directory / "summary.json", field="gains", remedy=remedy)
     contents: dict[Path, bytes] = {}
     album = _Album(contents, directory / "figures")
     of_loop = verdict = ""
@@ -63,7 +70,9 @@ def write_report(directory: Path) -> None:
         if loop is not None:
             with as_written(directory):
                 of_loop, verdict = loop_section(loop, album.place), verdict_words(loop)
-        page = _page(result, of_loop, album)
+        with as_written(directory, "summary.json"):
+            of_gains = gains_section(told, other_gains, album.place) if told else ""
+        page = _page(result, of_loop, album, of_gains)
     _write_page(directory, page, contents)
     print(introduction(result), end="\n\n")
     print(text_table(table(result.numbers, result.name)), end="\n\n")
@@ -145,7 +154,7 @@ class _Album:
         )
 
 
-def _page(result: Result, of_loop: str, album: _Album) -> str:
+def _page(result: Result, of_loop: str, album: _Album, of_gains: str) -> str:
     title = f"Beam posterior: {result.name}"
     body = [
         f"<h1>{escape(title)}</h1>\n<p>{escape(introduction(result))}</p>\n",
@@ -153,6 +162,7 @@ def _page(result: Result, of_loop: str, album: _Album) -> str:
         finding(result.channels[0]) if len(result.channels) == 1 else "",
         warnings(result),
         key_numbers(result),
+        of_gains,
         _channels(result, album),
         provenance(result),
     ]

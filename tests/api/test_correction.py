@@ -74,7 +74,7 @@ def test_gains_divide_the_data(nights: Nights, corrected: Path) -> None:
     assert (cal.gain_convention, cal.gain_scale, cal.pol_convention) == ("divide", "Jy", "sum")
     gain = cal.gain_array[cal.ant_array.tolist().index(2)]
     np.testing.assert_allclose(gain, GAIN, atol=0.002)
-    assert "hydrabeam_mpi" in cal.history
+    assert "Total. Written by hydrabeam_mpi" in cal.history
     uvd = UVData.from_file(str(nights.data("first")))
     uvcalibrate(uvd, cal)
     own = UVData.from_file(str(corrected / "corrected.uvh5"))

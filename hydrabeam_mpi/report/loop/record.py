@@ -36,8 +36,8 @@ def load_loop(directory: Path) -> Entry | None:
 
 
 @contextmanager
-def as_written(directory: Path) -> Iterator[None]:
-    """Turn failures caused by wrong values in ``loop.json`` into an error about that file.
+def as_written(directory: Path, name: str = "loop.json") -> Iterator[None]:
+    """Turn failures caused by wrong values in a file of a result into an error about that file.
 
     Keys that are missing or null are left out; values may be of any wrong type.
 
@@ -52,7 +52,7 @@ def as_written(directory: Path) -> Iterator[None]:
         raise
     except Exception as error:
         reason = f"is not as 'hydrabeam loop' writes it ({type(error).__name__}: {error})"
-        raise InputError(reason, file=directory / "loop.json", remedy=REMEDY) from error
+        raise InputError(reason, file=directory / name, remedy=REMEDY) from error
 
 
 def entries(record: Entry | None, key: str) -> list[Entry]:
