@@ -65,6 +65,8 @@ IN_TIME = {
         ("antenna_gains", "piecewise"),
         ("cross_coupling", "smooth"),
         ("catalogue_flux", "smooth"),
+        ("antenna_pointing", "smooth"),
+        ("antenna_pointing", "piecewise"),
     )
 }
 IN_TIME |= {

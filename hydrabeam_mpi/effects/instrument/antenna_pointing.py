@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -30,6 +31,7 @@ class AntennaPointing(Effect):
     kind = "antenna_pointing"
     title = "antenna pointing"
     shared = True
+    laws: ClassVar = {"smooth": "antenna pointing that drifts", "piecewise": "antenna pointing that jumps"}
 
     def not_applicable(self, setup: ObservingSetup) -> str | None:
         """Refuse complex beams."""
@@ -46,6 +48,11 @@ class AntennaPointing(Effect):
     def degenerate_directions(self, setup: ObservingSetup) -> FloatArray:
         """Return the tilts that all antennas have in common, (n_directions, n_params)."""
         return common_values(len(setup.antennas_in_use), 2)
+
+    def common_in_time(self, setup: ObservingSetup) -> tuple[tuple[str, ...], FloatArray]:
+        """Return these: what they change is told from a beam that does not change."""
+        names = ("all antennas tilted towards East", "all antennas tilted towards North")
+        return names, np.tile(np.eye(2), len(setup.antennas_in_use))
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return half of what tilting further does, for a row's first and second antenna; ``x`` is (n_params,)."""

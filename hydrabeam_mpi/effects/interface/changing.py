@@ -19,7 +19,10 @@ class MayChange:
     """Something with parameters that may change in time; see `hydrabeam_mpi.effects.shared.in_time`."""
 
     laws: ClassVar[Mapping[str, str]] = {}
-    """Laws by which its parameters may change in time, and what it is called then; columns must not depend on them."""
+    """Laws by which its parameters may change in time, and what it is called then.
+
+    Which parameters columns belong to must be the same at all times, and what is multiplied must be linear.
+    """
 
     @abstractmethod
     def parameters(self, setup: ObservingSetup) -> Parameters:

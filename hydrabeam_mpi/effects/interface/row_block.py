@@ -113,6 +113,12 @@ class RowBlock:
         """The job's engine on the groups' vectors."""
         return make_engine(self.engine_kind, self.vectors)
 
+    def at_time(self, t: int) -> RowBlock:
+        """Return the rows of one of the block's times."""
+        now = slice(t, t + 1)
+        rows = {name: getattr(self, name)[now] for name in ("times", "weights", "residual", "vis", "design")}
+        return replace(self, **rows, integrals={kind: values[now] for kind, values in self.integrals.items()})
+
     def spread(self, by_group: Array) -> Array:
         """Give every baseline what its group has: (Ntimes, Ngroups, ...) to (Ntimes, Nbls, ...)."""
         return by_group[:, self.member]

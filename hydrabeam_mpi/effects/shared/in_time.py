@@ -1,7 +1,7 @@
 """Effects whose parameters change in time: x_p(t) = sum_k x_pk phi_k(t), with the functions phi_k of a law.
 
-What is constant is left to the effect itself, of which this is a further one. Its columns do not depend on its
-parameters, so that those of a number x_pk are the effect's own, of each time, times phi_k(t). Nothing else is needed to
+What is constant is left to the effect itself, of which this is a further one. The columns of a number x_pk are the
+effect's own, of each time with what its parameters are then, times phi_k(t). Nothing else is needed to
 weigh a change in time beside everything else, and no more than that it costs: its parameters.
 """
 
@@ -44,17 +44,17 @@ class InTime(ScannedEffect):
     Parameters
     ----------
     effect : Effect
-        Of which one has to be able to say how it goes on in time; its columns must not depend on its parameters.
+        Of which one has to be able to say how it goes on in time.
     law : TimeLaw
     """
 
-    linear = True
+    gets_simpler_when_fitted = False
 
     def __init__(self, effect: Effect, law: TimeLaw) -> None:
         self.effect, self.time_law = effect, law
         self.kind, self.title, self.law = effect.kind, effect.laws[law.name], law.name
         self.shared, self.local, self.of_the_sky = effect.shared, effect.local, effect.of_the_sky
-        self.multiplies, self.changes_sky = effect.multiplies, effect.changes_sky
+        self.multiplies, self.changes_sky, self.linear = effect.multiplies, effect.changes_sky, effect.linear
 
     def describe(self) -> dict[str, Any]:
         """Return what makes the effect, and the law."""
@@ -124,12 +124,23 @@ class InTime(ScannedEffect):
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return the effect's own columns times the functions; ``x`` is (n_params,)."""
-        own = self._own_columns(block)
+        own = self._own_columns(block, x)
         functions = self._functions(block.setup)[block.times]
         n = functions.shape[1]
         values = own.values[..., np.newaxis] * functions[:, np.newaxis, np.newaxis]
         index = None if own.index is None else _several(n * own.index[..., np.newaxis] + np.arange(n))
         return Columns(_several(values), n * own.n_params, index, own.by_group)
+
+    def sky_columns(self, sources: Sources) -> FloatArray | None:
+        """Return what the effect needs integrated over the sky at one time, (K, Nsrc) real."""
+        return self.effect.sky_columns(sources)
+
+    def added(self, block: RowBlock, x: FloatArray) -> ComplexArray:
+        """Return E, (Ntimes, Nbls)."""
+        if self.multiplies or self.linear:
+            return super().added(block, x)
+        now = self._at_times(block.setup, x)[block.times]
+        return np.concatenate([self.effect.added(block.at_time(t), one) for t, one in enumerate(now)])
 
     def factor(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return C, (Ntimes, Nbls)."""
@@ -209,10 +220,15 @@ class InTime(ScannedEffect):
         scale = np.concatenate([own.scale, own.scale[first]])
         return Parameters.of((*own.names, *names), units, scale, element, trials=own.trials + len(names))
 
-    def _own_columns(self, block: RowBlock) -> Columns:
-        """Return the columns of these."""
-        n = len(self.effect.parameters(block.setup))
-        own, common = self.effect.columns(block, np.zeros(n)), self.effect.common_in_time(block.setup)[1]
+    def _own_columns(self, block: RowBlock, x: FloatArray | None = None) -> Columns:
+        """Return the columns of these, where there is nothing yet, or at ``x``, (n_params,)."""
+        n, common = len(self.effect.parameters(block.setup)), self.effect.common_in_time(block.setup)[1]
+        if self.linear or x is None or not x.any():
+            own = self.effect.columns(block, np.zeros(n))
+        else:
+            now = self._at_times(block.setup, x)[block.times]
+            parts = [self.effect.columns(block.at_time(t), one) for t, one in enumerate(now)]
+            own = replace(parts[0], values=np.concatenate([part.values for part in parts]))
         if not len(common):
             return own
         values = np.concatenate([own.values, *(own.apply(one)[..., np.newaxis] for one in common)], axis=-1)

@@ -87,6 +87,29 @@ def test_what_all_antennas_have_in_common_is_a_number_of_its_own(setup: Observin
     assert np.ptp(np.abs(effect.factor(block, 0.1 * common))[:, 0]) > 0.1
 
 
+def test_tilts_at_a_time_are_those_of_an_antenna_that_is_tilted_so(setup: ObservingSetup) -> None:
+    """By degrees, where what they change is not linear; and so are the columns."""
+    block = small_block(setup)
+    drifting = changing("antenna_pointing", setup, law="smooth", orders=[1, 2])
+    constant = make_effect("antenna_pointing", {})
+    block.integrate_for([drifting])
+    names, n = drifting.parameters(setup).names, len(constant.parameters(setup))
+    x = np.zeros(len(names))
+    x[[4, 5, 6, 9]] = 3.0, 1.0, -2.0, 1.5
+    common = names.index("all antennas tilted towards North, drift from first to last time")
+    x[common] = 2.0
+    added, columns = drifting.added(block, x), drifting.columns(block, x).matrix().toarray().reshape(*block.shape, -1)
+    functions = Smooth(orders=(1, 2)).over(setup.observation.times).functions(setup.observation.times)
+    for t, phi in enumerate(functions):
+        now = x.reshape(-1, 2) @ phi
+        tilts = now[:n] + np.tile([0.0, phi[0] * 2.0], n // 2)
+        one = block.at_time(t)
+        np.testing.assert_allclose(added[t], constant.added(one, tilts)[0], rtol=1e-12)
+        own = constant.columns(one, tilts).matrix().toarray()
+        np.testing.assert_allclose(columns[t][:, 0 : 2 * n : 2], own * phi[0], rtol=1e-9, atol=1e-15)
+        np.testing.assert_allclose(columns[t][:, common], own[:, 1::2].sum(axis=1) * phi[0], rtol=1e-9, atol=1e-14)
+
+
 def test_a_source_fades_and_the_others_do_not(setup: ObservingSetup) -> None:
     block = small_block(setup)
     place = np.rad2deg([setup.sky.ra[0], setup.sky.dec[0]]).tolist()
@@ -107,7 +130,13 @@ def test_it_needs_several_fitted_times(setup: ObservingSetup) -> None:
 
 @pytest.mark.parametrize(
     ("kind", "law"),
-    [("antenna_gains", "linear"), ("cross_coupling", "piecewise"), ("timestamp", "smooth"), ("antenna_gains", 3)],
+    [
+        ("antenna_gains", "linear"),
+        ("cross_coupling", "piecewise"),
+        ("timestamp", "smooth"),
+        ("antenna_pointing", "nightly"),
+        ("antenna_gains", 3),
+    ],
 )
 def test_laws_that_an_effect_does_not_have_are_refused(kind: str, law: object) -> None:
     with pytest.raises(InputError, match=f"no law '{law}' of this effect; there are constant"):

@@ -91,6 +91,7 @@ IN_TIME = {
         Kind("gain_jump", in_time.gain_jump, 0.003, 0.3, "", effect=GAINS, law="piecewise"),
         Kind("ambient_temperature", strange.ambient_temperature, 0.003, 0.1, "", effect=GAINS, law=SMOOTH),
         Kind("drifting_coupling", in_time.drifting_coupling, 0.1, 10.0, "Jy", FINE, "cross_coupling", SMOOTH),
+        Kind("drifting_pointing", in_time.drifting_pointing, 0.05, 3.0, "deg", effect="antenna_pointing", law=SMOOTH),
         Kind("fading_source", in_time.fading_source, 0.01, 0.5, "", effect="catalogue_flux", law=SMOOTH),
     )
 }

@@ -1,13 +1,15 @@
-"""What changes during the night: gains and coupling that drift, a gain that jumps, a source that fades."""
+"""What changes during the night: gains, coupling and pointing that drift, a gain that jumps, a source that fades."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from tests.validation.undeclared.answer import Drawn, Parameter, Where, antenna, baseline, numbers, pairs, some_antennas
-from tests.validation.undeclared.beams import REFERENCE_FREQ, FloatArray
+from tests.validation.undeclared.beams import REFERENCE_FREQ, FloatArray, Shape
 from tests.validation.undeclared.gains import multiplied
 from tests.validation.undeclared.setting import Catalogue, altaz
 from tests.validation.undeclared.truth import ComplexArray, Truth
@@ -55,6 +57,25 @@ def gain_jump(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
         for what, unit, value in (("ln amplitude", "", log.real), ("phase", "rad", log.imag))
     ]
     return Drawn(parameters, Where(antennas=numbers(truth, [index])), 3, {"first time after it": jump})
+
+
+def drifting_pointing(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
+    """One or three antennas turn by about ``strength`` degrees over the night, through the zenith."""
+    clock, n_ants = clock_of(truth), truth.setting.n_ants
+    chosen = some_antennas(truth, rng, (1, 3))
+    drift = np.zeros((n_ants, 2))
+    drift[chosen] = strength * rng.standard_normal((len(chosen), 2))
+
+    def turned(index: int, channel: int, time: int, beam: Shape) -> Shape:
+        return replace(beam, pointing=tuple(np.sin(np.deg2rad(clock[time] * drift[index])).tolist()))
+
+    truth.shape_of_antenna |= {int(index): partial(turned, int(index)) for index in chosen}
+    parameters = [
+        Parameter(antenna(truth, index), f"tilted towards {direction}, {DRIFT}", "deg", float(value))
+        for index in range(n_ants)
+        for direction, value in zip(("East", "North"), drift[index], strict=True)
+    ]
+    return Drawn(parameters, Where(antennas=numbers(truth, chosen)), 2 * len(chosen))
 
 
 def drifting_coupling(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
