@@ -12,6 +12,7 @@ from hydrabeam_mpi.api.setup import Setup
 from hydrabeam_mpi.api.shared import begun, origin_of
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.fit.clock import Clock
+from hydrabeam_mpi.fit.expected import with_effects
 from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.loop.selection.heldout_numbers import HeldoutNumbers, heldout_numbers
 from hydrabeam_mpi.mpi import together
@@ -85,7 +86,7 @@ def run_prediction(result: Result, setup: Setup, folder: Path | None, threads: i
     clock = Clock()
     problem, context, fitted, carried = apply_result(result, setup, folder, clock)
     with clock.time("heldout"):
-        numbers = heldout_numbers(context, whiten(context, fitted))
+        numbers = heldout_numbers(context, with_effects(context, fitted, whiten(context, fitted)))
     prediction = Prediction(setup.job)
     with together(setup.comm):
         if setup.comm.rank == 0:
@@ -101,7 +102,7 @@ def _numbers(numbers: HeldoutNumbers, freqs: FloatArray, channels: list[int]) ->
     say(
         f"rms of {told['n']:.0f} visibilities {told['rms_zero']:.4g} Jy, less the model beam {told['rms_model']:.4g} "
         f"Jy, with its best scale {told['rms_model_scaled']:.4g} Jy, less the prediction {told['rms']:.4g} Jy (noise "
-        f"{told['rms_noise']:.4g} Jy)"
+        f"{told['rms_noise']:.4g} Jy; expected, as uncertain as beam and effects are: {told['rms_expected']:.4g} Jy)"
     )
     say(
         f"explained variance {told['explained']:.6g}; reduced chi^2 {told['noise_only_chi2']:.4g} over the noise "

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from hydrabeam_mpi.cli import main
 from hydrabeam_mpi.data.observation import SIDEREAL_DAY
@@ -43,6 +44,7 @@ def test_what_is_alike_each_night_predicts_another_one(tmp_path: Path) -> None:
     assert abs(values[name][0] - 0.03) < 3 * values[name][1]
     assert [one["title"] for one in told["carried_over"]] == ["antenna gains that drift by sidereal time"]
     assert told["noise_only_chi2"] < 1.2
+    assert told["rms_expected"] == pytest.approx(told["rms"], rel=0.1)
 
 
 def test_what_begins_anew_is_an_error_of_what_is_predicted(tmp_path: Path) -> None:
@@ -61,3 +63,4 @@ def test_what_begins_anew_is_an_error_of_what_is_predicted(tmp_path: Path) -> No
     assert "antenna gains that drift anew each night: antenna 3 phase, night 1: " + DRIFT in told["at_prior"]
     assert told["noise_only_chi2"] > 20
     assert 0.3 < told["predictive_chi2"] < 3
+    assert 0.5 < told["rms"] / told["rms_expected"] < 2
