@@ -43,7 +43,7 @@ def test_the_end_and_damage_are_told(tmp_path: Path) -> None:
     path = tmp_path / "chain-0" / "00000005-00000009.h5"
     path.write_bytes(path.read_bytes()[:-100])
     (line, *_) = status_of(store).cautions
-    assert line == f"{path}: is truncated or damaged: of chain 0 the first 5 draws are kept, which are whole"
+    assert line == f"{path}: is truncated or damaged: of chain 0 the first 9 draws are kept, which are whole"
 
 
 def test_other_folders_are_refused(tmp_path: Path) -> None:

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.sample.storage.segment import Segment
+from hydrabeam_mpi.sample.storage.segment import Segment, read_segment, remains_of, write_segment
+from hydrabeam_mpi.sample.storage.variable import Variable
 from hydrabeam_mpi.sample.storage.whole_file import is_whole
 
 T = TypeVar("T")
 ASIDE = "set_aside"
-"""Folder for what is damaged, and for draws that come after it."""
+"""Folder for what is damaged, and for draws that come after the damage."""
 TRIES = 100
 """A reader begins anew so often where a chain that grows puts its files together under it."""
 
@@ -30,33 +31,26 @@ class ChainFiles:
 
     folder: Path
     chain: int
-    _whole: dict[tuple[Path, int, int, int], bool] = field(default_factory=dict)
+    _seen: dict[tuple[Path, int, int, int], Segment | None] = field(default_factory=dict)
 
     def segments(self) -> list[Segment]:
-        """List the segments that are whole, from the first draw on without a gap."""
-        return self.look()[0]
-
-    def look(self) -> tuple[list[Segment], Segment | None]:
-        """List the segments that are whole, from the first draw on, and find the first one that is not used for that.
+        """List the segments from the first draw on without a gap; of the first damaged one what is before the damage.
 
         Where small segments have been merged and are still there the largest that is whole counts.
         """
         return retried(self._look)
 
-    def _look(self) -> tuple[list[Segment], Segment | None]:
-        found = self.all_segments()
-        whole: list[Segment] = []
+    def _look(self) -> list[Segment]:
+        named = self.all_segments()
+        found: list[Segment] = []
         end = 0
-        while True:
-            here = [one for one in found if one.first == end and self._is_whole(one)]
-            if not here:
-                break
-            whole.append(max(here, key=lambda one: one.end))
-            end = whole[-1].end
-        return whole, next((one for one in found if one.end > end), None)
+        while here := [one for one in map(self._checked, (one for one in named if one.first == end)) if one]:
+            found.append(max(here, key=lambda one: one.end))
+            end = found[-1].end
+        return found
 
     def all_segments(self) -> list[Segment]:
-        """List all segments, whole or not, in the order of their draws."""
+        """List all segments by their names, whole or not, in the order of their draws."""
         if not self.folder.is_dir():
             return []
         named = (Segment.named(path) for path in self.folder.iterdir())
@@ -64,34 +58,45 @@ class ChainFiles:
 
     def caution(self) -> str | None:
         """Say in a line what is damaged, if anything is."""
-        whole, bad = self.look()
+        whole = self.segments()
+        n = whole[-1].end if whole else 0
+        bad = next((one for one in self.all_segments() if one.end > n), None)
         if bad is None:
             return None
-        n = whole[-1].end if whole else 0
-        what = "is truncated or damaged" if bad.first == n else f"has no draw {n} before it"
+        what = "is truncated or damaged" if bad.first <= n else f"has no draw {n} before it"
         return f"{bad.path}: {what}: of chain {self.chain} the first {n} draws are kept, which are whole"
 
-    def tidy(self) -> None:
-        """Remove what a killed process has left, and set aside what is damaged and what comes after it."""
-        whole, bad = self.look()
+    def tidy(self, variables: Sequence[Variable]) -> list[Segment]:
+        """Remove what a killed process has left, set aside what is damaged and what comes after it; list what is left.
+
+        Raises
+        ------
+        OSError
+            If the folder cannot be written.
+        """
         for path in self.folder.glob(".*.partial-*"):
             path.unlink(missing_ok=True)
-        end = whole[-1].end if whole else 0
+        for one in self.segments():
+            if one.image is not None:
+                write_segment(self.folder, self.chain, one.first, read_segment(one), variables)
+        kept = self.segments()
+        end = kept[-1].end if kept else 0
         for one in self.all_segments():
-            if one.end > end or (bad and not self._is_whole(one)):
+            if one.end > end:
                 aside = self.folder / ASIDE
                 aside.mkdir(exist_ok=True)
                 one.path.replace(aside / one.path.name)
-            elif one not in whole:
+            elif one not in kept:
                 one.path.unlink(missing_ok=True)
+        return kept
 
-    def _is_whole(self, segment: Segment) -> bool:
-        """Check a file once, unless it changes."""
+    def _checked(self, segment: Segment) -> Segment | None:
+        """Check a file once, unless it changes; return it, or what remains of it."""
         about = segment.path.stat()
         key = segment.path, about.st_size, about.st_mtime_ns, about.st_ino
-        if key not in self._whole:
-            self._whole[key] = is_whole(segment.path)
-        return self._whole[key]
+        if key not in self._seen:
+            self._seen[key] = segment if is_whole(segment.path) else remains_of(segment)
+        return self._seen[key]
 
 
 def retried(read: Callable[[], T]) -> T:

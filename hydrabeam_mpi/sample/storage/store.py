@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
@@ -21,9 +20,9 @@ from hydrabeam_mpi.io.disk import writing
 from hydrabeam_mpi.io.reading import read_json, reading
 from hydrabeam_mpi.sample.storage.chain_files import ChainFiles, retried
 from hydrabeam_mpi.sample.storage.identity import check_same
-from hydrabeam_mpi.sample.storage.segment import FORMAT, read_segment
+from hydrabeam_mpi.sample.storage.segment import FORMAT, last_state
 from hydrabeam_mpi.sample.storage.variable import Variable
-from hydrabeam_mpi.sample.storage.whole_file import is_whole, write_hdf5, write_whole
+from hydrabeam_mpi.sample.storage.whole_file import write_whole
 from hydrabeam_mpi.sample.storage.writer import ChainWriter
 
 CHAINS = "chains.json"
@@ -178,7 +177,7 @@ class ChainStore:
 
         def read() -> list[str]:
             for segment in self.files(chain).segments()[:1]:
-                with h5py.File(segment.path, "r") as file:
+                with segment.open() as file:
                     return list(file["info"])
             return []
 
@@ -189,7 +188,7 @@ class ChainStore:
 
         def read() -> tuple[int, dict[str, Array]]:
             segments = self.files(chain).segments()
-            return (segments[-1].end, dict(read_segment(segments[-1]).state)) if segments else (0, {})
+            return (segments[-1].end, last_state(segments[-1])) if segments else (0, {})
 
         return retried(read)
 
@@ -229,7 +228,7 @@ class ChainStore:
             for one in segments:
                 begin, until = max(first, one.first), min(end, one.end)
                 if begin < until:
-                    with h5py.File(one.path, "r") as file:
+                    with one.open() as file:
                         parts.append(file[place][(slice(begin - one.first, until - one.first), *index)])
             return np.concatenate(parts) if parts else self._nothing(place, index)
 
@@ -247,39 +246,6 @@ class ChainStore:
         """Say what is damaged, a line for each chain."""
         said = (self.files(chain).caution() for chain in range(self.chains))
         return [line for line in said if line]
-
-    def keep(self, name: str, arrays: Mapping[str, Array]) -> None:
-        """Write arrays that belong to all chains into a file of that name.
-
-        Raises
-        ------
-        InputError
-            If it cannot be written.
-        """
-
-        def fill(file: h5py.File) -> None:
-            for key, values in arrays.items():
-                file[key] = values
-
-        with writing(self.folder / name):
-            write_hdf5(self.folder / f"{name}.h5", fill)
-
-    def kept(self, name: str) -> dict[str, Array]:
-        """Read what `keep` wrote; empty where it has not.
-
-        Raises
-        ------
-        InputError
-            If it is damaged.
-        """
-        path = self.folder / f"{name}.h5"
-        if not path.exists():
-            return {}
-        with reading(path, "a part of chains", remedy="remove it"):
-            if not is_whole(path):
-                raise InputError("is truncated or damaged", remedy="remove it")
-            with h5py.File(path, "r") as file:
-                return {key: data[()] for key, data in file.items()}
 
     def _write(self) -> None:
         table = {

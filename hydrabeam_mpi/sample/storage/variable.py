@@ -54,14 +54,14 @@ class Variable:
         return int(np.prod(self.shape, dtype=int))
 
     def row(self, value: Any) -> Array:
-        """Return the value of one draw as the files have it, (1, size).
+        """Return a copy of the value of one draw as the files have it, (1, size).
 
         Raises
         ------
         ValueError
             If it has another shape.
         """
-        found = np.asarray(value, dtype=self.dtype)
+        found = np.array(value, dtype=self.dtype)
         if found.shape != self.shape:
             raise ValueError(f"{self.name} has shape {found.shape}, and not {self.shape}")
         return found.reshape(1, -1)

@@ -6,7 +6,6 @@ Each ends with the SHA-256 of all that stands before it, which readers of HDF5 p
 from __future__ import annotations
 
 import hashlib
-import io
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -18,6 +17,8 @@ from hydrabeam_mpi.io.disk import replacing
 DIGEST = hashlib.sha256().digest_size
 BLOCK = 1 << 22
 """Bytes that are read at a time."""
+DESCRIPTION = 1 << 14
+"""Bytes that HDF5 sets aside at a time for names, attributes and where the data are."""
 LIBRARIES = ("v110", "v110")
 """Layout of HDF5 1.10, of 2016, in which growing sets of data are found faster than in the older ones."""
 
@@ -32,13 +33,16 @@ def write_hdf5(path: Path, fill: Callable[[h5py.File], None]) -> None:
     OSError
         If it cannot be written; there is then nothing of it, and what stood in its place stays.
     """
-    image = io.BytesIO()
-    with h5py.File(image, "w", libver=LIBRARIES) as file:
+    # Without a cache, and with room for all that describes the data, that comes first and then what is written first.
+    order = {"rdcc_nbytes": 0, "meta_block_size": DESCRIPTION}
+    with h5py.File(path.name, "w", driver="core", backing_store=False, libver=LIBRARIES, **order) as file:
         fill(file)
-    write_whole(path, image.getbuffer(), checked=True)
+        file.flush()
+        image = file.id.get_file_image()
+    write_whole(path, image, checked=True)
 
 
-def write_whole(path: Path, content: bytes | memoryview, *, checked: bool = False) -> None:
+def write_whole(path: Path, content: bytes, *, checked: bool = False) -> None:
     """Write a file under a temporary name, and rename it once it is on the disk; ``checked`` adds the checksum."""
     with replacing(path) as partial, partial.open("wb") as stream:
         stream.write(content)

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import Array
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.disk import writing
 from hydrabeam_mpi.io.finite import check_finite
@@ -24,10 +23,10 @@ from hydrabeam_mpi.sample.storage.whole_file import sync_folder
 
 logger = logging.getLogger(__name__)
 
-FLUSH_S = 2.0
+FLUSH_S = 5.0
 """Draws are written once they are so old, which is all that a kill can cost; slower draws each by itself."""
-PAUSE = 100.0
-"""And the time since the last writing is so many times what that took: writing takes 1% of a run on slow disks, too."""
+PAUSE = 200.0
+"""And the time since the last writing is so many times what that took: half a percent of a run, on slow disks, too."""
 BUFFER_BYTES = 8 << 20
 """Draws of so many bytes are written at once, as they have to be kept in memory."""
 SMALL_DRAWS = 1000
@@ -63,16 +62,14 @@ class ChainWriter:
     def __init__(self, files: ChainFiles, variables: Sequence[Variable]) -> None:
         self._files, self._variables = files, tuple(variables)
         self.seconds = 0.0
-        self._rows: list[tuple[dict[str, Array], dict[str, float]]] = []
-        self._state: dict[str, Array] = {}
+        self._rows: list[Content] = []
         self._buffered = 0
         with writing(files.folder):
             files.folder.mkdir(parents=True, exist_ok=True)
             self._lock: int | None = _claimed(files.folder)
             if caution := files.caution():
                 logger.warning("%s; what is damaged, and what came after it, is in %s", caution, ASIDE)
-            files.tidy()
-        self._segments = files.segments()
+            self._segments = files.tidy(self._variables)
         self.n_draws = self._segments[-1].end if self._segments else 0
         self._last = time.monotonic()
         self._took = 0.0
@@ -101,10 +98,13 @@ class ChainWriter:
             If a number is not finite, or the disk takes no more.
         """
         check_finite(f"chain {self._files.chain}, draw {self.n_draws}", draw, REMEDY)
-        row = {variable.name: variable.row(draw[variable.name]) for variable in self._variables}
-        self._rows.append((row, {"time": time.time(), **info}))
-        self._state = {name: np.array(value) for name, value in state.items()}
-        self._buffered += sum(value.nbytes for value in row.values())
+        row = Content(
+            {variable.name: variable.row(draw[variable.name]) for variable in self._variables},
+            {name: np.array([value], dtype=float) for name, value in ({"time": time.time()} | dict(info)).items()},
+            {name: np.array(value)[np.newaxis] for name, value in state.items()},
+        )
+        self._rows.append(row)
+        self._buffered += sum(values.nbytes for values in row.arrays.values())
         self.n_draws += 1
         waited = time.monotonic() - self._last
         if self._buffered > BUFFER_BYTES or waited > max(FLUSH_S, PAUSE * self._took):
@@ -121,11 +121,7 @@ class ChainWriter:
         if not self._rows:
             return
         began = time.monotonic()
-        content = Content(
-            {one.name: np.concatenate([row[one.name] for row, _ in self._rows]) for one in self._variables},
-            {name: np.array([info[name] for _, info in self._rows]) for name in self._rows[0][1]},
-            self._state,
-        )
+        content = joined(self._rows)
         first = self.n_draws - len(self._rows)
         folder, chain = self._files.folder, self._files.chain
         try:

@@ -45,17 +45,41 @@ def test_whole_draws_before_the_damage_are_kept(
         path.write_bytes(content)
     else:
         path.unlink()
-    n, store = AT_ONCE * number, ChainStore.open(tmp_path)
-    last_is_gone = kind == "gone" and number == SEGMENTS - 1
-    told = [] if last_is_gone else [f"of chain 0 the first {n} draws are kept, which are whole"]
-    assert [line.split(": ")[-1] for line in store.cautions()] == told
+    store = ChainStore.open(tmp_path)
+    n = store.n_draws(0)
+    # All are there where nothing is damaged but room between them.
+    assert n == AT_ONCE * SEGMENTS or AT_ONCE * number <= n < AT_ONCE * (number + 1)
     check_draws(store, 0, n)
+    lost = n < AT_ONCE * SEGMENTS and not (kind == "gone" and number == SEGMENTS - 1)
+    told = [f"of chain 0 the first {n} draws are kept, which are whole"] * lost
+    assert [line.split(": ")[-1] for line in store.cautions()] == told
     with store.writer(0) as writer:
         assert writer.n_draws == n
         assert [record.getMessage().split("; ")[0].split(": ")[-1] for record in caplog.records] == told
+        check_draws(store, 0, n)
         add(writer, 0, AT_ONCE * SEGMENTS - n)
     assert store.cautions() == []
     check_draws(store, 0, AT_ONCE * SEGMENTS)
+
+
+@pytest.mark.parametrize("kind", ["truncated", "overwritten"])
+def test_draws_before_the_damage_are_kept_of_a_file_too(kind: str, tmp_path: Path) -> None:
+    """All but those that are beside it: a sixteenth of the file's."""
+    n, rng = 128, np.random.default_rng(1)
+    with new_store(tmp_path).writer(0) as writer:
+        add(writer, 0, n, n)
+    (path,) = (tmp_path / "chain-0").glob("*.h5")
+    content = path.read_bytes()
+    about = content.index(b"checksums") + 20_000  # what describes the data is before them
+    kept = []
+    for at in rng.integers(about, len(content), 20):
+        path.write_bytes(content[:at] + (b"" if kind == "truncated" else rng.bytes(50) + content[at + 50 :]))
+        store = ChainStore.open(tmp_path)
+        kept.append(store.n_draws(0))
+        check_draws(store, 0, kept[-1])
+        whole = n * (at - about) // (len(content) - about)
+        assert whole - n // 16 <= kept[-1] <= n
+    assert len({*kept}) > 5
 
 
 def test_a_damaged_file_that_was_merged_from_others_falls_back_to_them(tmp_path: Path) -> None:
@@ -96,7 +120,7 @@ resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, resource.RLIM_INFINITY))
 writer = ChainStore.open(Path({str(tmp_path)!r})).writer(0)
 add(writer, 0, 20, 20)
 try:
-    add(writer, 0, 10**5, 10**5)
+    add(writer, 0, 500, 10**5)
     writer.flush()
 except Exception as error:
     print(type(error).__name__, error, sep=": ")

@@ -116,7 +116,7 @@ def test_draws_that_are_not_finite_are_refused(tmp_path: Path) -> None:
 
 
 def test_many_draws_make_few_files(tmp_path: Path) -> None:
-    n, at_once = 6000, 20
+    n, at_once = 2000, 40
     store = new_store(tmp_path)
     with store.writer(0) as writer:
         add(writer, 0, n, at_once)
