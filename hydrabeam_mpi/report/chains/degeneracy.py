@@ -81,7 +81,7 @@ def _direction(pooled: Pooled, strength: float, weights: FloatArray) -> Directio
     correlations = along @ pooled.standardised / (n - 1)
     sign = np.sign(correlations[np.abs(correlations).argmax()])
     change = sign * (along @ (pooled.beam - pooled.beam.mean(axis=0))) / (n - 1)
-    return Direction(strength, on_sky(pooled, change[np.newaxis])[0], sign * correlations)
+    return Direction(strength, on_sky(pooled, change[np.newaxis])[0].real, sign * correlations)
 
 
 def draw_directions(pooled: Pooled, directions: list[Direction], chance: float) -> Drawing | None:

@@ -16,6 +16,8 @@ from hydrabeam_mpi.report.page.words import megahertz
 from hydrabeam_mpi.sample.status import Status
 from hydrabeam_mpi.sample.storage.store import ChainStore
 
+CONDITIONAL = "conditional"
+"""Name of what chains keep of the beam given all else."""
 Place = Callable[[Drawing], str]
 
 
@@ -67,7 +69,7 @@ def _beam(store: ChainStore, place: Place) -> str:
     pooled = pool(store)
     if pooled is None:
         return ""
-    spread = spread_of(pooled)
+    spread = spread_of(pooled, store.kept(CONDITIONAL))
     directions, chance = directions_of(pooled)
     drawings = [
         *map(place, _drawn(draw_spread(spread) if spread else None, draw_directions(pooled, directions, chance)))

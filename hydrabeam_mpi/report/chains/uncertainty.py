@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.colors import LogNorm, Normalize
 
-from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.report.chains.pooled import Pooled
 from hydrabeam_mpi.report.page.projection import VIEW, add_colorbar, draw_disc, to_disc
 from hydrabeam_mpi.report.page.style import AZ_0, AZ_90, Drawing, new_figure
@@ -20,7 +21,7 @@ SHARE = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """Standard deviation of the real part of the beam on the sky, (Nza, Naz) each.
+    """Standard deviation of the beam on the sky, (Nza, Naz) each.
 
     Attributes
     ----------
@@ -38,30 +39,39 @@ class Spread:
         return np.divide(self.marginal, self.conditional, out=np.full_like(self.marginal, np.nan), where=seen)
 
 
-def on_sky(pooled: Pooled, coefficients: FloatArray) -> FloatArray:
-    """Return the real part of beams with these coefficients, (n, n_modes), on the sky, (n, Nza, Naz)."""
+def on_sky(pooled: Pooled, coefficients: Array) -> Array:
+    """Return beams with these coefficients, (n, n_modes), on the sky, (n, Nza, Naz)."""
     za, az = (grid.ravel() for grid in np.meshgrid(ZA, AZ, indexing="ij"))
-    weights = pooled.basis.column_coeffs(coefficients)
-    columns = pooled.basis.columns(za, az)
-    values = weights.real @ columns
+    values = pooled.basis.column_coeffs(coefficients) @ pooled.basis.columns(za, az)
     return np.asarray(values).reshape(len(coefficients), len(ZA), len(AZ))
 
 
-def spread_of(pooled: Pooled) -> Spread | None:
-    """Return the two standard deviations; None where there are too few draws for the number of other parameters.
+def spread_of(pooled: Pooled, kept: Mapping[str, Array]) -> Spread | None:
+    """Return the two standard deviations; None where the second is not known.
 
-    The second is that of what is left of the draws of the beam after a linear regression on all else.
+    The second is that of what is left of the draws of the beam after a linear regression on all else. Where there are
+    too few draws for the number of other parameters, it is that of the fit that the chains began at.
+
+    Parameters
+    ----------
+    pooled : Pooled
+    kept : mapping
+        ``map_std_conditional``, (Nfreqs, Nza, Naz), on ``grid_za`` and ``grid_az``, where the chains have it.
     """
     left, strengths, _ = np.linalg.svd(pooled.standardised, full_matrices=False)
     directions = left[:, strengths > 1e-8 * max(strengths.max(initial=0.0), 1.0)]
     n, rank = directions.shape
-    if not rank or rank > SHARE * n:
+    if not rank or (rank > SHARE * n and not kept):
         return None
     beams = on_sky(pooled, pooled.beam).reshape(n, -1)
     away = beams - beams.mean(axis=0)
+    marginal = np.sqrt(np.sum(np.abs(away) ** 2, axis=0) / (n - 1)).reshape(len(ZA), len(AZ))
+    if rank > SHARE * n:
+        where = np.ix_(*(np.searchsorted(kept[name], at - 1e-6) for name, at in (("grid_za", ZA), ("grid_az", AZ))))
+        return Spread(marginal, kept["map_std_conditional"][0][where])
     remains = away - directions @ (directions.T @ away)
-    stds = (np.sqrt(np.sum(part**2, axis=0) / dof) for part, dof in ((away, n - 1), (remains, n - 1 - rank)))
-    return Spread(*(std.reshape(len(ZA), len(AZ)) for std in stds))
+    conditional = np.sqrt(np.sum(np.abs(remains) ** 2, axis=0) / (n - 1 - rank))
+    return Spread(marginal, conditional.reshape(len(ZA), len(AZ)))
 
 
 def draw_spread(spread: Spread) -> Drawing:
@@ -92,7 +102,8 @@ def draw_spread(spread: Spread) -> Drawing:
         "chains_uncertainty",
         "How uncertain the beam is when all else is uncertain, too",
         "Standard deviation of the beam over the draws (marginal), and what is left of it once all other blocks are "
-        "known (conditional: the draws less their linear regression on all other parameters). The marginal is wider "
+        "known (conditional: the draws less their linear regression on all other parameters; with few draws, what the "
+        "fit that the chains began at says of the beam with all else at its best). The marginal is wider "
         f"by a factor of {middle:.2f} in the median over the grid and of {float(ratio[seen].max()):.2f} at most: so "
         f"much a fit that takes the others as known understates the error. {VIEW}",
         "Two maps of the hemisphere, the standard deviation of the beam and its ratio to that with all else known; "
