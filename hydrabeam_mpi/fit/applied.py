@@ -57,10 +57,13 @@ def apply_fit(
     shared: tuple[Any, ...] = ()
     with together(grid.world):
         if result and grid.is_world_root:
+            own, pol = result.content.polarization, problem.observation.pols[0]
+            result = result.for_feed(pol)
             numbers = result.channels_in(problem.observation)
             with result.telling():
                 setup = _setup_in(result, problem, numbers)
-                shared = numbers, setup, carry_over(result.entries, setup)
+                assumed = f"assumed: the beam of {pol} is that of {own}, turned by 90 degrees" if result.turn else None
+                shared = numbers, setup, carry_over(result.entries, setup, assumed)
     numbers, setup, carried = bcast_object(grid.world, shared)
     problem = replace(problem, basis=setup.basis, channel_numbers=numbers, test=problem.train)
     mine = problem.of_channels(grid.channels)

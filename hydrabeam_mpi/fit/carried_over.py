@@ -64,6 +64,8 @@ class CarriedOver:
         not the ``reason``.
     at_prior : tuple of str
         Parameters here of which the result knows the prior alone.
+    assumed : str, optional
+        What is taken for granted of the beam, where these data are of the other feed.
     """
 
     values: Values
@@ -73,6 +75,7 @@ class CarriedOver:
     carried: tuple[dict[str, Any], ...]
     left: tuple[dict[str, Any], ...]
     at_prior: tuple[str, ...]
+    assumed: str | None = None
 
     @property
     def lines(self) -> list[str]:
@@ -82,6 +85,8 @@ class CarriedOver:
             n = len(one["parameters"])
             what = f" ({', '.join(one['parameters']) if n <= MOST_NAMED else f'{n} parameters'})" if n else ""
             lines.append(f"not carried over: {one['title']}{what}, which {one['reason']}")
+        if self.assumed:
+            lines.insert(0, self.assumed)
         of = Counter(name.split(": ", 1)[0] for name in self.at_prior)
         unknown = joined([f"{title} ({n} parameters)" for title, n in of.items()])
         told = "not known from the result: what may be so counts as an error, by its prior, and is not predicted"
@@ -94,6 +99,7 @@ class CarriedOver:
             "carried_over": list(self.carried),
             "not_carried_over": list(self.left),
             "at_prior": list(self.at_prior),
+            **({"assumed": self.assumed} if self.assumed else {}),
         }
 
     def fit(
@@ -141,7 +147,7 @@ class CarriedOver:
         return beam, here, follow
 
 
-def carry_over(found: Iterable[Mapping[str, Any]], setup: ObservingSetup) -> CarriedOver:
+def carry_over(found: Iterable[Mapping[str, Any]], setup: ObservingSetup, other_feed: str | None = None) -> CarriedOver:
     """Return the effects of a result as other data have them.
 
     Parameters
@@ -150,6 +156,9 @@ def carry_over(found: Iterable[Mapping[str, Any]], setup: ObservingSetup) -> Car
         The ``entries`` of ``posterior.h5``.
     setup : ObservingSetup
         Of the other data, with all of the result's channels.
+    other_feed : str, optional
+        What is assumed of the beam where the data are of the other feed, which has those effects alone that are of the
+        sky or of both feeds.
 
     Raises
     ------
@@ -164,6 +173,8 @@ def carry_over(found: Iterable[Mapping[str, Any]], setup: ObservingSetup) -> Car
         entry, known = _entry(told, number, setup)
         cause = make_effect(entry.kind, entry.settings) if entry.kind in EFFECTS else make_reweighting(entry.kind, {})
         words, here = {"effect": cause.kind, "title": cause.title}, cause.carried_over(setup)
+        if other_feed and isinstance(here, Effect) and not (here.of_the_sky or here.of_both_feeds):
+            here = "is of the other feed"
         lacking = list(entry.names)
         if isinstance(here, Effect):
             one, match = _active(here, setup, entry, known)
@@ -176,7 +187,7 @@ def carry_over(found: Iterable[Mapping[str, Any]], setup: ObservingSetup) -> Car
                 carried.append({**words, "parameters": [names[i] for i in np.sort(match.place)]})
                 at_prior += [f"{here.title}: {names[i]}" for i in np.setdiff1d(one.used, match.place)]
             lacking = [name for i, name in enumerate(entry.names) if i not in match.kept]
-        elif isinstance(cause, Effect) and (again := _anew(cause, setup, entry)):
+        elif not other_feed and isinstance(cause, Effect) and (again := _anew(cause, setup, entry)):
             active.append(again)
             after += again.size
             at_prior += [f"{cause.title}: {name}" for name, _ in again.labels(setup)]
@@ -184,7 +195,9 @@ def carry_over(found: Iterable[Mapping[str, Any]], setup: ObservingSetup) -> Car
             reason = here if isinstance(here, str) else "is of what these data do not have"
             left.append({**words, "parameters": lacking, "reason": reason})
         before += len(entry.names)
-    return CarriedOver(Values(tuple(active)), kept, place, sign, tuple(carried), tuple(left), tuple(at_prior))
+    return CarriedOver(
+        Values(tuple(active)), kept, place, sign, tuple(carried), tuple(left), tuple(at_prior), other_feed
+    )
 
 
 def share_fit(

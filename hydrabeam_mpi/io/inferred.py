@@ -20,9 +20,12 @@ from hydrabeam_mpi.io.posterior_file import PosteriorFile, read_covariance, read
 from hydrabeam_mpi.io.uvmeta import FREQ_TOLERANCE
 from hydrabeam_mpi.model.bases import basis_from_description
 from hydrabeam_mpi.model.bases.base import LinearBasis
+from hydrabeam_mpi.model.bases.turned import Turned
 
 POSTERIOR = "posterior.h5"
 USED = ("mean", "covariance", "prior_mean", "model_mean", "effects_covariance", "effects_beam_response")
+TURNS = {pair[::way]: way * np.pi / 2 for pair in (("ee", "nn"), ("xx", "yy")) for way in (1, -1)}
+"""By what the beam of one polarisation is turned to be that of another one, radians from East through North."""
 REMEDY = "make the result again with this version"
 
 
@@ -37,11 +40,14 @@ class Inferred:
         The file that it was read from, and covariances are read from when they are asked for.
     numbers : tuple of int
         Which of the file's channels these are.
+    turn : float
+        Radians from East through North by which the beam is turned for another feed than that of the file.
     """
 
     content: PosteriorFile
     path: Path | None
     numbers: tuple[int, ...]
+    turn: float = 0.0
 
     @classmethod
     def of(cls, content: PosteriorFile, path: Path | None = None) -> Inferred:
@@ -61,10 +67,20 @@ class Inferred:
             numbers=tuple(self.numbers[number] for number in numbers),
         )
 
+    def for_feed(self, pol: str) -> Inferred:
+        """Return the result as of another polarisation, the feed of which is the same but for a quarter of a turn.
+
+        The one that points North has the beam B(za, az - 90 deg), where B is that of the one that points East. Where
+        the polarisations are no such pair this is the result as it is.
+        """
+        turn = TURNS.get((self.content.polarization, pol))
+        return self if turn is None else replace(self, content=replace(self.content, polarization=pol), turn=turn)
+
     @cached_property
     def basis(self) -> LinearBasis:
         """That of the beam, without functions that effects have added to it."""
-        return basis_from_description((self.content.effects or {"basis": self.content.basis}).get("basis", {}))
+        own = basis_from_description((self.content.effects or {"basis": self.content.basis}).get("basis", {}))
+        return Turned(own, self.turn) if self.turn else own
 
     @property
     def entries(self) -> Sequence[dict[str, Any]]:

@@ -27,6 +27,7 @@ class AntennaPositions(Effect):
 
     kind = "antenna_positions"
     title = "antenna positions"
+    of_both_feeds = True
     shared = True
 
     def not_applicable(self, setup: ObservingSetup) -> str | None:

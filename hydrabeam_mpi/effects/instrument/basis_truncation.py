@@ -39,6 +39,7 @@ class BasisTruncation(Effect):
 
     kind = "basis_truncation"
     title = "a basis that is too small"
+    of_both_feeds = True
     linear = True
     is_about_the_beam = True
 

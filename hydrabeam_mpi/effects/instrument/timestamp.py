@@ -21,6 +21,7 @@ class Timestamp(TurningSky):
 
     kind = "timestamp"
     title = "timestamp offset"
+    of_both_feeds = True
 
     def parameters(self, setup: ObservingSetup) -> Parameters:
         """Return the one offset."""

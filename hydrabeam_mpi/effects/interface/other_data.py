@@ -19,6 +19,8 @@ class InOtherData:
     """Whether each parameter belongs to a single time or baseline, so that other rows do not constrain it."""
     of_the_sky: bool = False
     """Whether it is the sky that differs, which data from which the instrument's effects are taken out still show."""
+    of_both_feeds: bool = False
+    """Whether both feeds of an element have it, as they have what is of the sky."""
 
     def carried_over(self, setup: ObservingSetup) -> Self | str:
         """Return the effect with those of its elements that other data have, or say why it does not hold in them."""

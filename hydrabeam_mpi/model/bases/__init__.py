@@ -11,9 +11,9 @@ from hydrabeam_mpi.registry import Registry
 if TYPE_CHECKING:
     from hydrabeam_mpi.model.bases.base import LinearBasis, Selection
 
-BASES: Registry[LinearBasis] = Registry("hydrabeam_mpi.model.bases", "fourier_bessel", "zernike", "joined")
+BASES: Registry[LinearBasis] = Registry("hydrabeam_mpi.model.bases", "fourier_bessel", "zernike", "joined", "turned")
 
-JOB_NAMES = {kind.replace("_", "-"): kind for kind in BASES if kind != "joined"}
+JOB_NAMES = {kind.replace("_", "-"): kind for kind in BASES if kind not in ("joined", "turned")}
 """What jobs call those that they may ask for."""
 
 

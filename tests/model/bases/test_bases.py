@@ -12,6 +12,7 @@ from hydrabeam_mpi.model.bases import JOB_NAMES, basis_from_description, basis_f
 from hydrabeam_mpi.model.bases.base import LinearBasis, Selection
 from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
 from hydrabeam_mpi.model.bases.joined import Joined
+from hydrabeam_mpi.model.bases.turned import Turned
 from hydrabeam_mpi.model.bases.zernike import Zernike
 from hydrabeam_mpi.random import generator
 
@@ -54,6 +55,9 @@ BASES = {
     "joined": Joined([FourierBessel.full(4, 3), Zernike(5)], [40, 2, 5, 30, 29, 1]),
     "joined twice": Joined([Joined([Zernike(3), Zernike(4)], [20, 0, 3]), FourierBessel.full(2, 3)]),
     "joined, complex": Joined([scrambled("complex"), FourierBessel.full(3, 2)]),
+    "turned": Turned(FourierBessel.full(7, 3, form="real"), 0.7),
+    "turned, complex": Turned(scrambled("complex"), -np.pi / 2),
+    "turned and joined": Joined([Turned(Zernike(3), 1.0), Turned(Zernike(4), 1.0)], [20, 0, 3]),
     "plugged in": Cosines(),
 }
 
@@ -146,6 +150,13 @@ def test_zenith_horizon_and_full_turns(basis):
     assert np.isfinite(functions).all()
     np.testing.assert_allclose(functions[:, 0], functions[:, 1], atol=1e-9)
     np.testing.assert_allclose(functions[:, 2], functions[:, 3], atol=1e-12)
+
+
+def test_what_is_turned_has_the_values_of_another_azimuth():
+    """A function of the feed that points North has towards North what that of the other one has towards East."""
+    basis, za = FourierBessel.full(7, 3, form="real"), np.linspace(0.1, 1.5, 5)
+    north = Turned(basis, np.pi / 2).evaluate(za, np.full(5, np.pi / 2))
+    np.testing.assert_allclose(north, basis.evaluate(za, np.zeros(5)), atol=1e-12)
 
 
 def test_amplitudes_are_sizes_of_coefficients(basis):
