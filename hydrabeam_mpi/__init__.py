@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from hydrabeam_mpi.api.loop import close_loop
     from hydrabeam_mpi.api.prediction import Prediction, predict
     from hydrabeam_mpi.api.result import Found, Result, load
+    from hydrabeam_mpi.api.sampling import sample
     from hydrabeam_mpi.api.setup import Setup
     from hydrabeam_mpi.api.simulation import Mock, simulate
     from hydrabeam_mpi.errors import InputError
@@ -44,6 +45,7 @@ _HOMES = {
     "load": "api.result",
     "load_chains": "api.chains",
     "predict": "api.prediction",
+    "sample": "api.sampling",
     "simulate": "api.simulation",
 }
 
@@ -66,6 +68,7 @@ __all__ = [
     "load",
     "load_chains",
     "predict",
+    "sample",
     "simulate",
 ]
 

@@ -94,6 +94,13 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("result", type=Path, metavar="RESULT", help="folder that infer or loop wrote")
     command.add_argument("job", type=Path, nargs="?", metavar="JOB.toml", help="other data than the result's own")
     _add_output(command)
+    what = "draw beam, effects and noise together: chains that grow, and go on with the same command"
+    command = commands.add_parser("sample", help=what, description=what)
+    command.add_argument("job", type=Path, nargs="?", metavar="JOB.toml", help="job file")
+    command.add_argument("-o", "--output", type=Path, metavar="DIR", help="folder of the chains")
+    command.add_argument("--chains", type=_number, metavar="C", help="how many, instead of the job's")
+    command.add_argument("--draws", type=_number, metavar="M", help="of each chain, instead of the job's")
+    command.add_argument("--status", type=Path, metavar="DIR", help="show how far chains are, instead")
     what = "draw the figures and report.html of a result"
     report = commands.add_parser("report", help=what, description=what)
     report.add_argument("directory", type=Path, metavar="DIR", help="folder that infer wrote")
@@ -103,6 +110,14 @@ def _parser() -> argparse.ArgumentParser:
     init = commands.add_parser("init", help=what, description=what)
     init.add_argument("data", type=Path, nargs="+", metavar="DATA", help="uvh5, uvfits, measurement set or miriad")
     return parser
+
+
+def _number(text: str) -> int:
+    """Read a number of chains or draws."""
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"{number} is less than one")
+    return number
 
 
 def _add_output(command: argparse.ArgumentParser) -> None:
@@ -139,8 +154,15 @@ def _run(world: MPI.Comm, options: argparse.Namespace) -> None:
 
         correct(world, options.result, options.job, options.output, options.overwrite, threads)
         return
+    if options.command == "sample" and options.status is None:
+        _sample(world, options)
+        return
     with together(world):
-        if world.rank == 0 and options.command == "report":
+        if world.rank == 0 and options.command == "sample":
+            from hydrabeam_mpi.commands.sample_status import print_status
+
+            print_status(options.status)
+        elif world.rank == 0 and options.command == "report":
             from hydrabeam_mpi.report.document import write_report
 
             write_report(options.directory, options.gains)
@@ -148,3 +170,18 @@ def _run(world: MPI.Comm, options: argparse.Namespace) -> None:
             from hydrabeam_mpi.commands.init import job_from_data
 
             print(job_from_data(options.data), end="")
+
+
+def _sample(world: MPI.Comm, options: argparse.Namespace) -> None:
+    """Draw chains; mistakes are told before the packages that the work needs are imported."""
+    from hydrabeam_mpi.setup.job_file import load, read_files
+
+    if options.job is None or options.output is None:
+        raise InputError("needs a job and a folder", field="sample", remedy="sample JOB.toml -o DIR, or --status DIR")
+    job = load(world, options.job)
+    with together(world):
+        if world.rank == 0:
+            read_files(job)
+    from hydrabeam_mpi.commands.sample import sample
+
+    sample(world, job, options.job, options.output, options.chains, options.draws)

@@ -37,6 +37,7 @@ class Tables(TypedDict, total=False):
     solver: Mapping[str, Any]
     output: Mapping[str, Any]
     loop: Mapping[str, Any]
+    sample: Mapping[str, Any]
     name: str
     seed: int
 

@@ -53,7 +53,7 @@ class Setup:
     holdout : mapping, optional
         As in a job, such as ``{"kind": "times", "every": 2}``.
     **tables
-        ``data``, ``solver``, ``output``, ``loop``: the keys of these tables of a job. ``name``, ``seed``.
+        ``data``, ``solver``, ``output``, ``loop``, ``sample``: the keys of these tables of a job. ``name``, ``seed``.
 
     Attributes
     ----------

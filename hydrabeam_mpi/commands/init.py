@@ -12,6 +12,7 @@ import numpy as np
 
 from hydrabeam_mpi.config import Job, Section
 from hydrabeam_mpi.config.effects import Loop
+from hydrabeam_mpi.config.sample import Sample
 from hydrabeam_mpi.config.sections import Basis, Beam, Data, Holdout, Noise, Output, Prior, Sky, SkyColumns, Solver
 from hydrabeam_mpi.config.text import frequency_text, keys_text, table_text
 from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray, Observation
@@ -71,7 +72,14 @@ def job_from_data(paths: Sequence[Path]) -> str:
     return "\n".join(lines) + "\n"
 
 
-_OTHERS: dict[str, type[Section]] = {"basis": Basis, "prior": Prior, "solver": Solver, "output": Output, "loop": Loop}
+_OTHERS: dict[str, type[Section]] = {
+    "basis": Basis,
+    "prior": Prior,
+    "solver": Solver,
+    "output": Output,
+    "loop": Loop,
+    "sample": Sample,
+}
 
 
 def _named(path: Path) -> str:

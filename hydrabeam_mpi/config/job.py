@@ -10,6 +10,7 @@ from pydantic import ValidationError
 from hydrabeam_mpi.config.base import Section, key
 from hydrabeam_mpi.config.effects import Effect, Loop
 from hydrabeam_mpi.config.mistakes import as_input_error
+from hydrabeam_mpi.config.sample import Sample
 from hydrabeam_mpi.config.sections import Basis, Beam, Data, Holdout, Noise, Output, Prior, Sky, Solver
 from hydrabeam_mpi.config.toml import read_toml
 
@@ -29,6 +30,7 @@ class Job(Section):
     solver: Solver = Solver()
     output: Output = Output()
     loop: Loop = Loop()
+    sample: Sample = Sample()
     effects: tuple[Effect, ...] = ()
 
 

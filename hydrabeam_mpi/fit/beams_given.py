@@ -60,12 +60,26 @@ def total_log_joint(context: FitContext, values: Values, of_beams: FloatArray, o
     return total + (context.learned.log_likelihood(values) if context.learned else 0.0)
 
 
-def solve_beams(context: FitContext, at: Estimate, keep: bool = False) -> Solved:
-    """Solve for the beams given the effects, E as seen by the beams ``at``; with ``keep`` these stay.
+@dataclass(frozen=True)
+class BeamSums:
+    """The sums over rows that tell the beams given the effects, of all ranks of the group.
 
-    Collective: all ranks of the grid.
+    ``known`` is what has been worked out before for the same weights and the same sky, which are told by ``key``.
     """
-    grid, share, problem = context.grid, context.train, context.given(at.values)
+
+    normals: list[NormalEquations]
+    rows: Rows
+    added: ComplexArray
+    key: Key
+    known: KnownPrecision | None
+
+
+def sum_for_beams(context: FitContext, at: Estimate) -> BeamSums:
+    """Sum over the rows with the effects taken out, E as seen by the beams ``at``. Collective: all ranks of the grid.
+
+    What depends on weights and sky alone is not summed again where these are as they were.
+    """
+    grid, share = context.grid, context.train
     with together(grid.world):
         rows, added = share.calibrated(at) if at.beams else (share.rows, np.zeros_like(share.rows.data))
     # Effects move the mean of the beams' prior at most.
@@ -76,9 +90,19 @@ def solve_beams(context: FitContext, at: Estimate, keep: bool = False) -> Solved
         normals = accumulate_designs(rows, designs, context.problem.basis, None if known is None else known.grams)
     for normal in normals:
         normal.reduce(grid.group)
-    beams = tuple(solve_channels(grid, problem, normals, None if known is None else known.factors))
+    return BeamSums(normals, rows, added, key, known)
+
+
+def solve_beams(context: FitContext, at: Estimate, keep: bool = False) -> Solved:
+    """Solve for the beams given the effects, E as seen by the beams ``at``; with ``keep`` these stay.
+
+    Collective: all ranks of the grid.
+    """
+    problem, sums = context.given(at.values), sum_for_beams(context, at)
+    normals, known = sums.normals, sums.known
+    beams = tuple(solve_channels(context.grid, problem, normals, None if known is None else known.factors))
     if known is None:
-        share.known.keep(KnownPrecision.of(key, normals, beams))
+        context.train.known.keep(KnownPrecision.of(sums.key, normals, beams))
     if keep:
         beams = tuple(replace(two, mean=one.mean) for one, two in zip(at.beams, beams, strict=True))
     # E is that of the beams before, so that only those tell what beams and effects reach together.
@@ -87,7 +111,7 @@ def solve_beams(context: FitContext, at: Estimate, keep: bool = False) -> Solved
         total_log_joint(context, at.values, np.array(list(map(_log_joint, normals, one, problem.priors))))
         for one in (seen_by, beams)
     )
-    return Solved(beams, normals, rows, added, reached, best - reached)
+    return Solved(beams, normals, sums.rows, sums.added, reached, best - reached)
 
 
 def diagnostics_of(context: FitContext, values: Values, solved: Solved) -> Diagnostics:

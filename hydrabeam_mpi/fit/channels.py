@@ -156,6 +156,4 @@ def reduce_heldout(grid: ProcessGrid, statistics: list[HeldoutStatistics]) -> No
 
 def reduced_chi2(normal: NormalEquations, posterior: Posterior) -> float:
     """Reduced chi^2 of the fitted data at the posterior mean: d^H N^-1 d - 2 Re x^H p + x^H G x over their number."""
-    mean = posterior.mean
-    quadratic = np.vdot(mean, normal.own(BEAM) @ mean).real - 2 * np.vdot(mean, normal.projection[BEAM]).real
-    return float((normal.data_norm + quadratic) / max(normal.n_data, 1))
+    return normal.misfit(BEAM, posterior.mean) / max(normal.n_data, 1)

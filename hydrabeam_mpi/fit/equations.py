@@ -168,6 +168,23 @@ class NormalEquations:
             self._half_filled.remove(name)
         return self.gram[name, name]
 
+    def misfit(self, name: str, x: Array) -> float:
+        """Return chi^2 of the data with a block at ``x``, (n,), and all others at zero, |d - A x|^2 over the noise."""
+        quadratic = np.vdot(x, self.own(name) @ x).real - 2 * np.vdot(x, self.projection[name]).real
+        return float(self.data_norm + quadratic)
+
+    def with_noise(self, scale: float) -> NormalEquations:
+        """Return the same sums with the noise's variance multiplied by ``scale``."""
+        names = list(self.blocks)
+        pairs = [(one, two) for i, one in enumerate(names) for two in names[i:]]
+        known = {(one, two): self._pair(one, two) / scale for one, two in pairs}
+        scaled = NormalEquations(list(self.blocks.values()), known=known)
+        scaled.projection = {name: one / scale for name, one in self.projection.items()}
+        scaled.scalars = np.array(
+            [self.scalars[0] / scale, self.scalars[1] - self.scalars[2] * np.log(scale), self.scalars[2]]
+        )
+        return scaled
+
     def gather(self, rows: Sequence[str], columns: Sequence[str]) -> Array:
         """Return G of some blocks with some, side by side, (n_rows, n_columns); not to be changed."""
         if len(rows) == len(columns) == 1:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import ComplexArray
+from hydrabeam_mpi.data.observation import Array, ComplexArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.beams_given import Solved, diagnostics_of, solve_beams
 from hydrabeam_mpi.fit.blocks import EffectBlock, add_block, sums_of
@@ -18,6 +18,7 @@ from hydrabeam_mpi.fit.marginal import Marginal
 from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Estimate, Fit, Fitted, Values
+from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.mpi import bcast_object, gather_objects, together
 from hydrabeam_mpi.terminal.progress import say_meanwhile
@@ -197,25 +198,37 @@ def _least_rise(best: float, values: Values, misfit: float) -> float:
     return -STEPS_BACK * abs(best) if values.reweighted else -FLAT_NATS * misfit
 
 
+def linearised(context: FitContext, at: Estimate, solved: Solved) -> tuple[list[Likelihood] | None, list[Array]]:
+    """Return what each channel says of all effects near ``at``, the beams marginalised, and how the beams follow them.
+
+    The likelihoods are those of all the job's channels, on rank 0 alone; the responses, (n_modes, q), those of the rank
+    group's. Collective: all ranks of the grid.
+    """
+    mine, response = [], []
+    names = list(at.values.blocks)
+    for channel, posterior in enumerate(at.beams):
+        sums = active_sums(context, context.train, at, channel, solved.rows, solved.added[channel], at.values.blocks)
+        marginal = Marginal(sums, BEAM, posterior)
+        response.append(marginal.response(names))
+        if context.grid.is_group_root:
+            mine.append((context.channels[channel], marginal.likelihood(names)))
+    gathered = gather_objects(context.grid.world, mine)
+    if gathered is None:
+        return None, response
+    by_channel = dict(pair for part in gathered for pair in part)
+    return [by_channel[f] for f in sorted(by_channel)], response
+
+
 def take_step(context: FitContext, at: Estimate, solved: Solved) -> _Step:
     """Move the effects, with the beams ``at`` following them. Collective: all ranks of the grid."""
     values = at.values
     if not values.active:
         return _Step(at, Fit(), 0.0, 0.0)
-    likelihoods, response = [], []
-    names = list(values.blocks)
-    for channel, posterior in enumerate(at.beams):
-        sums = active_sums(context, context.train, at, channel, solved.rows, solved.added[channel], values.blocks)
-        marginal = Marginal(sums, BEAM, posterior)
-        response.append(marginal.response(names))
-        if context.grid.is_group_root:
-            likelihoods.append((context.channels[channel], marginal.likelihood(names)))
-    gathered = gather_objects(context.grid.world, likelihoods)
+    likelihoods, response = linearised(context, at, solved)
     answer = None
     with together(context.grid.world):
-        if gathered is not None:
-            by_channel = dict(pair for part in gathered for pair in part)
-            answer = solve_jointly(values, [by_channel[f] for f in sorted(by_channel)])
+        if likelihoods is not None:
+            answer = solve_jointly(values, likelihoods)
     x, std, covariances, moved, gain = bcast_object(context.grid.world, answer)
     change = x - values.x
     # E of the next step is seen by the beams that belong to these parameters, not by those before.

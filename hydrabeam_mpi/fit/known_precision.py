@@ -47,17 +47,19 @@ class KnownPrecision:
     ----------
     key : Key
     grams, factors : list of ndarray, (n_modes, n_modes)
-        A^H N^-1 A of all ranks' rows, and the factors of the posterior precision; of each channel.
+        A^H N^-1 A of all ranks' rows, and the factors of the posterior precision; of each channel. No factors where
+        they are not those of the weights as they are, as in a chain that draws the size of the noise.
     """
 
     key: Key
     grams: Sequence[Array]
-    factors: Sequence[Array]
+    factors: Sequence[Array] | None
 
     @classmethod
-    def of(cls, key: Key, normals: Sequence[NormalEquations], beams: Sequence[Posterior]) -> KnownPrecision:
+    def of(cls, key: Key, normals: Sequence[NormalEquations], beams: Sequence[Posterior] | None) -> KnownPrecision:
         """Keep what has been worked out."""
-        return cls(key, [one.own(BEAM) for one in normals], [one.factor for one in beams])
+        factors = None if beams is None else [one.factor for one in beams]
+        return cls(key, [one.own(BEAM) for one in normals], factors)
 
 
 class RecentlyKnown:

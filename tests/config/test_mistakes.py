@@ -49,7 +49,7 @@ def complaint(text: str, folder: Path) -> str:
         (
             DATA + "kind = 'x'",
             "[data] kind: unknown key; it belongs in [[data.simulate.effects]] or [noise] or [holdout] or [sky]"
-            " or [basis] or [prior] or [[effects]]",
+            " or [basis] or [prior] or [[sample.effects]] or [[effects]]",
         ),
         (
             DATA + "[solver]\nqwertz = 1",

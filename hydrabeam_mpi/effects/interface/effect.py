@@ -29,6 +29,7 @@ from hydrabeam_mpi.effects.interface.parameters import Parameters as Parameters
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.interface.told import Told
+from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases.base import LinearBasis
 
 
@@ -245,6 +246,18 @@ class ScannedEffect(ScannedInTime, Effect):
     @abstractmethod
     def at(self, setup: ObservingSetup, hypotheses: IntArray) -> Effect:
         """Return the effect with these candidates as its elements, in this order; ``hypotheses`` is (Nchosen,)."""
+
+    def foremost(self, setup: ObservingSetup, n: int) -> Effect:
+        """Return the effect with the ``n`` candidates that matter most by what is known before any data are seen.
+
+        Raises
+        ------
+        InputError
+            If none matters more than another.
+        """
+        raise InputError(
+            "has no candidates that matter more than others", field="foremost", remedy="say which in settings"
+        )
 
     def drawn(self, setup: ObservingSetup, rng: np.random.Generator) -> Effect:
         """Pick a candidate at random."""

@@ -124,8 +124,8 @@ class CatalogueFlux(PointSources):
         kept = index[keep_apart(sky.ra[index], sky.dec[index], APART * resolution(setup), AT_MOST)]
         return type(self)(in_degrees(sky.ra[kept], sky.dec[kept]), self.n_hypotheses(setup))
 
-    def drawn(self, setup: ObservingSetup, rng: np.random.Generator) -> Self:
-        """Take one of the twenty sources that the model beam sees brightest at any time."""
+    def foremost(self, setup: ObservingSetup, n: int) -> Self:
+        """Take the sources that the model beam sees brightest at any time, the brightest first."""
         sky = setup.sky.select(self.brightest(setup.sky))
         positions = RotatedPositions(sky, setup.observation)
         seen = np.zeros(sky.Nsrc)
@@ -133,8 +133,13 @@ class CatalogueFlux(PointSources):
             index, za, az = positions.above_horizon(itime)
             beam = np.asarray(setup.basis.synthesize(setup.prior_mean[0], za, az)).real
             seen[index] = np.maximum(seen[index], np.abs(beam * sky.flux[0, index]))
-        chosen = rng.choice(np.argsort(-seen)[:20], size=1)
+        chosen = np.argsort(-seen)[:n]
         return type(self)(in_degrees(sky.ra[chosen], sky.dec[chosen]))
+
+    def drawn(self, setup: ObservingSetup, rng: np.random.Generator) -> Self:
+        """Take one of the twenty sources that the model beam sees brightest at any time."""
+        foremost = self.foremost(setup, 20).sources
+        return type(self)([foremost[i] for i in rng.choice(len(foremost), size=1)])
 
     def draw(self, setup: ObservingSetup, rng: np.random.Generator, strength: float) -> FloatArray:
         """Draw errors of ``strength`` x scale, of either sign, (n_params,)."""

@@ -1,0 +1,59 @@
+"""Where a chain is: all that its next draw follows from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import Array, FloatArray
+from hydrabeam_mpi.fit.state import Values
+from hydrabeam_mpi.random import generator
+
+
+@dataclass(frozen=True)
+class ChainState:
+    """Where a chain is.
+
+    Attributes
+    ----------
+    values : Values
+        The effects; all channels, the same on all ranks.
+    beams : tuple of ndarray, (n_modes,)
+        Coefficients of the beams of this rank group's channels.
+    noise : ndarray, (Nlocal,)
+        By what the variance of the noise exceeds the stated one.
+    widths : ndarray, (Nlocal, n_groups)
+        By what the variances of the beams' prior exceed the stated ones, for each group of modes.
+    step, scale : float
+        Of the proposals of effects: how far they go, 0 to 1, and how much wider than the fit's Gaussian they are.
+    """
+
+    values: Values
+    beams: tuple[Array, ...]
+    noise: FloatArray
+    widths: FloatArray
+    step: float = 1.0
+    scale: float = 1.0
+
+
+@dataclass(frozen=True)
+class Chance:
+    """The random numbers of one sweep of one chain: told by what they are for, never by a rank or an order of calls.
+
+    Attributes
+    ----------
+    seed, chain, sweep : int
+        Sweeps count from the chain's first on.
+    warming_up : bool
+        Whether proposals may still learn; afterwards they are as they are.
+    """
+
+    seed: int
+    chain: int
+    sweep: int
+    warming_up: bool = False
+
+    def of(self, *what: int | str) -> np.random.Generator:
+        """Return the generator of what is drawn."""
+        return generator(self.seed, "chain", self.chain, self.sweep, *what)

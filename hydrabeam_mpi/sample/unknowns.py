@@ -1,0 +1,148 @@
+"""The effects' parameters that a chain moves, as one vector, and those combinations of them that may move."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import block_diag, cho_solve, null_space
+
+from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.data.partition import spans
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.fit.state import Active, Values
+from hydrabeam_mpi.inference.likelihood import Likelihood
+from hydrabeam_mpi.inference.prior import precision_of
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """The parameters in use of some of the effects, side by side; those that channels share are there once.
+
+    Attributes
+    ----------
+    values : Values
+        The model's effects. Those that do not move stay as they are here.
+    moving : tuple of int
+        Places of the effects that move.
+    n_freqs : int
+        Number of the job's channels.
+    """
+
+    values: Values
+    moving: tuple[int, ...]
+    n_freqs: int
+
+    @property
+    def active(self) -> list[Active]:
+        """The effects that move."""
+        return [self.values.active[place] for place in self.moving]
+
+    @cached_property
+    def spans(self) -> list[slice]:
+        """Where each of them is in the vector."""
+        return spans(one.size * self._n_sets(one) for one in self.active)
+
+    @property
+    def size(self) -> int:
+        """Length of the vector."""
+        return self.spans[-1].stop if self.spans else 0
+
+    def vector(self, values: Values) -> FloatArray:
+        """Return the parameters, (n,)."""
+        here = [values.active[place] for place in self.moving]
+        return np.concatenate([np.zeros(0), *(one.x[: self._n_sets(one), one.used].reshape(-1) for one in here)])
+
+    def at(self, vector: FloatArray) -> Values:
+        """Return the effects with other parameters, (n,)."""
+        if not self.moving:
+            return self.values
+        x = self.values.x.copy()
+        for place, one, span in zip(self.moving, self.active, self.spans, strict=True):
+            x[:, self.values.spans[place]] = vector[span].reshape(self._n_sets(one), one.size)
+        return self.values.at(x)
+
+    def of_channel(self, channel: int) -> tuple[IntArray, IntArray]:
+        """Return where a channel's parameters are in the vector, and where among those of all effects, (m,) each."""
+        here, among = [np.zeros(0, dtype=int)], [np.zeros(0, dtype=int)]
+        for place, one, span in zip(self.moving, self.active, self.spans, strict=True):
+            first = span.start + (channel % self._n_sets(one)) * one.size
+            here.append(np.arange(first, first + one.size))
+            found = self.values.spans[place]
+            among.append(np.arange(found.start, found.stop))
+        return np.concatenate(here), np.concatenate(among)
+
+    @cached_property
+    def free(self) -> FloatArray:
+        """The directions in which the vector may move, (n, n_free), orthonormal: those that nothing holds at zero."""
+        return np.asarray(block_diag(np.zeros((0, 0)), *(null_space(self._held(one)) for one in self.active)))
+
+    def prior_precision(self) -> FloatArray:
+        """Return the precision of the vector's prior, (n, n)."""
+        precision = np.zeros((self.size, self.size))
+        for one, span in zip(self.active, self.spans, strict=True):
+            for channels, prior in one.prior.pieces(self.n_freqs):
+                where = slice(span.start + channels.start * one.size, span.start + channels.stop * one.size)
+                precision[where, where] = precision_of(prior)
+        return precision
+
+    def prior_score(self, vector: FloatArray) -> FloatArray:
+        """Return the gradient of the logarithm of the prior, (n,)."""
+        values, score = self.at(vector), np.zeros(self.size)
+        for place, span in zip(self.moving, self.spans, strict=True):
+            one = values.active[place]
+            score[span] = one.prior.score(one.x[:, one.used])[: self._n_sets(one)].reshape(-1)
+        return score
+
+    def posterior(
+        self, vector: FloatArray, likelihoods: Sequence[Likelihood], noise: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return what the linear model says of steps in the free directions from a vector, with the prior.
+
+        Parameters
+        ----------
+        vector : ndarray, (n,)
+        likelihoods : sequence of Likelihood
+            Of each channel and all effects, linearised there, by the stated noise.
+        noise : ndarray, (Nfreqs,)
+            Scale of its variance.
+
+        Returns
+        -------
+        mean : ndarray, (n_free,)
+        factor : ndarray, (n_free, n_free)
+            Lower L with L L^T the precision.
+
+        Raises
+        ------
+        InputError
+            If data and prior leave some of them free.
+        """
+        precision, score = self.prior_precision(), self.prior_score(vector)
+        for channel, one in enumerate(likelihoods):
+            here, among = self.of_channel(channel)
+            precision[np.ix_(here, here)] += one.information[np.ix_(among, among)] / noise[channel]
+            score[here] += one.score[among] / noise[channel]
+        try:
+            factor = np.linalg.cholesky(self.free.T @ precision @ self.free)
+        except np.linalg.LinAlgError as error:
+            names = ", ".join(one.kind for one in self.active)
+            raise InputError(
+                f"data and prior leave some of the parameters of {names} free, so that they have no posterior",
+                field="[sample] blocks",
+                remedy="leave out the block, or give its parameters a narrower prior",
+            ) from error
+        return np.asarray(cho_solve((factor, True), self.free.T @ score)), np.asarray(factor)
+
+    def log_prior(self, values: Values) -> float:
+        """Return the logarithm of the prior up to a constant."""
+        here = [values.active[place] for place in self.moving]
+        return sum(one.prior.log_density(one.x[:, one.used]) for one in here)
+
+    def _n_sets(self, one: Active) -> int:
+        return 1 if one.prior.shared else self.n_freqs
+
+    def _held(self, one: Active) -> FloatArray:
+        return np.asarray(np.kron(np.eye(self._n_sets(one)), one.held))
