@@ -178,6 +178,21 @@ def test_prior_covariance_must_be_positive_definite():
         CovariancePrior(np.zeros(2), np.array([[1.0, 2.0], [2.0, 1.0]]))
 
 
+@pytest.mark.parametrize("is_complex", [True, False])
+def test_sums_with_louder_noise_are_those_of_smaller_weights(is_complex):
+    design, weights, data, mean, covariance = problem(is_complex)
+    prior, scale = CovariancePrior(mean, covariance), 2.5
+    scaled = accumulate(design, weights, data, is_complex, 7).with_noise(scale)
+    anew = accumulate(design, weights / scale, data, is_complex, 7)
+    one, two = solve_posterior(scaled, prior), solve_posterior(anew, prior)
+    np.testing.assert_allclose(one.mean, two.mean, rtol=1e-10)
+    np.testing.assert_allclose(one.covariance, two.covariance, rtol=1e-10)
+    assert one.log_evidence == pytest.approx(two.log_evidence, rel=1e-12)
+    x = prior.mean
+    direct = float(np.sum(weights / scale * np.abs(data - design @ x) ** 2))
+    assert scaled.misfit("beam", x) == pytest.approx(direct, rel=1e-10)
+
+
 def test_generators_depend_on_the_key_alone():
     assert generator(1, "a", 2).standard_normal() == generator(1, "a", 2).standard_normal()
     values = {generator(seed, *key).standard_normal() for seed in (1, 2) for key in (("a",), ("a", 1), ("b", 1))}

@@ -26,7 +26,7 @@ CASES: dict[str, tuple[dict[str, Any], int]] = {
     ),
     "what multiplies": (small_job(GAINS), 200),
     "the sky": (small_job(FLUX), 200),
-    "what the beam sees": (small_job(POINTING), 100),
+    "what the beam sees": (small_job(POINTING), 60),
     "all together": (
         small_job(
             GAINS, FLUX, COUPLING, blocks=("noise", "prior_width"), noise_prior=[8.0, 8.0], width_prior=[6.0, 6.0]
@@ -35,9 +35,9 @@ CASES: dict[str, tuple[dict[str, Any], int]] = {
     ),
     "given the beam": (
         small_job(GAINS, FLUX, COUPLING, blocks=("noise",), noise_prior=[8.0, 8.0], collapsed=False),
-        100,
+        80,
     ),
-    "given the beam that sees": (small_job(POINTING, collapsed=False), 50),
+    "given the beam that sees": (small_job(POINTING, collapsed=False), 40),
 }
 
 
@@ -66,12 +66,12 @@ def test_what_is_drawn_is_as_likely_as_the_truth(name: str, tmp_path: Path) -> N
     walk = walk_about_prior(tmp_path, job)
     differences, taken = [], []
     for number in range(n):
-        rng = generator(11, name, number)
+        rng = generator(21, name, number)
         truth = drawn_from_prior(walk, rng)
         walk = observe(walk, truth, rng)
         state = truth
         for count in range(2):
-            state, accepted = sweep(walk, state, Chance(12, number, count))
+            state, accepted = sweep(walk, state, Chance(22, number, count))
             taken.append(list(accepted.values()))
         differences.append(told(walk, state) - told(walk, truth))
     moved = np.std(differences, axis=0) > 1e-9
