@@ -59,6 +59,8 @@ class Observation:
         Of files that do not state it: V = 1/2 I B (also where this is None), or V = I B.
     uncalibrated : bool
         Whether any of the files says that its visibilities are not calibrated.
+    doubts : tuple of str
+        What is odd about the files together.
     exclude_times : tuple of (float, float)
         Julian dates from and to: integrations whose centres lie within are taken as flagged.
     exclude_baselines : tuple of (int, int)
@@ -79,6 +81,7 @@ class Observation:
     pols: tuple[str, ...]
     pol_convention: str | None = None
     uncalibrated: bool = False
+    doubts: tuple[str, ...] = ()
     exclude_times: tuple[tuple[float, float], ...] = ()
     exclude_baselines: tuple[tuple[int, int], ...] = ()
 

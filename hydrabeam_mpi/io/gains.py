@@ -22,7 +22,7 @@ from hydrabeam_mpi.data.selection import match
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.reading import check_file, reading
 from hydrabeam_mpi.io.uvdata import feeds_of, size
-from hydrabeam_mpi.io.uvmeta import FREQ_TOLERANCE, TIME_TOLERANCE
+from hydrabeam_mpi.io.uvfile import FREQ_TOLERANCE, TIME_TOLERANCE
 
 
 @dataclass(frozen=True)

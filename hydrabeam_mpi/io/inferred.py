@@ -17,7 +17,7 @@ from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.checksums import checksum
 from hydrabeam_mpi.io.manifest import MANIFEST, read_manifest
 from hydrabeam_mpi.io.posterior_file import PosteriorFile, read_covariance, read_posterior
-from hydrabeam_mpi.io.uvmeta import FREQ_TOLERANCE
+from hydrabeam_mpi.io.uvfile import FREQ_TOLERANCE
 from hydrabeam_mpi.model.bases import basis_from_description
 from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.bases.turned import Turned

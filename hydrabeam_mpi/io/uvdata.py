@@ -16,8 +16,10 @@ from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, 
 from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.data.selection import match
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.io.uvmeta import FREQ_TOLERANCE, TIME_TOLERANCE, pair_keys, read_observation
+from hydrabeam_mpi.io.uvfile import FREQ_TOLERANCE, TIME_TOLERANCE
+from hydrabeam_mpi.io.uvmeta import read_observation
 from hydrabeam_mpi.io.uvsource import Data, as_source
+from hydrabeam_mpi.io.uvsurvey import pair_keys
 
 __all__ = ["Block", "feeds_of", "read_autos", "read_block", "read_observation", "read_visibilities"]
 
@@ -100,7 +102,7 @@ def read_block(
     """
     block = _empty((observation.Nfreqs, len(times) * len(antpairs), len(pols)))
     for source in map(as_source, files if block.data.size else ()):
-        if not source.may_hold(observation.times[times], TIME_TOLERANCE):
+        if not source.may_hold(observation.times[times], observation.freqs):
             continue
         header, stored = source.metadata()
         time = match(stored.times, observation.times[times], TIME_TOLERANCE)

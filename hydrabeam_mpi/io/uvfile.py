@@ -21,6 +21,10 @@ from hydrabeam_mpi.io.reading import check_file, mute, reading
 from hydrabeam_mpi.io.uvcheck import check_metadata
 from hydrabeam_mpi.io.uvformat import FORMATS, READ_IN_PART
 
+# Stamps closer than this are one integration or one channel; both far exceed the rounding of any format.
+TIME_TOLERANCE = 1e-3 / 86400  # days
+FREQ_TOLERANCE = 1.0  # Hz
+
 
 @dataclass(frozen=True)
 class UVRows:
@@ -130,13 +134,16 @@ def file_kind(path: Path) -> str:
     raise InputError(told, file=path, remedy=f"give {', '.join(others)} or {last}")
 
 
-def may_hold(path: Path, times: FloatArray, tolerance: float) -> bool:
-    """Tell quickly that a file has no rows at some times (JD); True where only all metadata can tell.
+def may_hold(path: Path, times: FloatArray, freqs: FloatArray) -> bool:
+    """Tell quickly that a file has nothing at some times (JD), (Ntimes,), or at some frequencies (Hz), (Nfreqs,).
 
-    ``times`` is (Ntimes,).
+    True where only all metadata can tell.
     """
-    times_of = FORMATS[file_kind(path)].times
-    return times_of is None or bool(np.any(match(times, times_of(path), tolerance) >= 0))
+    axes = FORMATS[file_kind(path)].axes
+    if axes is None:
+        return True
+    wanted = (times, TIME_TOLERANCE), (freqs, FREQ_TOLERANCE)
+    return all(np.any(match(here, axis, near) >= 0) for (axis, near), here in zip(wanted, axes(path), strict=True))
 
 
 def read_uvdata(path: Path, kind: str, **select: Any) -> UVData:

@@ -35,8 +35,8 @@ class Format:
         Module that reads it, which may be missing, and the package that has this.
     check : callable, optional
         Makes sure that a file is whole.
-    times : callable, optional
-        Reads the times of all rows (JD), (Nblts,), without any other metadata.
+    axes : callable, optional
+        Reads the times of all rows (JD), (Nblts,), and the frequencies (Hz), (Nfreqs,), without any other metadata.
     """
 
     called: str
@@ -46,7 +46,7 @@ class Format:
     is_talkative: bool = False
     needs: tuple[str, str] | None = None
     check: Callable[[Path], None] | None = None
-    times: Callable[[Path], FloatArray] | None = None
+    axes: Callable[[Path], tuple[FloatArray, FloatArray]] | None = None
 
 
 def _begins_with(magic: bytes) -> Callable[[Path], bool]:
@@ -63,9 +63,10 @@ def _has(member: str) -> Callable[[Path], bool]:
     return lambda path: os.path.exists(path / member)
 
 
-def _times_of_uvh5(path: Path) -> FloatArray:
+def _axes_of_uvh5(path: Path) -> tuple[FloatArray, FloatArray]:
     with reading(path, "uvh5"), h5py.File(path, "r") as file:
-        return np.asarray(file["Header/time_array"][()], dtype=float)
+        times, freqs = (np.ravel(file[f"Header/{name}_array"][()]).astype(float) for name in ("time", "freq"))
+    return times, freqs
 
 
 FORMATS = {
@@ -75,7 +76,7 @@ FORMATS = {
         in_part=True,
         sample_by_sample=True,
         check=check_uvh5,
-        times=_times_of_uvh5,
+        axes=_axes_of_uvh5,
     ),
     "uvfits": Format("a uvfits file", _begins_with(b"SIMPLE  ="), in_part=True),
     "ms": Format("a measurement set", _has("OBSERVATION"), is_talkative=True, needs=("casacore", "python-casacore")),

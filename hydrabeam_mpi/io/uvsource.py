@@ -26,8 +26,8 @@ class Source(Protocol):
         """Return what is said of all rows, and of each."""
         ...
 
-    def may_hold(self, times: FloatArray, tolerance: float) -> bool:
-        """Tell quickly that there are no rows at some times (JD), (Ntimes,); True where only all metadata can tell."""
+    def may_hold(self, times: FloatArray, freqs: FloatArray) -> bool:
+        """Tell quickly that there is nothing at some times (JD) or frequencies (Hz), as `uvfile.may_hold` does."""
         ...
 
     def samples(
@@ -50,9 +50,9 @@ class UVFile:
         """Read the metadata."""
         return read_metadata(self.path)
 
-    def may_hold(self, times: FloatArray, tolerance: float) -> bool:
-        """Look at the times of a uvh5 file; see `Source.may_hold`."""
-        return may_hold(self.path, times, tolerance)
+    def may_hold(self, times: FloatArray, freqs: FloatArray) -> bool:
+        """Look at the times and frequencies of a uvh5 file; see `Source.may_hold`."""
+        return may_hold(self.path, times, freqs)
 
     def samples(
         self, header: UVHeader, rows: IntArray, channels: IntArray, pols: IntArray, pol_convention: str | None
@@ -147,7 +147,7 @@ class UVInMemory:
         """Return the metadata."""
         return self.header, self.rows
 
-    def may_hold(self, times: FloatArray, tolerance: float) -> bool:
+    def may_hold(self, times: FloatArray, freqs: FloatArray) -> bool:
         """Return True: all metadata are at hand; see `Source.may_hold`."""
         return True
 

@@ -12,9 +12,9 @@ from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, 
 from hydrabeam_mpi.data.selection import Selection, match
 from hydrabeam_mpi.io.noise import odd_autocorrelations
 from hydrabeam_mpi.io.uvdata import check_nsamples
-from hydrabeam_mpi.io.uvfile import UVHeader, read_metadata, read_uvdata
+from hydrabeam_mpi.io.uvfile import FREQ_TOLERANCE, UVHeader, read_metadata, read_uvdata
 from hydrabeam_mpi.io.uvformat import READ_IN_PART
-from hydrabeam_mpi.io.uvmeta import FREQ_TOLERANCE, linear_pols, read_observation
+from hydrabeam_mpi.io.uvmeta import linear_pols, read_observation
 from hydrabeam_mpi.io.uvrows import SAMPLE_BYTES, WINDOW_BYTES, read_samples
 
 

@@ -21,7 +21,7 @@ SIDEREAL_TOLERANCE = 2.1
 def cautions_of_data(job: Job, observation: Observation) -> tuple[str, ...]:
     """Say what is doubtful about the data by their metadata."""
     said = [_of_units(job, observation), *cautions_of_times(job, observation), _of_sidereal_times(observation)]
-    return tuple(caution for caution in said if caution)
+    return tuple(caution for caution in (*observation.doubts, *said) if caution)
 
 
 def cautions_of_times(job: Job, observation: Observation) -> tuple[str, ...]:

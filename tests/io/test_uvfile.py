@@ -69,8 +69,9 @@ def test_a_telescope_name_that_no_file_could_take_is_written_out(tmp_path):
 def test_a_file_at_other_times_is_passed_over(tmp_path):
     uv = make_uvdata()
     path = written(uv, tmp_path / "a.uvh5")
-    assert may_hold(path, uv.time_array[-1:] + 1e-9, 1e-8)
-    assert not may_hold(path, uv.time_array[-1:] + 1.0, 1e-8)
+    assert may_hold(path, uv.time_array[-1:] + 1e-9, uv.freq_array[:1] + 1e-3)
+    assert not may_hold(path, uv.time_array[-1:] + 1.0, uv.freq_array)
+    assert not may_hold(path, uv.time_array, uv.freq_array + 1e5)
 
 
 def _missing(path):

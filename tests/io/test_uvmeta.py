@@ -8,7 +8,7 @@ import pytest
 from hydrabeam_mpi.data.selection import Selection
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.uvdata import read_observation
-from hydrabeam_mpi.io.uvmeta import pair_keys
+from hydrabeam_mpi.io.uvsurvey import pair_keys
 from tests.visibilities import CROSS, ENU, LOCATION, NUMBERS, SECOND, make_uvdata
 
 
