@@ -64,6 +64,7 @@ SERIAL = (
 # What knows of processes: the layers that run.
 RUNNING = (
     "mpi",
+    "setup.flagged",
     "setup.problem",
     "setup.job_file",
     "fit",

@@ -14,6 +14,7 @@ from hydrabeam_mpi.api.setup import Setup
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.named import expand
 from hydrabeam_mpi.config.sizes import check_sizes
+from hydrabeam_mpi.data.observation import Observation
 from hydrabeam_mpi.fit.carried_over import CarriedOver
 from hydrabeam_mpi.fit.channels import ChannelResult
 from hydrabeam_mpi.fit.clock import Clock
@@ -21,6 +22,7 @@ from hydrabeam_mpi.io.disk import check_space
 from hydrabeam_mpi.io.posterior_file import ChannelRecord, PosteriorFile
 from hydrabeam_mpi.io.provenance import provenance
 from hydrabeam_mpi.io.same_data import integration_checksums
+from hydrabeam_mpi.io.uvsource import Data
 from hydrabeam_mpi.loop.selection.heldout_numbers import HeldoutNumbers
 from hydrabeam_mpi.mpi import (
     Comm,
@@ -36,8 +38,10 @@ from hydrabeam_mpi.mpi import (
 from hydrabeam_mpi.result.describe import describe_channels
 from hydrabeam_mpi.result.output import check_records, input_files, least_result_bytes, summarise
 from hydrabeam_mpi.result.summary import GRID_AZ, GRID_ZA
+from hydrabeam_mpi.setup.flagged import without_flagged
 from hydrabeam_mpi.setup.given import NOTHING, Given
 from hydrabeam_mpi.setup.problem import Problem, estimate_noise, prepare
+from hydrabeam_mpi.setup.selected import observe
 from hydrabeam_mpi.simulation.mock import simulate_to
 from hydrabeam_mpi.terminal.progress import say, warn
 
@@ -126,18 +130,39 @@ def prepare_shared(world: Comm, job: Job, folder: Path | None, given: Given = NO
         if world.rank == 0 and folder:
             check_space(folder, least_result_bytes(job))
     truths = simulate_to(world, job, folder) if job.data.simulate and folder else ()
+    simulated = (folder / "data.uvh5",) if job.data.simulate and folder else ()
+    files, job, observation = look_at_data(world, job, simulated, given)
     problem = None
     with together(world):
         if world.rank == 0:
-            say("reading metadata, sky and beam")
-            files = (folder / "data.uvh5",) if job.data.simulate and folder else given.data
-            problem = prepare(job, files or expand(job.data.files, "[data] files"), truths, given)
+            say("reading sky and beam")
+            problem = prepare(job, files, truths, given, observation)
             if folder:
                 check_space(folder, least_result_bytes(job, problem.observation.Nfreqs))
             say(_one_line(problem))
             warn(problem.cautions)
-    problem = bcast_object(world, problem)
+            problem = replace(problem, files=())
+    problem = replace(bcast_object(world, problem), files=files)
     return estimate_noise(world, problem)
+
+
+def look_at_data(
+    world: Comm, job: Job, simulated: tuple[Path, ...], given: Given
+) -> tuple[tuple[Data, ...], Job, Observation]:
+    """Return the files, on every rank, what they say of themselves, and the job that leaves out what is flagged.
+
+    Collective: all ranks of `world`. Channels without data are left out unless something is known of them already.
+    """
+    seen: tuple[tuple[Data, ...], Observation | None, bool] = ((), None, False)
+    with together(world):
+        if world.rank == 0:
+            say("reading metadata")
+            files = simulated or given.data or expand(job.data.files, "[data] files")
+            # What a prior of its own says of a channel is not lost where these data say nothing of it.
+            earlier = given.earlier is not None or (job.prior.file is not None and job.prior.file.is_dir())
+            seen = files, observe(job, files), bool(simulated) or earlier or len(given.priors or ()) > 1
+    files, observation, keeps_all = bcast_object(world, seen)
+    return (files, job, observation) if keeps_all else (files, *without_flagged(world, job, files, observation))
 
 
 def _one_line(problem: Problem) -> str:

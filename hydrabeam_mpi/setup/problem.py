@@ -14,7 +14,6 @@ from hydrabeam_mpi.config.named import expand
 from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.partition import Tile, make_tiles
 from hydrabeam_mpi.data.redundancy import RedundantGroups
-from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.inference.prior import Prior
 from hydrabeam_mpi.io.inferred import Inferred
 from hydrabeam_mpi.io.noise import difference_variance
@@ -157,7 +156,13 @@ class Problem:
         )
 
 
-def prepare(job: Job, files: tuple[Data, ...], truths: tuple[Beam, ...] = (), given: Given = NOTHING) -> Problem:
+def prepare(
+    job: Job,
+    files: tuple[Data, ...],
+    truths: tuple[Beam, ...] = (),
+    given: Given = NOTHING,
+    observation: Observation | None = None,
+) -> Problem:
     """Read and fit everything but the visibilities. Serial.
 
     Parameters
@@ -169,14 +174,15 @@ def prepare(job: Job, files: tuple[Data, ...], truths: tuple[Beam, ...] = (), gi
         The beams that they were simulated with, where they were.
     given : Given
         What is in memory: beam, sky, noise and priors; the visibilities are all in ``files``.
+    observation : Observation, optional
+        What `observe` says of the files, where it is known already.
 
     Raises
     ------
     InputError
         If a file or a setting cannot be used.
     """
-    observation = observe(job, files)
-    _check_scale(job, observation)
+    observation = observation or observe(job, files)
     train, test = roles_of(job, observation)
     whole_sky = load_sky(job, observation.freqs, given.sky)
     sky = whole_sky.brighter_than(job.sky.model_flux_min)
@@ -209,17 +215,6 @@ def prepare(job: Job, files: tuple[Data, ...], truths: tuple[Beam, ...] = (), gi
         noise_file=given.noise or job.noise.file,
         earlier=earlier,
     )
-
-
-def _check_scale(job: Job, observation: Observation) -> None:
-    """Make sure that flux scales by channel are of these channels."""
-    n = len(job.data.flux_scale)
-    if n not in (1, observation.Nfreqs):
-        raise InputError(
-            f"has {n} numbers, and there are {observation.Nfreqs} channels",
-            field="[data] flux_scale",
-            remedy="give one number for all channels, or a list with one for each",
-        )
 
 
 def estimate_noise(world: Comm, problem: Problem) -> Problem:

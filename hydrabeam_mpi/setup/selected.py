@@ -47,6 +47,7 @@ def observe(job: Job, files: tuple[Data, ...]) -> Observation:
         listed = ", ".join(map(str, sorted(unknown)))
         field = "[data] exclude_baselines"
         raise InputError(f"antenna {listed} is not in the data", field=field, remedy="remove it from the list")
+    _check_scale(job, observation)
     width = job.data.channel_width
     return replace(
         observation,
@@ -55,6 +56,17 @@ def observe(job: Job, files: tuple[Data, ...]) -> Observation:
         exclude_baselines=job.data.exclude_baselines,
         channel_width=observation.channel_width if width is None else np.full(observation.Nfreqs, width),
     )
+
+
+def _check_scale(job: Job, observation: Observation) -> None:
+    """Make sure that flux scales by channel are of these channels."""
+    n = len(job.data.flux_scale)
+    if n not in (1, observation.Nfreqs):
+        raise InputError(
+            f"has {n} numbers, and there are {observation.Nfreqs} channels",
+            field="[data] flux_scale",
+            remedy="give one number for all channels, or a list with one for each",
+        )
 
 
 def _holdout_rule(job: Job) -> HoldoutRule:

@@ -93,6 +93,16 @@ def test_objects_in_memory_give_what_their_files_give(folder: Path) -> None:
     assert given["beam"] == kept[1]
 
 
+def test_a_channel_that_is_all_flagged_is_skipped(folder: Path) -> None:
+    given = objects(folder)
+    given["uvd"].flag_array[:, 0] = True
+    rest = hb.infer(hb.Setup(**given, basis=BASIS, data={"freqs": [131e6]}))
+    both = hb.infer(hb.Setup(**given, basis=BASIS))
+    assert_same(both, rest)
+    skipped = "Skipped 1 of 2 channels, of which all data are flagged: 130 MHz."
+    assert [line for line in both.summary["warnings"] if line not in rest.summary["warnings"]] == [skipped]
+
+
 def test_beam_interfaces_are_what_they_hold(folder: Path) -> None:
     given = objects(folder)
     given["beam"] = BeamInterface(given["beam"], beam_type="power")
