@@ -65,6 +65,7 @@ SERIAL = (
 RUNNING = (
     "mpi",
     "setup.flagged",
+    "setup.held",
     "setup.problem",
     "setup.job_file",
     "fit",

@@ -29,6 +29,7 @@ from hydrabeam_mpi.mpi import (
     ProcessGrid,
     bcast_object,
     blas_threads,
+    free_windows,
     gather_by_channel,
     library_version,
     limit_blas_threads,
@@ -40,6 +41,7 @@ from hydrabeam_mpi.result.output import check_records, input_files, least_result
 from hydrabeam_mpi.result.summary import GRID_AZ, GRID_ZA
 from hydrabeam_mpi.setup.flagged import without_flagged
 from hydrabeam_mpi.setup.given import NOTHING, Given
+from hydrabeam_mpi.setup.held import hold
 from hydrabeam_mpi.setup.problem import Problem, estimate_noise, prepare
 from hydrabeam_mpi.setup.selected import observe
 from hydrabeam_mpi.simulation.mock import simulate_to
@@ -66,6 +68,7 @@ def begun(setup: Setup) -> Iterator[tuple[Path | None, int]]:
         threads = limit_blas_threads(world) if world.size > 1 else blas_threads()
         if setup.job.data.simulate is None:
             yield None, threads
+            free_windows(world)
             return
         made = TemporaryDirectory(prefix="hydrabeam-") if world.rank == 0 else None
         try:
@@ -153,15 +156,19 @@ def look_at_data(
 
     Collective: all ranks of `world`. Channels without data are left out unless something is known of them already.
     """
-    seen: tuple[tuple[Data, ...], Observation | None, bool] = ((), None, False)
+    named: tuple[Data, ...] = ()
     with together(world):
         if world.rank == 0:
             say("reading metadata")
-            files = simulated or given.data or expand(job.data.files, "[data] files")
+            named = simulated or given.data or expand(job.data.files, "[data] files")
+    files = hold(world, named)
+    seen: tuple[Observation | None, bool] = None, False
+    with together(world):
+        if world.rank == 0:
             # What a prior of its own says of a channel is not lost where these data say nothing of it.
             earlier = given.earlier is not None or (job.prior.file is not None and job.prior.file.is_dir())
-            seen = files, observe(job, files), bool(simulated) or earlier or len(given.priors or ()) > 1
-    files, observation, keeps_all = bcast_object(world, seen)
+            seen = observe(job, files), bool(simulated) or earlier or len(given.priors or ()) > 1
+    observation, keeps_all = bcast_object(world, seen)
     return (files, job, observation) if keeps_all else (files, *without_flagged(world, job, files, observation))
 
 

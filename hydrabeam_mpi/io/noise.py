@@ -22,10 +22,8 @@ from hydrabeam_mpi.inference.robust import known_median, outliers
 from hydrabeam_mpi.io.gains import calibrate
 from hydrabeam_mpi.io.noise_table import read_table, table_sigma
 from hydrabeam_mpi.io.uvdata import feeds_of, read_autos, read_block
-from hydrabeam_mpi.io.uvfile import file_kind
-from hydrabeam_mpi.io.uvformat import FORMATS
+from hydrabeam_mpi.io.uvfile import check_all_survive
 from hydrabeam_mpi.io.uvsource import Data
-from hydrabeam_mpi.io.uvwhole import check_survives
 
 # Fewer differences than this do not make a variance: its own error is 1 / sqrt(number).
 MIN_DIFFERENCES = 8
@@ -186,8 +184,8 @@ def file_weights(
         sigma = np.broadcast_to(table_sigma(table, path, observation, tile.bls), flags.shape)
         usable, samples = ~flags, nsamples
     else:
-        if isinstance(path, Path) and FORMATS[kind := file_kind(path)].is_talkative:
-            check_survives([path], kind)
+        if isinstance(path, Path):
+            check_all_survive([path])
         block = read_block([path], observation, tile.times, observation.antpairs[tile.bls], observation.pols)
         if np.any(~flags & ~block.stored):
             raise InputError("lacks a sigma of an unflagged visibility", file=path, remedy="add or flag it")
@@ -234,7 +232,7 @@ def difference_variance(
         If the times or channels are too few or too far apart to be differenced.
     """
     times, antpairs = np.arange(observation.Ntimes), observation.antpairs[bls]
-    middle = _middles(observation, how)
+    middle = amid(observation, how)
     data, flags, nsamples, _ = read_block(files, observation, times, antpairs, observation.pols)
     if gain_files:
         data, flags, _ = calibrate(data, flags, observation, times, antpairs, gain_files)
@@ -268,8 +266,14 @@ def amid_neighbours(centres: FloatArray, widths: FloatArray) -> IntArray:
     return 1 + np.flatnonzero(even & (wider <= MAX_GAP * widths[1:-1]))
 
 
-def _middles(observation: Observation, how: Literal["time", "frequency"]) -> IntArray:
-    """Return the indices of the times or channels amid three that are close and equally spaced."""
+def amid(observation: Observation, how: Literal["time", "frequency"]) -> IntArray:
+    """Return the indices of the times or channels amid three that are close and equally spaced.
+
+    Raises
+    ------
+    InputError
+        If they are too few, or a channel is in none of the three.
+    """
     if how == "time":
         centres, widths = observation.times * 86400, observation.integration_time
     else:
@@ -283,4 +287,10 @@ def _middles(observation: Observation, how: Literal["time", "frequency"]) -> Int
             field="[noise] kind",
             remedy="select more of them, or choose another kind",
         )
+    alone = centres[np.setdiff1d(np.arange(len(centres)), middle[:, np.newaxis] + [-1, 0, 1])]
+    if how == "frequency" and alone.size:
+        listed = ", ".join(f"{freq / 1e6:.6g}" for freq in alone)
+        message = f"channels without neighbours at equal distances to take the noise from differences to: {listed} MHz"
+        remedy = "select their neighbours too, leave them out, or choose another kind"
+        raise InputError(message, field="[noise] kind", remedy=remedy)
     return middle

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -20,6 +21,7 @@ from hydrabeam_mpi.errors import InputError, printable
 from hydrabeam_mpi.io.reading import check_file, mute, reading
 from hydrabeam_mpi.io.uvcheck import check_metadata
 from hydrabeam_mpi.io.uvformat import FORMATS, READ_IN_PART
+from hydrabeam_mpi.io.uvwhole import check_survives
 
 # Stamps closer than this are one integration or one channel; both far exceed the rounding of any format.
 TIME_TOLERANCE = 1e-3 / 86400  # days
@@ -132,6 +134,20 @@ def file_kind(path: Path) -> str:
     if not is_folder and not path.stat().st_size:
         told = "an empty file"
     raise InputError(told, file=path, remedy=f"give {', '.join(others)} or {last}")
+
+
+def check_all_survive(paths: Sequence[Path]) -> None:
+    """Make sure that files can be read of whose formats the libraries may end the process.
+
+    Raises
+    ------
+    InputError
+        If one cannot.
+    """
+    kinds = {path: file_kind(path) for path in paths}
+    for kind in sorted(set(kinds.values())):
+        if FORMATS[kind].is_talkative:
+            check_survives([path for path in paths if kinds[path] == kind], kind)
 
 
 def may_hold(path: Path, times: FloatArray, freqs: FloatArray) -> bool:

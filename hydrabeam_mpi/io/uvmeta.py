@@ -15,12 +15,10 @@ import numpy as np
 from hydrabeam_mpi.data.observation import FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.selection import Selection, distinct, select_baselines, select_channels, select_times
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.io.uvfile import FREQ_TOLERANCE, TIME_TOLERANCE, UVHeader, file_kind
-from hydrabeam_mpi.io.uvformat import FORMATS
-from hydrabeam_mpi.io.uvsource import Data, files_among
+from hydrabeam_mpi.io.uvfile import FREQ_TOLERANCE, TIME_TOLERANCE, UVHeader, check_all_survive
+from hydrabeam_mpi.io.uvsource import Data, Source, files_among
 from hydrabeam_mpi.io.uvsurvey import Survey, pair_keys, survey
 from hydrabeam_mpi.io.uvtogether import check_covered, check_disjoint, doubts_about, merge_antennas
-from hydrabeam_mpi.io.uvwhole import check_survives
 
 
 def read_observation(files: Sequence[Data], selection: Selection) -> Observation:
@@ -47,14 +45,10 @@ def read_observation(files: Sequence[Data], selection: Selection) -> Observation
     """
     if not files:
         raise InputError("no files", field="[data] files", remedy="name at least one")
-    paths = files_among(files)
-    resolved = [os.path.realpath(path) for path in paths]
+    resolved = [os.path.realpath(path) for path in files_among(files)]
     if len(set(resolved)) < len(resolved):
         raise InputError("a file is named twice", field="[data] files", remedy="name it once")
-    kinds = {path: file_kind(path) for path in paths}
-    for kind in sorted(set(kinds.values())):
-        if FORMATS[kind].is_talkative:
-            check_survives([path for path in paths if kinds[path] == kind], kind)
+    check_all_survive([Path(data) for data in files if not isinstance(data, Source)])
     surveys = survey(files)
     names, positions = merge_antennas(surveys)
     surveys = [one for one in surveys if one.antpairs.size]

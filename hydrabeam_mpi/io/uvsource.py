@@ -12,15 +12,29 @@ from pyuvdata import UVData
 
 from hydrabeam_mpi.data.observation import Array, BoolArray, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.io.reading import quiet
+from hydrabeam_mpi.io.reading import quiet, reading
 from hydrabeam_mpi.io.uvcheck import check_metadata
-from hydrabeam_mpi.io.uvfile import UVHeader, UVRows, header_of, may_hold, read_metadata, rows_of
+from hydrabeam_mpi.io.uvfile import (
+    UVHeader,
+    UVRows,
+    file_kind,
+    header_of,
+    may_hold,
+    read_metadata,
+    read_uvdata,
+    rows_of,
+)
 from hydrabeam_mpi.io.uvrows import Samples, in_drift_scan, read_samples
 
 
 @runtime_checkable
 class Source(Protocol):
     """Rows of visibilities, a row being a baseline at a time. As text it is what messages call it."""
+
+    @property
+    def file(self) -> Path | None:
+        """The file that they are from."""
+        ...
 
     def metadata(self) -> tuple[UVHeader, UVRows]:
         """Return what is said of all rows, and of each."""
@@ -45,6 +59,11 @@ class UVFile:
 
     def __str__(self) -> str:
         return str(self.path)
+
+    @property
+    def file(self) -> Path:
+        """The file."""
+        return self.path
 
     def metadata(self) -> tuple[UVHeader, UVRows]:
         """Read the metadata."""
@@ -76,6 +95,8 @@ class UVInMemory:
     nsamples : ndarray, same shape
     pol_convention : {"sum", "avg"} or None
         As the data state it.
+    file : Path or None
+        Where they were read.
     """
 
     header: UVHeader
@@ -84,9 +105,29 @@ class UVInMemory:
     flags: BoolArray
     nsamples: FloatArray
     pol_convention: str | None = None
+    file: Path | None = None
 
     def __str__(self) -> str:
         return str(self.header.path)
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read a file whole.
+
+        Raises
+        ------
+        InputError
+            As `uvfile.read_metadata`.
+        """
+        kind = file_kind(path)
+        uv = read_uvdata(path, kind)
+        with reading(path, kind):
+            check_metadata(uv, path)
+            header, rows = header_of(uv, path, kind), rows_of(uv)
+            uv.data_array = uv.data_array.astype(np.complex128)
+            if not in_drift_scan(uv):
+                uv.unproject_phase()
+        return cls(header, rows, uv.data_array, uv.flag_array, uv.nsample_array, uv.pol_convention, path)
 
     @classmethod
     def of(cls, uv: UVData, name: str) -> Self:
@@ -172,5 +213,6 @@ def as_source(data: Data) -> Source:
 
 
 def files_among(data: Iterable[Data]) -> list[Path]:
-    """Return those that are files."""
-    return [Path(one) for one in data if not isinstance(one, Source)]
+    """Return the files that they are, or are from."""
+    files = (one.file if isinstance(one, Source) else Path(one) for one in data)
+    return [file for file in files if file is not None]

@@ -18,10 +18,12 @@ from hydrabeam_mpi.mpi.grid import ProcessGrid, alone
 from hydrabeam_mpi.mpi.library import library_version
 from hydrabeam_mpi.mpi.memory import memory_per_rank, peak_rss_mb
 from hydrabeam_mpi.mpi.threads import blas_threads, limit_blas_threads
+from hydrabeam_mpi.mpi.window import OneSided, free_windows
 
 __all__ = [
     "INTERRUPTED_STATUS",
     "Comm",
+    "OneSided",
     "ProcessGrid",
     "allreduce_max",
     "allreduce_sum",
@@ -30,6 +32,7 @@ __all__ = [
     "bcast_object",
     "blas_threads",
     "end_interrupted",
+    "free_windows",
     "gather_by_channel",
     "gather_objects",
     "install_abort_hook",

@@ -16,7 +16,7 @@ from hydrabeam_mpi.data.partition import Tile, make_tiles
 from hydrabeam_mpi.data.redundancy import RedundantGroups
 from hydrabeam_mpi.inference.prior import Prior
 from hydrabeam_mpi.io.inferred import Inferred
-from hydrabeam_mpi.io.noise import difference_variance
+from hydrabeam_mpi.io.noise import amid, difference_variance
 from hydrabeam_mpi.io.uvsource import Data
 from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.beam import Beam
@@ -183,11 +183,14 @@ def prepare(
         If a file or a setting cannot be used.
     """
     observation = observation or observe(job, files)
+    if how := _differences(job):
+        amid(observation, how)
     train, test = roles_of(job, observation)
+    # Before the sky, which takes longer: a channel out of the beam's range ends the run here.
+    beams = load_beams(job, observation.freqs, observation.pols[0], given.beam)
     whole_sky = load_sky(job, observation.freqs, given.sky)
     sky = whole_sky.brighter_than(job.sky.model_flux_min)
     time_costs = count_sources(sky, observation)
-    beams = load_beams(job, observation.freqs, observation.pols[0], given.beam)
     earlier = find_earlier(job, files, observation, given.earlier)
     basis, fits = fit_model_beams(job, beams, earlier.basis if earlier else None)
     if earlier is not None:
@@ -217,19 +220,24 @@ def prepare(
     )
 
 
+def _differences(job: Job) -> Literal["time", "frequency"] | None:
+    """Return between which neighbours the noise is estimated, if it is."""
+    match job.noise.kind:
+        case "time-differences":
+            return "time"
+        case "frequency-differences":
+            return "frequency"
+    return None
+
+
 def estimate_noise(world: Comm, problem: Problem) -> Problem:
     """Estimate the noise from differences of the data, where the job says so.
 
     Collective: all ranks of `world`, which share out the baselines.
     """
-    how: Literal["time", "frequency"]
-    match problem.job.noise.kind:
-        case "time-differences":
-            how = "time"
-        case "frequency-differences":
-            how = "frequency"
-        case _:
-            return problem
+    how = _differences(problem.job)
+    if how is None:
+        return problem
     observation = problem.observation
     mine = np.array_split(np.arange(observation.Nbls), world.size)[world.rank]
     with together(world):

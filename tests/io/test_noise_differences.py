@@ -122,6 +122,11 @@ class TestDifferences:
         with pytest.raises(InputError, match=r"\[noise\] kind: too few adjacent"):
             difference_variance(files, obs, np.arange(6), how)
 
+    def test_of_a_channel_apart_are_refused(self, read):
+        obs, _, _, files = read(noisy(40, n_freqs=7), Selection(channels=(0, 1, 2, 3, 6)))
+        with pytest.raises(InputError, match=r"channels without neighbours .* to: 126 MHz; select their"):
+            difference_variance(files, obs, np.arange(6), "frequency")
+
 
 class TestMeasured:
     """What differences say of the noise is what the radiometer equation says."""
