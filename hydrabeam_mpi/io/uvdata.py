@@ -18,6 +18,7 @@ from hydrabeam_mpi.data.selection import match
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.uvfile import FREQ_TOLERANCE, TIME_TOLERANCE
 from hydrabeam_mpi.io.uvmeta import read_observation
+from hydrabeam_mpi.io.uvrows import WINDOW_BYTES
 from hydrabeam_mpi.io.uvsource import Data, as_source
 from hydrabeam_mpi.io.uvsurvey import pair_keys
 
@@ -117,15 +118,18 @@ def read_block(
             raise InputError(
                 "holds a sample twice, or one that an earlier file holds", file=header.path, remedy="remove the copy"
             )
-        part = source.samples(
+        data, flags, nsamples = source.samples(
             header,
             rows,
             channels[channels >= 0],
             stored_pols[stored_pols >= 0],
             observation.pol_convention,
         )
-        for stack, values in zip(block, _checked(*part, header.path), strict=True):
-            stack[here] = values.swapaxes(0, 1)
+        n_parts = 1 + data.nbytes // WINDOW_BYTES
+        for some in np.array_split(np.arange(len(rows)), n_parts):
+            checked = _checked(data[some], flags[some], nsamples[some], header.path)
+            for stack, values in zip(block, checked, strict=True):
+                stack[here[0], here[1][:, some], here[2]] = values.swapaxes(0, 1)
     shape = (observation.Nfreqs, len(times), len(antpairs), len(pols))
     whole = Block(
         block.data.reshape(shape),

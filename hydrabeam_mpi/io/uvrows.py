@@ -16,7 +16,7 @@ from hydrabeam_mpi.io.uvformat import FORMATS
 # To pick one scattered row takes h5py as long as to read this many bytes in line.
 SEEK_BYTES = 25_000
 # Bytes read at once where unwanted rows are read with the wanted ones.
-WINDOW_BYTES = 64_000_000
+WINDOW_BYTES = 32_000_000
 # A visibility in double precision, its flag and its nsamples.
 SAMPLE_BYTES = 16 + 1 + 4
 
@@ -51,13 +51,15 @@ def read_samples(
     if FORMATS[header.kind].sample_by_sample:
         select["multidim_index"] = True
     picked = np.argsort(np.argsort(channels)), np.argsort(np.argsort(pols))
-    parts = [
-        _samples(header, {"blt_inds": read, **select}, np.ix_(wanted, *picked), pol_convention)
-        for read, wanted in _windows(np.sort(rows), SAMPLE_BYTES * len(channels) * len(pols))
-    ]
-    order = np.argsort(np.argsort(rows))
-    data, flags, nsamples = (np.concatenate(arrays)[order] for arrays in zip(*parts, strict=True))
-    return data, flags, nsamples
+    order, shape = np.argsort(rows), (len(rows), len(channels), len(pols))
+    whole: Samples = np.empty(shape, np.complex128), np.empty(shape, bool), np.empty(shape)
+    done = 0
+    for read, wanted in _windows(rows[order], SAMPLE_BYTES * len(channels) * len(pols)):
+        part = _samples(header, {"blt_inds": read, **select}, np.ix_(wanted, *picked), pol_convention)
+        for stack, values in zip(whole, part, strict=True):
+            stack[order[done : done + len(wanted)]] = values
+        done += len(wanted)
+    return whole
 
 
 def in_drift_scan(uv: UVData) -> bool:
@@ -68,12 +70,15 @@ def in_drift_scan(uv: UVData) -> bool:
 def _windows(rows: IntArray, row_bytes: int) -> Iterator[tuple[IntArray, IntArray]]:
     """Yield the rows to read at once and which of them are wanted, for ascending ``rows``.
 
-    Many scattered rows are read with those between them, far quicker than picking them from the file.
+    Many scattered rows are read with those between them, far quicker than picking them from the file. What is read at
+    once is no larger than a window, so that little memory is needed beside that of the result.
     """
+    rows_at_once = max(WINDOW_BYTES // row_bytes, 1)
     if (rows[-1] - rows[0] + 1) * row_bytes > len(rows) * SEEK_BYTES:
-        yield rows, np.arange(len(rows))
+        for part in np.array_split(rows, -(-len(rows) // rows_at_once)):
+            yield part, np.arange(len(part))
         return
-    window = rows // max(WINDOW_BYTES // row_bytes, 1)
+    window = rows // rows_at_once
     for part in np.split(rows, np.flatnonzero(np.diff(window)) + 1):
         yield np.arange(part[0], part[-1] + 1), part - part[0]
 
@@ -84,7 +89,7 @@ def _samples(
     """Take samples out of what pyuvdata reads, as drift scan and in the convention V = 1/2 I B."""
     uv = read_uvdata(header.path, header.kind, **select)
     with reading(header.path, header.kind):
-        uv.data_array = uv.data_array.astype(np.complex128)
+        uv.data_array = uv.data_array.astype(np.complex128, copy=False)
         if not in_drift_scan(uv):
             uv.unproject_phase()
         if (uv.pol_convention or pol_convention) == "avg":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from pathlib import Path
 
 import h5py
@@ -155,6 +156,24 @@ def test_only_the_tile_is_read_from_disk(write):
     everything = bytes_read() - before
     assert everything > 0.9 * uv.data_array.nbytes * 6 / 11
     assert tile < 0.1 * everything
+
+
+def test_memory_follows_the_share_of_a_file_written_in_pieces(tmp_path):
+    uv = make_uvdata(times=2459866.2 + 10 * SECOND * np.arange(80), freqs=120e6 + 1e5 * np.arange(512))
+    path, file = tmp_path / "pieces.uvh5", uv.copy(metadata_only=True)
+    file.initialize_uvh5_file(str(path))
+    for rows in np.array_split(np.arange(uv.Nblts), 8):
+        arrays = {f"{name}_array": getattr(uv, f"{name}_array")[rows] for name in ("data", "flag", "nsample")}
+        file.write_uvh5_part(str(path), **arrays, blt_inds=rows, check_header=False)
+    obs = read_observation([path], Selection())
+    peaks = []
+    for n_times in (80, 10):
+        tracemalloc.start()
+        read_visibilities([path], obs, Tile(np.arange(n_times), np.arange(obs.Nbls)))
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 0.2 * peaks[0]
+    assert_read([path], uv)
 
 
 def bytes_read() -> int:
