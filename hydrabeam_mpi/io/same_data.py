@@ -13,10 +13,11 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import IntArray, Observation
 from hydrabeam_mpi.data.selection import match
+from hydrabeam_mpi.io.uvfile import FREQ_TOLERANCE, TIME_TOLERANCE
 from hydrabeam_mpi.io.uvformat import FORMATS
-from hydrabeam_mpi.io.uvmeta import FREQ_TOLERANCE, TIME_TOLERANCE, pair_keys
 from hydrabeam_mpi.io.uvrows import SAMPLE_BYTES, WINDOW_BYTES
 from hydrabeam_mpi.io.uvsource import Data, Source, as_source
+from hydrabeam_mpi.io.uvsurvey import pair_keys
 
 DIGITS = 16
 """Hexadecimal digits kept: by chance two of a million integrations agree once in a hundred million cases."""
