@@ -26,8 +26,7 @@ class Setup:
     linear in the coefficients b (HDBI II, eqs 1 to 8).
 
     With a communicator of several ranks all of them make the Setup together. What rank 0 has counts, and the others
-    may pass None: data in memory go from there to every rank, which then holds a copy of all of them. Of files each
-    rank reads its own rows only, so large data are better named than held.
+    may pass None: of data in memory each rank gets its own rows from there, as it reads them out of files.
 
     Parameters
     ----------
