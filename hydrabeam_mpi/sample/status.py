@@ -75,7 +75,8 @@ class Status:
         else:
             parts.append("all draws are there")
         parts.append(mixing_table(self.diagnosis))
-        return "\n\n".join([*filter(None, parts), *(f"warning: {line}" for line in self.cautions)])
+        parts.append("\n".join(f"warning: {line}" for line in self.cautions))
+        return "\n\n".join(filter(None, parts))
 
 
 def status_of(store: ChainStore) -> Status:
@@ -94,11 +95,11 @@ def status_of(store: ChainStore) -> Status:
 
 def mixing_table(diagnosis: Diagnosis) -> str:
     """Return R-hat and ESS of each block as a table."""
-    rows = [("block", "parameters", "R-hat", "worst parameter", "ESS bulk", "ESS tail", "ESS a second")]
+    rows = [("block", "parameters", "R-hat", "ESS bulk", "ESS tail", "ESS a second", "worst parameter")]
     for one in diagnosis.blocks:
-        numbers = (f"{one.r_hat:.4g}" if one.r_hat > 0 else "-", one.worst)
+        r_hat = f"{one.r_hat:.4g}" if one.r_hat > 0 else "-"
         sizes = (number(one.ess_bulk), number(one.ess_tail), number(one.ess_per_second))
-        rows.append((one.block, str(one.n_parameters), *numbers, *sizes))
+        rows.append((one.block, str(one.n_parameters), r_hat, *sizes, one.worst))
     return text_table(rows)
 
 

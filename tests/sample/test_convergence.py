@@ -62,12 +62,12 @@ def test_the_worst_of_each_block_is_named(tmp_path: Path) -> None:
     assert (beam.block, flux.block, noise.block) == ("beam", "catalogue_flux", "noise")
     assert (beam.n_parameters, flux.n_parameters, noise.n_parameters, noise.n_still) == (24, 3, 1, 1)
     assert beam.r_hat < 1.1 < flux.r_hat
-    assert flux.worst == "flux[source=B]"
+    assert flux.worst == "flux[B]"
     # Of an AR(1) process n draws are worth n (1 - rho) / (1 + rho).
     assert 3 * N / 3 * 0.5 < beam.ess_bulk < 3 * N / 3 * 2
     assert beam.ess_per_second == min(beam.ess_bulk, beam.ess_tail) / found.seconds
     *_, second, third = found.warnings()
-    assert second.startswith("block catalogue_flux has not converged: R-hat of flux[source=B] is ")
+    assert second.startswith("block catalogue_flux has not converged: R-hat of flux[B] is ")
     assert second.endswith(", above 1.01; draw more")
     assert third == "block noise: 1 of 1 parameters never move"
 

@@ -18,6 +18,8 @@ SHOWN = 3
 """Directions that are drawn."""
 BARS = 8
 """Parameters that are named of each."""
+LONGEST = 34
+"""Characters of a parameter's name beside its bar."""
 SHIFTS = 19
 """Times that draws of the beam are compared with other draws of all else: chance gives more in one case of twenty."""
 
@@ -111,11 +113,17 @@ def _draw_bars(axes: Axes, one: Direction, labels: list[str]) -> None:
     largest = np.argsort(-np.abs(one.correlations))[:BARS]
     values = one.correlations[largest]
     axes.barh(range(len(values)), values, 0.7, color=[INFERRED if value > 0 else MODEL for value in values])
-    names = [labels[index] if len(labels[index]) < 34 else f"{labels[index][:32]}…" for index in largest]
-    axes.set_yticks(range(len(values)), names, fontsize=7)
+    axes.set_yticks(range(len(values)), [_short(labels[index]) for index in largest], fontsize=7)
     axes.set(xlim=(-1.02, 1.02), ylim=(BARS - 0.4, -0.6), xlabel="correlation with the direction")
     axes.axvline(0, color="0.4", linewidth=0.7)
     axes.grid(axis="x")
+
+
+def _short(label: str) -> str:
+    """Fit a label into the space beside the bars; the name of the variable goes first."""
+    if len(label) > LONGEST:
+        label = label.partition("[")[2].removesuffix("]") or label
+    return label if len(label) <= LONGEST else f"{label[: LONGEST - 1]}…"
 
 
 def _real(beam: Array) -> FloatArray:

@@ -22,7 +22,7 @@ def mixing_rows(diagnosis: Diagnosis) -> str:
         r_hat = f"{one.r_hat:.4g}" if one.r_hat > 0 else "–"
         sizes = (_written(size) for size in (one.ess_bulk, one.ess_tail, one.ess_per_second))
         cells = "".join(f'<td class="value">{as_html(cell)}</td>' for cell in (str(one.n_parameters), r_hat, *sizes))
-        lines.append(f'<tr><td>{escape(one.block)}</td>{cells}<td class="key">{escape(one.worst)}</td></tr>')
+        lines.append(f"<tr><td>{escape(one.block)}</td>{cells}<td><code>{escape(one.worst)}</code></td></tr>")
     return set_table("", f"<tr><th>block</th>{head}<th>worst parameter</th></tr>", lines)
 
 

@@ -67,13 +67,17 @@ class Variable:
         return found.reshape(1, -1)
 
     def label(self, index: int) -> str:
-        """Name the number at a place of the flattened array: "flux[source=B3]"."""
+        """Name the number at a place of the flattened array: "flux[Fornax A]", "beam[freq=1.2e+08, mode=3]".
+
+        Axes of length one say nothing, and labels that are words need no name before them.
+        """
         place = (int(at) for at in np.unravel_index(index, self.shape))
-        labels = (
-            f"{dim}={_written(self.coords[dim][at]) if dim in self.coords else at}"
-            for dim, at in zip(self.dims, place, strict=True)
-        )
-        return f"{self.name}[{', '.join(labels)}]" if self.shape else self.name
+        told = [
+            _written(dim, self.coords[dim][at] if dim in self.coords else at)
+            for dim, at, length in zip(self.dims, place, self.shape, strict=True)
+            if length > 1
+        ]
+        return f"{self.name}[{', '.join(told)}]" if told else self.name
 
     def to_table(self) -> dict[str, Any]:
         """Describe it in JSON."""
@@ -85,9 +89,9 @@ class Variable:
         return cls(**{**table, "shape": tuple(table["shape"]), "dims": tuple(table["dims"])})
 
 
-def _written(label: Any) -> str:
-    """Write a label; numbers with as many digits as they need."""
-    return f"{label:.10g}" if isinstance(label, float) else str(label)
+def _written(dim: str, label: Any) -> str:
+    """Write a label, a number with the name of its axis."""
+    return label if isinstance(label, str) else f"{dim}={label:.10g}"
 
 
 def _plain(label: Any) -> Any:

@@ -23,7 +23,7 @@ def test_the_page_shows_all_figures(tmp_path: Path, capsys: pytest.CaptureFixtur
     for words in (
         "Do the chains agree?",
         "of each of 2 chains",
-        "flux[source=Fornax A]",
+        "flux[Fornax A]",
         "The beam and all else, 120 MHz",
     ):
         assert words in page

@@ -31,7 +31,7 @@ def pooled(store: ChainStore) -> Pooled:
 def test_draws_are_pooled_at_even_intervals(store: ChainStore, pooled: Pooled) -> None:
     assert (pooled.n_draws, pooled.freq) == (600, 1.2e8)
     np.testing.assert_array_equal(pooled.beam[150:300], store.read("beam", 1)[::2, 0])
-    expected = ["flux[source=Fornax A]", "flux[source=B]", "flux[source=C]"]
+    expected = ["flux[Fornax A]", "flux[B]", "flux[C]"]
     assert pooled.labels == [*expected, "noise[freq=120000000]", "noise[freq=130000000]"]
 
 
