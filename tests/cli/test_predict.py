@@ -87,7 +87,7 @@ def _looped(folder: Path) -> None:
         (_without_posterior, ("posterior.h5", "no such file")),
         (_cut, ("posterior.h5",)),
         (_at(131e6 + 2), ("job.toml", "[data] freqs", "no beam at 131.000000 MHz", "within 1 Hz of the result's")),
-        (_attribute("polarization", "nn"), ("job.toml", "[data] polarization", "the result is of 'nn'")),
+        (_attribute("polarization", "en"), ("job.toml", "[data] polarization", "the result is of 'en'")),
         (_attribute("basis", '{"kind": "shapelets"}'), ("posterior.h5", "unknown basis kind 'shapelets'")),
         (_looped, ("posterior.h5", "effects", "make the result again")),
         (_effects([{"kind": "antenna_gains"}]), ("posterior.h5", "effects, number 1", "make the result again")),
