@@ -27,7 +27,7 @@ FLUSH_S = 5.0
 """Draws are written once they are so old, which is all that a kill can cost; slower draws each by itself."""
 PAUSE = 200.0
 """And the time since the last writing is so many times what that took: half a percent of a run, on slow disks, too."""
-BUFFER_BYTES = 4 << 20
+BUFFER_BYTES = 8 << 20
 """Draws of so many bytes are written at once, as they have to be kept in memory."""
 SMALL_DRAWS = 1000
 SMALL_BYTES = 8 << 20
