@@ -103,7 +103,7 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--status", type=Path, metavar="DIR", help="show how far chains are, instead")
     what = "draw the figures and report.html of a result"
     report = commands.add_parser("report", help=what, description=what)
-    report.add_argument("directory", type=Path, metavar="DIR", help="folder that infer wrote")
+    report.add_argument("directory", type=Path, metavar="DIR", help="folder that infer, loop or sample wrote")
     compare = "compare with gains that were not applied to the data (calfits)"
     report.add_argument("--gains", type=Path, nargs="+", default=[], metavar="FILE", help=compare)
     what = "print a job file filled in from data files"
