@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,7 +15,7 @@ from hydrabeam_mpi.api.applied import Applied, apply_result, setup_for, summary_
 from hydrabeam_mpi.api.result import Result
 from hydrabeam_mpi.api.setup import Setup
 from hydrabeam_mpi.api.shared import begun, origin_of
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, Observation
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray, Observation
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Fitted
@@ -22,10 +23,16 @@ from hydrabeam_mpi.fit.taken_out import Parts, antenna_gains, take_out
 from hydrabeam_mpi.io.calfits import write_calfits
 from hydrabeam_mpi.io.noise import calibrated_autos
 from hydrabeam_mpi.io.uvdata import read_visibilities
-from hydrabeam_mpi.io.uvwrite import write_uvh5
+from hydrabeam_mpi.io.uvsource import as_source
+from hydrabeam_mpi.io.uvwrite import uvh5_in_parts
 from hydrabeam_mpi.mpi import gather_objects, together
 from hydrabeam_mpi.setup.problem import Problem
 
+BLOCK_BYTES = 2**26
+"""Rank 0 gathers and writes so many bytes of visibilities at once: far more than a disk's block, far less than nodes
+have."""
+SAMPLE_BYTES = 4 * 16 + 1 + 8
+"""Four kinds of a visibility, its flag and its nsamples."""
 WHAT = {
     "corrected": "Visibilities without the instrument's effects: (V / (g_i g_j*) - added).",
     "model": "The sky as the inferred beam sees it: corrected visibilities without residual.",
@@ -67,18 +74,22 @@ class Correction(Applied):
     autos: FloatArray = field(default_factory=lambda: np.zeros(0))
     gains: ComplexArray = field(default_factory=lambda: np.zeros(0, dtype=complex))
 
-    def write_data(self, folder: Path) -> None:
-        """Write visibilities and gains."""
-        assert self.observation is not None
+    @property
+    def histories(self) -> dict[str, str]:
+        """What the files of visibilities, and ``gains``, say of themselves."""
         by = f"hydrabeam_mpi {self.about['versions']['hydrabeam_mpi']}, result {self.summary['result']}."
-        for name, values in self.visibilities.items():
-            autos = self.autos if name == "corrected" and np.isfinite(self.autos).any() else None
-            path, history = folder / f"{name}.uvh5", f"{WHAT[name]} Written by {by}"
-            write_uvh5(path, self.observation, values, self.flags, self.nsamples, autos, history)
         given = ", ".join(map(str, self.job.data.gains))
         relative = f"Relative to those of {given}, by which the data were divided before." if given else "Total."
-        history = f"Gains that effects stand for. {relative} Written by {by}"
-        write_calfits(folder / "gains.calfits", self.observation, self.gains, history)
+        histories = {**WHAT, "gains": f"Gains that effects stand for. {relative}"}
+        return {name: f"{what} Written by {by}" for name, what in histories.items()}
+
+    def write_data(self, folder: Path) -> None:
+        """Write visibilities and gains."""
+        if self.observation is None:
+            return  # it is there already
+        with _in_files(self, folder, self.observation, bool(np.isfinite(self.autos).any())) as add:
+            add(np.arange(self.observation.Ntimes), self)
+        write_calfits(folder / "gains.calfits", self.observation, self.gains, self.histories["gains"])
 
 
 def correct(result: Result, setup: Setup, bad_antennas: Collection[int] = ()) -> Correction:
@@ -112,6 +123,10 @@ def correct(result: Result, setup: Setup, bad_antennas: Collection[int] = ()) ->
         return run_correction(result, setup, folder, threads, bad_antennas)
 
 
+Add = Callable[[IntArray, Correction], None]
+"""Takes some times."""
+
+
 class _Part(NamedTuple):
     """What a rank has of all rows: where, (channels, times, baselines), and what."""
 
@@ -122,7 +137,12 @@ class _Part(NamedTuple):
 
 
 def run_correction(
-    result: Result, setup: Setup, folder: Path | None, threads: int, bad_antennas: Collection[int] = ()
+    result: Result,
+    setup: Setup,
+    folder: Path | None,
+    threads: int,
+    bad_antennas: Collection[int] = (),
+    into: Path | None = None,
 ) -> Correction:
     """Take effects out of data. Collective: all ranks of the setup.
 
@@ -136,20 +156,34 @@ def run_correction(
     threads : int
         BLAS threads of this rank, for the record.
     bad_antennas : collection of int
+    into : Path, optional
+        Where visibilities and gains are written, some times at once; the correction that is returned does not have
+        them then.
     """
     clock, world = Clock(), setup.comm
     problem, context, fitted, carried = apply_result(result, setup, folder, clock)
     with together(world):
         mine = _take_out(context, fitted)
-    gathered = gather_objects(world, mine)
-    correction = Correction(setup.job)
+    correction, parts = Correction(setup.job), _InMemory()
+    with ExitStack() as stack:
+        add: Add = parts.add
+        with together(world):
+            if world.rank == 0:
+                correction = _begun(setup, problem, context, fitted, summary_of(result, problem, carried), threads)
+                if into is not None:
+                    add = stack.enter_context(_in_files(correction, into, problem.observation, _has_autos(problem)))
+        for times in _blocks(problem.observation):
+            gathered = gather_objects(world, _at(mine, times))
+            with together(world):
+                if gathered is not None:
+                    gains = correction.gains[:, times]
+                    add(times, _joined(problem, gathered, times, gains, bad_antennas))
     with together(world):
-        if gathered is not None:
-            gains = antenna_gains(context.setup, fitted.values)[problem.channel_numbers]
-            summary, about = summary_of(result, problem, carried), origin_of(setup, problem, threads)
-            correction = _joined(problem, gathered, gains, bad_antennas)
-            correction = replace(correction, job=setup.job, summary=summary, about=about)
-    return correction
+        if world.rank == 0 and into is not None:
+            history = correction.histories["gains"]
+            write_calfits(into / "gains.calfits", problem.observation, correction.gains, history)
+            return replace(correction, observation=None)
+    return parts.joined(correction) if world.rank == 0 else correction
 
 
 def _take_out(context: FitContext, fitted: Fitted) -> _Part:
@@ -162,10 +196,42 @@ def _take_out(context: FitContext, fitted: Fitted) -> _Part:
     return _Part(where, parts, flags[..., 0] | ~usable, nsamples[..., 0])
 
 
-def _joined(problem: Problem, gathered: list[_Part], gains: ComplexArray, bad_antennas: Collection[int]) -> Correction:
-    """Put together what all ranks have. Serial."""
+def _begun(
+    setup: Setup, problem: Problem, context: FitContext, fitted: Fitted, summary: dict[str, Any], threads: int
+) -> Correction:
+    """Return a correction without visibilities. Serial."""
+    gains = antenna_gains(context.setup, fitted.values)[problem.channel_numbers]
+    about = origin_of(setup, problem, threads)
+    return Correction(setup.job, summary, about, observation=problem.observation, gains=gains)
+
+
+def _has_autos(problem: Problem) -> bool:
+    """Tell whether any of the files has autocorrelations."""
+    antpairs = (as_source(one).metadata()[1].antpairs for one in problem.files)
+    return any(np.any(pairs[:, 0] == pairs[:, 1]) for pairs in antpairs)
+
+
+def _blocks(observation: Observation) -> list[IntArray]:
+    """Split all times into such as are gathered and written at once."""
+    n_bytes = observation.Ntimes * observation.Nfreqs * observation.Nbls * SAMPLE_BYTES
+    n_blocks = min(-(-n_bytes // BLOCK_BYTES), observation.Ntimes)
+    return [np.asarray(times) for times in np.array_split(np.arange(observation.Ntimes), n_blocks)]
+
+
+def _at(mine: _Part, times: IntArray) -> _Part:
+    """Return what a rank has of some times, which are numbered from the first of them."""
+    channels, own, bls = mine.where
+    here = np.isin(own, times)
+    parts = Parts(*(one[:, here] for one in mine.parts))
+    return _Part((channels, own[here] - times[0], bls), parts, mine.flags[:, here], mine.nsamples[:, here])
+
+
+def _joined(
+    problem: Problem, gathered: list[_Part], times: IntArray, gains: ComplexArray, bad_antennas: Collection[int]
+) -> Correction:
+    """Put together what all ranks have of some times. Serial."""
     observation = problem.observation
-    shape = (observation.Nfreqs, observation.Ntimes, observation.Nbls, 1)
+    shape = (observation.Nfreqs, len(times), observation.Nbls, 1)
     visibilities = {name: np.zeros(shape, dtype=complex) for name in Parts._fields}
     flags, nsamples = np.ones(shape, dtype=bool), np.zeros(shape)
     for one in gathered:
@@ -176,15 +242,49 @@ def _joined(problem: Problem, gathered: list[_Part], gains: ComplexArray, bad_an
     flags[:, :, np.isin(observation.antpairs, list(bad_antennas)).any(axis=1)] = True
     for values in visibilities.values():
         values[flags] = 0.0
-    times = np.arange(observation.Ntimes)
     autos = calibrated_autos(problem.files, observation, times, problem.gain_files)
     autos = autos * problem.flux_scale.reshape(-1, 1, 1, 1) / np.abs(gains[..., np.newaxis]) ** 2
-    return Correction(
-        job=problem.job,
-        observation=observation,
-        visibilities=visibilities,
-        flags=flags,
-        nsamples=nsamples,
-        autos=autos,
-        gains=gains,
-    )
+    return Correction(problem.job, visibilities=visibilities, flags=flags, nsamples=nsamples, autos=autos)
+
+
+class _InMemory:
+    """Keeps some times after the other."""
+
+    def __init__(self) -> None:
+        self._parts: list[Correction] = []
+
+    def add(self, times: IntArray, part: Correction) -> None:
+        """Take the next times."""
+        self._parts.append(part)
+
+    def joined(self, correction: Correction) -> Correction:
+        """Return the correction with all times."""
+
+        def whole(name: str) -> Any:
+            return np.concatenate([getattr(one, name) for one in self._parts], axis=1)
+
+        names = Parts._fields
+        visibilities = {name: np.concatenate([one.visibilities[name] for one in self._parts], axis=1) for name in names}
+        arrays = {name: whole(name) for name in ("flags", "nsamples", "autos")}
+        return replace(correction, visibilities=visibilities, **arrays)
+
+
+@contextmanager
+def _in_files(correction: Correction, folder: Path, observation: Observation, has_autos: bool) -> Iterator[Add]:
+    """Give a function that writes some times into the files of visibilities."""
+    with ExitStack() as stack:
+        writers = {
+            name: stack.enter_context(
+                uvh5_in_parts(
+                    folder / f"{name}.uvh5", observation, has_autos and name == "corrected", correction.histories[name]
+                )
+            )
+            for name in Parts._fields
+        }
+
+        def add(times: IntArray, part: Correction) -> None:
+            for name, write in writers.items():
+                autos = part.autos if has_autos and name == "corrected" else None
+                write(times, part.visibilities[name], part.flags, part.nsamples, autos)
+
+        yield add

@@ -32,7 +32,7 @@ def correct(world: Comm, source: Path, job_path: Path | None, out: Path, overwri
     setup = setup_for(result, Setup.of(job, world, path=job_path))
     check_paths(world, setup.job, job_path, out, overwrite)
     with staged(world, job_path, setup.job, out, overwrite, more=result.files) as folder:
-        correction = run_correction(result, setup, folder, threads, bad)
+        correction = run_correction(result, setup, folder, threads, bad, folder)
         with together(world):
             if world.rank == 0:
                 correction.fill(folder)

@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
+import h5py
 import numpy as np
 from pyuvdata import Telescope, UVData
 from pyuvdata.utils import polstr2num
 
-from hydrabeam_mpi.data.observation import Array, BoolArray, ComplexArray, FloatArray, Observation
+from hydrabeam_mpi.data.observation import Array, BoolArray, ComplexArray, FloatArray, IntArray, Observation
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.disk import replacing
 from hydrabeam_mpi.io.hdf5 import HDF5Target
 from hydrabeam_mpi.io.reading import quiet
 from hydrabeam_mpi.io.uvdata import Block, feeds_of
 from hydrabeam_mpi.io.uvfile import enu_axes
+
+Writer = Callable[..., None]
+"""Writes some times; see `uvh5_in_parts`."""
 
 
 def write_uvh5(
@@ -46,16 +53,67 @@ def write_uvh5(
     InputError
         If the file cannot be written.
     """
-    antpairs, block = observation.antpairs, Block(data, flags, nsamples, ~flags)
-    if autos is not None:
+    with uvh5_in_parts(path, observation, autos is not None, history) as write:
+        write(np.arange(observation.Ntimes), data, flags, nsamples, autos)
+
+
+@contextmanager
+def uvh5_in_parts(path: Path, observation: Observation, has_autos: bool, history: str) -> Iterator[Writer]:
+    """Give a function that writes some times of visibilities; the file appears whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        Replaced if it exists.
+    observation : Observation
+    has_autos : bool
+        Whether the file has autocorrelations.
+    history : str
+
+    Yields
+    ------
+    callable
+        Called with indices of successive times, and with what `write_uvh5` is given, of these times.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    antpairs = observation.antpairs
+    if has_autos:
         antpairs = np.concatenate([antpairs, np.repeat(observation.antenna_numbers[:, None], 2, axis=1)])
-        block = Block(*map(_joined, block, _auto_block(observation, autos)))
     try:
-        with replacing(path) as partial, quiet(), _Target(partial) as target:
-            _as_uvdata(observation, antpairs, block, history).write_uvh5(target, run_check=False)
+        with replacing(path) as hidden, _Target(hidden) as target:
+            with quiet():
+                _as_uvdata(observation, antpairs, history).initialize_uvh5_file(target)
+            with h5py.File(target, "r+") as file:
+                yield partial(_write_part, file["Data"], observation, len(antpairs))
             target.settle()
     except OSError as error:
         raise InputError(f"cannot be written ({error})", file=path, remedy="choose another place") from error
+
+
+def _write_part(
+    group: h5py.Group,
+    observation: Observation,
+    n_rows: int,
+    times: IntArray,
+    data: ComplexArray,
+    flags: BoolArray,
+    nsamples: FloatArray,
+    autos: FloatArray | None = None,
+) -> None:
+    """Write successive times, of which the file has ``n_rows`` rows each."""
+    block = Block(data, flags, nsamples, ~flags)
+    if autos is not None:
+        block = Block(*map(_joined, block, _auto_block(observation, autos)))
+    rows = slice(int(times[0]) * n_rows, (int(times[-1]) + 1) * n_rows)
+    for name, values in (("visdata", block.data), ("flags", block.flags), ("nsamples", block.nsamples)):
+        shape = (observation.Nfreqs, len(times), n_rows, observation.Npols)
+        if values.shape != shape:
+            raise ValueError(f"{name} of the shape {values.shape}, not {shape}")
+        group[name][rows] = values.transpose(1, 2, 0, 3).reshape(-1, observation.Nfreqs, observation.Npols)
 
 
 class _Target(HDF5Target):
@@ -102,13 +160,9 @@ def telescope_of(observation: Observation) -> tuple[Telescope, dict[str, str]]:
     return telescope, orientation
 
 
-def _as_uvdata(observation: Observation, antpairs: Array, block: Block, history: str) -> UVData:
-    """Build the pyuvdata object, time by time and within a time baseline by baseline."""
+def _as_uvdata(observation: Observation, antpairs: Array, history: str) -> UVData:
+    """Build the pyuvdata object without data, time by time and within a time baseline by baseline."""
     telescope, orientation = telescope_of(observation)
-
-    def rows(values: Array) -> Array:
-        return values.transpose(1, 2, 0, 3).reshape(-1, observation.Nfreqs, observation.Npols)
-
     uv = UVData.new(
         freq_array=observation.freqs,
         polarization_array=np.array([polstr2num(pol, **orientation) for pol in observation.pols]),
@@ -120,9 +174,6 @@ def _as_uvdata(observation: Observation, antpairs: Array, block: Block, history:
         integration_time=observation.integration_time,
         channel_width=observation.channel_width,
         update_telescope_from_known=False,
-        data_array=rows(block.data),
-        flag_array=rows(block.flags),
-        nsample_array=rows(block.nsamples),
         vis_units="Jy",
         pol_convention="sum",
         history=history,

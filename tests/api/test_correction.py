@@ -14,6 +14,7 @@ from pyuvdata import UVCal, UVData
 from pyuvdata.utils import uvcalibrate
 
 import hydrabeam_mpi as hb
+from hydrabeam_mpi.api import correction as correction_module
 from hydrabeam_mpi.cli import main
 from tests.api.nights import Nights
 
@@ -93,8 +94,9 @@ def test_parts_are_what_they_are_called(corrected: Path) -> None:
 
 
 def test_put_in_again_they_are_the_data_on_any_number_of_ranks(
-    nights: Nights, coupled: Path, tmp_path: Path, mpiexec_python: Any
+    nights: Nights, coupled: Path, tmp_path: Path, mpiexec_python: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(correction_module, "BLOCK_BYTES", 10_000)  # two times at once
     assert main(["correct", str(coupled), "-o", str(tmp_path / "one")]) == 0
     done = mpiexec_python(2, RUN, coupled, tmp_path / "two")
     assert done.returncode == 0, done.stderr
@@ -110,7 +112,8 @@ def test_put_in_again_they_are_the_data_on_any_number_of_ranks(
     assert [pair for pair in added.get_antpairs() if added.get_data(pair).any()] == [(1, 4), (2, 5)]
 
 
-def test_other_data_in_python(nights: Nights) -> None:
+def test_other_data_in_python(nights: Nights, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(correction_module, "BLOCK_BYTES", 10_000)
     job = nights.job("second", "_flagged", exclude_baselines=[[0, 3]])
     correction = hb.correct(hb.load(nights.result), hb.Setup.from_job(job), bad_antennas=[5])
     assert correction.observation is not None
