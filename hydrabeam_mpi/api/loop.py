@@ -25,8 +25,9 @@ from hydrabeam_mpi.loop.checks.leakage import check_leakage
 from hydrabeam_mpi.loop.output.amendment import amended_job, effects_found
 from hydrabeam_mpi.loop.output.record import make_record
 from hydrabeam_mpi.loop.output.resume import Keeper
+from hydrabeam_mpi.loop.selection.again import search
 from hydrabeam_mpi.loop.selection.choice import choose
-from hydrabeam_mpi.loop.selection.rounds import History, begin, run_rounds, settle_last
+from hydrabeam_mpi.loop.selection.rounds import History, begin, settle_last
 from hydrabeam_mpi.mpi import peak_rss_mb, together
 from hydrabeam_mpi.result.gains import gains_told
 from hydrabeam_mpi.setup.job_file import check_holds_out
@@ -105,7 +106,7 @@ def run_loop(
         keeper = Keeper(context, folder, choice.skipped, conventions, clock, origin)
         history, keep = keeper.go_on(earlier, out, overwrite), keeper
     history = history or begin(context, values, clock)
-    run_rounds(context, history, *wanted, clock, keep)
+    search(context, history, *wanted, clock, keep)
     with clock.time("settle"):
         settle_last(context, history)
     with clock.time("leakage"):

@@ -17,6 +17,7 @@ from hydrabeam_mpi.loop.output.sentences import say_round, say_verdict, still_th
 from hydrabeam_mpi.loop.residuals.left_out import rows_left_out
 from hydrabeam_mpi.loop.residuals.remains import Remains
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round, indistinguishable, why_unexplained
+from hydrabeam_mpi.loop.selection.again import given_up
 from hydrabeam_mpi.loop.selection.rounds import History
 
 UNDECIDABLE = (
@@ -143,6 +144,7 @@ def _found(
     return {
         "rounds": [_convention(history, conventions)] if conventions["found"] else rounds,
         "tried": tried,
+        "not_offered_again": [{"effect": kind, "law": law} for kind, law in given_up(history)],
         "skipped": reasons,
         "undecidable": [{"what": what, "why": why} for what, why in undecidable],
     }

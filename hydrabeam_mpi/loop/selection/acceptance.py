@@ -76,6 +76,8 @@ class Round:
         Among the active effects of the last fit; None for a change of the weights, and where it was taken back since.
     revised : tuple of str
         What became of earlier effects, and of this one, when all were weighed again.
+    given_up : bool
+        Whether its effect was taken back when nothing more was found, and is not offered again since.
     taken_back : (Active, ndarray), optional
         The effect as it was when it was taken back at the end, and its standard deviations, (Nfreqs, n_params).
     constancy : tuple of Constancy
@@ -90,6 +92,7 @@ class Round:
     beam_change: float
     place: int | None = None
     revised: tuple[str, ...] = ()
+    given_up: bool = False
     taken_back: tuple[Active, FloatArray] | None = None
     constancy: tuple[Constancy, ...] = ()
 

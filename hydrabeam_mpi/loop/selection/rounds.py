@@ -167,6 +167,7 @@ def _keep(clock: Clock, keep: Callable[[History], None], history: History) -> No
 def _take_back(context: FitContext, history: History) -> None:
     """Take back what is unphysical or not the same in all parts, until nothing is left of it. Collective: all ranks."""
     n_given, before = len(history.first.fitted.values.active), None
+    there = [one.place is not None for one in history.rounds]
     while history.rounds and history.last is not before:
         before = history.last
         for step in (take_back_unphysical, take_back):
@@ -176,6 +177,10 @@ def _take_back(context: FitContext, history: History) -> None:
                 told = [_asked(one, fitted, places, asked) for one in (*history.rounds[:-1], last)]
                 history.rounds = told[:-1]
                 history.add(told[-1], places)
+    history.rounds = [
+        replace(one, given_up=one.given_up or (was and one.revoked))
+        for was, one in zip(there, history.rounds, strict=True)
+    ]
 
 
 def _asked(

@@ -1,0 +1,44 @@
+"""The whole search: rounds until nothing more is found, and once more where something was taken back then."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from hydrabeam_mpi.effects.interface.effect import Effect
+from hydrabeam_mpi.effects.interface.reweighting import Reweighting
+from hydrabeam_mpi.fit.clock import Clock
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.loop.selection.rounds import History, run_rounds
+from hydrabeam_mpi.terminal.progress import say
+
+
+def search(
+    context: FitContext,
+    history: History,
+    effects: Sequence[Effect],
+    changes: Sequence[Reweighting],
+    clock: Clock,
+    keep: Callable[[History], None],
+) -> None:
+    """Do as `run_rounds`, and once more without the effects that are taken back at its end.
+
+    What was not so had stood for something, which others may explain now that it is gone. It would be found again, so
+    that it is not offered any more; what is taken back at the second end stays so. All rounds together are as many as
+    the job allows. A history that was kept goes on in the search that it was kept in.
+
+    Collective: all ranks of the grid. Parameters as of `run_rounds`.
+    """
+    if not given_up(history):
+        run_rounds(context, history, effects, changes, clock, keep)
+        if not given_up(history):
+            return
+        with clock.time("keep"):
+            keep(history)
+    say("once more, without what was taken back", context.grid.is_world_root)
+    gone = given_up(history)
+    run_rounds(context, history, [one for one in effects if (one.kind, one.law) not in gone], changes, clock, keep)
+
+
+def given_up(history: History) -> list[tuple[str, str | None]]:
+    """Return kinds and laws of effects that were taken back when nothing more was found, each once."""
+    return list(dict.fromkeys(one.candidate.name for one in history.rounds if one.given_up))
