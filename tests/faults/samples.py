@@ -112,8 +112,8 @@ def _laid_out(samples: Path, file: Path) -> dict[str, Any]:
 
 
 def _after(samples: Path, file: Path) -> dict[str, Any]:
-    """Return a job whose prior is a result; the same visibilities in another file stand for those of another night."""
-    files = [str(samples / "data.uvfits")]
+    """Return a job whose prior is a result of another night."""
+    files = [str(samples / "next.uvh5")]
     return from_files(samples, data__files=files, prior={"kind": "file"}, prior__file=str(file))
 
 
@@ -192,6 +192,10 @@ def _visibilities(folder: Path) -> None:
     cal.write_calfits(str(folder / "gains.calfits"))
     cal.write_calh5(str(folder / "gains.calh5"))
     uv.write_uvfits(str(folder / "data.uvfits"), force_phase=True)
+    # What another night of the same sky gives, but for its noise.
+    another = UVData.from_file(str(folder / "data.uvh5"))
+    another.data_array *= 1 + 1e-6
+    another.write_uvh5(str(folder / "next.uvh5"))
     again = UVData.from_file(str(folder / "data.uvh5"))
     again.write_ms(str(folder / "data.ms"), force_phase=True)
     UVData.from_file(str(folder / "data.uvh5")).write_miriad(str(folder / "data.miriad"))
