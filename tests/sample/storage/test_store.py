@@ -51,8 +51,8 @@ def test_files_tell_what_is_in_them(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "chain-0" / "00000000-00000002.h5", "r") as file:
         assert dict(file.attrs) == {"format": 1, "chain": 0, "first_draw": 0, "n_draws": 3}
         about = file["draws/flux"].attrs
-        assert (about["units"], about["long_name"], about["block"]) == ("Jy", "flux of a source", "catalogue_flux")
-        assert list(about["dims"]) == ["source"]
+        told = [about[name].decode() for name in ("units", "long_name", "block", "dims")]
+        assert told == ["Jy", "flux of a source", "catalogue_flux", "source"]
 
 
 def test_a_chain_goes_on_where_it_ended(tmp_path: Path) -> None:
