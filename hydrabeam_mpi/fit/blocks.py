@@ -108,21 +108,25 @@ class BeamBlock:
 
 @dataclass(frozen=True)
 class CandidateBlock:
-    """The parameters of an effect that is weighed for the model, linearised at ``x``, (n_params,)."""
+    """Parameters of an effect that is weighed for the model, linearised at ``x``, (n_params,).
+
+    They are all, or ``only`` some, (n,).
+    """
 
     effect: Effect
     x: FloatArray
     is_complex: bool = False
+    only: IntArray | None = None
 
     @property
     def size(self) -> int:
         """Number of parameters."""
-        return len(self.x)
+        return len(self.used)
 
     @property
     def used(self) -> IntArray:
-        """The numbers of its parameters: all of them."""
-        return np.arange(self.size)
+        """The numbers of these parameters."""
+        return np.arange(len(self.x)) if self.only is None else self.only
 
     @property
     def effects(self) -> Sequence[Effect]:
@@ -131,7 +135,7 @@ class CandidateBlock:
 
     def columns(self, rows: RowSet, block: RowBlock) -> Columns:
         """Return the effect's columns."""
-        return effect_columns(rows, self.effect.columns(block, self.x))
+        return effect_columns(rows, self.effect.columns(block, self.x), self.only)
 
 
 def sums_of(model: Mapping[str, ColumnBlock], candidates: Mapping[str, ColumnBlock] | None = None) -> NormalEquations:

@@ -48,6 +48,18 @@ def error_scale(context: FitContext, fitted: Fitted) -> ErrorScale:
     It counts degrees of freedom: of n complex data, less half of the real parameters that they decided, chi^2 has a
     standard error of their root. Collective: all ranks of the grid.
     """
+    chi2, free = _by_channel(context, fitted)
+    return ErrorScale(_root_of_excess(chi2, free), float(_root_of_excess(chi2.sum(), free.sum())))
+
+
+def fitted_chi2(context: FitContext, fitted: Fitted) -> tuple[float, float]:
+    """Return chi^2 of all fitted rows, not reduced, and how much noise leaves of it. Collective: all ranks."""
+    chi2, free = _by_channel(context, fitted)
+    return float(chi2.sum()), float(free.sum())
+
+
+def _by_channel(context: FitContext, fitted: Fitted) -> tuple[FloatArray, FloatArray]:
+    """Return each channel's chi^2 and degrees of freedom, (Nfreqs,). Collective: all ranks of the grid."""
     n_freqs, own = context.setup.observation.Nfreqs, fitted.diagnostics
     chi2, free = np.zeros(n_freqs), np.zeros(n_freqs)
     if context.grid.is_group_root:
@@ -56,7 +68,7 @@ def error_scale(context: FitContext, fitted: Fitted) -> ErrorScale:
         free[mine] = np.maximum(own.n_data - 0.5 * (own.effective_parameters + _decided(fitted, n_freqs)[mine]), 1.0)
     for part in (chi2, free):
         allreduce_sum(context.grid.world, part)
-    return ErrorScale(_root_of_excess(chi2, free), float(_root_of_excess(chi2.sum(), free.sum())))
+    return chi2, free
 
 
 def _decided(fitted: Fitted, n_freqs: int) -> FloatArray:

@@ -21,6 +21,9 @@ class Rules:
         An effect with less than this fraction of the best one's ln evidence is not fitted beside it. A fit can raise
         the evidence of what is not linear, such as a source beside its place, several times; that of linear effects
         changes as far as the beam moves with them. Nothing is lost: what is left out is weighed again a round later.
+    most_columns : int
+        Parameters at most, of all candidates, that are weighed together. The products of n columns take n^2 / 2 times
+        as many sums as there are rows; six hundred take no longer than weighing each effect by itself.
     element_nats : float
         What a further element (an antenna, a source) must add to ln evidence beyond the price of picking it. Without a
         margin noise brings in one of dozens now and then; e^4 is one in fifty.
@@ -34,6 +37,7 @@ class Rules:
 
     most_tries: int = 6
     most_refits: int = 3
+    most_columns: int = 600
     near: float = 0.1
     near_if_linear: float = 0.7
     element_nats: float = 4.0

@@ -17,7 +17,7 @@ time.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -54,6 +54,8 @@ class Evidence:
         Rank of K over all blocks.
     linear_gain : float
         By how much x raises the logarithm of likelihood times prior, as far as the model is linear.
+    alone : ndarray, (q,)
+        By how much the element of each parameter alone raises ln evidence, where the prior was looked for.
     """
 
     log_bayes_factor: float
@@ -64,6 +66,7 @@ class Evidence:
     absorbed: float
     rank: int
     linear_gain: float
+    alone: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def n_parameters(self) -> int:
@@ -110,7 +113,8 @@ def find_evidence(
         if across_log > best[0]:
             best = (across_log, (widths[sets.element] * scale) ** 2)
     log_bayes_factor, prior_var = best
-    return _describe(blocks, log_bayes_factor, prior_var, rank)
+    found = _describe(blocks, log_bayes_factor, prior_var, rank)
+    return replace(found, alone=_alone(scaled, parameters))
 
 
 def evidence_of(
@@ -175,6 +179,12 @@ def _sparse(scaled: Sequence[tuple[FloatArray, FloatArray]], parameters: Paramet
         chosen = members[best][members[best] >= 0]
         working = [_condition(*block, chosen, taus[best]) for block in working]
     return log_bayes_factor, widths
+
+
+def _alone(scaled: Sequence[tuple[FloatArray, FloatArray]], parameters: Parameters) -> FloatArray:
+    """Return by how much the element of each parameter alone raises ln evidence, at the price of picking it."""
+    gains, _ = _element_gains(scaled, _members(parameters), rarity(parameters, TAUS))
+    return (gains - np.log(max(parameters.trials, 1)) - 1.0)[parameters.element]
 
 
 def _filled(widths: FloatArray) -> FloatArray:

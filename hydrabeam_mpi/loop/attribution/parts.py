@@ -19,8 +19,9 @@ from hydrabeam_mpi.fit.marginal import Marginal
 from hydrabeam_mpi.fit.state import Active, Fitted
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.loop.attribution.constancy import Constancy, compare
+from hydrabeam_mpi.loop.attribution.others import Others
 from hydrabeam_mpi.loop.attribution.price import price_of
-from hydrabeam_mpi.loop.attribution.score_effects import CachedRowBlocks, candidate_sums, without_active
+from hydrabeam_mpi.loop.attribution.score_effects import CachedRowBlocks, candidate_sums
 from hydrabeam_mpi.mpi import bcast_object, gather_objects, together
 from hydrabeam_mpi.random import generator
 
@@ -106,7 +107,8 @@ def ask_constancy(context: FitContext, fitted: Fitted, places: Iterable[int]) ->
     with together(context.grid.world):
         for place, by_channel in (likelihoods or {}).items():
             effect, rest = active[place].effect, fitted.values.without(place)
-            blocks = without_active(rest, effect, by_channel) if rest.active else by_channel
+            others = Others.of(rest, len(by_channel))
+            blocks = others.marginalised(by_channel, effect.shared) if rest.active else by_channel
             blocks = [sum(blocks[1:], start=blocks[0])] if effect.shared else blocks
             block = parted[place]
             found[place] = tuple(

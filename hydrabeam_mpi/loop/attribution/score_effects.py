@@ -20,6 +20,7 @@ from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Estimate, Fitted, Values
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.loop.attribution.evidence import Evidence, evidence_of, find_evidence
+from hydrabeam_mpi.loop.attribution.others import Others
 from hydrabeam_mpi.mpi import allreduce_sum, bcast_object, gather_objects, together
 
 MAX_ELEMENTS = 350
@@ -46,7 +47,9 @@ class Finding:
         return self.effect.kind
 
 
-def attribute(context: FitContext, fitted: Fitted, effects: Sequence[Effect]) -> list[Finding]:
+def attribute(
+    context: FitContext, fitted: Fitted, effects: Sequence[Effect], cached: CachedRowBlocks | None = None
+) -> list[Finding]:
     """Weigh effects that are not part of the model, best first.
 
     Collective: all ranks of the grid.
@@ -57,10 +60,12 @@ def attribute(context: FitContext, fitted: Fitted, effects: Sequence[Effect]) ->
     fitted : Fitted
     effects : list of Effect
         Those that these data can carry.
+    cached : CachedRowBlocks, optional
+        The fitted rows as blocks, where they are at hand.
     """
     values = fitted.values
     with together(context.grid.world):
-        cached = CachedRowBlocks.of(context, fitted.estimate)
+        cached = cached or CachedRowBlocks.of(context, fitted.estimate)
     picked = _pick(context, cached, effects)
     picked = [effect for effect in picked if _has_more(context, values, effect)]
     candidates = {
@@ -88,7 +93,7 @@ def attribute(context: FitContext, fitted: Fitted, effects: Sequence[Effect]) ->
     return result
 
 
-def _taken(values: Values, effect: Effect) -> IntArray:
+def taken(values: Values, effect: Effect) -> IntArray:
     """Return the parameters of an effect that are part of the model already."""
     same = [one.used for one in values.active if one.kind == effect.kind and one.effect.describe() == effect.describe()]
     return np.concatenate([np.zeros(0, dtype=int), *same])
@@ -96,7 +101,7 @@ def _taken(values: Values, effect: Effect) -> IntArray:
 
 def _has_more(context: FitContext, values: Values, effect: Effect) -> bool:
     """Whether an effect has parameters that are not part of the model yet."""
-    return len(_taken(values, effect)) < len(effect.parameters(context.setup))
+    return len(taken(values, effect)) < len(effect.parameters(context.setup))
 
 
 def weigh(
@@ -112,8 +117,9 @@ def weigh(
     """
     parameters = effect.parameters(context.setup)
     scale = parameters.scale.copy()
-    scale[_taken(values, effect)] = 0.0
-    blocks = without_active(values, effect, by_channel) if values.active else by_channel
+    scale[taken(values, effect)] = 0.0
+    others = Others.of(values, len(by_channel))
+    blocks = others.marginalised(by_channel, effect.shared) if values.active else by_channel
     if effect.shared:
         blocks = [sum(blocks[1:], start=blocks[0])] if len(blocks) > 1 else blocks
     parameters, degenerate = replace(parameters, scale=scale), effect.degenerate_directions(context.setup)
@@ -134,33 +140,21 @@ def _absorbed(evidence: Evidence, by_channel: list[Likelihood]) -> float:
     return float(np.clip(1 - seen / present, 0.0, 1.0)) if present > 0 else 0.0
 
 
-def without_active(values: Values, effect: Effect, by_channel: list[Likelihood]) -> list[Likelihood]:
-    """Marginalise the active effects, whose likelihood comes first, with their priors.
-
-    Those with parameters for each channel are marginalised in each. So are those that channels share, for an effect
-    that is each channel's own, where every channel counts its part of their prior; else after the sum over channels.
-    """
-    shared, n_freqs = values.shared, len(by_channel)
-    share, own = np.where(shared, 1 / n_freqs, 1.0), np.flatnonzero(~shared)
-    blocks = []
-    for f, likelihood in enumerate(by_channel):
-        score = likelihood.score.copy()
-        score[: len(shared)] += share * values.prior_score(f)
-        one = replace(likelihood, score=score)
-        blocks.append(one.marginalised(own, values.prior_precision(f)[np.ix_(own, own)]))
-    n_shared = int(shared.sum())
-    common = values.prior_precision(0)[np.ix_(shared, shared)]
-    if effect.shared:
-        total = sum(blocks[1:], start=blocks[0])
-        return [total.marginalised(np.arange(n_shared), common)]
-    return [block.marginalised(np.arange(n_shared), common / n_freqs) for block in blocks]
-
-
 def candidate_sums(
-    context: FitContext, values: Values, cached: CachedRowBlocks, channel: int, candidates: Mapping[str, ColumnBlock]
+    context: FitContext,
+    values: Values,
+    cached: CachedRowBlocks,
+    channel: int,
+    candidates: Mapping[str, ColumnBlock],
+    by_pairs: bool = False,
 ) -> NormalEquations:
-    """Sum one channel's columns of the model's effects and of candidates over the group."""
+    """Sum one channel's columns of the model's effects and of candidates over the group.
+
+    Their products are those of each candidate by itself, or with ``by_pairs`` those of any two as well.
+    """
     model: dict[str, ColumnBlock] = {BEAM: context.beam, **values.blocks}
+    if by_pairs:
+        model, candidates = {**model, **candidates}, {}
     total = sums_of(model, candidates)
     with together(context.grid.world):
         for block in cached.row_blocks(channel):

@@ -124,7 +124,7 @@ def _lightened(context: FitContext, history: History) -> History:
     tried = [(_light(candidate), reason) for candidate, reason in history.tried]
     control = history.control and _light_round(context, history.control, before)
     ranking = tuple(map(_light, history.ranking))
-    return History(first, before, rounds, tried, ranking, control, history.control_since)
+    return History(first, before, rounds, tried, ranking, control, history.control_since, history.rest)
 
 
 def _light_round(context: FitContext, one: Round, before: Checked) -> Round:

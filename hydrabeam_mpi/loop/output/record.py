@@ -237,6 +237,10 @@ def _round(context: FitContext, one: Round, chi2: list[float], before: Remains, 
         "runner_up_log_bayes_factor": others[0].log_bayes_factor if others else None,
         "indistinguishable_from": [{"effect": other.kind, "law": other.law} for other in as_good],
         "beam_change_max": one.beam_change,
+        "together": [
+            {"effect": other.kind, "law": other.law, "log_bayes_factor": other.log_bayes_factor}
+            for other in one.together
+        ],
         "prior_scale": _prior_scale(one),
         **_size(candidate),
         "ranking": [_ranked(other) for other in ranking],

@@ -82,6 +82,8 @@ class Round:
         The effect as it was when it was taken back at the end, and its standard deviations, (Nfreqs, n_params).
     constancy : tuple of Constancy
         Whether the effect is the same in all parts of the data, asked at the end; empty for a change of the weights.
+    together : tuple of Candidate
+        The effects that together explained what there was before it, with the evidence of each beside the others.
     """
 
     candidate: Candidate
@@ -95,6 +97,7 @@ class Round:
     given_up: bool = False
     taken_back: tuple[Active, FloatArray] | None = None
     constancy: tuple[Constancy, ...] = ()
+    together: tuple[Candidate, ...] = ()
 
     @property
     def revoked(self) -> bool:
@@ -102,8 +105,10 @@ class Round:
         return self.candidate.finding is not None and self.place is None
 
 
-def in_order(wanted: Sequence[Candidate], most: int) -> list[Candidate]:
+def in_order(wanted: Sequence[Candidate], most: int, first: Candidate | None = None) -> list[Candidate]:
     """Order candidates for trial: by evidence, but a change of the weights after all effects that come near it.
+
+    The ``first`` of those that explain the residual together is the first of the effects.
 
     A residual with structure is not noise, but a higher noise level seems to explain any residual. Linear effects that
     come near the first go before others: their fits are short, and long ones of no use are then broken off. At most
@@ -111,16 +116,18 @@ def in_order(wanted: Sequence[Candidate], most: int) -> list[Candidate]:
     """
     top = max((one.log_bayes_factor for one in wanted), default=0.0)
     effects = [one for one in wanted if one.finding is not None]
-    first = max((one.log_bayes_factor for one in effects), default=0.0)
+    best = max((one.log_bayes_factor for one in effects), default=0.0)
 
     def place(one: Candidate) -> int:
+        if one is first:
+            return -1
         if one.finding is None:
             return 2
         if one.log_bayes_factor < RULES.near * top:
             return 3
-        return 0 if one.finding.effect.linear and one.log_bayes_factor >= RULES.near_if_linear * first else 1
+        return 0 if one.finding.effect.linear and one.log_bayes_factor >= RULES.near_if_linear * best else 1
 
-    tried = {id(one) for one in effects[:most]}
+    tried = {id(one) for one in sorted(effects, key=lambda one: one is not first)[:most]}
     return [one for one in sorted(wanted, key=place) if one.finding is None or id(one) in tried]
 
 

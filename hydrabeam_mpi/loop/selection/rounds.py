@@ -13,13 +13,12 @@ from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.settle import refined, settle
 from hydrabeam_mpi.fit.state import Fitted, Values
 from hydrabeam_mpi.loop.attribution.constancy import Constancy
-from hydrabeam_mpi.loop.attribution.score_effects import attribute
-from hydrabeam_mpi.loop.attribution.score_noise import fit_reweightings
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
 from hydrabeam_mpi.loop.selection.constant import take_back, take_back_unphysical
 from hydrabeam_mpi.loop.selection.exchange import exchange
 from hydrabeam_mpi.loop.selection.revision import revise
 from hydrabeam_mpi.loop.selection.trials import check, try_control, try_effects
+from hydrabeam_mpi.loop.selection.weighing import Together, Weighed, weigh
 from hydrabeam_mpi.terminal.progress import say
 
 
@@ -40,6 +39,8 @@ class History:
         Control model that explains the data better than all that was found since; not added.
     control_since : int
         How many rounds there were before it.
+    rest : Together, optional
+        What is still to be tried of effects that explain the residual together.
     """
 
     first: Checked
@@ -49,6 +50,7 @@ class History:
     ranking: tuple[Candidate, ...] = ()
     control: Round | None = None
     control_since: int = 0
+    rest: Together | None = None
 
     def add(self, found: Round, places: Mapping[int, int | None]) -> None:
         """Add a round, by which effects are at other ``places`` of the model than before, or taken back (None)."""
@@ -116,25 +118,34 @@ def run_rounds(
         Gets the history before the first round, once more when all has been weighed in it, and after each round that
         has found something.
     """
-    settings, checked = context.problem.job.loop, history.last
+    most, checked = context.problem.job.loop.max_rounds, history.last
     speaks = context.grid.is_world_root
     effects = _next_of(context, effects, checked.fitted.values)
-    for number in range(len(history.rounds), settings.max_rounds + 1):
+    while True:
+        number = len(history.rounds)
         if not history.rounds:
             _keep(clock, keep, history)
         say(f"round {number + 1}: {say_heldout(checked.score.chi2, checked.numbers.of_all)}; weighing effects", speaks)
+        rest, history.rest = history.rest if number < most else None, None
         with clock.time("attribution"):
-            ranking = rank(context, checked.fitted, effects, changes)
-        history.ranking = ranking
+            weighed = Weighed.next_of(rest) if rest else weigh(context, checked.fitted, effects, changes, most - number)
+        history.ranking = weighed.ranking
         if not history.rounds:
             _keep(clock, keep, history)
-        if number == settings.max_rounds:
+        if number >= most:
             break
+        tried: list[tuple[Candidate, str]] = []
         with clock.time("trials"):
-            added = try_effects(context, checked, ranking, history.tried)
-            control = try_control(context, checked, ranking, added)
+            added = try_effects(context, checked, weighed.ranking, tried, first=weighed.first)
+            if added is None and rest is not None:
+                continue  # what was weighed beside others is weighed again with these in the model
+            history.tried += tried
+            control = try_control(context, checked, weighed.ranking, added)
             if added is None:
                 added = _exchanged(context, history, effects)
+            else:
+                added = replace(added, together=weighed.together.members)
+                history.rest = weighed.after(added.candidate)
             if added is not None:
                 added, places = revise(context, added, len(history.first.fitted.values.active))
                 history.add(added, places)
@@ -208,16 +219,3 @@ def _next_of(context: FitContext, effects: Sequence[Effect], values: Values) -> 
     for one in values.active:
         effects = [effect.next_after(context.setup, one.effect) for effect in effects]
     return effects
-
-
-def rank(
-    context: FitContext, fitted: Fitted, effects: Sequence[Effect], changes: Sequence[Reweighting]
-) -> tuple[Candidate, ...]:
-    """Order everything that may be tried by its evidence. Collective: all ranks of the grid."""
-    candidates = list(map(Candidate.of, attribute(context, fitted, effects)))
-    done = {one.change.kind for one in fitted.values.reweighted}
-    candidates += [
-        Candidate(found.change.kind, found.change.title, found.fit.log_bayes_factor, weights=found)
-        for found in fit_reweightings(context, fitted, [one for one in changes if one.kind not in done])
-    ]
-    return tuple(sorted(candidates, key=lambda one: -one.log_bayes_factor))

@@ -59,18 +59,21 @@ def try_effects(
     ranking: Sequence[Candidate],
     tried: list[tuple[Candidate, str]],
     best: Round | None = None,
+    first: Candidate | None = None,
 ) -> Round | None:
     """Fit the candidates that may be the best; return the best of those that held-out data confirm.
 
     Collective: all ranks of the grid. ``tried`` receives those that they do not confirm, with the reason. Where there
-    is a ``best`` one already, others have to be better.
+    is a ``best`` one already, others have to be better. The ``first`` to be tried is of a set that explains everything:
+    what it leaves, the others of the set explain.
     """
     settings = context.problem.job.loop
     wanted = [one for one in _wanted(context, ranking) if not one.is_control]
     enough = best is not None and best.after.remains.consistent
-    for candidate in in_order(wanted, RULES.most_tries):
+    for candidate in in_order(wanted, RULES.most_tries, first):
         if best is not None and not may_be_better(candidate, best, enough):
             continue
+        explained = candidate is first
         try:
             candidate = as_large_as_wanted(context, checked.fitted, candidate)
             fitted, after = _fit(context, checked, candidate, _worth(context, checked, candidate, best))
@@ -85,7 +88,7 @@ def try_effects(
             tried.append((fitted, reason))
         elif best is None or is_better(fitted, after, best):
             best = round_of(context, checked, after, fitted, ranking)
-            enough = after.remains.consistent
+            enough = explained or after.remains.consistent
     return best
 
 

@@ -1,0 +1,215 @@
+"""Which effects together explain the residual: a search by marginal likelihood over all of them at once.
+
+An effect that is weighed by itself also gets the evidence of what it can stand for. So effects are chosen with all
+others of the set marginalised, each with the prior that is the best then (`find_evidence`: elements, functions of time
+or all of it, with widths of their own and at their price). Effects are added, weighed again, left out, and exchanged
+for others, one or several, until no such move raises the evidence of the whole set: sparse Bayesian learning (Tipping
+and Faul 2003) in groups. All effects are linearised where they are not there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.effects.interface.parameters import Parameters
+from hydrabeam_mpi.inference.likelihood import Likelihood
+from hydrabeam_mpi.loop.attribution.evidence import Evidence, evidence_of, find_evidence
+from hydrabeam_mpi.loop.attribution.others import Others
+
+MOST_SWEEPS = 20
+"""Moves of each sort at most: far more than there are effects in any data, so that rounding cannot go round."""
+LEAST_GAIN = 0.1
+"""Nats below which a move gains nothing: widths are tried in steps that cost as much."""
+
+State = dict[int, Evidence]
+"""A set of effects by number: the evidence that each had beside the others when it was last weighed, with its prior."""
+
+
+@dataclass(frozen=True)
+class Competitor:
+    """An effect of which some parameters, (q,), are weighed beside those of others.
+
+    Attributes
+    ----------
+    parameters : Parameters
+        These alone.
+    degenerate : ndarray, (n, q)
+        Combinations that no data can tell from another beam.
+    shared : bool
+        Whether channels share them.
+    """
+
+    parameters: Parameters
+    degenerate: FloatArray
+    shared: bool
+
+
+@dataclass(frozen=True)
+class JointLikelihood:
+    """What the data say of the parameters of all competitors, with the beam marginalised.
+
+    Attributes
+    ----------
+    by_channel : list of Likelihood
+        Of what is in the model already, then of each competitor's parameters, in their order.
+    model : Others
+        What is in the model already.
+    competitors : list of Competitor
+    """
+
+    by_channel: Sequence[Likelihood]
+    model: Others
+    competitors: Sequence[Competitor]
+
+    def weigh(self, state: State, numbers: Collection[int]) -> State:
+        """Return the evidence for some competitors beside those of ``state``, each alone, with its best prior."""
+        found = {}
+        for shared in (False, True):
+            of_sort = [i for i in numbers if self.competitors[i].shared is shared]
+            for i, blocks in zip(of_sort, self._beside(state, of_sort, shared), strict=True):
+                one = self.competitors[i]
+                found[i] = find_evidence(blocks, one.parameters, one.degenerate)
+        return found
+
+    def weigh_again(self, state: State, number: int) -> tuple[Evidence, float]:
+        """Return the evidence for one of a set beside the others, and its logarithm with the prior that it has."""
+        one = self.competitors[number]
+        (blocks,) = self._beside(_without(state, number), [number], one.shared)
+        now = evidence_of(blocks, one.parameters, state[number].prior_var, one.degenerate)
+        return find_evidence(blocks, one.parameters, one.degenerate), now.log_bayes_factor
+
+    def chi2_drop(self, state: State) -> float:
+        """Return by how much all of a set together lower chi^2."""
+        others, order = self._others(state)
+        blocks = [_part(one, order) for one in self.by_channel]
+        drops = zip(others.best(blocks), blocks, strict=True)
+        return float(sum(2 * one.score @ x - x @ one.information @ x for x, one in drops))
+
+    def _beside(self, state: State, numbers: Sequence[int], shared: bool) -> list[list[Likelihood]]:
+        """Return the likelihood of each of some competitors, with those of a set marginalised."""
+        if not numbers:
+            return []
+        others, order = self._others(state)
+        own = [self._span(i) for i in numbers]
+        left = others.marginalised([_part(one, np.concatenate([order, *own])) for one in self.by_channel], shared)
+        ends = np.cumsum([0, *map(len, own)])
+        return [[_part(one, np.arange(*pair)) for one in left] for pair in pairwise(ends)]
+
+    def _others(self, state: State) -> tuple[Others, np.ndarray]:
+        """Return what is in the model and a set, and where that is in the matrix."""
+        others, order = self.model, [np.arange(len(self.model.shared))]
+        for i, one in state.items():
+            used = np.flatnonzero(one.prior_var)
+            others = others.and_more(self.competitors[i].shared, one.prior_var[used])
+            order.append(self._span(i)[used])
+        return others, np.concatenate(order)
+
+    def _span(self, number: int) -> np.ndarray:
+        start = len(self.model.shared) + sum(len(one.parameters) for one in self.competitors[:number])
+        return np.arange(start, start + len(self.competitors[number].parameters))
+
+
+@dataclass(frozen=True)
+class JointSet:
+    """Effects that explain the residual together.
+
+    Attributes
+    ----------
+    order : tuple of int
+        Their numbers among the competitors, by the evidence that each has beside the others, best first.
+    beside : dict of int to dict of int to Evidence
+        For each of them, what it and every competitor that is not of the set has beside the others.
+    log_bayes_factor : float
+        Of all of them together.
+    """
+
+    order: tuple[int, ...] = ()
+    beside: Mapping[int, State] = field(default_factory=dict)
+    log_bayes_factor: float = 0.0
+
+
+def search(joint: JointLikelihood, least: float, explains: Callable[[State], bool]) -> JointSet:
+    """Find the set of effects with the most evidence, each of which adds ``least`` nats to that of the others.
+
+    Where a set does not explain the residual, as ``explains`` says, there is none: what is not linear, or no effect at
+    all, a linear model makes up for with whatever there is.
+    """
+    state = _added(joint, {}, (), least)
+    for _ in range(MOST_SWEEPS):
+        if not explains(state):
+            return JointSet()
+        state = _settled(joint, state)
+        better = _exchanged(joint, state, least)
+        if better is None:
+            break
+        state = better
+    free = _free(joint, state)
+    beside = {m: joint.weigh(_without(state, m), [m, *free]) for m in state}
+    order = [m for m in state if beside[m][m].log_bayes_factor >= least]
+    order.sort(key=lambda m: -beside[m][m].log_bayes_factor)
+    return JointSet(tuple(order), beside, _of_all(joint, state))
+
+
+def _free(joint: JointLikelihood, state: State, banned: Collection[int] = ()) -> list[int]:
+    return [i for i in range(len(joint.competitors)) if i not in state and i not in banned]
+
+
+def _of_all(joint: JointLikelihood, state: State) -> float:
+    """Return ln evidence for a set, by the chain rule."""
+    total, so_far = 0.0, State()
+    for i, one in state.items():
+        so_far = {**so_far, i: one}
+        total += joint.weigh_again(so_far, i)[1]
+    return total
+
+
+def _added(joint: JointLikelihood, state: State, banned: Collection[int], least: float) -> State:
+    """Add effects one by one, the one with the most evidence beside those that are in the set first."""
+    while True:
+        found = joint.weigh(state, _free(joint, state, banned))
+        best = max(found, key=lambda i: found[i].log_bayes_factor, default=None)
+        if best is None or found[best].log_bayes_factor < least:
+            return state
+        state = {**state, best: found[best]}
+
+
+def _settled(joint: JointLikelihood, state: State) -> State:
+    """Weigh each of a set again beside the others, with other elements and widths or none, until nothing gains."""
+    for _ in range(MOST_SWEEPS):
+        before = state
+        for i in list(state):
+            new, now = joint.weigh_again(state, i)
+            if new.log_bayes_factor < 0:
+                state = _without(state, i)
+            elif new.log_bayes_factor > now + LEAST_GAIN:
+                state = {**state, i: new}
+        if state is before:
+            break
+    return state
+
+
+def _exchanged(joint: JointLikelihood, state: State, least: float) -> State | None:
+    """Leave out one of a set and let others, one or several, make up for it; return the set if that is better."""
+    for i in state:
+        rest = _without(state, i)
+        own = joint.weigh_again(state, i)[1]
+        instead = _added(joint, rest, (i,), least)
+        # Of those that were added, the evidence that each had when it was.
+        if sum(one.log_bayes_factor for j, one in instead.items() if j not in rest) > own + LEAST_GAIN:
+            return instead
+    return None
+
+
+def _without(state: State, number: int) -> State:
+    return {i: one for i, one in state.items() if i != number}
+
+
+def _part(one: Likelihood, which: np.ndarray) -> Likelihood:
+    """Return the likelihood of some of the unknowns, with the others at zero."""
+    square = np.ix_(which, which)
+    return replace(one, information=one.information[square], score=one.score[which], signal=one.signal[square])

@@ -1,0 +1,96 @@
+"""What is in the model beside an effect, and is marginalised where that is weighed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from hydrabeam_mpi.data.observation import BoolArray, FloatArray
+from hydrabeam_mpi.fit.state import Values
+from hydrabeam_mpi.inference.likelihood import Likelihood
+
+
+@dataclass(frozen=True)
+class Others:
+    """Unknowns that come first in the likelihood of every channel, and their prior.
+
+    Attributes
+    ----------
+    shared : ndarray of bool, (p,)
+        Whether channels share them.
+    precision : tuple of ndarray, (p, p)
+        Of their prior, a channel.
+    score : tuple of ndarray, (p,)
+        Gradient of ln prior where the likelihood has its zero, a channel.
+    """
+
+    shared: BoolArray
+    precision: tuple[FloatArray, ...]
+    score: tuple[FloatArray, ...]
+
+    @classmethod
+    def of(cls, values: Values, n_freqs: int) -> Others:
+        """Return the active effects."""
+        channels = range(n_freqs)
+        precision = tuple(values.prior_precision(f) for f in channels)
+        return cls(values.shared, precision, tuple(values.prior_score(f) for f in channels))
+
+    def and_more(self, shared: bool, prior_var: FloatArray) -> Others:
+        """Return these and more after them, independent and around zero; ``prior_var`` is (n,), all above zero."""
+        n = len(prior_var)
+        return Others(
+            np.append(self.shared, np.full(n, shared)),
+            tuple(block_diag(one, np.diag(1 / prior_var)) for one in self.precision),
+            tuple(np.append(one, np.zeros(n)) for one in self.score),
+        )
+
+    def marginalised(self, by_channel: Sequence[Likelihood], for_shared: bool) -> list[Likelihood]:
+        """Return what is left for the unknowns that come after them: of each channel, or ``for_shared`` ones of all.
+
+        Those of a channel are marginalised in each. So are those that channels share, for what is each channel's own,
+        where every channel counts its part of their prior; else after the sum over channels.
+        """
+        shared, n_freqs, own = self.shared, len(by_channel), np.flatnonzero(~self.shared)
+        blocks = [
+            one.marginalised(own, precision[np.ix_(own, own)])
+            for one, precision in zip(self._with_prior_score(by_channel), self.precision, strict=True)
+        ]
+        n_shared = int(shared.sum())
+        common = self.precision[0][np.ix_(shared, shared)]
+        if for_shared:
+            total = sum(blocks[1:], start=blocks[0])
+            return [total.marginalised(np.arange(n_shared), common)]
+        return [block.marginalised(np.arange(n_shared), common / n_freqs) for block in blocks]
+
+    def best(self, by_channel: Sequence[Likelihood]) -> list[FloatArray]:
+        """Return their most probable values in each channel, (p,), with all else at zero."""
+        shared, own, n = self.shared, np.flatnonzero(~self.shared), len(self.shared)
+        cut = [
+            replace(one, information=one.information[:n, :n], score=one.score[:n], signal=one.signal[:n, :n])
+            for one in self._with_prior_score(by_channel)
+        ]
+        left = [one.marginalised(own, p[np.ix_(own, own)]) for one, p in zip(cut, self.precision, strict=True)]
+        total = sum(left[1:], start=left[0])
+        common = np.linalg.solve(total.information + self.precision[0][np.ix_(shared, shared)], total.score)
+        found = []
+        for one, precision in zip(cut, self.precision, strict=True):
+            x = np.zeros(n)
+            x[shared] = common
+            square = np.ix_(own, own)
+            x[own] = np.linalg.solve(
+                one.information[square] + precision[square],
+                one.score[own] - one.information[np.ix_(own, np.flatnonzero(shared))] @ common,
+            )
+            found.append(x)
+        return found
+
+    def _with_prior_score(self, by_channel: Sequence[Likelihood]) -> list[Likelihood]:
+        share, found = np.where(self.shared, 1 / len(by_channel), 1.0), []
+        for one, of_prior in zip(by_channel, self.score, strict=True):
+            score = one.score.copy()
+            score[: len(share)] += share * of_prior
+            found.append(replace(one, score=score))
+        return found

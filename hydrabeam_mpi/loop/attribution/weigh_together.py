@@ -1,0 +1,195 @@
+"""All effects that have evidence, weighed together: one more pass over the rows, and a search on their whole matrix."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.parameters import Parameters
+from hydrabeam_mpi.fit.blocks import CandidateBlock, ColumnBlock
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.equations import BEAM
+from hydrabeam_mpi.fit.error_scale import fitted_chi2
+from hydrabeam_mpi.fit.marginal import Marginal
+from hydrabeam_mpi.fit.state import Fitted
+from hydrabeam_mpi.inference.likelihood import Likelihood
+from hydrabeam_mpi.inference.significance import SIGNIFICANT_P
+from hydrabeam_mpi.loop.attribution.evidence import Evidence
+from hydrabeam_mpi.loop.attribution.joint_search import Competitor, JointLikelihood, JointSet, State, search
+from hydrabeam_mpi.loop.attribution.others import Others
+from hydrabeam_mpi.loop.attribution.score_effects import CachedRowBlocks, Finding, candidate_sums, taken
+from hydrabeam_mpi.loop.rules import RULES
+from hydrabeam_mpi.mpi import bcast_object, gather_objects, together
+
+
+@dataclass(frozen=True)
+class TogetherFound:
+    """Effects that explain the residual together.
+
+    Attributes
+    ----------
+    numbers : tuple of int
+        Their places among the findings that they were chosen from, by the evidence that each has beside the others,
+        best first.
+    beside : tuple of tuple of Finding
+        For each of them, itself with that evidence, and then what else could stand in its place.
+    log_bayes_factor : float
+        Of all of them together.
+    """
+
+    numbers: tuple[int, ...] = ()
+    beside: tuple[tuple[Finding, ...], ...] = ()
+    log_bayes_factor: float = 0.0
+
+
+def weigh_together(
+    context: FitContext, fitted: Fitted, findings: Sequence[Finding], cached: CachedRowBlocks | None = None
+) -> TogetherFound:
+    """Find the effects that explain the residual together, of those that have evidence by themselves; or none.
+
+    Collective: all ranks of the grid.
+
+    Parameters
+    ----------
+    context : FitContext
+    fitted : Fitted
+        Where ``findings`` were weighed.
+    findings : sequence of Finding
+        Best first.
+    cached : CachedRowBlocks, optional
+        The rows that they were weighed by.
+    """
+    least = context.problem.job.loop.min_log_bayes_factor
+    wanted = [one for one in findings if one.evidence.log_bayes_factor >= least]
+    picked = columns_that_matter(context, fitted, wanted)
+    by_channel = _likelihoods(context, fitted, cached, picked)
+    total, free = fitted_chi2(context, fitted)
+
+    found = None
+    with together(context.grid.world):
+        if by_channel is not None:
+            competitors = [_competitor(context, fitted, *one) for one in picked]
+            model = Others.of(fitted.values, len(by_channel))
+            joint = JointLikelihood(by_channel, model, competitors)
+            chosen = search(joint, least, lambda state: explains(joint, state, picked, total, free))
+            found = _told(picked, chosen, findings)
+    result: TogetherFound = bcast_object(context.grid.world, found)
+    return result
+
+
+def columns_that_matter(
+    context: FitContext, fitted: Fitted, findings: Sequence[Finding]
+) -> list[tuple[Finding, IntArray]]:
+    """Return effects with the parameters to weigh: those in use, and of further elements those that gain alone.
+
+    The effects with the most evidence come first while there is room, then the elements that gain most.
+    """
+    room, picked = RULES.most_columns, []
+    for one in findings:
+        which, further = _in_use(context, fitted, one)
+        if len(which) <= room:
+            room -= len(which)
+            picked.append((one, which, further))
+    gains = np.concatenate([np.zeros(0), *(one.evidence.alone[further] for one, _, further in picked)])
+    least = np.sort(gains)[::-1][room] if len(gains) > room else 0.0
+    return [
+        (one, np.sort(np.append(which, further[one.evidence.alone[further] > least]))) for one, which, further in picked
+    ]
+
+
+def _in_use(context: FitContext, fitted: Fitted, one: Finding) -> tuple[IntArray, IntArray]:
+    """Return the parameters of an effect that are in use, or cannot be weighed without each other, and those beside."""
+    parameters = one.effect.parameters(context.setup)
+    can = (parameters.scale > 0) & ~parameters.nonlinear
+    can[taken(fitted.values, one.effect)] = False
+    whole = len(one.effect.degenerate_directions(context.setup)) > 0
+    used = can & ((one.evidence.prior_var > 0) | whole)
+    return np.flatnonzero(used), np.flatnonzero(can & ~used & (one.evidence.alone > 0))
+
+
+def _competitor(context: FitContext, fitted: Fitted, one: Finding, which: IntArray) -> Competitor:
+    degenerate = one.effect.degenerate_directions(context.setup)
+    inside = ~np.delete(degenerate, which, axis=1).any(axis=1)
+    parameters = _some_of(one.effect.parameters(context.setup), which)
+    return Competitor(parameters, degenerate[inside][:, which], one.effect.shared)
+
+
+def _some_of(parameters: Parameters, which: IntArray) -> Parameters:
+    """Return some of an effect's parameters, which are picked from as many as before."""
+
+    def numbered(numbers: IntArray) -> IntArray:
+        return np.unique(numbers[which], return_inverse=True)[1]
+
+    return replace(
+        parameters,
+        names=tuple(parameters.names[i] for i in which),
+        units=tuple(parameters.units[i] for i in which),
+        scale=parameters.scale[which],
+        element=numbered(parameters.element),
+        nonlinear=parameters.nonlinear[which],
+        across=None if parameters.across is None else numbered(parameters.across),
+    )
+
+
+def _likelihoods(
+    context: FitContext,
+    fitted: Fitted,
+    cached: CachedRowBlocks | None,
+    picked: Sequence[tuple[Finding, IntArray]],
+) -> list[Likelihood] | None:
+    """Go through the rows once; on rank 0. Collective: all ranks of the grid."""
+    values, found = fitted.values, []
+    blocks: dict[str, ColumnBlock] = {
+        f"candidate {number}": CandidateBlock(one.effect, np.zeros(len(one.evidence.prior_var)), only=which)
+        for number, (one, which) in enumerate(picked)
+    }
+    with together(context.grid.world):
+        cached = cached or CachedRowBlocks.of(context, fitted.estimate)
+    for channel, number in enumerate(context.channels):
+        sums = candidate_sums(context, values, cached, channel, blocks, by_pairs=True)
+        if context.grid.is_group_root:
+            marginal = Marginal(sums, BEAM, fitted.fit.posteriors[channel])
+            found.append((number, marginal.likelihood([*values.blocks, *blocks])))
+    gathered = gather_objects(context.grid.world, found)
+    if gathered is None:
+        return None
+    by_channel = dict(pair for part in gathered for pair in part)
+    return [by_channel[number] for number in sorted(by_channel)]
+
+
+def explains(
+    joint: JointLikelihood, state: State, picked: Sequence[tuple[Finding, IntArray]], total: float, free: float
+) -> bool:
+    """Whether what a set of effects leaves of chi^2, ``total``, may be noise, with no control model among them.
+
+    Where a beam that changes in time is wanted beside all effects, none of these is what they say. ``free`` are the
+    degrees of freedom without the set.
+    """
+    if any(picked[i][0].effect.is_control_model for i in state):
+        return False
+    left = free - 0.5 * sum(one.effective_parameters for one in state.values())
+    return left > 0 and bool(chi2.sf(2 * (total - joint.chi2_drop(state)), 2 * left) >= SIGNIFICANT_P)
+
+
+def _told(picked: Sequence[tuple[Finding, IntArray]], chosen: JointSet, findings: Sequence[Finding]) -> TogetherFound:
+    """Return what was found in terms of whole effects."""
+
+    def finding(number: int, evidence: Evidence) -> Finding:
+        one, which = picked[number]
+        return Finding(one.effect, _of_all(evidence, which, len(one.evidence.prior_var)))
+
+    beside = [[finding(i, found) for i, found in chosen.beside[m].items()] for m in chosen.order]
+    places = [next(i for i, one in enumerate(findings) if one is picked[m][0]) for m in chosen.order]
+    return TogetherFound(tuple(places), tuple(map(tuple, beside)), chosen.log_bayes_factor)
+
+
+def _of_all(evidence: Evidence, which: IntArray, n: int) -> Evidence:
+    """Return the evidence for an effect of which some parameters were weighed, the others at zero."""
+    prior_var: FloatArray = np.zeros(n)
+    x: FloatArray = np.zeros((len(evidence.x), n))
+    prior_var[which], x[:, which] = evidence.prior_var, evidence.x
+    return replace(evidence, prior_var=prior_var, x=x, alone=np.zeros(0))

@@ -1,0 +1,106 @@
+"""What may be tried: everything that may explain the residual, each by itself and all together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from hydrabeam_mpi.effects.interface.effect import Effect
+from hydrabeam_mpi.effects.interface.reweighting import Reweighting
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.state import Fitted
+from hydrabeam_mpi.loop.attribution.score_effects import CachedRowBlocks, attribute
+from hydrabeam_mpi.loop.attribution.score_noise import fit_reweightings
+from hydrabeam_mpi.loop.attribution.weigh_together import weigh_together
+from hydrabeam_mpi.loop.selection.acceptance import Candidate
+from hydrabeam_mpi.mpi import together
+
+
+@dataclass(frozen=True)
+class Together:
+    """Effects that together explain what is left, as far as the model is linear: those that are still to be tried.
+
+    Attributes
+    ----------
+    members : tuple of Candidate
+        By the evidence that each has beside the others, best first.
+    beside : tuple of tuple of Candidate
+        For each of them, what could stand in its place beside the others, itself with that evidence among it, ordered
+        by evidence.
+    """
+
+    members: tuple[Candidate, ...] = ()
+    beside: tuple[tuple[Candidate, ...], ...] = ()
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """What may be tried.
+
+    Attributes
+    ----------
+    ranking : tuple of Candidate
+        Everything, by its evidence.
+    first : Candidate or None
+        Of the ranking: the one that has the most evidence beside the others of the set.
+    together : Together
+        Set that explains the residual; of none where there is no such.
+    """
+
+    ranking: tuple[Candidate, ...]
+    first: Candidate | None = None
+    together: Together = field(default_factory=Together)
+
+    @classmethod
+    def next_of(cls, rest: Together) -> Weighed:
+        """Return what to try once others of a set are part of the model."""
+        return cls(rest.beside[0], rest.members[0], rest)
+
+    def after(self, added: Candidate) -> Together | None:
+        """Return the rest of the set once its first has been added; None where there is none, or another was."""
+        if self.first is None or (added.kind, added.law) != (self.first.kind, self.first.law):
+            return None
+        members, beside = self.together.members[1:], self.together.beside[1:]
+        return Together(members, beside) if members else None
+
+
+def rank(
+    context: FitContext, fitted: Fitted, effects: Sequence[Effect], changes: Sequence[Reweighting]
+) -> tuple[Candidate, ...]:
+    """Order everything that may be tried by its evidence. Collective: all ranks of the grid."""
+    return weigh(context, fitted, effects, changes, 0).ranking
+
+
+def weigh(
+    context: FitContext, fitted: Fitted, effects: Sequence[Effect], changes: Sequence[Reweighting], most: int
+) -> Weighed:
+    """Weigh each effect by itself, and all together for a set of ``most`` of them.
+
+    Collective: all ranks of the grid. A change of the weights explains any residual: where it has more evidence than
+    all effects together, these are not believed.
+    """
+    with together(context.grid.world):
+        cached = CachedRowBlocks.of(context, fitted.estimate)
+    findings = attribute(context, fitted, effects, cached)
+    candidates = list(map(Candidate.of, findings))
+    done = {one.change.kind for one in fitted.values.reweighted}
+    reweightings = [
+        Candidate(found.change.kind, found.change.title, found.fit.log_bayes_factor, weights=found)
+        for found in fit_reweightings(context, fitted, [one for one in changes if one.kind not in done])
+    ]
+    ranking = tuple(sorted((*candidates, *reweightings), key=_best_first))
+    least = context.problem.job.loop.min_log_bayes_factor
+    if most < 1 or sum(one.log_bayes_factor >= least for one in candidates) < 2:
+        return Weighed(ranking)
+    found = weigh_together(context, fitted, findings, cached)
+    by_weights = max((one.log_bayes_factor for one in reweightings), default=0.0)
+    if not 0 < len(found.numbers) <= most or by_weights > found.log_bayes_factor:
+        return Weighed(ranking)
+    beside = [list(map(Candidate.of, one)) for one in found.beside]
+    members = tuple(one[0] for one in beside)
+    chosen = Together(members, tuple(tuple(sorted(one, key=_best_first)) for one in beside))
+    return Weighed(ranking, candidates[found.numbers[0]], chosen)
+
+
+def _best_first(one: Candidate) -> float:
+    return -one.log_bayes_factor
