@@ -1,0 +1,155 @@
+"""The search for effects that explain a residual together, on linear models whose truth is known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.effects.interface.parameters import Parameters
+from hydrabeam_mpi.inference.likelihood import Likelihood
+from hydrabeam_mpi.loop.attribution.evidence import price_of
+from hydrabeam_mpi.loop.attribution.joint_search import Competitor, JointLikelihood, JointSet, State, search
+from hydrabeam_mpi.loop.attribution.others import Others
+from hydrabeam_mpi.random import generator
+
+N_DATA, LEAST = 200, 5.0
+NOTHING = Others(np.zeros(0, dtype=bool), (np.zeros((0, 0)),) * 2, (np.zeros(0),) * 2)
+
+
+def competitor(n: int, elements: bool = False, shared: bool = False) -> Competitor:
+    parameters = Parameters.of([f"p{i}" for i in range(n)], "", 1.0, np.arange(n) if elements else None)
+    return Competitor(parameters, np.zeros((0, n)), shared)
+
+
+class Data:
+    """White noise of variance one in each channel, and what some columns add to it."""
+
+    def __init__(self, columns: Sequence[FloatArray], competitors: Sequence[Competitor], signal: Sequence[FloatArray]):
+        rng = generator(7, "joint search")
+        self.columns, self.competitors = columns, competitors
+        self.data = [one + rng.standard_normal(N_DATA) for one in signal]
+        self.all = np.concatenate(columns, axis=1)
+        information = self.all.T @ self.all
+        by_channel = [Likelihood(information, self.all.T @ one, information) for one in self.data]
+        model = Others(NOTHING.shared, NOTHING.precision[: len(signal)], NOTHING.score[: len(signal)])
+        self.joint = JointLikelihood(by_channel, model, competitors)
+
+    def explains(self, state: State) -> bool:
+        left = sum(one @ one for one in self.data) - self.joint.chi2_drop(state)
+        return bool(left < 1.5 * N_DATA * len(self.data))
+
+    def found(self) -> JointSet:
+        return search(self.joint, LEAST, self.explains)
+
+    def log_evidence(self, state: State) -> float:
+        """By the density of all channels' data, with prices."""
+        ends, n = np.cumsum([0, *(one.shape[1] for one in self.columns)]), len(self.data)
+        covariance, price = np.eye(n * N_DATA), 0.0
+        for i, one in state.items():
+            part = self.all[:, ends[i] : ends[i + 1]]
+            channels = np.ones((n, n)) if self.competitors[i].shared else np.eye(n)
+            covariance += np.kron(channels, (part * one.prior_var) @ part.T)
+            price += price_of(self.competitors[i].parameters, one.prior_var)
+        data, zero = np.concatenate(self.data), np.zeros(n * N_DATA)
+        with_set, without = (multivariate_normal.logpdf(data, zero, c) for c in (covariance, np.eye(n * N_DATA)))
+        return float(with_set - without) - price
+
+
+def draw(*shape: int, seed: int = 0) -> FloatArray:
+    return generator(seed, "columns").standard_normal(shape)
+
+
+@pytest.fixture
+def stand_in() -> Data:
+    """Two effects with columns that are alike, and one that nearly has their sum, which alone explains most."""
+    common = draw(N_DATA, 1, seed=1)
+    one, two = 0.5 * common + draw(N_DATA, 2, seed=2), 0.5 * common + draw(N_DATA, 2, seed=3)
+    truth = one @ [1.0, -0.6] + two @ [0.9, 0.7]
+    mimic = np.column_stack([truth + 0.4 * np.std(truth) * draw(N_DATA, seed=4), draw(N_DATA, 5, seed=5)])
+    columns = [one, mimic, draw(N_DATA, 8, seed=6), two]
+    return Data(columns, [competitor(2), competitor(6), competitor(8, elements=True), competitor(2)], [truth])
+
+
+def test_what_is_right_together_takes_the_place_of_what_explains_most_alone(stand_in: Data) -> None:
+    alone = stand_in.joint.weigh({}, range(4))
+    assert max(alone, key=lambda i: alone[i].log_bayes_factor) == 1
+    found = stand_in.found()
+    assert set(found.order) == {0, 3}
+    first, second = (found.beside[i][i].log_bayes_factor for i in found.order)
+    assert first >= second > LEAST
+    state = {i: found.beside[i][i] for i in found.order}
+    assert found.log_bayes_factor == pytest.approx(stand_in.log_evidence(state), rel=1e-3)
+    # Any other set has less evidence, and what could stand in the place of each has less than it has.
+    for others in ([0, 1], [1, 3], [1], [0, 1, 3]):
+        rest: State = {}
+        for i in others:
+            rest = {**rest, i: stand_in.joint.weigh(rest, [i])[i]}
+        assert stand_in.log_evidence(rest) < found.log_bayes_factor
+    for i in found.order:
+        beside = {j: one.log_bayes_factor for j, one in found.beside[i].items()}
+        assert set(beside) == {i, 1, 2}
+        assert max(beside, key=lambda j: beside[j]) == i
+
+
+def test_chi2_of_what_a_set_leaves(stand_in: Data) -> None:
+    found = stand_in.found()
+    state = {i: found.beside[i][i] for i in found.order}
+    parts, widths = zip(*((stand_in.columns[i], one.prior_var) for i, one in state.items()), strict=True)
+    part, widths = np.concatenate(parts, axis=1), np.concatenate(widths)
+    x = np.linalg.solve(part.T @ part + np.diag(1 / widths), part.T @ stand_in.data[0])
+    drop = np.sum(stand_in.data[0] ** 2) - np.sum((stand_in.data[0] - part @ x) ** 2)
+    assert stand_in.joint.chi2_drop(state) == pytest.approx(drop, rel=1e-9)
+
+
+def test_where_no_set_explains_the_data_there_is_none(stand_in: Data) -> None:
+    assert search(stand_in.joint, LEAST, lambda state: False) == JointSet()
+
+
+def test_nothing_is_found_in_noise() -> None:
+    data = Data(
+        [draw(N_DATA, 3, seed=8), draw(N_DATA, 9, seed=9)], [competitor(3), competitor(9, True)], [np.zeros(N_DATA)]
+    )
+    found = data.found()
+    assert found.order == ()
+    assert found.log_bayes_factor == 0.0
+
+
+def test_what_channels_share_beside_what_each_has_its_own() -> None:
+    """The shared effect by the sum over channels; elements by those at fault."""
+    shared, own = draw(N_DATA, 1, seed=10), draw(N_DATA, 6, seed=11) + 0.5 * draw(N_DATA, 1, seed=10)
+    competitors = [competitor(6, elements=True), competitor(1, shared=True)]
+    at_fault = np.zeros(6)
+    at_fault[[1, 4]] = 1.0
+    signal = [shared[:, 0] * 0.6 + own @ (sign * at_fault) for sign in (1.0, -1.0)]
+    data = Data([own, shared], competitors, signal)
+    found = data.found()
+    assert set(found.order) == {0, 1}
+    of_own, of_shared = found.beside[0][0], found.beside[1][1]
+    assert np.flatnonzero(of_own.prior_var).tolist() == [1, 4]
+    assert of_shared.x.shape == (1, 1)
+    np.testing.assert_allclose(of_shared.x[0], 0.6, atol=4 / np.sqrt(2 * N_DATA))
+    np.testing.assert_allclose(of_own.x[:, 1], [1.0, -1.0], atol=5 / np.sqrt(N_DATA))
+    state = {i: found.beside[i][i] for i in found.order}
+    # Each channel counts its part of the shared prior, and what they tell is not brought together before.
+    assert found.log_bayes_factor == pytest.approx(data.log_evidence(state), abs=3.0)
+    left = sum(one @ one for one in data.data) - data.joint.chi2_drop(state)
+    assert left == pytest.approx(2 * N_DATA, abs=4 * np.sqrt(4 * N_DATA))
+
+
+def test_best_values_of_own_and_shared_unknowns_solve_the_equations_of_all_channels() -> None:
+    matrices = [draw(N_DATA, 3, seed=seed) for seed in (12, 13)]
+    data = [draw(N_DATA, seed=seed) for seed in (14, 15)]
+    by_channel = [Likelihood(one.T @ one, one.T @ d, one.T @ one) for one, d in zip(matrices, data, strict=True)]
+    others = NOTHING.and_more(True, np.array([0.3])).and_more(False, np.array([2.0, 0.1]))
+    found = np.array(others.best(by_channel))
+    whole = np.zeros((2 * N_DATA, 5))
+    for channel, one in enumerate(matrices):
+        rows = slice(channel * N_DATA, (channel + 1) * N_DATA)
+        whole[rows, 0], whole[rows, 1 + 2 * channel : 3 + 2 * channel] = one[:, 0], one[:, 1:]
+    precision = whole.T @ whole + np.diag(1 / np.array([0.3, 2.0, 0.1, 2.0, 0.1]))
+    x = np.linalg.solve(precision, whole.T @ np.concatenate(data))
+    np.testing.assert_allclose(found, [[x[0], x[1], x[2]], [x[0], x[3], x[4]]], rtol=1e-9)
