@@ -60,21 +60,27 @@ class JointLikelihood:
     model : Others
         What is in the model already.
     competitors : list of Competitor
+    alone : dict of int to Evidence
+        For those competitors of which it is known with nothing else beside them.
     """
 
     by_channel: Sequence[Likelihood]
     model: Others
     competitors: Sequence[Competitor]
+    alone: State = field(default_factory=dict)
+    _weighed: dict[frozenset[tuple[int, int]], tuple[State, State]] = field(default_factory=dict)
 
     def weigh(self, state: State, numbers: Collection[int]) -> State:
         """Return the evidence for some competitors beside those of ``state``, each alone, with its best prior."""
-        found = {}
+        # Moves come back to the same sets, which are told by objects that stay alive as long as what was found.
+        key = frozenset((i, id(one)) for i, one in state.items())
+        _, found = self._weighed.setdefault(key, (state, {} if state else dict(self.alone)))
         for shared in (False, True):
-            of_sort = [i for i in numbers if self.competitors[i].shared is shared]
+            of_sort = [i for i in numbers if self.competitors[i].shared is shared and i not in found]
             for i, blocks in zip(of_sort, self._beside(state, of_sort, shared), strict=True):
                 one = self.competitors[i]
                 found[i] = find_evidence(blocks, one.parameters, one.degenerate)
-        return found
+        return {i: found[i] for i in numbers}
 
     def weigh_again(self, state: State, number: int) -> tuple[Evidence, float]:
         """Return the evidence for one of a set beside the others, and its logarithm with the prior that it has."""

@@ -74,7 +74,8 @@ def weigh_together(
         if by_channel is not None:
             competitors = [_competitor(context, fitted, *one) for one in picked]
             model = Others.of(fitted.values, len(by_channel))
-            joint = JointLikelihood(by_channel, model, competitors)
+            alone = {i: _of_some(one.evidence, which) for i, (one, which) in enumerate(picked)}
+            joint = JointLikelihood(by_channel, model, competitors, alone)
             chosen = search(joint, least, lambda state: explains(joint, state, picked, total, free))
             found = _told(picked, chosen, findings)
     result: TogetherFound = bcast_object(context.grid.world, found)
@@ -185,6 +186,11 @@ def _told(picked: Sequence[tuple[Finding, IntArray]], chosen: JointSet, findings
     beside = [[finding(i, found) for i, found in chosen.beside[m].items()] for m in chosen.order]
     places = [next(i for i, one in enumerate(findings) if one is picked[m][0]) for m in chosen.order]
     return TogetherFound(tuple(places), tuple(map(tuple, beside)), chosen.log_bayes_factor)
+
+
+def _of_some(evidence: Evidence, which: IntArray) -> Evidence:
+    """Return the evidence for an effect in terms of some of its parameters, all that are in use among them."""
+    return replace(evidence, prior_var=evidence.prior_var[which], x=evidence.x[:, which], alone=evidence.alone[which])
 
 
 def _of_all(evidence: Evidence, which: IntArray, n: int) -> Evidence:
