@@ -9,7 +9,7 @@ and Faul 2003) in groups. All effects are linearised where they are not there.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -42,11 +42,13 @@ class Competitor:
         Combinations that no data can tell from another beam.
     shared : bool
         Whether channels share them.
+    is_control : bool
     """
 
     parameters: Parameters
     degenerate: FloatArray
     shared: bool
+    is_control: bool = False
 
 
 @dataclass(frozen=True)
@@ -89,12 +91,12 @@ class JointLikelihood:
         now = evidence_of(blocks, one.parameters, state[number].prior_var, one.degenerate)
         return find_evidence(blocks, one.parameters, one.degenerate), now.log_bayes_factor
 
-    def chi2_drop(self, state: State) -> float:
-        """Return by how much all of a set together lower chi^2."""
+    def gain(self, state: State) -> float:
+        """Return by how much all of a set together raise ln likelihood."""
         others, order = self._others(state)
         blocks = [_part(one, order) for one in self.by_channel]
-        drops = zip(others.best(blocks), blocks, strict=True)
-        return float(sum(2 * one.score @ x - x @ one.information @ x for x, one in drops))
+        each = zip(others.best(blocks), blocks, strict=True)
+        return float(sum(one.score @ x - 0.5 * x @ one.information @ x for x, one in each))
 
     def _beside(self, state: State, numbers: Sequence[int], shared: bool) -> list[list[Likelihood]]:
         """Return the likelihood of each of some competitors, with those of a set marginalised."""
@@ -132,22 +134,24 @@ class JointSet:
         For each of them, what it and every competitor that is not of the set has beside the others.
     log_bayes_factor : float
         Of all of them together.
+    gain : float
+        By how much they raise ln likelihood together.
     """
 
     order: tuple[int, ...] = ()
     beside: Mapping[int, State] = field(default_factory=dict)
     log_bayes_factor: float = 0.0
+    gain: float = 0.0
 
 
-def search(joint: JointLikelihood, least: float, explains: Callable[[State], bool]) -> JointSet:
+def search(joint: JointLikelihood, least: float) -> JointSet:
     """Find the set of effects with the most evidence, each of which adds ``least`` nats to that of the others.
 
-    Where a set does not explain the residual, as ``explains`` says, there is none: what is not linear, or no effect at
-    all, a linear model makes up for with whatever there is.
+    There is none if a control model is wanted beside the effects: then none of these is what it says.
     """
     state = _added(joint, {}, (), least)
     for _ in range(MOST_SWEEPS):
-        if not explains(state):
+        if any(joint.competitors[i].is_control for i in state):
             return JointSet()
         state = _settled(joint, state)
         better = _exchanged(joint, state, least)
@@ -158,7 +162,7 @@ def search(joint: JointLikelihood, least: float, explains: Callable[[State], boo
     beside = {m: joint.weigh(_without(state, m), [m, *free]) for m in state}
     order = [m for m in state if beside[m][m].log_bayes_factor >= least]
     order.sort(key=lambda m: -beside[m][m].log_bayes_factor)
-    return JointSet(tuple(order), beside, _of_all(joint, state))
+    return JointSet(tuple(order), beside, _of_all(joint, state), joint.gain(state))
 
 
 def _free(joint: JointLikelihood, state: State, banned: Collection[int] = ()) -> list[int]:
@@ -175,13 +179,14 @@ def _of_all(joint: JointLikelihood, state: State) -> float:
 
 
 def _added(joint: JointLikelihood, state: State, banned: Collection[int], least: float) -> State:
-    """Add effects one by one, the one with the most evidence beside those that are in the set first."""
-    while True:
+    """Add effects one by one, the one with the most evidence beside those of the set first, up to a control model."""
+    while not any(joint.competitors[i].is_control for i in state):
         found = joint.weigh(state, _free(joint, state, banned))
         best = max(found, key=lambda i: found[i].log_bayes_factor, default=None)
         if best is None or found[best].log_bayes_factor < least:
-            return state
+            break
         state = {**state, best: found[best]}
+    return state
 
 
 def _settled(joint: JointLikelihood, state: State) -> State:
@@ -205,6 +210,8 @@ def _exchanged(joint: JointLikelihood, state: State, least: float) -> State | No
         rest = _without(state, i)
         own = joint.weigh_again(state, i)[1]
         instead = _added(joint, rest, (i,), least)
+        if any(joint.competitors[j].is_control for j in instead):
+            continue
         # Of those that were added, the evidence that each had when it was.
         if sum(one.log_bayes_factor for j, one in instead.items() if j not in rest) > own + LEAST_GAIN:
             return instead

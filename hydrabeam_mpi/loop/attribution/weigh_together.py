@@ -19,7 +19,7 @@ from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.inference.significance import SIGNIFICANT_P
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
-from hydrabeam_mpi.loop.attribution.joint_search import Competitor, JointLikelihood, JointSet, State, search
+from hydrabeam_mpi.loop.attribution.joint_search import Competitor, JointLikelihood, JointSet, search
 from hydrabeam_mpi.loop.attribution.others import Others
 from hydrabeam_mpi.loop.attribution.score_effects import CachedRowBlocks, Finding, candidate_sums, taken
 from hydrabeam_mpi.loop.rules import RULES
@@ -39,11 +39,14 @@ class TogetherFound:
         For each of them, itself with that evidence, and then what else could stand in its place.
     log_bayes_factor : float
         Of all of them together.
+    explains : bool
+        Whether what they leave of the fitted rows may be noise, as far as the model is linear.
     """
 
     numbers: tuple[int, ...] = ()
     beside: tuple[tuple[Finding, ...], ...] = ()
     log_bayes_factor: float = 0.0
+    explains: bool = False
 
 
 def weigh_together(
@@ -76,8 +79,7 @@ def weigh_together(
             model = Others.of(fitted.values, len(by_channel))
             alone = {i: _of_some(one.evidence, which) for i, (one, which) in enumerate(picked)}
             joint = JointLikelihood(by_channel, model, competitors, alone)
-            chosen = search(joint, least, lambda state: explains(joint, state, picked, total, free))
-            found = _told(picked, chosen, findings)
+            found = _told(picked, search(joint, least), findings, total, free)
     result: TogetherFound = bcast_object(context.grid.world, found)
     return result
 
@@ -116,7 +118,7 @@ def _competitor(context: FitContext, fitted: Fitted, one: Finding, which: IntArr
     degenerate = one.effect.degenerate_directions(context.setup)
     inside = ~np.delete(degenerate, which, axis=1).any(axis=1)
     parameters = _some_of(one.effect.parameters(context.setup), which)
-    return Competitor(parameters, degenerate[inside][:, which], one.effect.shared)
+    return Competitor(parameters, degenerate[inside][:, which], one.effect.shared, one.effect.is_control_model)
 
 
 def _some_of(parameters: Parameters, which: IntArray) -> Parameters:
@@ -162,30 +164,27 @@ def _likelihoods(
     return [by_channel[number] for number in sorted(by_channel)]
 
 
-def explains(
-    joint: JointLikelihood, state: State, picked: Sequence[tuple[Finding, IntArray]], total: float, free: float
-) -> bool:
-    """Whether what a set of effects leaves of chi^2, ``total``, may be noise, with no control model among them.
-
-    Where a beam that changes in time is wanted beside all effects, none of these is what they say. ``free`` are the
-    degrees of freedom without the set.
-    """
-    if any(picked[i][0].effect.is_control_model for i in state):
-        return False
-    left = free - 0.5 * sum(one.effective_parameters for one in state.values())
-    return left > 0 and bool(chi2.sf(2 * (total - joint.chi2_drop(state)), 2 * left) >= SIGNIFICANT_P)
-
-
-def _told(picked: Sequence[tuple[Finding, IntArray]], chosen: JointSet, findings: Sequence[Finding]) -> TogetherFound:
-    """Return what was found in terms of whole effects."""
+def _told(
+    picked: Sequence[tuple[Finding, IntArray]],
+    chosen: JointSet,
+    findings: Sequence[Finding],
+    total: float,
+    free: float,
+) -> TogetherFound:
+    """Return what was found in terms of whole effects; ``free`` of chi^2, ``total``, are noise without any."""
+    free -= 0.5 * sum(chosen.beside[m][m].effective_parameters for m in chosen.order)
+    left = max(total - chosen.gain, 0.0)
+    # What the linear model leaves may be told by any of those that explain less than that.
+    order = [m for m in chosen.order if chosen.beside[m][m].log_bayes_factor > left - free]
 
     def finding(number: int, evidence: Evidence) -> Finding:
         one, which = picked[number]
         return Finding(one.effect, _of_all(evidence, which, len(one.evidence.prior_var)))
 
-    beside = [[finding(i, found) for i, found in chosen.beside[m].items()] for m in chosen.order]
-    places = [next(i for i, one in enumerate(findings) if one is picked[m][0]) for m in chosen.order]
-    return TogetherFound(tuple(places), tuple(map(tuple, beside)), chosen.log_bayes_factor)
+    beside = [[finding(i, found) for i, found in chosen.beside[m].items()] for m in order]
+    places = [next(i for i, one in enumerate(findings) if one is picked[m][0]) for m in order]
+    is_noise = free > 0 and bool(chi2.sf(2 * left, 2 * free) >= SIGNIFICANT_P)
+    return TogetherFound(tuple(places), tuple(map(tuple, beside)), chosen.log_bayes_factor, is_noise)
 
 
 def _of_some(evidence: Evidence, which: IntArray) -> Evidence:

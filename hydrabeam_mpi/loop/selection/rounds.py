@@ -18,7 +18,7 @@ from hydrabeam_mpi.loop.selection.constant import take_back, take_back_unphysica
 from hydrabeam_mpi.loop.selection.exchange import exchange
 from hydrabeam_mpi.loop.selection.revision import revise
 from hydrabeam_mpi.loop.selection.trials import check, try_control, try_effects
-from hydrabeam_mpi.loop.selection.weighing import Together, Weighed, weigh
+from hydrabeam_mpi.loop.selection.weighing import Outlook, Together, Weighed, next_of, weigh
 from hydrabeam_mpi.terminal.progress import say
 
 
@@ -120,15 +120,19 @@ def run_rounds(
     """
     most, checked = context.problem.job.loop.max_rounds, history.last
     speaks = context.grid.is_world_root
-    effects = _next_of(context, effects, checked.fitted.values)
+    effects = next_of(context, effects, checked.fitted.values)
+    known: Weighed | None = None
     while True:
         number = len(history.rounds)
         if not history.rounds:
             _keep(clock, keep, history)
         say(f"round {number + 1}: {say_heldout(checked.score.chi2, checked.numbers.of_all)}; weighing effects", speaks)
         rest, history.rest = history.rest if number < most else None, None
+        if rest is not None:
+            known = Weighed.next_of(rest)
         with clock.time("attribution"):
-            weighed = Weighed.next_of(rest) if rest else weigh(context, checked.fitted, effects, changes, most - number)
+            weighed = known or weigh(context, checked.fitted, effects, changes, most - number)
+        outlook, known = Outlook(context, effects, changes, most - number, weighed), None
         history.ranking = weighed.ranking
         if not history.rounds:
             _keep(clock, keep, history)
@@ -136,7 +140,7 @@ def run_rounds(
             break
         tried: list[tuple[Candidate, str]] = []
         with clock.time("trials"):
-            added = try_effects(context, checked, weighed.ranking, tried, first=weighed.first)
+            added = try_effects(context, checked, weighed.ranking, tried, outlook=outlook)
             if added is None and rest is not None:
                 continue  # what was weighed beside others is weighed again with these in the model
             history.tried += tried
@@ -153,7 +157,7 @@ def run_rounds(
         history.compare(control)
         if added is None:
             break
-        effects = _next_of(context, effects, added.after.fitted.values)
+        effects, known = next_of(context, effects, added.after.fitted.values), outlook.after(added.after.fitted)
         _keep(clock, keep, history)
     with clock.time("trials"):
         _take_back(context, history)
@@ -212,10 +216,3 @@ def say_heldout(chi2: float, now: dict[str, float]) -> str:
         f"{now['rms_model']:.4g}, with its best scale {now['rms_model_scaled']:.4g}, zero {now['rms_zero']:.4g}, noise "
         f"{now['rms_noise']:.4g} Jy)"
     )
-
-
-def _next_of(context: FitContext, effects: Sequence[Effect], values: Values) -> Sequence[Effect]:
-    """Return the effects to look for after those of the model."""
-    for one in values.active:
-        effects = [effect.next_after(context.setup, one.effect) for effect in effects]
-    return effects

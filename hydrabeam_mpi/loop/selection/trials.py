@@ -42,6 +42,7 @@ from hydrabeam_mpi.loop.selection.refits import (
     restarted,
     rise,
 )
+from hydrabeam_mpi.loop.selection.weighing import Outlook
 from hydrabeam_mpi.result.summary import evaluate_on_grid
 from hydrabeam_mpi.terminal.progress import say
 
@@ -59,21 +60,24 @@ def try_effects(
     ranking: Sequence[Candidate],
     tried: list[tuple[Candidate, str]],
     best: Round | None = None,
-    first: Candidate | None = None,
+    outlook: Outlook | None = None,
 ) -> Round | None:
     """Fit the candidates that may be the best; return the best of those that held-out data confirm.
 
     Collective: all ranks of the grid. ``tried`` receives those that they do not confirm, with the reason. Where there
-    is a ``best`` one already, others have to be better. The ``first`` to be tried is of a set that explains everything:
-    what it leaves, the others of the set explain.
+    is a ``best`` one already, others have to be better. Where an ``outlook`` is given, it says which is tried first,
+    and whether what the best so far leaves is explained by others, so that its rivals need not be tried.
     """
     settings = context.problem.job.loop
     wanted = [one for one in _wanted(context, ranking) if not one.is_control]
     enough = best is not None and best.after.remains.consistent
-    for candidate in in_order(wanted, RULES.most_tries, first):
+    for candidate in in_order(wanted, RULES.most_tries, outlook.weighed.first if outlook else None):
         if best is not None and not may_be_better(candidate, best, enough):
             continue
-        explained = candidate is first
+        if best is not None and outlook is not None and not enough and not may_be_better(candidate, best, enough=True):
+            enough = outlook.explains_rest(best)
+            if enough:
+                continue
         try:
             candidate = as_large_as_wanted(context, checked.fitted, candidate)
             fitted, after = _fit(context, checked, candidate, _worth(context, checked, candidate, best))
@@ -88,7 +92,7 @@ def try_effects(
             tried.append((fitted, reason))
         elif best is None or is_better(fitted, after, best):
             best = round_of(context, checked, after, fitted, ranking)
-            enough = explained or after.remains.consistent
+            enough = after.remains.consistent
     return best
 
 

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.reweighting import Reweighting
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.state import Fitted
+from hydrabeam_mpi.fit.state import Fitted, Values
 from hydrabeam_mpi.loop.attribution.score_effects import CachedRowBlocks, attribute
 from hydrabeam_mpi.loop.attribution.score_noise import fit_reweightings
 from hydrabeam_mpi.loop.attribution.weigh_together import weigh_together
-from hydrabeam_mpi.loop.selection.acceptance import Candidate
+from hydrabeam_mpi.loop.selection.acceptance import Candidate, Round
 from hydrabeam_mpi.mpi import together
 
 
@@ -45,11 +45,14 @@ class Weighed:
         Of the ranking: the one that has the most evidence beside the others of the set.
     together : Together
         Set that explains the residual; of none where there is no such.
+    explains : bool
+        Whether the set leaves no more than noise.
     """
 
     ranking: tuple[Candidate, ...]
     first: Candidate | None = None
     together: Together = field(default_factory=Together)
+    explains: bool = False
 
     @classmethod
     def next_of(cls, rest: Together) -> Weighed:
@@ -57,11 +60,64 @@ class Weighed:
         return cls(rest.beside[0], rest.members[0], rest)
 
     def after(self, added: Candidate) -> Together | None:
-        """Return the rest of the set once its first has been added; None where there is none, or another was."""
+        """Return what is left of the set once its first has been added, as it was fitted; None where nothing is.
+
+        What is worth no more than the linear model was wrong by is weighed again.
+        """
         if self.first is None or (added.kind, added.law) != (self.first.kind, self.first.law):
             return None
-        members, beside = self.together.members[1:], self.together.beside[1:]
-        return Together(members, beside) if members else None
+        wrong_by = abs(added.log_bayes_factor - self.first.log_bayes_factor)
+        n = sum(one.log_bayes_factor > wrong_by for one in self.together.members[1:])
+        return Together(self.together.members[1 : 1 + n], self.together.beside[1 : 1 + n]) if n else None
+
+
+@dataclass
+class Outlook:
+    """What may be tried now, and what there will be to try once the best so far has been added.
+
+    Attributes
+    ----------
+    context : FitContext
+    effects, changes
+        To look for.
+    most : int
+        Effects that may still be added.
+    weighed : Weighed
+    ahead : (Fitted, Weighed), optional
+        After the first that was confirmed, if that was looked at.
+    """
+
+    context: FitContext
+    effects: Sequence[Effect]
+    changes: Sequence[Reweighting]
+    most: int
+    weighed: Weighed
+    ahead: tuple[Fitted, Weighed] | None = None
+
+    def explains_rest(self, best: Round) -> bool:
+        """Whether further effects explain what the best leaves. Collective: all ranks of the grid.
+
+        To know that all are weighed with it in the model, as they are in the next round; once in a round.
+        """
+        fitted = best.after.fitted
+        if self.weighed.after(best.candidate) is not None:
+            return True
+        if self.ahead is None:
+            effects = next_of(self.context, self.effects, fitted.values)
+            self.ahead = fitted, weigh(self.context, fitted, effects, self.changes, self.most - 1)
+        at, weighed = self.ahead
+        return at is fitted and weighed.explains
+
+    def after(self, fitted: Fitted) -> Weighed | None:
+        """Return what there is to try with what has been fitted, if that is known."""
+        return self.ahead[1] if self.ahead is not None and self.ahead[0] is fitted else None
+
+
+def next_of(context: FitContext, effects: Sequence[Effect], values: Values) -> Sequence[Effect]:
+    """Return the effects to look for after those of the model."""
+    for one in values.active:
+        effects = [effect.next_after(context.setup, one.effect) for effect in effects]
+    return effects
 
 
 def rank(
@@ -94,12 +150,12 @@ def weigh(
         return Weighed(ranking)
     found = weigh_together(context, fitted, findings, cached)
     by_weights = max((one.log_bayes_factor for one in reweightings), default=0.0)
-    if not 0 < len(found.numbers) <= most or by_weights > found.log_bayes_factor:
+    if not found.numbers or by_weights > found.log_bayes_factor:
         return Weighed(ranking)
-    beside = [list(map(Candidate.of, one)) for one in found.beside]
+    beside = [list(map(Candidate.of, one)) for one in found.beside[:most]]
     members = tuple(one[0] for one in beside)
     chosen = Together(members, tuple(tuple(sorted(one, key=_best_first)) for one in beside))
-    return Weighed(ranking, candidates[found.numbers[0]], chosen)
+    return Weighed(ranking, candidates[found.numbers[0]], chosen, found.explains)
 
 
 def _best_first(one: Candidate) -> float:

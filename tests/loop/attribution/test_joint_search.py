@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -38,12 +39,8 @@ class Data:
         model = Others(NOTHING.shared, NOTHING.precision[: len(signal)], NOTHING.score[: len(signal)])
         self.joint = JointLikelihood(by_channel, model, competitors)
 
-    def explains(self, state: State) -> bool:
-        left = sum(one @ one for one in self.data) - self.joint.chi2_drop(state)
-        return bool(left < 1.5 * N_DATA * len(self.data))
-
     def found(self) -> JointSet:
-        return search(self.joint, LEAST, self.explains)
+        return search(self.joint, LEAST)
 
     def log_evidence(self, state: State) -> float:
         """By the density of all channels' data, with prices."""
@@ -102,11 +99,15 @@ def test_chi2_of_what_a_set_leaves(stand_in: Data) -> None:
     part, widths = np.concatenate(parts, axis=1), np.concatenate(widths)
     x = np.linalg.solve(part.T @ part + np.diag(1 / widths), part.T @ stand_in.data[0])
     drop = np.sum(stand_in.data[0] ** 2) - np.sum((stand_in.data[0] - part @ x) ** 2)
-    assert stand_in.joint.chi2_drop(state) == pytest.approx(drop, rel=1e-9)
+    assert found.gain == stand_in.joint.gain(state) == pytest.approx(0.5 * drop, rel=1e-9)
 
 
-def test_where_no_set_explains_the_data_there_is_none(stand_in: Data) -> None:
-    assert search(stand_in.joint, LEAST, lambda state: False) == JointSet()
+def test_there_is_no_set_where_a_control_model_is_wanted_beside_the_effects(stand_in: Data) -> None:
+    one, two = stand_in.competitors[0], replace(stand_in.competitors[3], is_control=True)
+    joint = replace(stand_in.joint, competitors=[one, *stand_in.competitors[1:3], two])
+    assert search(joint, LEAST) == JointSet()
+    not_wanted = [one, stand_in.competitors[1], replace(stand_in.competitors[2], is_control=True), one]
+    assert set(search(replace(stand_in.joint, competitors=not_wanted), LEAST).order) == {0, 3}
 
 
 def test_nothing_is_found_in_noise() -> None:
@@ -136,7 +137,7 @@ def test_what_channels_share_beside_what_each_has_its_own() -> None:
     state = {i: found.beside[i][i] for i in found.order}
     # Each channel counts its part of the shared prior, and what they tell is not brought together before.
     assert found.log_bayes_factor == pytest.approx(data.log_evidence(state), abs=3.0)
-    left = sum(one @ one for one in data.data) - data.joint.chi2_drop(state)
+    left = sum(one @ one for one in data.data) - 2 * data.joint.gain(state)
     assert left == pytest.approx(2 * N_DATA, abs=4 * np.sqrt(4 * N_DATA))
 
 

@@ -16,7 +16,7 @@ from hydrabeam_mpi.fit.state import Values
 from hydrabeam_mpi.loop.attribution import weigh_together
 from hydrabeam_mpi.loop.rules import RULES, Rules
 from hydrabeam_mpi.loop.selection.trials import check, try_effects
-from hydrabeam_mpi.loop.selection.weighing import Weighed, weigh
+from hydrabeam_mpi.loop.selection.weighing import Outlook, Weighed, weigh
 from tests.loop.mock import context_of, mock_job
 
 GAIN = {"kind": "antenna_gains", "parameters": {"antenna 2 ln amplitude": 0.006, "antenna 2 phase": -0.005}}
@@ -53,14 +53,14 @@ def test_two_effects_together_without_what_stands_for_one_of_them(context: FitCo
 def test_both_are_found_without_weighing_again(context: FitContext, weighed: Weighed) -> None:
     tried: list = []
     before = check(context, refit(context, Values()))
-    first = try_effects(context, before, weighed.ranking, tried, first=weighed.first)
+    first = try_effects(context, before, weighed.ranking, tried, outlook=Outlook(context, EFFECTS, [], 6, weighed))
     assert first is not None
     assert first.candidate.kind == "antenna_gains"
     assert not first.after.remains.consistent
     rest = weighed.after(first.candidate)
     assert rest is not None
     then = Weighed.next_of(rest)
-    second = try_effects(context, first.after, then.ranking, tried, first=then.first)
+    second = try_effects(context, first.after, then.ranking, tried, outlook=Outlook(context, EFFECTS, [], 5, then))
     assert second is not None
     assert second.candidate.kind == "cross_coupling"
     assert second.after.remains.consistent
@@ -71,10 +71,18 @@ def test_both_are_found_without_weighing_again(context: FitContext, weighed: Wei
 
 def test_no_more_effects_than_may_be_added(context: FitContext, weighed: Weighed) -> None:
     fitted = refit(context, Values())
-    alone = weigh(context, fitted, EFFECTS, [], 1)
-    assert alone.first is None
-    assert alone.together.members == ()
-    assert weighed.together.members
+    assert len(weighed.together.members) == 2
+    assert [one.kind for one in weigh(context, fitted, EFFECTS, [], 1).together.members] == ["antenna_gains"]
+    assert weigh(context, fitted, EFFECTS, [], 0).together.members == ()
+
+
+def test_what_is_worth_less_than_the_linear_model_was_wrong_by_is_weighed_again(weighed: Weighed) -> None:
+    gains, coupling = weighed.together.members
+    assert weighed.first is not None
+    for wrong_by, left in ((0.9, (coupling,)), (1.1, None)):
+        found = weighed.first.log_bayes_factor + wrong_by * coupling.log_bayes_factor
+        rest = weighed.after(replace(gains, log_bayes_factor=found))
+        assert (rest and rest.members) == left
 
 
 def test_columns_are_those_in_use_and_further_ones_that_gain_alone_while_there_is_room(
