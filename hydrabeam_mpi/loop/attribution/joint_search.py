@@ -84,12 +84,11 @@ class JointLikelihood:
                 found[i] = find_evidence(blocks, one.parameters, one.degenerate)
         return {i: found[i] for i in numbers}
 
-    def weigh_again(self, state: State, number: int) -> tuple[Evidence, float]:
-        """Return the evidence for one of a set beside the others, and its logarithm with the prior that it has."""
+    def worth(self, state: State, number: int) -> float:
+        """Return ln evidence for one of a set beside the others, with the prior that it has."""
         one = self.competitors[number]
         (blocks,) = self._beside(_without(state, number), [number], one.shared)
-        now = evidence_of(blocks, one.parameters, state[number].prior_var, one.degenerate)
-        return find_evidence(blocks, one.parameters, one.degenerate), now.log_bayes_factor
+        return evidence_of(blocks, one.parameters, state[number].prior_var, one.degenerate).log_bayes_factor
 
     def gain(self, state: State) -> float:
         """Return by how much all of a set together raise ln likelihood."""
@@ -174,7 +173,7 @@ def _of_all(joint: JointLikelihood, state: State) -> float:
     total, so_far = 0.0, State()
     for i, one in state.items():
         so_far = {**so_far, i: one}
-        total += joint.weigh_again(so_far, i)[1]
+        total += joint.worth(so_far, i)
     return total
 
 
@@ -194,10 +193,10 @@ def _settled(joint: JointLikelihood, state: State) -> State:
     for _ in range(MOST_SWEEPS):
         before = state
         for i in list(state):
-            new, now = joint.weigh_again(state, i)
+            new = joint.weigh(_without(state, i), [i])[i]
             if new.log_bayes_factor < 0:
                 state = _without(state, i)
-            elif new.log_bayes_factor > now + LEAST_GAIN:
+            elif new is not state[i] and new.log_bayes_factor > joint.worth(state, i) + LEAST_GAIN:
                 state = {**state, i: new}
         if state is before:
             break
@@ -208,7 +207,7 @@ def _exchanged(joint: JointLikelihood, state: State, least: float) -> State | No
     """Leave out one of a set and let others, one or several, make up for it; return the set if that is better."""
     for i in state:
         rest = _without(state, i)
-        own = joint.weigh_again(state, i)[1]
+        own = joint.worth(state, i)
         instead = _added(joint, rest, (i,), least)
         if any(joint.competitors[j].is_control for j in instead):
             continue
