@@ -76,6 +76,8 @@ def history(context: FitContext, consistent: bool = True, control: bool = False,
         round_of(effect_candidate(AntennaGains(), 100.0), first, second, *others),
         round_of(weights_candidate(60.0, n_freqs=2), second, third, drift),
     ][:n_rounds]
+    if rounds:
+        rounds[0] = replace(rounds[0], together=(effect_candidate(AntennaGains(), 90.0), others[2]))
     made = History(
         first, rounds[-1].after if rounds else first, rounds, ranking=(drift, weights_candidate(2.0, "of times"))
     )
@@ -195,6 +197,10 @@ def test_a_round_is_told_in_full(context: FitContext) -> None:
     assert fell["heldout_after"] == pytest.approx([1.5, 1.0])
     assert one["residual"] == {"overall": {"chi2": 4.0}}
     assert [line["effect"] for line in one["ranking"]] == ["antenna_gains", "antenna_delays", "timestamp"]
+    gains, clock = one["together"]
+    assert gains == {"effect": "antenna_gains", "law": "constant", "log_bayes_factor": 90.0}
+    assert clock["effect"] == "timestamp"
+    assert two["together"] == []
     assert [two[key] for key in ("runner_up", "indistinguishable_from", "prior_scale")] == [None, [], None]
     assert [two[key] for key in ("effect", "n_parameters", "rank", "chi2_drop")] == ["noise_level", 1, 1, 210.0]
 
