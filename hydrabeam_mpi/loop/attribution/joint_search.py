@@ -179,12 +179,15 @@ def _of_all(joint: JointLikelihood, state: State) -> float:
 
 def _added(joint: JointLikelihood, state: State, banned: Collection[int], least: float) -> State:
     """Add effects one by one, the one with the most evidence beside those of the set first, up to a control model."""
+    free = _free(joint, state, banned)
     while not any(joint.competitors[i].is_control for i in state):
-        found = joint.weigh(state, _free(joint, state, banned))
+        found = joint.weigh(state, free)
         best = max(found, key=lambda i: found[i].log_bayes_factor, default=None)
         if best is None or found[best].log_bayes_factor < least:
             break
         state = {**state, best: found[best]}
+        # What has no evidence beside some effects hardly has it beside more.
+        free = [i for i in free if i != best and found[i].log_bayes_factor > 0]
     return state
 
 
