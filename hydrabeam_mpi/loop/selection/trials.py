@@ -70,14 +70,9 @@ def try_effects(
     """
     settings = context.problem.job.loop
     wanted = [one for one in _wanted(context, ranking) if not one.is_control]
-    enough = best is not None and best.after.remains.consistent
     for candidate in in_order(wanted, RULES.most_tries, outlook.weighed.first if outlook else None):
-        if best is not None and not may_be_better(candidate, best, enough):
+        if best is not None and not _may_be_better(candidate, best, outlook):
             continue
-        if best is not None and outlook is not None and not enough and not may_be_better(candidate, best, enough=True):
-            enough = outlook.explains_rest(best)
-            if enough:
-                continue
         try:
             candidate = as_large_as_wanted(context, checked.fitted, candidate)
             fitted, after = _fit(context, checked, candidate, _worth(context, checked, candidate, best))
@@ -92,8 +87,17 @@ def try_effects(
             tried.append((fitted, reason))
         elif best is None or is_better(fitted, after, best):
             best = round_of(context, checked, after, fitted, ranking)
-            enough = after.remains.consistent
     return best
+
+
+def _may_be_better(candidate: Candidate, best: Round, outlook: Outlook | None) -> bool:
+    """Whether a candidate is worth a fit beside the best so far. Collective: all ranks of the grid."""
+    leaves_nothing = best.after.remains.consistent
+    if outlook is None or leaves_nothing or not may_be_better(candidate, best, leaves_nothing):
+        return may_be_better(candidate, best, leaves_nothing)
+    if outlook.comes_next(candidate, best):
+        return False
+    return may_be_better(candidate, best, enough=True) or not outlook.explains_rest(best)
 
 
 def as_large_as_wanted(context: FitContext, fitted: Fitted, candidate: Candidate) -> Candidate:

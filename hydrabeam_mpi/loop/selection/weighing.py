@@ -108,6 +108,11 @@ class Outlook:
         at, weighed = self.ahead
         return at is fitted and weighed.explains
 
+    def comes_next(self, candidate: Candidate, best: Round) -> bool:
+        """Whether a candidate explains, beside the best, what this leaves: it is no rival of it, but tried after it."""
+        rest = self.weighed.after(best.candidate)
+        return rest is not None and (candidate.kind, candidate.law) in {(one.kind, one.law) for one in rest.members}
+
     def after(self, fitted: Fitted) -> Weighed | None:
         """Return what there is to try with what has been fitted, if that is known."""
         return self.ahead[1] if self.ahead is not None and self.ahead[0] is fitted else None

@@ -53,8 +53,12 @@ def test_two_effects_together_without_what_stands_for_one_of_them(context: FitCo
 def test_both_are_found_without_weighing_again(context: FitContext, weighed: Weighed) -> None:
     tried: list = []
     before = check(context, refit(context, Values()))
-    first = try_effects(context, before, weighed.ranking, tried, outlook=Outlook(context, EFFECTS, [], 6, weighed))
+    outlook = Outlook(context, EFFECTS, [], 6, weighed)
+    first = try_effects(context, before, weighed.ranking, tried, outlook=outlook)
     assert first is not None
+    assert [one.kind for one in weighed.ranking if outlook.comes_next(one, first)] == ["cross_coupling"]
+    assert outlook.explains_rest(first)
+    assert outlook.ahead is None
     assert first.candidate.kind == "antenna_gains"
     assert not first.after.remains.consistent
     rest = weighed.after(first.candidate)
