@@ -18,6 +18,7 @@ from hydrabeam_mpi.loop.output.amendment import effects_found
 from hydrabeam_mpi.loop.selection.heldout_numbers import heldout_numbers
 from hydrabeam_mpi.mpi import peak_rss_mb, together
 from hydrabeam_mpi.result.gains import gains_told
+from hydrabeam_mpi.setup.earlier import integrations_of
 
 
 def infer(setup: Setup) -> Result:
@@ -76,6 +77,7 @@ def run_inference(setup: Setup, folder: Path | None, threads: int) -> Result:
         results = infer_channels(grid, mine, clock)
     with clock.time("describe"):
         records = gather_records(grid, problem, results, numbers)
+        integrations = integrations_of(world, problem.files, problem.observation)
     memory = peak_rss_mb(world)
     result = Result(setup.job)
     with together(world):
@@ -87,5 +89,6 @@ def run_inference(setup: Setup, folder: Path | None, threads: int) -> Result:
                 **prior_told(setup, carried),
                 **gains_told(problem, records, *fitted_gains),
             }
-            result = make_result(setup, problem, records, origin_of(setup, problem, threads), run, effects=found)
+            origin = origin_of(setup, problem, threads)
+            result = make_result(setup, problem, records, integrations, origin, run, effects=found)
     return result

@@ -30,6 +30,7 @@ from hydrabeam_mpi.loop.selection.choice import choose
 from hydrabeam_mpi.loop.selection.rounds import History, begin, settle_last
 from hydrabeam_mpi.mpi import peak_rss_mb, together
 from hydrabeam_mpi.result.gains import gains_told
+from hydrabeam_mpi.setup.earlier import integrations_of
 from hydrabeam_mpi.setup.job_file import check_holds_out
 
 
@@ -115,6 +116,7 @@ def run_loop(
         results = channel_results(context, history.last.fitted)
         problem = grown_problem(problem, known, history.last.fitted.values, context.learned)
         records = gather_records(grid, problem, results, history.last.numbers)
+        integrations = integrations_of(world, problem.files, problem.observation)
     record = make_record(context, history, choice.skipped, conventions, leakage)
     scale = error_scale(context, history.last.fitted)
     memory = peak_rss_mb(world)
@@ -125,7 +127,8 @@ def run_loop(
             gains = gains_told(problem, records, known, fitted.values)
             run = {"phases_s": clock.seconds, "peak_rss_mb": memory, **prior_told(setup, context.carried), **gains}
             effects = effects_found(problem.job, fitted, known)
-            result = make_result(setup, problem, records, origin(), run, record["warnings"], effects)
+            told = record["warnings"]
+            result = make_result(setup, problem, records, integrations, origin(), run, told, effects)
             amended = amended_job(problem.job, fitted, known, scale)
             told = {**record, "warnings": result.summary["warnings"], "seconds": clock.seconds}
             found = Found(result, told, setup.amended(amended))

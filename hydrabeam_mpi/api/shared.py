@@ -21,7 +21,6 @@ from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.io.disk import check_space
 from hydrabeam_mpi.io.posterior_file import ChannelRecord, PosteriorFile
 from hydrabeam_mpi.io.provenance import provenance
-from hydrabeam_mpi.io.same_data import integration_checksums
 from hydrabeam_mpi.io.uvsource import Data
 from hydrabeam_mpi.loop.selection.heldout_numbers import HeldoutNumbers
 from hydrabeam_mpi.mpi import (
@@ -39,6 +38,7 @@ from hydrabeam_mpi.mpi import (
 from hydrabeam_mpi.result.describe import describe_channels
 from hydrabeam_mpi.result.output import check_records, input_files, least_result_bytes, summarise
 from hydrabeam_mpi.result.summary import GRID_AZ, GRID_ZA
+from hydrabeam_mpi.setup.earlier import check_not_counted
 from hydrabeam_mpi.setup.flagged import without_flagged
 from hydrabeam_mpi.setup.given import NOTHING, Given
 from hydrabeam_mpi.setup.held import hold
@@ -146,6 +146,8 @@ def prepare_shared(world: Comm, job: Job, folder: Path | None, given: Given = NO
             warn(problem.cautions)
             problem = replace(problem, files=())
     problem = replace(bcast_object(world, problem), files=files)
+    if problem.earlier:
+        check_not_counted(world, files, problem.observation, problem.earlier)
     return estimate_noise(world, problem)
 
 
@@ -220,6 +222,7 @@ def make_result(
     setup: Setup,
     problem: Problem,
     records: list[ChannelRecord],
+    integrations: Sequence[str],
     about: dict[str, Any],
     run: dict[str, Any],
     warnings: Sequence[str] = (),
@@ -233,6 +236,8 @@ def make_result(
     problem : Problem
         Of all channels.
     records : list of ChannelRecord
+    integrations : sequence of str
+        Checksums of the data; see `integrations_of`.
     about, run : dict
         Where it comes from, and what is told of the run itself.
     warnings : sequence of str
@@ -247,7 +252,7 @@ def make_result(
     """
     check_records(records)
     before = problem.earlier.integrations if problem.earlier else ()
-    about = {**about, "integrations": [*before, *integration_checksums(problem.files, problem.observation)]}
+    about = {**about, "integrations": [*before, *integrations]}
     content = PosteriorFile(
         problem.basis.describe(),
         about,

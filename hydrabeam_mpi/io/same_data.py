@@ -23,17 +23,19 @@ DIGITS = 16
 """Hexadecimal digits kept: by chance two of a million integrations agree once in a hundred million cases."""
 
 
-def integration_checksums(files: Sequence[Data], observation: Observation) -> list[str]:
+def integration_checksums(files: Sequence[Data], observation: Observation, part: int = 0, of: int = 1) -> list[str]:
     """Return a checksum of each integration and channel of an observation that files have data of. Serial.
 
     Of cross-correlations, at the observation's times, channels and polarisations, all that a file holds is read, some
-    megabytes at a time. Integrations that are zero throughout have none.
+    megabytes at a time. Integrations that are zero throughout have none. With ``of`` parts those of the times of one
+    ``part`` alone are returned, so that several ranks can share the work.
     """
-    return [told for source in map(as_source, files) for told in _checksums_of(source, observation)]
+    lo, hi = part * observation.Ntimes // of, (part + 1) * observation.Ntimes // of
+    return [told for source in map(as_source, files) for told in _checksums_of(source, observation, lo, hi)]
 
 
-def _checksums_of(source: Source, observation: Observation) -> Iterator[str]:
-    """Yield those of one file."""
+def _checksums_of(source: Source, observation: Observation, lo: int, hi: int) -> Iterator[str]:
+    """Yield those of one file, from time ``lo`` of the observation to before ``hi``."""
     header, stored = source.metadata()
     channels = np.flatnonzero(match(header.freqs, observation.freqs, FREQ_TOLERANCE) >= 0)
     pols = np.array([pol for pol in map(header.pol_index, observation.pols) if pol >= 0], dtype=int)
@@ -41,7 +43,7 @@ def _checksums_of(source: Source, observation: Observation) -> Iterator[str]:
     time = match(stored.times, observation.times, TIME_TOLERANCE)
     time[stored.antpairs[:, 0] == stored.antpairs[:, 1]] = -1
     order = np.lexsort((keys, time))
-    order = order[time[order] >= 0]
+    order = order[(time[order] >= lo) & (time[order] < hi)]
     if not (order.size and channels.size and pols.size):
         return
     in_part = header.kind not in FORMATS or FORMATS[header.kind].in_part

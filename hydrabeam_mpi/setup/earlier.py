@@ -20,20 +20,17 @@ from hydrabeam_mpi.inference.prior import FactoredPrior
 from hydrabeam_mpi.io.inferred import Inferred, read_inferred
 from hydrabeam_mpi.io.same_data import integration_checksums
 from hydrabeam_mpi.io.uvsource import Data
+from hydrabeam_mpi.mpi import Comm, gather_objects, together
 
 FIELD = "[prior] file"
 
 
-def find_earlier(
-    job: Job, files: Sequence[Data], observation: Observation, given: Inferred | None = None
-) -> Inferred | None:
+def find_earlier(job: Job, observation: Observation, given: Inferred | None = None) -> Inferred | None:
     """Return the result that is the prior of a job, of the job's channels; None where there is none. Serial.
 
     Parameters
     ----------
     job : Job
-    files : sequence of Path or Source
-        The visibilities.
     observation : Observation
     given : Inferred, optional
         In place of a folder.
@@ -49,7 +46,6 @@ def find_earlier(
     result = given or read_inferred(Path(folder or ""), FIELD)
     with result.telling():
         _check_basis(job, result)
-        _check_data(files, observation, result)
     numbers = result.channels_in(observation).tolist()
     if result.entries and numbers != list(range(len(result.content.channels))):
         raise InputError(
@@ -103,15 +99,31 @@ def _check_basis(job: Job, result: Inferred) -> None:
         )
 
 
-def _check_data(files: Sequence[Data], observation: Observation, result: Inferred) -> None:
-    """Make sure that the result knows nothing of these data yet, whatever file they are in."""
-    known = result.integrations
+def integrations_of(world: Comm, files: Sequence[Data], observation: Observation) -> list[str]:
+    """Return the checksums of all integrations, on rank 0; empty on other ranks. Collective: all ranks of `world`."""
+    with together(world):
+        mine = integration_checksums(files, observation, world.rank, world.size)
+    return [told for part in gather_objects(world, mine) or [] for told in part]
+
+
+def check_not_counted(world: Comm, files: Sequence[Data], observation: Observation, result: Inferred) -> None:
+    """Make sure that a result that is the prior knows nothing of these data yet, whatever file they are in.
+
+    Collective: all ranks of `world`.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if it does.
+    """
     for data in files:
-        own = integration_checksums([data], observation)
-        n_known = sum(one in known for one in own)
-        if n_known:
-            raise InputError(
-                f"was made from the same data, {data}, which would count twice ({n_known} of {len(own)} integrations)",
-                file=result.path,
-                remedy="give data that the result was not made from, or another prior",
-            )
+        own = integrations_of(world, [data], observation)
+        n_known = sum(one in result.integrations for one in own)
+        with together(world), result.telling():
+            if n_known:
+                raise InputError(
+                    f"was made from the same data, {data}, which would count twice ({n_known} of {len(own)} "
+                    f"integrations)",
+                    file=result.path,
+                    remedy="give data that the result was not made from, or another prior",
+                )

@@ -191,7 +191,7 @@ def prepare(
     whole_sky = load_sky(job, observation.freqs, given.sky)
     sky = whole_sky.brighter_than(job.sky.model_flux_min)
     time_costs = count_sources(sky, observation)
-    earlier = find_earlier(job, files, observation, given.earlier)
+    earlier = find_earlier(job, observation, given.earlier)
     basis, fits = fit_model_beams(job, beams, earlier.basis if earlier else None)
     if earlier is not None:
         priors: tuple[Prior, ...] = beam_priors(earlier)

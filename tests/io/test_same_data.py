@@ -49,6 +49,10 @@ def test_parts_of_the_data_are_parts(uvd: UVData, tmp_path: Path, monkeypatch: p
     own = checksums(path)
     monkeypatch.setattr(same_data, "WINDOW_BYTES", 2000)
     assert checksums(path) == own
+    observation = read_observation([path], Selection(pols=("ee",)))
+    shared = [integration_checksums([path], observation, part, 3) for part in range(3)]
+    assert all(shared)
+    assert sorted(one for part in shared for one in part) == sorted(own)
     some = checksums(path, time_range=(TIMES[1], TIMES[3]), exclude_antennas=NUMBERS[:1])
     assert some < own
     assert len(some) == 3 * uvd.Nfreqs
