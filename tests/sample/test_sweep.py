@@ -17,28 +17,29 @@ from tests.sample.small import COUPLING, FLUX, GAINS, POINTING, drawn_from_prior
 
 FALSE_ALARM = 1e-3
 """Probability that a right sweep fails a case, were its seed another one."""
-CASES: dict[str, tuple[dict[str, Any], int]] = {
-    "beam and noise": (small_job(blocks=("noise",), noise_prior=[8.0, 8.0]), 200),
+WIDE_GAINS = {**GAINS, "width": 0.5}
+CASES: dict[str, tuple[dict[str, Any], int, float]] = {
+    "beam and noise": (small_job(blocks=("noise",), noise_prior=[8.0, 8.0]), 200, 3.0),
     "complex beam and its prior's width": (
         small_job(blocks=("prior_width",), width_prior=[6.0, 6.0], width_groups="azimuthal")
         | {"basis": {"form": "complex", "n_modes": 5, "k_max": 3, "m_max": 2}},
         200,
+        3.0,
     ),
-    "what multiplies": (small_job(GAINS), 200),
-    "the sky": (small_job(FLUX), 200),
-    "what the beam sees": (small_job(POINTING), 60),
+    "what multiplies": (small_job(GAINS), 200, 3.0),
+    "the sky": (small_job(FLUX), 150, 3.0),
+    "what the beam sees": (small_job(POINTING), 100, 8.0),
     "all together": (
         small_job(
             GAINS, FLUX, COUPLING, blocks=("noise", "prior_width"), noise_prior=[8.0, 8.0], width_prior=[6.0, 6.0]
         ),
-        200,
+        150,
+        3.0,
     ),
-    "given the beam": (
-        small_job(GAINS, FLUX, COUPLING, blocks=("noise",), noise_prior=[8.0, 8.0], collapsed=False),
-        80,
-    ),
-    "given the beam that sees": (small_job(POINTING, collapsed=False), 40),
+    "given the beam": (small_job(WIDE_GAINS, collapsed=False), 120, 2.0),
+    "given the beam that sees": (small_job(POINTING, collapsed=False), 60, 8.0),
 }
+"""What is drawn, how often, and how many times larger than the noise a visibility is."""
 
 
 def told(walk: Walk, state: ChainState) -> Any:
@@ -51,9 +52,13 @@ def told(walk: Walk, state: ChainState) -> Any:
         ]
     )
     parts = np.concatenate([white, beams.real, beams.imag if np.iscomplexobj(beams) else []])
-    misfit = walk.misfit(state.values, state.beams) / state.noise
+    exact = walk.misfit(state.values, state.beams)
+    # What the beam makes of E is of very different size from one truth to the next.
+    seen = np.arcsinh(exact - walk.misfit_seen_by_fit(state.values, state.beams))
     scales = np.log(np.concatenate([state.noise, state.widths.ravel()]))
-    return np.concatenate([parts, parts**2, parts[:-1] * parts[1:], scales, misfit, [walk.log_prior(state.values)]])
+    return np.concatenate(
+        [parts, parts**2, parts[:-1] * parts[1:], scales, exact / state.noise, seen, [walk.log_prior(state.values)]]
+    )
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -62,8 +67,8 @@ def test_what_is_drawn_is_as_likely_as_the_truth(name: str, tmp_path: Path) -> N
 
     Each repetition has a truth and data of its own, so that they are independent and the test's size is known.
     """
-    job, n = CASES[name]
-    walk = walk_about_prior(tmp_path, job)
+    job, n, signal_to_noise = CASES[name]
+    walk = walk_about_prior(tmp_path, job, signal_to_noise)
     differences, taken = [], []
     for number in range(n):
         rng = generator(21, name, number)
