@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hydrabeam_mpi.data.observation import Array
-from hydrabeam_mpi.sample.storage.store import ChainStore
+from hydrabeam_mpi.sampling.storage.store import ChainStore
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     import xarray as xr
 
-    from hydrabeam_mpi.sample.status import Status
+    from hydrabeam_mpi.sampling.status import Status
 
 
 class Chains:
@@ -66,19 +66,19 @@ class Chains:
         InputError
             If there is no such variable.
         """
-        from hydrabeam_mpi.sample.arviz import to_datatree
+        from hydrabeam_mpi.sampling.arviz import to_datatree
 
         return to_datatree(self._store, names)
 
     def status(self) -> Status:
         """Return how far the chains are, seconds a draw and the time that is left; ``print(chains.status())``."""
-        from hydrabeam_mpi.sample.status import status_of
+        from hydrabeam_mpi.sampling.status import status_of
 
         return status_of(self._store)
 
     def summary(self) -> dict[str, dict[str, Any]]:
         """Return of each block the worst R-hat and whose it is, the smallest ESS, and ESS a second."""
-        from hydrabeam_mpi.sample.convergence import diagnose
+        from hydrabeam_mpi.sampling.convergence import diagnose
 
         return {one.block: asdict(one) for one in diagnose(self._store).blocks}
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import numpy as np
 from pydantic import ValidationError
 
 from hydrabeam_mpi.api.chains import Chains
@@ -21,19 +20,15 @@ from hydrabeam_mpi.config.sample import Sample
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.joint import read_context
 from hydrabeam_mpi.loop.checks.health import told
-from hydrabeam_mpi.mpi import Comm, ProcessGrid, gather_by_channel, together
-from hydrabeam_mpi.result.summary import GRID_AZ, GRID_ZA, map_posterior
-from hydrabeam_mpi.sample.begin import begin
-from hydrabeam_mpi.sample.convergence import diagnose
-from hydrabeam_mpi.sample.run import groups_of_chains, run_chains
-from hydrabeam_mpi.sample.storage.store import ChainStore
-from hydrabeam_mpi.sample.variables import variables_of
-from hydrabeam_mpi.sample.walk import Walk
+from hydrabeam_mpi.mpi import Comm, ProcessGrid, together
+from hydrabeam_mpi.sampling.begin import begin
+from hydrabeam_mpi.sampling.convergence import diagnose
+from hydrabeam_mpi.sampling.run import groups_of_chains, run_chains
+from hydrabeam_mpi.sampling.storage.store import ChainStore
+from hydrabeam_mpi.sampling.variables import variables_of
+from hydrabeam_mpi.sampling.walk import Walk
 from hydrabeam_mpi.setup.problem import Problem
 from hydrabeam_mpi.terminal.progress import say, warn
-
-CONDITIONAL = "conditional"
-"""Name of what is kept of the beam given the effects at their best values."""
 
 
 def sample(
@@ -124,7 +119,6 @@ def run_sampling(setup: Setup, out: Path, folder: Path | None, threads: int) -> 
         walk = begin(read_context(own, problem, problem.of_channels(own.channels), clock))
     store = _open(world, setup, problem, walk, out, threads)
     with together(world):
-        _keep_conditional(walk, store)
         run_chains(walk, store, chains, setup.job.seed, wanted.thin)
     with together(world):
         if world.rank == 0:
@@ -161,16 +155,3 @@ def _same_of(job: Job) -> dict[str, Any]:
     for key in ("chains", "draws"):
         del table["sample"][key]
     return table
-
-
-def _keep_conditional(walk: Walk, store: ChainStore) -> None:
-    """Keep how well the beam is known given the effects at their best values. Collective: the chains' ranks."""
-    grid, basis = walk.context.grid, walk.context.problem.basis
-    maps = [(one.std, map_posterior(grid.group, one, basis)[1]) for one in walk.seen_by]
-    gathered = gather_by_channel(grid, maps if grid.is_group_root else [])
-    with together(grid.world):
-        # Of several groups, which all have the same, one writes.
-        if gathered and not (store.folder / f"{CONDITIONAL}.h5").exists():
-            std, of_map = map(np.array, zip(*gathered, strict=True))
-            arrays = {"beam_std": std, "map_std_conditional": of_map, "grid_za": GRID_ZA, "grid_az": GRID_AZ}
-            store.keep(CONDITIONAL, arrays)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hydrabeam_mpi.sample.status import status_of
-from hydrabeam_mpi.sample.storage.store import ChainStore
+from hydrabeam_mpi.sampling.status import status_of
+from hydrabeam_mpi.sampling.storage.store import ChainStore
 
 
 def print_status(folder: Path) -> None:

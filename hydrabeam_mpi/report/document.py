@@ -27,7 +27,7 @@ from hydrabeam_mpi.report.page.result import Result, load_result
 from hydrabeam_mpi.report.page.sections import channel_table, finding, key_numbers, provenance, warnings
 from hydrabeam_mpi.report.page.style import STYLE, Drawing, render
 from hydrabeam_mpi.report.page.words import introduction, megahertz, remarks
-from hydrabeam_mpi.sample.storage.store import ChainStore
+from hydrabeam_mpi.sampling.storage.store import ChainStore
 
 FOOTER = "“The paper” is Wilensky et al. 2025, High Dimensional Beam Inference II, whose method this is."
 
@@ -87,7 +87,7 @@ def _write_chains(directory: Path) -> None:
     """Write the page of a folder of chains, and print how far they are."""
     # What compares chains takes seconds to import.
     from hydrabeam_mpi.report.chains.section import chains_body
-    from hydrabeam_mpi.sample.status import status_of
+    from hydrabeam_mpi.sampling.status import status_of
 
     store = ChainStore.open(directory)
     status = status_of(store)

@@ -10,10 +10,10 @@ import pytest
 import hydrabeam_mpi as hb
 from hydrabeam_mpi.cli import main
 from tests.loop.mock import write_job
-from tests.sample.small import COUPLING, FLUX, small_job
+from tests.sampling.small import COUPLING, FLUX, small_job
 
 
-def test_chains_go_on_and_are_of_one_job(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_chains_go_on_and_are_of_one_job(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """By a command and then from Python; the draws are those of one run."""
     path = write_job(small_job(FLUX, COUPLING, n_modes=8, warm_up=2, chains=2), tmp_path)
     folder = tmp_path / "chains"
@@ -29,14 +29,14 @@ def test_chains_go_on_and_are_of_one_job(tmp_path: Path, capsys: pytest.CaptureF
     np.testing.assert_array_equal(found.read("catalogue_flux")[:, :3], before)
     whole = hb.sample(setup, draws=6)
     np.testing.assert_allclose(whole.read("beam"), found.read("beam"), rtol=1e-9)
-    capsys.readouterr()
+    capfd.readouterr()
     assert main(["sample", "--status", str(folder)]) == 0
-    assert "8 of 8" in capsys.readouterr().out
+    assert "8 of 8" in capfd.readouterr().out
     with pytest.raises(hb.InputError, match="false in the job"):
         hb.sample(setup, folder, collapsed=False)
     other = write_job(small_job(FLUX, COUPLING, n_modes=9, warm_up=2, chains=2), tmp_path, "other.toml")
     assert main(["sample", str(other), "-o", str(folder)]) == 2
-    assert "n_modes: is 8 in the chains, and 9 in the job" in capsys.readouterr().err
+    assert "n_modes: is 8 in the chains, and 9 in the job" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -47,10 +47,10 @@ def test_chains_go_on_and_are_of_one_job(tmp_path: Path, capsys: pytest.CaptureF
     ],
 )
 def test_what_is_missing_is_told_in_a_line(
-    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+    arguments: list[str], words: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     assert main(arguments) == 2
-    (line,) = capsys.readouterr().err.splitlines()
+    (line,) = capfd.readouterr().err.splitlines()
     assert words in line
 
 

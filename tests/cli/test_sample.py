@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hydrabeam_mpi.cli import main
-from hydrabeam_mpi.sample.storage.store import ChainStore
+from hydrabeam_mpi.sampling.storage.store import ChainStore
 from tests.cli.conftest import Workspace
 
 DRAWS = 12

@@ -9,8 +9,8 @@ import numpy as np
 from hydrabeam_mpi.report.page.scales import LOGARITHMIC, scale_values
 from hydrabeam_mpi.report.page.sections import as_html, set_table
 from hydrabeam_mpi.report.page.style import INFERRED, MODEL, REFERENCE, Drawing, new_figure
-from hydrabeam_mpi.sample.convergence import LARGEST_R_HAT, Diagnosis
-from hydrabeam_mpi.sample.status import Status, duration, number
+from hydrabeam_mpi.sampling.convergence import LARGEST_R_HAT, Diagnosis
+from hydrabeam_mpi.sampling.status import Status, duration, number
 
 
 def mixing_rows(diagnosis: Diagnosis) -> str:

@@ -11,8 +11,8 @@ from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases import basis_from_description
 from hydrabeam_mpi.model.bases.base import LinearBasis
-from hydrabeam_mpi.sample.storage.store import ChainStore
-from hydrabeam_mpi.sample.storage.variable import Variable
+from hydrabeam_mpi.sampling.storage.store import ChainStore
+from hydrabeam_mpi.sampling.storage.variable import Variable
 
 BEAM = "beam"
 MOST = 800

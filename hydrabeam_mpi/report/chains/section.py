@@ -13,8 +13,8 @@ from hydrabeam_mpi.report.chains.uncertainty import draw_spread, spread_of
 from hydrabeam_mpi.report.page.sections import as_html
 from hydrabeam_mpi.report.page.style import Drawing
 from hydrabeam_mpi.report.page.words import megahertz
-from hydrabeam_mpi.sample.status import Status
-from hydrabeam_mpi.sample.storage.store import ChainStore
+from hydrabeam_mpi.sampling.status import Status
+from hydrabeam_mpi.sampling.storage.store import ChainStore
 
 CONDITIONAL = "conditional"
 """Name of what chains keep of the beam given all else."""

@@ -12,8 +12,8 @@ from scipy.stats import rankdata
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.report.page.style import AZ_0, AZ_90, INFERRED, MODEL, REFERENCE, UNCERTAINTY, Drawing, new_figure
-from hydrabeam_mpi.sample.convergence import Diagnosis, Mixing
-from hydrabeam_mpi.sample.storage.store import ChainStore
+from hydrabeam_mpi.sampling.convergence import Diagnosis, Mixing
+from hydrabeam_mpi.sampling.storage.store import ChainStore
 
 COLOURS = (MODEL, INFERRED, AZ_0, AZ_90, UNCERTAINTY, REFERENCE)
 """Of the chains, over again where there are more."""

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
-from hydrabeam_mpi.sample.storage.store import ChainStore
-from hydrabeam_mpi.sample.storage.variable import Variable
-from tests.sample.made import write_values
+from hydrabeam_mpi.sampling.storage.store import ChainStore
+from hydrabeam_mpi.sampling.storage.variable import Variable
+from tests.sampling.made import write_values
 
 N_MODES = 12
 SHARE = 2.0

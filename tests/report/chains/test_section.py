@@ -8,7 +8,7 @@ import pytest
 
 from hydrabeam_mpi.report.document import write_report
 from tests.report.chains.made import new_chains
-from tests.sample.made import add, new_store
+from tests.sampling.made import add, new_store
 
 FIGURES = ("chains_ess", "chains_traces", "chains_uncertainty", "chains_degeneracy")
 

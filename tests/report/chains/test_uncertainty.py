@@ -11,9 +11,9 @@ import pytest
 from hydrabeam_mpi.report.chains.degeneracy import directions_of
 from hydrabeam_mpi.report.chains.pooled import Pooled, pool
 from hydrabeam_mpi.report.chains.uncertainty import AZ, ZA, on_sky, spread_of
-from hydrabeam_mpi.sample.storage.store import ChainStore
+from hydrabeam_mpi.sampling.storage.store import ChainStore
 from tests.report.chains.made import N_MODES, SHARE, new_chains
-from tests.sample.made import add, new_store
+from tests.sampling.made import add, new_store
 
 
 @pytest.fixture(scope="module")

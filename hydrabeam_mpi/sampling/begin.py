@@ -1,0 +1,188 @@
+"""From a job to where its chains walk: what is drawn, the joint fit, and the Gaussian to propose effects from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from hydrabeam_mpi.config import Job
+from hydrabeam_mpi.config.sample import NOISE, PRIOR_WIDTH, Sample, SampledEffect
+from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.effect import ScannedEffect
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.registry import EFFECTS, make_effect
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.fit.beams_given import solve_beams
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.gauss_newton import linearised, refit
+from hydrabeam_mpi.fit.joint import restore
+from hydrabeam_mpi.fit.rank_data import RankData
+from hydrabeam_mpi.fit.settle import settle
+from hydrabeam_mpi.fit.state import Active, Estimate, Fitted, Values
+from hydrabeam_mpi.inference.likelihood import Likelihood
+from hydrabeam_mpi.inference.prior import DiagonalPrior
+from hydrabeam_mpi.mpi import bcast_object, gather_by_channel, together
+from hydrabeam_mpi.sampling.state import ChainState, Chance
+from hydrabeam_mpi.sampling.unknowns import Unknowns
+from hydrabeam_mpi.sampling.walk import InverseGamma, Proposal, Walk
+
+BEGINS_WIDE = 2.0
+"""Chains begin with effects that many times as far from the fit as the posterior is wide, so that it shows in R-hat
+whether they have come to the same (Gelman and Rubin 1992)."""
+
+
+def begin(context: FitContext) -> Walk:
+    """Fit beams and effects of the job jointly, and say from there how chains walk. Collective: the chain's ranks.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if a block cannot be drawn.
+    """
+    job, wanted = context.problem.job, context.problem.job.sample
+    with together(context.grid.world):
+        values = _values(context, job)
+        moving = _moving(values, wanted)
+        group_of = _groups(context, wanted)
+    fitted = refit(context, values)
+    context, fitted = _with_fixed_weights(context, settle(context, fitted))
+    unknowns = Unknowns(fitted.values, moving, context.setup.observation.Nfreqs)
+    scales = wanted.noise_prior, wanted.width_prior
+    noise, widths = (
+        InverseGamma(*prior) if block in wanted.blocks else None
+        for block, prior in zip((NOISE, PRIOR_WIDTH), scales, strict=True)
+    )
+    proposal = _proposal(context, fitted, unknowns, by_misfit=noise is not None)
+    return Walk(context, unknowns, proposal, fitted.fit.posteriors, noise, widths, group_of, wanted.collapsed)
+
+
+def first_state(walk: Walk, seed: int, chain: int) -> ChainState:
+    """Return where a chain begins: about the fit, wider than the posterior. Collective: the chain's ranks."""
+    chance = Chance(seed, chain, -1)
+    white = chance.of("effects").standard_normal(walk.proposal.factor.shape[1])
+    n_local, n_groups = len(walk.channels), int(walk.group_of.max(initial=-1)) + 1
+    misfit = walk.misfit(walk.unknowns.values, [one.mean for one in walk.seen_by])
+    normals = walk.sums(walk.unknowns.values)
+    noise = np.ones(n_local)
+    if walk.noise is not None:
+        noise = misfit / np.array([max(one.n_data, 1) for one in normals])
+    beams = tuple(one.mean for one in walk.seen_by)
+    state = ChainState(walk.unknowns.values, beams, noise, np.ones((n_local, n_groups)))
+    length = BEGINS_WIDE
+    while True:
+        moved = replace(state, values=walk.unknowns.at(walk.proposal.vector(np.multiply(length, white))))
+        try:
+            return replace(moved, beams=walk.drawn(walk.beams_given(moved), chance, "beam"))
+        except InputError:
+            # So far out that no beam can be solved for.
+            if length < 1e-3:
+                raise
+            length *= 0.5
+
+
+def _values(context: FitContext, job: Job) -> Values:
+    """Return the effects of the job, and those that it has none of and that are to be drawn."""
+    values = restore(job, context.setup, context.learned)
+    there = {one.kind for one in values.active}
+    further = {one.kind: one for one in job.sample.effects}
+    for kind in job.sample.blocks:
+        if kind in EFFECTS and kind not in there:
+            further.setdefault(kind, SampledEffect(kind=kind))
+    for number, (kind, one) in enumerate(further.items()):
+        try:
+            if kind in there:
+                raise InputError("is among the [[effects]] of the job", remedy="leave it out here")
+            values = values.extended(_further(context.setup, one))
+        except InputError as error:
+            error.within(f"[[sample.effects]] number {number + 1} ({kind})")
+            raise
+    return values
+
+
+def _further(setup: ObservingSetup, one: SampledEffect) -> Active:
+    """Return an effect at zero, with a prior of so many times the natural sizes of its parameters."""
+    effect = make_effect(one.kind, one.settings)
+    reason = effect.not_applicable(setup)
+    if reason is not None:
+        raise InputError(reason, remedy="leave it out")
+    if one.foremost is not None:
+        if not isinstance(effect, ScannedEffect):
+            raise InputError("has no candidates", field="foremost", remedy="leave it out")
+        effect = effect.foremost(setup, one.foremost)
+    parameters = effect.parameters(setup)
+    if not len(parameters):
+        raise InputError("has nothing to be drawn", field="settings", remedy="say which there are, or foremost = N")
+    return Active.start(effect, setup, (one.width * parameters.scale) ** 2, np.zeros(len(parameters)))
+
+
+def _moving(values: Values, wanted: Sample) -> tuple[int, ...]:
+    """Return the places of the effects that are drawn."""
+    places = range(len(values.active))
+    return tuple(place for place in places if not wanted.blocks or values.active[place].kind in wanted.blocks)
+
+
+def _groups(context: FitContext, wanted: Sample) -> IntArray:
+    """Return the group of each mode of the beam, (n_modes,); none where widths are not drawn."""
+    if PRIOR_WIDTH not in wanted.blocks:
+        return np.zeros(0, dtype=int)
+    basis, field = context.problem.basis, "[sample] blocks"
+    if context.learned or not all(isinstance(one, DiagonalPrior) for one in context.problem.priors):
+        raise InputError(
+            f"{PRIOR_WIDTH} is of a prior with independent coefficients, and this one has none",
+            field=field,
+            remedy="leave it out, or set [prior] kind = 'fraction'",
+        )
+    if wanted.width_groups == "all":
+        return np.zeros(basis.n_modes, dtype=int)
+    modes = getattr(basis, "modes", None)
+    if modes is None:
+        raise InputError("this basis has no orders", field="[sample] width_groups", remedy="set it to 'all'")
+    radial, azimuthal = np.array(modes).T
+    orders = radial if wanted.width_groups == "radial" else np.abs(azimuthal)
+    return np.asarray(np.unique(orders, return_inverse=True)[1])
+
+
+def _with_fixed_weights(context: FitContext, fitted: Fitted) -> tuple[FitContext, Fitted]:
+    """Return the same where what the fit made of the weights is what they are: chains take them as known. Serial."""
+    if not fitted.values.reweighted:
+        return context, fitted
+    share, plain = context.train, replace(fitted.values, reweighted=())
+    told = share.calibrated(fitted.estimate)[0].inv_noise_var
+    stated = share.calibrated(Estimate(plain, fitted.fit.posteriors))[0].inv_noise_var
+    factor = np.divide(told, stated, out=np.zeros_like(told), where=stated > 0)
+    rows = replace(share.rows, inv_noise_var=share.rows.inv_noise_var * factor)
+    train = RankData(share.problem, share.setup, rows)
+    return replace(context, train=train), replace(fitted, values=plain)
+
+
+def _proposal(context: FitContext, fitted: Fitted, unknowns: Unknowns, by_misfit: bool) -> Proposal:
+    """Return the Gaussian of the effects about the fit, the beams marginalised. Collective: the chain's ranks.
+
+    With ``by_misfit`` the noise is as large as what is left of the data.
+    """
+    vector = unknowns.vector(fitted.values)
+    free = unknowns.free
+    # Rounding may have left a little of what is held at zero.
+    vector = free @ (free.T @ vector)
+    if not unknowns.moving:
+        return Proposal(vector, free, free.T)
+    at = Estimate(unknowns.at(vector), fitted.fit.posteriors)
+    solved = solve_beams(context, at)
+    told, _ = linearised(context, replace(at, beams=solved.beams), solved)
+    mine = solved.train_chi2.tolist() if by_misfit else [1.0] * len(solved.beams)
+    noise = gather_by_channel(context.grid, mine if context.grid.is_group_root else [])
+    found: Proposal | None = None
+    with together(context.grid.world):
+        if told is not None:
+            found = _about(unknowns, vector, told, np.array(noise))
+    made: Proposal = bcast_object(context.grid.world, found)
+    return made
+
+
+def _about(unknowns: Unknowns, vector: FloatArray, told: Sequence[Likelihood], noise: FloatArray) -> Proposal:
+    mean, factor = unknowns.posterior(vector, told, noise)
+    half = solve_triangular(factor, unknowns.free.T, lower=True, check_finite=False)
+    return Proposal(vector + unknowns.free @ mean, half.T, factor.T @ unknowns.free.T)

@@ -1,0 +1,106 @@
+"""What is stored of every draw: the variables of a walk, and their values where a chain is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from hydrabeam_mpi.config.sample import BEAM, NOISE, PRIOR_WIDTH
+from hydrabeam_mpi.data.observation import Array
+from hydrabeam_mpi.fit.state import Active
+from hydrabeam_mpi.mpi import bcast_object, gather_by_channel
+from hydrabeam_mpi.sampling.state import ChainState
+from hydrabeam_mpi.sampling.storage.variable import Variable
+from hydrabeam_mpi.sampling.walk import Walk
+
+PACE = "pace"
+"""Name of step and scale of the proposals among the arrays of a state."""
+
+
+def variables_of(walk: Walk) -> tuple[Variable, ...]:
+    """Return what is stored of every draw of a walk.
+
+    Parameters that channels share are stored once; all else has an axis of channels.
+    """
+    setup, basis = walk.context.setup, walk.context.problem.basis
+    freqs = setup.observation.freqs.tolist()
+    n_freqs, n_groups = len(freqs), int(walk.group_of.max(initial=-1)) + 1
+    found = [
+        Variable(
+            BEAM,
+            BEAM,
+            (n_freqs, basis.n_modes),
+            ("freq", "mode"),
+            {"freq": freqs},
+            long_name="coefficients of the beam; freq in Hz",
+            dtype="complex128" if basis.is_complex else "float64",
+        )
+    ]
+    names = _names(walk)
+    for name, one in zip(names, walk.unknowns.active, strict=True):
+        told = one.labels(setup)
+        shared, dim = one.prior.shared, f"{name}_parameter"
+        units = {unit for _, unit in told}
+        labels = [label if len(units) == 1 or not unit else f"{label} ({unit})" for label, unit in told]
+        found.append(
+            Variable(
+                name,
+                one.kind,
+                (one.size,) if shared else (n_freqs, one.size),
+                (dim,) if shared else ("freq", dim),
+                {dim: labels} if shared else {"freq": freqs, dim: labels},
+                units.pop() if len(units) == 1 else "",
+                one.effect.title,
+            )
+        )
+    if walk.noise is not None:
+        what = "variance of the noise over the stated one"
+        found.append(Variable(NOISE, NOISE, (n_freqs,), ("freq",), {"freq": freqs}, long_name=what))
+    if walk.widths is not None:
+        what = "variances of the beam's prior over the stated ones"
+        dims, coords = ("freq", "group"), {"freq": freqs}
+        found.append(Variable(PRIOR_WIDTH, PRIOR_WIDTH, (n_freqs, n_groups), dims, coords, long_name=what))
+    return tuple(found)
+
+
+def arrays_of(walk: Walk, state: ChainState) -> dict[str, Array]:
+    """Return a state as the values of the variables, and the ``pace`` of its proposals, on rank 0.
+
+    Nothing on other ranks. Collective: the chain's ranks.
+    """
+    grid = walk.context.grid
+    mine = list(zip(state.beams, state.noise, state.widths, strict=True)) if grid.is_group_root else []
+    gathered = gather_by_channel(grid, mine)
+    if not gathered:
+        return {}
+    beams, noise, widths = map(np.array, zip(*gathered, strict=True))
+    vector = walk.unknowns.vector(state.values)
+    arrays = {BEAM: beams, PACE: np.array([state.step, state.scale])}
+    for name, one, span in zip(_names(walk), walk.unknowns.active, walk.unknowns.spans, strict=True):
+        arrays[name] = vector[span] if one.prior.shared else vector[span].reshape(-1, one.size)
+    arrays |= {NOISE: noise} if walk.noise is not None else {}
+    return arrays | ({PRIOR_WIDTH: widths} if walk.widths is not None else {})
+
+
+def state_from(walk: Walk, arrays: Mapping[str, Array] | None) -> ChainState:
+    """Return the state that `arrays_of` gave on rank 0, where ``arrays`` are. Collective: the chain's ranks."""
+    told: Any = bcast_object(walk.context.grid.world, None if arrays is None else dict(arrays))
+    channels = walk.channels
+    parts = [told[name].reshape(-1) for name in _names(walk)]
+    noise, widths = np.ones(len(channels)), np.ones((len(channels), 0))
+    if walk.noise is not None:
+        noise = told[NOISE][channels]
+    if walk.widths is not None:
+        widths = told[PRIOR_WIDTH][channels]
+    vector, pace = np.concatenate([np.zeros(0), *parts]), told[PACE].tolist()
+    return ChainState(walk.unknowns.at(vector), tuple(told[BEAM][channels]), noise, widths, *pace)
+
+
+def _names(walk: Walk) -> list[str]:
+    """Return a name for each effect that moves: its kind, numbered where there are several."""
+    active: list[Active] = walk.unknowns.active
+    kinds = [one.kind for one in active]
+    numbers = [kinds[: place + 1].count(kind) for place, kind in enumerate(kinds)]
+    return [f"{kind}_{number}" if number > 1 else kind for kind, number in zip(kinds, numbers, strict=True)]

@@ -1,0 +1,284 @@
+"""What stays as it is while a chain walks, and what it asks of the data where it is.
+
+The target is the joint posterior of beams b, effects x, and scales s of the noise's variance and t of the prior's,
+
+    p(b, x, s, t | d)  ~  p(d | b, x, s) p(b | t, x) p(x) p(s) p(t),        d = C (A b + E) + n.
+
+Given the rest it is a Gaussian in b, unless E or C is seen by the beam. Everything is then written by the same with E
+and C seen by a fixed beam, that of the fit: a Gaussian in b, whose integral over b is known, and the exact density over
+it, which is one where the beam makes no difference to E and C.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray
+from hydrabeam_mpi.fit.beams_given import sum_for_beams
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
+from hydrabeam_mpi.fit.known_precision import KnownPrecision
+from hydrabeam_mpi.fit.state import Estimate, Values
+from hydrabeam_mpi.inference.posterior import Posterior
+from hydrabeam_mpi.inference.prior import DiagonalPrior, Prior
+from hydrabeam_mpi.mpi import allreduce_sum, bcast_array, together
+from hydrabeam_mpi.sampling.state import ChainState, Chance
+from hydrabeam_mpi.sampling.unknowns import Unknowns
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class InverseGamma:
+    """The prior of a scale v of a variance: p(v) ~ v^(-shape - 1) exp(-scale / v)."""
+
+    shape: float
+    scale: float
+
+    def drawn_given(self, n: float, power: float, rng: np.random.Generator) -> float:
+        """Draw v where n complex numbers of variance v have the sum of squares ``power`` together."""
+        return float((self.scale + power) / rng.gamma(self.shape + n))
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """The Gaussian that the joint fit says effects have, the beams marginalised: from where they are proposed.
+
+    Attributes
+    ----------
+    centre : ndarray, (n,)
+    factor : ndarray, (n, n_free)
+        F with F F^T the covariance.
+    inverse : ndarray, (n_free, n)
+        From deviations to numbers of variance one.
+    """
+
+    centre: FloatArray
+    factor: FloatArray
+    inverse: FloatArray
+
+    def vector(self, white: FloatArray) -> FloatArray:
+        """Return the parameters, (n,), of numbers of variance one, (n_free,)."""
+        return self.centre + self.factor @ white
+
+    def white(self, vector: FloatArray) -> FloatArray:
+        """Return the numbers, (n_free,), of some parameters, (n,)."""
+        return self.inverse @ (vector - self.centre)
+
+
+@dataclass(frozen=True)
+class BeamsGiven:
+    """The beams given all else, E and C as seen by the fit's beams.
+
+    Attributes
+    ----------
+    normals : list of NormalEquations
+        By the stated noise.
+    posteriors : list of Posterior
+        On the group's root alone.
+    log_evidence : ndarray, (Nlocal,)
+        ln p(d | x, s, t) up to a constant; on the group's root alone.
+    """
+
+    normals: list[NormalEquations]
+    posteriors: list[Posterior]
+    log_evidence: FloatArray
+
+
+class Latest:
+    """What has been worked out last, for where a chain is and for where it is thinking of going."""
+
+    def __init__(self) -> None:
+        self._kept: dict[bytes, object] = {}
+
+    def of(self, key: bytes, make: Callable[[], T]) -> T:
+        """Return what ``make`` gives for a key."""
+        found = self._kept.pop(key) if key in self._kept else make()
+        self._kept[key] = found
+        while len(self._kept) > 2:
+            del self._kept[next(iter(self._kept))]
+        return found  # type: ignore[return-value]
+
+
+@dataclass(frozen=True)
+class Walk:
+    """What stays as it is while a chain walks.
+
+    Attributes
+    ----------
+    context : FitContext
+        Of the chain's ranks.
+    unknowns : Unknowns
+    proposal : Proposal
+    seen_by : tuple of Posterior
+        The fit's beams.
+    noise : InverseGamma, optional
+        Where the noise's scale is drawn.
+    widths : InverseGamma, optional
+        Where those of the prior are.
+    group_of : ndarray of int, (n_modes,)
+        Group of modes that have a width in common.
+    collapsed : bool
+        Whether effects are proposed with the beam integrated out, or given the beam.
+    """
+
+    context: FitContext
+    unknowns: Unknowns
+    proposal: Proposal
+    seen_by: tuple[Posterior, ...]
+    noise: InverseGamma | None = None
+    widths: InverseGamma | None = None
+    group_of: IntArray = field(default_factory=lambda: np.zeros(0, dtype=int))
+    collapsed: bool = True
+    _sums: Latest = field(default_factory=Latest)
+    _given: Latest = field(default_factory=Latest)
+    _misfits: Latest = field(default_factory=Latest)
+
+    @property
+    def channels(self) -> list[int]:
+        """Numbers of the rank group's channels."""
+        return self.context.channels
+
+    def sums(self, values: Values) -> list[NormalEquations]:
+        """Return the sums over rows that tell the beams, E and C seen by the fit's. Collective: the chain's ranks."""
+
+        def make() -> list[NormalEquations]:
+            found = sum_for_beams(self.context, Estimate(values, self.seen_by))
+            if found.known is None:
+                self.context.train.known.keep(KnownPrecision.of(found.key, found.normals, None))
+            return found.normals
+
+        return self._sums.of(_key(values), make)
+
+    def priors(self, state: ChainState) -> list[Prior]:
+        """Return the prior of each channel's beam given the effects and the scales of its variances."""
+        priors: Sequence[Prior] = self.context.given(state.values).priors
+        if self.widths is None:
+            return list(priors)
+        return [_widened(one, wider[self.group_of]) for one, wider in zip(priors, state.widths, strict=True)]
+
+    def beams_given(self, state: ChainState) -> BeamsGiven:
+        """Solve for the beams given all else. Collective: the chain's ranks.
+
+        Raises
+        ------
+        InputError
+            On all ranks, if the effects leave some beam undetermined.
+        """
+        key = _key(state.values) + state.noise.tobytes() + state.widths.tobytes()
+        return self._given.of(key, lambda: self._solve(state))
+
+    def _solve(self, state: ChainState) -> BeamsGiven:
+        normals = self.sums(state.values)
+        posteriors, evidence = [], np.zeros(len(normals))
+        with together(self.context.grid.world):
+            if self.context.grid.is_group_root:
+                for f, (normal, prior) in enumerate(zip(normals, self.priors(state), strict=True)):
+                    posterior, evidence[f] = solve_beam(normal.with_noise(float(state.noise[f])), prior)
+                    posteriors.append(posterior)
+        return BeamsGiven(normals, posteriors, evidence)
+
+    def drawn(self, given: BeamsGiven, chance: Chance, purpose: str) -> tuple[Array, ...]:
+        """Draw the beams given all else, E and C as seen by the fit's beams. Collective: the chain's ranks."""
+        group, found = self.context.grid.group, []
+        for f, channel in enumerate(self.channels):
+            root = self.context.grid.is_group_root
+            beam = given.posteriors[f].draw(chance.of(purpose, channel)) if root else None
+            found.append(bcast_array(group, beam))
+        return tuple(found)
+
+    def misfit(self, values: Values, beams: Sequence[Array]) -> FloatArray:
+        """Return chi^2 by the stated noise of each channel with E and C as its beam sees them, (Nlocal,).
+
+        Collective: the chain's ranks.
+        """
+        key = _key(values) + b"".join(one.tobytes() for one in beams)
+        return self._misfits.of(key, lambda: self._misfit(values, beams))
+
+    def _misfit(self, values: Values, beams: Sequence[Array]) -> FloatArray:
+        if self.collapsed and not values.adds:
+            # The sums over rows are known already.
+            return self.misfit_seen_by_fit(values, beams)
+        share, grid = self.context.train, self.context.grid
+        at = Estimate(values, self.as_posteriors(beams))
+        with together(grid.world):
+            rows, _ = share.calibrated(at)
+            total = np.zeros(len(beams))
+            for t, design in enumerate(share.designs(values)):
+                for f, beam in enumerate(beams):
+                    residual = rows.data[f, t] - _seen(design[f], beam)[rows.member]
+                    total[f] += np.sum(rows.inv_noise_var[f, t] * np.abs(residual) ** 2)
+        allreduce_sum(grid.group, total)
+        return total
+
+    def as_posteriors(self, beams: Sequence[Array]) -> tuple[Posterior, ...]:
+        """Return beams as what the model is made of has them; only the means count."""
+        return tuple(replace(one, mean=beam) for one, beam in zip(self.seen_by, beams, strict=True))
+
+    def misfit_seen_by_fit(self, values: Values, beams: Sequence[Array]) -> FloatArray:
+        """Return the same with E and C as the fit's beams see them, (Nlocal,). Collective: the chain's ranks."""
+        parts = zip(self.sums(values), beams, strict=True)
+        return np.array([normal.misfit(BEAM, beam) for normal, beam in parts])
+
+    def log_correction(self, state: ChainState) -> FloatArray:
+        """Return ln of the exact density over that with E and C as the fit's beams see them, (Nlocal,).
+
+        Collective: the chain's ranks.
+        """
+        if not state.values.adds:
+            return np.zeros(len(state.beams))
+        more = self.misfit(state.values, state.beams) - self.misfit_seen_by_fit(state.values, state.beams)
+        return np.asarray(-more / state.noise)
+
+    def log_prior(self, values: Values) -> float:
+        """Return ln of the prior of the effects that move, up to a constant."""
+        learned = self.context.learned
+        return self.unknowns.log_prior(values) + (learned.log_likelihood(values) if learned else 0.0)
+
+    def log_prior_of_beams(self, state: ChainState) -> FloatArray:
+        """Return ln of the prior of each channel's beam given the effects, up to a constant, (Nlocal,)."""
+        found = []
+        for prior, beam in zip(self.priors(state), state.beams, strict=True):
+            away = beam - prior.mean
+            found.append(-np.vdot(away, prior.precision_times(away)).real / (1 if np.iscomplexobj(beam) else 2))
+        return np.array(found)
+
+    def log_likelihood(self, state: ChainState) -> float:
+        """Return ln p(d | b, x, s), with d the data as read. Collective: the chain's ranks."""
+        exponent = self.misfit(state.values, state.beams) / state.noise
+        normals = self.sums(state.values)
+        det = [
+            one.log_det_inv_noise - one.n_data * np.log(np.pi * s) for one, s in zip(normals, state.noise, strict=True)
+        ]
+        return self.context.over_channels(np.array(det) - exponent)
+
+
+def solve_beam(normal: NormalEquations, prior: Prior) -> tuple[Posterior, float]:
+    """Return a beam's posterior, and ln of the evidence of the data up to a constant, also where a prior is flat."""
+    gaussian = normal.gaussian({BEAM: prior})
+    posterior = gaussian.solve(overwrite=True)
+    log_det = 2 * float(np.sum(np.log(np.diag(posterior.factor).real)))
+    told = float(np.vdot(gaussian.source, posterior.mean).real)
+    known = float(np.vdot(prior.mean, prior.precision_times(prior.mean)).real) - (prior.log_det_precision or 0.0)
+    return posterior, normal.log_det_inv_noise - normal.data_norm + (told - log_det - known) / gaussian.kappa
+
+
+def _key(values: Values) -> bytes:
+    return b"".join(one.x.tobytes() for one in values.active)
+
+
+def _widened(prior: Prior, variance: FloatArray) -> Prior:
+    assert isinstance(prior, DiagonalPrior)
+    return replace(prior, sigma=prior.sigma * np.sqrt(variance))
+
+
+def _seen(design: Array, beam: Array) -> Array:
+    """Return A b of the groups at one time, (Ngroups,)."""
+    if np.iscomplexobj(design):
+        return np.asarray(design @ beam)
+    real, imag = design @ beam
+    return np.asarray(real + 1j * imag)

@@ -1,0 +1,85 @@
+"""A sweep leaves the joint posterior as it is: where truth and data are drawn from the prior, so is what it draws."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from hydrabeam_mpi.random import generator
+from hydrabeam_mpi.sampling.state import ChainState, Chance
+from hydrabeam_mpi.sampling.sweep import sweep
+from hydrabeam_mpi.sampling.walk import Walk
+from tests.sampling.small import COUPLING, FLUX, GAINS, POINTING, drawn_from_prior, observe, small_job, walk_about_prior
+
+FALSE_ALARM = 1e-3
+"""Probability that a right sweep fails a case, were its seed another one."""
+WIDE_GAINS = {**GAINS, "width": 0.5}
+CASES: dict[str, tuple[dict[str, Any], int, float]] = {
+    "beam and noise": (small_job(blocks=("noise",), noise_prior=[8.0, 8.0]), 200, 3.0),
+    "complex beam and its prior's width": (
+        small_job(blocks=("prior_width",), width_prior=[6.0, 6.0], width_groups="azimuthal")
+        | {"basis": {"form": "complex", "n_modes": 5, "k_max": 3, "m_max": 2}},
+        200,
+        3.0,
+    ),
+    "what multiplies": (small_job(GAINS), 200, 3.0),
+    "the sky": (small_job(FLUX), 150, 3.0),
+    "what the beam sees": (small_job(POINTING), 100, 8.0),
+    "all together": (
+        small_job(
+            GAINS, FLUX, COUPLING, blocks=("noise", "prior_width"), noise_prior=[8.0, 8.0], width_prior=[6.0, 6.0]
+        ),
+        150,
+        3.0,
+    ),
+    "given the beam": (small_job(WIDE_GAINS, collapsed=False), 120, 2.0),
+    "given the beam that sees": (small_job(POINTING, collapsed=False), 60, 8.0),
+}
+"""What is drawn, how often, and how many times larger than the noise a visibility is."""
+
+
+def told(walk: Walk, state: ChainState) -> Any:
+    """Return numbers of a state and its data, of which the mean is to be the same before and after a sweep."""
+    white = walk.proposal.white(walk.unknowns.vector(state.values))
+    beams = np.concatenate(
+        [
+            (beam - prior.mean) / prior.std()
+            for prior, beam in zip(walk.context.problem.priors, state.beams, strict=True)
+        ]
+    )
+    parts = np.concatenate([white, beams.real, beams.imag if np.iscomplexobj(beams) else []])
+    exact = walk.misfit(state.values, state.beams)
+    # What the beam makes of E is of very different size from one truth to the next.
+    seen = np.arcsinh(exact - walk.misfit_seen_by_fit(state.values, state.beams))
+    scales = np.log(np.concatenate([state.noise, state.widths.ravel()]))
+    return np.concatenate(
+        [parts, parts**2, parts[:-1] * parts[1:], scales, exact / state.noise, seen, [walk.log_prior(state.values)]]
+    )
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_what_is_drawn_is_as_likely_as_the_truth(name: str, tmp_path: Path) -> None:
+    """Truth and sweep are exchangeable in every number of theirs and the data (Geweke 2004; Gandy and Scott 2020).
+
+    Each repetition has a truth and data of its own, so that they are independent and the test's size is known.
+    """
+    job, n, signal_to_noise = CASES[name]
+    walk = walk_about_prior(tmp_path, job, signal_to_noise)
+    differences, taken = [], []
+    for number in range(n):
+        rng = generator(21, name, number)
+        truth = drawn_from_prior(walk, rng)
+        walk = observe(walk, truth, rng)
+        state = truth
+        for count in range(2):
+            state, accepted = sweep(walk, state, Chance(22, number, count))
+            taken.append(list(accepted.values()))
+        differences.append(told(walk, state) - told(walk, truth))
+    moved = np.std(differences, axis=0) > 1e-9
+    off = np.mean(differences, axis=0)[moved] / (np.std(differences, axis=0)[moved] / np.sqrt(n))
+    assert np.all(np.mean(taken, axis=0) > 0.1), np.mean(taken, axis=0)
+    assert np.abs(off).max() < norm.isf(FALSE_ALARM / len(off) / 2), off.round(1)
