@@ -46,9 +46,7 @@ def test_chains_go_on_and_are_of_one_job(tmp_path: Path, capfd: pytest.CaptureFi
         (["sample", "--status", "nowhere"], "nowhere"),
     ],
 )
-def test_what_is_missing_is_told_in_a_line(
-    arguments: list[str], words: str, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_missing_is_told_in_a_line(arguments: list[str], words: str, capfd: pytest.CaptureFixture[str]) -> None:
     assert main(arguments) == 2
     (line,) = capfd.readouterr().err.splitlines()
     assert words in line
