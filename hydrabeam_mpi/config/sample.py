@@ -52,6 +52,10 @@ class Sample(Section):
     noise_prior: tuple[Number, Number] = key(
         (1.0, 1.0), "shape and scale of the inverse gamma that the noise variance over the stated one has"
     )
+    noise_groups: Literal["all", "antenna", "length"] = key(
+        "all", "what has one scale: all data; each antenna, whose two multiply; baselines of the same length"
+    )
+    noise_dof: Number | None = key(None, "noise of Student's t with so many degrees of freedom; Gaussian by default")
     width_prior: tuple[Number, Number] = key((1.0, 1.0), "the same of the prior's variances over the stated ones")
     width_groups: Literal["all", "radial", "azimuthal"] = key("all", "modes that have one width: of the same order")
     effects: tuple[SampledEffect, ...] = ()

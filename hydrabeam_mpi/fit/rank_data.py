@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from copy import copy
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -31,6 +32,16 @@ class RankData(RowModel):
     @cached_property
     def _latest(self) -> list[tuple[Estimate, ComplexArray, ComplexArray]]:
         return []
+
+    def weighed(self, factor: FloatArray) -> RankData:
+        """Return the same rows with weights multiplied by ``factor``, (Nlocal, Ntimes, Nbls).
+
+        What has been worked out of model and sky, which weights do not change, belongs to both.
+        """
+        _ = self.model, self._plain, self._changed, self.known, self._beams, self._latest
+        other = copy(self)
+        other.rows = replace(self.rows, inv_noise_var=self.rows.inv_noise_var * factor)
+        return other
 
     def noise_variance(self, rows: Rows) -> FloatArray:
         """Return the noise's variance by the weights of calibrated rows, in Jy^2 of the data as they were read.

@@ -25,9 +25,10 @@ from hydrabeam_mpi.fit.state import Active, Estimate, Fitted, Values
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.inference.prior import DiagonalPrior
 from hydrabeam_mpi.mpi import bcast_object, gather_by_channel, together
+from hydrabeam_mpi.sampling.noise import InverseGamma, NoiseParts
 from hydrabeam_mpi.sampling.state import ChainState, Chance
 from hydrabeam_mpi.sampling.unknowns import Unknowns
-from hydrabeam_mpi.sampling.walk import InverseGamma, Proposal, Walk
+from hydrabeam_mpi.sampling.walk import Proposal, Walk
 
 BEGINS_WIDE = 2.0
 """Chains begin with effects that many times as far from the fit as the posterior is wide, so that it shows in R-hat
@@ -56,7 +57,11 @@ def begin(context: FitContext) -> Walk:
         for block, prior in zip((NOISE, PRIOR_WIDTH), scales, strict=True)
     )
     proposal = _proposal(context, fitted, unknowns, by_misfit=noise is not None)
-    return Walk(context, unknowns, proposal, fitted.fit.posteriors, noise, widths, group_of, wanted.collapsed)
+    parts, tolerance = None, job.data.redundancy_tol
+    if noise is not None and wanted.noise_groups != "all":
+        parts = NoiseParts.of(wanted.noise_groups, context.setup, tolerance)
+    seen_by, dof = fitted.fit.posteriors, wanted.noise_dof
+    return Walk(context, unknowns, proposal, seen_by, noise, widths, group_of, wanted.collapsed, parts, dof)
 
 
 def first_state(walk: Walk, seed: int, chain: int) -> ChainState:
@@ -66,11 +71,16 @@ def first_state(walk: Walk, seed: int, chain: int) -> ChainState:
     n_local, n_groups = len(walk.channels), int(walk.group_of.max(initial=-1)) + 1
     misfit = walk.misfit(walk.unknowns.values, [one.mean for one in walk.seen_by])
     normals = walk.sums(walk.unknowns.values)
-    noise = np.ones(n_local)
+    noise, parts = np.ones(n_local), np.ones((n_local, 0))
     if walk.noise is not None:
         noise = misfit / np.array([max(one.n_data, 1) for one in normals])
+    if walk.parts is not None:
+        # Of the same size for all baselines, of however many factors.
+        each = noise ** (1 / len(walk.parts.of_baseline))
+        noise, parts = np.ones(n_local), np.repeat(each[:, np.newaxis], len(walk.parts.labels), axis=1)
     beams = tuple(one.mean for one in walk.seen_by)
-    state = ChainState(walk.unknowns.values, beams, noise, np.ones((n_local, n_groups)))
+    state = ChainState(walk.unknowns.values, beams, noise, np.ones((n_local, n_groups)), parts)
+    walk = walk.weighed(state, chance)
     length = BEGINS_WIDE
     while True:
         moved = replace(state, values=walk.unknowns.at(walk.proposal.vector(np.multiply(length, white))))

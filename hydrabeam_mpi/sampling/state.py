@@ -25,6 +25,8 @@ class ChainState:
         By what the variance of the noise exceeds the stated one.
     widths : ndarray, (Nlocal, n_groups)
         By what the variances of the beams' prior exceed the stated ones, for each group of modes.
+    parts : ndarray, (Nlocal, n_parts)
+        By what those of the noise of parts of the array do, on top of that.
     step, scale : float
         Of the proposals of effects: how far they go, 0 to 1, and how much wider than the fit's Gaussian they are.
     """
@@ -33,6 +35,7 @@ class ChainState:
     beams: tuple[Array, ...]
     noise: FloatArray
     widths: FloatArray
+    parts: FloatArray
     step: float = 1.0
     scale: float = 1.0
 

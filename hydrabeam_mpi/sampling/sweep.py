@@ -14,8 +14,10 @@ from hydrabeam_mpi.sampling.walk import Walk
 def sweep(walk: Walk, state: ChainState, chance: Chance) -> tuple[ChainState, dict[str, float]]:
     """Pass over all steps, and tell which part of their proposals was accepted. Collective: the chain's ranks.
 
-    Beams come right after effects that are drawn with the beams integrated out: the order matters for these.
+    Beams come right after effects that are drawn with the beams integrated out: the order matters for these. Weights of
+    visibilities are drawn before all else, and so need not be known from one sweep to the next.
     """
+    walk = walk.weighed(state, chance)
     steps = []
     if walk.unknowns.moving:
         steps.append(draw_effects if walk.collapsed else draw_effects_given_beams)

@@ -56,8 +56,7 @@ def variables_of(walk: Walk) -> tuple[Variable, ...]:
             )
         )
     if walk.noise is not None:
-        what = "variance of the noise over the stated one"
-        found.append(Variable(NOISE, NOISE, (n_freqs,), ("freq",), {"freq": freqs}, long_name=what))
+        found.append(_of_noise(walk, freqs))
     if walk.widths is not None:
         what = "variances of the beam's prior over the stated ones"
         dims, coords = ("freq", "group"), {"freq": freqs}
@@ -71,7 +70,8 @@ def arrays_of(walk: Walk, state: ChainState) -> dict[str, Array]:
     Nothing on other ranks. Collective: the chain's ranks.
     """
     grid = walk.context.grid
-    mine = list(zip(state.beams, state.noise, state.widths, strict=True)) if grid.is_group_root else []
+    noise = state.noise if walk.parts is None else state.parts
+    mine = list(zip(state.beams, noise, state.widths, strict=True)) if grid.is_group_root else []
     gathered = gather_by_channel(grid, mine)
     if not gathered:
         return {}
@@ -89,13 +89,27 @@ def state_from(walk: Walk, arrays: Mapping[str, Array] | None) -> ChainState:
     told: Any = bcast_object(walk.context.grid.world, None if arrays is None else dict(arrays))
     channels = walk.channels
     parts = [told[name].reshape(-1) for name in _names(walk)]
-    noise, widths = np.ones(len(channels)), np.ones((len(channels), 0))
-    if walk.noise is not None:
+    n_local = len(channels)
+    noise, widths, of_parts = np.ones(n_local), np.ones((n_local, 0)), np.ones((n_local, 0))
+    if walk.parts is not None:
+        of_parts = told[NOISE][channels]
+    elif walk.noise is not None:
         noise = told[NOISE][channels]
     if walk.widths is not None:
         widths = told[PRIOR_WIDTH][channels]
     vector, pace = np.concatenate([np.zeros(0), *parts]), told[PACE].tolist()
-    return ChainState(walk.unknowns.at(vector), tuple(told[BEAM][channels]), noise, widths, *pace)
+    return ChainState(walk.unknowns.at(vector), tuple(told[BEAM][channels]), noise, widths, of_parts, *pace)
+
+
+def _of_noise(walk: Walk, freqs: list[float]) -> Variable:
+    what, parts = "variance of the noise over the stated one", walk.parts
+    if parts is None:
+        return Variable(NOISE, NOISE, (len(freqs),), ("freq",), {"freq": freqs}, long_name=what)
+    what += {"antenna": ", of each antenna: its two multiply", "length": ", of baselines of each length in m"}[
+        parts.name
+    ]
+    coords = {"freq": freqs, parts.name: list(parts.labels)}
+    return Variable(NOISE, NOISE, (len(freqs), len(parts.labels)), ("freq", parts.name), coords, long_name=what)
 
 
 def _names(walk: Walk) -> list[str]:

@@ -11,9 +11,8 @@ it, which is one where the beam makes no difference to E and C.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
 
 import numpy as np
 
@@ -22,26 +21,15 @@ from hydrabeam_mpi.fit.beams_given import sum_for_beams
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.known_precision import KnownPrecision
+from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.state import Estimate, Values
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.prior import DiagonalPrior, Prior
 from hydrabeam_mpi.mpi import allreduce_sum, bcast_array, together
+from hydrabeam_mpi.sampling.latest import Latest
+from hydrabeam_mpi.sampling.noise import InverseGamma, NoiseParts, drawn_weights, log_densities, squared_residuals
 from hydrabeam_mpi.sampling.state import ChainState, Chance
 from hydrabeam_mpi.sampling.unknowns import Unknowns
-
-T = TypeVar("T")
-
-
-@dataclass(frozen=True)
-class InverseGamma:
-    """The prior of a scale v of a variance: p(v) ~ v^(-shape - 1) exp(-scale / v)."""
-
-    shape: float
-    scale: float
-
-    def drawn_given(self, n: float, power: float, rng: np.random.Generator) -> float:
-        """Draw v where n complex numbers of variance v have the sum of squares ``power`` together."""
-        return float((self.scale + power) / rng.gamma(self.shape + n))
 
 
 @dataclass(frozen=True)
@@ -89,21 +77,6 @@ class BeamsGiven:
     log_evidence: FloatArray
 
 
-class Latest:
-    """What has been worked out last, for where a chain is and for where it is thinking of going."""
-
-    def __init__(self) -> None:
-        self._kept: dict[bytes, object] = {}
-
-    def of(self, key: bytes, make: Callable[[], T]) -> T:
-        """Return what ``make`` gives for a key."""
-        found = self._kept.pop(key) if key in self._kept else make()
-        self._kept[key] = found
-        while len(self._kept) > 2:
-            del self._kept[next(iter(self._kept))]
-        return found  # type: ignore[return-value]
-
-
 @dataclass(frozen=True)
 class Walk:
     """What stays as it is while a chain walks.
@@ -124,6 +97,10 @@ class Walk:
         Group of modes that have a width in common.
     collapsed : bool
         Whether effects are proposed with the beam integrated out, or given the beam.
+    parts : NoiseParts, optional
+        Where scales of the noise are drawn that are not those of all data.
+    dof : float, optional
+        Degrees of freedom of noise of Student's t.
     """
 
     context: FitContext
@@ -134,6 +111,8 @@ class Walk:
     widths: InverseGamma | None = None
     group_of: IntArray = field(default_factory=lambda: np.zeros(0, dtype=int))
     collapsed: bool = True
+    parts: NoiseParts | None = None
+    dof: float | None = None
     _sums: Latest = field(default_factory=Latest)
     _given: Latest = field(default_factory=Latest)
     _misfits: Latest = field(default_factory=Latest)
@@ -142,6 +121,38 @@ class Walk:
     def channels(self) -> list[int]:
         """Numbers of the rank group's channels."""
         return self.context.channels
+
+    def weighed(self, state: ChainState, chance: Chance) -> Walk:
+        """Return the walk with weights as the scales of parts of the noise have them, and those of Student's t drawn.
+
+        These are drawn given all else and not kept, so that what is to be known of a state does not grow with the data.
+        """
+        if self.parts is None and self.dof is None:
+            return self
+        context, share = self.context, self.context.train
+        with together(context.grid.world):
+            factor = np.broadcast_to(1 / self.scale_of(share, state), share.rows.data.shape)
+            if self.dof is not None:
+                squares, _ = self.squares(share, state)
+                n_bls = context.setup.observation.Nbls
+                factor = factor * drawn_weights(squares, self.dof, chance, self.channels, share.rows.tile, n_bls)
+        context = replace(context, train=share.weighed(factor))
+        return replace(self, context=context, _sums=Latest(), _given=Latest(), _misfits=Latest())
+
+    def scale_of(self, share: RankData, state: ChainState) -> FloatArray:
+        """Return what a state's parts of the noise multiply its variances by, (Nlocal, 1, Nbls or 1)."""
+        if self.parts is None:
+            return np.ones((len(self.channels), 1, 1))
+        return self.parts.scale(state.parts)[:, np.newaxis, share.rows.tile.bls]
+
+    def squares(self, share: RankData, state: ChainState) -> tuple[FloatArray, FloatArray]:
+        """Return |r|^2 / sigma^2 of a rank's rows and 1 / sigma^2 of the data as read, by a state's scales.
+
+        (Nlocal, Ntimes, Nbls) each. Of the walk before it was `weighed`. Serial.
+        """
+        told = squared_residuals(share, Estimate(state.values, self.as_posteriors(state.beams)))
+        factor = 1 / (state.noise[:, np.newaxis, np.newaxis] * self.scale_of(share, state))
+        return told[0] * factor, told[1] * factor
 
     def sums(self, values: Values) -> list[NormalEquations]:
         """Return the sums over rows that tell the beams, E and C seen by the fit's. Collective: the chain's ranks."""
@@ -203,16 +214,10 @@ class Walk:
         if self.collapsed and not values.adds:
             # The sums over rows are known already.
             return self.misfit_seen_by_fit(values, beams)
-        share, grid = self.context.train, self.context.grid
-        at = Estimate(values, self.as_posteriors(beams))
-        with together(grid.world):
-            rows, _ = share.calibrated(at)
-            total = np.zeros(len(beams))
-            for t, design in enumerate(share.designs(values)):
-                for f, beam in enumerate(beams):
-                    residual = rows.data[f, t] - _seen(design[f], beam)[rows.member]
-                    total[f] += np.sum(rows.inv_noise_var[f, t] * np.abs(residual) ** 2)
-        allreduce_sum(grid.group, total)
+        with together(self.context.grid.world):
+            squares, _ = squared_residuals(self.context.train, Estimate(values, self.as_posteriors(beams)))
+            total = squares.sum(axis=(1, 2))
+        allreduce_sum(self.context.grid.group, total)
         return total
 
     def as_posteriors(self, beams: Sequence[Array]) -> tuple[Posterior, ...]:
@@ -248,7 +253,15 @@ class Walk:
         return np.array(found)
 
     def log_likelihood(self, state: ChainState) -> float:
-        """Return ln p(d | b, x, s), with d the data as read. Collective: the chain's ranks."""
+        """Return ln p(d | b, x, s), with d the data as read. Collective: the chain's ranks.
+
+        Of the walk before it was `weighed`.
+        """
+        if self.parts is not None or self.dof is not None:
+            with together(self.context.grid.world):
+                total = log_densities(*self.squares(self.context.train, state), self.dof).sum(axis=(1, 2))
+            allreduce_sum(self.context.grid.group, total)
+            return self.context.over_channels(total)
         exponent = self.misfit(state.values, state.beams) / state.noise
         normals = self.sums(state.values)
         det = [
@@ -274,11 +287,3 @@ def _key(values: Values) -> bytes:
 def _widened(prior: Prior, variance: FloatArray) -> Prior:
     assert isinstance(prior, DiagonalPrior)
     return replace(prior, sigma=prior.sigma * np.sqrt(variance))
-
-
-def _seen(design: Array, beam: Array) -> Array:
-    """Return A b of the groups at one time, (Ngroups,)."""
-    if np.iscomplexobj(design):
-        return np.asarray(design @ beam)
-    real, imag = design @ beam
-    return np.asarray(real + 1j * imag)

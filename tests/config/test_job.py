@@ -103,6 +103,8 @@ warm_up = 0
 thin = 3
 collapsed = false
 noise_prior = [2, 0.5]
+noise_groups = "antenna"
+noise_dof = 4.0
 width_prior = [3, 4.5]
 width_groups = "radial"
 

@@ -67,12 +67,14 @@ def drawn_from_prior(walk: Walk, rng: np.random.Generator, step: float = 0.4) ->
     """Draw all from its prior."""
     values = walk.unknowns.at(walk.proposal.vector(rng.standard_normal(walk.proposal.factor.shape[1])))
     n_local, n_groups = len(walk.channels), int(walk.group_of.max(initial=-1)) + 1
-    noise, widths = np.ones(n_local), np.ones((n_local, n_groups))
-    if walk.noise is not None:
+    noise, widths, parts = np.ones(n_local), np.ones((n_local, n_groups)), np.ones((n_local, 0))
+    if walk.noise is not None and walk.parts is not None:
+        parts = walk.noise.scale / rng.gamma(walk.noise.shape, size=(n_local, len(walk.parts.labels)))
+    elif walk.noise is not None:
         noise = walk.noise.scale / rng.gamma(walk.noise.shape, size=n_local)
     if walk.widths is not None:
         widths = walk.widths.scale / rng.gamma(walk.widths.shape, size=(n_local, n_groups))
-    state = ChainState(values, (), noise, widths, step)
+    state = ChainState(values, (), noise, widths, parts, step)
     return replace(state, beams=tuple(_drawn(prior, rng) for prior in walk.priors(state)))
 
 
@@ -98,6 +100,8 @@ def observe(walk: Walk, state: ChainState, rng: np.random.Generator) -> Walk:
     """Return the walk with data drawn where the state is; what has been worked out for others is forgotten."""
     share = walk.context.train
     model = model_of(walk, state.values, state.beams)
-    noise = np.sqrt(state.noise[:, np.newaxis, np.newaxis] / share.rows.inv_noise_var)
+    noise = np.sqrt(state.noise[:, np.newaxis, np.newaxis] * walk.scale_of(share, state) / share.rows.inv_noise_var)
+    if walk.dof is not None:
+        noise /= np.sqrt(rng.gamma(walk.dof / 2, 2 / walk.dof, size=noise.shape))
     share.rows = replace(share.rows, data=model + noise * complex_normal(rng, model.shape))
     return replace(walk, **{name: type(getattr(walk, name))() for name in ("_sums", "_given", "_misfits")})

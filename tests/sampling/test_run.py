@@ -7,6 +7,7 @@ import signal
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -79,9 +80,10 @@ def test_a_chain_killed_at_any_moment_goes_on_as_if_nothing_had_been(
 
 
 @pytest.mark.mpi
-def test_any_number_of_ranks_walks_the_same_way(comm: MPI.Comm, common_tmp_path: Path) -> None:
+@pytest.mark.parametrize("more", [{}, {"noise_groups": "antenna", "noise_dof": 4.0}], ids=["one noise", "of antennas"])
+def test_any_number_of_ranks_walks_the_same_way(more: dict[str, Any], comm: MPI.Comm, common_tmp_path: Path) -> None:
     """Two channels and two chains, begun by all ranks and gone on with by one."""
-    job = small_job(GAINS, COUPLING, blocks=("noise", "prior_width"), warm_up=5)
+    job = small_job(GAINS, COUPLING, blocks=("noise", "prior_width"), warm_up=5, **more)
     job["data"]["simulate"]["freqs"] = [FREQ, FREQ + 8e6]
     own = common_tmp_path / f"own{comm.rank}"
     alone = begin(context_of(job, own))

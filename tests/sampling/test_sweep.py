@@ -26,6 +26,14 @@ CASES: dict[str, tuple[dict[str, Any], int, float]] = {
         200,
         3.0,
     ),
+    "noise by antenna": (small_job(blocks=("noise",), noise_prior=[3.0, 3.0], noise_groups="antenna"), 200, 3.0),
+    "outliers": (small_job(blocks=("noise",), noise_prior=[3.0, 3.0], noise_dof=2.0), 200, 3.0),
+    "noise by length, and what the beam sees": (
+        small_job(POINTING, blocks=("noise",), noise_prior=[3.0, 3.0], noise_groups="length", noise_dof=6.0),
+        60,
+        8.0,
+    ),
+    "outliers, and effects given the beam": (small_job(WIDE_GAINS, noise_dof=3.0, collapsed=False), 100, 2.0),
     "what multiplies": (small_job(GAINS), 200, 3.0),
     "the sky": (small_job(FLUX), 150, 3.0),
     "what the beam sees": (small_job(POINTING), 100, 8.0),
@@ -55,10 +63,13 @@ def told(walk: Walk, state: ChainState) -> Any:
     exact = walk.misfit(state.values, state.beams)
     # What the beam makes of E is of very different size from one truth to the next.
     seen = np.arcsinh(exact - walk.misfit_seen_by_fit(state.values, state.beams))
-    scales = np.log(np.concatenate([state.noise, state.widths.ravel()]))
-    return np.concatenate(
-        [parts, parts**2, parts[:-1] * parts[1:], scales, exact / state.noise, seen, [walk.log_prior(state.values)]]
-    )
+    scales = np.log(np.concatenate([state.noise, state.widths.ravel(), state.parts.ravel()]))
+    squares, _ = walk.squares(walk.context.train, state)
+    # Noise of Student's t may have no variance.
+    of_noise = [np.arcsinh(squares).sum(), walk.log_likelihood(state), scales.sum()]
+    exact = np.zeros(0) if walk.dof else exact / state.noise
+    both = [parts, parts**2, parts[:-1] * parts[1:], scales, scales**2]
+    return np.concatenate([*both, exact, of_noise, seen, [walk.log_prior(state.values)]])
 
 
 @pytest.mark.parametrize("name", CASES)
