@@ -17,6 +17,7 @@ from hydrabeam_mpi.report.page.style import INFERRED, MODEL, REFERENCE, Drawing,
 LINEAR = 10.0  # ln Bayes factors are drawn on a linear scale below this, on a logarithmic one above
 SHOWN = 24  # effects in a panel
 ABREAST = 3  # panels side by side
+TITLE = 24  # characters of a title in a line, so that it stays above its own panel
 
 
 def draw_ranking(loop: Entry) -> Drawing | None:
@@ -79,7 +80,7 @@ def _draw_round(axes: Axes, names: list[str], title: str, entry: Entry, scores: 
         axes.barh(place, score, height=0.72, color=colours.get(name, MODEL if score > 0 else "0.75"))
         axes.text(max(score, 0), place, f" {_short(score)}", va="center", fontsize=7, color="0.25")
     axes.axvline(0, color="0.4", linewidth=0.7)
-    axes.set_title(title if len(title) < 36 else f"{title[:34]}…", fontsize=8.5)
+    axes.set_title("\n".join(textwrap.wrap(title, TITLE)), fontsize=8.5)
 
 
 def _short(value: float) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from typing import Any
 
@@ -9,6 +10,7 @@ import matplotlib
 import numpy as np
 import pytest
 from matplotlib.colors import to_hex
+from matplotlib.text import Text
 
 from hydrabeam_mpi.report.loop.baselines import draw_baselines
 from hydrabeam_mpi.report.loop.figures import draw_fall, draw_ranking
@@ -62,6 +64,19 @@ def test_an_effect_with_several_laws_has_a_bar_for_each() -> None:
     assert widths == {"antenna gains, smooth": 1e6, "antenna gains": known, "antenna gains, piecewise": 3.0}
     added = [name for name, bar in bars.items() if to_hex(bar.get_facecolor()) == INFERRED.lower()]
     assert added == ["antenna gains, smooth"]
+
+
+def test_long_titles_stay_above_their_own_panels() -> None:
+    loop = loops.explained()
+    for entry in loop["rounds"]:
+        entry["title"] = "catalogue sources that are resolved"
+    drawing = draw_ranking(loop)
+    assert drawing is not None
+    drawing.figure.draw_without_rendering()
+    words = [text for axes in drawing.figure.axes for text in axes.get_children() if isinstance(text, Text)]
+    places = [text.get_window_extent() for text in words if text.get_text() == text.axes.get_title(loc="left")]
+    assert len(places) == 3
+    assert all(left.x1 < right.x0 for left, right in itertools.pairwise(places))
 
 
 def test_the_fall() -> None:
