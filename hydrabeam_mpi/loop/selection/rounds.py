@@ -212,7 +212,7 @@ def say_heldout(chi2: float, now: dict[str, float]) -> str:
     """Tell in a line how well held-out data are predicted, beside the model beam, zero and the noise."""
     return (
         f"held-out chi^2 {chi2:.4g} (over the noise alone {now['noise_only_chi2']:.4g}), ln density "
-        f"{now['log_density']:.6g}, rms {now['rms']:.4g} Jy ({now['explained']:.1%} explained; model beam "
+        f"{now['log_density']:.6g}, rms {now['rms']:.4g} Jy ({now['explained']:.4%} explained; model beam "
         f"{now['rms_model']:.4g}, with its best scale {now['rms_model_scaled']:.4g}, zero {now['rms_zero']:.4g}, noise "
         f"{now['rms_noise']:.4g} Jy)"
     )
