@@ -19,7 +19,8 @@ TOOL = Path(__file__).parents[2] / "tools" / "study_joint_sky"
 @pytest.fixture(scope="module")
 def tool() -> ModuleType:
     spec = spec_from_loader(TOOL.name, SourceFileLoader(TOOL.name, str(TOOL)))
-    assert spec is not None and spec.loader is not None
+    assert spec is not None
+    assert spec.loader is not None
     module = module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
@@ -32,7 +33,8 @@ def test_missing_sources_give_the_beam_back(tool: ModuleType) -> None:
     assert joint["beam_error"] < 0.5 * wrong["beam_error"]
     assert joint["rms_jy"] < 0.6 * wrong["rms_jy"]
     assert joint["beam_error"] < 2 * joint["stated_error"] < wrong["beam_error"]
-    assert wrong["chi2"] > 4 and 0.5 < joint["chi2"] < 1.5
+    assert wrong["chi2"] > 4
+    assert 0.5 < joint["chi2"] < 1.5
 
 
 def test_priors_have_the_power_of_what_is_missing(tool: ModuleType) -> None:
