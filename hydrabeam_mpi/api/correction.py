@@ -22,7 +22,7 @@ from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.fit.taken_out import Parts, antenna_gains, take_out
 from hydrabeam_mpi.io.calfits import write_calfits
 from hydrabeam_mpi.io.noise import calibrated_autos
-from hydrabeam_mpi.io.uvdata import read_visibilities
+from hydrabeam_mpi.io.uvdata import read_autos, read_visibilities
 from hydrabeam_mpi.io.uvsource import as_source
 from hydrabeam_mpi.io.uvwrite import uvh5_in_parts
 from hydrabeam_mpi.mpi import gather_objects, together
@@ -242,7 +242,7 @@ def _joined(
     flags[:, :, np.isin(observation.antpairs, list(bad_antennas)).any(axis=1)] = True
     for values in visibilities.values():
         values[flags] = 0.0
-    autos = calibrated_autos(problem.files, observation, times, problem.gain_files)
+    autos = calibrated_autos(read_autos(problem.files, observation, times), observation, times, problem.gain_files)
     autos = autos * problem.flux_scale.reshape(-1, 1, 1, 1) / np.abs(gains[..., np.newaxis]) ** 2
     return Correction(problem.job, visibilities=visibilities, flags=flags, nsamples=nsamples, autos=autos)
 

@@ -12,7 +12,7 @@ from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.data.redundancy import RedundantGroups
 from hydrabeam_mpi.io import noise
 from hydrabeam_mpi.io.gains import apply_gains
-from hydrabeam_mpi.io.uvdata import read_visibilities
+from hydrabeam_mpi.io.uvdata import Block, read_visibilities
 from hydrabeam_mpi.setup.problem import Problem
 
 
@@ -74,8 +74,10 @@ class Rows:
         return weighted.reshape(shape), weights.reshape(shape)
 
 
-def read_rows(problem: Problem, tile: Tile) -> Rows:
+def read_rows(problem: Problem, tile: Tile, autos: Block | None = None) -> Rows:
     """Read the visibilities of a tile, and only those, with their weights.
+
+    The autocorrelations at the tile's times, which weights may be made of, are not read if they are given.
 
     Raises
     ------
@@ -94,7 +96,8 @@ def read_rows(problem: Problem, tile: Tile) -> Rows:
     elif problem.noise_variance is not None:
         weights = noise.variance_weights(problem.noise_variance[:, tile.bls], flags, nsamples)
     else:
-        weights = noise.radiometer_weights(files, observation, tile, flags, nsamples, problem.gain_files)
+        gains = problem.gain_files
+        weights = noise.radiometer_weights(files, observation, tile, flags, nsamples, gains, autos)
     scale = problem.flux_scale.reshape(-1, 1, 1, 1)
     if np.any(scale != 1):
         data, weights = data * scale, weights / scale**2

@@ -21,7 +21,7 @@ from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.inference.robust import known_median, outliers
 from hydrabeam_mpi.io.gains import calibrate
 from hydrabeam_mpi.io.noise_table import read_table, table_sigma
-from hydrabeam_mpi.io.uvdata import feeds_of, read_autos, read_block
+from hydrabeam_mpi.io.uvdata import Block, feeds_of, read_autos, read_block
 from hydrabeam_mpi.io.uvfile import check_all_survive
 from hydrabeam_mpi.io.uvsource import Data
 
@@ -38,6 +38,7 @@ def radiometer_weights(
     flags: BoolArray,
     nsamples: FloatArray,
     gain_files: Sequence[Path] = (),
+    autos: Block | None = None,
 ) -> FloatArray:
     """Noise from the autocorrelations: sigma_jk^2 = V_jj V_kk / (dt dnu nsamples).
 
@@ -48,6 +49,8 @@ def radiometer_weights(
     flags, nsamples : ndarray, (Nfreqs, len(tile.times), len(tile.bls), Npols)
     gain_files : sequence of Path
         Those that are applied to the visibilities, to calibrate the autocorrelations too.
+    autos : Block, optional
+        What `read_autos` says of these times, where it has been read.
 
     Returns
     -------
@@ -62,11 +65,12 @@ def radiometer_weights(
     for field in ("integration_time", "channel_width"):
         if not np.all(getattr(observation, field) > 0):
             raise InputError("not positive", file=files[0], field=field, remedy="choose another [noise] kind")
-    autos = calibrated_autos(files, observation, tile.times, gain_files)
+    autos = autos or read_autos(files, observation, tile.times)
+    power = calibrated_autos(autos, observation, tile.times, gain_files)
     feeds = feeds_of(observation.pols)
     ants = match(observation.antpairs[tile.bls], observation.antenna_numbers, 0)
     first, second = (
-        np.stack([autos[:, :, ants[:, end], feeds.index(pol[end])] for pol in observation.pols], axis=-1)
+        np.stack([power[:, :, ants[:, end], feeds.index(pol[end])] for pol in observation.pols], axis=-1)
         for end in (0, 1)
     )
     _check_autos_stored(np.isnan(first + second) & ~flags, files, observation, tile)
@@ -77,17 +81,14 @@ def radiometer_weights(
     return np.where(usable, weights, 0.0)
 
 
-def calibrated_autos(
-    files: Sequence[Data], observation: Observation, times: IntArray, gain_files: Sequence[Path]
-) -> FloatArray:
-    """Return autocorrelations as `read_autos` does, with gains divided out, (Nfreqs, Ntimes, Nants, Nfeeds)."""
-    autos = read_autos(files, observation, times)
+def calibrated_autos(autos: Block, observation: Observation, times: IntArray, gain_files: Sequence[Path]) -> FloatArray:
+    """Return autocorrelations, Jy, with gains divided out: zero where flagged, NaN where there are none."""
     if not gain_files:
-        return autos
+        return autos.power
     antpairs = np.repeat(observation.antenna_numbers[:, None], 2, axis=1)
     pols = tuple(2 * feed for feed in feeds_of(observation.pols))
-    bad = np.zeros(autos.shape, bool)
-    data, *_ = calibrate(autos.astype(complex), bad, observation, times, antpairs, gain_files, pols)
+    bad = np.zeros(autos.data.shape, bool)
+    data, *_ = calibrate(autos.power.astype(complex), bad, observation, times, antpairs, gain_files, pols)
     return np.asarray(data.real)
 
 
@@ -192,9 +193,8 @@ def file_weights(
         sigma = block.data.real
         usable, samples = ~flags & ~block.flags, np.ones(flags.shape)
     if not np.all((sigma[usable] >= 1 / LARGEST) & (sigma[usable] <= LARGEST)):
-        raise InputError(
-            "a sigma that is not positive, or infinite", file=path, field="sigma", remedy="correct or flag it"
-        )
+        told = "a sigma that is not positive, or infinite"
+        raise InputError(told, file=path, field="sigma", remedy="correct or flag it")
     return np.where(usable, samples / np.where(usable, sigma, 1.0) ** 2, 0.0)
 
 

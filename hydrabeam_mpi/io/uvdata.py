@@ -44,6 +44,11 @@ class Block(NamedTuple):
     nsamples: FloatArray
     stored: BoolArray
 
+    @property
+    def power(self) -> FloatArray:
+        """Of autocorrelations, Jy: zero where flagged, NaN where no file holds it."""
+        return np.where(self.stored, self.data.real, np.nan)
+
 
 def read_visibilities(
     files: Sequence[Data], observation: Observation, tile: Tile
@@ -69,7 +74,7 @@ def feeds_of(pols: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys("".join(pols)))
 
 
-def read_autos(files: Sequence[Data], observation: Observation, times: IntArray) -> FloatArray:
+def read_autos(files: Sequence[Data], observation: Observation, times: IntArray) -> Block:
     """Read autocorrelations.
 
     Parameters
@@ -79,13 +84,12 @@ def read_autos(files: Sequence[Data], observation: Observation, times: IntArray)
 
     Returns
     -------
-    ndarray, (Nfreqs, len(times), Nants, Nfeeds)
-        Jy, for the feeds of ``feeds_of(observation.pols)``; zero where flagged, NaN where no file holds it.
+    Block
+        (Nfreqs, len(times), Nants, Nfeeds), for the feeds of ``feeds_of(observation.pols)``.
     """
     pols = tuple(2 * feed for feed in feeds_of(observation.pols))
     antpairs = np.repeat(observation.antenna_numbers[:, None], 2, axis=1)
-    block = read_block(files, observation, times, antpairs, pols)
-    return np.where(block.stored, block.data.real, np.nan)
+    return read_block(files, observation, times, antpairs, pols)
 
 
 def read_block(

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol, Self, runtime_checkable
+from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 from pyuvdata import UVData
@@ -25,6 +26,9 @@ from hydrabeam_mpi.io.uvfile import (
     rows_of,
 )
 from hydrabeam_mpi.io.uvrows import Samples, in_drift_scan, read_samples
+
+KEPT_BYTES = 64_000_000
+"""Metadata kept in memory at most, of all files together: those of some million rows, which several steps ask for."""
 
 
 @runtime_checkable
@@ -53,9 +57,18 @@ class Source(Protocol):
 
 @dataclass(frozen=True)
 class UVFile:
-    """A file of visibilities."""
+    """A file of visibilities.
+
+    Attributes
+    ----------
+    path : Path
+    room : int
+        Bytes of metadata that are kept once they have been read; more are read whenever they are asked for.
+    """
 
     path: Path
+    room: int = 0
+    _kept: list[tuple[UVHeader, UVRows]] = dataclasses.field(default_factory=list, repr=False, compare=False)
 
     def __str__(self) -> str:
         return str(self.path)
@@ -65,13 +78,22 @@ class UVFile:
         """The file."""
         return self.path
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Leave what is kept behind."""
+        return UVFile, (self.path, self.room)
+
     def metadata(self) -> tuple[UVHeader, UVRows]:
-        """Read the metadata."""
-        return read_metadata(self.path)
+        """Read the metadata, or return them as they were read first."""
+        if self._kept:
+            return self._kept[0]
+        found = read_metadata(self.path)
+        if sum(array.nbytes for array in vars(found[1]).values()) <= self.room:
+            self._kept.append(found)
+        return found
 
     def may_hold(self, times: FloatArray, freqs: FloatArray) -> bool:
-        """Look at the times and frequencies of a uvh5 file; see `Source.may_hold`."""
-        return may_hold(self.path, times, freqs)
+        """Look at the times and frequencies of a uvh5 file, or leave it to what is kept; see `Source.may_hold`."""
+        return bool(self._kept) or may_hold(self.path, times, freqs)
 
     def samples(
         self, header: UVHeader, rows: IntArray, channels: IntArray, pols: IntArray, pol_convention: str | None

@@ -18,7 +18,7 @@ from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray
 from hydrabeam_mpi.io.uvfile import UVHeader, UVRows, check_all_survive, file_kind
 from hydrabeam_mpi.io.uvformat import READ_IN_PART
 from hydrabeam_mpi.io.uvrows import SAMPLE_BYTES, WINDOW_BYTES, Samples
-from hydrabeam_mpi.io.uvsource import Data, UVInMemory
+from hydrabeam_mpi.io.uvsource import KEPT_BYTES, Data, UVFile, UVInMemory
 from hydrabeam_mpi.mpi import Comm, OneSided, bcast_object, together
 
 
@@ -81,11 +81,17 @@ def _part(array: OneSided, rows: IntArray, channels: IntArray, pols: IntArray) -
     return np.concatenate([part[np.ix_(np.arange(len(part)), channels - between.start, pols)] for part in parts])
 
 
+def _opened(data: Data, whole: bool, room: int) -> Data:
+    if not isinstance(data, Path):
+        return data
+    return UVInMemory.read(data) if whole else UVFile(data, room)
+
+
 def hold(world: Comm, files: Sequence[Data]) -> tuple[Data, ...]:
     """Return files and what is in memory such that every rank can read of them what it needs.
 
-    Files that are read in part stay as they are. Others are read here, on rank 0, and held there, as is what is in
-    memory already.
+    Files that are read in part stay where they are; of their metadata each rank keeps those that it has read, as far as
+    there is room. Others are read here, on rank 0, and held there, as is what is in memory already.
 
     Collective: all ranks of `world`; the files of rank 0 count.
 
@@ -99,7 +105,7 @@ def hold(world: Comm, files: Sequence[Data]) -> tuple[Data, ...]:
         if world.rank == 0:
             whole = [one for one in files if isinstance(one, Path) and file_kind(one) not in READ_IN_PART]
             check_all_survive(whole)
-            opened = [UVInMemory.read(one) if isinstance(one, Path) and one in whole else one for one in files]
+            opened = [_opened(one, one in whole, KEPT_BYTES // len(files)) for one in files]
     if world.size == 1:
         return tuple(opened)
     in_memory = [one if isinstance(one, UVInMemory) else None for one in opened]

@@ -272,7 +272,7 @@ def test_autocorrelations(write):
     absent = (uv.ant_1_array == 11) & (uv.ant_2_array == 11) & (uv.time_array == TIMES[4])
     path = write(uv.select(blt_inds=np.flatnonzero(~absent), inplace=False))
     obs = read_observation([path], Selection(pols=("nn", "ee"), channels=(1, 2)))
-    autos = read_autos([path], obs, np.array([4, 0]))
+    autos = read_autos([path], obs, np.array([4, 0])).power
     assert autos.shape == (2, 2, 5, 2)
     assert autos.dtype == float
     for i, time in enumerate((4, 0)):
@@ -293,7 +293,7 @@ def test_autocorrelations_in_files_of_their_own(write):
     files = [write(autos, "autos.uvh5"), write(uv.select(bls=list(CROSS), inplace=False))]
     assert_read(files, uv)
     obs = read_observation(files, Selection())
-    read = read_autos(files, obs, np.arange(6))
+    read = read_autos(files, obs, np.arange(6)).power
     stored = np.where(autos.get_flags(20, 20, "ee"), 0, autos.get_data(20, 20, "ee").real).T
     np.testing.assert_array_equal(read[:, :, 3, 0], stored)
 
@@ -301,8 +301,8 @@ def test_autocorrelations_in_files_of_their_own(write):
 def test_cross_hands_take_the_autocorrelations_of_both_feeds(write):
     path = write(make_uvdata(pols=(-5, -6, -7, -8)))
     obs = read_observation([path], Selection(pols=("en",)))
-    autos = read_autos([path], obs, np.arange(6))
-    both = read_autos([path], read_observation([path], Selection(pols=("ee", "nn"))), np.arange(6))
+    autos = read_autos([path], obs, np.arange(6)).power
+    both = read_autos([path], read_observation([path], Selection(pols=("ee", "nn"))), np.arange(6)).power
     np.testing.assert_array_equal(autos, both)
 
 

@@ -91,7 +91,7 @@ def test_package_reads_back_every_number(tmp_path, pols):
     read = read_visibilities([path], back, whole(back))
     for found, wanted in zip(read, (np.where(flags, 0, data), flags, nsamples), strict=True):
         np.testing.assert_array_equal(found[:, :, order], wanted)
-    np.testing.assert_array_equal(read_autos([path], back, np.arange(5)), autos)
+    np.testing.assert_array_equal(read_autos([path], back, np.arange(5)).power, autos)
 
 
 def test_autocorrelations_that_are_not_known_are_flagged(tmp_path):
@@ -99,7 +99,7 @@ def test_autocorrelations_that_are_not_known_are_flagged(tmp_path):
     autos[1, 2, 3] = np.nan
     path = tmp_path / "data.uvh5"
     write_uvh5(path, obs, data, flags, nsamples, autos)
-    back = read_autos([path], read_observation([path], Selection()), np.arange(5))
+    back = read_autos([path], read_observation([path], Selection()), np.arange(5)).power
     np.testing.assert_array_equal(back, np.nan_to_num(autos))
 
 
@@ -109,7 +109,7 @@ def test_without_autocorrelations(tmp_path):
     uv = UVData.from_file(tmp_path / "data.uvh5")
     assert uv.Nblts == 15
     back = read_observation([tmp_path / "data.uvh5"], Selection())
-    assert np.isnan(read_autos([tmp_path / "data.uvh5"], back, np.arange(5))).all()
+    assert np.isnan(read_autos([tmp_path / "data.uvh5"], back, np.arange(5)).power).all()
 
 
 def test_other_places_and_mock_sidereal_times(tmp_path):

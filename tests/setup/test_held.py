@@ -14,7 +14,7 @@ from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.data.selection import Selection
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.uvdata import read_observation, read_visibilities
-from hydrabeam_mpi.io.uvsource import Data, UVInMemory, files_among
+from hydrabeam_mpi.io.uvsource import Data, UVFile, UVInMemory, files_among
 from hydrabeam_mpi.setup.held import hold
 from tests.visibilities import make_uvdata
 
@@ -52,6 +52,24 @@ def test_every_rank_gets_what_the_file_has(kind: str, comm: MPI.Comm, common_tmp
             np.testing.assert_array_equal(got, wanted)
     assert read_observation(held, Selection()).Nfreqs == 4
     comm.Barrier()
+
+
+def test_metadata_are_read_once_where_there_is_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is kept serves when the file has gone, and stays behind where it is sent on."""
+    path = written(MPI.COMM_SELF, tmp_path, "uvh5")
+    (kept,) = hold(MPI.COMM_SELF, (path,))
+    monkeypatch.setattr("hydrabeam_mpi.setup.held.KEPT_BYTES", 40)
+    (read_anew,) = hold(MPI.COMM_SELF, (path,))
+    assert isinstance(kept, UVFile)
+    assert isinstance(read_anew, UVFile)
+    first = kept.metadata()
+    read_anew.metadata()
+    path.unlink()
+    assert kept.metadata() is first
+    assert kept.may_hold(np.zeros(1), np.zeros(1))
+    for other in (read_anew, pickle.loads(pickle.dumps(kept))):
+        with pytest.raises(InputError, match="no such file"):
+            other.metadata()
 
 
 @pytest.mark.mpi
@@ -93,4 +111,6 @@ def test_a_damaged_file_is_told_on_all_ranks(comm: MPI.Comm, common_tmp_path: Pa
 def test_files_that_are_read_in_part_stay_files(tmp_path: Path) -> None:
     path = tmp_path / "a.uvh5"
     make_uvdata().write_uvh5(str(path), run_check=False)
-    assert hold(MPI.COMM_SELF, (path,)) == (path,)
+    (held,) = hold(MPI.COMM_SELF, (path,))
+    assert isinstance(held, UVFile)
+    assert held.file == path

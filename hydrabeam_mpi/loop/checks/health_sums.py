@@ -15,7 +15,7 @@ from hydrabeam_mpi.effects.interface.sources import from_table
 from hydrabeam_mpi.fit.rows import Rows, read_rows
 from hydrabeam_mpi.inference.robust import LOG_MEAN
 from hydrabeam_mpi.io.noise import amid_neighbours
-from hydrabeam_mpi.io.uvdata import feeds_of, read_block
+from hydrabeam_mpi.io.uvdata import Block, read_autos
 from hydrabeam_mpi.mpi import ProcessGrid, allreduce_sum, together
 from hydrabeam_mpi.setup.problem import Problem
 
@@ -72,22 +72,22 @@ def read_sample(grid: ProcessGrid, problem: Problem) -> Sample:
         thinned = bls[:: 1 + n_samples // MOST_SAMPLES]
         group = problem.redundant.group[thinned]
         mine = thinned[np.isin(group, np.array_split(np.unique(group), grid.group.size)[grid.group.rank])]
-        rows = read_rows(problem, Tile(times, mine))
+        stored = None
+        if problem.job.noise.kind == "autocorrelations":
+            stored = read_autos(problem.files, problem.observation, times)
+        rows = read_rows(problem, Tile(times, mine), stored)
         beams = list(map(from_table, problem.beams))
         model = problem.forward_model(rows.groups).visibilities(beams, times)[:, :, rows.member]
-        autos = _read_autos(problem, np.array_split(times, grid.group.size)[grid.group.rank])
+        autos = _known_autos(problem, stored, np.array_split(np.arange(len(times)), grid.group.size)[grid.group.rank])
     return Sample(problem.channel_numbers, times, mine, rows.data, model, rows.inv_noise_var, autos)
 
 
-def _read_autos(problem: Problem, times: IntArray) -> FloatArray:
-    """Read the autocorrelations where the noise is taken from them, (Nfreqs, Ntimes, Nants)."""
-    observation = problem.observation
-    if problem.job.noise.kind != "autocorrelations":
-        return np.full((observation.Nfreqs, len(times), observation.Nants), np.nan)
-    antpairs = np.repeat(observation.antenna_numbers[:, np.newaxis], 2, axis=1)
-    pols = [2 * feed for feed in feeds_of(observation.pols)]
-    block = read_block(problem.files, observation, times, antpairs, pols)
-    return np.where(block.stored & ~block.flags, block.data.real, np.nan).mean(axis=-1)
+def _known_autos(problem: Problem, stored: Block | None, some: IntArray) -> FloatArray:
+    """Return the autocorrelations of some of the times where the noise is taken from them, (Nfreqs, Nsome, Nants)."""
+    if stored is None:
+        return np.full((problem.observation.Nfreqs, len(some), problem.observation.Nants), np.nan)
+    known = stored.stored & ~stored.flags
+    return np.where(known, stored.data.real, np.nan)[:, some].mean(axis=-1)
 
 
 @dataclass(frozen=True)
