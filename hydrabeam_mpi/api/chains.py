@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     import xarray as xr
 
+    from hydrabeam_mpi.sampling.heldout import HeldOut
     from hydrabeam_mpi.sampling.status import Status
 
 
@@ -81,6 +82,15 @@ class Chains:
         from hydrabeam_mpi.sampling.convergence import diagnose
 
         return {one.block: asdict(one) for one in diagnose(self._store).blocks}
+
+    def held_out(self) -> HeldOut | None:
+        """Return how well the draws predict held-out rows, such as ``chains.held_out().chi2``; None if there are none.
+
+        Of each draw it stands in ``chains.to_arviz()["sample_stats"]``.
+        """
+        from hydrabeam_mpi.sampling.heldout import heldout_of
+
+        return heldout_of(self._store)
 
 
 def load_chains(folder: str | Path) -> Chains:

@@ -49,6 +49,7 @@ class Sample(Section):
     warm_up: int = key(100, "draws in which proposals still learn; they are kept apart", ge=0)
     thin: int = key(1, "sweeps for each draw", ge=1)
     collapsed: bool = key(True, "draw effects with the beam integrated out; else given the beam, which mixes slowly")
+    heldout: bool = key(True, "compare each draw's prediction with the rows that are held out, if there are any")
     noise_prior: tuple[Number, Number] = key(
         (1.0, 1.0), "shape and scale of the inverse gamma that the noise variance over the stated one has"
     )

@@ -14,7 +14,7 @@ from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.sampling.storage.store import ChainStore
 from hydrabeam_mpi.sampling.storage.variable import Variable
 
-INFO_UNITS = {"seconds": "s", "time": "s"}
+INFO_UNITS = {"seconds": "s", "time": "s", "heldout_rms": "Jy"}
 
 
 def to_datatree(store: ChainStore, names: Iterable[str] | None = None) -> xr.DataTree:

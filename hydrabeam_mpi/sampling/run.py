@@ -8,6 +8,7 @@ from contextlib import ExitStack
 
 from hydrabeam_mpi.mpi import Comm, together
 from hydrabeam_mpi.sampling.begin import first_state
+from hydrabeam_mpi.sampling.predictive import check_heldout
 from hydrabeam_mpi.sampling.state import ChainState, Chance
 from hydrabeam_mpi.sampling.storage.store import ChainStore
 from hydrabeam_mpi.sampling.storage.writer import ChainWriter
@@ -93,6 +94,8 @@ def _draw(
         told.append(accepted)
     info = {f"accepted_{name}": sum(one[name] for one in told) / thin for name in told[0]}
     info["log_likelihood"] = walk.log_likelihood(state)
+    if walk.context.problem.job.sample.heldout:
+        info |= check_heldout(walk, state)
     arrays = arrays_of(walk, state)
     with together(walk.context.grid.world):
         if writer is not None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydrabeam_mpi.sampling.convergence import Diagnosis, diagnose
+from hydrabeam_mpi.sampling.heldout import HeldOut, heldout_of
 from hydrabeam_mpi.sampling.storage.store import ChainStore
 
 LATEST = 100
@@ -51,6 +52,8 @@ class Status:
     diagnosis : Diagnosis
     cautions : tuple of str
         What is damaged, and which blocks have not converged.
+    held_out : HeldOut, optional
+        How well draws predict held-out rows, if any are.
     """
 
     chains: tuple[Progress, ...]
@@ -58,6 +61,7 @@ class Status:
     seconds_left: float
     diagnosis: Diagnosis
     cautions: tuple[str, ...]
+    held_out: HeldOut | None = None
 
     def __str__(self) -> str:
         """Return tables of it for a terminal."""
@@ -75,6 +79,7 @@ class Status:
         else:
             parts.append("all draws are there")
         parts.append(mixing_table(self.diagnosis))
+        parts.append(str(self.held_out or ""))
         parts.append("\n".join(f"warning: {line}" for line in self.cautions))
         return "\n\n".join(filter(None, parts))
 
@@ -90,7 +95,7 @@ def status_of(store: ChainStore) -> Status:
     chains = tuple(_progress(store, chain) for chain in range(store.chains))
     diagnosis = diagnose(store)
     cautions = (*store.cautions(), *diagnosis.warnings())
-    return Status(chains, store.warm_up, _seconds_left(store, chains), diagnosis, cautions)
+    return Status(chains, store.warm_up, _seconds_left(store, chains), diagnosis, cautions, heldout_of(store))
 
 
 def mixing_table(diagnosis: Diagnosis) -> str:

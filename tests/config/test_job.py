@@ -102,6 +102,7 @@ draws = 50
 warm_up = 0
 thin = 3
 collapsed = false
+heldout = false
 noise_prior = [2, 0.5]
 noise_groups = "antenna"
 noise_dof = 4.0

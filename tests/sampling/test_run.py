@@ -24,6 +24,7 @@ from hydrabeam_mpi.sampling.walk import Walk
 from tests.loop.mock import FREQ, context_of
 from tests.sampling.small import COUPLING, GAINS, small_job
 
+NAMES = ("heldout_rms", "heldout_chi2", "heldout_log_density")
 SEED = 7
 KILLS = 20
 
@@ -41,6 +42,9 @@ def all_draws(store: ChainStore) -> dict[str, np.ndarray]:
 def check_same(one: ChainStore, two: ChainStore) -> None:
     """Make sure that two folders have the same draws, to 1e-9 of what these scatter by."""
     ours, theirs = all_draws(one), all_draws(two)
+    for name in (*NAMES, "log_likelihood"):
+        told = [[store.info(name, chain, slice(None)) for chain in range(store.chains)] for store in (one, two)]
+        np.testing.assert_allclose(*told, rtol=1e-9)
     for name, values in ours.items():
         assert values.shape[:2] == (one.chains, one.total)
         scatter = values.std(axis=(0, 1))

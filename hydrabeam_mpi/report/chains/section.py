@@ -43,6 +43,7 @@ def chains_body(store: ChainStore, status: Status, place: Place) -> str:
         _warnings(status),
         f"<h2>Do the chains agree?</h2>\n{mixing_rows(diagnosis)}",
         *map(place, _drawn(draw_ess(diagnosis), draw_traces(store, diagnosis))),
+        f"<p>{escape(str(status.held_out or ''))}</p>\n",
         f"<h2>How far they are</h2>\n{progress_rows(status)}",
         _beam(store, place),
     ]
