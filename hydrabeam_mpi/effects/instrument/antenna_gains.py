@@ -14,6 +14,7 @@ from hydrabeam_mpi.effects.shared.per_antenna import (
     LARGEST_LN,
     antenna_parameters,
     common_values,
+    logarithms,
     row_antennas,
     row_parameters,
 )
@@ -57,6 +58,10 @@ class AntennaGains(Effect):
         """Return m, i m for the first antenna of a row and m, -i m for the second; ``x`` is (n_params,)."""
         values = block.vis[..., np.newaxis] * np.array([1, 1j, 1, -1j])
         return Columns(values, 2 * len(block.setup.antennas_in_use), row_parameters(block, 2))
+
+    def begun(self, setup: ObservingSetup, x: FloatArray) -> FloatArray:
+        """Return the logarithms of the gains that were found, (..., n_params)."""
+        return logarithms(x)
 
     def factor(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return g_j g_k*, (Ntimes, Nbls)."""

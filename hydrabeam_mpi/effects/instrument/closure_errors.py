@@ -7,7 +7,7 @@ import numpy as np
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.effects.shared.per_antenna import LARGEST_LN
+from hydrabeam_mpi.effects.shared.per_antenna import LARGEST_LN, logarithms
 from hydrabeam_mpi.effects.shared.per_baseline import PerBaseline
 
 AT_MOST = 100
@@ -49,6 +49,10 @@ class ClosureErrors(PerBaseline):
     def signature(self, block: RowBlock) -> ComplexArray:
         """Return the model's visibilities, Jy, (Ntimes, Nbls)."""
         return block.vis
+
+    def begun(self, setup: ObservingSetup, x: FloatArray) -> FloatArray:
+        """Return the logarithms of the factors that were found, (..., n_params)."""
+        return logarithms(x)
 
     def factor(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return f of every row, (Ntimes, Nbls)."""

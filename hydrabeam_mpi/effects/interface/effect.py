@@ -170,6 +170,10 @@ class Effect(InOtherData, HasLimits, MayChange, Cause):
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return dE/dx, or d ln C/dx (A b + E), at the parameters ``x``, (n_params,)."""
 
+    def begun(self, setup: ObservingSetup, x: FloatArray) -> FloatArray:
+        """Return where a fit begins, given the parameters with which the columns at zero fit best, (..., n_params)."""
+        return x
+
     def added(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return E at ``x``, (Ntimes, Nbls); zero for effects that multiply. Exact, not linearised."""
         if self.multiplies:

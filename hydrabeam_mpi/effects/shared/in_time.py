@@ -159,6 +159,15 @@ class InTime(ScannedEffect):
         """Return what multiplies each source's flux at its time, (Nsrc,)."""
         return self.effect.sky_factor(setup, sources, self._at_times(setup, x)[sources.itime])
 
+    def begun(self, setup: ObservingSetup, x: FloatArray) -> FloatArray:
+        """Return the functions that come nearest to what the effect itself begins with at each time."""
+        functions, rows = self._functions(setup)[setup.times], np.atleast_2d(x)
+        now = np.array([self._at_times(setup, row)[setup.times] for row in rows])
+        change = np.linalg.pinv(functions) @ (self.effect.begun(setup, now) - now)  # (n_rows, n functions, n_own)
+        more = np.moveaxis(change, 1, 2).reshape(len(rows), -1)
+        more = np.pad(more, ((0, 0), (0, rows.shape[1] - more.shape[1])))  # what all have in common stays
+        return np.where(rows == 0, 0.0, rows + more).reshape(x.shape)
+
     def n_hypotheses(self, setup: ObservingSetup) -> int:
         """Return the number of the effect's candidates, or where it has none that of functions."""
         if isinstance(self.effect, ScannedEffect):

@@ -16,6 +16,17 @@ LARGEST_LN = float(np.log(LARGEST))
 """Of the product of two gains, from where a fit may start but does not stay: its square is still a double."""
 
 
+def logarithms(x: FloatArray) -> FloatArray:
+    """Return a and phi of the factors exp(a + i phi) = 1 + x_0 + i x_1 that columns at zero stand for, (..., n).
+
+    Beyond small errors the two differ: a lost sign, x_0 = -2, is a phase of pi and no amplitude, which no fit that
+    begins at a = -2 comes to.
+    """
+    factors = 1 + x[..., 0::2] + 1j * x[..., 1::2]
+    ln = np.log(np.maximum(np.abs(factors), np.exp(-LARGEST_LN)))
+    return np.stack([ln, np.angle(factors)], axis=-1).reshape(x.shape)
+
+
 def antenna_parameters(
     setup: ObservingSetup, what: Sequence[str], unit: str | Sequence[str], scale: float
 ) -> Parameters:

@@ -203,7 +203,8 @@ def _fit_effect(
     """
     assert candidate.finding is not None
     effect, evidence = candidate.finding.effect, candidate.finding.evidence
-    start = Active.start(effect, context.setup, evidence.prior_var, evidence.x)
+    begun = effect.begun(context.setup, evidence.x)
+    start = Active.start(effect, context.setup, evidence.prior_var, begun)
     fitted = _fit_physically(context, before.values.extended(start), before, worth)
     again = reconsider(context, fitted)
     for _ in range(RULES.most_refits):

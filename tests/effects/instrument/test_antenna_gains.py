@@ -1,6 +1,7 @@
 import numpy as np
 
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
+from hydrabeam_mpi.effects.shared.per_antenna import LARGEST_LN
 from hydrabeam_mpi.random import generator
 from tests.effects.small import small_block, small_setup
 
@@ -22,3 +23,12 @@ def test_gains_beyond_reason_stay_within_a_double() -> None:
     setup = small_setup()
     factor = AntennaGains().factor(small_block(setup), np.full(2 * len(setup.antennas_in_use), 1e30))
     assert np.all(np.isfinite(np.abs(factor) ** 2))
+
+
+def test_a_fit_of_a_lost_sign_begins_with_its_phase() -> None:
+    """The columns at zero find g - 1 = -2; of an antenna without signal, -1, the logarithm is large and finite."""
+    x = np.array([-2.0, 0.0, 1e-9, -2e-9, -1.0, 0.0, 0.0, 0.0])
+    begun = AntennaGains().begun(small_setup(), x)
+    np.testing.assert_allclose(begun[:4], [0.0, np.pi, 1e-9, -2e-9], atol=1e-15)
+    assert -LARGEST_LN <= begun[4] < -10
+    assert not begun[6:].any()

@@ -87,6 +87,18 @@ def test_what_all_antennas_have_in_common_is_a_number_of_its_own(setup: Observin
     assert np.ptp(np.abs(effect.factor(block, 0.1 * common))[:, 0]) > 0.1
 
 
+def test_a_fit_of_a_sign_that_is_lost_for_some_time_begins_with_jumps_of_the_phase(setup: ObservingSetup) -> None:
+    """And what is zero, as it is not in use, stays so."""
+    times = setup.observation.times
+    there, back = float(times[2:4].mean()), float(times[5:7].mean())
+    effect = changing("antenna_gains", setup, law="piecewise", jumps=[there, back])
+    x = np.zeros((1, len(effect.parameters(setup))))
+    x[0, 4:8] = -2.0, 2.0, 1e-12, 1e-12  # ln amplitude of the second antenna, and its phase
+    begun = effect.begun(setup, x)
+    np.testing.assert_allclose(begun[0, 4:8], [0.0, 0.0, np.pi, -np.pi], atol=1e-9)
+    assert not np.delete(begun, np.s_[4:8]).any()
+
+
 def test_tilts_at_a_time_are_those_of_an_antenna_that_is_tilted_so(setup: ObservingSetup) -> None:
     """By degrees, where what they change is not linear; and so are the columns."""
     block = small_block(setup)

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from hydrabeam_mpi.effects.instrument import basis_truncation
+from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.instrument.basis_truncation import BasisTruncation
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Values
 from hydrabeam_mpi.loop.attribution.score_effects import attribute
-from hydrabeam_mpi.loop.selection.trials import as_large_as_wanted
+from hydrabeam_mpi.loop.selection.trials import as_large_as_wanted, check, try_effects
 from hydrabeam_mpi.loop.selection.weighing import rank
 from tests.loop.mock import context_of, mock_job
 
@@ -31,3 +33,17 @@ def test_a_basis_grows_by_as_many_modes_as_the_evidence_wants(tmp_path: Path, mo
     best = max(by_size, key=lambda n: by_size[n].log_bayes_factor)
     assert grown.finding.effect.n_modes == best
     assert grown.log_bayes_factor == by_size[best].log_bayes_factor > first.log_bayes_factor
+
+
+def test_an_antenna_with_the_wrong_sign_is_found(tmp_path: Path) -> None:
+    """Where its gain is far from one the linear model is no place to begin from."""
+    gains = {"kind": "antenna_gains", "parameters": {"antenna 2 phase": np.pi}}
+    context = context_of(mock_job(gains), tmp_path)
+    fitted = refit(context, Values())
+    found = try_effects(context, check(context, fitted), rank(context, fitted, [AntennaGains()], []), [])
+    assert found is not None
+    (active,) = found.after.fitted.values.active
+    ln_amplitude, phase = active.x[0].reshape(-1, 2).T
+    others = np.arange(len(phase)) != 2
+    np.testing.assert_allclose(np.exp(1j * (phase[2] - phase[others])), -1, atol=0.02)
+    assert np.ptp(ln_amplitude) < 0.02
