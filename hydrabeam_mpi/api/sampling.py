@@ -20,7 +20,7 @@ from hydrabeam_mpi.config.sample import Sample
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.joint import read_context
 from hydrabeam_mpi.loop.checks.health import told
-from hydrabeam_mpi.mpi import Comm, ProcessGrid, together
+from hydrabeam_mpi.mpi import Comm, ProcessGrid, apart, together
 from hydrabeam_mpi.sampling.begin import begin
 from hydrabeam_mpi.sampling.convergence import diagnose
 from hydrabeam_mpi.sampling.run import groups_of_chains, run_chains
@@ -118,8 +118,8 @@ def run_sampling(setup: Setup, out: Path, folder: Path | None, threads: int) -> 
         own = ProcessGrid.split(group, problem.observation.Nfreqs)
         walk = begin(read_context(own, problem, problem.of_channels(own.channels), clock))
     store = _open(world, setup, problem, walk, out, threads)
-    with together(world):
-        run_chains(walk, store, chains, setup.job.seed, wanted.thin)
+    with together(world), apart(world, group) as listen:
+        run_chains(walk, store, chains, setup.job.seed, wanted.thin, listen)
     with together(world):
         if world.rank == 0:
             warn(diagnose(store).warnings())

@@ -3,6 +3,7 @@
 from mpi4py.MPI import Comm
 
 from hydrabeam_mpi.mpi.abort import INTERRUPTED_STATUS, end_interrupted, install_abort_hook, refuse
+from hydrabeam_mpi.mpi.apart import FailedElsewhere, apart
 from hydrabeam_mpi.mpi.by_channel import gather_by_channel
 from hydrabeam_mpi.mpi.collectives import (
     allreduce_max,
@@ -23,11 +24,13 @@ from hydrabeam_mpi.mpi.window import OneSided, free_windows
 __all__ = [
     "INTERRUPTED_STATUS",
     "Comm",
+    "FailedElsewhere",
     "OneSided",
     "ProcessGrid",
     "allreduce_max",
     "allreduce_sum",
     "alone",
+    "apart",
     "bcast_array",
     "bcast_object",
     "blas_threads",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 
 from hydrabeam_mpi.mpi import Comm, together
@@ -33,7 +33,14 @@ def groups_of_chains(world: Comm, n_chains: int) -> tuple[Comm, list[int]]:
     return world.Split(mine, world.rank), chains
 
 
-def run_chains(walk: Walk, store: ChainStore, chains: Sequence[int], seed: int, thin: int) -> None:
+def run_chains(
+    walk: Walk,
+    store: ChainStore,
+    chains: Sequence[int],
+    seed: int,
+    thin: int,
+    listen: Callable[[], None] = lambda: None,
+) -> None:
     """Go on with some chains of a folder until all their draws are there. Collective: the chains' ranks.
 
     Parameters
@@ -45,6 +52,8 @@ def run_chains(walk: Walk, store: ChainStore, chains: Sequence[int], seed: int, 
     seed : int
     thin : int
         Sweeps for each draw.
+    listen : callable
+        Raises if the chains of other ranks have failed; called on rank 0 before each draw.
 
     Raises
     ------
@@ -63,6 +72,9 @@ def run_chains(walk: Walk, store: ChainStore, chains: Sequence[int], seed: int, 
                 number, state = places[chain]
                 until = min(number + IN_A_ROW, store.total)
                 for draw in range(number, until):
+                    with together(grid.world):
+                        if grid.is_world_root:
+                            listen()
                     say_meanwhile(
                         f"chain {chain}: draw {draw + 1} of {store.total}", grid.is_world_root and 0 in chains
                     )
