@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache, partial
 from pathlib import Path
 
 from hydrabeam_mpi.api.sampling import run_sampling, with_sample
@@ -9,6 +10,8 @@ from hydrabeam_mpi.api.setup import Setup
 from hydrabeam_mpi.api.shared import begun
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.mpi import Comm
+from hydrabeam_mpi.sampling.storage.store import ChainStore
+from hydrabeam_mpi.terminal.interrupt import leaving
 from hydrabeam_mpi.terminal.progress import say
 
 
@@ -37,6 +40,20 @@ def sample(world: Comm, job: Job, job_path: Path, out: Path, chains: int | None,
     given = {"chains": chains, "draws": draws}
     changed = with_sample(job, {name: value for name, value in given.items() if value is not None})
     setup = Setup.of(changed, world, path=job_path)
-    with begun(setup) as (folder, threads):
-        run_sampling(setup, out, folder, threads)
+    # Whichever thread leaves after a signal; see `leaving`.
+    tell = cache(partial(_tell_kept, world, out))
+    try:
+        with leaving(tell), begun(setup) as (folder, threads):
+            run_sampling(setup, out, folder, threads)
+    except KeyboardInterrupt:
+        tell()
+        raise
     say(f"wrote {out}", world.rank == 0)
+
+
+def _tell_kept(world: Comm, out: Path) -> None:
+    """Say how many draws there are after an interrupted run."""
+    if world.rank == 0 and ChainStore.exists(out):
+        store = ChainStore.open(out)
+        done = ", ".join(str(store.n_draws(chain)) for chain in range(store.chains))
+        say(f"kept in {out}: chains of {done} draws, from where the same command goes on")

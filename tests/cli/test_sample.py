@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -65,6 +69,32 @@ def test_a_disk_that_takes_no_more(small_disk: Path, workspace: Workspace, capfd
     assert line.startswith(f"hydrabeam: error: {out}")
     assert "cannot be written (No space left on device)" in line
     assert f"the first {ChainStore.open(out).n_draws(0)} draws of chain 0 are kept" in line
+
+
+def test_an_interrupted_run_says_what_is_kept(workspace: Workspace, capfd: pytest.CaptureFixture[str]) -> None:
+    job, out = workspace.job({**SAMPLE, "sample.draws": 1_000_000}), workspace.folder / "interrupted"
+
+    def interrupt() -> None:
+        while not (out / "chain-0").is_dir():
+            time.sleep(0.05)
+        time.sleep(0.5)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    watcher = threading.Thread(target=interrupt)
+    watcher.start()
+    assert run(job, out) == 130
+    watcher.join()
+    n = ChainStore.open(out).n_draws(0)
+    assert n > 0
+    assert f"kept in {out}: chains of {n} draws, from where the same command goes on" in capfd.readouterr().err
+
+
+def test_a_file_in_place_of_a_folder(workspace: Workspace, capfd: pytest.CaptureFixture[str]) -> None:
+    job, out = workspace.job(SAMPLE), workspace.folder / "occupied"
+    out.mkdir()
+    (out / "chain-0").touch()
+    assert run(job, out) == 2
+    assert last_line(capfd) == f"hydrabeam: error: {out / 'chain-0'}: -o: is no folder; remove it"
 
 
 def test_folders_that_have_no_chains(workspace: Workspace, capfd: pytest.CaptureFixture[str]) -> None:

@@ -65,7 +65,10 @@ class ChainWriter:
         self._rows: list[Content] = []
         self._buffered = 0
         with writing(files.folder):
-            files.folder.mkdir(parents=True, exist_ok=True)
+            try:
+                files.folder.mkdir(parents=True, exist_ok=True)
+            except FileExistsError as error:
+                raise InputError("is no folder", file=files.folder, field="-o", remedy="remove it") from error
             self._lock: int | None = _claimed(files.folder)
             if caution := files.caution():
                 logger.warning("%s; what is damaged, and what came after it, is in %s", caution, ASIDE)
