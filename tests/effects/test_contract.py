@@ -121,7 +121,7 @@ def test_draws_are_told_by_their_seed(kind: str) -> None:
     assert len(one.parameters(setup)) > 0
     if isinstance(one, Effect):
         x = np.tile(draw(one, setup, 1.0), (setup.observation.Nfreqs, 1))
-        assert not one.beyond(x, 0.01 * np.abs(x)).any()
+        assert not one.beyond(setup, x, 0.01 * np.abs(x)).any()
 
 
 @pytest.mark.parametrize("kind", [*EFFECTS, *IN_TIME])

@@ -81,7 +81,7 @@ class GroundEmitter(ScannedEffect):
         values = self._fringes(block, x)[0] @ x[0::2]
         return np.broadcast_to(values[block.member], block.shape).astype(complex)
 
-    def beyond(self, x: FloatArray, std: FloatArray) -> FloatArray:
+    def beyond(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> FloatArray:
         """Refuse powers below zero; see `Effect.beyond`."""
         below = np.zeros(x.shape[1])
         below[0::2] = sigmas(-x, std)[:, 0::2].max(axis=0)

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Self
+from typing import Self
 
 import numpy as np
 
 from hydrabeam_mpi.data.observation import BoolArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 
 
 class HasLimits:
     """Something with fitted parameters that may be beyond what is physical; by default there are no limits."""
 
-    unphysical: ClassVar[str] = ""
+    unphysical: str = ""
     """What a part that is beyond its limits would have, in words."""
 
-    def beyond(self, x: FloatArray, std: FloatArray) -> FloatArray:
+    def beyond(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> FloatArray:
         """Return by how many standard errors each parameter is beyond what is physical, (n_params,); zero within.
 
         Fitted parameters and their errors are (Nfreqs, n_params); errors are zero where they are not in use.

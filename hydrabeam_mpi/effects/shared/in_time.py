@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters, ScannedEffect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
@@ -54,7 +54,7 @@ class InTime(ScannedEffect):
         self.effect, self.time_law = effect, law
         self.kind, self.title, self.law = effect.kind, effect.laws[law.name], law.name
         self.shared, self.local, self.of_the_sky = effect.shared, effect.local, effect.of_the_sky
-        self.of_both_feeds = effect.of_both_feeds
+        self.of_both_feeds, self.unphysical = effect.of_both_feeds, effect.unphysical
         self.multiplies, self.changes_sky, self.linear = effect.multiplies, effect.changes_sky, effect.linear
 
     def describe(self) -> dict[str, Any]:
@@ -167,6 +167,32 @@ class InTime(ScannedEffect):
         more = np.moveaxis(change, 1, 2).reshape(len(rows), -1)
         more = np.pad(more, ((0, 0), (0, rows.shape[1] - more.shape[1])))  # what all have in common stays
         return np.where(rows == 0, 0.0, rows + more).reshape(x.shape)
+
+    def beyond(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> FloatArray:
+        """Return how far the effect's own parameters, without what is constant of them, are beyond at the worst time.
+
+        Each of a parameter's numbers in use counts as that far beyond; their errors are taken as independent. See
+        `Effect.beyond`.
+        """
+        functions, n_own = self._functions(setup)[setup.times], len(self.effect.parameters(setup))
+        n = functions.shape[1]
+        now, variance = (
+            np.einsum("tk,fpk->tfp", weights, one[:, : n_own * n].reshape(-1, n_own, n))
+            for weights, one in ((functions, x), (functions**2, std**2))
+        )
+        pairs = zip(now, np.sqrt(variance), strict=True)
+        worst = np.max([self.effect.beyond(setup, *one) for one in pairs], axis=0, initial=0.0)
+        beyond = np.pad(np.repeat(worst, n), (0, x.shape[1] - n_own * n))
+        return np.where(np.any(std > 0, axis=0), beyond, 0.0)
+
+    def without(self, gone: BoolArray) -> tuple[InTime, IntArray]:
+        """Return the effect without what some parameters belong to, and the numbers of those left, (n_left,).
+
+        ``gone`` is (n_params,).
+        """
+        n = len(self.time_law.names())
+        effect, left = self.effect.without(np.any(gone.reshape(-1, n), axis=1))
+        return InTime(effect, self.time_law), (n * left[:, np.newaxis] + np.arange(n)).ravel()
 
     def n_hypotheses(self, setup: ObservingSetup) -> int:
         """Return the number of the effect's candidates, or where it has none that of functions."""

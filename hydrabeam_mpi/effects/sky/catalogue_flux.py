@@ -93,7 +93,7 @@ class CatalogueFlux(PointSources):
             seen *= flux[index]
         return values
 
-    def beyond(self, x: FloatArray, std: FloatArray) -> FloatArray:
+    def beyond(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> FloatArray:
         """Refuse errors below -1, by which a flux would be below zero; see `Effect.beyond`."""
         return self._fluxes_below_zero(-1.0, x, std)
 

@@ -96,7 +96,7 @@ class Horizon(ScannedEffect):
             values[t] = (inside @ _seen(block, sources, low)).T
         return Columns(values, len(x), by_group=True)
 
-    def beyond(self, x: FloatArray, std: FloatArray) -> FloatArray:
+    def beyond(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> FloatArray:
         """Refuse transmissions outside 0 to 1, and walls that mostly make sources brighter; see `Effect.beyond`.
 
         What is seen in the middle of each box is changed by all that hold it. What changes there is due to the last of

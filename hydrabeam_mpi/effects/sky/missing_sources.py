@@ -81,7 +81,7 @@ class MissingSources(PointSources):
         part[..., 1:3] = 0.0
         return MissingSources([(ra % 360, dec) for ra, dec in sources], self.trials), part.reshape(len(x), -1), left
 
-    def beyond(self, x: FloatArray, std: FloatArray) -> FloatArray:
+    def beyond(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> FloatArray:
         """Refuse fluxes below zero; see `Effect.beyond`."""
         return self._fluxes_below_zero(0.0, x, std)
 

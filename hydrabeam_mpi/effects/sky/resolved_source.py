@@ -68,7 +68,7 @@ class ResolvedSource(CatalogueFlux):
         """Return what the sources have less than if they were points, (Ntimes, Nbls)."""
         return block.spread(np.sum(self.seen(block) * (_fraction(self._fading(block), x) - 1), axis=-1))
 
-    def beyond(self, x: FloatArray, std: FloatArray) -> FloatArray:
+    def beyond(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> FloatArray:
         """Refuse what is narrower than a point; see `Effect.beyond`."""
         return self._fluxes_below_zero(0.0, x, std)
 

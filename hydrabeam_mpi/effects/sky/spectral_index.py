@@ -41,10 +41,10 @@ class SpectralIndex(CatalogueFlux):
         """Return both errors of every source."""
         return self.errors(setup, {"relative flux error": 0.1, "error of the spectral index": 0.5})
 
-    def beyond(self, x: FloatArray, std: FloatArray) -> FloatArray:
+    def beyond(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> FloatArray:
         """Refuse fluxes below zero and indices that no source has; see `Effect.beyond`."""
         too_steep = sigmas(np.abs(x[:, 1::2]) - STEEPEST, std[:, 1::2]).max(axis=0)
-        return super().beyond(x, std) + np.stack([np.zeros_like(too_steep), too_steep], axis=1).ravel()
+        return super().beyond(setup, x, std) + np.stack([np.zeros_like(too_steep), too_steep], axis=1).ravel()
 
     def sky_factor(self, setup: ObservingSetup, sources: Sources, x: FloatArray) -> FloatArray:
         """Return what those sources that are in error have more or less, and one for the others, (Nsrc,)."""

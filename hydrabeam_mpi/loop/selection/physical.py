@@ -44,7 +44,7 @@ def leave_out_unphysical(context: FitContext, fitted: Fitted, n_before: int) -> 
     for place, (one, by_noise) in enumerate(zip(active, fitted.fit.std, strict=True)):
         left: Active | None = one
         std = scale.of(one, by_noise)
-        beyond = one.effect.beyond(one.x, std) if place >= n_before and one.size else np.zeros(0)
+        beyond = one.effect.beyond(context.setup, one.x, std) if place >= n_before and one.size else np.zeros(0)
         gone = is_unphysical(beyond, context.problem.job.loop.min_log_bayes_factor)
         if gone.any():
             names = one.effect.parameters(context.setup).names

@@ -30,7 +30,7 @@ def test_known_truth_is_found_by_a_scan_and_told() -> None:
 
 def test_powers_below_zero_are_none() -> None:
     emitter = GroundEmitter([10.0, 200.0])
-    beyond = emitter.beyond(np.array([[1.0, 0.1, -0.3, 0.2]]), np.full((1, 4), 0.1))
+    beyond = emitter.beyond(small_setup(), np.array([[1.0, 0.1, -0.3, 0.2]]), np.full((1, 4), 0.1))
     np.testing.assert_allclose(beyond, [0, 0, 3, 0])
     left, numbers = emitter.without(beyond > 2)
     assert left.azimuths == (10.0,)

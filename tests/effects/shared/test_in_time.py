@@ -159,3 +159,20 @@ def test_laws_that_an_effect_does_not_have_are_refused(kind: str, law: object) -
 def test_what_no_law_has_is_refused(settings: dict[str, object]) -> None:
     with pytest.raises(InputError, match="settings: are not understood"):
         make_effect("antenna_gains", {"law": "smooth", **settings})
+
+
+def test_no_source_varies_to_a_flux_below_zero(setup: ObservingSetup) -> None:
+    """At no time; numbers that are not in use are not counted, and the other sources stay."""
+    places = np.rad2deg([setup.sky.ra[:3], setup.sky.dec[:3]]).T.tolist()
+    effect = changing("catalogue_flux", setup, law="smooth", orders=[1, 2], sources=places)
+    functions = Smooth(orders=(1, 2)).over(setup.observation.times).functions(setup.observation.times[setup.times])
+    x = np.tile([1.5, 0.4, 3.0, 0.0, -772.0, 1825.0], (len(setup.observation.freqs), 1))
+    std = np.tile([0.1, 0.1, 0.1, 0.0, 1.0, 1.0], (len(x), 1))
+    beyond = effect.beyond(setup, x, std)
+    low = -1 - 3.0 * functions[:, 0]
+    assert beyond[2] == pytest.approx(np.max(low / np.abs(0.1 * functions[:, 0])))
+    np.testing.assert_array_equal(beyond > 3, [False, False, True, False, True, True])
+    left, numbers = effect.without(beyond > 3)
+    assert numbers.tolist() == [0, 1]
+    assert left.parameters(setup).names == effect.parameters(setup).names[:2]
+    assert left.law == "smooth"

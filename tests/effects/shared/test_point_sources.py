@@ -8,6 +8,7 @@ import pytest
 from hydrabeam_mpi.effects.shared.point_sources import PointSources
 from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
+from tests.effects.small import small_setup
 
 PLACES = [(10.0, -30.0), (20.0, -31.0), (30.0, -32.0)]
 LIMITS: list[tuple[PointSources, list[float], list[float]]] = [
@@ -23,8 +24,8 @@ LIMITS: list[tuple[PointSources, list[float], list[float]]] = [
 def test_a_flux_is_not_below_zero(effect: PointSources, x: list[float], expected: list[float]) -> None:
     """Whatever offsets and spectral indices are; errors are 0.1, the same in both channels."""
     std = np.full((2, len(x)), 0.1)
-    np.testing.assert_allclose(effect.beyond(np.tile(x, (2, 1)), std), expected, atol=1e-9)
-    assert not effect.beyond(np.tile(x, (2, 1)), np.zeros_like(std)).any()
+    np.testing.assert_allclose(effect.beyond(small_setup(), np.tile(x, (2, 1)), std), expected, atol=1e-9)
+    assert not effect.beyond(small_setup(), np.tile(x, (2, 1)), np.zeros_like(std)).any()
 
 
 @pytest.mark.parametrize(("kind", "each"), [(CatalogueFlux, 1), (MissingSources, 3), (MissingSources, 4)])

@@ -125,14 +125,14 @@ def test_nothing_that_stands_there_makes_sources_brighter() -> None:
     effect = Horizon().at(setup, np.array([number_of(60, 120, 6), number_of(300, 390, 3)]))
     hidden = np.array([opaque(effect, setup)] * 2)
     std = np.full(hidden.shape, 0.1)
-    assert not effect.beyond(hidden, std).any()
+    assert not effect.beyond(setup, hidden, std).any()
     # Parts of the rim beyond the wall that seem a little brighter, and strips within that undo the wall.
     brighter = hidden + np.where(np.arange(hidden.shape[1]) < 2, 0.0, generator(1, "rim").choice([0.0, 0.1, 1.0]))
-    assert np.all(np.isfinite(effect.beyond(brighter, std)))
-    assert np.flatnonzero(effect.beyond(-0.2 * hidden, std)).tolist() == [0, 1]
+    assert np.all(np.isfinite(effect.beyond(setup, brighter, std)))
+    assert np.flatnonzero(effect.beyond(setup, -0.2 * hidden, std)).tolist() == [0, 1]
     for sign, beyond in ((1, np.inf), (-1, 0.0)):
         unused = np.where(np.arange(hidden.shape[1]) == 1, 0.3, 0.0)[np.newaxis]
-        assert effect.beyond(sign * unused, np.where(unused, 0.1, 0.0))[:2].tolist() == [0.0, beyond]
+        assert effect.beyond(setup, sign * unused, np.where(unused, 0.1, 0.0))[:2].tolist() == [0.0, beyond]
 
 
 BOXES = Horizon([(0, 90, 0, 8), (30, 60, 0, 8)], [(0, (0, 10, 0, 8)), (0, (90, 100, 0, 8)), (1, (55, 65, 0, 8))])
@@ -154,7 +154,7 @@ LIMITS: list[tuple[str, list[float], list[float]]] = [
 def test_a_transmission_is_between_zero_and_one(x: list[float], expected: list[float]) -> None:
     """Errors are 0.1 of each; those of what two boxes hold are larger by the root of two."""
     values = np.array([x], dtype=float)
-    found = BOXES.beyond(values, np.where(values, 0.1, 0.0))
+    found = BOXES.beyond(wide_scene()[0], values, np.where(values, 0.1, 0.0))
     two = np.where(np.isfinite(expected) & (np.arange(5) != 3) & (np.count_nonzero(x) > 1), np.sqrt(2), 1.0)
     np.testing.assert_allclose(found * two, expected, atol=1e-9)
 

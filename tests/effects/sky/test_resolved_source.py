@@ -42,7 +42,7 @@ def test_a_width_is_told_and_its_square_is_not_below_zero() -> None:
     np.testing.assert_allclose(told.std, [[1.0, 3.0]])
     assert told.units == ("arcmin", "arcmin")
     assert told.names[0].endswith(": width (FWHM)")
-    np.testing.assert_allclose(effect.beyond(np.array([[900.0, -27.0]]), np.array([[60.0, 9.0]])), [0, 3])
+    np.testing.assert_allclose(effect.beyond(SETUP, np.array([[900.0, -27.0]]), np.array([[60.0, 9.0]])), [0, 3])
 
 
 def test_a_fit_may_begin_anywhere() -> None:

@@ -25,8 +25,8 @@ def test_no_source_is_as_steep_as_that() -> None:
     setup = small_setup()
     effect = SpectralIndex(np.rad2deg([setup.sky.ra[:3], setup.sky.dec[:3]]).T.tolist())
     x, std = np.array([[0.5, 2.0, -1.5, -1.0, 0.1, -4.0]]), np.full((1, 6), 0.1)
-    np.testing.assert_allclose(effect.beyond(x, std), [0, 0, 5, 0, 0, 10])
-    assert effect.without(effect.beyond(x, std) > 0)[0].sources == effect.sources[:1]
+    np.testing.assert_allclose(effect.beyond(setup, x, std), [0, 0, 5, 0, 0, 10])
+    assert effect.without(effect.beyond(setup, x, std) > 0)[0].sources == effect.sources[:1]
     with np.errstate(over="raise"):
         factor = effect.sky_factor(setup, small_block(setup, 0).sources(0), np.array([0, 1e6, 0, -1e6, 0, 0]))
     assert np.all(np.isfinite(factor))
