@@ -141,7 +141,8 @@ def run_rounds(
         tried: list[tuple[Candidate, str]] = []
         with clock.time("trials"):
             added = try_effects(context, checked, weighed.ranking, tried, outlook=outlook)
-            if added is None and rest is not None:
+            if rest is not None and (added is None or not weighed.is_of_use(added.candidate)):
+                say("    all effects are weighed again: those that were to come next are not what was expected", speaks)
                 continue  # what was weighed beside others is weighed again with these in the model
             history.tried += tried
             control = try_control(context, checked, weighed.ranking, added)

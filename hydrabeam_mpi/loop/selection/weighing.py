@@ -70,6 +70,14 @@ class Weighed:
         n = sum(one.log_bayes_factor > wrong_by for one in self.together.members[1:])
         return Together(self.together.members[1 : 1 + n], self.together.beside[1 : 1 + n]) if n else None
 
+    def is_of_use(self, added: Candidate) -> bool:
+        """Whether a fit came to about what was expected when an effect was chosen without weighing all again.
+
+        Where it came to something else by more than that, the linear model had said nothing of it, nor of others.
+        """
+        expected = next(one for one in self.ranking if (one.kind, one.law) == (added.kind, added.law))
+        return abs(added.log_bayes_factor - expected.log_bayes_factor) <= expected.log_bayes_factor
+
 
 @dataclass
 class Outlook:

@@ -89,6 +89,15 @@ def test_what_is_worth_less_than_the_linear_model_was_wrong_by_is_weighed_again(
         assert (rest and rest.members) == left
 
 
+def test_what_a_fit_makes_something_else_of_was_not_chosen_by_what_is_so(weighed: Weighed) -> None:
+    rest = weighed.after(weighed.together.members[0])
+    assert rest is not None
+    then, expected = Weighed.next_of(rest), rest.members[0]
+    for factor, is_of_use in ((1.0, True), (1.9, True), (2.1, False), (10.0, False), (0.1, True), (-0.1, False)):
+        fitted = replace(expected, log_bayes_factor=factor * expected.log_bayes_factor)
+        assert then.is_of_use(fitted) is is_of_use
+
+
 def test_columns_are_those_in_use_and_further_ones_that_gain_alone_while_there_is_room(
     context: FitContext, weighed: Weighed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
