@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import csr_array
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.inference.robust import LOG_MEAN, LOG_STD, MOST_EXCEPTIONS, known_median, outliers
 from hydrabeam_mpi.io.noise import amid_neighbours
 from hydrabeam_mpi.loop.checks.health_sums import PER_DAY, SECOND, Sample, second_differences
@@ -15,6 +15,9 @@ from hydrabeam_mpi.setup.problem import Problem
 
 LEAST_PARTNERS = 2
 """Of two that differ nobody knows which is wrong."""
+MOST_LOOKS = 8
+"""Times that a baseline's noise is worked out with what it came to before: three where it is 16 times as large as stated,
+six where it is 100 times, until it moves by less than a per cent."""
 
 
 def noisy_baselines(problem: Problem, noise: FloatArray) -> list[Finding]:
@@ -76,15 +79,7 @@ def noise_beside_partners(grid: ProcessGrid, problem: Problem, sample: Sample, w
         mean = np.where(known, partners / np.where(known, total, 1.0), 0.0)
         left, factor = _beyond_factor_and_constant(np.where(known, data, 0.0), mean, np.where(known, inverse, 0.0))
         variance = 1 / np.where(known, inverse, 1.0) + np.abs(factor) ** 2 / np.where(known, total, 1.0)
-        beyond = np.maximum(np.sum(np.where(known, np.abs(left) ** 2 - variance, 0.0), axis=0), 0.0)
-        seen = np.sum(np.abs(mean) ** 2, axis=0)
-        moves = np.abs(second_differences(mean[np.newaxis], middle, SECOND)[0]) ** 2
-        expected = second_differences(np.where(known, variance, np.inf)[np.newaxis], middle, SECOND**2)[0]
-        expected = expected + moves * beyond / np.where(seen > 0, seen, 1.0)
-        power = np.abs(second_differences(left[np.newaxis], middle, SECOND)[0]) ** 2
-        told = np.isfinite(expected) & (power > 0)
-        of_each = np.where(told, np.log(np.where(told, power / expected, 1.0)) - LOG_MEAN, 0.0)
-        logs[:, sample.bls] += of_each.sum(axis=0), told.sum(axis=0)
+        logs[:, sample.bls] += _logs_of_noise(left, mean, np.where(known, variance, np.inf), middle)
     allreduce_sum(grid.world, logs)
     return logs
 
@@ -99,3 +94,23 @@ def _beyond_factor_and_constant(
     power = np.sum(weights * np.abs(mean) ** 2, axis=0)
     factor = np.where(power > 0, np.sum(weights * mean.conj() * data, axis=0) / np.where(power > 0, power, 1.0), 0.0)
     return np.where(weights > 0, data - factor * mean, 0.0), factor
+
+
+def _logs_of_noise(left: ComplexArray, mean: ComplexArray, variance: FloatArray, middle: IntArray) -> FloatArray:
+    """Return sums and numbers of logs of the power of second differences over that of the noise, (2, Nbls).
+
+    What a baseline has beyond its noise may be an error of the factor, which moves as the ``mean`` does. How much that
+    is depends on how large the noise is, which is what is looked for: each baseline's is taken as large as that.
+    """
+    power, moves = (np.abs(second_differences(one[np.newaxis], middle, SECOND)[0]) ** 2 for one in (left, mean))
+    of_noise = second_differences(variance[np.newaxis], middle, SECOND**2)[0]
+    told = np.isfinite(of_noise) & (power > 0)
+    n, seen = told.sum(axis=0), np.sum(np.abs(mean) ** 2, axis=0)
+    total, stated = np.sum(np.abs(left) ** 2, axis=0), np.sum(np.where(np.isfinite(variance), variance, 0.0), axis=0)
+    logs, size = np.zeros(len(n)), np.ones(len(n))
+    for _ in range(MOST_LOOKS):
+        beyond = np.maximum(total - size * stated, 0.0) / np.where(seen > 0, seen, 1.0)
+        expected = np.where(told, of_noise, 1.0) + moves * beyond / size
+        logs = np.sum(np.where(told, np.log(np.where(told, power, 1.0) / expected) - LOG_MEAN, 0.0), axis=0)
+        size = np.exp(logs / np.maximum(n, 1))
+    return np.stack([logs, n])
