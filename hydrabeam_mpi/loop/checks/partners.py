@@ -16,8 +16,8 @@ from hydrabeam_mpi.setup.problem import Problem
 LEAST_PARTNERS = 2
 """Of two that differ nobody knows which is wrong."""
 MOST_LOOKS = 8
-"""Times that a baseline's noise is worked out with what it came to before: three where it is 16 times as large as stated,
-six where it is 100 times, until it moves by less than a per cent."""
+"""Times that a baseline's noise is worked out with what it came to before, until that moves by less than a per cent:
+three where it is 16 times as large as stated, six where it is 100 times."""
 
 
 def noisy_baselines(problem: Problem, noise: FloatArray) -> list[Finding]:
