@@ -127,8 +127,16 @@ def predict(posterior: Posterior, design: Array) -> tuple[ComplexArray, FloatArr
     """Return the posterior predictive mean (Nlocal,) and the model variance of its parts (2, Nlocal)."""
     if posterior.is_complex:
         half = 0.5 * posterior.predictive_variance(design)
-        return design @ posterior.mean, np.stack([half, half])
+        return seen_by(design, posterior.mean), np.stack([half, half])
     n_rows = design.shape[1]
     variance = posterior.predictive_variance(design.reshape(2 * n_rows, -1)).reshape(2, n_rows)
-    real, imag = design @ posterior.mean
-    return real + 1j * imag, variance
+    return seen_by(design, posterior.mean), variance
+
+
+def seen_by(design: Array, coeffs: Array) -> ComplexArray:
+    """Return the visibilities A b, (..., Nlocal), of rows (..., 2, Nlocal, n_modes), or complex (..., Nlocal, n_modes).
+
+    ``coeffs`` are (n_modes,).
+    """
+    parts = design @ coeffs
+    return np.asarray(parts if np.iscomplexobj(design) else parts[..., 0, :] + 1j * parts[..., 1, :])

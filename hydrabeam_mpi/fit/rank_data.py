@@ -12,11 +12,11 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.fit.accumulate import seen_by
 from hydrabeam_mpi.fit.grown import grown_beam
 from hydrabeam_mpi.fit.row_model import RowModel
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Active, Estimate
-from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.model.beam import BeamInfo, CoefficientBeam
 
 ROWS_AT_ONCE = 60_000
@@ -80,7 +80,7 @@ class RankData(RowModel):
             span = slice(t + 1 - len(held), t + 1)
             rows_of_design = np.array(held)
             held = []
-            beam_alone = _visibilities(rows_of_design, posterior)[:, self.rows.member]
+            beam_alone = seen_by(rows_of_design, posterior.mean)[:, self.rows.member]
             block = self.block(
                 channel,
                 span,
@@ -158,11 +158,3 @@ def _same(one: Estimate, two: Estimate) -> bool:
         and all(first.effect is second.effect and np.array_equal(first.x, second.x) for first, second in pairs)
         and all(np.array_equal(first.mean, second.mean) for first, second in zip(one.beams, two.beams, strict=True))
     )
-
-
-def _visibilities(block: Array, posterior: Posterior) -> ComplexArray:
-    """Return A b, (Ntimes, Ngroups)."""
-    if posterior.is_complex:
-        return np.asarray(block @ posterior.mean)
-    parts = block @ posterior.mean
-    return np.asarray(parts[:, 0] + 1j * parts[:, 1])

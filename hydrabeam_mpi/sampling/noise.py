@@ -18,9 +18,10 @@ from typing import Literal
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.fit.accumulate import seen_by
 from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.state import Estimate
 from hydrabeam_mpi.sampling.state import Chance
@@ -83,7 +84,7 @@ def squared_residuals(share: RankData, at: Estimate) -> tuple[FloatArray, FloatA
     found, weights = np.empty(rows.data.shape), rows.inv_noise_var
     for t, design in enumerate(share.designs(at.values)):
         for f, beam in enumerate(at.beams):
-            residual = rows.data[f, t] - _seen(design[f], beam.mean)[rows.member]
+            residual = rows.data[f, t] - seen_by(design[f], beam.mean)[rows.member]
             found[f, t] = weights[f, t] * np.abs(residual) ** 2
     divisor = np.ones_like(weights) if rows.divisor is None else rows.divisor
     return found, np.divide(weights, divisor, out=np.zeros_like(weights), where=weights > 0)
@@ -107,11 +108,3 @@ def drawn_weights(
             gammas = chance.of("weights", channel, time).standard_gamma(0.5 * dof + 1, n_bls)
             drawn[f, t] = gammas[tile.bls] / (0.5 * dof + squares[f, t])
     return drawn
-
-
-def _seen(design: Array, beam: Array) -> Array:
-    """Return A b of the groups at one time, (Ngroups,)."""
-    if np.iscomplexobj(design):
-        return np.asarray(design @ beam)
-    real, imag = design @ beam
-    return np.asarray(real + 1j * imag)
