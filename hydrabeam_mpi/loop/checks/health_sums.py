@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.data.partition import Tile
@@ -16,6 +15,7 @@ from hydrabeam_mpi.fit.rows import Rows, read_rows
 from hydrabeam_mpi.inference.robust import LOG_MEAN
 from hydrabeam_mpi.io.noise import amid_neighbours
 from hydrabeam_mpi.io.uvdata import Block, read_autos
+from hydrabeam_mpi.loop.checks.partner_means import partner_means
 from hydrabeam_mpi.mpi import ProcessGrid, allreduce_sum, together
 from hydrabeam_mpi.setup.problem import Problem
 
@@ -264,8 +264,7 @@ class Excess:
 
         Collective: all ranks of the grid; ``problem`` is of all channels.
         """
-        n_times, group = len(sample.times), np.unique(problem.redundant.group[sample.bls], return_inverse=True)[1]
-        members = csr_array((np.ones(len(group)), (group, np.arange(len(group)))))
+        n_times = len(sample.times)
         made = cls(
             "what redundant baselines in it differ by",
             False,
@@ -274,21 +273,15 @@ class Excess:
             np.zeros((2, problem.observation.Nbls)),
             np.arange(n_times),
         )
-        for data, inverse in zip(sample.data, weights, strict=True):
-            total = (members @ inverse.T).T[:, group] - inverse
-            partners = (members @ (inverse * data).T).T[:, group] - inverse * data
-            n = (members @ (inverse > 0).T.astype(float)).T[:, group]
-            known = (inverse > 0) & (n > 1)
-            mean = np.where(known, partners / np.where(known, total, 1.0), 0.0)
-            variance = 1 / np.where(known, inverse, 1.0) + 1 / np.where(known, total, 1.0)
-            power = np.where(known, np.abs(data - mean) ** 2, 0.0)
-            known &= power > 0
-            seen = np.maximum(np.abs(mean) ** 2, variance)
+        for one in partner_means(problem.redundant.group[sample.bls], sample.data, weights, 1):
+            variance, power = one.variance + one.variance_of_mean, np.abs(one.data - one.mean) ** 2
+            known = power > 0
+            seen = np.maximum(np.abs(one.mean) ** 2, variance)
             share = np.where(known, (power - variance) / seen, np.nan)
             share[:, ~known.any(axis=0)] = 0.0
             expected = variance + np.maximum(np.nanmedian(share, axis=0), 0.0) * seen
             logs = np.log(np.where(known, power / expected, 1.0)) - LOG_MEAN
-            worth = np.where(known, 1 - 1 / np.maximum(n, 1), 0.0)
+            worth = np.where(known, one.n / (one.n + 1), 0.0)
             made.times += (worth * logs).sum(axis=1), worth.sum(axis=1)
         allreduce_sum(grid.world, made.times)
         return made

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.inference.robust import LOG_MEAN, LOG_STD, MOST_EXCEPTIONS, known_median, outliers
 from hydrabeam_mpi.io.noise import amid_neighbours
 from hydrabeam_mpi.loop.checks.health_sums import PER_DAY, SECOND, Sample, second_differences
+from hydrabeam_mpi.loop.checks.partner_means import partner_means
 from hydrabeam_mpi.mpi import ProcessGrid, allreduce_sum
 from hydrabeam_mpi.setup.findings import Finding, baseline_words
 from hydrabeam_mpi.setup.problem import Problem
 
 LEAST_PARTNERS = 2
 """Of two that differ nobody knows which is wrong."""
-MOST_LOOKS = 8
+MOST_PASSES = 8
 """Times that a baseline's noise is worked out with what it came to before, until that moves by less than a per cent:
 three where it is 16 times as large as stated, six where it is 100 times."""
 
@@ -67,19 +67,13 @@ def noise_beside_partners(grid: ProcessGrid, problem: Problem, sample: Sample, w
     """
     observation, logs = problem.observation, np.zeros((2, problem.observation.Nbls))
     middle = amid_neighbours(observation.times[sample.times] * PER_DAY, observation.integration_time[sample.times])
-    group = np.unique(problem.redundant.group[sample.bls], return_inverse=True)[1]
-    members = csr_array((np.ones(len(group)), (group, np.arange(len(group)))))
     if 2 * len(middle) < len(sample.times):
         return logs
-    for data, inverse in zip(sample.data, weights, strict=True):
-        total = (members @ inverse.T).T[:, group] - inverse
-        partners = (members @ (inverse * data).T).T[:, group] - inverse * data
-        n = (members @ (inverse > 0).T.astype(float)).T[:, group] - 1
-        known = (inverse > 0) & (n >= LEAST_PARTNERS)
-        mean = np.where(known, partners / np.where(known, total, 1.0), 0.0)
-        left, factor = _beyond_factor_and_constant(np.where(known, data, 0.0), mean, np.where(known, inverse, 0.0))
-        variance = 1 / np.where(known, inverse, 1.0) + np.abs(factor) ** 2 / np.where(known, total, 1.0)
-        logs[:, sample.bls] += _logs_of_noise(left, mean, np.where(known, variance, np.inf), middle)
+    group = problem.redundant.group[sample.bls]
+    for one in partner_means(group, sample.data, weights, LEAST_PARTNERS):
+        left, factor = _beyond_factor_and_constant(one.data, one.mean, np.where(one.known, 1 / one.variance, 0.0))
+        variance = one.variance + np.abs(factor) ** 2 * one.variance_of_mean
+        logs[:, sample.bls] += _logs_of_noise(left, one.mean, np.where(one.known, variance, np.inf), middle)
     allreduce_sum(grid.world, logs)
     return logs
 
@@ -108,7 +102,7 @@ def _logs_of_noise(left: ComplexArray, mean: ComplexArray, variance: FloatArray,
     n, seen = told.sum(axis=0), np.sum(np.abs(mean) ** 2, axis=0)
     total, stated = np.sum(np.abs(left) ** 2, axis=0), np.sum(np.where(np.isfinite(variance), variance, 0.0), axis=0)
     logs, size = np.zeros(len(n)), np.ones(len(n))
-    for _ in range(MOST_LOOKS):
+    for _ in range(MOST_PASSES):
         beyond = np.maximum(total - size * stated, 0.0) / np.where(seen > 0, seen, 1.0)
         expected = np.where(told, of_noise, 1.0) + moves * beyond / size
         logs = np.sum(np.where(told, np.log(np.where(told, power, 1.0) / expected) - LOG_MEAN, 0.0), axis=0)
