@@ -64,7 +64,7 @@ class Weighed:
 
         What is worth no more than the linear model was wrong by is weighed again.
         """
-        if self.first is None or (added.kind, added.law) != (self.first.kind, self.first.law):
+        if self.first is None or added.name != self.first.name:
             return None
         wrong_by = abs(added.log_bayes_factor - self.first.log_bayes_factor)
         n = sum(one.log_bayes_factor > wrong_by for one in self.together.members[1:])
@@ -75,7 +75,7 @@ class Weighed:
 
         Where it came to something else by more than that, the linear model had said nothing of it, nor of others.
         """
-        expected = next(one for one in self.ranking if (one.kind, one.law) == (added.kind, added.law))
+        expected = next(one for one in self.ranking if one.name == added.name)
         return abs(added.log_bayes_factor - expected.log_bayes_factor) <= expected.log_bayes_factor
 
 
@@ -119,7 +119,7 @@ class Outlook:
     def comes_next(self, candidate: Candidate, best: Round) -> bool:
         """Whether a candidate explains, beside the best, what this leaves: it is no rival of it, but tried after it."""
         rest = self.weighed.after(best.candidate)
-        return rest is not None and (candidate.kind, candidate.law) in {(one.kind, one.law) for one in rest.members}
+        return rest is not None and candidate.name in {one.name for one in rest.members}
 
     def after(self, fitted: Fitted) -> Weighed | None:
         """Return what there is to try with what has been fitted, if that is known."""
