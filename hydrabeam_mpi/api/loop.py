@@ -32,6 +32,7 @@ from hydrabeam_mpi.mpi import peak_rss_mb, together
 from hydrabeam_mpi.result.gains import gains_told
 from hydrabeam_mpi.setup.earlier import integrations_of
 from hydrabeam_mpi.setup.job_file import check_holds_out
+from hydrabeam_mpi.setup.problem import Problem
 
 
 def close_loop(setup: Setup) -> Found:
@@ -112,26 +113,39 @@ def run_loop(
         settle_last(context, history)
     with clock.time("leakage"):
         leakage = check_leakage(grid, context.problem, known) if choice.leakage else None
-    with clock.time("describe"):
-        results = channel_results(context, history.last.fitted)
-        problem = grown_problem(problem, known, history.last.fitted.values, context.learned)
-        records = gather_records(grid, problem, results, history.last.numbers)
-        integrations = integrations_of(world, problem.files, problem.observation)
     record = make_record(context, history, choice.skipped, conventions, leakage)
-    scale = error_scale(context, history.last.fitted)
-    memory = peak_rss_mb(world)
-    found = Found(Result(job))
+    return _found(setup, problem, context, history, record, origin, clock)
+
+
+def _found(
+    setup: Setup,
+    problem: Problem,
+    context: FitContext,
+    history: History,
+    record: dict[str, Any],
+    origin: Callable[[], dict[str, Any]],
+    clock: Clock,
+) -> Found:
+    """Put together what was accepted, on rank 0. Collective: all ranks of the setup.
+
+    ``problem`` is of all channels, ``record`` what `make_record` tells; ``origin`` is called on rank 0.
+    """
+    world, known, fitted = setup.comm, context.setup, history.last.fitted
+    with clock.time("describe"):
+        results = channel_results(context, fitted)
+        problem = grown_problem(problem, known, fitted.values, context.learned)
+        records = gather_records(context.grid, problem, results, history.last.numbers)
+        integrations = integrations_of(world, problem.files, problem.observation)
+    scale, memory = error_scale(context, fitted), peak_rss_mb(world)
+    found = Found(Result(setup.job))
     with together(world):
         if world.rank == 0:
-            fitted = history.last.fitted
             gains = gains_told(problem, records, known, fitted.values)
             run = {"phases_s": clock.seconds, "peak_rss_mb": memory, **prior_told(setup, context.carried), **gains}
             effects = effects_found(problem.job, fitted, known)
-            told = record["warnings"]
-            result = make_result(setup, problem, records, integrations, origin(), run, told, effects)
-            amended = amended_job(problem.job, fitted, known, scale)
+            result = make_result(setup, problem, records, integrations, origin(), run, record["warnings"], effects)
             told = {**record, "warnings": result.summary["warnings"], "seconds": clock.seconds}
-            found = Found(result, told, setup.amended(amended))
+            found = Found(result, told, setup.amended(amended_job(problem.job, fitted, known, scale)))
     return found
 
 
