@@ -1,4 +1,4 @@
-"""The rules of a round: which effects are tried, in which order, and when one is accepted or refused."""
+"""The rules of a round: what may be tried, in which order, which is the better, and what the last one leaves."""
 
 from __future__ import annotations
 
@@ -183,104 +183,6 @@ def improvement(before: Checked, after: Checked, candidate: Candidate) -> float:
         return float(abs(before.score.chi2 - after.score.chi2) * np.sqrt(before.score.n_data))
     one, two = before.score, after.score
     return gain_significance(one, two, two.log_density_at_own_level - one.log_density_at_own_level)
-
-
-def refusal_of(before: Checked, after: Checked, candidate: Candidate, settings: LoopSettings) -> str | None:
-    """Say why a candidate, as it has been fitted, is not kept; None where it is.
-
-    It needs the evidence of the fitted data and a better prediction of the held-out ones. Both are valid for whatever
-    parameters a fit has come to. So one that has not converged is kept where it passes; where it does not, that says
-    nothing against the effect.
-    """
-    refused = _refusal_of_weights if candidate.finding is None else _refusal_of_effect
-    reason: str | None = f"its log Bayes factor is {candidate.log_bayes_factor:.4g} once it is fitted"
-    if candidate.log_bayes_factor >= settings.min_log_bayes_factor:
-        reason = refused(before, after, settings)
-    if reason is not None and not after.fitted.diagnostics.converged:
-        return f"its fit did not converge, which says nothing for or against it (where it ended, {reason})"
-    return reason
-
-
-def _refusal_of_weights(before: Checked, after: Checked, settings: LoopSettings) -> str | None:
-    if abs(after.score.chi2 - 1) > abs(before.score.chi2 - 1):
-        return f"held-out chi^2 goes from {before.score.chi2:.4g} to {after.score.chi2:.4g}"
-    return None if after.remains.white else f"what is left is not white: {after.remains.why}"
-
-
-def _refusal_of_effect(before: Checked, after: Checked, settings: LoopSettings) -> str | None:
-    if (rises := rise_of_rms(before, after)) is not None:
-        return rises
-    gain = after.score.log_density_at_own_level - before.score.log_density_at_own_level
-    if not gain >= settings.min_log_bayes_factor:
-        change = f"{before.score.chi2:.4g} to {after.score.chi2:.4g}"
-        return f"held-out data are predicted no better: ln of their density changes by {gain:.4g}, chi^2 from {change}"
-    return None
-
-
-def rivals_of(candidate: Candidate, ranking: Sequence[Candidate], settings: LoopSettings) -> list[Candidate]:
-    """Return the faults of the beam's model that explain as much as a fitted effect: what it must be told from.
-
-    They are modes that the basis lacks and beams that change in time, freedom that no data can be sure not to need. An
-    effect is claimed if the best model with it is likelier than the best without: where it has more evidence than a
-    rival alone, or where it has enough with the rival marginalised.
-    """
-    if candidate.finding is None:
-        return []
-    near = max(candidate.log_bayes_factor - settings.min_log_bayes_factor, 0.0)
-    faults = [one for one in ranking if _is_fault_of_beam(one) and one.kind != candidate.kind]
-    return [one for one in faults if one.log_bayes_factor > near]
-
-
-def _is_fault_of_beam(candidate: Candidate) -> bool:
-    return candidate.finding is not None and (candidate.is_control or candidate.finding.effect.is_about_the_beam)
-
-
-def refusal_beside(rival: Candidate, left: float, settings: LoopSettings) -> str | None:
-    """Say that an effect has too little evidence, ``left``, with a rival marginalised; None where it has enough."""
-    if left >= settings.min_log_bayes_factor:
-        return None
-    return (
-        f"{rival.title} explains as much (ln BF {rival.log_bayes_factor:.4g}), and beside that its log Bayes factor is "
-        f"{left:.4g}"
-    )
-
-
-def refusal_by_parts(constancy: Sequence[Constancy], settings: LoopSettings) -> str | None:
-    """Say between which parts of the data an effect differs so much that it is not what it says; None where it is.
-
-    It needs the evidence that the job asks for that its parameters have a common part, or what is expected of an effect
-    that is the same in all parts, less as much, where few parts tell them. Where even such an effect is expected to
-    have none, the answer says nothing; but where that is so because of what else is left, which it would have by noise
-    alone, it cannot be told from that.
-    """
-    for one in constancy:
-        if one.expected <= 0 and one.expected_by_noise >= settings.min_log_bayes_factor:
-            return (
-                f"it cannot be told from what is left beside it: with errors as large as that makes them, ln BF "
-                f"{one.expected:.3g} is expected of a common part between {one.between} even if it has one, where by "
-                f"noise alone {one.expected_by_noise:.3g} were"
-            )
-        short = min(settings.min_log_bayes_factor, one.expected - settings.min_log_bayes_factor)
-        if one.expected > 0 and one.log_bayes_factor < short:
-            return (
-                f"it is not the same in all parts of the data: its parameters differ between {one.between} by "
-                f"{one.spread:.2g} times what they have in common (ln BF that they have a common part "
-                f"{one.log_bayes_factor:.3g}, where {one.expected:.3g} is expected of what is the same in all)"
-            )
-    return None
-
-
-def rise_of_rms(before: Checked, after: Checked) -> str | None:
-    """Say by how much the plain residual of the held-out data rises; None where it does not, beyond its error.
-
-    The error is one standard error of the paired difference over blocks. A change of the weights claims nothing of what
-    is predicted, and is not asked.
-    """
-    if not after.numbers.rise_sigma(before.numbers) > RULES.rise_sigmas:
-        return None
-    one, two = before.numbers.of_all, after.numbers.of_all
-    change = f"the rms of the held-out residual rises from {one['rms']:.4g} to {two['rms']:.4g} Jy"
-    return f"{change}, by more than its error (noise {two['rms_noise']:.4g} Jy, the data {two['rms_zero']:.4g} Jy)"
 
 
 def why_unexplained(last: Checked, control: Round | None) -> str | None:

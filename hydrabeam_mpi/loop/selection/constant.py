@@ -7,9 +7,10 @@ from dataclasses import replace
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.loop.attribution.constancy import Constancy
 from hydrabeam_mpi.loop.attribution.parts import ask_constancy
-from hydrabeam_mpi.loop.selection.acceptance import Round, refusal_by_parts
+from hydrabeam_mpi.loop.selection.acceptance import Round
 from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical
 from hydrabeam_mpi.loop.selection.refits import fit_patiently
+from hydrabeam_mpi.loop.selection.refusal import refusal_by_parts
 from hydrabeam_mpi.loop.selection.trials import check
 from hydrabeam_mpi.terminal.progress import say
 

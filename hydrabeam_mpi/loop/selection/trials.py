@@ -28,20 +28,12 @@ from hydrabeam_mpi.loop.selection.acceptance import (
     is_better,
     may_be_better,
     may_still_be_better,
-    refusal_beside,
-    refusal_of,
-    rivals_of,
 )
 from hydrabeam_mpi.loop.selection.heldout_numbers import heldout_numbers
 from hydrabeam_mpi.loop.selection.heldout_score import heldout_score
 from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical
-from hydrabeam_mpi.loop.selection.refits import (
-    fit_patiently,
-    is_same_prior,
-    log_joint,
-    restarted,
-    rise,
-)
+from hydrabeam_mpi.loop.selection.refits import fit_patiently, is_same_prior, log_joint, restarted, rise
+from hydrabeam_mpi.loop.selection.refusal import refusal_beside, refusal_of, rivals_of
 from hydrabeam_mpi.loop.selection.weighing import Outlook
 from hydrabeam_mpi.result.summary import evaluate_on_grid
 from hydrabeam_mpi.terminal.progress import say

@@ -14,7 +14,7 @@ from hydrabeam_mpi.effects.interface.effect import Parameters
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.loop.attribution import evidence
 from hydrabeam_mpi.loop.rules import RULES, Rules
-from hydrabeam_mpi.loop.selection import acceptance
+from hydrabeam_mpi.loop.selection import acceptance, refusal
 from tests.loop.made import checked, effect_candidate, round_of, weights_candidate
 
 
@@ -47,8 +47,8 @@ def test_near_if_linear(near: float, may: bool, monkeypatch: pytest.MonkeyPatch)
 
 @pytest.mark.parametrize(("sigmas", "rises"), [(1.0, True), (1e3, False)])
 def test_rise_sigmas(sigmas: float, rises: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    with_rules(monkeypatch, acceptance, rise_sigmas=sigmas)
-    assert (acceptance.rise_of_rms(checked(5.0, rms=3.0), checked(1.0, rms=3.3)) is not None) == rises
+    with_rules(monkeypatch, refusal, rise_sigmas=sigmas)
+    assert (refusal.rise_of_rms(checked(5.0, rms=3.0), checked(1.0, rms=3.3)) is not None) == rises
 
 
 @pytest.mark.parametrize(("nats", "taken"), [(4.0, 2), (40.0, 1)])
