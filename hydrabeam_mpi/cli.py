@@ -108,7 +108,10 @@ def _parser() -> argparse.ArgumentParser:
     report.add_argument("--gains", type=Path, nargs="+", default=[], metavar="FILE", help=compare)
     what = "print a job file filled in from data files"
     init = commands.add_parser("init", help=what, description=what)
-    init.add_argument("data", type=Path, nargs="+", metavar="DATA", help="uvh5, uvfits, measurement set or miriad")
+    kinds = "visibilities (uvh5, uvfits, measurement set, miriad); also gains, one beam, one sky"
+    init.add_argument("files", type=Path, nargs="+", metavar="FILE", help=kinds)
+    init.add_argument("-o", "--output", type=Path, metavar="JOB.toml", help="write it there instead")
+    init.add_argument("--overwrite", action="store_true", help="replace JOB.toml where it is there")
     return parser
 
 
@@ -167,9 +170,13 @@ def _run(world: MPI.Comm, options: argparse.Namespace) -> None:
 
             write_report(options.directory, options.gains)
         elif world.rank == 0:
-            from hydrabeam_mpi.commands.init import job_from_data
+            from hydrabeam_mpi.commands.init import job_from_data, write_job
 
-            print(job_from_data(options.data), end="")
+            text = job_from_data(options.files)
+            if options.output is None:
+                print(text, end="")
+            else:
+                write_job(text, options.output, options.overwrite)
 
 
 def _sample(world: MPI.Comm, options: argparse.Namespace) -> None:

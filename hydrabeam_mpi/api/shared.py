@@ -132,7 +132,7 @@ def prepare_shared(world: Comm, job: Job, folder: Path | None, given: Given = NO
     with together(world):
         if world.rank == 0 and folder:
             check_space(folder, least_result_bytes(job))
-    truths = simulate_to(world, job, folder) if job.data.simulate and folder else ()
+    truths = simulate_to(world, job, folder).beams[job.data.polarization] if job.data.simulate and folder else ()
     simulated = (folder / "data.uvh5",) if job.data.simulate and folder else ()
     files, job, observation = look_at_data(world, job, simulated, given)
     problem = None

@@ -18,8 +18,10 @@ from hydrabeam_mpi.io.uvfile import read_uvdata
 from hydrabeam_mpi.model.beam import Beam
 from hydrabeam_mpi.mpi import alone
 from hydrabeam_mpi.simulation.mock import simulate_to
+from hydrabeam_mpi.simulation.truth import true_sky
 
 if TYPE_CHECKING:
+    from pyradiosky import SkyModel
     from pyuvdata import UVData
 
 
@@ -33,10 +35,13 @@ class Mock:
         Cross- and autocorrelations, with noise.
     beams : tuple of callable
         The beam of each channel that they were simulated with: ``beam(za, az)``, radians, (Npoints,) each.
+    sky : SkyModel
+        The sky that they were simulated with. One in coordinates of date goes with ``positions="lst"``.
     """
 
     uvd: UVData
     beams: tuple[Beam, ...]
+    sky: SkyModel
 
 
 def simulate(job: str | Path | Mapping[str, Any]) -> Mock:
@@ -56,8 +61,9 @@ def simulate(job: str | Path | Mapping[str, Any]) -> Mock:
     if resolved.data.simulate is None:
         raise InputError("is missing", field="[data.simulate]", remedy="add it, see jobs/paper/job.toml")
     with TemporaryDirectory(prefix="hydrabeam-") as folder:
-        beams = simulate_to(alone(), resolved, Path(folder))
-        return Mock(read_uvdata(Path(folder) / "data.uvh5", "uvh5"), beams)
+        scene = simulate_to(alone(), resolved, Path(folder))
+        uvd = read_uvdata(Path(folder) / "data.uvh5", "uvh5")
+    return Mock(uvd, scene.beams[resolved.data.polarization], true_sky(resolved, scene))
 
 
 def _job(content: Mapping[str, Any]) -> Job:

@@ -80,6 +80,7 @@ def read_catalogue(
     flux_min: float = 0.0,
     columns: VOTableColumns | None = None,
     interpolation: str = "cubic",
+    of_date: bool = False,
 ) -> Sky:
     """Read a catalogue: skyh5, VOTable, tab-separated text, or an FHD save file with its extended sources.
 
@@ -97,19 +98,30 @@ def read_catalogue(
         For a VOTable; without it, the 20 subbands of GLEAM are read.
     interpolation : str
         How `pyradiosky.SkyModel.at_frequencies` interpolates between subbands.
+    of_date : bool
+        Take places of date (TETE), such as a simulated sky's, as they are.
 
     Returns
     -------
     Sky
-        ICRS. Sources without a positive flux at all ``freqs`` are left out, and their number is logged.
+        ICRS, unless its places are ``of_date``. Sources without a positive flux at all ``freqs`` are left out, and
+        their number is logged.
 
     Raises
     ------
     InputError
         If the file is missing or unreadable, lacks a flux at these frequencies, or no source is left.
     """
-    model = _read_model(path, columns)
-    return sky_of(model, path, freqs, reference_freq=reference_freq, flux_min=flux_min, interpolation=interpolation)
+    model = read_model(path, columns)
+    return sky_of(
+        model,
+        path,
+        freqs,
+        reference_freq=reference_freq,
+        flux_min=flux_min,
+        interpolation=interpolation,
+        of_date=of_date,
+    )
 
 
 def sky_of(
@@ -120,6 +132,7 @@ def sky_of(
     reference_freq: float | None = None,
     flux_min: float = 0.0,
     interpolation: str = "cubic",
+    of_date: bool = False,
 ) -> Sky:
     """Evaluate a catalogue at some frequencies; it stays as it is.
 
@@ -129,7 +142,7 @@ def sky_of(
         Points or a HEALPix map, in Jy or K sr (a map also in K).
     path : Path
         What messages call it.
-    freqs, reference_freq, flux_min, interpolation
+    freqs, reference_freq, flux_min, interpolation, of_date
         As of `read_catalogue`.
 
     Returns
@@ -148,7 +161,7 @@ def sky_of(
             model = model.copy()
             model.healpix_to_point(to_jy=False, run_check=False)
         is_polarised = bool(np.any(model.stokes[1:] != 0))
-        coordinates = model.skycoord.icrs
+        coordinates = model.skycoord if of_date and is_of_date(model) else model.skycoord.icrs
         ra, dec = coordinates.ra.rad, coordinates.dec.rad
     if is_polarised:
         logger.warning("%s: polarised sources are taken as unpolarised (only Stokes I is used)", path.name)
@@ -170,7 +183,13 @@ def sky_of(
     return sky
 
 
-def _read_model(path: Path, columns: VOTableColumns | None) -> SkyModel:
+def is_of_date(model: SkyModel) -> bool:
+    """Tell whether places are those of a date, by the true equator and equinox."""
+    return bool(model.skycoord.frame.name == "tete")
+
+
+def read_model(path: Path, columns: VOTableColumns | None = None) -> SkyModel:
+    """Read a catalogue as it is, with the parameters and errors of `read_catalogue`."""
     file_type = FILE_TYPES.get(path.suffix.lower())
     check_file(path, field="[sky] file")
     if file_type is None:

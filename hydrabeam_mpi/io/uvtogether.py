@@ -20,6 +20,7 @@ POSITION_TOLERANCE = 1e-3  # metres
 SAME_DATA = 0.75
 # More than one step of an axis and less than two, so that rounding decides nothing.
 ONE_IS_MISSING = 1.5
+_X_EAST = str.maketrans("en", "xy")
 
 
 def merge_antennas(surveys: Sequence[Survey]) -> tuple[dict[int, str], dict[int, FloatArray]]:
@@ -90,12 +91,37 @@ def check_covered(observation: Observation, surveys: Sequence[Survey]) -> None:
         covered[np.ix_(at_time, at_freq, with_pol)] = True
     if not covered.all():
         time, freq, pol = np.argwhere(~covered)[0]
+        _check_directions_stated(observation.pols[pol], observation.times[time], surveys)
         raise InputError(
             f'no file holds "{observation.pols[pol]}" at {observation.freqs[freq] / 1e6:.6f} MHz'
             f" and JD {observation.times[time]:.6f}",
             field="[data] files",
             remedy="give files with the same channels and polarisations at all times",
         )
+
+
+def _check_directions_stated(pol: str, time: float, surveys: Sequence[Survey]) -> None:
+    """Refuse a file that does not tell where its feeds point beside others that do."""
+    if not set(pol) <= {"e", "n"}:
+        return
+    named = next(survey.header for survey in surveys if pol in survey.header.pols)
+    x_points = "east" if named.feed_pols[named.pol_index(pol)] == pol.translate(_X_EAST) else "north"
+    at_time = (one.header for one in surveys if np.any(np.abs(one.times - time) <= TIME_TOLERANCE))
+    for header in at_time:
+        if header.pols == header.feed_pols:
+            raise InputError(
+                f"does not tell where its feeds point, and {named.path.name} does: x {x_points}",
+                file=header.path,
+                field="feed_angle",
+                remedy=f"if it is the same here, UVData.telescope.set_feeds_from_x_orientation('{x_points}') states it",
+            )
+
+
+def _named_alike(one: Survey, other: Survey) -> bool:
+    """Tell whether two files have a polarisation in common, by direction where both tell it."""
+    headers = one.header, other.header
+    names = "feed_pols" if any(header.pols == header.feed_pols for header in headers) else "pols"
+    return bool(set(getattr(headers[0], names)) & set(getattr(headers[1], names)))
 
 
 def check_disjoint(surveys: Sequence[Survey]) -> None:
@@ -107,7 +133,7 @@ def check_disjoint(surveys: Sequence[Survey]) -> None:
         That names two files that do.
     """
     for one, other in _concurrent(surveys):
-        if not set(one.header.feed_pols) & set(other.header.feed_pols):
+        if not _named_alike(one, other):
             continue
         freqs = _in_common(_channels(one), _channels(other), FREQ_TOLERANCE)
         times = _in_common(_integrations(one), _integrations(other), TIME_TOLERANCE) if freqs.size else freqs

@@ -36,12 +36,19 @@ def load_sky(job: Job, freqs: FloatArray, given: Any = None) -> Sky:
     settings = job.sky
     cut = settings.flux_min > 0 or settings.model_flux_min > 0
     reference_freq = settings.reference_freq if cut else None
+    of_date = not are_apparent(job)
     if given is not None:
-        sky = sky_of(given, Path("sky"), freqs, reference_freq=reference_freq, flux_min=settings.flux_min)
+        sky = sky_of(
+            given, Path("sky"), freqs, reference_freq=reference_freq, flux_min=settings.flux_min, of_date=of_date
+        )
     elif settings.file is not None:
-        columns = _votable_columns(settings.columns) if settings.columns else None
         sky = read_catalogue(
-            settings.file, freqs, reference_freq=reference_freq, flux_min=settings.flux_min, columns=columns
+            settings.file,
+            freqs,
+            reference_freq=reference_freq,
+            flux_min=settings.flux_min,
+            columns=_votable_columns(settings.columns) if settings.columns else None,
+            of_date=of_date,
         )
     else:
         _check_spectrum(settings, freqs)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -40,8 +40,26 @@ from hydrabeam_mpi.simulation.inject import Injection, Truth, Visibilities
 from hydrabeam_mpi.terminal.progress import say
 
 
-def simulate_to(world: Comm, job: Job, folder: Path) -> tuple[Beam, ...]:
-    """Write ``data.uvh5`` and ``truth.h5`` into ``folder`` and return the true beams, one a channel.
+@dataclass(frozen=True)
+class Scene:
+    """What a simulation observes.
+
+    Attributes
+    ----------
+    observation : Observation
+    sky : Sky
+        The whole sky, of which a model may leave faint sources out.
+    beams : dict of str to tuple of callable
+        The true beam of each channel, by polarisation.
+    """
+
+    observation: Observation
+    sky: Sky
+    beams: dict[str, tuple[Beam, ...]]
+
+
+def simulate_to(world: Comm, job: Job, folder: Path) -> Scene:
+    """Write ``data.uvh5`` and ``truth.h5`` into ``folder`` and return what has been observed.
 
     Collective: all ranks of `world`, which share out the times.
 
@@ -51,13 +69,14 @@ def simulate_to(world: Comm, job: Job, folder: Path) -> tuple[Beam, ...]:
         On all ranks, if the job cannot be simulated.
     """
     assert job.data.simulate is not None
-    block, memory = None, memory_per_rank(world)
+    scene, memory = None, memory_per_rank(world)
     with together(world):
         if world.rank == 0:
             say("simulating")
-            block = _set_scene(job, job.data.simulate, memory)
-            check_space(folder, _least_bytes(block[0]))
-    observation, sky, beams = bcast_object(world, block)
+            scene = _set_scene(job, job.data.simulate, memory)
+            check_space(folder, _least_bytes(scene.observation))
+    scene = bcast_object(world, scene)
+    observation, sky, beams = scene.observation, scene.sky, scene.beams
     with together(world):
         redundant = find_redundant_groups(
             observation.bl_vectors, job.data.redundancy_tol, either_sign=observation.is_copolar
@@ -76,10 +95,10 @@ def simulate_to(world: Comm, job: Job, folder: Path) -> tuple[Beam, ...]:
             unique = {pol: np.concatenate([of_rank[pol] for of_rank in parts], axis=1) for pol in beams}
             with writing(folder):
                 _write(folder, job, observation, redundant, sky, beams, unique)
-    return beams[job.data.polarization]
+    return scene
 
 
-def _set_scene(job: Job, settings: Simulate, memory: int) -> tuple[Observation, Sky, dict[str, tuple[Beam, ...]]]:
+def _set_scene(job: Job, settings: Simulate, memory: int) -> Scene:
     """Lay out what is observed, with which sky, and with which beams in which polarisations."""
     pol: str = job.data.polarization
     observation = mock_observation(settings, pol)
@@ -101,7 +120,7 @@ def _set_scene(job: Job, settings: Simulate, memory: int) -> tuple[Observation, 
         observation = replace(observation, pols=(2 * one, 2 * other, one + other, other + one))
         second = 2 * (other if pol[0] == one else one)
         beams[second] = tuple(TurnedBeam(beam, second) for beam in own)
-    return observation, load_sky(job, observation.freqs), beams
+    return Scene(observation, load_sky(job, observation.freqs), beams)
 
 
 def _least_bytes(observation: Observation) -> int:

@@ -102,10 +102,10 @@ def test_report_of_what_is_no_result(
 def test_init_of_what_is_no_data(
     workspace: Workspace, on_root: OnRoot, comm: MPI.Comm, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    on_root(lambda: workspace.write("text.txt", "nothing of the kind\n"))
-    assert main(["init", str(workspace.folder / "text.txt")]) == 2
+    on_root(lambda: workspace.write("text.dat", "nothing of the kind\n"))
+    assert main(["init", str(workspace.folder / "text.dat")]) == 2
     line = refusal(capfd, comm)
-    assert "text.txt: not a uvh5 file; give a uvh5" in line
+    assert "text.dat: not a uvh5 file; give a uvh5" in line
 
 
 @pytest.mark.parametrize(

@@ -37,7 +37,7 @@ PROGRAM = (sys.executable, "-m", "hydrabeam_mpi")
         (["infer", "--help"], ["JOB.toml", "-o", "--overwrite"]),
         (["simulate", "--help"], ["JOB.toml", "-o", "--overwrite", "data.uvh5"]),
         (["report", "--help"], ["DIR"]),
-        (["init", "--help"], ["DATA"]),
+        (["init", "--help"], ["FILE", "-o"]),
         (["--version"], ["hydrabeam_mpi "]),
     ],
     ids=" ".join,

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
-from astropy import units
-from astropy.coordinates import SkyCoord
-from pyradiosky import SkyModel
 from pyuvdata import UVData
 
 from hydrabeam_mpi.cli import main
-from hydrabeam_mpi.commands.init import CATALOGUE, job_from_data
+from hydrabeam_mpi.commands.init import job_from_data
 from hydrabeam_mpi.config import Job, load_job
 from hydrabeam_mpi.config.effects import Loop
 from hydrabeam_mpi.config.named import expand
@@ -23,7 +21,7 @@ from hydrabeam_mpi.config.sections import Basis, Beam, Data, Holdout, Noise, Out
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.posterior_file import read_posterior
 from tests.cli.conftest import Workspace
-from tests.visibilities import CROSS, ENU, NUMBERS, SECOND, make_uvdata
+from tests.visibilities import CROSS, ENU, NUMBERS, SECOND, TIMES, make_uvcal, make_uvdata
 
 
 @pytest.fixture
@@ -44,38 +42,79 @@ def load(text: str, folder: Path) -> Job:
     return load_job(folder / "job.toml")
 
 
-def test_printed_job_infers_what_a_written_one_does(
-    workspace: Workspace, result: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    truth_to_catalogue(workspace)
+SMALL = {"n_modes": 16, "k_max": 8, "m_max": 4, "draws": 2}
+"""The size of the basis, and how much is written, which no data tell."""
+
+
+def printed(*files: Path, capfd: pytest.CaptureFixture[str]) -> str:
+    """Return what init prints, for the small basis of the simulation."""
     capfd.readouterr()
-    assert main(["init", str(workspace.data)]) == 0
+    assert main(["init", *map(str, files)]) == 0
     text, err = capfd.readouterr()
     assert not err
-    # What a user does: name the catalogue. The small basis and the plain rotation are those of the simulation.
-    text = text.replace(CATALOGUE, "truth.skyh5").replace('# positions = "..."', 'positions = "lst"')
-    for key, value in {"n_modes": 16, "k_max": 8, "m_max": 4, "draws": 2}.items():
+    for key, value in SMALL.items():
         text = re.sub(rf"^# {key} = \d+", f"{key} = {value}", text, flags=re.MULTILINE)
+    return text
+
+
+def test_simulated_data_are_inferred_as_by_the_job_that_simulated_them(
+    workspace: Workspace, result: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    text = printed(workspace.data, capfd=capfd)
+    assert text.count("CHOOSE") == 1  # in the head, which explains it
+    assert "# 50 sources of sky.skyh5." in text
     job = workspace.write("job.toml", text)
     assert main(["infer", str(job), "-o", str(workspace.folder / "result")]) == 0
     found, expected = (
         read_posterior(folder / "posterior.h5").channels[0].arrays for folder in (workspace.folder / "result", result)
     )
-    np.testing.assert_allclose(found["mean"], expected["mean"], atol=1e-6 * expected["std"].min())
+    np.testing.assert_allclose(found["mean"], expected["mean"], atol=1e-9 * expected["std"].min())
+    np.testing.assert_allclose(found["std"], expected["std"], rtol=1e-9)
 
 
-def truth_to_catalogue(workspace: Workspace) -> None:
-    """Write the simulated sky as a catalogue."""
-    with h5py.File(workspace.simulated / "truth.h5") as file:
-        ra, dec, flux = file["ra"][()], file["dec"][()], file["flux"][()]
-    stokes = np.zeros((4, 1, len(ra)))
-    stokes[0] = flux
-    SkyModel(
-        name=[f"source {i}" for i in range(len(ra))],
-        skycoord=SkyCoord(ra * units.rad, dec * units.rad, frame="icrs"),
-        stokes=stokes * units.Jy,
-        spectral_type="flat",
-    ).write_skyh5(workspace.folder / "truth.skyh5")
+def test_gains_beam_and_sky_are_told_from_data(
+    workspace: Workspace, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """All of them elsewhere than the simulation has left them, so that nothing is known but what is in them."""
+    names = ("data.uvh5", "sky.skyh5", "true_beam.beamfits")
+    data, sky, beam = (tmp_path / name for name in names)
+    for name in names:
+        shutil.copy(workspace.simulated / name, tmp_path / name)
+    uv = UVData.from_file(data)
+    gains = make_uvcal(uv, times=np.unique(uv.time_array), jones=(-5,), numbers=range(7))
+    gains.write_calfits(str(tmp_path / "gains.fits"))
+    job = load(printed(sky, tmp_path / "gains.fits", data, beam, capfd=capfd), tmp_path)
+    assert job.data.files == (str(data),)
+    assert job.data.gains == (str(tmp_path / "gains.fits"),)
+    assert (job.sky.file, job.sky.positions) == (sky, "lst")
+    assert (job.beam.source, job.beam.frequency) == (str(beam), "match")
+    assert main(["infer", str(tmp_path / "job.toml"), "-o", str(tmp_path / "result")]) == 0
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (["sky.skyh5"], "sky.skyh5: no visibilities, but a sky; name their files, too"),
+        (["data.uvh5", "sky.skyh5", "sky.skyh5"], "sky.skyh5: a sky, and so is sky.skyh5; name one of them"),
+    ],
+)
+def test_files_that_make_no_job(names: list[str], said: str, workspace: Workspace) -> None:
+    with pytest.raises(InputError, match=re.escape(said)):
+        job_from_data([workspace.simulated / name for name in names])
+
+
+def test_job_is_written_where_asked(workspace: Workspace, capfd: pytest.CaptureFixture[str]) -> None:
+    job = workspace.folder / "new.toml"
+    init = ["init", str(workspace.data), "-o", str(job)]
+    assert main(init) == 0
+    assert capfd.readouterr() == ("", f"hydrabeam: wrote {job}\n")
+    assert load_job(job).sky.file == workspace.simulated / "sky.skyh5"
+    job.write_text("mine")
+    assert main(init) == 2
+    assert job.read_text() == "mine"
+    assert "is there already" in capfd.readouterr().err
+    assert main([*init, "--overwrite"]) == 0
+    assert load_job(job).name == "data"
 
 
 SECTIONS = (Data, Noise, Holdout, Sky, SkyColumns, Beam, Basis, Prior, Solver, Output, Loop)
@@ -134,6 +173,41 @@ def test_data_are_described(write: Callable[..., Path], tmp_path: Path) -> None:
     assert job.data.freqs == (120e6, 121e6, 123e6)
     assert job.noise.kind == "autocorrelations"
     assert job.beam.frequency == "scale"
+
+
+def test_flagged_channels_are_told_as_ranges(write: Callable[..., Path]) -> None:
+    def flag(uv: UVData) -> None:
+        uv.flag_array[:, [1, 4, 5, 6]] = True
+
+    text = job_from_data([write(flag, freqs=120e6 + 1e6 * np.arange(8))])
+    assert "Wholly flagged channels: 121, 124 to 126 (3 channels) MHz." in text
+
+
+@pytest.mark.parametrize(("error", "proposed"), [(0.0, None), (2e-3, "0.01 m")])
+def test_tolerance_is_proposed_where_surveyed_places_split_baselines(
+    error: float, proposed: str | None, write: Callable[..., Path], tmp_path: Path
+) -> None:
+    east = np.outer(np.arange(5), [14.6, 0.0, 0.0]) + error * np.random.default_rng(1).uniform(-1, 1, (5, 3))
+    text = job_from_data([write(enu=east)])
+    found = re.search(r'CHOOSE redundancy_tol = "(.*)" to take', text)
+    assert (found and found[1]) == proposed
+    if proposed:
+        job = load(re.sub(r"^# redundancy_tol = \S+ m\"", f'redundancy_tol = "{proposed}"', text, flags=re.M), tmp_path)
+        assert job.data.redundancy_tol == 0.01
+
+
+def test_files_that_state_the_feeds_in_different_ways(write: Callable[..., Path], tmp_path: Path) -> None:
+    """Of the same times: xx is ee in one, and yy in the other; and one that states nothing is named."""
+    east = write(pols=(-5,), name="east.uvh5")
+    north = write(pols=(-5,), x_orientation="north", name="north.uvh5")
+    text = job_from_data([east, north])
+    assert "Polarisations: ee, nn." in text
+    assert load(text, tmp_path).data.polarization == "ee"
+    silent = write(pols=(-5,), x_orientation=None, times=TIMES + 1, name="silent.uvh5")
+    with pytest.raises(InputError, match=r"silent.uvh5: feed_angle: does not tell .*, and east.uvh5 does: x east; if"):
+        job_from_data([east, silent])
+    with pytest.raises(InputError, match=r"and north.uvh5 does: x north; if .*orientation\('north'\) states it"):
+        job_from_data([north, silent])
 
 
 def test_dead_and_absurd_antennas_are_left_out(write: Callable[..., Path], tmp_path: Path) -> None:
