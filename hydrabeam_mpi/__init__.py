@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from hydrabeam_mpi.api.correction import Correction, correct
     from hydrabeam_mpi.api.inference import infer
     from hydrabeam_mpi.api.loop import close_loop
+    from hydrabeam_mpi.api.plan import Plan, plan
     from hydrabeam_mpi.api.prediction import Prediction, predict
     from hydrabeam_mpi.api.result import Found, Result, load
     from hydrabeam_mpi.api.sampling import sample
@@ -35,6 +36,7 @@ _HOMES = {
     "InferredBeam": "api.beam",
     "InputError": "errors",
     "Mock": "api.simulation",
+    "Plan": "api.plan",
     "Prediction": "api.prediction",
     "Result": "api.result",
     "Setup": "api.setup",
@@ -44,6 +46,7 @@ _HOMES = {
     "infer": "api.inference",
     "load": "api.result",
     "load_chains": "api.chains",
+    "plan": "api.plan",
     "predict": "api.prediction",
     "sample": "api.sampling",
     "simulate": "api.simulation",
@@ -57,6 +60,7 @@ __all__ = [
     "InferredBeam",
     "InputError",
     "Mock",
+    "Plan",
     "Prediction",
     "Result",
     "Setup",
@@ -67,6 +71,7 @@ __all__ = [
     "infer",
     "load",
     "load_chains",
+    "plan",
     "predict",
     "sample",
     "simulate",

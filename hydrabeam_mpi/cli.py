@@ -101,6 +101,14 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--chains", type=_number, metavar="C", help="how many, instead of the job's")
     command.add_argument("--draws", type=_number, metavar="M", help="of each chain, instead of the job's")
     command.add_argument("--status", type=Path, metavar="DIR", help="show how far chains are, instead")
+    what = "forecast what a job will take: time, memory, bytes sent and written, by number of ranks"
+    plan = commands.add_parser("plan", help=what, description=what)
+    plan.add_argument("job", type=Path, metavar="JOB.toml", help="job file")
+    plan.add_argument("--ranks", type=_numbers, default=(1,), metavar="N,N,...", help="numbers of ranks; 1 by default")
+    of = "of simulate, infer, loop and sample; all that the job can be given to by default"
+    plan.add_argument("--commands", type=lambda text: text.split(","), metavar="NAME,NAME,...", help=of)
+    plan.add_argument("--found", type=_number, default=1, metavar="K", help="effects that a loop is taken to find")
+    plan.add_argument("--json", action="store_true", help="print JSON, in seconds and bytes")
     what = "draw the figures and report.html of a result"
     report = commands.add_parser("report", help=what, description=what)
     report.add_argument("directory", type=Path, metavar="DIR", help="folder that infer, loop or sample wrote")
@@ -121,6 +129,11 @@ def _number(text: str) -> int:
     if number < 1:
         raise argparse.ArgumentTypeError(f"{number} is less than one")
     return number
+
+
+def _numbers(text: str) -> tuple[int, ...]:
+    """Read numbers of ranks."""
+    return tuple(_number(one) for one in text.split(","))
 
 
 def _add_output(command: argparse.ArgumentParser) -> None:
@@ -159,6 +172,17 @@ def _run(world: MPI.Comm, options: argparse.Namespace) -> None:
         return
     if options.command == "sample" and options.status is None:
         _sample(world, options)
+        return
+    if options.command == "plan":
+        from hydrabeam_mpi.setup.job_file import load, read_files
+
+        job = load(world, options.job)
+        with together(world):
+            if world.rank == 0:
+                read_files(job)
+        from hydrabeam_mpi.commands.plan import print_plan
+
+        print_plan(world, job, options.job, options.ranks, options.commands, options.found, options.json)
         return
     with together(world):
         if world.rank == 0 and options.command == "sample":

@@ -21,6 +21,11 @@ def own_peak_bytes() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
 
 
+def own_bytes() -> int:
+    """Return the resident memory that this process has now; its largest where the system does not tell."""
+    return _bytes_listed("/proc/self/status").get("VmRSS") or own_peak_bytes()
+
+
 def free_bytes() -> int | None:
     """Return what this process has and may still get; None where the system does not tell."""
     known = _bytes_listed("/proc/meminfo") | _bytes_listed("/proc/self/status")

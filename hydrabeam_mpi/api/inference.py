@@ -13,6 +13,7 @@ from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.grown import grown_problem
 from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.joint import channel_results, fit_with_effects, read_context
+from hydrabeam_mpi.fit.memory import inference_bytes
 from hydrabeam_mpi.loop.checks.health import told
 from hydrabeam_mpi.loop.output.amendment import effects_found
 from hydrabeam_mpi.loop.selection.heldout_numbers import heldout_numbers
@@ -61,7 +62,7 @@ def run_inference(setup: Setup, folder: Path | None, threads: int) -> Result:
         BLAS threads of this rank, for the record.
     """
     clock, world = Clock(), setup.comm
-    grid, problem, mine = prepare_checked(setup, folder, clock, told)
+    grid, problem, mine = prepare_checked(setup, folder, clock, told, inference_bytes)
     numbers = found = carried = None
     fitted_gains: tuple[Any, ...] = ()
     if setup.job.effects or (problem.earlier and problem.earlier.entries):

@@ -18,6 +18,7 @@ from hydrabeam_mpi.data.observation import Observation
 from hydrabeam_mpi.fit.carried_over import CarriedOver
 from hydrabeam_mpi.fit.channels import ChannelResult
 from hydrabeam_mpi.fit.clock import Clock
+from hydrabeam_mpi.fit.memory import Share, check_room, loop_bytes
 from hydrabeam_mpi.io.disk import check_space
 from hydrabeam_mpi.io.posterior_file import ChannelRecord, PosteriorFile
 from hydrabeam_mpi.io.provenance import provenance
@@ -80,7 +81,11 @@ def begun(setup: Setup) -> Iterator[tuple[Path | None, int]]:
 
 
 def prepare_checked(
-    setup: Setup, folder: Path | None, clock: Clock, check: Callable[[ProcessGrid, Problem], Problem]
+    setup: Setup,
+    folder: Path | None,
+    clock: Clock,
+    check: Callable[[ProcessGrid, Problem], Problem],
+    needed: Callable[[Share, bool], int] = loop_bytes,
 ) -> tuple[ProcessGrid, Problem, Problem]:
     """Set up the problem and look at the health of its data.
 
@@ -95,6 +100,13 @@ def prepare_checked(
         Receives the phases "prepare" and "health".
     check : callable
         `hydrabeam_mpi.loop.checks.health.told` or ``mended``.
+    needed : callable
+        How many bytes a rank's share needs.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if that is more than there is, or something in the job or in a file is wrong.
 
     Returns
     -------
@@ -105,6 +117,7 @@ def prepare_checked(
     with clock.time("prepare"):
         problem = prepare_shared(setup.comm, setup.job, folder, setup.given)
     grid = ProcessGrid.split(setup.comm, problem.observation.Nfreqs)
+    check_room(grid, problem, needed)
     with clock.time("health"):
         problem = check(grid, problem)
     return grid, problem, problem.of_channels(grid.channels)

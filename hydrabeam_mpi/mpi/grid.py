@@ -17,6 +17,12 @@ def _block(index: int, n_blocks: int, n_items: int) -> range:
     return range(index * n_items // n_blocks, (index + 1) * n_items // n_blocks)
 
 
+def ranks_of_groups(n_ranks: int, n_channels: int) -> list[int]:
+    """Return how many ranks each group has where so many ranks treat so many channels."""
+    n_groups = min(n_ranks, n_channels)
+    return [len(_block(group, n_groups, n_ranks)) for group in range(n_groups)]
+
+
 @dataclass(frozen=True)
 class ProcessGrid:
     """The ranks of a run laid out as groups: each group treats its own channels, its ranks share their rows.

@@ -1,0 +1,101 @@
+"""What a job will take: what `hydrabeam plan` and `plan` share."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from hydrabeam_mpi.api.setup import Setup
+from hydrabeam_mpi.config import Job
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.memory import own_bytes
+from hydrabeam_mpi.mpi import limit_blas_threads, together
+from hydrabeam_mpi.planning.files import measure_files
+from hydrabeam_mpi.planning.forecast import Forecast, Model
+from hydrabeam_mpi.planning.measure import Bench
+from hydrabeam_mpi.planning.network import measure_network
+from hydrabeam_mpi.planning.outline import outline
+from hydrabeam_mpi.planning.table import as_table, as_text, assumptions
+
+COMMANDS = ("simulate", "infer", "loop", "sample")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What commands will take on numbers of ranks.
+
+    Attributes
+    ----------
+    forecasts : tuple of Forecast
+        With ``command``, ``ranks``, ``wall_s``, ``phases_s``, ``memory_bytes``, ``sent_bytes``, ``file_bytes`` and
+        ``partition``; on rank 0, as is all else.
+    assumed : tuple of str
+        What that rests on.
+    """
+
+    forecasts: tuple[Forecast, ...]
+    assumed: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """Return a table."""
+        return as_text(self.forecasts, self.assumed)
+
+    def as_table(self) -> dict[str, Any]:
+        """Return all numbers, in seconds and bytes."""
+        return as_table(self.forecasts, self.assumed)
+
+
+def plan(
+    setup: Setup,
+    ranks: Iterable[int] = (1,),
+    commands: Iterable[str] | None = None,
+    found: int = 1,
+    clock: Callable[[], float] = time.perf_counter,
+) -> Plan:
+    """Forecast what commands will take, without reading a visibility.
+
+    The job's own steps are timed on a few of its rows with made-up data, on this machine as busy as it is; which takes
+    seconds, or with a loop up to minutes. Collective: all ranks of the setup, between which messages are timed.
+
+    Parameters
+    ----------
+    setup : Setup
+    ranks : iterable of int
+        On how many.
+    commands : iterable of str, optional
+        Of `COMMANDS`; those that the job can be given to by default.
+    found : int
+        Effects that a loop finds: an assumption.
+    clock : callable
+        Tells the time in seconds. `time.process_time` forecasts seconds of the processor, on one thread.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if a file or an argument cannot be used.
+    """
+    world, startup_s = setup.comm, time.process_time()
+    network = measure_network(world)
+    if world.size > 1:
+        limit_blas_threads(world)
+    made = Plan((), ())
+    with setup.telling(), together(world):
+        if world.rank == 0:
+            wanted = tuple(commands or possible(setup.job))
+            if unknown := set(wanted) - set(possible(setup.job)):
+                message = f"'{sorted(unknown)[0]}' is no command that this job can be given to"
+                raise InputError(message, field="commands", remedy=f"choose of {', '.join(possible(setup.job))}")
+            known = outline(setup.job, setup.given, clock)
+            files = measure_files(known, clock)
+            model = Model(Bench(known, clock), files, network, startup_s, own_bytes(), found)
+            forecasts = tuple(model.forecast(command, count) for command in wanted for count in ranks)
+            made = Plan(forecasts, tuple(assumptions(found, network)))
+    return made
+
+
+def possible(job: Job) -> list[str]:
+    """Return the commands that a job can be given to."""
+    left_out = {"simulate": job.data.simulate is None, "loop": job.holdout.kind == "none"}
+    return [command for command in COMMANDS if not left_out.get(command)]

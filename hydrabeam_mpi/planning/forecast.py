@@ -1,0 +1,330 @@
+"""From what the steps cost, and how the work is shared out, to what a command takes on so many ranks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from hydrabeam_mpi.data.partition import Tile, make_tiles
+from hydrabeam_mpi.fit.memory import Share, inference_bytes, loop_bytes, simulation_bytes
+from hydrabeam_mpi.io.posterior_file import MAP_PIXELS
+from hydrabeam_mpi.mpi.grid import ranks_of_groups
+from hydrabeam_mpi.planning.files import Files
+from hydrabeam_mpi.planning.measure import Bench, Cost
+from hydrabeam_mpi.planning.network import Network
+from hydrabeam_mpi.planning.outline import Outline
+from hydrabeam_mpi.result.output import least_result_bytes
+
+ON_DISK = 21
+"""Bytes of a visibility in a file: complex, a flag, nsamples in single precision."""
+FITS_BESIDES = 2
+"""Effects fitted in a loop besides those that are found: rivals, and what is refused."""
+
+
+@dataclass(frozen=True)
+class Partition:
+    """How the work is shared out.
+
+    Attributes
+    ----------
+    groups, ranks_per_group : int
+        Groups of ranks, and how many there are in the smallest.
+    channels : int
+        Of the group that has most.
+    times, baseline_groups : int
+        Fitted ones of the slowest rank.
+    imbalance : float
+        By how much the slowest rank of a group has more to do than the mean, as a fraction.
+    """
+
+    groups: int
+    ranks_per_group: int
+    channels: int
+    times: int
+    baseline_groups: int
+    imbalance: float
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """What a command takes.
+
+    Attributes
+    ----------
+    command : str
+    ranks : int
+    phases_s : dict of str to float
+        Seconds by phase.
+    memory_bytes, sent_bytes : int
+        Of the rank that needs, or sends, most.
+    file_bytes : int
+        Of what is written, simulated data included.
+    partition : Partition
+    """
+
+    command: str
+    ranks: int
+    phases_s: dict[str, float]
+    memory_bytes: int
+    sent_bytes: int
+    file_bytes: int
+    partition: Partition
+
+    @property
+    def wall_s(self) -> float:
+        """Seconds from start to end."""
+        return sum(self.phases_s.values())
+
+
+@dataclass
+class Model:
+    """What the steps cost, and on how many rows.
+
+    Attributes
+    ----------
+    bench : Bench
+    files : Files
+    network : Network
+    startup_s : float
+        Until a process has imported what it needs.
+    base_bytes : int
+        Memory of a process before its own share.
+    found : int
+        Effects that a loop finds: an assumption.
+    """
+
+    bench: Bench
+    files: Files
+    network: Network
+    startup_s: float
+    base_bytes: int
+    found: int = 1
+    _shares: dict[int, Shares] = field(default_factory=dict)
+
+    def forecast(self, command: str, ranks: int) -> Forecast:
+        """Return what a command takes on so many ranks."""
+        n_shared = self._sharing(command, ranks)
+        shares = self._shares.setdefault(n_shared, Shares(self.bench.outline, n_shared))
+        steps = Steps(self, shares, ranks)
+        return Forecast(
+            command,
+            ranks,
+            {name: seconds for name, seconds in steps.phases(command).items() if seconds > 0},
+            self.base_bytes + steps.memory(command),
+            steps.sent(command),
+            steps.written(command),
+            shares.partition,
+        )
+
+    def _sharing(self, command: str, ranks: int) -> int:
+        """Return how many ranks share the rows: those of a chain, where chains are drawn."""
+        return max(ranks // self.bench.outline.job.sample.chains, 1) if command == "sample" else ranks
+
+
+class Shares:
+    """Who has which rows, on a number of ranks."""
+
+    def __init__(self, outline: Outline, ranks: int) -> None:
+        self.outline, self.ranks = outline, ranks
+        self.n_groups = min(ranks, outline.n_channels)
+        self.in_group = min(ranks_of_groups(ranks, outline.n_channels))
+        self.channels = -(-outline.n_channels // self.n_groups)
+        self.train, self.test = (self._tiles(rows) for rows in (outline.problem.train, outline.problem.test))
+
+    def _tiles(self, rows: Tile) -> list[Tile]:
+        problem = self.outline.problem
+        costs = problem.time_costs[rows.times]
+        return make_tiles(rows.times, costs, rows.bls, problem.redundant.group[rows.bls], self.in_group)
+
+    def groups_of(self, tile: Tile) -> int:
+        """Return how many redundant groups a tile has."""
+        return len(np.unique(self.outline.problem.redundant.group[tile.bls]))
+
+    def seconds(self, cost: Cost, test: bool = False) -> float:
+        """Return the seconds of the slowest rank in which a step is done with its rows of all its channels."""
+        of_ranks = [self._seconds(cost, tile) for tile in (self.test if test else self.train)]
+        return self.channels * (cost.fixed + max(of_ranks))
+
+    def _seconds(self, cost: Cost, tile: Tile) -> float:
+        times = self.outline.times_of(tile)
+        return times * (cost.by_time + cost.by_group * self.groups_of(tile)) if tile.size else 0.0
+
+    @cached_property
+    def largest(self) -> Tile:
+        """The fitted rows of the rank that has most."""
+        return max(self.train, key=lambda tile: self.outline.times_of(tile) * self.groups_of(tile))
+
+    @cached_property
+    def partition(self) -> Partition:
+        """How the rows are shared out."""
+        loads = [self.outline.times_of(tile) * self.groups_of(tile) for tile in self.train]
+        imbalance = max(loads) / (sum(loads) / len(loads)) - 1 if sum(loads) else 0.0
+        tile = self.largest
+        return Partition(self.n_groups, self.in_group, self.channels, len(tile.times), self.groups_of(tile), imbalance)
+
+    @cached_property
+    def share(self) -> Share:
+        """Sizes of the share of the rank that has most."""
+        most = max(self.test, key=lambda tile: tile.size)
+        return Share.of(self.outline.problem, self.channels, self.largest, most)
+
+
+@dataclass(frozen=True)
+class Steps:
+    """The steps of a command on a number of ranks."""
+
+    model: Model
+    shares: Shares
+    ranks: int
+
+    @property
+    def outline(self) -> Outline:
+        """The job."""
+        return self.model.bench.outline
+
+    @property
+    def simulates(self) -> bool:
+        """Whether the job's data are simulated."""
+        return self.outline.job.data.simulate is not None
+
+    @property
+    def n_simulated(self) -> int:
+        """Number of simulated visibilities, autocorrelations included."""
+        at = self.outline.observation
+        return at.Nfreqs * at.Ntimes * (at.Nbls + at.Nants) if self.simulates else 0
+
+    def phases(self, command: str) -> dict[str, float]:
+        """Return the seconds of each phase."""
+        known = {"start": self.model.startup_s, "simulate": self._simulate()}
+        if command == "simulate":
+            return known
+        known |= {"prepare": self._prepare(), "health": self._health(), "read": self._read()}
+        further = {"infer": self._infer, "loop": self._loop, "sample": self._sample}[command]
+        return known | further()
+
+    def _simulate(self) -> float:
+        if not self.simulates:
+            return 0.0
+        outline, bench = self.outline, self.model.bench
+        costs = outline.relative_costs
+        n_times = min(self.ranks, len(costs))
+        parts = make_tiles(np.arange(len(costs)), costs, np.zeros(1, int), np.zeros(1, int), n_times)
+        cost, n_groups = bench.simulated, outline.problem.redundant.Ngroups + 1
+        seen = max(outline.times_of(part) for part in parts) * (cost.by_time + cost.by_group * n_groups)
+        files = self.model.files
+        fixed, each = files.write
+        scene = outline.prepare_s - outline.fit_s + (outline.n_channels - 1) * outline.scene_s
+        return scene + outline.n_channels * seen + files.first_s + fixed + each * self.n_simulated
+
+    def _prepare(self) -> float:
+        """Seconds on rank 0, for which all wait."""
+        outline = self.outline
+        first = outline.scene_s + outline.fit_s if self.simulates else outline.prepare_s
+        return first + (outline.n_channels - 1) * (outline.scene_s + outline.fit_s)
+
+    def _rows(self) -> int:
+        """Return the visibilities of a rank."""
+        share = self.shares.share
+        return share.channels * (share.train_times + share.test_times) * share.baselines
+
+    def _read(self) -> float:
+        fixed, each = self.model.files.read
+        return fixed + each * self._rows()
+
+    def _health(self) -> float:
+        fixed, each = self.model.files.health
+        cost, tiles = self.model.bench.simulated, (self.shares.seconds(self.model.bench.simulated),)
+        return fixed + each * self._rows() + sum(tiles) + self.shares.seconds(cost, test=True)
+
+    def _allreduce(self, n_bytes: int) -> float:
+        return self.model.network.allreduce(n_bytes, self.shares.in_group)
+
+    def _infer(self) -> dict[str, float]:
+        bench, shares, matrix = self.model.bench, self.shares, self.shares.share.matrix
+        sums = self._allreduce(matrix) + self.model.network.message(matrix)
+        return {
+            "design": shares.seconds(bench.design),
+            "sum": shares.channels * sums if shares.in_group > 1 else 0.0,
+            "solve": shares.channels * bench.solve_s,
+            "heldout": shares.seconds(bench.heldout, test=True),
+            **self._write(),
+        }
+
+    def _write(self) -> dict[str, float]:
+        """Seconds of describing channels, of sending them to rank 0, and of writing them there."""
+        _, each = self.model.files.write
+        bench, outline = self.model.bench, self.outline
+        size = least_result_bytes(outline.job, outline.n_channels)
+        elsewhere = 1 - 1 / self.shares.n_groups
+        return {
+            "describe": self.shares.channels * bench.describe_s,
+            "gather": self.model.network.beta * size * elsewhere,
+            "write": bench.write_s * outline.n_channels + each * size / ON_DISK,
+        }
+
+    def _loop(self) -> dict[str, float]:
+        bench, shares, found = self.model.bench, self.shares, self.model.found
+        matrix = shares.share.matrix
+        weighings, fits = found + 1, found + FITS_BESIDES
+        in_group = shares.in_group > 1
+        return {
+            "conventions": 2 * shares.seconds(bench.simulated),
+            "fit": shares.seconds(bench.fit),
+            "attribution": weighings * shares.seconds(bench.attribution),
+            "trials": fits * shares.seconds(bench.trial),
+            "sum": in_group * shares.channels * (weighings + 4 * fits) * self._allreduce(matrix),
+            "settle": shares.seconds(bench.trial),
+            **self._write(),
+        }
+
+    def _sample(self) -> dict[str, float]:
+        bench, shares, settings = self.model.bench, self.shares, self.outline.job.sample
+        chains = -(-settings.chains // min(self.ranks, settings.chains))
+        one = shares.seconds(bench.draw) + (self._allreduce(shares.share.matrix) if shares.in_group > 1 else 0.0)
+        return {
+            "begin": shares.seconds(bench.begin_chains),
+            "draws": chains * (settings.warm_up + settings.draws) * one,
+        }
+
+    def memory(self, command: str) -> int:
+        """Return the bytes of the rank that needs most, besides the problem and the programs."""
+        simulating = simulation_bytes(self.n_simulated, root=True)
+        if command == "simulate":
+            return simulating
+        n_bytes = inference_bytes if command == "infer" else loop_bytes
+        return max(simulating, n_bytes(self.shares.share, root=True) + self._gathered())
+
+    def _gathered(self) -> int:
+        """Return the bytes of what rank 0 gathers of channels, but for covariances."""
+        share, outline = self.shares.share, self.outline
+        item = 16 if share.basis.is_complex else 8
+        return outline.n_channels * (outline.job.output.draws * share.basis.n_modes * item + 7 * MAP_PIXELS * item)
+
+    def sent(self, command: str) -> int:
+        """Return the bytes that a rank sends, the root of a group most."""
+        share, p = self.shares.share, self.shares.in_group
+        one_sum = 2 * share.channels * share.matrix * (p - 1) // p
+        to_group = share.channels * share.matrix * (p > 1)
+        result = least_result_bytes(self.outline.job, share.channels) if self.shares.n_groups > 1 else 0
+        found = self.model.found
+        settings = self.outline.job.sample
+        chains = -(-settings.chains // min(self.ranks, settings.chains))
+        return {
+            "simulate": 16 * self.n_simulated // self.ranks if self.ranks > 1 else 0,
+            "infer": one_sum + to_group + result,
+            "loop": (1 + found + 4 * (found + FITS_BESIDES)) * (one_sum + to_group) + result,
+            "sample": chains * (settings.warm_up + settings.draws) * one_sum,
+        }[command]
+
+    def written(self, command: str) -> int:
+        """Return the bytes of what is written."""
+        simulated = ON_DISK * self.n_simulated
+        if command == "simulate":
+            return simulated
+        outline, settings = self.outline, self.outline.job.sample
+        if command == "sample":
+            item = 16 if outline.problem.basis.is_complex else 8
+            return settings.chains * settings.draws * outline.n_channels * outline.problem.basis.n_modes * item
+        return least_result_bytes(outline.job, outline.n_channels)

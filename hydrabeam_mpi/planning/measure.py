@@ -1,0 +1,244 @@
+"""What the steps of a job cost on this machine: each is timed on a few of its rows, whose number is varied.
+
+A step takes ``fixed + times (by_time + by_group groups)`` seconds: what is done once a channel, such as solving for the
+coefficients; once a time, such as evaluating the basis at its sources; and once a row, such as fringes and products.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import redirect_stderr
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from io import StringIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from hydrabeam_mpi.fit.accumulate import accumulate, check_heldout
+from hydrabeam_mpi.fit.channels import ChannelResult, reduced_chi2, solve_channels
+from hydrabeam_mpi.fit.clock import Clock as Phases
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.state import Values
+from hydrabeam_mpi.io.beamfits import write_power_beam
+from hydrabeam_mpi.loop.attribution.control_models import control_models
+from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked
+from hydrabeam_mpi.loop.selection.choice import choose
+from hydrabeam_mpi.loop.selection.rounds import begin as first_fit
+from hydrabeam_mpi.loop.selection.trials import try_effects
+from hydrabeam_mpi.loop.selection.weighing import weigh
+from hydrabeam_mpi.planning.outline import Clock, Outline
+from hydrabeam_mpi.planning.probe import probe
+from hydrabeam_mpi.result.describe import describe_channels
+from hydrabeam_mpi.result.summary import GRID_AZ, GRID_ZA
+from hydrabeam_mpi.sampling.begin import begin as begin_chains
+from hydrabeam_mpi.sampling.begin import first_state
+from hydrabeam_mpi.sampling.state import Chance
+from hydrabeam_mpi.sampling.sweep import sweep
+from hydrabeam_mpi.sampling.variables import arrays_of
+
+MOST_GROUPS = 400
+"""Redundant groups of which a step is timed: products with a few hundred rows run as fast as with more."""
+FEWER = 4
+"""How many times fewer groups, and times, there are where their number is varied."""
+MOST_TIMES = 4
+DRAWS = 4
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Seconds of a step: ``fixed + times (by_time + by_group groups)``."""
+
+    fixed: float = 0.0
+    by_time: float = 0.0
+    by_group: float = 0.0
+
+    def seconds(self, times: float, groups: float) -> float:
+        """Return the seconds of some times, in those of mean cost, with some groups."""
+        return self.fixed + times * (self.by_time + self.by_group * groups)
+
+    @classmethod
+    def through(cls, sizes: list[tuple[float, float]], seconds: list[float]) -> Cost:
+        """Return the cost that three measurements tell: the first two differ in groups, the last two in times.
+
+        Parameters
+        ----------
+        sizes : list of (float, float)
+            Times and groups of each.
+        seconds : list of float
+        """
+        (few, fewer), (_, groups), (times, _) = sizes
+        by_group = max(seconds[1] - seconds[0], 0.0) / (few * (groups - fewer)) if groups > fewer else 0.0
+        more = max(seconds[2] - seconds[1], 0.0)
+        of_time = more / (times - few) if times > few else seconds[1] / few
+        by_group = min(by_group, of_time / groups)
+        fixed = max(seconds[2] - times * of_time, 0.0)
+        return cls(fixed, of_time - by_group * groups, by_group)
+
+
+@dataclass
+class Bench:
+    """Times the steps of a job when they are asked for.
+
+    Attributes
+    ----------
+    outline : Outline
+    clock : callable
+        Tells the time in seconds.
+    """
+
+    outline: Outline
+    clock: Clock
+
+    @cached_property
+    def contexts(self) -> list[FitContext]:
+        """Three times a few rows: the first two differ in groups, the last two in times."""
+        problem = self.outline.problem
+        groups, times = min(problem.redundant.Ngroups, MOST_GROUPS), min(len(problem.train.times), MOST_TIMES)
+        fewer = max(groups // FEWER, 1)
+        return [probe(problem, t, g) for t, g in ((1, fewer), (1, groups), (times, groups))]
+
+    def cost(self, step: Callable[[FitContext], object], of_test: bool = False, repeats: int = 2) -> Cost:
+        """Time a step on each of the few rows, the least of ``repeats``; those held out count with ``of_test``."""
+        sizes, seconds = [], []
+        for context in self.contexts:
+            rows = (context.test if of_test else context.train).rows
+            sizes.append((max(self.outline.times_of(rows.tile), 0.1), float(max(len(rows.groups), 1))))
+            seconds.append(min(self.timed(partial(step, context)) for _ in range(repeats)))
+        return Cost.through(sizes, seconds)
+
+    def timed(self, work: Callable[[], object]) -> float:
+        """Return the seconds that something takes."""
+        with redirect_stderr(StringIO()):
+            start = self.clock()
+            work()
+            return self.clock() - start
+
+    @cached_property
+    def simulated(self) -> Cost:
+        """Visibilities of a given beam."""
+        beams = self.outline.problem.beams
+        return self.cost(lambda one: one.train.model.visibilities(beams, one.train.rows.tile.times))
+
+    @cached_property
+    def design(self) -> Cost:
+        """Normal equations of the beam."""
+        return self.cost(lambda one: accumulate(one.train.rows, one.train.model, one.problem.basis))
+
+    @cached_property
+    def heldout(self) -> Cost:
+        """Predictions of held-out rows."""
+        beams, posterior = self.outline.problem.beams, self.result.posterior
+
+        def work(one: FitContext) -> object:
+            return check_heldout(one.test.rows, one.test.model, one.problem.basis, [posterior], beams)
+
+        return self.cost(work, of_test=True)
+
+    @cached_property
+    def _solved(self) -> tuple[float, ChannelResult]:
+        context = self.contexts[1]
+        normals = accumulate(context.train.rows, context.train.model, context.problem.basis)
+        start = self.clock()
+        posterior = solve_channels(context.grid, context.problem, normals)[0]
+        _ = posterior.covariance
+        seconds = self.clock() - start
+        rows, model = context.test.rows, context.test.model
+        heldout = check_heldout(rows, model, context.problem.basis, [posterior], context.problem.beams)[0]
+        return seconds, ChannelResult(normals[0], reduced_chi2(normals[0], posterior), posterior, heldout)
+
+    @property
+    def solve_s(self) -> float:
+        """Seconds in which a channel's coefficients are solved for, with their covariance."""
+        return self._solved[0]
+
+    @property
+    def result(self) -> ChannelResult:
+        """What a few rows say."""
+        return self._solved[1]
+
+    @cached_property
+    def describe_s(self) -> float:
+        """Seconds in which maps, eigenbeams and draws of a channel are made."""
+        context = self.contexts[1]
+        return self.timed(lambda: describe_channels(context.grid, context.problem, [self.result]))
+
+    @cached_property
+    def write_s(self) -> float:
+        """Seconds in which the beam of a channel is written in another format."""
+        freqs, beams = self.outline.problem.observation.freqs, np.ones((1, 1, len(GRID_ZA), len(GRID_AZ)))
+        with TemporaryDirectory(prefix="hydrabeam-") as folder:
+            path = Path(folder) / "beam.beamfits"
+            return self.timed(lambda: write_power_beam(path, beams, freqs, ["ee"], telescope_name="plan"))
+
+    @cached_property
+    def fit(self) -> Cost:
+        """A first fit, with its predictions; its design is made anew."""
+        return self.cost(lambda one: first_fit(self._anew(one), Values(), Phases()), repeats=1)
+
+    @cached_property
+    def attribution(self) -> Cost:
+        """All effects weighed once."""
+        return self.cost(self._weigh, repeats=1)
+
+    @cached_property
+    def trial(self) -> Cost:
+        """The effect that has the most evidence fitted with the beam, and held-out data predicted with it."""
+        _ = self.attribution
+        best = next((one for one in self._rankings[-1] if one.finding), None)
+        if best is None:
+            return Cost()
+        same = [[one for one in ranking if one.name == best.name] for ranking in self._rankings]
+        order = {id(context): number for number, context in enumerate(self.contexts)}
+
+        def work(one: FitContext) -> object:
+            number = order[id(one)]
+            return try_effects(one, self._first[number], same[number], [])
+
+        return self.cost(work, repeats=1)
+
+    @cached_property
+    def _first(self) -> list[Checked]:
+        return [first_fit(one, Values(), Phases()).last for one in self.contexts]
+
+    @cached_property
+    def _rankings(self) -> list[Sequence[Candidate]]:
+        return []
+
+    def _weigh(self, context: FitContext) -> None:
+        checked = self._first[len(self._rankings)]
+        choice = choose(context.problem.job, context.setup)
+        effects = [*choice.effects, *control_models(context.setup)]
+        self._rankings.append(weigh(context, checked.fitted, effects, choice.changes, 1).ranking)
+
+    @staticmethod
+    def _anew(context: FitContext) -> FitContext:
+        """Return the same rows, of which nothing has been worked out yet."""
+        train, test = (type(one)(one.problem, one.setup, one.rows) for one in (context.train, context.test))
+        return replace(context, train=train, test=test)
+
+    @cached_property
+    def begin_chains(self) -> Cost:
+        """The joint fit from which chains begin."""
+        return self.cost(lambda one: begin_chains(self._anew(one)))
+
+    @cached_property
+    def draw(self) -> Cost:
+        """One draw of a chain."""
+
+        def work(one: FitContext) -> None:
+            walk, state = walks[id(one)]
+            for number in range(DRAWS):
+                state, _ = sweep(walk, state, Chance(1, 0, number))
+                walk.log_likelihood(state)
+                arrays_of(walk, state)
+
+        walks = {}
+        with redirect_stderr(StringIO()):
+            for one in self.contexts:
+                walk = begin_chains(one)
+                walks[id(one)] = walk, first_state(walk, 1, 0)
+        cost = self.cost(work)
+        thin = self.outline.job.sample.thin
+        return Cost(*(part * thin / DRAWS for part in (cost.fixed, cost.by_time, cost.by_group)))

@@ -1,0 +1,92 @@
+"""A job made concrete without its visibilities: of files only metadata are read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hydrabeam_mpi.config import Job
+from hydrabeam_mpi.config.named import expand
+from hydrabeam_mpi.data.observation import FloatArray, Observation
+from hydrabeam_mpi.data.partition import Tile
+from hydrabeam_mpi.model.fit import fit_beam
+from hydrabeam_mpi.setup.beams import load_beams
+from hydrabeam_mpi.setup.given import Given
+from hydrabeam_mpi.setup.problem import Problem, prepare
+from hydrabeam_mpi.setup.selected import observe
+from hydrabeam_mpi.setup.skies import load_sky
+from hydrabeam_mpi.simulation.mock import mock_observation
+
+Clock = Callable[[], float]
+"""Tells the time in seconds."""
+
+
+@dataclass(frozen=True)
+class Outline:
+    """A job made concrete without its visibilities.
+
+    Attributes
+    ----------
+    observation : Observation
+        Of all channels.
+    problem : Problem
+        Of one channel, the middle one.
+    prepare_s : float
+        Seconds that metadata, sky and the model beam of one channel took.
+    scene_s : float
+        Seconds of sky and beams without a fit, as for a simulation.
+    fit_s : float
+        Seconds of the model beam of each further channel.
+    """
+
+    observation: Observation
+    problem: Problem
+    prepare_s: float
+    scene_s: float
+    fit_s: float
+
+    @property
+    def job(self) -> Job:
+        """The job."""
+        return self.problem.job
+
+    @property
+    def n_channels(self) -> int:
+        """Number of channels."""
+        return self.observation.Nfreqs
+
+    def times_of(self, tile: Tile) -> float:
+        """Return what the times of a tile cost, in those that have as many visible sources as the mean."""
+        return float(np.sum(self.relative_costs[tile.times]))
+
+    @property
+    def relative_costs(self) -> FloatArray:
+        """Visible sources at each time over their mean, (Ntimes,)."""
+        counts = self.problem.time_costs
+        return np.asarray(counts / counts.mean())
+
+
+def outline(job: Job, given: Given, clock: Clock) -> Outline:
+    """Make a job concrete. Serial.
+
+    Raises
+    ------
+    InputError
+        If a file or a setting cannot be used.
+    """
+    start = clock()
+    if job.data.simulate is not None and not given.data:
+        observation = mock_observation(job.data.simulate, job.data.polarization)
+    else:
+        observation = observe(job, given.data or expand(job.data.files, "[data] files"))
+    middle = slice(observation.Nfreqs // 2, observation.Nfreqs // 2 + 1)
+    one = replace(observation, freqs=observation.freqs[middle], channel_width=observation.channel_width[middle])
+    problem = prepare(job, (), given=given, observation=one)
+    prepared = clock()
+    load_sky(job, one.freqs, given.sky)
+    load_beams(job, one.freqs, one.pols[0], given.beam)
+    loaded = clock()
+    fit_beam(problem.beams[0], problem.basis)
+    return Outline(observation, problem, prepared - start, loaded - prepared, clock() - loaded)

@@ -1,0 +1,80 @@
+"""A plan in words: a table on the console, or JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from hydrabeam_mpi.planning.forecast import Forecast
+from hydrabeam_mpi.planning.network import Network
+
+HEADINGS = ("command", "ranks", "wall time", "memory/rank", "sent/rank", "files", "groups x ranks", "rows of a rank")
+
+
+def as_text(forecasts: Sequence[Forecast], assumed: Sequence[str]) -> str:
+    """Return a table, a line a forecast, and beneath it what was assumed."""
+    lines = [HEADINGS, *map(_cells, forecasts)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    table = ["  ".join(map(str.ljust, line, widths)).rstrip() for line in lines]
+    return "\n".join([*table, "", *assumed]) + "\n"
+
+
+def as_table(forecasts: Sequence[Forecast], assumed: Sequence[str]) -> dict[str, Any]:
+    """Return the same for JSON: numbers in seconds and bytes."""
+    return {
+        "forecasts": [
+            {
+                "command": one.command,
+                "ranks": one.ranks,
+                "wall_s": one.wall_s,
+                "phases_s": one.phases_s,
+                "memory_bytes": one.memory_bytes,
+                "sent_bytes": one.sent_bytes,
+                "file_bytes": one.file_bytes,
+                "partition": vars(one.partition),
+            }
+            for one in forecasts
+        ],
+        "assumed": list(assumed),
+    }
+
+
+def assumptions(found: int, network: Network) -> list[str]:
+    """Say what a plan assumes."""
+    how = "measured between these ranks" if network.measured else "assumed; start under mpiexec to measure them"
+    return [
+        f"loop: finds {found} effect{'s' * (found != 1)}; all are weighed {found + 1} times.",
+        f"messages: {network.alpha * 1e6:.3g} us and {1e-9 / max(network.beta, 1e-15):.3g} GB/s, {how}.",
+        "steps: timed on a few rows of this job with made-up data, on this machine as busy as it is now.",
+    ]
+
+
+def _cells(one: Forecast) -> tuple[str, ...]:
+    parts = one.partition
+    uneven = f", +{parts.imbalance:.0%}" if parts.imbalance >= 0.005 else ""
+    return (
+        one.command,
+        str(one.ranks),
+        duration(one.wall_s),
+        size(one.memory_bytes),
+        size(one.sent_bytes),
+        size(one.file_bytes),
+        f"{parts.groups} x {parts.ranks_per_group}",
+        f"{parts.channels} ch x {parts.times} times x {parts.baseline_groups} bls{uneven}",
+    )
+
+
+def duration(seconds: float) -> str:
+    """Return a time in two or three digits."""
+    for unit, length in (("d", 86400), ("h", 3600), ("min", 60)):
+        if seconds >= 2 * length:
+            return f"{seconds / length:.3g} {unit}"
+    return f"{seconds:.3g} s"
+
+
+def size(n_bytes: float) -> str:
+    """Return a number of bytes in two or three digits."""
+    for unit, many in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if n_bytes >= many:
+            return f"{n_bytes / many:.3g} {unit}"
+    return f"{n_bytes:.0f} B"

@@ -1,0 +1,126 @@
+"""What a plan says of small jobs, from Python and on the command line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from mpi4py import MPI
+
+import hydrabeam_mpi as hb
+from hydrabeam_mpi.cli import main
+from hydrabeam_mpi.fit.memory import Share, check_fits, inference_bytes, loop_bytes
+from hydrabeam_mpi.model.bases.zernike import Zernike
+from hydrabeam_mpi.planning.measure import Cost
+from hydrabeam_mpi.planning.network import TYPICAL, measure_network
+
+JOB = """
+seed = 5
+[data.simulate]
+array = { hex = [2, 3] }
+n_times = 6
+freqs = ["130 MHz", "131 MHz", "132 MHz"]
+[sky]
+n_sources = 100
+[beam]
+frequency = "scale"
+[basis]
+n_modes = 30
+k_max = 8
+m_max = 3
+[output]
+draws = 3
+"""
+
+
+@pytest.fixture(scope="module")
+def job(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("plan") / "job.toml"
+    path.write_text(JOB)
+    return path
+
+
+@pytest.fixture(scope="module")
+def made(job: Path) -> hb.Plan:
+    return hb.plan(hb.Setup.from_job(job), ranks=(1, 2, 12), commands=("simulate", "infer"))
+
+
+def test_work_is_shared_out_as_in_the_run(made: hb.Plan) -> None:
+    parts = [one.partition for one in made.forecasts if one.command == "infer"]
+    assert [(one.groups, one.ranks_per_group, one.channels, one.times) for one in parts] == [
+        (1, 1, 3, 3),
+        (2, 1, 2, 3),
+        (3, 4, 1, 1),
+    ]
+
+
+def test_more_ranks_take_less_each(made: hb.Plan) -> None:
+    one, _, twelve = (forecast for forecast in made.forecasts if forecast.command == "infer")
+    assert twelve.phases_s["design"] < one.phases_s["design"]
+    assert twelve.phases_s["prepare"] == one.phases_s["prepare"]
+    assert one.sent_bytes == 0 < twelve.sent_bytes
+    assert 50e6 < twelve.memory_bytes <= one.memory_bytes
+
+
+def test_files_have_the_size_that_is_forecast(made: hb.Plan, job: Path, tmp_path: Path) -> None:
+    assert main(["infer", str(job), "-o", str(tmp_path / "out")]) == 0
+    (forecast,) = (one for one in made.forecasts if (one.command, one.ranks) == ("infer", 1))
+    written = sum(path.stat().st_size for path in (tmp_path / "out").glob("*.h5"))
+    assert forecast.file_bytes == pytest.approx(written, rel=0.25)
+
+
+def test_command(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plan", str(job), "--ranks", "1,3", "--commands", "simulate", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert [(one["command"], one["ranks"]) for one in told["forecasts"]] == [("simulate", 1), ("simulate", 3)]
+    assert all(one["wall_s"] == sum(one["phases_s"].values()) > 0 for one in told["forecasts"])
+
+
+def test_unknown_command(job: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert main(["plan", str(job), "--commands", "infers"]) == 2
+    assert "'infers' is no command that this job can be given to; choose of" in capfd.readouterr().err
+
+
+def test_table_has_a_line_a_forecast(made: hb.Plan) -> None:
+    lines = str(made).splitlines()
+    assert lines[0].startswith("command")
+    assert [line.split()[:2] for line in lines[1:7]] == [
+        [command, ranks] for command in ("simulate", "infer") for ranks in ("1", "2", "12")
+    ]
+    assert any("assumed; start under mpiexec to measure them" in line for line in lines[7:])
+
+
+def test_cost_goes_through_what_was_measured() -> None:
+    cost = Cost(0.5, 0.02, 0.003)
+    sizes = [(1.0, 10.0), (1.0, 40.0), (4.0, 40.0)]
+    found = Cost.through(sizes, [cost.seconds(*size) for size in sizes])
+    assert found.seconds(30.0, 63.0) == pytest.approx(cost.seconds(30.0, 63.0))
+
+
+def test_noise_of_the_clock_gives_no_negative_cost() -> None:
+    cost = Cost.through([(1.0, 10.0), (1.0, 40.0), (4.0, 40.0)], [0.02, 0.01, 0.005])
+    assert min(vars(cost).values()) >= 0
+
+
+def test_memory_grows_with_what_is_held() -> None:
+    basis = Zernike(6)
+    small, large = (Share(1, n, n, 100, 50, 1000, basis) for n in (10, 1000))
+    assert inference_bytes(small, root=False) <= inference_bytes(small, root=True) < inference_bytes(large, root=True)
+    assert loop_bytes(large, root=True) > inference_bytes(large, root=True) > large.kept
+
+
+def test_what_does_not_fit_is_refused_in_one_line() -> None:
+    check_fits(10**9, 10**9, 4)
+    with pytest.raises(hb.InputError) as raised:
+        check_fits(5 * 10**9, 2 * 10**9, 4)
+    assert str(raised.value).startswith("needs 5 GB a rank on 4 ranks, and a rank has 2 GB; use more nodes")
+
+
+@pytest.mark.mpi
+def test_messages_are_timed_where_there_are_ranks(comm: MPI.Comm) -> None:
+    network = measure_network(comm)
+    assert network.measured == (comm.size > 1)
+    assert network.alpha > 0
+    assert network.allreduce(8_000_000, 1) == 0 < network.allreduce(8_000_000, 64)
+    assert TYPICAL.allreduce(8, 4096) > TYPICAL.allreduce(8, 64)
