@@ -87,7 +87,8 @@ def _in_time(kind: str, law: str, settings: Mapping[str, Any]) -> Effect:
         raise InputError(f"no law '{law}' of this effect", field="settings", remedy=f"there are {', '.join(known)}")
     own = [field.name for field in fields(LAWS[law])]
     time_law = _make(LAWS[law], {name: settings[name] for name in own if name in settings})
-    return InTime(_make(EFFECTS[kind], _without(settings, ("law", *own))), time_law)
+    effect = _make(EFFECTS[kind], _without(settings, ("law", *own)))
+    return effect.changing(time_law) or InTime(effect, time_law)
 
 
 def _without(settings: Mapping[str, Any], names: Collection[str]) -> dict[str, Any]:

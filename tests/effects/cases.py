@@ -65,6 +65,7 @@ IN_TIME = {
         ("antenna_gains", "piecewise"),
         ("cross_coupling", "smooth"),
         ("catalogue_flux", "smooth"),
+        ("missing_sources", "smooth"),
         ("antenna_pointing", "smooth"),
         ("antenna_pointing", "piecewise"),
     )
@@ -77,6 +78,7 @@ IN_TIME |= {
         ("cross_coupling", "sidereal"),
         ("cross_coupling", "nightly"),
         ("catalogue_flux", "nightly"),
+        ("missing_sources", "nightly"),
     )
 }
 """Effects with the laws by which they may change in time."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -27,6 +27,10 @@ class MayChange:
     @abstractmethod
     def parameters(self, setup: ObservingSetup) -> Parameters:
         """Return the parameters."""
+
+    def changing(self, law: Any) -> MayChange | None:
+        """Return what changes by a law in time where not all of its parameters do; None where they do."""
+        return None
 
     def undecidable_in_time(self, setup: ObservingSetup) -> FloatArray:
         """Return those of the `degenerate_directions` that no data can tell even if they change in time, (n, n_params).

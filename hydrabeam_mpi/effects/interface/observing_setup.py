@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import Array, IntArray, Observation
+from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.redundancy import RedundantGroups
 from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.positions import ApparentPositions, SourcePositions
@@ -68,6 +68,16 @@ class ObservingSetup:
     def reference_freq(self) -> float:
         """Hz: the mean of all channels, to which laws in frequency refer."""
         return float(self.observation.freqs.mean())
+
+    @property
+    def jd(self) -> FloatArray:
+        """The times in use, JD ascending, (Ntimes in use,)."""
+        return np.sort(self.observation.times[self.times])
+
+    @property
+    def fitted_jd(self) -> FloatArray:
+        """Those of them that are fitted, JD ascending."""
+        return self.jd if self.fitted is None else np.sort(self.observation.times[self.fitted])
 
     @cached_property
     def antenna_index(self) -> IntArray:

@@ -63,21 +63,21 @@ class InTime(ScannedEffect):
 
     def not_applicable(self, setup: ObservingSetup) -> str | None:
         """Ask for several times."""
-        fitted = _fitted_times(setup)
+        fitted = setup.fitted_jd
         if len(fitted) < LEAST_TIMES:
             return f"a change in time needs {LEAST_TIMES} fitted times or more; there are {len(fitted)}"
-        return self.time_law.not_applicable(fitted, _times(setup)) or self.effect.not_applicable(setup)
+        return self.time_law.not_applicable(fitted, setup.jd) or self.effect.not_applicable(setup)
 
     def carried_over(self, setup: ObservingSetup) -> InTime | str:
         """Return the effect in other data, where these are of the same hours: nobody knows how it went on."""
-        if not self.time_law.covers(_times(setup)):
+        if not self.time_law.covers(setup.jd):
             return "changes in time, by a law that is known for the times of the data in which it was found"
         here = self.effect.carried_over(setup)
-        return here if isinstance(here, str) else InTime(here, self.time_law)
+        return here if isinstance(here, str) else type(self)(here, self.time_law)
 
     def anew(self, setup: ObservingSetup) -> tuple[InTime, dict[str, dict[str, float]]] | None:
         """Return the effect with the law over other times: it changes as much there, but nobody knows how."""
-        law, here = self.time_law.anew(_times(setup)), self.effect.carried_over(setup)
+        law, here = self.time_law.anew(setup.jd), self.effect.carried_over(setup)
         if law is None or isinstance(here, str):
             return None
         effect, before = InTime(here, law[0]), self.time_law.names()
@@ -159,6 +159,10 @@ class InTime(ScannedEffect):
         """Return what multiplies each source's flux at its time, (Nsrc,)."""
         return self.effect.sky_factor(setup, sources, self._at_times(setup, x)[sources.itime])
 
+    def extra_sky(self, block: RowBlock, itime: int, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+        """Return further sources as they are at one time; see `Effect.extra_sky`."""
+        return self.effect.extra_sky(block, itime, self._at_times(block.setup, x)[itime])
+
     def begun(self, setup: ObservingSetup, x: FloatArray) -> FloatArray:
         """Return the functions that come nearest to what the effect itself begins with at each time."""
         functions, rows = self._functions(setup)[setup.times], np.atleast_2d(x)
@@ -192,7 +196,7 @@ class InTime(ScannedEffect):
         """
         n = len(self.time_law.names())
         effect, left = self.effect.without(np.any(gone.reshape(-1, n), axis=1))
-        return InTime(effect, self.time_law), (n * left[:, np.newaxis] + np.arange(n)).ravel()
+        return type(self)(effect, self.time_law), (n * left[:, np.newaxis] + np.arange(n)).ravel()
 
     def n_hypotheses(self, setup: ObservingSetup) -> int:
         """Return the number of the effect's candidates, or where it has none that of functions."""
@@ -213,32 +217,32 @@ class InTime(ScannedEffect):
         law = self._candidates(setup)
         if isinstance(self.effect, ScannedEffect):
             n_each = 2 * len(law.names())
-            return InTime(self.effect.at(setup, hypotheses[: max(MOST_COLUMNS // max(n_each, 1), 1)]), law)
+            return type(self)(self.effect.at(setup, hypotheses[: max(MOST_COLUMNS // max(n_each, 1), 1)]), law)
         most = max(MOST_COLUMNS // len(self.effect.parameters(setup)), LEAST_FUNCTIONS)
         return InTime(self.effect, law.at(law.best(np.asarray(hypotheses), most)))
 
     def drawn(self, setup: ObservingSetup, rng: np.random.Generator) -> InTime:
         """Pick an element at random, or a function."""
-        law = self.time_law.over(_times(setup)) if self.time_law.names() else self._candidates(setup)
+        law = self.time_law.over(setup.jd) if self.time_law.names() else self._candidates(setup)
         if isinstance(self.effect, ScannedEffect):
-            return InTime(self.effect.drawn(setup, rng), law)
+            return type(self)(self.effect.drawn(setup, rng), law)
         return InTime(self.effect, law.at(rng.integers(len(law.names()), size=1)))
 
     def alternatives(self, setup: ObservingSetup, used: IntArray) -> list[InTime]:
         """Return the effect with each function in use as it may be as well by the times that are fitted."""
-        n, of_fitted = len(self.time_law.names()), _fitted_times(setup)
+        n, of_fitted = len(self.time_law.names()), setup.fitted_jd
         numbers = np.unique(used % n).tolist() if n else []
-        laws = [law for k in numbers for law in self.time_law.alternatives(k, of_fitted, _times(setup))]
+        laws = [law for k in numbers for law in self.time_law.alternatives(k, of_fitted, setup.jd)]
         return [InTime(self.effect, law) for law in laws]
 
     def _candidates(self, setup: ObservingSetup) -> TimeLaw:
         """Return the law with all functions that are looked at."""
-        law = self.time_law.over(_times(setup)).candidates(_fitted_times(setup), _times(setup))
+        law = self.time_law.over(setup.jd).candidates(setup.fitted_jd, setup.jd)
         return law.first(SCANNED_FUNCTIONS) if isinstance(self.effect, ScannedEffect) else law
 
     def _functions(self, setup: ObservingSetup) -> FloatArray:
         """Return the functions at all times of the observation, (Ntimes, n)."""
-        return self.time_law.over(_times(setup)).functions(setup.observation.times)
+        return self.time_law.over(setup.jd).functions(setup.observation.times)
 
     def _at_times(self, setup: ObservingSetup, x: FloatArray) -> FloatArray:
         """Return the effect's own parameters at all times of the observation, (Ntimes, n_params of the effect)."""
@@ -291,16 +295,6 @@ class InTime(ScannedEffect):
 def _summed(place: IntArray, values: FloatArray, *shape: int) -> FloatArray:
     """Add up values by place in an array of a shape."""
     return np.bincount(place, values, int(np.prod(shape))).astype(float).reshape(shape)
-
-
-def _times(setup: ObservingSetup) -> FloatArray:
-    """Return the times in use, JD ascending."""
-    return np.sort(setup.observation.times[setup.times])
-
-
-def _fitted_times(setup: ObservingSetup) -> FloatArray:
-    """Return those of them that are fitted, JD ascending."""
-    return _times(setup) if setup.fitted is None else np.sort(setup.observation.times[setup.fitted])
 
 
 def _several(values: Any) -> Any:

@@ -121,6 +121,13 @@ class Nightly(Sidereal):
         """Return the law with some orders of some nights."""
         return self._of([(self.orders[i], self.nights[i]) for i in sorted(set(chosen))])
 
+    def with_level(self) -> Self:
+        """Return the law with the first night's level, too: those of the others are then their own."""
+        first = min(self.nights, default=0)
+        if (0, first) in zip(self.orders, self.nights, strict=True):
+            return self
+        return replace(self, orders=(0, *self.orders), nights=(first, *self.nights))
+
     def first(self, n: int) -> Self:
         """Return the law with so many functions of each night."""
         return self.at(range(len(self.orders))[: n * len(set(self.nights))])

@@ -15,6 +15,8 @@ from hydrabeam_mpi.data.observation import FloatArray, IntArray
 
 MOST_ORDERS = 8
 """Orders of polynomials that are looked at: four swings in a night. What changes faster needs jumps."""
+LEVEL = "level"
+"""What the number of the function that is one at all times is called."""
 SECOND = 1 / 86400
 """Days by which times may be off, as files round them."""
 
@@ -111,6 +113,10 @@ class Smooth(TimeLaw):
         """Return the law with some orders."""
         return replace(self, orders=tuple(self.orders[i] for i in sorted(set(chosen))))
 
+    def with_level(self) -> Self:
+        """Return the law with its level first, for what is not looked for without it."""
+        return self if 0 in self.orders else replace(self, orders=(0, *self.orders))
+
     def best(self, ordered: IntArray, most: int) -> IntArray:
         """Return the first ones, as polynomials are nearly orthogonal."""
         return ordered[:most]
@@ -122,7 +128,7 @@ class Smooth(TimeLaw):
 
     def names(self) -> list[str]:
         """Return what the change is."""
-        known = {0: "level", 1: "drift from first to last time", 2: "curvature, ends less middle"}
+        known = {0: LEVEL, 1: "drift from first to last time", 2: "curvature, ends less middle"}
         return [known.get(order, f"wave of Legendre order {order}, peak to peak") for order in self.orders]
 
     def functions(self, times: FloatArray) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -12,7 +13,6 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.told import Told
 from hydrabeam_mpi.effects.shared.point_sources import (
-    PointSources,
     dirty_map,
     in_degrees,
     in_radians,
@@ -21,6 +21,7 @@ from hydrabeam_mpi.effects.shared.point_sources import (
     resolution,
     responses,
 )
+from hydrabeam_mpi.effects.sky.varying_sources import MayVary
 from hydrabeam_mpi.model.sky import Sky
 
 SPECTRAL_INDEX = -0.7  # of a source of which nothing is known
@@ -34,7 +35,7 @@ MIN_TRIALS = 10
 STEP = 2e-4  # of derivatives by position, in resolutions
 
 
-class MissingSources(PointSources):
+class MissingSources(MayVary):
     """Sources at unknown places, each with a flux, a position and, given several channels, a spectral index.
 
     Candidates lie on a grid in the sky's own frame. A source is fitted relative to the point where it was found: a flux
@@ -52,6 +53,10 @@ class MissingSources(PointSources):
 
     kind = "missing_sources"
     title = "missing point sources"
+    laws: ClassVar = {
+        "smooth": "missing point sources that vary",
+        "nightly": "missing point sources that vary anew each night",
+    }
 
     def parameters(self, setup: ObservingSetup) -> Parameters:
         """Return flux, offsets east and north, and the change of spectral index of every source."""
@@ -135,7 +140,12 @@ class MissingSources(PointSources):
     def added(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return the sources' visibilities, (Ntimes, Nbls)."""
         part = x.reshape(-1, _n_each(block.setup))
-        return block.spread(responses(block, *self._places(part)) @ (part[:, 0] * _spectrum(part, block)))
+        return block.spread(self.seen(block, x) @ part[:, 0])
+
+    def seen(self, block: RowBlock, x: FloatArray) -> ComplexArray:
+        """Return their visibilities had they 1 Jy at the mean frequency, (Ntimes, Ngroups, Nsources)."""
+        part = x.reshape(-1, _n_each(block.setup))
+        return responses(block, *self._places(part)) * _spectrum(part, block)
 
     def _places(self, part: FloatArray, shift: FloatArray | float = 0.0) -> tuple[FloatArray, FloatArray]:
         """Return where the sources are, and ``shift`` radians east and north of there, (Nsources,) each."""
@@ -151,10 +161,14 @@ class MissingSources(PointSources):
 
     def scan(self, block: RowBlock) -> tuple[FloatArray, FloatArray]:
         """Correlate the residual with a source at every grid point, each (n_hypotheses, p)."""
+        return self.scan_in_time(block, np.ones((len(block.times), 1)))
+
+    def scan_in_time(self, block: RowBlock, functions: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Do so with all functions, (Ntimes, k), in one pass, each (n_hypotheses, k)."""
         ra, dec = candidates(block.setup)
         spectrum = (block.setup.observation.freqs / block.setup.reference_freq) ** SPECTRAL_INDEX
         sky = Sky(ra, dec, np.broadcast_to(spectrum[:, np.newaxis], (len(spectrum), len(ra))))
-        return dirty_map(block, sky)
+        return dirty_map(block, sky, functions)
 
     def at(self, setup: ObservingSetup, hypotheses: IntArray) -> MissingSources:
         """Place sources at these points, the best first, leaving out those within a resolution of better ones.

@@ -14,6 +14,7 @@ from tests.validation.undeclared import (
     gains,
     geometry,
     in_time,
+    nights,
     noise,
     polarisation,
     skies,
@@ -32,6 +33,7 @@ SHORT = Plan(rows=(2, 3, 2), cadence=150.0)
 SMALL = Plan(rows=(2, 3, 2), cadence=300.0, spacing=4.0)
 BANDS = Plan(rows=(2, 3, 2), cadence=150.0, n_freqs=4, bandwidth=30e6)
 SELF = Plan(radiometer=True)
+NIGHTS = Plan(n_times=36, nights=3)
 DELAYS = "antenna_delays"
 
 EFFECTS = {
@@ -82,7 +84,8 @@ STRONG = {
 """Effects that it knows, strong, of a single thing, or such that a beam can take up most of them."""
 
 ONE_GAIN = partial(in_time.drifting_gains, counts=(1,))
-GAINS, SMOOTH = "antenna_gains", "smooth"
+GAINS, COUPLING, MISSING = "antenna_gains", "cross_coupling", "missing_sources"
+SMOOTH, NIGHTLY = "smooth", "nightly"
 IN_TIME = {
     kind.name: kind
     for kind in (
@@ -90,9 +93,14 @@ IN_TIME = {
         Kind("drifting_gains", in_time.drifting_gains, 1e-3, 0.1, "", effect=GAINS, law=SMOOTH),
         Kind("gain_jump", in_time.gain_jump, 0.003, 0.3, "", effect=GAINS, law="piecewise"),
         Kind("ambient_temperature", strange.ambient_temperature, 0.003, 0.1, "", effect=GAINS, law=SMOOTH),
-        Kind("drifting_coupling", in_time.drifting_coupling, 0.1, 10.0, "Jy", FINE, "cross_coupling", SMOOTH),
+        Kind("drifting_coupling", in_time.drifting_coupling, 0.1, 10.0, "Jy", FINE, COUPLING, SMOOTH),
         Kind("drifting_pointing", in_time.drifting_pointing, 0.05, 3.0, "deg", effect="antenna_pointing", law=SMOOTH),
         Kind("fading_source", in_time.fading_source, 0.01, 0.5, "", effect="catalogue_flux", law=SMOOTH),
+        Kind("fading_missing_source", in_time.fading_missing_source, 0.1, 10.0, "Jy", effect=MISSING, law=SMOOTH),
+        Kind("sidereal_gains", nights.sidereal_gains, 1e-3, 0.1, "", NIGHTS, GAINS, "sidereal"),
+        Kind("nightly_gains", nights.nightly_gains, 1e-3, 0.1, "", NIGHTS, GAINS, NIGHTLY),
+        Kind("levels_of_nights", nights.levels_of_nights, 1e-3, 0.1, "", NIGHTS, GAINS, NIGHTLY),
+        Kind("nightly_coupling", nights.nightly_coupling, 0.1, 10.0, "Jy", NIGHTS, COUPLING, NIGHTLY),
     )
 }
 """Effects that it knows and that change during the night."""

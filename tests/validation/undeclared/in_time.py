@@ -1,4 +1,4 @@
-"""What changes during the night: gains, coupling and pointing that drift, a gain that jumps, a source that fades."""
+"""What changes during the night: gains, coupling and pointing that drift, a gain that jumps, sources that fade."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from tests.validation.undeclared.answer import Drawn, Parameter, Where, antenna,
 from tests.validation.undeclared.beams import REFERENCE_FREQ, FloatArray, Shape
 from tests.validation.undeclared.gains import multiplied
 from tests.validation.undeclared.setting import Catalogue, altaz
+from tests.validation.undeclared.skies import missing_source
 from tests.validation.undeclared.truth import ComplexArray, Truth
 
 DRIFT = "drift from first to last time"
@@ -115,3 +116,21 @@ def fading_source(truth: Truth, rng: np.random.Generator, strength: float) -> Dr
 
     truth.sky_of.append(sky)
     return Drawn([Parameter(f"source {source}", f"relative change of flux, {DRIFT}", "", -strength)])
+
+
+def fading_missing_source(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
+    """A source that the catalogue lacks has ``strength`` Jy in the mean, and loses or gains 0.3 to 1.5 of that."""
+    drawn = missing_source(truth, rng, strength)
+    source, clock = len(truth.catalogue.flux) - 1, clock_of(truth)
+    change = float(rng.choice([-1, 1]) * rng.uniform(0.3, 1.5))
+
+    def sky(channel: int, time: int, now: Catalogue) -> Catalogue:
+        flux = now.flux.copy()
+        flux[source] *= 1 + change * clock[time]
+        return Catalogue(now.ra, now.dec, flux, now.index)
+
+    truth.sky_of.append(sky)
+    *place, flux = drawn.parameters
+    level = replace(flux, quantity="flux, level")
+    drift = replace(flux, quantity=f"flux, {DRIFT}", value=change * flux.value)
+    return Drawn([*place, level, drift], n_params=4)

@@ -46,6 +46,7 @@ class Comparison:
         return None if not len(self.z) else bool(self.within >= ENOUGH * len(self.z))
 
 
+OF_NIGHTS = ("level", "drift from first to last time")
 # What antennas have in common and no data tell: with which sign it is in which quantities of an antenna.
 COMMON: dict[str, tuple[dict[str, float], ...]] = {
     "antenna_gains": (
@@ -53,6 +54,7 @@ COMMON: dict[str, tuple[dict[str, float], ...]] = {
         {"phase": 1},
         {"phase, drift from first to last time": 1},
         {"phase, curvature, ends less middle": 1},
+        *({f"phase, night {night}: {what}": 1} for night in (1, 2, 3) for what in OF_NIGHTS),
     ),
     "antenna_delays": ({"delay": 1}, {"phase": 1}),
     "antenna_positions": ({"displaced East": 1}, {"displaced North": 1}, {"displaced Up": 1}),
@@ -89,11 +91,16 @@ def compare(effect: dict[str, Any], found_round: dict[str, Any], answer: dict[st
     return Comparison(difference / std, keys)
 
 
+def is_flux(quantity: str) -> bool:
+    """Whether a quantity is a flux, or the number of one function of a flux that varies."""
+    return quantity.split(",")[0] == "flux"
+
+
 def _lacks(kind: str, keys: list[tuple[str, str]], truth: dict[tuple[str, str], float]) -> bool:
     """Tell whether nothing was found where something is; of missing sources the strongest must be found."""
     if kind == "missing_sources":
-        strongest = max((value, thing) for (thing, quantity), value in truth.items() if quantity == "flux")[1]
-        return (strongest, "flux") not in keys
+        strongest = max((value, thing) for (thing, quantity), value in truth.items() if is_flux(quantity))[1]
+        return (strongest, max(q for t, q in truth if t == strongest and is_flux(q))) not in keys
     return bool(truth) and not keys
 
 
@@ -179,8 +186,8 @@ def read_sources(
         if match is not None:
             places.setdefault(match[1], {})[match[2]] = pair
     out: Found = {}
-    for told in sorted(places.values(), key=lambda one: abs(one.get("flux", (0.0, 0.0))[0])):
-        if not {"flux", "right ascension", "declination"} <= told.keys():
+    for told in sorted(places.values(), key=lambda one: max((abs(one[q][0]) for q in one if is_flux(q)), default=0.0)):
+        if not {"right ascension", "declination"} <= told.keys():
             continue
         (found_ra, ra_std), (found_dec, _) = told["right ascension"], told["declination"]
         cosine = np.cos(np.deg2rad(found_dec))
@@ -189,7 +196,8 @@ def read_sources(
             apart = np.hypot(((true_ra - found_ra + 180) % 360 - 180) * cosine, true_dec - found_dec)
             if apart < SAME_PLACE_DEG:
                 turns = 360 * np.round((true_ra - found_ra) / 360)
-                out[thing, "flux"], out[thing, "declination"] = told["flux"], told["declination"]
+                out |= {(thing, quantity): pair for quantity, pair in told.items() if is_flux(quantity)}
+                out[thing, "declination"] = told["declination"]
                 out[thing, "right ascension"] = found_ra + turns, ra_std
     return out
 

@@ -17,6 +17,7 @@ from tests.validation.undeclared.beams import REFERENCE_FREQ, Shape
 FloatArray = NDArray[np.float64]
 LOCATION = EarthLocation.from_geodetic(lon=21.4283, lat=-30.7215, height=1051.69)
 SPACING = 14.6
+SIDEREAL_DAY = 0.99726957
 
 
 @dataclass(frozen=True)
@@ -111,6 +112,8 @@ class Plan:
     n_times : int
     cadence : float
         Seconds between times.
+    nights : int
+        Over which the times are spread, at the same sidereal times in each.
     wide : bool
         Whether the element is wide enough to see its horizon.
     bandwidth : float
@@ -128,6 +131,7 @@ class Plan:
     n_freqs: int = 1
     n_times: int = 24
     cadence: float = 750.0
+    nights: int = 1
     wide: bool = False
     bandwidth: float = 16e6
     n_sources: int = 300
@@ -157,7 +161,8 @@ def draw_setting(rng: np.random.Generator, plan: Plan, basis: Basis = BASES["stu
     antpairs = np.where(turned[:, None], np.stack([two, one], 1), np.stack([one, two], 1))
     centre = rng.uniform(145e6, 160e6)
     freqs = centre + plan.bandwidth * (np.arange(plan.n_freqs) - (plan.n_freqs - 1) / 2) / max(plan.n_freqs, 1)
-    times = 2459866.0 + rng.uniform(0.2, 0.7) + plan.cadence * np.arange(plan.n_times) / 86400
+    night, since = np.divmod(np.arange(plan.n_times), plan.n_times // plan.nights)
+    times = 2459866.0 + rng.uniform(0.2, 0.7) + plan.cadence * since / 86400 + SIDEREAL_DAY * night
     width = 0.5 if plan.wide else 0.22
     return Setting(
         antpos=antpos,

@@ -28,15 +28,21 @@ def missing_sources(truth: Truth, rng: np.random.Generator, strength: float) -> 
     """A source of ``strength`` Jy, or two, which the catalogue lacks."""
     parameters = []
     for number in range(int(rng.choice([1, 1, 2]))):
-        ra, dec = _overhead(truth, rng)
-        flux = strength * (1 if number == 0 else rng.uniform(0.5, 1.0))
-        new = Catalogue(np.array([ra]), np.array([dec]), np.array([flux]), np.array([-0.8]))
-        truth.catalogue = truth.catalogue.joined(new)
-        parameters += [
-            Parameter(f"source {number}", "right ascension", "deg", float(np.rad2deg(ra))),
-            Parameter(f"source {number}", "declination", "deg", float(np.rad2deg(dec))),
-            Parameter(f"source {number}", "flux", "Jy", float(flux * _mean_scale(truth))),
-        ]
+        parameters += missing_source(truth, rng, strength, number).parameters
+    return Drawn(parameters, n_params=len(parameters))
+
+
+def missing_source(truth: Truth, rng: np.random.Generator, strength: float, number: int = 0) -> Drawn:
+    """A source of ``strength`` Jy that the catalogue lacks, or of at least half as much where it is not the first."""
+    ra, dec = _overhead(truth, rng)
+    flux = strength * (1 if number == 0 else rng.uniform(0.5, 1.0))
+    new = Catalogue(np.array([ra]), np.array([dec]), np.array([flux]), np.array([-0.8]))
+    truth.catalogue = truth.catalogue.joined(new)
+    parameters = [
+        Parameter(f"source {number}", "right ascension", "deg", float(np.rad2deg(ra))),
+        Parameter(f"source {number}", "declination", "deg", float(np.rad2deg(dec))),
+        Parameter(f"source {number}", "flux", "Jy", float(flux * _mean_scale(truth))),
+    ]
     return Drawn(parameters, n_params=len(parameters))
 
 
