@@ -8,12 +8,13 @@ from typing import Any
 from hydrabeam_mpi.api.result import Result
 from hydrabeam_mpi.api.setup import Setup
 from hydrabeam_mpi.api.shared import begun, gather_records, make_result, origin_of, prepare_checked, prior_told
-from hydrabeam_mpi.fit.channels import infer_channels
+from hydrabeam_mpi.fit.channels import ChannelResult, infer_channels
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.grown import grown_problem
 from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.joint import channel_results, fit_with_effects, read_context
 from hydrabeam_mpi.fit.memory import inference_bytes
+from hydrabeam_mpi.fit.rounding import MOST_SHIFT
 from hydrabeam_mpi.loop.checks.health import told
 from hydrabeam_mpi.loop.output.amendment import effects_found
 from hydrabeam_mpi.loop.selection.heldout_numbers import heldout_numbers
@@ -87,9 +88,16 @@ def run_inference(setup: Setup, folder: Path | None, threads: int) -> Result:
                 "wall_s": clock.inference,
                 "phases_s": clock.seconds,
                 "peak_rss_mb": memory,
+                **_rounding_told(results),
                 **prior_told(setup, carried),
                 **gains_told(problem, records, *fitted_gains),
             }
             origin = origin_of(setup, problem, threads)
             result = make_result(setup, problem, records, integrations, origin, run, effects=found)
     return result
+
+
+def _rounding_told(results: list[ChannelResult]) -> dict[str, Any]:
+    """Return what ``summary.json`` says of mixed precision."""
+    shift = results[0].rounding_shift if results else None
+    return {} if shift is None else {"rounding_shift": shift, "repeated_in_double": shift > MOST_SHIFT}

@@ -274,6 +274,15 @@ class Solver(Section):
 
     engine: EngineName = key("gemm", "matrix products, or a non-uniform FFT for many sources")
     compress: bool = key(True, "treat redundant baselines as one, which changes nothing but the time")
+    precision: Literal["double", "mixed"] = key(
+        "double", "'mixed': the design matrix in single precision where that suffices, else in double; infer only"
+    )
+
+    @model_validator(mode="after")
+    def _has_such_a_precision(self) -> Self:
+        if self.precision == "mixed" and self.engine == "nufft":
+            refuse_unused(self, "precision", "engine = 'gemm'", "'nufft'")
+        return self
 
 
 class Output(Section):

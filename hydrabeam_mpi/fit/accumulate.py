@@ -18,29 +18,21 @@ from hydrabeam_mpi.model.rime import Beam, ForwardModel
 from hydrabeam_mpi.terminal.progress import track
 
 
-def accumulate(rows: Rows, model: ForwardModel, basis: LinearBasis, show: bool = False) -> list[NormalEquations]:
+def accumulate_designs(
+    rows: Rows, by_time: Iterable[Array], basis: LinearBasis, grams: Sequence[Array] | None = None
+) -> list[NormalEquations]:
     """Build a rank's partial normal equations, one set a channel, streaming over its times.
 
     Parameters
     ----------
     rows : Rows
-        The rank's training rows; channels as in ``model``.
-    model : ForwardModel
-        Its engine holds the vectors of ``rows.groups``.
+        The rank's training rows.
+    by_time : iterable of ndarray, (Nfreqs, ..., Nlocal, n_modes)
+        The design of each time, as `designs` gives it.
     basis : LinearBasis
         The beam basis.
-    show : bool
-        Whether to report progress.
-    """
-    return accumulate_designs(rows, designs(rows, model, basis, "design matrix", show), basis)
-
-
-def accumulate_designs(
-    rows: Rows, by_time: Iterable[Array], basis: LinearBasis, grams: Sequence[Array] | None = None
-) -> list[NormalEquations]:
-    """Do as `accumulate` with the design of each time, (Nfreqs, ..., Nlocal, n_modes), as `designs` gives it.
-
-    A^H N^-1 A of all ranks' rows may be known already, ``grams``, (n_modes, n_modes) a channel.
+    grams : sequence of ndarray, (n_modes, n_modes), optional
+        A^H N^-1 A of all ranks' rows, one a channel, where it is known already.
     """
     block = Block(BEAM, basis.n_modes, basis.is_complex)
     if grams is None:
@@ -71,8 +63,14 @@ def check_heldout(
 
     Parameters
     ----------
-    rows, model, basis, show
-        As in `accumulate`, of the held-out rows.
+    rows : Rows
+        The rank's held-out rows; channels as in ``model``.
+    model : ForwardModel
+        Its engine holds the vectors of ``rows.groups``.
+    basis : LinearBasis
+        The beam basis.
+    show : bool
+        Whether to report progress.
     posteriors : list of Posterior
         One a channel.
     beams : list of callable
@@ -119,8 +117,7 @@ def designs(rows: Rows, model: ForwardModel, basis: LinearBasis, label: str, sho
     """Yield each time's design, (Nfreqs, 2, Nlocal, n_modes) or complex (Nfreqs, Nlocal, n_modes)."""
     times = rows.tile.times
     for parts in track(model.design_columns(basis, times), len(times), label, show):
-        mixed = basis.mix(parts)
-        yield mixed[:, 0] + 1j * mixed[:, 1] if basis.is_complex else mixed
+        yield basis.mix(parts[:, 0] + 1j * parts[:, 1] if basis.is_complex else parts)
 
 
 def predict(posterior: Posterior, design: Array) -> tuple[ComplexArray, FloatArray]:

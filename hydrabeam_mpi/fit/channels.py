@@ -11,16 +11,19 @@ from numpy.typing import NDArray
 
 from hydrabeam_mpi.data.observation import Array
 from hydrabeam_mpi.data.partition import Tile
-from hydrabeam_mpi.fit.accumulate import accumulate, check_heldout
+from hydrabeam_mpi.fit.accumulate import accumulate_designs, check_heldout, designs
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
+from hydrabeam_mpi.fit.rounding import MOST_SHIFT, Rounding
 from hydrabeam_mpi.fit.rows import Rows, read_rows
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.predictive_checks import HeldoutStatistics
 from hydrabeam_mpi.io.finite import INFERENCE, check_finite
 from hydrabeam_mpi.io.noise import check_weights
+from hydrabeam_mpi.model.engines.base import Precision
 from hydrabeam_mpi.mpi import ProcessGrid, allreduce_max, allreduce_sum, bcast_array, together
 from hydrabeam_mpi.setup.problem import Problem
+from hydrabeam_mpi.terminal.progress import say
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,9 @@ class ChannelResult:
         Summed over all held-out rows.
     of_effects : dict
         With effects in the model their joint errors, by the names that they have in ``posterior.h5``.
+    rounding_shift : float or None
+        How far, in its std, single precision was expected to move a posterior mean of any channel; beyond `MOST_SHIFT`
+        all was repeated in double. None in double precision.
     """
 
     normal: NormalEquations
@@ -45,6 +51,7 @@ class ChannelResult:
     posterior: Posterior
     heldout: HeldoutStatistics
     of_effects: dict[str, NDArray[Any]] = field(default_factory=dict)
+    rounding_shift: float | None = None
 
 
 def infer_channels(grid: ProcessGrid, problem: Problem, clock: Clock) -> list[ChannelResult]:
@@ -67,17 +74,40 @@ def infer_channels(grid: ProcessGrid, problem: Problem, clock: Clock) -> list[Ch
     """
     with clock.time("read"):
         train, test = read_shares(grid, problem)
+    mixed = problem.job.solver.precision == "mixed"
+    normals, posteriors, shift = _infer(grid, problem, train, clock, np.float32 if mixed else np.float64)
+    if shift > MOST_SHIFT:
+        told = f"single precision would move the posterior mean by up to {shift:.1e} std; all is computed in double"
+        say(told, grid.is_world_root)
+        normals, posteriors, _ = _infer(grid, problem, train, clock, np.float64)
+    with clock.time("heldout"):
+        heldout = _sum_heldout(grid, problem, test, posteriors)
+    chi2 = map(reduced_chi2, normals, posteriors)
+    results = zip(normals, chi2, posteriors, heldout, strict=True)
+    return [ChannelResult(*parts, rounding_shift=shift if mixed else None) for parts in results]
+
+
+def _infer(
+    grid: ProcessGrid, problem: Problem, train: Rows, clock: Clock, precision: Precision
+) -> tuple[list[NormalEquations], list[Posterior], float]:
+    """Infer from the rank's training rows, and tell how far rounding may have moved the mean, in std, of any channel.
+
+    Collective: all ranks of `grid.world`.
+    """
+    in_single = precision == np.float32
     with clock.time("design"):
-        normals = _sum_normals(grid, problem, train)
+        rounding = Rounding(problem, train) if in_single else None
+        normals = _sum_normals(grid, problem, train, precision, rounding)
     with clock.time("solve"):
         posteriors = solve_channels(grid, problem, normals)
         with together(grid.world):
             for posterior in posteriors if grid.is_group_root else ():
                 _ = posterior.covariance  # cached: part of the inference, though only written later
-    with clock.time("heldout"):
-        heldout = _sum_heldout(grid, problem, test, posteriors)
-    chi2 = map(reduced_chi2, normals, posteriors)
-    return [ChannelResult(*parts) for parts in zip(normals, chi2, posteriors, heldout, strict=True)]
+        worst = np.zeros(1)
+        if rounding is not None:
+            worst[0] = rounding.shifts(grid, posteriors).max(initial=0.0)
+            allreduce_max(grid.world, worst)
+    return normals, posteriors, float(worst[0])
 
 
 def read_shares(grid: ProcessGrid, problem: Problem, whole_times: bool = False) -> tuple[Rows, Rows]:
@@ -102,10 +132,14 @@ def read_share(
     return mine
 
 
-def _sum_normals(grid: ProcessGrid, problem: Problem, rows: Rows) -> list[NormalEquations]:
+def _sum_normals(
+    grid: ProcessGrid, problem: Problem, rows: Rows, precision: Precision, rounding: Rounding | None
+) -> list[NormalEquations]:
     """Accumulate the rank's rows and sum over the group."""
     with together(grid.world):
-        normals = accumulate(rows, problem.forward_model(rows.groups), problem.basis, show=grid.world.rank == 0)
+        model = problem.forward_model(rows.groups, precision)
+        by_time = designs(rows, model, problem.basis, "design matrix", show=grid.is_world_root)
+        normals = accumulate_designs(rows, rounding.watch(by_time) if rounding else by_time, problem.basis)
     for normal in normals:
         normal.reduce(grid.group)
     return normals

@@ -60,7 +60,15 @@ def read_context(grid: ProcessGrid, problem: Problem, mine: Problem, clock: Cloc
         Of all channels, and of the rank group's.
     clock : Clock
         Receives the phases "prepare" and "read".
+
+    Raises
+    ------
+    InputError
+        If the job asks for mixed precision, of which the errors are known for a beam alone.
     """
+    if problem.job.solver.precision != "double":
+        asked = f"'{problem.job.solver.precision}' is for 'hydrabeam infer' without effects"
+        raise InputError(asked, field="[solver] precision", remedy="set it to 'double', or leave it out")
     with clock.time("prepare"):
         known = None
         with together(grid.world):

@@ -9,7 +9,7 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.model.bases.base import LinearBasis
-from hydrabeam_mpi.model.engines.base import Engine
+from hydrabeam_mpi.model.engines.base import Engine, Precision
 from hydrabeam_mpi.model.positions import SourcePositions
 
 Beam = Callable[[FloatArray, FloatArray], Array]
@@ -29,18 +29,24 @@ class ForwardModel:
         Hz.
     engine : Engine
         Holds the baseline vectors.
+    precision : type
+        Of `design_columns`: of fringes, columns and their products; visibilities are always in double precision.
     """
 
     positions: SourcePositions
     flux: FloatArray
     freqs: FloatArray
     engine: Engine
+    precision: Precision = np.float64
 
     def design_columns(self, basis: LinearBasis, times: IntArray) -> Iterator[FloatArray]:
-        """Yield, time by time, the design of the real columns, (Nfreqs, 2, Nvectors, n_columns)."""
+        """Yield, time by time, the design of the real columns, (Nfreqs, 2, Nvectors, n_columns), in `precision`."""
         for time in times.tolist():
             index, za, az = self.positions.above_horizon(time)
-            yield self.engine.design(basis, za, az, np.take(self.flux, index, axis=1), self.freqs)
+            # Functions of a basis are evaluated faster at sources of nearly the same zenith angle.
+            order = np.argsort(za)
+            flux = np.take(self.flux, index[order], axis=1)
+            yield self.engine.design(basis, za[order], az[order], flux, self.freqs, self.precision)
 
     def visibilities(self, beams: Sequence[Beam], times: IntArray) -> ComplexArray:
         """Simulate the visibilities that given beams see.

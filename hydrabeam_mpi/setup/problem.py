@@ -21,6 +21,7 @@ from hydrabeam_mpi.io.uvsource import Data
 from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.beam import Beam
 from hydrabeam_mpi.model.engines import make_engine
+from hydrabeam_mpi.model.engines.base import Precision
 from hydrabeam_mpi.model.rime import ForwardModel
 from hydrabeam_mpi.model.sky import Sky
 from hydrabeam_mpi.mpi import Comm, together
@@ -147,13 +148,12 @@ class Problem:
         """Number of different baseline vectors."""
         return self.redundant.Ngroups
 
-    def forward_model(self, groups: IntArray) -> ForwardModel:
+    def forward_model(self, groups: IntArray, precision: Precision = np.float64) -> ForwardModel:
         """Return the forward model of some redundant ``groups``, (Ngroups,)."""
         job = self.job
         engine = make_engine(job.solver.engine, self.redundant.vectors[groups])
-        return ForwardModel(
-            source_positions(job, self.sky, self.observation), self.sky.flux, self.observation.freqs, engine
-        )
+        positions = source_positions(job, self.sky, self.observation)
+        return ForwardModel(positions, self.sky.flux, self.observation.freqs, engine, precision)
 
 
 def prepare(

@@ -180,6 +180,9 @@ boundary = "dirichlet"
 [prior]
 fraction = 0.5
 floor = 1e-5
+
+[solver]
+precision = "mixed"
 """
 # What the others cannot have, as other keys would then be in vain.
 OTHERS = [

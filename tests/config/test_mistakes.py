@@ -53,7 +53,7 @@ def complaint(text: str, folder: Path) -> str:
         ),
         (
             DATA + "[solver]\nqwertz = 1",
-            "[solver] qwertz: unknown key; the keys of [solver] are engine, compress",
+            "[solver] qwertz: unknown key; the keys of [solver] are engine, compress, precision",
         ),
         (DATA + "qwertz = 1\n[sky]\nn_source = 1", "[data] qwertz: unknown key; the keys of [data] are files, "),
         ("[data.simulate.array]\nhxe = [4, 3]", "[data.simulate.array] hxe: unknown key; did you mean 'hex'?"),

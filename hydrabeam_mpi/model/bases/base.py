@@ -114,7 +114,7 @@ class LinearBasis(Protocol):
         za, az : ndarray, (Npoints,)
             Zenith angle, and azimuth from East through North, in radians.
         out : ndarray, (n_columns, Npoints), optional
-            Where to put the result; its rows must be contiguous.
+            Where to put the result, in double or in single precision; its rows must be contiguous.
 
         Returns
         -------

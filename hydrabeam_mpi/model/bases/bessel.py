@@ -5,7 +5,8 @@ Neumann's addition theorem, for rho = sin(t/2) with 0 <= rho <= 1, reads
     J0(u rho) = J0(u/2)^2 + 2 sum_{n>=1} J_n(u/2)^2 cos(n t),
 
 and cos(n t) = T_n(1 - 2 rho^2) are Chebyshev polynomials: one recurrence per point serves every u. The series
-stops at rounding level shortly after n = u/2.
+stops at rounding level shortly after n = u/2. Over a part of the disc, rho from a to b, so does the Chebyshev series of
+that part shortly after n = u (b - a)/2; it follows from the values at its nodes.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ Boundary = Literal["dirichlet", "neumann"]
 _TAIL = 1e-16
 # Smaller coefficients are set to zero: denormal numbers would halve the speed of the product.
 _NEGLIGIBLE = 1e-25
+# Squares of radii so near to each other would be told apart by their rounding errors.
+_NARROW = 1e-3
 # Rows of Chebyshev polynomials made at a time.
 _BLOCK = 20
 
@@ -64,21 +67,51 @@ class BesselRows:
         return len(self.u)
 
     def evaluate(self, rho_squared: FloatArray, out: FloatArray, work: FloatArray) -> None:
-        """Fill ``out`` with the rows.
+        """Fill ``out`` with the rows; the less the points' radii differ, the less it takes.
 
         Parameters
         ----------
         rho_squared : ndarray, (Npoints,)
             Beyond 1, where the series is not valid, J0 is computed directly, which is slow.
         out : ndarray, (Nk, Npoints), C order
+            In single or double precision.
         work : ndarray, (n_terms, Npoints), C order
             Overwritten.
         """
-        if rho_squared.size and rho_squared.max() > 1 + 1e-12:
+        low, high = float(rho_squared.min(initial=1.0)), float(rho_squared.max(initial=0.0))
+        if high > 1 + 1e-12:
             out[...] = self.scale[:, None] * j0(self.u[:, None] * np.sqrt(rho_squared))
             return
-        chebyshev(rho_squared, work)
-        np.dot(self._table, work, out=out)
+        table, n_here = self._table, self._terms_between(low, high)
+        if n_here < min(self.n_terms, len(rho_squared)):
+            table = self._table_between(low, high, n_here)
+            rho_squared = np.clip((rho_squared - low) / (high - low), 0.0, 1.0)
+        terms = work[: table.shape[1]]
+        chebyshev(rho_squared, terms)
+        np.dot(table.astype(out.dtype, copy=False), terms.astype(out.dtype, copy=False), out=out)
+
+    def _terms_between(self, low: float, high: float) -> int:
+        """Return how many terms bring the tail to rounding level between these squares of radii."""
+        if high - low < _NARROW:
+            return self.n_terms
+        waves = 0.5 * float(self.u.max()) * (np.sqrt(high) - np.sqrt(low))
+        return max(2 * _BLOCK + 1, int(waves + 7 * np.cbrt(waves) + 16))
+
+    def _table_between(self, low: float, high: float, n_terms: int) -> FloatArray:
+        """Return the coefficients of T_n(1 - 2 y) with y = (rho^2 - low) / (high - low), (Nk, n_terms)."""
+        nodes, to_coefficients = _nodes(n_terms)
+        at_nodes = np.empty((self.n_terms, n_terms))
+        chebyshev(low + (high - low) * nodes, at_nodes)
+        return np.asarray(self._table @ at_nodes @ to_coefficients)
+
+
+@lru_cache(maxsize=64)
+def _nodes(n_terms: int) -> tuple[FloatArray, FloatArray]:
+    """Return the Chebyshev nodes in 0..1, (n,), and what turns values there into coefficients, (n, n)."""
+    angle = (np.arange(n_terms) + 0.5) * np.pi / n_terms
+    transform = 2 / n_terms * np.cos(angle[:, None] * np.arange(n_terms))
+    transform[:, 0] /= 2
+    return np.sin(angle / 2) ** 2, transform
 
 
 def chebyshev(y: FloatArray, out: FloatArray) -> None:

@@ -189,7 +189,7 @@ class FourierBessel(LinearBasis):
             out = np.empty((self.n_columns, len(za)))
         for start in range(0, len(za), _POINTS_AT_ONCE):
             part = slice(start, start + _POINTS_AT_ONCE)
-            radial, azimuthal = self._factors(za[part], az[part])
+            radial, azimuthal = self._factors(za[part], az[part], out.dtype)
             target = out[:, part]
             for column, k, m in self._products:
                 np.multiply(radial[k], azimuthal[m], target[column])
@@ -271,19 +271,24 @@ class FourierBessel(LinearBasis):
         # 1 - cos za, without its loss of digits near the zenith.
         return (2 * self._inv_alpha_squared) * np.sin(0.5 * np.asarray(za)) ** 2
 
-    def _factors(self, za: FloatArray, az: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the radial rows, (Nk, Npoints), and the azimuthal rows cos 0, sin 0, cos az, sin az, ..."""
+    def _factors(self, za: FloatArray, az: FloatArray, dtype: Any = np.float64) -> tuple[FloatArray, FloatArray]:
+        """Return the radial rows, (Nk, Npoints), and the azimuthal rows cos 0, sin 0, cos az, sin az, ...
+
+        In single precision they are, at the end, rounded: in between errors would grow with the orders.
+        """
         n_points = len(za)
         sizes = [len(self._radial), self._radial.n_terms, 2 * self._m_max + 2]
         if self._buffer.size < sum(sizes) * n_points:
             self._buffer = np.empty(sum(sizes) * n_points)
         rows = self._buffer[: sum(sizes) * n_points].reshape(sum(sizes), n_points)
         radial, work, azimuthal = np.split(rows, np.cumsum(sizes)[:-1])
+        if dtype != radial.dtype:
+            radial = np.empty(radial.shape, dtype)
         self._radial.evaluate(self._rho_squared(za), radial, work)
         azimuthal_rows(np.asarray(az), azimuthal, work)
         if not self.is_complex:
             azimuthal[0] = np.sqrt(0.5)
-        return radial, azimuthal
+        return radial, azimuthal.astype(dtype, copy=False)
 
 
 def _check(modes: list[tuple[int, int]], form: str, edge: float, boundary: str) -> None:

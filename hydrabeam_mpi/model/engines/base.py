@@ -18,6 +18,8 @@ import numpy as np
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.model.engines.fringes import Fringes, plane_waves
 
+Precision = type[np.float64] | type[np.float32]
+
 SOURCES_AT_ONCE = 1024
 """Sources whose fringes are in cache together."""
 
@@ -80,7 +82,15 @@ class Engine(ABC):
         return Fringes(self.vectors, self.tol)
 
     @abstractmethod
-    def design(self, basis: Columns, za: FloatArray, az: FloatArray, flux: FloatArray, freqs: FloatArray) -> FloatArray:
+    def design(
+        self,
+        basis: Columns,
+        za: FloatArray,
+        az: FloatArray,
+        flux: FloatArray,
+        freqs: FloatArray,
+        precision: Precision = np.float64,
+    ) -> FloatArray:
         """Compute the design of one time, the sum over sources with each real column c of the basis as the beam.
 
             F[f, u, c] = 1/2 sum_s I_s(f) g_c(s) exp(+2 pi i nu_f b_u.s / c_light)
@@ -95,10 +105,12 @@ class Engine(ABC):
             Jy.
         freqs : ndarray, (Nfreqs,)
             Hz.
+        precision : type
+            In which fringes, columns and their products are computed; their phases and the sums are in double.
 
         Returns
         -------
-        ndarray, (Nfreqs, 2, Nvectors, n_columns)
+        ndarray of float64, (Nfreqs, 2, Nvectors, n_columns)
             Real parts, then imaginary parts.
         """
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -100,7 +101,8 @@ class Fringes:
         Parameters
         ----------
         out : ndarray, (2, Nvectors, Nsrc)
-            Receives the real parts, then the imaginary parts.
+            Receives the real parts, then the imaginary parts, in double or in single precision. Phases, which are
+            large, are always formed in double.
         directions : ndarray, (3, Nsrc)
             Unit vectors towards the sources, ENU.
         weights : ndarray, (Nsrc,)
@@ -113,25 +115,26 @@ class Fringes:
             phase = (wavenumber * self.vectors) @ directions
             np.cos(phase, out=out[0])
             np.sin(phase, out=out[1])
-            out *= weights
+            out *= weights.astype(out.dtype, copy=False)
             return
         steps = np.exp(1j * ((wavenumber * self.lattice.generators) @ directions))
-        along = _powers(steps[0], self.lattice.index[:, 0])
-        across = _powers(steps[1], self.lattice.index[:, 1])
-        for power in along.values():
-            power *= weights
-        product = np.empty_like(steps[0])
+        dtype = np.result_type(out.dtype, np.complex64)
+        along = {n: (weights * power).astype(dtype) for n, power in _powers(steps[0], self.lattice.index[:, 0])}
+        across = {n: power.astype(dtype) for n, power in _powers(steps[1], self.lattice.index[:, 1])}
+        product = np.empty(len(weights), dtype)
         for row, (i, j) in enumerate(self.lattice.index.tolist()):
             np.multiply(along[i], across[j], out=product)
             out[0, row] = product.real
             out[1, row] = product.imag
 
 
-def _powers(base: ComplexArray, exponents: IntArray) -> dict[int, ComplexArray]:
-    """Return the powers of unit complex numbers that ``exponents`` asks for, by repeated multiplication."""
-    powers = {0: np.ones_like(base)}
-    for n in range(1, int(np.abs(exponents).max(initial=0)) + 1):
-        powers[n] = powers[n - 1] * base
-    for n in range(1, int(-exponents.min(initial=0)) + 1):
-        powers[-n] = powers[n].conj()
-    return {n: powers[n].copy() for n in np.unique(exponents).tolist()}
+def _powers(base: ComplexArray, exponents: IntArray) -> Iterator[tuple[int, ComplexArray]]:
+    """Yield the powers of unit complex numbers that ``exponents`` asks for, by repeated multiplication."""
+    asked = set(exponents.tolist())
+    power = np.ones_like(base)
+    for n in range(max(map(abs, asked), default=0) + 1):
+        if n in asked:
+            yield n, power
+        if n and -n in asked:
+            yield -n, power.conj()
+        power = power * base

@@ -7,8 +7,8 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg.blas import dgemm
 
-from hydrabeam_mpi.data.observation import FloatArray
-from hydrabeam_mpi.model.engines.base import Columns, Engine, amplitude
+from hydrabeam_mpi.data.observation import Array, FloatArray
+from hydrabeam_mpi.model.engines.base import Columns, Engine, Precision, amplitude
 from hydrabeam_mpi.model.engines.fringes import enu
 
 
@@ -22,36 +22,52 @@ class GemmEngine(Engine):
     tol : float
         Distance in metres within which vectors count as lying on a lattice.
     chunk : int
-        Sources treated at once.
+        Sources treated at once, twice as many in single precision.
     """
 
     def __init__(self, vectors: FloatArray, tol: float = 1e-7, chunk: int = 1024) -> None:
         super().__init__(vectors, tol)
         self.chunk = chunk
+        self._space = np.empty(0)
 
-    def design(self, basis: Columns, za: FloatArray, az: FloatArray, flux: FloatArray, freqs: FloatArray) -> FloatArray:
+    def design(
+        self,
+        basis: Columns,
+        za: FloatArray,
+        az: FloatArray,
+        flux: FloatArray,
+        freqs: FloatArray,
+        precision: Precision = np.float64,
+    ) -> FloatArray:
         """Compute the design of one time, (Nfreqs, 2, Nvectors, n_columns); see `Engine.design`."""
-        n_vectors = self.n_vectors
-        out = np.zeros((len(freqs), 2 * n_vectors, basis.n_columns))
+        n_vectors, n_columns = self.n_vectors, basis.n_columns
+        n_rows = n_columns + 2 * n_vectors
+        out = np.zeros((len(freqs), 2 * n_vectors, n_columns))
         directions = enu(za, az)
+        space: Array = self._work_space(n_rows * self.chunk).view(precision)
         # Chunks of equal size: a short last one would cost nearly as much as a full one.
-        n_chunks = max(-(-len(za) // self.chunk), 1)
+        n_chunks = max(-(-len(za) // (self.chunk * 8 // space.itemsize)), 1)
         edges = np.linspace(0, len(za), n_chunks + 1).astype(int)
-        # One work space for all chunks: fresh pages cost as much as what is computed in them.
-        n_rows = basis.n_columns + 2 * n_vectors
-        space = np.empty(n_rows * self.chunk)
         for lo, hi in pairwise(edges.tolist()):
             rows = space[: n_rows * (hi - lo)].reshape(n_rows, hi - lo)
-            columns = basis.columns(za[lo:hi], az[lo:hi], out=rows[: basis.n_columns])
-            fringes = rows[basis.n_columns :]
+            columns = basis.columns(za[lo:hi], az[lo:hi], out=rows[:n_columns])
+            fringes = rows[n_columns:]
             for f, freq in enumerate(freqs):
                 parts = fringes.reshape(2, n_vectors, hi - lo)
                 self.fringes.fill(parts, directions[:, lo:hi], amplitude(flux[f, lo:hi]), float(freq))
                 _add_product(out[f], fringes, columns)
-        return out.reshape(len(freqs), 2, n_vectors, basis.n_columns)
+        return out.reshape(len(freqs), 2, n_vectors, n_columns)
+
+    def _work_space(self, size: int) -> FloatArray:
+        """Return the same one for all chunks and times: fresh pages cost as much as what is computed in them."""
+        if self._space.size < size:
+            self._space = np.empty(size)
+        return self._space
 
 
 def _add_product(out: FloatArray, a: FloatArray, b: FloatArray) -> None:
-    """Add ``a @ b.T`` to ``out`` in place; all three C-ordered, so that BLAS copies nothing."""
-    if a.shape[1]:
+    """Add ``a @ b.T`` to ``out``, in double precision, in place; all C-ordered, so that BLAS copies nothing."""
+    if a.dtype != out.dtype:
+        out += a @ b.T
+    elif a.shape[1]:
         dgemm(1.0, b.T, a.T, beta=1.0, c=out.T, trans_a=1, overwrite_c=1)

@@ -7,7 +7,7 @@ import numpy as np
 from threadpoolctl import threadpool_info
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
-from hydrabeam_mpi.model.engines.base import Columns, Engine, amplitude
+from hydrabeam_mpi.model.engines.base import Columns, Engine, Precision, amplitude
 from hydrabeam_mpi.model.engines.fringes import C_M_PER_S, enu
 
 
@@ -33,8 +33,19 @@ class NufftEngine(Engine):
         pools = threadpool_info()
         self.threads = max((pool["num_threads"] for pool in pools if pool["user_api"] == "openmp"), default=0)
 
-    def design(self, basis: Columns, za: FloatArray, az: FloatArray, flux: FloatArray, freqs: FloatArray) -> FloatArray:
-        """Compute the design of one time, (Nfreqs, 2, Nvectors, n_columns); see `Engine.design`."""
+    def design(
+        self,
+        basis: Columns,
+        za: FloatArray,
+        az: FloatArray,
+        flux: FloatArray,
+        freqs: FloatArray,
+        precision: Precision = np.float64,
+    ) -> FloatArray:
+        """Compute the design of one time, (Nfreqs, 2, Nvectors, n_columns); see `Engine.design`.
+
+        In double precision whatever is asked: in single one would lose the phases.
+        """
         n_vectors, n_columns = self.n_vectors, basis.n_columns
         out = np.zeros((len(freqs), 2, n_vectors, n_columns))
         if not len(za):

@@ -25,7 +25,8 @@ class Ripples:
     n_columns = 3
 
     def columns(self, za, az, out=None):
-        return np.stack([np.cos(za), np.sin(3 * az) * za, np.cos(za * 20)])
+        values = np.stack([np.cos(za), np.sin(3 * az) * za, np.cos(za * 20)])
+        return values if out is None else np.copyto(out, values) or out
 
 
 def sources(n):
@@ -60,6 +61,17 @@ def test_engine_is_the_sum_over_sources(vectors, make, n):
     za, az, flux = sources(n)
     result = make(vectors).design(Ripples(), za, az, flux, FREQS)
     np.testing.assert_allclose(result, written_out(vectors, za, az, flux), atol=1e-10 * max(flux.sum(), 1))
+
+
+@pytest.mark.parametrize("vectors", [HEX, irregular()], ids=["hexagon", "3d"])
+def test_single_precision_has_the_phases_of_double(vectors):
+    far = 100 * vectors  # thousands of turns
+    za, az, flux = sources(3000)
+    double = GemmEngine(far).design(Ripples(), za, az, flux, FREQS)
+    single = GemmEngine(far).design(Ripples(), za, az, flux, FREQS, np.float32)
+    assert single.dtype == np.float64
+    # Phases in single precision would be wrong by 1e-4 of a radian.
+    assert 0 < np.abs(single - double).max() < 4e-6 * np.linalg.norm(flux)
 
 
 @pytest.mark.parametrize("vectors", [HEX, irregular()], ids=["hexagon", "3d"])
