@@ -18,6 +18,11 @@ from hydrabeam_mpi.model.rime import Beam, ForwardModel
 from hydrabeam_mpi.terminal.progress import track
 
 
+def accumulate(rows: Rows, model: ForwardModel, basis: LinearBasis) -> list[NormalEquations]:
+    """Build the partial normal equations of ``rows`` as ``model`` sees them; see `accumulate_designs`."""
+    return accumulate_designs(rows, designs(rows, model, basis, "design matrix", show=False), basis)
+
+
 def accumulate_designs(
     rows: Rows, by_time: Iterable[Array], basis: LinearBasis, grams: Sequence[Array] | None = None
 ) -> list[NormalEquations]:
