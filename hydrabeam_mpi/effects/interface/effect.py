@@ -251,6 +251,13 @@ class ScannedEffect(ScannedInTime, Effect):
     def at(self, setup: ObservingSetup, hypotheses: IntArray) -> Effect:
         """Return the effect with these candidates as its elements, in this order; ``hypotheses`` is (Nchosen,)."""
 
+    def every(self, setup: ObservingSetup, hypotheses: IntArray) -> Effect | None:
+        """Return the effect with all of these candidates, (Nchosen,), as its elements, whether or not they are alike.
+
+        None where the beam cannot take up so much of any that a scan, with the beam as it is, overlooks it.
+        """
+        return None
+
     def foremost(self, setup: ObservingSetup, n: int) -> Effect:
         """Return the effect with the ``n`` candidates that matter most by what is known before any data are seen.
 

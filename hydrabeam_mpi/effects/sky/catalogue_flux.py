@@ -114,6 +114,11 @@ class CatalogueFlux(PointSources):
         """Do so with all functions, (Ntimes, k), in one pass, each (n_hypotheses, k)."""
         return dirty_map(block, block.setup.sky.select(self.brightest(block.setup.sky)), functions)
 
+    def every(self, setup: ObservingSetup, hypotheses: IntArray) -> Self:
+        """Take all of these sources; ``hypotheses`` is (Nchosen,)."""
+        sky, index = setup.sky, self.brightest(setup.sky)[hypotheses]
+        return type(self)(in_degrees(sky.ra[index], sky.dec[index]), self.n_hypotheses(setup))
+
     def at(self, setup: ObservingSetup, hypotheses: IntArray) -> Self:
         """Take these sources, the best first, leaving out those that better ones cannot be told from.
 

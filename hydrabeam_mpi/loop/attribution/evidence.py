@@ -6,12 +6,11 @@ effect. With the prior x ~ N(0, T), T diagonal, the logarithm of the Bayes facto
     ln BF = -1/2 ln det(1 + T^1/2 K T^1/2) + 1/2 u^T (K + T^-1)^-1 u.
 
 Two priors are tried. In the *dense* one every parameter has the width tau times its natural scale. In the *sparse* one
-only some elements (an antenna, a source) are at fault; they are taken one by one while the evidence grows, each with a
-width of its own and at the price of ln(trials); where elements are nested, those before the last one are then in use
-as well. Widths maximise the evidence, which overrates it by about one nat each; that is taken off. An element that is
-larger than any that is expected costs as much more as there are fewer of its size, ln 1/N(> tau). Effects that change
-in time have a third prior, in which whole sets of parameters are taken so: those of all antennas with one function of
-time.
+only some elements (an antenna, a source) are at fault (`few_elements`), each with a width of its own and at the price
+of ln(trials); where elements are nested, those before the last one are then in use as well. Widths maximise the
+evidence, which overrates it by about one nat each; that is taken off. An element that is larger than any that is
+expected costs as much more as there are fewer of its size, ln 1/N(> tau). Effects that change in time have a third
+prior, in which whole sets of parameters are taken so: those of all antennas with one function of time.
 """
 
 from __future__ import annotations
@@ -25,11 +24,8 @@ from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.effect import Parameters
 from hydrabeam_mpi.inference.gaussian import Block, Gaussian
 from hydrabeam_mpi.inference.likelihood import RANK_RTOL, Likelihood
+from hydrabeam_mpi.loop.attribution.few_elements import TAUS, each_alone, few_elements, log_bayes_factors
 from hydrabeam_mpi.loop.attribution.price import price_of, rarity, sets_of
-from hydrabeam_mpi.loop.rules import RULES
-
-TAUS: FloatArray = np.exp(np.linspace(np.log(1e-7), np.log(1e4), 160))
-"""Prior widths tried, in units of an effect's natural scale."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +96,7 @@ def find_evidence(
     dense_var = np.where(scale > 0, (tau * scale) ** 2, 0.0)
     best = (dense_log, dense_var)
     if n_elements > 1 or parameters.trials > 1:
-        sparse_log, widths = _sparse(scaled, parameters)
+        sparse_log, widths = few_elements(scaled, parameters, tau)
         if parameters.nested and widths.any():
             taken, widths = widths, _filled(widths)
             old, new = ((one[parameters.element] * scale) ** 2 for one in (taken, widths))
@@ -109,12 +105,12 @@ def find_evidence(
             best = (sparse_log, (widths[parameters.element] * scale) ** 2)
     if parameters.across is not None:
         sets = sets_of(parameters)
-        across_log, widths = _sparse(scaled, sets)
+        across_log, widths = few_elements(scaled, sets, tau)
         if across_log > best[0]:
             best = (across_log, (widths[sets.element] * scale) ** 2)
     log_bayes_factor, prior_var = best
     found = _describe(blocks, log_bayes_factor, prior_var, rank)
-    return replace(found, alone=_alone(scaled, parameters))
+    return replace(found, alone=each_alone(scaled, parameters))
 
 
 def evidence_of(
@@ -140,102 +136,19 @@ def _spectrum(information: FloatArray, score: FloatArray) -> tuple[FloatArray, F
     return values, np.where(values > 0, vectors.T @ score, 0.0)
 
 
-def _log_bayes_factors(values: FloatArray, projections: FloatArray) -> FloatArray:
-    """Return ln BF for every one of `TAUS`, (Ntaus, ...), from eigenvalues of K and u along them, (..., p)."""
-    tau2 = TAUS.reshape(-1, *(1,) * values.ndim) ** 2
-    grown = 1 + tau2 * np.maximum(values, 0.0)
-    return np.sum(-0.5 * np.log(grown) + 0.5 * tau2 * projections**2 / grown, axis=-1)
-
-
 def _dense(spectra: Sequence[tuple[FloatArray, FloatArray]], price: FloatArray) -> tuple[float, float]:
     """Return ln BF and tau for the prior that is the same for all; a width has its ``price``, (Ntaus,)."""
     total = -price
     for spectrum in spectra:
-        total += _log_bayes_factors(*spectrum)
+        total += log_bayes_factors(*spectrum)
     best = int(total.argmax())
     return float(total[best]) - 1.0, float(TAUS[best])
-
-
-def _sparse(scaled: Sequence[tuple[FloatArray, FloatArray]], parameters: Parameters) -> tuple[float, FloatArray]:
-    """Return ln BF and the width of each element, zero where it is not taken; elements enter one by one."""
-    members = _members(parameters)
-    working = [(information.copy(), score.copy()) for information, score in scaled]
-    widths = np.zeros(len(members))
-    can = np.bincount(parameters.element, weights=parameters.scale > 0, minlength=len(members)) > 0
-    log_bayes_factor = 0.0
-    for n_taken in range(min(len(members), max(4, len(members) // 2))):
-        gains, taus = _element_gains(working, members, rarity(parameters, TAUS))
-        # The k elements may be picked in any order.
-        gains += np.log(n_taken + 1) - np.log(max(parameters.trials - n_taken, 1)) - 1.0
-        gains[widths > 0] = -np.inf
-        gains[~can] = -np.inf
-        best = int(gains.argmax())
-        if gains[best] < (RULES.element_nats if n_taken else -np.inf):
-            break
-        log_bayes_factor += float(gains[best])
-        widths[best] = taus[best]
-        if gains[best] <= 0:
-            break
-        chosen = members[best][members[best] >= 0]
-        working = [_condition(*block, chosen, taus[best]) for block in working]
-    return log_bayes_factor, widths
-
-
-def _alone(scaled: Sequence[tuple[FloatArray, FloatArray]], parameters: Parameters) -> FloatArray:
-    """Return by how much the element of each parameter alone raises ln evidence, at the price of picking it."""
-    gains, _ = _element_gains(scaled, _members(parameters), rarity(parameters, TAUS))
-    return (gains - np.log(max(parameters.trials, 1)) - 1.0)[parameters.element]
 
 
 def _filled(widths: FloatArray) -> FloatArray:
     """Give elements that were passed over before the last one taken the widths of their neighbours."""
     taken, place = np.flatnonzero(widths), np.arange(len(widths))
     return np.where(place > taken[-1], 0.0, np.exp(np.interp(place, taken, np.log(widths[taken]))))
-
-
-def _members(parameters: Parameters) -> np.ndarray:
-    """Return the parameters of each element, (Nelements, p), padded with -1."""
-    n_elements = int(parameters.element.max()) + 1
-    counts = np.bincount(parameters.element, minlength=n_elements)
-    members = np.full((n_elements, int(counts.max())), -1)
-    order = np.argsort(parameters.element, kind="stable")
-    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
-    members[parameters.element[order], np.arange(len(order)) - np.repeat(starts, counts)] = order
-    return members
-
-
-def _element_gains(
-    working: Sequence[tuple[FloatArray, FloatArray]], members: np.ndarray, price: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return by how much each element alone would raise ln BF, and at which prior width, each at its ``price``."""
-    present = members >= 0
-    total = np.tile(-price[:, np.newaxis], len(members))
-    for information, score in working:
-        corner = information[members[:, :, np.newaxis], members[:, np.newaxis, :]]
-        corner = np.where(present[:, :, np.newaxis] & present[:, np.newaxis, :], corner, 0.0)
-        values, vectors = np.linalg.eigh(corner)
-        projections = np.einsum("epi,ep->ei", vectors, np.where(present, score[members], 0.0))
-        largest = np.maximum(values[:, -1:], 0.0)
-        told = values > np.maximum(RANK_RTOL * largest, 1e-12 * max(float(largest.max(initial=0.0)), 1e-300))
-        total += _log_bayes_factors(np.where(told, values, 0.0), np.where(told, projections, 0.0))
-    best = total.argmax(axis=0)
-    return total[best, np.arange(len(members))], TAUS[best]
-
-
-def _condition(
-    information: FloatArray, score: FloatArray, chosen: np.ndarray, tau: float
-) -> tuple[FloatArray, FloatArray]:
-    """Marginalise some parameters with their prior.
-
-    Directions that the data do not constrain are skipped: their entries are rounding errors of either sign, which would
-    outweigh the precision of a wide prior.
-    """
-    values, vectors = np.linalg.eigh(information[np.ix_(chosen, chosen)])
-    told = values > RANK_RTOL * max(values[-1], 0.0)
-    values, vectors = values[told], vectors[:, told]
-    across = information[:, chosen] @ vectors
-    solved = across / (values + 1 / tau**2)
-    return information - solved @ across.T, score - solved @ (vectors.T @ score[chosen])
 
 
 def solve(blocks: Sequence[Likelihood], prior_var: FloatArray) -> tuple[FloatArray, list[FloatArray]]:

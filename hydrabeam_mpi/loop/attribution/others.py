@@ -9,6 +9,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from hydrabeam_mpi.data.observation import BoolArray, FloatArray
+from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.state import Values
 from hydrabeam_mpi.inference.likelihood import Likelihood
 
@@ -94,3 +95,12 @@ class Others:
             score[: len(share)] += share * of_prior
             found.append(replace(one, score=score))
         return found
+
+
+def beside_model(values: Values, effect: Effect, by_channel: Sequence[Likelihood]) -> list[Likelihood]:
+    """Return what is left for an effect, which comes last in each channel's likelihood, with the model marginalised.
+
+    Of each channel, or the sum over them where they share its parameters.
+    """
+    blocks = Others.of(values, len(by_channel)).marginalised(by_channel, effect.shared) if values.active else by_channel
+    return [sum(blocks[1:], start=blocks[0])] if effect.shared else list(blocks)

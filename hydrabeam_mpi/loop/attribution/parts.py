@@ -18,10 +18,10 @@ from hydrabeam_mpi.fit.error_scale import ErrorScale, error_scale
 from hydrabeam_mpi.fit.marginal import Marginal
 from hydrabeam_mpi.fit.state import Active, Fitted
 from hydrabeam_mpi.inference.likelihood import Likelihood
+from hydrabeam_mpi.loop.attribution.candidate_rows import CachedRowBlocks, candidate_sums
 from hydrabeam_mpi.loop.attribution.constancy import Constancy, compare
 from hydrabeam_mpi.loop.attribution.others import Others
 from hydrabeam_mpi.loop.attribution.price import price_of
-from hydrabeam_mpi.loop.attribution.score_effects import CachedRowBlocks, candidate_sums
 from hydrabeam_mpi.mpi import bcast_object, gather_objects, together
 from hydrabeam_mpi.random import generator
 

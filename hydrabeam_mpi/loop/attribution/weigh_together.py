@@ -18,10 +18,11 @@ from hydrabeam_mpi.fit.marginal import Marginal
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.inference.significance import SIGNIFICANT_P
+from hydrabeam_mpi.loop.attribution.candidate_rows import CachedRowBlocks, candidate_sums
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.attribution.joint_search import Competitor, JointLikelihood, JointSet, search
 from hydrabeam_mpi.loop.attribution.others import Others
-from hydrabeam_mpi.loop.attribution.score_effects import CachedRowBlocks, Finding, candidate_sums, taken
+from hydrabeam_mpi.loop.attribution.score_effects import Finding, taken
 from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.mpi import bcast_object, gather_objects, together
 

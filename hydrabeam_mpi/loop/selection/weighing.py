@@ -9,7 +9,8 @@ from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.reweighting import Reweighting
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Fitted, Values
-from hydrabeam_mpi.loop.attribution.score_effects import CachedRowBlocks, attribute
+from hydrabeam_mpi.loop.attribution.candidate_rows import CachedRowBlocks
+from hydrabeam_mpi.loop.attribution.score_effects import attribute
 from hydrabeam_mpi.loop.attribution.score_noise import fit_reweightings
 from hydrabeam_mpi.loop.attribution.weigh_together import weigh_together
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Round

@@ -12,7 +12,8 @@ from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.instrument.antenna_positions import AntennaPositions
 from hydrabeam_mpi.effects.interface.effect import Parameters
 from hydrabeam_mpi.inference.likelihood import Likelihood
-from hydrabeam_mpi.loop.attribution import evidence
+from hydrabeam_mpi.loop.attribution import few_elements
+from hydrabeam_mpi.loop.attribution.evidence import find_evidence
 from hydrabeam_mpi.loop.rules import RULES, Rules
 from hydrabeam_mpi.loop.selection import acceptance, refusal
 from tests.loop.made import checked, effect_candidate, round_of, weights_candidate
@@ -54,9 +55,9 @@ def test_rise_sigmas(sigmas: float, rises: bool, monkeypatch: pytest.MonkeyPatch
 @pytest.mark.parametrize(("nats", "taken"), [(4.0, 2), (40.0, 1)])
 def test_element_nats(nats: float, taken: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """One of ten antennas at 30 sigma, and one at 6."""
-    with_rules(monkeypatch, evidence, element_nats=nats)
+    with_rules(monkeypatch, few_elements, element_nats=nats)
     score = np.zeros(10)
     score[[2, 7]] = 30.0, 6.0
     block = Likelihood(np.eye(10), score, np.eye(10))
     parameters = Parameters.of([f"antenna {i}" for i in range(10)], "", 1.0, np.arange(10))
-    assert np.count_nonzero(evidence.find_evidence([block], parameters).prior_var) == taken
+    assert np.count_nonzero(find_evidence([block], parameters).prior_var) == taken

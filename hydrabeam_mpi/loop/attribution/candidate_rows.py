@@ -1,0 +1,92 @@
+"""The fitted rows with the current model of them, kept for all that is weighed by them, and sums over them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from hydrabeam_mpi.data.observation import ComplexArray
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.fit.blocks import ColumnBlock, add_block, sums_of
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
+from hydrabeam_mpi.fit.kept import Kept
+from hydrabeam_mpi.fit.marginal import Marginal
+from hydrabeam_mpi.fit.rows import Rows
+from hydrabeam_mpi.fit.state import Estimate, Fitted, Values
+from hydrabeam_mpi.inference.likelihood import Likelihood
+from hydrabeam_mpi.mpi import gather_objects, together
+
+
+def likelihoods(
+    context: FitContext, fitted: Fitted, cached: CachedRowBlocks, candidates: Mapping[str, ColumnBlock]
+) -> dict[str, list[Likelihood]] | None:
+    """Return what each channel says of the model's effects and each candidate after them, the beam marginalised.
+
+    On rank 0 alone. Collective: all ranks of the grid.
+    """
+    group, mine = context.grid.group, {}
+    for channel, number in enumerate(context.channels):
+        sums = candidate_sums(context, fitted.values, cached, channel, candidates)
+        marginal = Marginal(sums, BEAM, fitted.fit.posteriors[channel])
+        for one in list(candidates)[group.rank :: group.size]:
+            mine[one, number] = marginal.likelihood([*fitted.values.blocks, one])
+    gathered = gather_objects(context.grid.world, mine)
+    if gathered is None:
+        return None
+    found = {key: one for part in gathered for key, one in part.items()}
+    channels = sorted({number for _, number in found})
+    return {name: [found[name, number] for number in channels] for name in candidates}
+
+
+def candidate_sums(
+    context: FitContext,
+    values: Values,
+    cached: CachedRowBlocks,
+    channel: int,
+    candidates: Mapping[str, ColumnBlock],
+    by_pairs: bool = False,
+) -> NormalEquations:
+    """Sum one channel's columns of the model's effects and of candidates over the group.
+
+    Their products are those of each candidate by itself, or with ``by_pairs`` those of any two as well.
+    """
+    model: dict[str, ColumnBlock] = {BEAM: context.beam, **values.blocks}
+    if by_pairs:
+        model, candidates = {**model, **candidates}, {}
+    total = sums_of(model, candidates)
+    with together(context.grid.world):
+        for block in cached.row_blocks(channel):
+            add_block(total, block, model, candidates)
+    total.reduce(context.grid.group)
+    if context.learned:
+        context.learned.add_to(total, values.blocks, context.channels[channel], cached.at)
+    return total
+
+
+@dataclass
+class CachedRowBlocks:
+    """A rank's fitted rows with the current model of them, as blocks.
+
+    Where memory allows, the blocks are kept, so that what effects computed from them is reused.
+    """
+
+    context: FitContext
+    at: Estimate
+    rows: Rows
+    added: ComplexArray
+    kept: Kept[RowBlock]
+
+    @classmethod
+    def of(cls, context: FitContext, at: Estimate) -> CachedRowBlocks:
+        """Calibrate the rank's rows by the model's effects."""
+        return cls(context, at, *context.train.calibrated(at), Kept(context.train.keeps_designs))
+
+    def row_blocks(self, channel: int) -> Iterator[RowBlock]:
+        """Yield the blocks of one channel."""
+
+        def made() -> Iterator[RowBlock]:
+            blocks = self.context.train.row_blocks(channel, self.at, self.added[channel], self.rows)
+            return (block for _, block, _ in blocks)
+
+        return self.kept.of(channel, made)

@@ -1,0 +1,160 @@
+"""The few elements (antennas, sources) that explain what an effect leaves: which they are, by marginal likelihood.
+
+Elements are taken one by one, the one first that raises the evidence most beside those before. Where the beam or each
+other element can take up most of what one does, a false one may come first as it stands for several. So they are also
+left out one by one, the worst first, beginning with all of them; the better set is taken. Widths are re-estimated on
+the way (sparse Bayesian learning: Tipping and Faul 2003).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import BoolArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.effect import Parameters
+from hydrabeam_mpi.inference.likelihood import RANK_RTOL
+from hydrabeam_mpi.loop.attribution.price import rarity
+from hydrabeam_mpi.loop.rules import RULES
+
+TAUS: FloatArray = np.exp(np.linspace(np.log(1e-7), np.log(1e4), 160))
+"""Prior widths tried, in units of an effect's natural scale."""
+
+
+Scaled = tuple[FloatArray, FloatArray]
+"""K and u of parameters in units of their natural scale, (q, q) and (q,)."""
+
+
+def few_elements(scaled: Sequence[Scaled], parameters: Parameters, tau: float) -> tuple[float, FloatArray]:
+    """Return ln BF and the width of each element, (Nelements,), zero where it is not taken.
+
+    ``tau`` is the width that all of them have together at best.
+    """
+    n = int(parameters.element.max()) + 1
+    can = np.bincount(parameters.element, weights=parameters.scale > 0, minlength=n) > 0
+    forward = _forward(scaled, parameters, can)
+    left = _backward(scaled, parameters, np.where(can, tau, 0.0))
+    if np.array_equal(left, forward[1] > 0) or not left.any():
+        return forward
+    return max(forward, _forward(scaled, parameters, left), key=lambda found: found[0])
+
+
+def _forward(scaled: Sequence[Scaled], parameters: Parameters, can: BoolArray) -> tuple[float, FloatArray]:
+    """Take the elements that ``can`` be, (Nelements,), one by one; return as `few_elements` does."""
+    members = _members(parameters)
+    working = [(information.copy(), score.copy()) for information, score in scaled]
+    widths = np.zeros(len(members))
+    log_bayes_factor = 0.0
+    for n_taken in range(min(len(members), max(4, len(members) // 2))):
+        gains, taus = _element_gains(working, members, rarity(parameters, TAUS))
+        # The k elements may be picked in any order.
+        gains += np.log(n_taken + 1) - np.log(max(parameters.trials - n_taken, 1)) - 1.0
+        gains[widths > 0] = -np.inf
+        gains[~can] = -np.inf
+        best = int(gains.argmax())
+        if gains[best] < (RULES.element_nats if n_taken else -np.inf):
+            break
+        log_bayes_factor += float(gains[best])
+        widths[best] = taus[best]
+        if gains[best] <= 0:
+            break
+        chosen = members[best][members[best] >= 0]
+        working = [_condition(*block, chosen, taus[best]) for block in working]
+    return log_bayes_factor, widths
+
+
+def _backward(scaled: Sequence[Scaled], parameters: Parameters, widths: FloatArray) -> BoolArray:
+    """Begin with elements of these widths, leave out those that add too little beside the others; say what stays.
+
+    Half of them go at a time, the worst ones, so that each is judged beside few that are not there.
+    """
+    members = _members(parameters)
+    while widths.any():
+        taken = np.flatnonzero(widths)
+        beside, local = _beside_others(scaled, members[taken], widths[taken])
+        gains, widths[taken] = _element_gains(beside, local, rarity(parameters, TAUS))
+        low = gains - np.log(max(parameters.trials, 1)) - 1.0 < RULES.element_nats
+        if not low.any():
+            break
+        widths[taken[np.argsort(gains)[: (int(low.sum()) + 1) // 2]]] = 0.0
+    return widths > 0
+
+
+def _beside_others(scaled: Sequence[Scaled], members: IntArray, widths: FloatArray) -> tuple[list[Scaled], IntArray]:
+    """Return K and u of each element with all others marginalised, as blocks on the diagonal, and their members there.
+
+    With C the posterior covariance of all and T that of an element's prior these are C_e^-1 - T^-1 and C_e^-1 x_e.
+    """
+    used = members[members >= 0]
+    stated = np.repeat(widths**-2.0, np.sum(members >= 0, axis=1))
+    local = np.full(members.shape, -1)
+    local[members >= 0] = np.arange(len(used))
+    found = []
+    for information, score in scaled:
+        # What the data do not constrain are rounding errors, so that no prior is wider than these let it be.
+        precision = np.maximum(stated, RANK_RTOL * float(np.max(np.diag(information), initial=0.0)))
+        covariance = np.linalg.inv(information[np.ix_(used, used)] + np.diag(precision))
+        x, beside, own = covariance @ score[used], np.zeros_like(covariance), np.zeros(len(used))
+        for row in local:
+            one = row[row >= 0]
+            inverse = np.linalg.inv(covariance[np.ix_(one, one)])
+            beside[np.ix_(one, one)], own[one] = inverse - np.diag(precision[one]), inverse @ x[one]
+        found.append((beside, own))
+    return found, local
+
+
+def each_alone(scaled: Sequence[Scaled], parameters: Parameters) -> FloatArray:
+    """Return by how much the element of each parameter alone raises ln evidence, at the price of picking it."""
+    gains, _ = _element_gains(scaled, _members(parameters), rarity(parameters, TAUS))
+    return (gains - np.log(max(parameters.trials, 1)) - 1.0)[parameters.element]
+
+
+def _members(parameters: Parameters) -> IntArray:
+    """Return the parameters of each element, (Nelements, p), padded with -1."""
+    n_elements = int(parameters.element.max()) + 1
+    counts = np.bincount(parameters.element, minlength=n_elements)
+    members = np.full((n_elements, int(counts.max())), -1)
+    order = np.argsort(parameters.element, kind="stable")
+    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    members[parameters.element[order], np.arange(len(order)) - np.repeat(starts, counts)] = order
+    return members
+
+
+def _element_gains(working: Sequence[Scaled], members: np.ndarray, price: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return by how much each element alone would raise ln BF, and at which prior width, each at its ``price``."""
+    present = members >= 0
+    total = np.tile(-price[:, np.newaxis], len(members))
+    for information, score in working:
+        corner = information[members[:, :, np.newaxis], members[:, np.newaxis, :]]
+        corner = np.where(present[:, :, np.newaxis] & present[:, np.newaxis, :], corner, 0.0)
+        values, vectors = np.linalg.eigh(corner)
+        projections = np.einsum("epi,ep->ei", vectors, np.where(present, score[members], 0.0))
+        largest = np.maximum(values[:, -1:], 0.0)
+        told = values > np.maximum(RANK_RTOL * largest, 1e-12 * max(float(largest.max(initial=0.0)), 1e-300))
+        total += log_bayes_factors(np.where(told, values, 0.0), np.where(told, projections, 0.0))
+    best = total.argmax(axis=0)
+    return total[best, np.arange(len(members))], TAUS[best]
+
+
+def _condition(
+    information: FloatArray, score: FloatArray, chosen: np.ndarray, tau: float
+) -> tuple[FloatArray, FloatArray]:
+    """Marginalise some parameters with their prior.
+
+    Directions that the data do not constrain are skipped: their entries are rounding errors of either sign, which would
+    outweigh the precision of a wide prior.
+    """
+    values, vectors = np.linalg.eigh(information[np.ix_(chosen, chosen)])
+    told = values > RANK_RTOL * max(values[-1], 0.0)
+    values, vectors = values[told], vectors[:, told]
+    across = information[:, chosen] @ vectors
+    solved = across / (values + 1 / tau**2)
+    return information - solved @ across.T, score - solved @ (vectors.T @ score[chosen])
+
+
+def log_bayes_factors(values: FloatArray, projections: FloatArray) -> FloatArray:
+    """Return ln BF for every one of `TAUS`, (Ntaus, ...), from eigenvalues of K and u along them, (..., p)."""
+    tau2 = TAUS.reshape(-1, *(1,) * values.ndim) ** 2
+    grown = 1 + tau2 * np.maximum(values, 0.0)
+    return np.sum(-0.5 * np.log(grown) + 0.5 * tau2 * projections**2 / grown, axis=-1)

@@ -1,0 +1,111 @@
+"""Which of many candidates are weighed: sources, baselines, directions, by how much each alone would explain."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.effect import Effect, ScannedEffect
+from hydrabeam_mpi.fit.blocks import CandidateBlock
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.state import Fitted
+from hydrabeam_mpi.inference.likelihood import RANK_RTOL
+from hydrabeam_mpi.loop.attribution.candidate_rows import CachedRowBlocks, likelihoods
+from hydrabeam_mpi.loop.attribution.others import beside_model
+from hydrabeam_mpi.mpi import allreduce_sum, bcast_object, together
+
+MAX_ELEMENTS = 350
+"""How many of a scan's best candidates are compared together."""
+
+
+def pick(context: FitContext, fitted: Fitted, cached: CachedRowBlocks, effects: Sequence[Effect]) -> list[Effect]:
+    """Scan where there are too many candidates, and keep the best of them. Collective: all ranks of the grid.
+
+    The beam follows most what is brightest, of which it may leave little to see. So the brightest are looked at again
+    beside those that are the best with the beam as it is, now with the beam and the model's effects marginalised.
+    """
+    scanned = [effect for effect in effects if isinstance(effect, ScannedEffect)]
+    best: dict[int, IntArray] = {}
+    again: dict[int, Effect] = {}
+    for effect, (drop, power) in zip(scanned, _scan(context, cached, scanned), strict=True):
+        order, brightest = (np.argsort(-one, kind="stable") for one in (drop, power))
+        both = np.stack([order, brightest], axis=1).reshape(-1)
+        first = both[np.sort(np.unique(both, return_index=True)[1])][:MAX_ELEMENTS]
+        every = effect.every(context.setup, first)
+        best[id(effect)] = order[:MAX_ELEMENTS] if every is None else first
+        if every is not None:
+            again[id(effect)] = every
+    for key, drop in _drops_beside(context, fitted, cached, again).items():
+        best[key] = best[key][np.argsort(-drop, kind="stable")]
+    chosen = {id(effect): effect.at(context.setup, best[id(effect)]) for effect in scanned}
+    return [chosen.get(id(effect), effect) for effect in effects]
+
+
+def _drops_beside(
+    context: FitContext, fitted: Fitted, cached: CachedRowBlocks, effects: Mapping[int, Effect]
+) -> dict[int, FloatArray]:
+    """Return by how much each element would lower chi^2 with all but itself marginalised, (n_elements,) an effect.
+
+    Its parameters are taken as orthogonal. Collective: all ranks of the grid.
+    """
+    if not effects:
+        return {}
+    candidates = {
+        str(key): CandidateBlock(effect, np.zeros(len(effect.parameters(context.setup))))
+        for key, effect in effects.items()
+    }
+    by_name, found = likelihoods(context, fitted, cached, candidates), None
+    with together(context.grid.world):
+        if by_name is not None:
+            found = []
+            for key, effect in effects.items():
+                element = effect.parameters(context.setup).element
+                drop = np.zeros(int(element.max(initial=-1)) + 1)
+                for one in beside_model(fitted.values, effect, by_name[str(key)]):
+                    seen, present = np.diag(one.information), np.diag(one.signal)
+                    told = seen > RANK_RTOL * present
+                    drop += np.bincount(element, np.where(told, one.score**2 / np.where(told, seen, 1.0), 0.0))
+                found.append(drop)
+    told_all: list[FloatArray] = bcast_object(context.grid.world, found)
+    return dict(zip(effects, told_all, strict=True))
+
+
+def _scan(context: FitContext, cached: CachedRowBlocks, effects: Sequence[ScannedEffect]) -> list[FloatArray]:
+    """Return by how much each candidate alone would lower chi^2 with the beam as it is, and its own power.
+
+    Both are (n_hypotheses,); the result has (2, n_hypotheses) an effect.
+    """
+    sums: list[list[Any]] = [[0.0] * len(context.channels) for _ in effects]
+    with together(context.grid.world):
+        for channel in range(len(context.channels)):
+            for block in cached.row_blocks(channel):
+                for effect, by_channel in zip(effects, sums, strict=True):
+                    by_channel[channel] = by_channel[channel] + np.stack(effect.scan(block))
+    return [_drops(context, effect, np.array(by_channel)) for effect, by_channel in zip(effects, sums, strict=True)]
+
+
+def _drops(context: FitContext, effect: ScannedEffect, found: FloatArray) -> FloatArray:
+    """Add the sums of a scan over ranks and channels. Collective: all ranks of the grid."""
+    shape = max(context.grid.world.allgather(found.shape[1:]))  # ranks without rows do not know it
+    found = found if found.shape[1:] == shape else np.zeros((len(found), *shape))
+    allreduce_sum(context.grid.group, found)
+    if effect.shared:
+        total = found.sum(axis=0) if context.grid.is_group_root else np.zeros(shape)
+        allreduce_sum(context.grid.world, total)
+        return _drop_and_power(total)
+    drops = np.sum([_drop_and_power(one) for one in found], axis=0)
+    if not context.grid.is_group_root:
+        drops[:] = 0.0
+    allreduce_sum(context.grid.world, drops)
+    return np.asarray(drops)
+
+
+def _drop_and_power(sums: FloatArray) -> FloatArray:
+    """Return 2 (Re sum w s* r)^2 / sum w |s|^2 and sum w |s|^2, each summed over a candidate's columns."""
+    score, power = sums
+    told = power > 0
+    drop = np.where(told, 2 * score**2 / np.where(told, power, 1.0), 0.0)
+    return np.stack([drop.sum(axis=-1), power.sum(axis=-1)])
