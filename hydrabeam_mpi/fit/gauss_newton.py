@@ -106,6 +106,15 @@ def solved_at(context: FitContext, values: Values, before: Fitted) -> Fitted:
     return Fitted(values, replace(step.fit, posteriors=solved.beams), diagnostics_of(context, values, solved))
 
 
+def stepped(context: FitContext, values: Values, before: Fitted) -> Fitted:
+    """Take one step from the effects' ``values``, near their linear optimum. Collective: all ranks of the grid."""
+    at = Estimate(values, before.fit.posteriors)
+    solved = solve_beams(context, at)
+    step = take_step(context, replace(at, beams=solved.beams), solved)
+    fit = replace(step.fit, posteriors=step.to.beams)
+    return Fitted(step.to.values, fit, diagnostics_of(context, values, solved))
+
+
 @dataclass(frozen=True)
 class _Step:
     """A Gauss-Newton step: where it leads, what it tells of the effects, and how many standard deviations it is long.

@@ -30,6 +30,18 @@ class LeftOut:
     told: tuple[str, ...]
 
 
+def may_be_unphysical(context: FitContext, one: Active) -> bool:
+    """Whether something of an effect is beyond its limits where it is, by however little.
+
+    Of what has places or indices to fit, which are nonlinear, nothing is known before a fit.
+    """
+    if np.any(one.effect.parameters(context.setup).nonlinear):
+        return False
+    in_use = np.zeros_like(one.x)
+    in_use[:, one.used] = 1.0
+    return bool(np.any(one.effect.beyond(context.setup, one.x, in_use) > 0))
+
+
 def leave_out_unphysical(context: FitContext, fitted: Fitted, n_before: int) -> LeftOut | None:
     """Leave single elements (a source, a wall) out of effects after the first ``n_before`` if they are unphysical.
 

@@ -11,7 +11,7 @@ import numpy as np
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.reweighting import ReweightingFit
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Worth, refit
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Worth, refit, stepped
 from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.state import Active, Fitted, Reweighted, Values
 from hydrabeam_mpi.loop.attribution.reconsider import reconsider
@@ -31,7 +31,7 @@ from hydrabeam_mpi.loop.selection.acceptance import (
 )
 from hydrabeam_mpi.loop.selection.heldout_numbers import heldout_numbers
 from hydrabeam_mpi.loop.selection.heldout_score import heldout_score
-from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical
+from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical, may_be_unphysical
 from hydrabeam_mpi.loop.selection.refits import fit_patiently, is_same_prior, log_joint, restarted, rise
 from hydrabeam_mpi.loop.selection.refusal import refusal_beside, refusal_of, rivals_of
 from hydrabeam_mpi.loop.selection.weighing import Outlook
@@ -213,15 +213,33 @@ def _fit_effect(
 
 
 def _fit_physically(context: FitContext, values: Values, before: Fitted, worth: Worth | None) -> Fitted:
-    """Fit, and again without those parts of the last effect that are unphysical, until none is."""
-    fitted, n_before = fit_patiently(context, values, before, worth), len(values.active) - 1
-    while found := leave_out_unphysical(context, fitted, n_before):
-        for line in found.told:
-            say(f"    {line}", context.grid.is_world_root)
-        if len(found.values.active) == n_before:
-            raise BrokenOff(f"all that is left of it would have {fitted.values.active[-1].effect.unphysical}")
-        fitted = fit_patiently(context, found.values, fitted, worth)
+    """Fit, and again without those parts of the last effect that are unphysical, until none is.
+
+    What is so at the linear optimum, where the values are, is left out before the first fit.
+    """
+    while may_be_unphysical(context, values.active[-1]):
+        fitted = stepped(context, values, before)
+        rest = _physical(context, fitted)
+        if rest is None:
+            break
+        values = rest
+    fitted = fit_patiently(context, values, before, worth)
+    while (rest := _physical(context, fitted)) is not None:
+        fitted = fit_patiently(context, rest, fitted, worth)
     return fitted
+
+
+def _physical(context: FitContext, fitted: Fitted) -> Values | None:
+    """Leave out what is unphysical of the last effect; None where nothing is. Collective: all ranks of the grid."""
+    n_before = len(fitted.values.active) - 1
+    found = leave_out_unphysical(context, fitted, n_before)
+    if found is None:
+        return None
+    for line in found.told:
+        say(f"    {line}", context.grid.is_world_root)
+    if len(found.values.active) == n_before:
+        raise BrokenOff(f"all that is left of it would have {fitted.values.active[-1].effect.unphysical}")
+    return found.values
 
 
 def _fit_weights(

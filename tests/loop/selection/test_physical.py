@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Active, Fitted, Values
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.attribution.score_effects import Finding
+from hydrabeam_mpi.loop.selection import trials
+from hydrabeam_mpi.loop.selection.acceptance import Candidate
 from hydrabeam_mpi.loop.selection.constant import take_back_unphysical
 from hydrabeam_mpi.loop.selection.physical import is_unphysical, leave_out_unphysical
+from hydrabeam_mpi.loop.selection.refits import fit_patiently
 from hydrabeam_mpi.loop.selection.trials import check, try_effects
 from tests.loop.made import effect_candidate, round_of
 from tests.loop.mock import context_of, mock_job
@@ -102,3 +107,25 @@ def test_trials_leave_out_what_cannot_be(context: FitContext) -> None:
             assert active.x[0, 0] > 2
         else:
             assert tried[0][1] == "all that is left of it would have a flux below zero"
+
+
+def test_what_cannot_be_at_the_linear_optimum_is_left_out_before_the_first_fit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of fluxes, which the linear model tells as well as a fit."""
+    plain = context_of(mock_job(), tmp_path / "plain")
+    effect = CatalogueFlux().foremost(plain.setup, 2)
+    names = effect.parameters(plain.setup).names
+    wrong = dict(zip(names, (0.5, -1.2), strict=True))
+    told = {"kind": "catalogue_flux", "settings": effect.describe(), "parameters": wrong}
+    context = context_of(mock_job(told), tmp_path / "wrong")
+    fits: list[tuple[str, ...]] = []
+
+    def noted(context: FitContext, values: Values, *args: Any) -> Fitted:
+        fits.append(values.active[-1].effect.parameters(context.setup).names)
+        return fit_patiently(context, values, *args)
+
+    monkeypatch.setattr(trials, "fit_patiently", noted)
+    evidence = Evidence(1e4, np.full(2, 10.0), np.array([[0.5, -1.2]]), 0.0, 2.0, 0.0, 2, 0.0)
+    try_effects(context, check(context, refit(context, Values())), [Candidate.of(Finding(effect, evidence))], [])
+    assert fits[0] == names[:1]
