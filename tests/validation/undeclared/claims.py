@@ -68,6 +68,8 @@ def not_so(answer: dict[str, Any], loop: dict[str, Any]) -> list[str]:
         out.append(f"convention: {convention}")
     for one in kept(loop):
         name = one["effect"]
+        if name == f"convention: {convention}":
+            continue
         so = [
             effect
             for effect in answer["effects"]

@@ -105,6 +105,8 @@ def test_a_round_that_may_as_well_be_the_right_one_claims_nothing_wrong():
 def test_conventions_that_are_kept():
     halved = answer("convention: halved")
     assert not_so(halved, loop(conventions={"found": "factor 1/2"})) == []
+    told = loop(a_round("convention: factor 1/2"), conventions={"found": "factor 1/2"})
+    assert not_so(halved, told) == []
     assert not_so(halved, loop(conventions={"found": "conjugated"})) == ["convention: conjugated"]
     assert not_so(answer(), loop(conventions={"found": "conjugated"})) == ["convention: conjugated"]
 
