@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -16,6 +16,7 @@ from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.accumulate import designs
 from hydrabeam_mpi.fit.kept import Kept
 from hydrabeam_mpi.fit.known_precision import RecentlyKnown
+from hydrabeam_mpi.fit.linear_sky import LinearSky, linear_sky
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Values
 from hydrabeam_mpi.model.rime import Beam, ForwardModel
@@ -23,6 +24,9 @@ from hydrabeam_mpi.setup.problem import Problem
 
 KEPT_BYTES = 2_000_000_000
 """The design is kept in memory if a rank's share is smaller than this, else computed anew each time."""
+SLOPES_BYTES = KEPT_BYTES / 8
+"""What the design changes by with each parameter of the sky is kept if it is smaller: adding up more than that takes
+about as long as working out the design of a sky anew."""
 
 
 @dataclass
@@ -37,11 +41,14 @@ class RowModel:
         Of all channels.
     rows : Rows
         As read.
+    linear_sky : LinearSky, optional
+        The design of all skies that some effects make.
     """
 
     problem: Problem
     setup: ObservingSetup
     rows: Rows
+    linear_sky: LinearSky | None = None
     _places: dict[int, Place] = field(default_factory=dict)
     _memo: dict[tuple[int, str], Any] = field(default_factory=dict)
 
@@ -87,7 +94,25 @@ class RowModel:
         of_sky, key = self._plain.of(None, plain), self.key_of_sky(values)
         if not key:
             return of_sky
+        sky = self.linear_sky
+        if sky is not None and sky.has(values):
+            return self._changed.of(key, lambda: sky.designs(values))
         return self._changed.of(key, lambda: map(np.add, of_sky, self._changes(values)))
+
+    def learn_sky(self, values: Values, moving: Sequence[int]) -> None:
+        """Work out from what the designs of all skies follow that some effects make, where there is room. Serial.
+
+        Parameters
+        ----------
+        values : Values
+        moving : sequence of int
+            Places of the effects that will have many values.
+        """
+        places = [place for place in moving if values.active[place].effect.changes_sky]
+        n_slopes = sum(values.active[place].size for place in places)
+        n_rows = len(self.rows.groups) * len(self.rows.tile.times) * len(self.rows.data)
+        if places and n_slopes * n_rows * self.problem.basis.n_modes * 16 <= SLOPES_BYTES:
+            self.linear_sky = linear_sky(self.designs, values, places, self.problem.channel_numbers.tolist())
 
     def key_of_sky(self, values: Values) -> bytes:
         """Return what tells the sky with its effects from another one; nothing where there are none."""
@@ -106,6 +131,7 @@ class RowModel:
                 sky = [(sources.za[changed], sources.az[changed], change[changed])]
                 sky += [more for one, x in block.sky_effects if (more := one.extra_sky(block, time, x)) is not None]
                 za, az, flux = (np.concatenate(parts) for parts in zip(*sky, strict=True))
+                za, az, flux = (one[flux != 0] for one in (za, az, flux))
                 by_channel.append(engine.design(basis, za, az, flux[np.newaxis], np.array([block.freq]))[0])
             mixed = basis.mix(np.array(by_channel))
             yield mixed[:, 0] + 1j * mixed[:, 1] if basis.is_complex else mixed

@@ -50,6 +50,9 @@ def begin(context: FitContext) -> Walk:
         group_of = _groups(context, wanted)
     fitted = refit(context, values)
     context, fitted = _with_fixed_weights(context, settle(context, fitted))
+    with together(context.grid.world):
+        for share in (context.train, context.test) if wanted.heldout else (context.train,):
+            share.learn_sky(fitted.values, moving)
     unknowns = Unknowns(fitted.values, moving, context.setup.observation.Nfreqs)
     scales = wanted.noise_prior, wanted.width_prior
     noise, widths = (
@@ -61,7 +64,8 @@ def begin(context: FitContext) -> Walk:
     if noise is not None and wanted.noise_groups != "all":
         parts = NoiseParts.of(wanted.noise_groups, context.setup, tolerance)
     seen_by, dof = fitted.fit.posteriors, wanted.noise_dof
-    return Walk(context, unknowns, proposal, seen_by, noise, widths, group_of, wanted.collapsed, parts, dof)
+    seen = _beam_is_seen(context, unknowns, proposal, seen_by)
+    return Walk(context, unknowns, proposal, seen_by, noise, widths, group_of, wanted.collapsed, parts, dof, seen)
 
 
 def first_state(walk: Walk, seed: int, chain: int) -> ChainState:
@@ -190,6 +194,18 @@ def _proposal(context: FitContext, fitted: Fitted, unknowns: Unknowns, by_misfit
             found = _about(unknowns, vector, told, np.array(noise))
     made: Proposal = bcast_object(context.grid.world, found)
     return made
+
+
+def _beam_is_seen(
+    context: FitContext, unknowns: Unknowns, proposal: Proposal, beams: tuple[Posterior, ...]
+) -> bool:
+    """Tell whether another beam makes another E or C, wherever effects are. Collective: the chain's ranks."""
+    values = unknowns.at(proposal.vector(np.ones(proposal.factor.shape[1])))
+    others = tuple(replace(one, mean=1.1 * one.mean + one.mean[::-1]) for one in beams)
+    with together(context.grid.world):
+        of_each = [context.train.effects(Estimate(values, some)) for some in (beams, others)]
+        same = all(np.array_equal(one, two) for one, two in zip(*of_each, strict=True))
+    return not all(context.grid.world.allgather(same))
 
 
 def _about(unknowns: Unknowns, vector: FloatArray, told: Sequence[Likelihood], noise: FloatArray) -> Proposal:

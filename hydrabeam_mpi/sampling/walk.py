@@ -101,6 +101,8 @@ class Walk:
         Where scales of the noise are drawn that are not those of all data.
     dof : float, optional
         Degrees of freedom of noise of Student's t.
+    beam_is_seen : bool
+        Whether E or C depends on the beams.
     """
 
     context: FitContext
@@ -113,6 +115,7 @@ class Walk:
     collapsed: bool = True
     parts: NoiseParts | None = None
     dof: float | None = None
+    beam_is_seen: bool = True
     _sums: Latest = field(default_factory=Latest)
     _given: Latest = field(default_factory=Latest)
     _misfits: Latest = field(default_factory=Latest)
@@ -211,7 +214,7 @@ class Walk:
         return self._misfits.of(key, lambda: self._misfit(values, beams))
 
     def _misfit(self, values: Values, beams: Sequence[Array]) -> FloatArray:
-        if self.collapsed and not values.adds:
+        if self.collapsed and not self.beam_is_seen:
             # The sums over rows are known already.
             return self.misfit_seen_by_fit(values, beams)
         with together(self.context.grid.world):
@@ -234,7 +237,7 @@ class Walk:
 
         Collective: the chain's ranks.
         """
-        if not state.values.adds:
+        if not self.beam_is_seen:
             return np.zeros(len(state.beams))
         more = self.misfit(state.values, state.beams) - self.misfit_seen_by_fit(state.values, state.beams)
         return np.asarray(-more / state.noise)

@@ -18,7 +18,7 @@ from hydrabeam_mpi.sampling.walk import Walk
 def draw_beams(walk: Walk, state: ChainState, chance: Chance) -> tuple[ChainState, dict[str, float]]:
     """Draw the beams given all else, and tell which part of the channels took theirs. Collective: the chain's ranks."""
     proposed = replace(state, beams=walk.drawn(walk.beams_given(state), chance, "beam"))
-    if not state.values.adds:
+    if not walk.beam_is_seen:
         return proposed, {"beam": 1.0}
     gain = walk.log_correction(proposed) - walk.log_correction(state)
     chances = [chance.of("beam accepted", channel).random() for channel in walk.channels]

@@ -39,7 +39,7 @@ def draw_effects(walk: Walk, state: ChainState, chance: Chance) -> tuple[ChainSt
     here = log_ratio(walk, state)
     proposed = _proposed(walk, state, chance)
     try:
-        if state.values.adds:
+        if walk.beam_is_seen:
             proposed = replace(proposed, beams=walk.drawn(walk.beams_given(proposed), chance, "beam with effects"))
         there = log_ratio(walk, proposed)
     except InputError:
