@@ -23,6 +23,7 @@ from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.settle import settle
 from hydrabeam_mpi.fit.state import Active, Estimate, Fitted, Values
 from hydrabeam_mpi.inference.likelihood import Likelihood
+from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.prior import DiagonalPrior
 from hydrabeam_mpi.mpi import bcast_object, gather_by_channel, together
 from hydrabeam_mpi.sampling.noise import InverseGamma, NoiseParts
@@ -53,7 +54,7 @@ def begin(context: FitContext) -> Walk:
     with together(context.grid.world):
         for share in (context.train, context.test) if wanted.heldout else (context.train,):
             share.learn_sky(fitted.values, moving)
-    unknowns = Unknowns(fitted.values, moving, context.setup.observation.Nfreqs)
+    unknowns = Unknowns(fitted.values, moving, context.setup.observation.Nfreqs, context.learned is None)
     scales = wanted.noise_prior, wanted.width_prior
     noise, widths = (
         InverseGamma(*prior) if block in wanted.blocks else None
@@ -83,7 +84,8 @@ def first_state(walk: Walk, seed: int, chain: int) -> ChainState:
         each = noise ** (1 / len(walk.parts.of_baseline))
         noise, parts = np.ones(n_local), np.repeat(each[:, np.newaxis], len(walk.parts.labels), axis=1)
     beams = tuple(one.mean for one in walk.seen_by)
-    state = ChainState(walk.unknowns.values, beams, noise, np.ones((n_local, n_groups)), parts)
+    pace = np.ones(walk.unknowns.n_freqs + 1)
+    state = ChainState(walk.unknowns.values, beams, noise, np.ones((n_local, n_groups)), parts, pace, pace)
     walk = walk.weighed(state, chance)
     length = BEGINS_WIDE
     while True:
@@ -196,9 +198,7 @@ def _proposal(context: FitContext, fitted: Fitted, unknowns: Unknowns, by_misfit
     return made
 
 
-def _beam_is_seen(
-    context: FitContext, unknowns: Unknowns, proposal: Proposal, beams: tuple[Posterior, ...]
-) -> bool:
+def _beam_is_seen(context: FitContext, unknowns: Unknowns, proposal: Proposal, beams: tuple[Posterior, ...]) -> bool:
     """Tell whether another beam makes another E or C, wherever effects are. Collective: the chain's ranks."""
     values = unknowns.at(proposal.vector(np.ones(proposal.factor.shape[1])))
     others = tuple(replace(one, mean=1.1 * one.mean + one.mean[::-1]) for one in beams)

@@ -27,8 +27,9 @@ class ChainState:
         By what the variances of the beams' prior exceed the stated ones, for each group of modes.
     parts : ndarray, (Nlocal, n_parts)
         By what those of the noise of parts of the array do, on top of that.
-    step, scale : float
-        Of the proposals of effects: how far they go, 0 to 1, and how much wider than the fit's Gaussian they are.
+    step, scale : ndarray, (Nfreqs + 1,)
+        Of the proposals of effects in single channels, and of those in all together: how far they go, 0 to 1, and how
+        much wider than the fit's Gaussian they are. The same on all ranks.
     """
 
     values: Values
@@ -36,8 +37,8 @@ class ChainState:
     noise: FloatArray
     widths: FloatArray
     parts: FloatArray
-    step: float = 1.0
-    scale: float = 1.0
+    step: FloatArray
+    scale: FloatArray
 
 
 @dataclass(frozen=True)

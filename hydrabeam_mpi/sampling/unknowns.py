@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import block_diag, cho_solve, null_space
 
-from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.data.observation import BoolArray, FloatArray, IntArray
 from hydrabeam_mpi.data.partition import spans
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.state import Active, Values
@@ -29,11 +29,14 @@ class Unknowns:
         Places of the effects that move.
     n_freqs : int
         Number of the job's channels.
+    channels_apart : bool
+        Whether nothing but the effects' priors may make parameters of different channels depend on each other.
     """
 
     values: Values
     moving: tuple[int, ...]
     n_freqs: int
+    channels_apart: bool = True
 
     @property
     def active(self) -> list[Active]:
@@ -76,8 +79,28 @@ class Unknowns:
 
     @cached_property
     def free(self) -> FloatArray:
-        """The directions in which the vector may move, (n, n_free), orthonormal: those that nothing holds at zero."""
-        return np.asarray(block_diag(np.zeros((0, 0)), *(null_space(self._held(one)) for one in self.active)))
+        """The directions in which the vector may move, (n, n_free), orthonormal: those that nothing holds at zero.
+
+        Those of single channels come first, channel by channel.
+        """
+        return self._directions[0]
+
+    @cached_property
+    def channel_of_free(self) -> IntArray:
+        """The channel that each of them is of alone, or the number of channels where it is of several, (n_free,)."""
+        return self._directions[1]
+
+    @cached_property
+    def _directions(self) -> tuple[FloatArray, IntArray]:
+        directions, channels = [np.zeros((0, 0))], [np.zeros(0, dtype=int)]
+        for one in self.active:
+            n_sets, of_one = self._n_sets(one), null_space(one.held)
+            directions.append(np.kron(np.eye(n_sets), of_one))
+            of_sets = np.arange(n_sets) if self._is_apart(one) else np.full(n_sets, self.n_freqs)
+            channels.append(np.repeat(of_sets, of_one.shape[1]))
+        channel_of = np.concatenate(channels)
+        order = np.argsort(channel_of, kind="stable")
+        return np.asarray(block_diag(*directions)[:, order]), channel_of[order]
 
     def prior_precision(self) -> FloatArray:
         """Return the precision of the vector's prior, (n, n)."""
@@ -144,5 +167,23 @@ class Unknowns:
     def _n_sets(self, one: Active) -> int:
         return 1 if one.prior.shared else self.n_freqs
 
-    def _held(self, one: Active) -> FloatArray:
-        return np.asarray(np.kron(np.eye(self._n_sets(one)), one.held))
+    def log_prior_apart(self, values: Values) -> FloatArray:
+        """Return the logarithm of the prior of what is of single channels, up to a constant, (Nfreqs,)."""
+        total = np.zeros(self.n_freqs)
+        for one in (values.active[place] for place in self.moving if self._is_apart(values.active[place])):
+            for channels, prior in one.prior.pieces(self.n_freqs):
+                away = one.x[channels.start, one.used] - prior.mean
+                total[channels.start] -= 0.5 * float(away @ prior.precision_times(away))
+        return total
+
+    def taken(self, channels: BoolArray, new: FloatArray, old: FloatArray) -> FloatArray:
+        """Return the vector with what is of some channels alone, (Nfreqs,), as a new one has it, (n,)."""
+        vector = old.copy()
+        for one, span in zip(self.active, self.spans, strict=True):
+            if self._is_apart(one):
+                vector[span][np.repeat(channels, one.size)] = new[span][np.repeat(channels, one.size)]
+        return vector
+
+    def _is_apart(self, one: Active) -> bool:
+        """Whether an effect's parameters in one channel have nothing to do with those in another."""
+        return self.n_freqs > 1 and self.channels_apart and not (one.prior.shared or one.prior.n_coupled)

@@ -97,7 +97,7 @@ def state_from(walk: Walk, arrays: Mapping[str, Array] | None) -> ChainState:
         noise = told[NOISE][channels]
     if walk.widths is not None:
         widths = told[PRIOR_WIDTH][channels]
-    vector, pace = np.concatenate([np.zeros(0), *parts]), told[PACE].tolist()
+    vector, pace = np.concatenate([np.zeros(0), *parts]), told[PACE]
     return ChainState(walk.unknowns.at(vector), tuple(told[BEAM][channels]), noise, widths, of_parts, *pace)
 
 

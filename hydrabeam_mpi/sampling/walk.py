@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import Array, BoolArray, FloatArray, IntArray
 from hydrabeam_mpi.fit.beams_given import sum_for_beams
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
@@ -183,8 +183,10 @@ class Walk:
         InputError
             On all ranks, if the effects leave some beam undetermined.
         """
-        key = _key(state.values) + state.noise.tobytes() + state.widths.tobytes()
-        return self._given.of(key, lambda: self._solve(state))
+        return self._given.of(self._key_of(state), lambda: self._solve(state))
+
+    def _key_of(self, state: ChainState) -> bytes:
+        return _key(state.values) + state.noise.tobytes() + state.widths.tobytes()
 
     def _solve(self, state: ChainState) -> BeamsGiven:
         normals = self.sums(state.values)
@@ -195,6 +197,25 @@ class Walk:
                     posterior, evidence[f] = solve_beam(normal.with_noise(float(state.noise[f])), prior)
                     posteriors.append(posterior)
         return BeamsGiven(normals, posteriors, evidence)
+
+    def mixed(self, taken: BoolArray, new: ChainState, old: ChainState, after: ChainState) -> None:
+        """Keep what is known where some of the rank group's channels have gone and others have not.
+
+        Parameters
+        ----------
+        taken : ndarray of bool, (Nlocal,)
+            Which have.
+        new, old, after : ChainState
+            The first two have been solved for.
+        """
+        new_sums, old_sums = self.sums(new.values), self.sums(old.values)
+        normals = [one if yes else two for yes, one, two in zip(taken.tolist(), new_sums, old_sums, strict=True)]
+        self._sums.of(_key(after.values), lambda: normals)
+        there, here = self.beams_given(new), self.beams_given(old)
+        pairs = zip(taken.tolist(), there.posteriors, here.posteriors, strict=False)
+        posteriors = [one if yes else two for yes, one, two in pairs]
+        evidence = np.where(taken, there.log_evidence, here.log_evidence)
+        self._given.of(self._key_of(after), lambda: BeamsGiven(normals, posteriors, evidence))
 
     def drawn(self, given: BeamsGiven, chance: Chance, purpose: str) -> tuple[Array, ...]:
         """Draw the beams given all else, E and C as seen by the fit's beams. Collective: the chain's ranks."""

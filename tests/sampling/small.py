@@ -16,7 +16,7 @@ from hydrabeam_mpi.random import complex_normal, generator
 from hydrabeam_mpi.sampling.begin import begin
 from hydrabeam_mpi.sampling.state import ChainState
 from hydrabeam_mpi.sampling.walk import Proposal, Walk
-from tests.loop.mock import context_of, mock_job
+from tests.loop.mock import FREQ, context_of, mock_job
 
 GAINS = {"kind": "antenna_gains", "width": 0.2}
 FLUX = {"kind": "catalogue_flux", "foremost": 2, "width": 2.0}
@@ -25,12 +25,13 @@ POINTING = {"kind": "antenna_pointing", "width": 15.0}
 
 
 def small_job(
-    *effects: dict[str, Any], blocks: tuple[str, ...] = (), n_modes: int = 3, **sample: Any
+    *effects: dict[str, Any], blocks: tuple[str, ...] = (), n_modes: int = 3, n_freqs: int = 1, **sample: Any
 ) -> dict[str, Any]:
     """Four antennas, three fitted times, twenty sources; beam, the given effects, and ``blocks`` are drawn."""
     kinds = [str(one["kind"]) for one in effects]
     job = mock_job(
         n_times=6,
+        freqs=tuple(FREQ + 8e6 * number for number in range(n_freqs)),
         holdout={"every": 2},
         sky={"n_sources": 20},
         basis={"n_modes": n_modes, "k_max": n_modes},
@@ -74,7 +75,8 @@ def drawn_from_prior(walk: Walk, rng: np.random.Generator, step: float = 0.4) ->
         noise = walk.noise.scale / rng.gamma(walk.noise.shape, size=n_local)
     if walk.widths is not None:
         widths = walk.widths.scale / rng.gamma(walk.widths.shape, size=(n_local, n_groups))
-    state = ChainState(values, (), noise, widths, parts, step)
+    pace = np.ones(walk.unknowns.n_freqs + 1)
+    state = ChainState(values, (), noise, widths, parts, step * pace, pace)
     return replace(state, beams=tuple(_drawn(prior, rng) for prior in walk.priors(state)))
 
 

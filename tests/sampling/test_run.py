@@ -21,8 +21,8 @@ from hydrabeam_mpi.sampling.storage import writer
 from hydrabeam_mpi.sampling.storage.store import ChainStore
 from hydrabeam_mpi.sampling.variables import variables_of
 from hydrabeam_mpi.sampling.walk import Walk
-from tests.loop.mock import FREQ, context_of
-from tests.sampling.small import COUPLING, GAINS, small_job
+from tests.loop.mock import context_of
+from tests.sampling.small import COUPLING, FLUX, GAINS, small_job
 
 NAMES = ("heldout_rms", "heldout_chi2", "heldout_log_density")
 SEED = 7
@@ -86,9 +86,8 @@ def test_a_chain_killed_at_any_moment_goes_on_as_if_nothing_had_been(
 @pytest.mark.mpi
 @pytest.mark.parametrize("more", [{}, {"noise_groups": "antenna", "noise_dof": 4.0}], ids=["one noise", "of antennas"])
 def test_any_number_of_ranks_walks_the_same_way(more: dict[str, Any], comm: MPI.Comm, common_tmp_path: Path) -> None:
-    """Two channels and two chains, begun by all ranks and gone on with by one."""
-    job = small_job(GAINS, COUPLING, blocks=("noise", "prior_width"), warm_up=5, **more)
-    job["data"]["simulate"]["freqs"] = [FREQ, FREQ + 8e6]
+    """Two channels, what they share, and two chains, begun by all ranks and gone on with by one."""
+    job = small_job(GAINS, FLUX, blocks=("noise", "prior_width"), n_freqs=2, warm_up=5, **more)
     own = common_tmp_path / f"own{comm.rank}"
     alone = begin(context_of(job, own))
     group, chains = groups_of_chains(comm, 2)

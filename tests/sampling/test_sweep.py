@@ -37,9 +37,16 @@ CASES: dict[str, tuple[dict[str, Any], int, float]] = {
     "what multiplies": (small_job(GAINS), 200, 3.0),
     "the sky": (small_job(FLUX), 150, 3.0),
     "what the beam sees": (small_job(POINTING), 100, 8.0),
-    "all together": (
+    "two channels that see a beam": (small_job(POINTING, n_freqs=2), 60, 8.0),
+    "all together, in two channels": (
         small_job(
-            GAINS, FLUX, COUPLING, blocks=("noise", "prior_width"), noise_prior=[8.0, 8.0], width_prior=[6.0, 6.0]
+            GAINS,
+            FLUX,
+            COUPLING,
+            blocks=("noise", "prior_width"),
+            n_freqs=2,
+            noise_prior=[8.0, 8.0],
+            width_prior=[6.0, 6.0],
         ),
         150,
         3.0,
