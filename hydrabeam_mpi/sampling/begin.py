@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +9,7 @@ from scipy.linalg import solve_triangular
 
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.sample import NOISE, PRIOR_WIDTH, Sample, SampledEffect
-from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.data.observation import IntArray
 from hydrabeam_mpi.effects.interface.effect import ScannedEffect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.registry import EFFECTS, make_effect
@@ -22,10 +21,9 @@ from hydrabeam_mpi.fit.joint import restore
 from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.settle import settle
 from hydrabeam_mpi.fit.state import Active, Estimate, Fitted, Values
-from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.prior import DiagonalPrior
-from hydrabeam_mpi.mpi import bcast_object, gather_by_channel, together
+from hydrabeam_mpi.mpi import bcast_array, bcast_object, together
 from hydrabeam_mpi.sampling.noise import InverseGamma, NoiseParts
 from hydrabeam_mpi.sampling.state import ChainState, Chance
 from hydrabeam_mpi.sampling.unknowns import Unknowns
@@ -34,6 +32,9 @@ from hydrabeam_mpi.sampling.walk import Proposal, Walk
 BEGINS_WIDE = 2.0
 """Chains begin with effects that many times as far from the fit as the posterior is wide, so that it shows in R-hat
 whether they have come to the same (Gelman and Rubin 1992)."""
+
+N_REFITS = 3
+"""How often the fit is made again with the noise that it leaves; each changes that by a fraction of the time before."""
 
 
 def begin(context: FitContext) -> Walk:
@@ -54,13 +55,17 @@ def begin(context: FitContext) -> Walk:
     with together(context.grid.world):
         for share in (context.train, context.test) if wanted.heldout else (context.train,):
             share.learn_sky(fitted.values, moving)
-    unknowns = Unknowns(fitted.values, moving, context.setup.observation.Nfreqs, context.learned is None)
     scales = wanted.noise_prior, wanted.width_prior
     noise, widths = (
         InverseGamma(*prior) if block in wanted.blocks else None
         for block, prior in zip((NOISE, PRIOR_WIDTH), scales, strict=True)
     )
-    proposal = _proposal(context, fitted, unknowns, by_misfit=noise is not None)
+    unknowns = Unknowns(fitted.values, moving, context.setup.observation.Nfreqs, context.learned is None)
+    weighed = context
+    for _ in range(0 if noise is None else N_REFITS):
+        weighed, fitted = _by_misfit(context, fitted, unknowns.free.shape[1])
+    unknowns = replace(unknowns, values=fitted.values)
+    proposal = _proposal(weighed, fitted, unknowns)
     parts, tolerance = None, job.data.redundancy_tol
     if noise is not None and wanted.noise_groups != "all":
         parts = NoiseParts.of(wanted.noise_groups, context.setup, tolerance)
@@ -174,11 +179,24 @@ def _with_fixed_weights(context: FitContext, fitted: Fitted) -> tuple[FitContext
     return replace(context, train=train), replace(fitted, values=plain)
 
 
-def _proposal(context: FitContext, fitted: Fitted, unknowns: Unknowns, by_misfit: bool) -> Proposal:
-    """Return the Gaussian of the effects about the fit, the beams marginalised. Collective: the chain's ranks.
+def _by_misfit(context: FitContext, fitted: Fitted, n_free: int) -> tuple[FitContext, Fitted]:
+    """Fit once more with noise as large as what the fit leaves of the data, and tell where. Collective: chain's ranks.
 
-    With ``by_misfit`` the noise is as large as what is left of the data.
+    The smaller the weights the more the prior holds; chains are where both belong together.
     """
+    share, values, told = context.train, fitted.values, fitted.diagnostics
+    mean = solve_beams(context, fitted.estimate, keep=True)
+    scale = None
+    if context.grid.is_group_root:
+        decided = 0.5 * (told.effective_parameters + n_free / context.setup.observation.Nfreqs)
+        scale = mean.train_chi2 * told.n_data / np.maximum(told.n_data - decided, 1.0)
+    scale = bcast_array(context.grid.group, scale)
+    weighed = replace(context, train=share.weighed(1 / scale[:, np.newaxis, np.newaxis]))
+    return weighed, refit(weighed, values, fitted)
+
+
+def _proposal(context: FitContext, fitted: Fitted, unknowns: Unknowns) -> Proposal:
+    """Return the Gaussian of the effects about the fit, the beams marginalised. Collective: the chain's ranks."""
     vector = unknowns.vector(fitted.values)
     free = unknowns.free
     # Rounding may have left a little of what is held at zero.
@@ -188,12 +206,12 @@ def _proposal(context: FitContext, fitted: Fitted, unknowns: Unknowns, by_misfit
     at = Estimate(unknowns.at(vector), fitted.fit.posteriors)
     solved = solve_beams(context, at)
     told, _ = linearised(context, replace(at, beams=solved.beams), solved)
-    mine = solved.train_chi2.tolist() if by_misfit else [1.0] * len(solved.beams)
-    noise = gather_by_channel(context.grid, mine if context.grid.is_group_root else [])
     found: Proposal | None = None
     with together(context.grid.world):
         if told is not None:
-            found = _about(unknowns, vector, told, np.array(noise))
+            mean, factor = unknowns.posterior(vector, told, np.ones(len(told)))
+            half = solve_triangular(factor, free.T, lower=True, check_finite=False)
+            found = Proposal(vector + free @ mean, half.T, factor.T @ free.T)
     made: Proposal = bcast_object(context.grid.world, found)
     return made
 
@@ -206,9 +224,3 @@ def _beam_is_seen(context: FitContext, unknowns: Unknowns, proposal: Proposal, b
         of_each = [context.train.effects(Estimate(values, some)) for some in (beams, others)]
         same = all(np.array_equal(one, two) for one, two in zip(*of_each, strict=True))
     return not all(context.grid.world.allgather(same))
-
-
-def _about(unknowns: Unknowns, vector: FloatArray, told: Sequence[Likelihood], noise: FloatArray) -> Proposal:
-    mean, factor = unknowns.posterior(vector, told, noise)
-    half = solve_triangular(factor, unknowns.free.T, lower=True, check_finite=False)
-    return Proposal(vector + unknowns.free @ mean, half.T, factor.T @ unknowns.free.T)
