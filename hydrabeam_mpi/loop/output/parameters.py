@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.told import Told
 from hydrabeam_mpi.fit.error_scale import ErrorScale
-from hydrabeam_mpi.fit.state import Fitted
+from hydrabeam_mpi.fit.state import Active, Fitted
 from hydrabeam_mpi.loop.selection.acceptance import Round
 
 LEAST_TOLD = 0.5
@@ -37,9 +38,7 @@ def parameters_of(
         told = Told(fit.names, fit.units, fit.x, fit.std, np.zeros(len(fit.names), dtype=bool))
         used, is_told = np.arange(len(fit.names)), np.ones(fit.std.shape, dtype=bool)
     else:
-        # What was taken back is told as it was found.
-        fitted, number = (one.after.fitted, -1) if one.place is None else (last, one.place)
-        active, std = one.taken_back or (fitted.values.active[number], fitted.fit.std[number])
+        active, std = _at_last(one, last)
         std = scale.of(active, std)
         told, used, shared = active.effect.told(setup, active.x, std), active.used, active.effect.shared
         prior_std = np.array([active.prior.of(f).std() for f in range(len(std))])
@@ -53,3 +52,20 @@ def parameters_of(
             entry = {"name": told.names[i], "unit": told.units[i], "value": value, "std": error, "sigma": sigma}
             (parameters if known else not_told).append({**entry, "freq_hz": freq})
     return (parameters, not_told) if parameters else (not_told, [])
+
+
+def counted(one: Round, last: Fitted) -> dict[str, float]:
+    """Return how many parameters a round's effect has in the last fit, and how many of them the data decide.
+
+    Later rounds may have left out some of those that it had when it was found.
+    """
+    active, std = _at_last(one, last)
+    decided = 1 - np.minimum(std[:, active.used] / [active.prior.of(f).std() for f in range(len(std))], 1.0) ** 2
+    n_blocks = 1 if active.effect.shared else len(std)
+    return {"n_parameters": active.size * n_blocks, "effective_parameters": float(decided[:n_blocks].sum())}
+
+
+def _at_last(one: Round, last: Fitted) -> tuple[Active, FloatArray]:
+    """Return a round's effect in the last fit and its standard deviations; as it was found if it was taken back."""
+    fitted, number = (one.after.fitted, -1) if one.place is None else (last, one.place)
+    return one.taken_back or (fitted.values.active[number], fitted.fit.std[number])

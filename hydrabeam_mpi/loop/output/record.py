@@ -12,7 +12,7 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.error_scale import ErrorScale, error_scale
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.loop.output.heldout_change import heldout_change
-from hydrabeam_mpi.loop.output.parameters import parameters_of, widened
+from hydrabeam_mpi.loop.output.parameters import counted, parameters_of, widened
 from hydrabeam_mpi.loop.output.sentences import say_round, say_verdict, still_there
 from hydrabeam_mpi.loop.residuals.left_out import rows_left_out
 from hydrabeam_mpi.loop.residuals.remains import Remains
@@ -243,6 +243,7 @@ def _round(context: FitContext, one: Round, chi2: list[float], before: Remains, 
         ],
         "prior_scale": _prior_scale(one),
         **_size(candidate),
+        **(counted(one, at_last.fitted) if candidate.finding else {}),
         "ranking": [_ranked(other) for other in ranking],
         "residual": before.statistics,
     }
