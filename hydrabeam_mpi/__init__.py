@@ -22,11 +22,12 @@ if TYPE_CHECKING:
     from hydrabeam_mpi.api.loop import close_loop
     from hydrabeam_mpi.api.plan import Plan, plan
     from hydrabeam_mpi.api.prediction import Prediction, predict
-    from hydrabeam_mpi.api.result import Found, Result, load
+    from hydrabeam_mpi.api.result import Found, Result, load, load_loop, load_posterior
     from hydrabeam_mpi.api.sampling import sample
     from hydrabeam_mpi.api.setup import Setup
     from hydrabeam_mpi.api.simulation import Mock, simulate
     from hydrabeam_mpi.errors import InputError
+    from hydrabeam_mpi.io.truth_file import Truth, load_truth
 
 _HOMES = {
     "Chains": "api.chains",
@@ -40,12 +41,16 @@ _HOMES = {
     "Prediction": "api.prediction",
     "Result": "api.result",
     "Setup": "api.setup",
+    "Truth": "io.truth_file",
     "Zernike": "api.arguments",
     "close_loop": "api.loop",
     "correct": "api.correction",
     "infer": "api.inference",
     "load": "api.result",
     "load_chains": "api.chains",
+    "load_loop": "api.result",
+    "load_posterior": "api.result",
+    "load_truth": "io.truth_file",
     "plan": "api.plan",
     "predict": "api.prediction",
     "sample": "api.sampling",
@@ -64,6 +69,7 @@ __all__ = [
     "Prediction",
     "Result",
     "Setup",
+    "Truth",
     "Zernike",
     "__version__",
     "close_loop",
@@ -71,6 +77,9 @@ __all__ = [
     "infer",
     "load",
     "load_chains",
+    "load_loop",
+    "load_posterior",
+    "load_truth",
     "plan",
     "predict",
     "sample",

@@ -11,6 +11,7 @@ import numpy as np
 from hydrabeam_mpi.api.beam import InferredBeam
 from hydrabeam_mpi.config import Job, load_job
 from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.io.formats import read_loop
 from hydrabeam_mpi.io.posterior_file import PosteriorFile, read_posterior
 from hydrabeam_mpi.io.reading import read_json
 
@@ -198,5 +199,27 @@ def load(folder: str | Path) -> Result | Found:
     result = Result(load_job(place / "job.toml"), content, summary, place / "posterior.h5")
     if not (place / "loop.json").exists():
         return result
-    record = read_json(place / "loop.json", what="a part of a result", remedy=REMEDY)
+    record = read_loop(place / "loop.json", REMEDY)
     return Found(result, record, place / "amended.toml")
+
+
+def load_posterior(path: str | Path) -> InferredBeam:
+    """Read ``posterior.h5`` alone.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or is of a layout that is not known.
+    """
+    return InferredBeam(read_posterior(Path(path)), Path(path))
+
+
+def load_loop(path: str | Path) -> dict[str, Any]:
+    """Read ``loop.json`` alone: a table as ``hydrabeam_mpi/tables/loop.schema.json`` describes it.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or is of a layout that is not known.
+    """
+    return read_loop(Path(path), REMEDY)

@@ -2,8 +2,10 @@
 
 Layout
 ------
-Root attributes: ``basis`` (JSON, see `hydrabeam_mpi.model.bases.base`), ``provenance`` (JSON: resolved job, versions,
-checksums, ranks), ``polarization``, ``telescope_name``, ``grid_za`` and ``grid_az`` as data sets (radians).
+Root attributes: ``format``, the version of this layout (1; files without it have the same), ``basis`` (JSON, see
+`hydrabeam_mpi.model.bases.base`), ``provenance`` (JSON: resolved job, versions, checksums, ranks), ``polarization``,
+``telescope_name``; ``grid_za`` and ``grid_az`` are data sets (radians). Those of numbers have ``units`` and
+``long_name``.
 Where effects were part of the model a data set ``effects`` (JSON): ``basis``, that of the beam without the functions
 that effects add to it; ``entries``, the effects as in a job's ``[[effects]]``, each with the names of all of its
 parameters, ``known``.
@@ -44,15 +46,37 @@ import numpy as np
 from hydrabeam_mpi.data.limits import LARGEST
 from hydrabeam_mpi.data.observation import Array
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.formats import FORMAT, check_format, describe
 from hydrabeam_mpi.io.hdf5 import new_hdf5
 from hydrabeam_mpi.io.reading import check_file, reading
 
+POSTERIOR_FORMAT = 1
 CHANNEL = "channel_{:04d}"
 _REMEDY = "name a folder written by 'hydrabeam infer'"
 EIGENBEAMS = 4
 REAL_MAPS = 3
 _NEEDED = ("mean", "std", "prior_mean", "prior_std", "covariance")
 MAP_PIXELS = 91 * 360
+LONG_NAMES = {
+    "mean": "posterior mean of the coefficients",
+    "covariance": "posterior covariance of the coefficients",
+    "std": "posterior standard deviation of the coefficients",
+    "prior_mean": "prior mean of the coefficients",
+    "prior_std": "prior standard deviation of the coefficients",
+    "model_mean": "coefficients of the model beam",
+    "draws": "posterior draws of the coefficients",
+    "map_mean": "posterior mean of the power beam, in units of the model beam's peak",
+    "map_std": "posterior standard deviation of the power beam, likewise",
+    "map_model": "model power beam, likewise",
+    "map_truth": "simulated power beam, likewise",
+    "eigen_variances": "smallest eigenvalues of the covariance",
+    "eigen_beams": "their eigenvectors on the sky",
+    "z_edges": "edges of the histogram of held-out z-scores",
+    "z_counts": "held-out z-scores in each bin, of the inferred and of the model beam",
+    "effects_covariance": "posterior covariance of the parameters of effects, each in its own unit",
+    "effects_beam_response": "change of the beam's coefficients with each parameter of an effect, per its unit",
+}
+"""What the data sets of a channel say of themselves; all are pure numbers, but for parameters of effects."""
 
 
 @dataclass
@@ -88,11 +112,14 @@ def write_posterior(path: Path, content: PosteriorFile) -> None:
         If not all of it could be written.
     """
     with new_hdf5(path) as file:
+        file.attrs[FORMAT] = POSTERIOR_FORMAT
         file.attrs["basis"] = json.dumps(content.basis)
         file.attrs["provenance"] = json.dumps(content.provenance)
         file.attrs["polarization"] = content.polarization
         file.attrs["telescope_name"] = content.telescope_name
         file["grid_za"], file["grid_az"] = content.grid_za, content.grid_az
+        describe(file["grid_za"], "rad", "zenith angle of the maps")
+        describe(file["grid_az"], "rad", "azimuth of the maps, from East through North")
         if content.effects is not None:
             file["effects"] = json.dumps(content.effects)
         for number, record in enumerate(content.channels):
@@ -103,6 +130,7 @@ def write_posterior(path: Path, content: PosteriorFile) -> None:
                 group.attrs["log_evidence"] = record.log_evidence
             for name, array in record.arrays.items():
                 group[name] = array
+                describe(group[name], "1", LONG_NAMES[name])
 
 
 def least_bytes(n_channels: int, n_modes: int, itemsize: int, n_draws: int) -> int:
@@ -121,6 +149,7 @@ def read_posterior(path: Path) -> PosteriorFile:
     """
     check_file(path, remedy=_REMEDY)
     with reading(path, "a posterior", remedy=_REMEDY), h5py.File(path, "r") as file:
+        check_format(file.attrs.get(FORMAT), POSTERIOR_FORMAT)
         za, az = (_numbers(file, name) for name in ("grid_za", "grid_az"))
         channels: list[ChannelRecord] = []
         while (name := CHANNEL.format(len(channels))) in file:

@@ -27,7 +27,7 @@ from hydrabeam_mpi.model.sky import Sky
 from hydrabeam_mpi.random import generator
 from hydrabeam_mpi.setup.skies import source_positions
 
-Truth = dict[str, Any]
+InjectedTruth = dict[str, Any]
 Visibilities = Mapping[str, ComplexArray]
 """By polarisation."""
 
@@ -69,7 +69,7 @@ class Injection:
         self.setup = ObservingSetup(own, redundant, sky, basis, tuple(prior_mean), observation.pols, times, positions)
         self.groups, self.member = np.unique(redundant.group, return_inverse=True)
 
-    def before_noise(self, crosses: Visibilities) -> tuple[dict[str, ComplexArray], list[Truth]]:
+    def before_noise(self, crosses: Visibilities) -> tuple[dict[str, ComplexArray], list[InjectedTruth]]:
         """Return what is measured of visibilities by polarisation, each (Nfreqs, Ntimes, Nbls), and what was put in.
 
         Both feeds have the same effects, and what is measured so is what causes in other polarisations work on.
@@ -113,7 +113,9 @@ class Injection:
         ]
         return {pol: np.array([channel[pol] for channel in channels]) for pol in channels[0]}
 
-    def after_noise(self, data: Visibilities, variance: Mapping[str, FloatArray]) -> tuple[Visibilities, list[Truth]]:
+    def after_noise(
+        self, data: Visibilities, variance: Mapping[str, FloatArray]
+    ) -> tuple[Visibilities, list[InjectedTruth]]:
         """Return data with what their weights do not tell; ``variance`` is that of visibilities, (Nfreqs, Ntimes)."""
         noisy, truths = {pol: vis.copy() for pol, vis in data.items()}, []
         for number, entry in enumerate(self.entries):
@@ -179,7 +181,7 @@ class Injection:
         ]
         return cause, np.array(draws)
 
-    def _truth(self, cause: Cause, x: FloatArray) -> Truth:
+    def _truth(self, cause: Cause, x: FloatArray) -> InjectedTruth:
         names = cause.parameters(self.setup).names
         return {"kind": cause.kind, "settings": cause.describe(), "names": list(names), "values": x.tolist()}
 

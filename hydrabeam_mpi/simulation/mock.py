@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,7 +22,7 @@ from hydrabeam_mpi.effects.registry import SEPARATE
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.disk import check_space, writing
 from hydrabeam_mpi.io.finite import SIMULATION, check_finite
-from hydrabeam_mpi.io.hdf5 import new_hdf5
+from hydrabeam_mpi.io.truth_file import Truth, write_truth
 from hydrabeam_mpi.io.uvdata import feeds_of
 from hydrabeam_mpi.io.uvwrite import write_uvh5
 from hydrabeam_mpi.model.beam import Beam
@@ -36,7 +35,7 @@ from hydrabeam_mpi.result.summary import GRID_AZ, GRID_ZA, evaluate_on_grid
 from hydrabeam_mpi.setup.beams import TurnedBeam, fit_model_beams, load_beams, perturb
 from hydrabeam_mpi.setup.skies import count_sources, load_sky, source_positions
 from hydrabeam_mpi.simulation.arrays import hexagon, read_layout
-from hydrabeam_mpi.simulation.inject import Injection, Truth, Visibilities
+from hydrabeam_mpi.simulation.inject import InjectedTruth, Injection, Visibilities
 from hydrabeam_mpi.terminal.progress import say
 
 
@@ -202,7 +201,7 @@ def _write(
     autos = {pol: vis[:, :, -1].real for pol, vis in unique.items() if pol[0] == pol[1]}
     variance = radiometer_variance(autos, observation, settings.nsamples) if autos else {}
     injection = _injection(job, observation, redundant, sky, beams) if settings.effects else None
-    truths: list[Truth] = []
+    truths: list[InjectedTruth] = []
     if injection:
         data, truths = injection.before_noise(data)
     if settings.noise:
@@ -213,18 +212,16 @@ def _write(
         truths += more
     _check_simulated(observation, data, autos, truths)
     _write_data(folder / "data.uvh5", observation, data, autos, settings.nsamples)
-    with new_hdf5(folder / "truth.h5") as file:
-        own_beams = beams[job.data.polarization]
-        file["freqs"], file["grid_za"], file["grid_az"] = observation.freqs, GRID_ZA, GRID_AZ
-        file["beam"] = np.array([evaluate_on_grid(beam) for beam in own_beams])
-        file["ra"], file["dec"], file["flux"] = sky.ra, sky.dec, sky.flux
-        file.attrs["beam_names"] = [beam.info.name for beam in own_beams]
-        file.attrs["polarization"] = job.data.polarization
-        file.attrs["effects"] = json.dumps(truths)
+    own_beams = beams[job.data.polarization]
+    maps = np.array([evaluate_on_grid(beam) for beam in own_beams])
+    names = [beam.info.name for beam in own_beams]
+    where = sky.ra, sky.dec, sky.flux
+    truth = Truth(observation.freqs, GRID_ZA, GRID_AZ, maps, *where, names, job.data.polarization, truths)
+    write_truth(folder / "truth.h5", truth)
 
 
 def _check_simulated(
-    observation: Observation, data: Visibilities, autos: Mapping[str, FloatArray], truths: Sequence[Truth]
+    observation: Observation, data: Visibilities, autos: Mapping[str, FloatArray], truths: Sequence[InjectedTruth]
 ) -> None:
     """Make sure that what is written are numbers, and such as are read again."""
     for f, freq in enumerate(observation.freqs):

@@ -11,6 +11,7 @@ import numpy as np
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.error_scale import ErrorScale, error_scale
 from hydrabeam_mpi.fit.state import Fitted
+from hydrabeam_mpi.io.formats import FORMAT, LOOP_FORMAT
 from hydrabeam_mpi.loop.output.heldout_change import heldout_change
 from hydrabeam_mpi.loop.output.parameters import counted, parameters_of, widened
 from hydrabeam_mpi.loop.output.sentences import say_round, say_verdict, still_there
@@ -86,6 +87,7 @@ def make_record(
     # Of data in another convention all is off, and before the last fit what an effect will explain.
     odd = last.odd if verdict not in ("convention", "interrupted") else ()
     record: dict[str, Any] = {
+        FORMAT: LOOP_FORMAT,
         "name": context.problem.job.name,
         "verdict": verdict,
         "error_before": history.first.score.chi2,

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.io.reading import read_json
+from hydrabeam_mpi.io.formats import read_loop
 from hydrabeam_mpi.report.page.key_numbers import Kind, format_value
 from hydrabeam_mpi.words import effect_words
 
@@ -29,7 +29,7 @@ def load_loop(directory: Path) -> Entry | None:
     path = directory / "loop.json"
     if not path.exists():
         return None
-    loop = read_json(path, remedy=REMEDY)
+    loop = read_loop(path, REMEDY)
     if loop.get("verdict") not in VERDICTS:
         raise InputError(f"is none of {', '.join(VERDICTS)}", file=path, field="verdict", remedy=REMEDY)
     return loop

@@ -31,6 +31,7 @@ import h5py
 import numpy as np
 
 from hydrabeam_mpi.data.observation import Array
+from hydrabeam_mpi.io.formats import describe, write_text
 from hydrabeam_mpi.memory import free_bytes
 from hydrabeam_mpi.sampling.storage.variable import Variable
 from hydrabeam_mpi.sampling.storage.whole_file import write_hdf5
@@ -153,16 +154,16 @@ def write_segment(folder: Path, chain: int, first: int, content: Content, variab
         for group in GROUPS:
             file.create_group(group)
         for name, told in again.items():
-            _say(file["state"], name, json.dumps(told))
+            write_text(file["state"], name, json.dumps(told))
         sets = {
             name: file.create_dataset(name, values.shape, values.dtype, chunks=_chunks(values))
             for name, values in arrays.items()
         }
         for variable in variables:
             data = sets[f"draws/{variable.name}"]
-            about = {"units": variable.unit, "long_name": variable.long_name, "block": variable.block}
-            for name, text in (about | {"dims": " ".join(variable.dims)}).items():
-                _say(data, name, text)
+            describe(data, variable.unit, variable.long_name)
+            write_text(data, "block", variable.block)
+            write_text(data, "dims", " ".join(variable.dims))
             data.attrs["shape"] = np.array(variable.shape, dtype=int)
         for begin in range(0, n, _draws_a_piece(n)):
             piece = slice(begin, begin + _draws_a_piece(n))
@@ -237,12 +238,6 @@ def _read(segment: Segment, draws: slice) -> Content:
             variable, shape = json.loads(told)
             groups["state"][name] = groups["draws"][variable].reshape(-1, *shape)
     return Content(**groups)
-
-
-def _say(place: h5py.Group | h5py.Dataset, name: str, text: str) -> None:
-    """Write an attribute as text of fixed length: HDF5 keeps other text without a checksum, and may hang in it."""
-    content = text.encode() or b" "
-    place.attrs.create(name, content, dtype=h5py.string_dtype("utf-8", len(content)))
 
 
 def _in_draws(content: Content) -> dict[str, tuple[str, tuple[int, ...]]]:
