@@ -6,8 +6,10 @@ A page has a line such as ``<!-- made: job_keys -->`` where one of the functions
 from __future__ import annotations
 
 import inspect
+import json
 import re
 from collections.abc import Iterator
+from importlib.resources import files
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
@@ -18,6 +20,7 @@ from pydantic_core import PydanticUndefined
 from hydrabeam_mpi.config import Job, Section
 from hydrabeam_mpi.config.quantities import Quantity
 from hydrabeam_mpi.config.text import toml_value
+from hydrabeam_mpi.io import posterior_file, truth_file
 
 HERE = Path(__file__).parent
 MARK = re.compile(r"^<!-- made: (\w+) -->$", re.MULTILINE)
@@ -132,4 +135,52 @@ def tutorial() -> str:
     return "\n\n".join(text)
 
 
-PARTS = {"job_keys": job_keys, "tutorial": tutorial}
+def posterior_layout() -> str:
+    """Return the layout of posterior.h5, of which the tables of the module's docstring are text."""
+    text = inspect.cleandoc(str(posterior_file.__doc__)).partition("Layout\n------\n")[2]
+    return "```{eval-rst}\n" + re.sub(r"(?<!`)`([^`]+)`(?!`)", r"``\1``", text) + "\n```"
+
+
+def truth_layout() -> str:
+    """Return the data sets of truth.h5."""
+    rows = [f"| `{name}` | {unit} | {what} |" for name, (unit, what) in truth_file.DATA_SETS.items()]
+    return "\n".join(["| data set | unit | |", "|---|---|---|", *rows])
+
+
+def loop_schema() -> str:
+    """Return tables of the keys of loop.json, from its schema."""
+    schema = json.loads((files("hydrabeam_mpi.tables") / "loop.schema.json").read_text())
+    text = ["## The top level\n", *_schema_rows(schema)]
+    for name, one in schema["$defs"].items():
+        text += [f"\n## {name.replace('_', ' ').capitalize()}\n", f"{one['description']}\n", *_schema_rows(one)]
+    return "\n".join(text)
+
+
+def _schema_rows(schema: dict[str, Any]) -> Iterator[str]:
+    yield "| key | type | meaning |\n|---|---|---|"
+    for key, one in schema["properties"].items():
+        inner = one.get("items", one).get("properties", {})
+        meaning = one.get("description", "")
+        if inner:
+            told = "; ".join(f"`{name}`: {about.get('description', '')}".rstrip(": ") for name, about in inner.items())
+            meaning += f" ({told})"
+        yield f"| `{key}` | {_schema_type(one)} | {meaning} |".replace("\\", "")
+
+
+def _schema_type(one: dict[str, Any]) -> str:
+    """Say in words of which type a value is."""
+    if "anyOf" in one:
+        return " or ".join(_schema_type(part) for part in one["anyOf"])
+    if "$ref" in one:
+        name = one["$ref"].rpartition("/")[2]
+        return f"[{name.replace('_', ' ')}](#{name.replace('_', '-')})"
+    if "enum" in one:
+        return ", ".join(f"`{word}`" for word in one["enum"])
+    if "const" in one:
+        return f"`{one['const']}`"
+    told = one["type"] if isinstance(one["type"], list) else [one["type"]]
+    words = " or ".join({"object": "table", "string": "text"}.get(kind, kind) for kind in told)
+    return f"list of {_schema_type(one['items'])}" if told == ["array"] else words
+
+
+PARTS = {part.__name__: part for part in (job_keys, loop_schema, posterior_layout, truth_layout, tutorial)}

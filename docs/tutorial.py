@@ -9,23 +9,28 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from pyuvdata import UVData
 
 import hydrabeam_mpi as hb
 
 # %% [markdown]
-# ## Mock data
+# ## The data
 #
 # The experiment of Wilensky et al. 2025 (HDBI II), but smaller: 19 antennas, 300 sources, six hours. The array's own
-# beam is not quite the model's: its main lobe is 2% wider. `mock.uvd` is a `UVData` as any; with your own data, begin
-# with `uvd = UVData.from_file(...)`.
+# beam is not quite the model's: its main lobe is 2% wider. With data of your own begin at `UVData.from_file`; beam and
+# sky are then a `UVBeam` and a `SkyModel`, or the names of their files.
 
 # %%
+place = TemporaryDirectory()
+folder = Path(place.name)
 beam = {"source": "airy", "diameter": 14.0}  # or a UVBeam, or a BeamInterface
 sky = {"n_sources": 300}  # or a SkyModel
 simulate = {"array": {"hex": [3, 5]}, "n_times": 24, "nsamples": 1.0}
 simulate["perturb"] = {"stretch": [1.02, 1.02], "sidelobe": 0.0}
 mock = hb.simulate({"data": {"simulate": simulate}, "beam": beam, "sky": sky, "seed": 4})
-uvd = mock.uvd
+mock.uvd.write_uvh5(folder / "data.uvh5")
+
+uvd = UVData.from_file(folder / "data.uvh5")
 print(f"{uvd.Ntimes} times, {uvd.Nbls} baselines with autocorrelations, {uvd.freq_array[0] / 1e6:g} MHz")
 
 # %% [markdown]
@@ -79,13 +84,26 @@ amended_heldout = float(again.heldout["chi2_predictive"][0])
 print(f"held-out reduced chi^2 with the effect in the model: {amended_heldout:.2f}")
 
 # %% [markdown]
+# ## Corrected data
+#
+# What the loop found of the instrument is taken out of the data: `gains.calfits` and `corrected.uvh5`, for any other
+# program.
+
+# %%
+corrected = hb.correct(found, hb.Setup(damaged, basis=basis, **choices))
+corrected.write(folder / "corrected")
+gain_of_7 = float(np.abs(corrected.gains[0, :, 7]).mean())
+print(f"gain of antenna 7: {gain_of_7:.4f}")
+print(sorted(path.name for path in (folder / "corrected").glob("*.uvh5")))
+
+# %% [markdown]
 # ## Results on disk
 #
 # `write` makes the folder that `hydrabeam loop` makes, for `hydrabeam report` and for `hb.load`.
 
 # %%
-with TemporaryDirectory() as place:
-    found.write(Path(place) / "result")
-    loaded = hb.load(Path(place) / "result")
-    assert loaded.verdict == found.verdict
-    np.testing.assert_array_equal(loaded.beam.covariance, found.beam.covariance)
+found.write(folder / "result")
+loaded = hb.load(folder / "result")
+assert loaded.verdict == found.verdict
+np.testing.assert_array_equal(loaded.beam.covariance, found.beam.covariance)
+place.cleanup()

@@ -107,7 +107,9 @@ def test_the_loop_of_the_readme_finds_the_gain(workspace: Workspace) -> None:
 def merged(table: dict[str, Any], part: dict[str, Any]) -> dict[str, Any]:
     """Return a job with a part of another."""
     both = {key: merged(table[key], part[key]) for key in table.keys() & part if isinstance(table[key], dict)}
-    return table | part | both
+    beam_of_a_file = {"source", "diameter"} & table.keys() and "diameter" not in part and "source" in part
+    kept = {key: value for key, value in table.items() if not (beam_of_a_file and key == "diameter")}
+    return kept | part | both
 
 
 RUN = [page for page in PAGES if {"bash", "python"} & {language for language, _ in blocks(page)}]

@@ -34,5 +34,10 @@ def test_the_loop_finds_the_gain(tutorial: dict[str, Any]) -> None:
     assert tutorial["amended_heldout"] == pytest.approx(1, abs=0.1)
 
 
+def test_the_gain_is_taken_out(tutorial: dict[str, Any]) -> None:
+    assert tutorial["gain_of_7"] == pytest.approx(1.05, abs=2e-3)
+    assert not tutorial["folder"].exists()
+
+
 def test_every_public_name_is_documented() -> None:
     assert [name for name in hb.__all__ if not getattr(hb, name).__doc__] == []
