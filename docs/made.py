@@ -24,6 +24,8 @@ from hydrabeam_mpi.io import posterior_file, truth_file
 
 HERE = Path(__file__).parent
 MARK = re.compile(r"^<!-- made: (\w+) -->$", re.MULTILINE)
+PIPE = r"\|"
+"""A bar within a cell of a table."""
 LIMITS = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<"}
 PLAIN = {bool: "true or false", int: "whole number", float: "number", str: "text", Path: "file name"}
 
@@ -77,7 +79,7 @@ def _row(key: str, field: FieldInfo) -> str:
     if unit is not None:
         meaning = re.sub(rf"^{unit},? ?", "", meaning)
     cells = (f"`{key}`", f"{kind} {limits}".strip(), _default(field, unit), meaning)
-    return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+    return f"| {' | '.join(cell.replace('|', PIPE) for cell in cells)} |"
 
 
 def _default(field: FieldInfo, unit: str | None) -> str:
@@ -112,11 +114,14 @@ def type_words(kind: Any, unit: str | None = None) -> str:
     if origin in (Union, UnionType):
         return type_words(next(part for part in parts if part is not NoneType), unit)
     if origin is Literal:
-        return "one of " + ", ".join(f"`{word}`" for word in parts) if len(parts) < 8 else "one of those below"
+        return ", ".join(f"`{word}`" for word in parts) if len(parts) <= 8 else "name of an effect"
     if origin is tuple and parts[-1] is Ellipsis:
-        return f"list of {type_words(parts[0], unit)}"
+        of = type_words(parts[0]).replace("name of an effect", "effects' names")
+        words = f"list of {of}{'s' * of.endswith(('number', 'name', 'text', 'effect'))}"
+        return f"{words}, {unit}" if unit else words
     if origin is tuple:
-        return f"[{', '.join(type_words(part, unit) for part in parts)}]"
+        words = f"[{', '.join(type_words(part) for part in parts)}]"
+        return f"{words}, {unit}" if unit else words
     if origin is dict:
         return "table"
     return f"{PLAIN[kind]}, {unit}" if unit and kind is float else PLAIN[kind]
@@ -164,7 +169,7 @@ def _schema_rows(schema: dict[str, Any]) -> Iterator[str]:
         if inner:
             told = "; ".join(f"`{name}`: {about.get('description', '')}".rstrip(": ") for name, about in inner.items())
             meaning += f" ({told})"
-        yield f"| `{key}` | {_schema_type(one)} | {meaning} |".replace("\\", "")
+        yield f"| `{key}` | {_schema_type(one)} | {meaning.replace('|', PIPE)} |"
 
 
 def _schema_type(one: dict[str, Any]) -> str:

@@ -98,7 +98,7 @@ def job_of(arguments: Mapping[str, Any], tables: Tables) -> tuple[Job, Given]:
 
 
 def FourierBessel(**settings: Any) -> Basis:
-    """Return the settings of a Fourier-Bessel basis, f = J_m(x_mk r / r_edge) exp(i m az) (HDBI II, eq. 6).
+    """Return the settings of a Fourier-Bessel basis, f = J0(u_k rho) exp(i m az) / q_k (HDBI II, eq. 5).
 
     Parameters
     ----------

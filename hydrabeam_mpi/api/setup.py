@@ -23,7 +23,7 @@ class Setup:
 
         V_jk(nu, t) = 1/2 sum_s I_s(nu) B(s, nu) exp(2 pi i nu b_jk.s / c),        B = sum_n b_n f_n,
 
-    linear in the coefficients b (HDBI II, eqs 1 to 8).
+    linear in the coefficients b (HDBI II, eqs 2 to 9).
 
     With a communicator of several ranks all of them make the Setup together. What rank 0 has counts, and the others
     may pass None: of data in memory each rank gets its own rows from there, as it reads them out of files.

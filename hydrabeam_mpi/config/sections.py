@@ -69,14 +69,14 @@ class Data(Section):
         (1.0,), "factor that brings data and their noise to Jy, where they are not: a number, or a list, one a channel"
     )
     lst_range: LstRange | None = key(None, "h, [from, to]; may wrap through 24 h")
-    time_range: JdRange | None = key(None, "JD, [from, to]")
+    time_range: JdRange | None = key(None, "JD, [from, to], to keep")
     every_time: int = key(1, "keep one in so many of the integrations that are left", ge=1)
     freq_range: FreqRange | None = key(None, "Hz, [from, to]")
     freqs: Freqs | None = key(None, "Hz, the nearest channels")
     channels: tuple[Annotated[int, Field(ge=0)], ...] | None = key(None, "by number, from 0")
     channel_width: Bandwidth | None = key(None, "Hz, where the files are wrong about it")
-    min_bl_length: Metres = key(0.0, "m", ge=0)
-    max_bl_length: Metres | None = key(None, "m", gt=0)
+    min_bl_length: Metres = key(0.0, "m, shorter baselines are left out", ge=0)
+    max_bl_length: Metres | None = key(None, "m, longer ones are left out", gt=0)
     redundancy_tol: Metres = key(1e-7, "m, within which baselines are the same", gt=0)
 
     @model_validator(mode="after")

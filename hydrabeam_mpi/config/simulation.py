@@ -33,7 +33,7 @@ class Array(Section):
 
 
 class Perturbation(Section):
-    """The perturbed beam of HDBI II, eqs 16-21; stretch 1 and sidelobe 0 leave the beam as it is."""
+    """The perturbed beam of HDBI II, eqs 15 to 22; stretch 1 and sidelobe 0 leave the beam as it is."""
 
     stretch: tuple[Annotated[float, Field(ge=1, le=LARGEST)], Annotated[float, Field(ge=1, le=LARGEST)]] = key(
         (1.01, 1.02), "of the main lobe along East-West and North-South"
@@ -45,16 +45,16 @@ class Simulate(Section):
     """Mock data as in HDBI II, section 3: array, times, channels, perturbed beam and noise."""
 
     array: Array = Array()
-    latitude: Degrees = key(-30.7215, "deg", ge=-90, le=90)
+    latitude: Degrees = key(-30.7215, "deg, of the array", ge=-90, le=90)
     longitude: Degrees = key(21.4283, "deg East", ge=-180, le=360)
-    height: Metres = key(1051.69, "m", ge=-MAX_HEIGHT, le=MAX_HEIGHT)
+    height: Metres = key(1051.69, "m, above the ellipsoid", ge=-MAX_HEIGHT, le=MAX_HEIGHT)
     start: JulianDate = key(2459866.0, "JD after which the first LST comes first")
     lst_range: LstRange = key((6.0, 12.0), "h, the last excluded")
     n_times: int = key(60, "of a night, evenly spaced in LST", ge=1)
     nights: int = key(1, "one after the other, of the same LSTs", ge=1)
     freqs: Freqs = key((131e6,), "Hz, ascending")
-    channel_width: Bandwidth = key(100e3, "Hz")
-    integration_time: Seconds = key(10.0, "s", gt=0, le=86400)
+    channel_width: Bandwidth = key(100e3, "Hz, by which noise is averaged")
+    integration_time: Seconds = key(10.0, "s, likewise", gt=0, le=86400)
     nsamples: float = key(100.0, "integrations averaged, such as nights", gt=0, le=LARGEST)
     noise: bool = key(True, "add noise by the radiometer equation")
     perturb: Perturbation = Perturbation()

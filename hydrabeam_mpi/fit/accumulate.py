@@ -64,7 +64,7 @@ def check_heldout(
     beams: Sequence[Beam],
     show: bool = False,
 ) -> list[HeldoutStatistics]:
-    """Compare a rank's held-out rows with the posterior predictive (HDBI II, eq. 15) and with the model beam.
+    """Compare a rank's held-out rows with the posterior predictive (HDBI II, eq. 14) and with the model beam.
 
     Parameters
     ----------

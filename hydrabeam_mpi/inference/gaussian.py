@@ -6,7 +6,7 @@ In information form a Gaussian is known by its precision P and its source h,
 
 with kappa = 1 for complex unknowns, whose normal density is exp(-x^H P x), and kappa = 2 for real ones, whose density
 is exp(-x^T P x / 2). Its maximum is at P^-1 h. Some unknowns can be set to values (`condition`), or integrated over
-(`marginalise`); either gives another Gaussian (HDBI II, eqs 12-15, are those of a single block).
+(`marginalise`); either gives another Gaussian (HDBI II, eqs 11-14, are those of a single block).
 
 Where real and complex blocks meet, a complex one of n unknowns is kept as 2 n real ones, real parts before imaginary
 ones: a complex unknown that real ones are marginalised from has no circular density any more.

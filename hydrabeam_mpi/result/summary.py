@@ -49,7 +49,7 @@ def evaluate_on_grid(beam: Beam) -> Array:
 
 
 def map_posterior(comm: Comm, posterior: Posterior, basis: LinearBasis) -> tuple[Array, FloatArray]:
-    """Project mean and standard deviation onto the one-degree grid (HDBI II, eqs 25 and 26).
+    """Project mean and standard deviation onto the one-degree grid (HDBI II, eqs 27 and 28).
 
     Collective: all ranks of `comm`, which share out the rings of equal zenith angle.
     """

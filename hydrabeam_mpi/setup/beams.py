@@ -146,7 +146,7 @@ def _scaled(beam: Beam, freq: float, za_max: float = np.pi / 2) -> Beam:
 
 
 def perturb(job: Job, beam: Beam, settings: Perturbation) -> Beam:
-    """Return the beam to simulate with (HDBI II, eq. 17)."""
+    """Return the beam to simulate with (HDBI II, eq. 16)."""
     return PerturbedBeam(beam, job.seed, settings.stretch, settings.sidelobe)
 
 

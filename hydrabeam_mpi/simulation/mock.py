@@ -170,7 +170,7 @@ def _lst_hours(times: FloatArray | float, location: EarthLocation) -> FloatArray
 def radiometer_variance(
     autos: Mapping[str, FloatArray], observation: Observation, nsamples: float
 ) -> dict[str, FloatArray]:
-    """sigma^2 = V_jj V_kk / (dt dnu) of identical antennas (HDBI II, eq. 22), (Nfreqs, Ntimes) by polarisation."""
+    """sigma^2 = V_jj V_kk / (dt dnu) of identical antennas (HDBI II, eq. 23), (Nfreqs, Ntimes) by polarisation."""
     samples = nsamples * observation.channel_width[:, np.newaxis] * observation.integration_time
     return {pol: autos[2 * pol[0]] * autos[2 * pol[1]] / samples for pol in observation.pols}
 

@@ -78,7 +78,7 @@ def test_round_trip(dtype: type, tmp_path: Path) -> None:
 def test_layout_is_that_of_the_documentation(tmp_path: Path) -> None:
     written(tmp_path / "posterior.h5")
     with h5py.File(tmp_path / "posterior.h5") as file:
-        assert set(file.attrs) == {"basis", "provenance", "polarization", "telescope_name"}
+        assert set(file.attrs) == {"format", "basis", "provenance", "polarization", "telescope_name"}
         assert set(file) == {"grid_za", "grid_az", "channel_0000", "channel_0001", "channel_0002"}
         assert set(file["channel_0000"].attrs) == {"freq", "summary", "log_evidence"}
         assert set(file["channel_0001"].attrs) == {"freq", "summary"}
