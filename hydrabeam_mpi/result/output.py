@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -46,34 +45,46 @@ def staged(
     Rounds of a loop that have ended stay; see `StagedDirectory.leave`. Files of ``more`` are read besides those that
     the job names. Collective: all ranks of `world`. An `InputError` that names no file is about a key of the job file.
     """
-    folder = None
-    with together(world):
-        if world.rank == 0:
-            folder = StagedDirectory(
-                out, overwrite, [*read_files(job, only_simulates), *more], unread_files(job, job_path)
-            )
-    others = world.bcast(folder)
-    folder = folder or others  # rank 0 keeps its own, which holds the lock
+    held: list[StagedDirectory] = []
+
+    def leave() -> None:
+        for folder in held:
+            folder.leave(interrupted=True)
+
     # Whichever thread leaves: the other one finds nothing more to do.
-    with leaving(partial(folder.leave, interrupted=True)):
+    with leaving(leave):
         try:
-            yield folder.partial
+            with together(world):
+                if world.rank == 0:
+                    kept = unread_files(job, job_path)
+                    # A signal that comes as the folder appears waits until it is known that there is one to leave.
+                    with unbroken():
+                        held.append(StagedDirectory(out, overwrite, [*read_files(job, only_simulates), *more], kept))
+            others = world.bcast(held[0] if held else None)
+            held[:] = held or [others]  # rank 0 keeps its own, which holds the lock
+            yield held[0].partial
         except BaseException as error:
-            if world.rank == 0:
-                with unbroken():
-                    folder.leave(isinstance(error, KeyboardInterrupt))
-            elif latest_round(folder.partial) is None:
-                # By every rank: one that fails alone ends the others before they could.
-                folder.discard()
+            _discard(world, held, error)
             if isinstance(error, InputError):
                 error.locate(job_path)
             raise
     with together(world):
         if world.rank == 0:
             with unbroken():
-                drop_rounds(folder.partial)
-                folder.publish()
+                drop_rounds(held[0].partial)
+                held[0].publish()
     say(f"wrote {out}", world.rank == 0)
+
+
+def _discard(world: Comm, held: Sequence[StagedDirectory], error: BaseException) -> None:
+    """Remove the folder of a run that has failed, if there is one yet."""
+    for folder in held:
+        if world.rank == 0:
+            with unbroken():
+                folder.leave(isinstance(error, KeyboardInterrupt))
+        elif latest_round(folder.partial) is None:
+            # By every rank: one that fails alone ends the others before they could.
+            folder.discard()
 
 
 def input_files(job: Job, problem: Problem, in_memory: frozenset[str] = frozenset()) -> list[Path]:
