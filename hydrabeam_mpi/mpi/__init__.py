@@ -16,6 +16,7 @@ from hydrabeam_mpi.mpi.collectives import (
 )
 from hydrabeam_mpi.mpi.failure import together
 from hydrabeam_mpi.mpi.grid import ProcessGrid, alone
+from hydrabeam_mpi.mpi.launcher import check_one_world
 from hydrabeam_mpi.mpi.library import library_version
 from hydrabeam_mpi.mpi.memory import memory_per_rank, peak_rss_mb
 from hydrabeam_mpi.mpi.threads import blas_threads, limit_blas_threads
@@ -34,6 +35,7 @@ __all__ = [
     "bcast_array",
     "bcast_object",
     "blas_threads",
+    "check_one_world",
     "end_interrupted",
     "free_windows",
     "gather_by_channel",

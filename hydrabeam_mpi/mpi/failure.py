@@ -35,6 +35,11 @@ def how_shared(error: BaseException) -> Shared:
     return getattr(error, _MARK, Shared(n_ranks=1, speaks=True))
 
 
+def share(error: BaseException, shared: Shared) -> None:
+    """Note with an exception on how many ranks it was raised, and which of them tells of it."""
+    setattr(error, _MARK, shared)
+
+
 @contextmanager
 def together(comm: MPI.Comm) -> Iterator[None]:
     """Run a block of local work; if it fails on any rank, raise on all. Collective: all ranks of `comm`.
@@ -64,7 +69,7 @@ def together(comm: MPI.Comm) -> Iterator[None]:
     copy: Exception = comm.bcast(_portable(error, first) if error and comm.rank == first else None, first)
     if error is None or comm.rank != first:
         error = copy
-    setattr(error, _MARK, Shared(n_ranks=comm.size, speaks=comm.rank == first))
+    share(error, Shared(n_ranks=comm.size, speaks=comm.rank == first))
     raise error
 
 

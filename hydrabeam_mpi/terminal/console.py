@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout
 
-from hydrabeam_mpi.terminal.progress import say
+from hydrabeam_mpi.terminal.progress import say, warn
 
 PACKAGE = "hydrabeam_mpi"
 
@@ -48,7 +48,7 @@ def _warnings_as_lines() -> Iterator[None]:
             warnings.simplefilter("ignore", PendingDeprecationWarning)
             # Of files that a run left open as it was interrupted.
             warnings.simplefilter("ignore", ResourceWarning)
-            warnings.showwarning = lambda message, *_, **__: say(f"warning: {_in_one_line(message)}")
+            warnings.showwarning = lambda message, *_, **__: warn([_in_one_line(message)])
         yield
 
 
@@ -72,8 +72,11 @@ class _Lines(logging.Handler):
     """Says every record."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        mark = "warning: " if record.levelno >= logging.WARNING else ""
-        say(mark + _in_one_line(record.getMessage()))
+        line = _in_one_line(record.getMessage())
+        if record.levelno >= logging.WARNING:
+            warn([line])
+        else:
+            say(line)
 
 
 def _in_one_line(text: object) -> str:

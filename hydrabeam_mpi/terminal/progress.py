@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from typing import TypeVar
 
 from tqdm import tqdm
@@ -12,7 +14,41 @@ from tqdm import tqdm
 T = TypeVar("T")
 SECONDS = 30.0
 """At most so long nothing is said where work goes on."""
-_last = [time.monotonic()]
+OFTEN = 5.0
+"""The same where more is to be said."""
+
+
+@dataclass
+class _Voice:
+    """How much is said, and what has been.
+
+    Attributes
+    ----------
+    quiet : bool
+        Whether progress is not told.
+    verbose : bool
+        Whether it is told more often, with the time since ``began``.
+    began, last : float
+        Seconds of the clock, ``last`` being when something was last said.
+    """
+
+    quiet: bool = False
+    verbose: bool = False
+    began: float = field(default_factory=time.monotonic)
+    last: float = field(default_factory=time.monotonic)
+
+
+_voice = [_Voice()]
+
+
+@contextmanager
+def loudness(*, quiet: bool = False, verbose: bool = False) -> Iterator[None]:
+    """Say less, or more, in a block; errors and warnings are told in any case."""
+    _voice.append(_Voice(quiet, verbose))
+    try:
+        yield
+    finally:
+        _voice.pop()
 
 
 def track(items: Iterable[T], total: int, label: str, show: bool) -> Iterator[T]:
@@ -28,7 +64,7 @@ def track(items: Iterable[T], total: int, label: str, show: bool) -> Iterator[T]
     show : bool
         True on one rank only. Its own share stands for all: ranks are balanced by cost.
     """
-    if not show:
+    if not show or _voice[-1].quiet:
         yield from items
     elif sys.stderr.isatty():
         yield from tqdm(items, total=total, desc=label, leave=False)
@@ -38,26 +74,42 @@ def track(items: Iterable[T], total: int, label: str, show: bool) -> Iterator[T]
 
 def _lines(items: Iterable[T], total: int, label: str) -> Iterator[T]:
     """Print a line now and then; short work prints nothing."""
-    _last[0] = time.monotonic()
+    began = _voice[-1].last = time.monotonic()
     for done, item in enumerate(items, 1):
         yield item
-        say_meanwhile(f"{label}: {done} of {total}", show=True)
+        left = (time.monotonic() - began) * (total / done - 1)
+        say_meanwhile(f"{label}: {done} of {total}, about {duration(left)} left", show=done < total)
+
+
+def duration(seconds: float) -> str:
+    """Write a time as one glances at it: 40 s, 12 min, 3.5 h."""
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
+
+
+def tell(line: str) -> None:
+    """Print one line to standard error that nobody should overlook."""
+    voice = _voice[-1]
+    voice.last = time.monotonic()
+    since = f"{voice.last - voice.began:.1f} s: " if voice.verbose else ""
+    print(f"hydrabeam: {since}{line}", file=sys.stderr, flush=True)
 
 
 def say(line: str, show: bool = True) -> None:
     """Print one line of progress to standard error, where ``show`` is set."""
-    if show:
-        _last[0] = time.monotonic()
-        print(f"hydrabeam: {line}", file=sys.stderr, flush=True)
+    if show and not _voice[-1].quiet:
+        tell(line)
 
 
 def say_meanwhile(line: str, show: bool) -> None:
     """Print a line of progress where nothing has been said for long and ``show`` is set."""
-    if time.monotonic() - _last[0] > SECONDS:
+    voice = _voice[-1]
+    if time.monotonic() - voice.last > (OFTEN if voice.verbose else SECONDS):
         say(line, show)
 
 
 def warn(cautions: Iterable[str]) -> None:
     """Say what a user should not overlook, a line each."""
     for caution in cautions:
-        say(f"warning: {caution}")
+        tell(f"warning: {caution}")

@@ -93,6 +93,22 @@ def test_normal_run_says_only_its_own_lines(
     assert {path.name for path in workspace.folder.iterdir()} == {"job.toml", "result"}
 
 
+def test_dry_run_says_what_it_would_take_and_writes_nothing(
+    workspace: Workspace, capfd: pytest.CaptureFixture[str]
+) -> None:
+    job, out = workspace.job(), workspace.folder / "result"
+    capfd.readouterr()
+    assert main(["infer", str(job), "-o", str(out), "--dry-run"]) == 0
+    said, err = capfd.readouterr()
+    assert re.search(r"^infer +1 +\d.* s +\d+ MB", said, re.MULTILINE)
+    assert err.splitlines()[-1] == (f"hydrabeam: nothing has been done; without --dry-run, infer would write {out}")
+    assert {path.name for path in workspace.folder.iterdir()} == {"job.toml"}
+    # What is in the way is told as it would be.
+    out.mkdir()
+    assert main(["infer", str(job), "-o", str(out), "--dry-run"]) == 2
+    assert "result: -o: exists already" in capfd.readouterr().err
+
+
 @pytest.mark.mpi
 def test_notes_are_said_once(
     workspace: Workspace, on_root: OnRoot, comm: MPI.Comm, capfd: pytest.CaptureFixture[str]

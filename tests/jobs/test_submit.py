@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from hydrabeam_mpi.cli import _parser
+from hydrabeam_mpi.terminal.command_line import make_parser
 
 ROOT = Path(__file__).parents[2]
 SCRIPTS = sorted((ROOT / "jobs").glob("*/submit.slurm"))
@@ -99,7 +99,7 @@ def test_body(script: Path, repository: Path) -> None:
     assert all(call[1:4] == ["--kill-on-bad-exit=1", "--cpus-per-task=1", "hydrabeam"] for call in steps)
     for call in calls:
         if call[0] == "hydrabeam":
-            options = _parser().parse_args(call[1:])
+            options = make_parser().parse_args(call[1:])
             assert options.command in ("infer", "report", "sample")
             if options.command == "infer":
                 assert (repository / options.job).exists()
