@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from hydrabeam_mpi.api.applied import Applied, apply_result, setup_for, summary_of
 from hydrabeam_mpi.api.result import Result
@@ -17,6 +20,9 @@ from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.loop.selection.heldout_numbers import HeldoutNumbers, heldout_numbers
 from hydrabeam_mpi.mpi import together
 from hydrabeam_mpi.terminal.progress import say
+
+AS_HELDOUT = "rms_expected_as_heldout"
+"""The rms that is expected where as much is left as of the data that were held out from the result."""
 
 
 @dataclass(frozen=True)
@@ -90,22 +96,47 @@ def run_prediction(result: Result, setup: Setup, folder: Path | None, threads: i
     prediction = Prediction(setup.job)
     with together(setup.comm):
         if setup.comm.rank == 0:
-            told = _numbers(numbers, context.setup.observation.freqs, problem.channel_numbers.tolist())
+            left = left_of_heldout(result.summary["channels"])
+            told = _numbers(numbers, context.setup.observation.freqs, problem.channel_numbers.tolist(), left)
             summary = {**summary_of(result, problem, carried, told), "phases_s": clock.seconds}
             prediction = Prediction(setup.job, summary, origin_of(setup, problem, threads))
     return prediction
 
 
-def _numbers(numbers: HeldoutNumbers, freqs: FloatArray, channels: list[int]) -> dict[str, Any]:
-    """Say and return the numbers of all channels together, and of each of some ``channels`` of the result."""
-    told = numbers.of_all
+def left_of_heldout(channels: Sequence[Mapping[str, Any]]) -> FloatArray:
+    """Return how large the data that were held out from a result are beside what it expects of them, (Nfreqs,).
+
+    That is the root of their reduced chi^2 under its posterior predictive, one at least: a model that left more than
+    noise where it was found is not expected to leave less elsewhere. NaN where none were held out.
+
+    Parameters
+    ----------
+    channels : sequence of mapping
+        Of the result's summary.
+    """
+    chi2 = [one.get("heldout_chi2_predictive") for one in channels]
+    return np.sqrt([np.nan if one is None else max(one, 1.0) for one in chi2])
+
+
+def _numbers(numbers: HeldoutNumbers, freqs: FloatArray, channels: list[int], left: FloatArray) -> dict[str, Any]:
+    """Say and return the numbers of all channels together, and of each of some ``channels`` of the result.
+
+    What was ``left`` of the result's own held-out data is that of `left_of_heldout`.
+    """
+    by_channel = [{"freq_hz": float(freqs[f]), **numbers.of_channel(f)} for f in channels]
+    told: dict[str, Any] = numbers.of_all
+    n, scale = np.array([one["n"] for one in by_channel]), left[channels]
+    for one, of_one in zip([told, *by_channel], [np.sqrt(n @ scale**2 / n.sum()), *scale], strict=True):
+        one[AS_HELDOUT] = None if np.isnan(of_one) else float(of_one * one["rms_expected"])
+    as_heldout = f", or {told[AS_HELDOUT]:.4g} Jy if as much is left as of its own" if told[AS_HELDOUT] else ""
     say(
         f"rms of {told['n']:.0f} visibilities {told['rms_zero']:.4g} Jy, less the model beam {told['rms_model']:.4g} "
         f"Jy, with its best scale {told['rms_model_scaled']:.4g} Jy, less the prediction {told['rms']:.4g} Jy (noise "
-        f"{told['rms_noise']:.4g} Jy; expected, as uncertain as beam and effects are: {told['rms_expected']:.4g} Jy)"
+        f"{told['rms_noise']:.4g} Jy; expected, as uncertain as beam and effects are: {told['rms_expected']:.4g} Jy"
+        f"{as_heldout})"
     )
     say(
         f"explained variance {told['explained']:.6g}; reduced chi^2 {told['noise_only_chi2']:.4g} over the noise "
         f"alone, {told['predictive_chi2']:.4g} under the posterior predictive"
     )
-    return {**told, "channels": [{"freq_hz": float(freqs[f]), **numbers.of_channel(f)} for f in channels]}
+    return {**told, "channels": by_channel}

@@ -11,6 +11,7 @@ import pytest
 from pyuvdata import UVData
 
 import hydrabeam_mpi as hb
+from hydrabeam_mpi.api.prediction import left_of_heldout
 from hydrabeam_mpi.loop.selection.heldout_numbers import IN_SUMMARY
 from tests.api.nights import Nights, predicted
 from tests.loop.test_loop_command import TWO, summary_of
@@ -37,6 +38,19 @@ def test_held_out_data_alone_have_the_numbers_that_they_had(nights: Nights) -> N
         assert one["freq_hz"] == two["freq_hz"]
         for name, own in IN_SUMMARY.items():
             assert two[own] == pytest.approx(one[name], rel=1e-8), name
+
+
+def test_a_result_that_left_more_than_noise_is_expected_to_leave_more(second: dict[str, Any], nights: Nights) -> None:
+    own = summary_of(nights.result)["channels"]
+    factor = left_of_heldout(own)
+    np.testing.assert_allclose(factor**2, [max(one["heldout_chi2_predictive"], 1.0) for one in own])
+    for one, here in zip(second["channels"], factor, strict=True):
+        assert one["rms_expected_as_heldout"] == pytest.approx(one["rms_expected"] * here, rel=1e-12)
+    np.testing.assert_allclose(
+        second["rms_expected_as_heldout"] / second["rms_expected"], np.sqrt(np.mean(factor**2)), rtol=1e-12
+    )
+    some = [{"heldout_chi2_predictive": 0.9}, {"heldout_chi2_predictive": 4.0}, {}]
+    np.testing.assert_array_equal(left_of_heldout(some), [1, 2, np.nan])
 
 
 def test_another_night_is_predicted_as_well(second: dict[str, Any]) -> None:
