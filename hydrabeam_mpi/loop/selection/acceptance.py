@@ -101,8 +101,8 @@ class Round:
 
     @property
     def revoked(self) -> bool:
-        """Whether its effect was taken back since."""
-        return self.candidate.finding is not None and self.place is None
+        """Whether its effect, or change of the weights, was taken back since."""
+        return self.place is None if self.candidate.finding is not None else self.given_up
 
 
 def in_order(wanted: Sequence[Candidate], most: int, first: Candidate | None = None) -> list[Candidate]:

@@ -36,7 +36,8 @@ def search(
             keep(history)
     say("once more, without what was taken back", context.grid.is_world_root)
     gone = given_up(history)
-    run_rounds(context, history, [one for one in effects if (one.kind, one.law) not in gone], changes, clock, keep)
+    effects = [one for one in effects if (one.kind, one.law) not in gone]
+    run_rounds(context, history, effects, [one for one in changes if (one.kind, None) not in gone], clock, keep)
 
 
 def given_up(history: History) -> list[tuple[str, str | None]]:

@@ -1,4 +1,4 @@
-"""What is unphysical or not the same in all parts of the data is taken back, once nothing more is found."""
+"""What is taken back once nothing more is found: what is unphysical, not the same in all parts, or explained since."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import replace
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.loop.attribution.constancy import Constancy
 from hydrabeam_mpi.loop.attribution.parts import ask_constancy
+from hydrabeam_mpi.loop.attribution.score_noise import refit_reweighting
 from hydrabeam_mpi.loop.selection.acceptance import Round
 from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical
 from hydrabeam_mpi.loop.selection.refits import fit_patiently
@@ -69,3 +70,41 @@ def take_back(context: FitContext, last: Round, n_given: int) -> Taken:
     values = replace(fitted.values, active=tuple(active[place] for place in kept))
     after = check(context, fit_patiently(context, values, fitted))
     return replace(last, after=after, revised=(*last.revised, *told)), places, asked
+
+
+def take_back_weights(context: FitContext, last: Round, n_given: int) -> tuple[Round, frozenset[str]]:
+    """Take back changes of the weights that have too little evidence beside what was found since.
+
+    Collective: all ranks of the grid. A residual with structure may look like larger noise, or like rows far out, until
+    what it comes from is part of the model.
+
+    Parameters
+    ----------
+    context : FitContext
+    last : Round
+    n_given : int
+        How many changes of the weights the job itself has in the model, which stay.
+
+    Returns
+    -------
+    last : Round
+        Fitted without what was taken back.
+    gone : frozenset of str
+        The kinds of these.
+    """
+    fitted, least = last.after.fitted, context.problem.job.loop.min_log_bayes_factor
+    changes = [one.change for one in fitted.values.reweighted[n_given:]]
+    left = {one.kind: refit_reweighting(context, fitted, one).log_bayes_factor for one in changes}
+    gone = frozenset(kind for kind, evidence in left.items() if evidence < least)
+    if not gone:
+        return last, gone
+    told = [
+        f"{one.title}: taken back, as its log Bayes factor is {left[one.kind]:.4g} beside what was found since"
+        for one in changes
+        if one.kind in gone
+    ]
+    for line in told:
+        say(f"  {line}", context.grid.is_world_root)
+    kept = tuple(one for one in fitted.values.reweighted if one.change.kind not in gone)
+    after = check(context, fit_patiently(context, replace(fitted.values, reweighted=kept), fitted))
+    return replace(last, after=after, revised=(*last.revised, *told)), gone

@@ -14,7 +14,7 @@ from hydrabeam_mpi.fit.settle import refined, settle
 from hydrabeam_mpi.fit.state import Fitted, Values
 from hydrabeam_mpi.loop.attribution.constancy import Constancy
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
-from hydrabeam_mpi.loop.selection.constant import take_back, take_back_unphysical
+from hydrabeam_mpi.loop.selection.constant import take_back, take_back_unphysical, take_back_weights
 from hydrabeam_mpi.loop.selection.exchange import exchange
 from hydrabeam_mpi.loop.selection.revision import revise
 from hydrabeam_mpi.loop.selection.trials import check, try_control, try_effects
@@ -181,9 +181,12 @@ def _keep(clock: Clock, keep: Callable[[History], None], history: History) -> No
 
 
 def _take_back(context: FitContext, history: History) -> None:
-    """Take back what is unphysical or not the same in all parts, until nothing is left of it. Collective: all ranks."""
-    n_given, before = len(history.first.fitted.values.active), None
-    there = [one.place is not None for one in history.rounds]
+    """Take back what is unphysical, not the same in all parts or explained since, until nothing is left of it.
+
+    Collective: all ranks of the grid.
+    """
+    given, before = history.first.fitted.values, None
+    n_given, there = len(given.active), [one.place is not None for one in history.rounds]
     while history.rounds and history.last is not before:
         before = history.last
         for step in (take_back_unphysical, take_back):
@@ -193,6 +196,13 @@ def _take_back(context: FitContext, history: History) -> None:
                 told = [_asked(one, fitted, places, asked) for one in (*history.rounds[:-1], last)]
                 history.rounds = told[:-1]
                 history.add(told[-1], places)
+        last, gone = take_back_weights(context, history.rounds[-1], len(given.reweighted))
+        if gone:
+            history.rounds = [
+                replace(one, given_up=one.given_up or one.candidate.kind in gone)
+                for one in (*history.rounds[:-1], last)
+            ]
+            history.last = last.after
     history.rounds = [
         replace(one, given_up=one.given_up or (was and one.revoked))
         for was, one in zip(there, history.rounds, strict=True)

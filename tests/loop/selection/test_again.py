@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 from copy import copy
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.instrument.antenna_positions import AntennaPositions
+from hydrabeam_mpi.effects.noise.noise_level import NoiseLevel
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
-from hydrabeam_mpi.fit.state import Active, Values
+from hydrabeam_mpi.fit.state import Active, Reweighted, Values
+from hydrabeam_mpi.loop.attribution.score_noise import fit_reweightings
 from hydrabeam_mpi.loop.selection.again import given_up, search
+from hydrabeam_mpi.loop.selection.constant import take_back_weights
 from hydrabeam_mpi.loop.selection.rounds import History
 from hydrabeam_mpi.loop.selection.trials import check
-from tests.loop.made import effect_candidate, round_of
+from tests.loop.made import effect_candidate, round_of, weights_candidate
 from tests.loop.mock import context_of, mock_job
 
 GAIN = {"kind": "antenna_gains", "parameters": {"antenna 2 ln amplitude": 0.06, "antenna 2 phase": -0.05}}
-POSITIONS, GAINS = AntennaPositions(), AntennaGains()
+POSITIONS, GAINS, NOISE = AntennaPositions(), AntennaGains(), NoiseLevel()
 GIVEN_UP = [("antenna_positions", "constant")]
 
 
@@ -62,3 +67,36 @@ def test_nothing_is_searched_again_where_all_stays(context: FitContext) -> None:
     assert given_up(history) == []
     assert [one.candidate.kind for one in history.rounds] == ["antenna_gains"]
     assert said == [0, 0, 1]
+
+
+def with_noise(context: FitContext) -> History:
+    """A history that has taken what is wrong for noise first, and then for gains."""
+    first = check(context, refit(context, Values()))
+    (found,) = fit_reweightings(context, first.fitted, [NOISE])
+    noise = Reweighted(NOISE, found.fit.x, found.fit.std)
+    n = len(GAINS.parameters(context.setup))
+    start = Active.start(GAINS, context.setup, np.full(n, 0.1**2), np.zeros((1, n)))
+    second, last = (check(context, refit(context, Values(active, (noise,)), first.fitted)) for active in ((), (start,)))
+    rounds = [round_of(weights_candidate(), first, second), round_of(effect_candidate(GAINS), second, last)]
+    return History(first, last, [rounds[0], replace(rounds[1], place=0)])
+
+
+def test_noise_that_something_else_explains_is_taken_back(context: FitContext) -> None:
+    history = with_noise(context)
+    search(context, history, [], [NOISE], Clock(), lambda now: None)
+    assert given_up(history) == [("noise_level", None)]
+    assert [one.revoked for one in history.rounds] == [True, False]
+    assert history.last.fitted.values.reweighted == ()
+    assert [one.kind for one in history.last.fitted.values.active] == ["antenna_gains"]
+    assert history.last.remains.consistent
+    assert "noise" in history.rounds[-1].revised[0]
+
+
+def test_noise_that_is_there_stays(tmp_path: Path) -> None:
+    """So does what the job itself has."""
+    wrong = context_of(mock_job(GAIN), tmp_path)
+    for share in (wrong.train, wrong.test):
+        share.rows.inv_noise_var[:] *= 4
+    last = with_noise(wrong).rounds[-1]
+    assert take_back_weights(wrong, last, 0) == (last, frozenset())
+    assert take_back_weights(wrong, last, 1) == (last, frozenset())
