@@ -82,20 +82,25 @@ def summarise_coefficients(posterior: Posterior, prior: Prior) -> dict[str, floa
 def summarise_maps(maps: SkyMaps) -> dict[str, float]:
     """Return the image-space numbers of ``summary.json`` (HDBI II, section 4.2).
 
-    The error is the real part's, as a power beam is real; the imaginary part is told apart.
+    The error is the real part's, as a power beam of equal feeds is real; the imaginary part is told apart. A
+    cross-polarised one is complex, and has neither a sign nor a width.
     """
     numbers = {
-        "imag_max": float(np.abs(maps.mean.imag).max()),
-        "negative_fraction": float(np.mean(maps.mean.real < 0)),
         "beam_std_median": float(np.median(maps.std)),
         "beam_update_max": float(np.abs(maps.mean - maps.model).max()),
     }
-    for name, beam in {"": maps.mean.real, "_model": maps.model.real}.items():
+    crossed = np.iscomplexobj(maps.model)
+    if not crossed:
+        numbers["imag_max"] = float(np.abs(maps.mean.imag).max())
+        numbers["negative_fraction"] = float(np.mean(maps.mean.real < 0))
+    for name, values in {"": maps.mean, "_model": maps.model}.items():
+        beam = np.abs(values) if crossed else values.real
         numbers[f"beam_peak{name}"] = float(beam.max())
-        numbers[f"beam_fwhm_ew_deg{name}"] = full_width(beam[:, 0], beam[:, 180])
-        numbers[f"beam_fwhm_ns_deg{name}"] = full_width(beam[:, 90], beam[:, 270])
+        if not crossed:
+            numbers[f"beam_fwhm_ew_deg{name}"] = full_width(beam[:, 0], beam[:, 180])
+            numbers[f"beam_fwhm_ns_deg{name}"] = full_width(beam[:, 90], beam[:, 270])
     if maps.truth is not None:
-        error = np.abs(maps.truth.real - maps.mean.real)
+        error = np.abs(maps.truth - maps.mean if crossed else maps.truth.real - maps.mean.real)
         # Where all basis functions vanish, as on a Dirichlet edge at the horizon, there is no score.
         scored = maps.std > 1e-9 * maps.std.max()
         z = np.abs(maps.truth - maps.mean)[scored] / maps.std[scored]
@@ -153,10 +158,10 @@ def eigenbeams(posterior: Posterior, basis: LinearBasis, n: int = 4) -> tuple[Fl
 def warnings_of(channels: list[dict[str, Any]]) -> list[str]:
     """Say in plain words what a user should not overlook in the channels' summaries."""
     said = _warnings_of_heldout([channel for channel in channels if "heldout_chi2_predictive" in channel])
-    negative = max(channel["negative_fraction"] for channel in channels)
+    negative = max(channel.get("negative_fraction", 0.0) for channel in channels)
     if negative > 0.01:
         said.append(f"The inferred power beam is negative on up to {negative:.1%} of the sky, which no power beam is.")
-    imaginary = max(channel["imag_max"] for channel in channels)
+    imaginary = max(channel.get("imag_max", 0.0) for channel in channels)
     if imaginary > 1e-3:
         said.append(f"The inferred beam has imaginary parts up to {imaginary:.1e}, which no co-polarised beam has.")
     return said

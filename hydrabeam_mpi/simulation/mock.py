@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -104,16 +105,14 @@ def _set_scene(job: Job, settings: Simulate, memory: int) -> Scene:
     needed = simulated_bytes(observation.Nants, observation.Ntimes, observation.Nfreqs)
     check_fits("[data.simulate]", needed, memory)
     check_apart(observation, job.data.redundancy_tol)
-    if not observation.is_copolar and settings.noise:
-        raise InputError(
-            f"'{observation.pols[0]}' has no autocorrelations from which to draw noise",
-            field="[data] polarization",
-            remedy="simulate 'ee' or 'nn', or set noise = false in [data.simulate]",
-        )
-    own = load_beams(job, observation.freqs, pol)
+    if not observation.is_copolar:
+        # Noise is that of the autocorrelations of both feeds, which have beams of their own.
+        observation = replace(observation, pols=(pol, 2 * pol[0], 2 * pol[1]))
+    beams = {one: load_beams(job, observation.freqs, one) for one in observation.pols}
     if settings.perturb is not None:
-        own = tuple(perturb(job, beam, settings.perturb) for beam in own)
-    beams = {pol: own}
+        change = partial(perturb, job, settings=settings.perturb)
+        beams = {one: tuple(map(change, own)) for one, own in beams.items()}
+    own = beams[pol]
     if observation.is_copolar and any(entry.kind in SEPARATE for entry in settings.effects):
         one, other = next(feeds for feeds in FEEDS if pol[0] in feeds)
         observation = replace(observation, pols=(2 * one, 2 * other, one + other, other + one))

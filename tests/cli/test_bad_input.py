@@ -258,7 +258,7 @@ SIMULATIONS = [
          NO_HEXAGON | {"data.simulate.array.file": "layout.csv"},
          lambda w: w.write("layout.csv", "E,N,U\n0,0,0\nnan,1,0\n2,2,0\n")),
     Case("no source", ("job.toml", "[sky]", "above the horizon", "lower flux_min"), {"sky.flux_min": "1 MJy"}),
-    Case("no noise for cross-hands", ("job.toml", "[data] polarization", "no autocorrelations", "noise = false"),
+    Case("no cross-polarised beam", ("job.toml", "[beam] source", "no 'en'", "give a beam file"),
          {"data.polarization": "en"}),
     Case("antennas in one place", ("layout.csv", "antennas 0 and 1", "in one place"),
          NO_HEXAGON | {"data.simulate.array.file": "layout.csv"},
