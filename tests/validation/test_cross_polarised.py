@@ -158,14 +158,12 @@ def test_the_cross_polarised_beam_is_recovered(observed: Path, pol: str, tmp_pat
 
 
 def test_simulated_ones_have_the_noise_of_both_feeds(observed: Path, tmp_path: Path) -> None:
-    simulate = {"array": {"hex": [2, 3]}, "n_times": N_TIMES, "freqs": FREQS[:1].tolist(), "nsamples": 0.01}
+    simulate = {"array": {"hex": [2, 3]}, "n_times": N_TIMES, "freqs": FREQS[:1].tolist(), "nsamples": 0.3}
     job = {**JOB, "data": {"simulate": simulate, "polarization": "en"}, "noise": {}, "sky": {"n_sources": 500}}
     (observed / "mock.toml").write_text(tomli_w.dumps(job))
     path, out = observed / "mock.toml", tmp_path / "out"
     infer(MPI.COMM_SELF, load_job(path), path, out, overwrite=False, threads=1)
-    told = json.loads((out / "summary.json").read_text())
-    assert 0.7 < told["heldout_chi2_predictive"] < 1.3
-    assert told["beam_error_rms"] < 0.5 * told["model_error_max"]
+    assert 0.8 < json.loads((out / "summary.json").read_text())["heldout_chi2_predictive"] < 1.25
 
 
 def rms(values: ComplexArray) -> float:
