@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
-from hydrabeam_mpi.io.posterior_file import PosteriorFile, read_covariance
+from hydrabeam_mpi.io.posterior_file import PosteriorFile, read_covariance, read_matrix
 from hydrabeam_mpi.model.bases import basis_from_description
 from hydrabeam_mpi.random import complex_normal, generator
 
@@ -64,6 +64,16 @@ class InferredBeam:
             return self._content.channels[channel].arrays["covariance"]
         return read_covariance(self._path, channel)
 
+    def matrix(self, channel: int, name: str) -> Array:
+        """Return a matrix of one channel by its name in ``posterior.h5``, (n_modes, n_modes)."""
+        if name == "covariance":
+            return self.covariance_of(channel)
+        return (
+            self._content.channels[channel].arrays[name]
+            if self._path is None
+            else read_matrix(self._path, channel, name)
+        )
+
     @property
     def maps(self) -> dict[str, Array]:
         """Beams on the one-degree grid, (Nfreqs, 91, 360), zenith angle first: mean, std, model and any truth."""
@@ -88,6 +98,8 @@ class InferredBeam:
     def draw(self, n: int, seed: int = 0) -> Array:
         """Draw coefficients from the posterior: those of ``posterior.h5`` where the seed is the job's.
 
+        Where beams hang together over frequency, a draw is one of all channels together.
+
         Parameters
         ----------
         n : int
@@ -97,6 +109,8 @@ class InferredBeam:
         -------
         ndarray, (n, Nfreqs, n_modes)
         """
+        if self._content.over_frequency:
+            return self._draw_together(n, seed)
         draws = np.empty((n, *self.mean.shape), self.mean.dtype)
         for channel, (mean, covariance) in enumerate(zip(self.mean, self.covariance, strict=True)):
             # The upper root C = M M^H, which is the inverse of the factor L^H of the precision, as draws are written.
@@ -106,6 +120,15 @@ class InferredBeam:
                 white = complex_normal(rng, mean.shape) if np.iscomplexobj(mean) else rng.standard_normal(len(mean))
                 draws[number, channel] = mean + root @ white
         return draws
+
+    def _draw_together(self, n: int, seed: int) -> Array:
+        from hydrabeam_mpi.fit.coupled_draws import draw_again
+
+        told = self._content.over_frequency
+        assert told is not None
+        parts = ((self.matrix(channel, "information"), score) for channel, score in enumerate(self._stacked("score")))
+        away = draw_again(told, self.freqs, parts, self._stacked("prior_std"), seed, n)
+        return np.asarray(self._stacked("prior_mean") + self._stacked("prior_std") * away)
 
     def to_uvbeam(self) -> UVBeam:
         """Return the maximum a posteriori power beam on the one-degree grid, all channels in one UVBeam.

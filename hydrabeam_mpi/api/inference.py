@@ -20,7 +20,9 @@ from hydrabeam_mpi.loop.output.amendment import effects_found
 from hydrabeam_mpi.loop.selection.heldout_numbers import heldout_numbers
 from hydrabeam_mpi.mpi import peak_rss_mb, together
 from hydrabeam_mpi.result.gains import gains_told
+from hydrabeam_mpi.result.over_frequency import warnings_over_frequency
 from hydrabeam_mpi.setup.earlier import integrations_of
+from hydrabeam_mpi.setup.over_frequency import check_independent
 
 
 def infer(setup: Setup) -> Result:
@@ -62,9 +64,11 @@ def run_inference(setup: Setup, folder: Path | None, threads: int) -> Result:
     threads : int
         BLAS threads of this rank, for the record.
     """
+    if setup.job.effects:
+        check_independent(setup.job, "[[effects]]")
     clock, world = Clock(), setup.comm
     grid, problem, mine = prepare_checked(setup, folder, clock, told, inference_bytes)
-    numbers = found = carried = None
+    numbers = found = carried = over_frequency = None
     fitted_gains: tuple[Any, ...] = ()
     if setup.job.effects or (problem.earlier and problem.earlier.entries):
         context = read_context(grid, problem, mine, clock)
@@ -77,6 +81,8 @@ def run_inference(setup: Setup, folder: Path | None, threads: int) -> Result:
         fitted_gains = context.setup, fitted.values
     else:
         results = infer_channels(grid, mine, clock)
+        coupled = results[0].coupled
+        over_frequency = coupled.summary if coupled else None
     with clock.time("describe"):
         records = gather_records(grid, problem, results, numbers)
         integrations = integrations_of(world, problem.files, problem.observation)
@@ -93,7 +99,10 @@ def run_inference(setup: Setup, folder: Path | None, threads: int) -> Result:
                 **gains_told(problem, records, *fitted_gains),
             }
             origin = origin_of(setup, problem, threads)
-            result = make_result(setup, problem, records, integrations, origin, run, effects=found)
+            if over_frequency:
+                run["over_frequency"] = over_frequency
+            warnings = warnings_over_frequency(over_frequency) if over_frequency else ()
+            result = make_result(setup, problem, records, integrations, origin, run, warnings, found)
     return result
 
 

@@ -32,6 +32,7 @@ from hydrabeam_mpi.mpi import peak_rss_mb, together
 from hydrabeam_mpi.result.gains import gains_told
 from hydrabeam_mpi.setup.earlier import integrations_of
 from hydrabeam_mpi.setup.job_file import check_holds_out
+from hydrabeam_mpi.setup.over_frequency import check_independent
 from hydrabeam_mpi.setup.problem import Problem
 
 
@@ -87,6 +88,7 @@ def run_loop(
     overwrite : bool
         Whether a result in ``out`` may be replaced.
     """
+    check_independent(setup.job, "'hydrabeam loop'")
     clock, world, job = Clock(), setup.comm, setup.job
     grid, problem, mine = prepare_checked(setup, folder, clock, mended)
     context = read_context(grid, problem, mine, clock)

@@ -18,6 +18,7 @@ from hydrabeam_mpi.planning.measure import Bench
 from hydrabeam_mpi.planning.network import measure_network
 from hydrabeam_mpi.planning.outline import outline
 from hydrabeam_mpi.planning.table import as_table, as_text, assumptions
+from hydrabeam_mpi.setup.over_frequency import check_independent
 
 COMMANDS = ("simulate", "infer", "loop", "sample")
 
@@ -76,6 +77,8 @@ def plan(
     InputError
         On all ranks, if a file or an argument cannot be used.
     """
+    with setup.telling():
+        check_independent(setup.job, "'hydrabeam plan'")
     world, startup_s = setup.comm, time.process_time()
     network = measure_network(world)
     if world.size > 1:

@@ -112,8 +112,9 @@ class Result:
         """Write what has been computed."""
         from hydrabeam_mpi.result.output import write_result
 
-        for record, covariance in zip(self.content.channels, self.beam.covariance, strict=True):
-            record.arrays.setdefault("covariance", covariance)
+        for number, record in enumerate(self.content.channels):
+            for name in ("covariance", "information") if self.content.over_frequency else ("covariance",):
+                record.arrays.setdefault(name, self.beam.matrix(number, name))
         write_result(folder, self.job, self.content, self.summary)
 
 

@@ -275,5 +275,6 @@ def make_result(
         records,
         problem.observation.telescope_name,
         effects,
+        run.get("over_frequency"),
     )
     return Result(setup.job, content, summarise(setup.job, problem, content, run, warnings))

@@ -13,6 +13,7 @@ import numpy as np
 from hydrabeam_mpi.commands.inputs import Inputs, sort_inputs
 from hydrabeam_mpi.config import Job, Section
 from hydrabeam_mpi.config.effects import Loop
+from hydrabeam_mpi.config.frequency import OverFrequency
 from hydrabeam_mpi.config.sample import Sample
 from hydrabeam_mpi.config.sections import Basis, Beam, Data, Holdout, Noise, Output, Prior, Sky, SkyColumns, Solver
 from hydrabeam_mpi.config.text import frequency_text, keys_text, table_text
@@ -104,6 +105,7 @@ def write_job(text: str, path: Path, overwrite: bool) -> None:
 _OTHERS: dict[str, type[Section]] = {
     "basis": Basis,
     "prior": Prior,
+    "prior.frequency": OverFrequency,
     "solver": Solver,
     "output": Output,
     "loop": Loop,

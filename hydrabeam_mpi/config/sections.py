@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, ValidationInfo, model_validator
 
 from hydrabeam_mpi.config.base import Section, key, refuse_unused
+from hydrabeam_mpi.config.frequency import OverFrequency
 from hydrabeam_mpi.config.quantities import (
     AntennaPair,
     Bandwidth,
@@ -249,6 +250,7 @@ class Prior(Section):
     fraction: float = key(1.0, "standard deviation over the amplitude of the fitted coefficient", FRACTION, gt=0)
     floor: float = key(0.0, "least amplitude taken for that, relative to the largest", FRACTION, ge=0, le=1 / RESOLVED)
     file: File | None = key(None, "mean and covariance, or a result's folder: what other data have told is known")
+    frequency: OverFrequency = OverFrequency()
 
     @model_validator(mode="before")
     @classmethod
@@ -266,6 +268,11 @@ class Prior(Section):
             )
         if self.fraction > 1 / RESOLVED:
             raise ValueError(f"fraction = {self.fraction:.3g} is no prior; set kind = 'flat' to have none")
+        if self.frequency.couples and self.kind != "fraction":
+            raise ValueError(
+                f"channels hang together by widths of independent coefficients, which kind = '{self.kind}' has not"
+                "; set kind = 'fraction', or [prior.frequency] kind = 'independent'"
+            )
         return self
 
 

@@ -100,7 +100,8 @@ def solve_beams(context: FitContext, at: Estimate, keep: bool = False) -> Solved
     """
     problem, sums = context.given(at.values), sum_for_beams(context, at)
     normals, known = sums.normals, sums.known
-    beams = tuple(solve_channels(context.grid, problem, normals, None if known is None else known.factors))
+    solved, _ = solve_channels(context.grid, problem, normals, None if known is None else known.factors)
+    beams = tuple(solved)
     if known is None:
         context.train.known.keep(KnownPrecision.of(sums.key, normals, beams))
     if keep:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from hydrabeam_mpi.data.observation import Array
 from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.fit.accumulate import accumulate_designs, check_heldout, designs
 from hydrabeam_mpi.fit.clock import Clock
+from hydrabeam_mpi.fit.coupled import CoupledChannel, solve_coupled
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.rounding import MOST_SHIFT, Rounding
 from hydrabeam_mpi.fit.rows import Rows, read_rows
@@ -44,6 +45,8 @@ class ChannelResult:
     rounding_shift : float or None
         How far, in its std, single precision was expected to move a posterior mean of any channel; beyond `MOST_SHIFT`
         all was repeated in double. None in double precision.
+    coupled : CoupledChannel, optional
+        Where it hangs together with others, what is kept of that; on the group's root.
     """
 
     normal: NormalEquations
@@ -52,6 +55,7 @@ class ChannelResult:
     heldout: HeldoutStatistics
     of_effects: dict[str, NDArray[Any]] = field(default_factory=dict)
     rounding_shift: float | None = None
+    coupled: CoupledChannel | None = None
 
 
 def infer_channels(grid: ProcessGrid, problem: Problem, clock: Clock) -> list[ChannelResult]:
@@ -75,21 +79,33 @@ def infer_channels(grid: ProcessGrid, problem: Problem, clock: Clock) -> list[Ch
     with clock.time("read"):
         train, test = read_shares(grid, problem)
     mixed = problem.job.solver.precision == "mixed"
-    normals, posteriors, shift = _infer(grid, problem, train, clock, np.float32 if mixed else np.float64)
+    normals, posteriors, coupled, shift = _infer(grid, problem, train, clock, np.float32 if mixed else np.float64)
     if shift > MOST_SHIFT:
         told = f"single precision would move the posterior mean by up to {shift:.1e} std; all is computed in double"
         say(told, grid.is_world_root)
-        normals, posteriors, _ = _infer(grid, problem, train, clock, np.float64)
+        normals, posteriors, coupled, _ = _infer(grid, problem, train, clock, np.float64)
     with clock.time("heldout"):
         heldout = _sum_heldout(grid, problem, test, posteriors)
     chi2 = map(reduced_chi2, normals, posteriors)
-    results = zip(normals, chi2, posteriors, heldout, strict=True)
-    return [ChannelResult(*parts, rounding_shift=shift if mixed else None) for parts in results]
+    parts = zip(normals, chi2, posteriors, heldout, strict=True)
+    results = [ChannelResult(*part, rounding_shift=shift if mixed else None) for part in parts]
+    return [replace(one, coupled=two) for one, two in zip(results, coupled, strict=True)] if coupled else results
+
+
+def sum_channels(grid: ProcessGrid, problem: Problem, clock: Clock) -> tuple[list[NormalEquations], Rows]:
+    """Return the sums over all training rows of each of the group's channels, and the rank's held-out rows.
+
+    Collective: all ranks of `grid.world`. ``clock`` receives the phases "read" and "design".
+    """
+    with clock.time("read"):
+        train, test = read_shares(grid, problem)
+    with clock.time("design"):
+        return _sum_normals(grid, problem, train, np.float64, None), test
 
 
 def _infer(
     grid: ProcessGrid, problem: Problem, train: Rows, clock: Clock, precision: Precision
-) -> tuple[list[NormalEquations], list[Posterior], float]:
+) -> tuple[list[NormalEquations], list[Posterior], list[CoupledChannel], float]:
     """Infer from the rank's training rows, and tell how far rounding may have moved the mean, in std, of any channel.
 
     Collective: all ranks of `grid.world`.
@@ -99,7 +115,7 @@ def _infer(
         rounding = Rounding(problem, train) if in_single else None
         normals = _sum_normals(grid, problem, train, precision, rounding)
     with clock.time("solve"):
-        posteriors = solve_channels(grid, problem, normals)
+        posteriors, coupled = solve_channels(grid, problem, normals)
         with together(grid.world):
             for posterior in posteriors if grid.is_group_root else ():
                 _ = posterior.covariance  # cached: part of the inference, though only written later
@@ -107,7 +123,7 @@ def _infer(
         if rounding is not None:
             worst[0] = rounding.shifts(grid, posteriors).max(initial=0.0)
             allreduce_max(grid.world, worst)
-    return normals, posteriors, float(worst[0])
+    return normals, posteriors, coupled, float(worst[0])
 
 
 def read_shares(grid: ProcessGrid, problem: Problem, whole_times: bool = False) -> tuple[Rows, Rows]:
@@ -147,16 +163,35 @@ def _sum_normals(
 
 def solve_channels(
     grid: ProcessGrid, problem: Problem, normals: list[NormalEquations], factors: Sequence[Array] | None = None
-) -> list[Posterior]:
+) -> tuple[list[Posterior], list[CoupledChannel]]:
     """Solve on the group's root and share the posterior, which every rank needs for its held-out rows.
 
-    Collective: all ranks of `grid.world`. The factors of the channels' precision may be known already, on all ranks.
+    Collective: all ranks of `grid.world`.
+
+    Parameters
+    ----------
+    grid : ProcessGrid
+    problem : Problem
+        Of the group's channels.
+    normals : list of NormalEquations
+    factors : sequence of ndarray, (n, n), optional
+        The channels' factors of the precision, on all ranks, where they are known and channels are independent.
+
+    Returns
+    -------
+    list of Posterior
+    list of CoupledChannel
+        Where channels hang together, on the group's root; else empty.
     """
     solved: list[Posterior] = []
+    coupled: list[CoupledChannel] = []
+    if problem.coupling is not None:
+        solved, coupled = solve_coupled(grid, problem, normals)
     with together(grid.world):
         if grid.is_group_root:
-            parts = zip(normals, problem.priors, factors or len(normals) * (None,), strict=True)
-            solved = [normal.gaussian({BEAM: prior}).solve(True, factor) for normal, prior, factor in parts]
+            if problem.coupling is None:
+                parts = zip(normals, problem.priors, factors or len(normals) * (None,), strict=True)
+                solved = [normal.gaussian({BEAM: prior}).solve(True, factor) for normal, prior, factor in parts]
             for number, posterior in zip(problem.channel_numbers.tolist(), solved, strict=True):
                 numbers = {"posterior mean": posterior.mean, "posterior precision": np.diag(posterior.factor)}
                 check_finite(f"channel {number}", numbers, INFERENCE)
@@ -166,7 +201,7 @@ def solve_channels(
         factor = factors[f] if factors else bcast_array(grid.group, root.factor if root else None)
         if not root:
             solved.append(Posterior(mean, factor))
-    return solved
+    return solved, coupled
 
 
 def _sum_heldout(

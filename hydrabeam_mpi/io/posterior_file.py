@@ -9,6 +9,8 @@ Root attributes: ``format``, the version of this layout (1; files without it hav
 Where effects were part of the model a data set ``effects`` (JSON): ``basis``, that of the beam without the functions
 that effects add to it; ``entries``, the effects as in a job's ``[[effects]]``, each with the names of all of its
 parameters, ``known``.
+Where beams hang together over frequency an attribute ``over_frequency`` (JSON): ``settings``, those of the job's
+``[prior.frequency]``; how they were solved for, and what the evidence says of it.
 One group a channel, ``channel_0000`` and so on, with attributes ``freq`` (Hz), ``log_evidence`` (absent with a flat
 prior), ``summary`` (JSON) and the data sets
 
@@ -27,8 +29,11 @@ map_truth          (91, 360)           only where the data were simulated
 eigen_variances    (4,)                smallest eigenvalues of the covariance
 eigen_beams        (4, 91, 360)        their eigenvectors on the sky
 z_edges, z_counts  (Nb + 1,), (2, Nb)  held-out z-scores: inferred beam, model beam
+information        (n, n)              only of beams that hang together: kappa A^H N^-1 A of the channel's data
+score              (n,)                only of these: kappa A^H N^-1 (d - A prior_mean); kappa = 2 where real, else 1
 =================  ==================  =========================================================
 
+with which all channels can be drawn from together (`hydrabeam_mpi.inference.coupled`), as ``draws`` are;
 and of q parameters of effects in use, side by side, ``effects_covariance``, (q, q), and ``effects_beam_response``,
 (m, q): by how much the first m coefficients, those in ``basis``, move when one of these parameters does.
 """
@@ -75,8 +80,12 @@ LONG_NAMES = {
     "z_counts": "held-out z-scores in each bin, of the inferred and of the model beam",
     "effects_covariance": "posterior covariance of the parameters of effects, each in its own unit",
     "effects_beam_response": "change of the beam's coefficients with each parameter of an effect, per its unit",
+    "information": "information of the channel's data on the coefficients",
+    "score": "gradient of the ln likelihood of the channel's data in the coefficients at the prior mean",
 }
 """What the data sets of a channel say of themselves; all are pure numbers, but for parameters of effects."""
+ON_DISK = ("covariance", "information")
+"""Data sets that are not read with the others, as they are large."""
 
 
 @dataclass
@@ -101,6 +110,7 @@ class PosteriorFile:
     channels: list[ChannelRecord]
     telescope_name: str = "unknown"
     effects: dict[str, Any] | None = None
+    over_frequency: dict[str, Any] | None = None
 
 
 def write_posterior(path: Path, content: PosteriorFile) -> None:
@@ -122,6 +132,8 @@ def write_posterior(path: Path, content: PosteriorFile) -> None:
         describe(file["grid_az"], "rad", "azimuth of the maps, from East through North")
         if content.effects is not None:
             file["effects"] = json.dumps(content.effects)
+        if content.over_frequency is not None:
+            file.attrs["over_frequency"] = json.dumps(content.over_frequency)
         for number, record in enumerate(content.channels):
             group = file.create_group(CHANNEL.format(number))
             group.attrs["freq"] = record.freq
@@ -133,9 +145,9 @@ def write_posterior(path: Path, content: PosteriorFile) -> None:
                 describe(group[name], "1", LONG_NAMES[name])
 
 
-def least_bytes(n_channels: int, n_modes: int, itemsize: int, n_draws: int) -> int:
-    """Return how many bytes the file has at least: covariances, draws and the maps that every channel has."""
-    of_coefficients = n_modes * (n_modes + n_draws) + min(n_modes, EIGENBEAMS) * MAP_PIXELS
+def least_bytes(n_channels: int, n_modes: int, itemsize: int, n_draws: int, n_matrices: int = 1) -> int:
+    """Return how many bytes the file has at least: matrices, draws and the maps that every channel has."""
+    of_coefficients = n_modes * (n_matrices * n_modes + n_draws) + min(n_modes, EIGENBEAMS) * MAP_PIXELS
     return n_channels * (itemsize * of_coefficients + REAL_MAPS * MAP_PIXELS * np.dtype(float).itemsize)
 
 
@@ -158,7 +170,8 @@ def read_posterior(path: Path) -> PosteriorFile:
         telescope_name = str(file.attrs.get("telescope_name", "unknown"))
         polarization = str(file.attrs["polarization"])
         effects = _table(file["effects"][()], "effects") if "effects" in file else None
-        return PosteriorFile(basis, provenance, polarization, za, az, channels, telescope_name, effects)
+        coupled = _json(file, "over_frequency", "") if "over_frequency" in file.attrs else None
+        return PosteriorFile(basis, provenance, polarization, za, az, channels, telescope_name, effects, coupled)
 
 
 def _read_channel(group: h5py.Group, name: str, grid: tuple[int, int]) -> ChannelRecord:
@@ -172,7 +185,7 @@ def _read_channel(group: h5py.Group, name: str, grid: tuple[int, int]) -> Channe
         if key in group and group[key].shape != shape:
             told = f"has the shape {group[key].shape}, not {shape}"
             raise InputError(told, field=f"{name}/{key}", remedy=_REMEDY)
-    arrays = {key: _numbers(group, key, endless=key == "prior_std") for key in group if key != "covariance"}
+    arrays = {key: _numbers(group, key, endless=key == "prior_std") for key in group if key not in ON_DISK}
     for key in ("std", "prior_std"):
         if not np.all(arrays[key] > 0):
             raise InputError("holds a standard deviation that is not positive", field=f"{name}/{key}", remedy=_REMEDY)
@@ -183,7 +196,8 @@ def _read_channel(group: h5py.Group, name: str, grid: tuple[int, int]) -> Channe
 def _shapes(group: h5py.Group, grid: tuple[int, int]) -> dict[str, tuple[int, ...]]:
     """Return the shapes that a channel's data sets must have, where they are there."""
     n = group["mean"].size
-    shapes = {"mean": (n,), "covariance": (n, n), "std": (n,), "prior_mean": (n,), "prior_std": (n,)}
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(("mean", "std", "prior_mean", "prior_std", "score"), (n,))
+    shapes |= dict.fromkeys(ON_DISK, (n, n))
     if "model_mean" in group:
         shapes["model_mean"] = (min(n, len(group["model_mean"])),)
     shapes |= {key: grid for key in group if key.startswith("map_")}
@@ -230,9 +244,20 @@ def read_covariance(path: Path, channel: int) -> Array:
     InputError
         If it cannot be read.
     """
-    with reading(path, "a posterior", remedy=_REMEDY), h5py.File(path, "r") as file:
-        covariance = _numbers(file[CHANNEL.format(channel)], "covariance")
+    covariance = read_matrix(path, channel, "covariance")
     if not np.all(np.diag(covariance).real > 0):
         field = f"{CHANNEL.format(channel)}/covariance"
         raise InputError("holds a variance that is not positive", file=path, field=field, remedy=_REMEDY)
     return covariance
+
+
+def read_matrix(path: Path, channel: int, name: str) -> Array:
+    """Read one channel's data set that is not read with the others, (n, n).
+
+    Raises
+    ------
+    InputError
+        If it cannot be read.
+    """
+    with reading(path, "a posterior", remedy=_REMEDY), h5py.File(path, "r") as file:
+        return _numbers(file[CHANNEL.format(channel)], name)

@@ -4,7 +4,7 @@ from mpi4py.MPI import Comm
 
 from hydrabeam_mpi.mpi.abort import INTERRUPTED_STATUS, end_interrupted, install_abort_hook, refuse
 from hydrabeam_mpi.mpi.apart import FailedElsewhere, apart
-from hydrabeam_mpi.mpi.by_channel import gather_by_channel
+from hydrabeam_mpi.mpi.by_channel import by_channel, gather_by_channel, roots_of, share_by_channel
 from hydrabeam_mpi.mpi.collectives import (
     allreduce_max,
     allreduce_sum,
@@ -35,6 +35,7 @@ __all__ = [
     "bcast_array",
     "bcast_object",
     "blas_threads",
+    "by_channel",
     "check_one_world",
     "end_interrupted",
     "free_windows",
@@ -47,6 +48,8 @@ __all__ = [
     "peak_rss_mb",
     "recv_object",
     "refuse",
+    "roots_of",
     "send_object",
+    "share_by_channel",
     "together",
 ]

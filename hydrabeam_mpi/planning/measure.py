@@ -141,7 +141,7 @@ class Bench:
         context = self.contexts[1]
         normals = accumulate(context.train.rows, context.train.model, context.problem.basis)
         start = self.clock()
-        posterior = solve_channels(context.grid, context.problem, normals)[0]
+        posterior = solve_channels(context.grid, context.problem, normals)[0][0]
         _ = posterior.covariance
         seconds = self.clock() - start
         rows, model = context.test.rows, context.test.model

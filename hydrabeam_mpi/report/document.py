@@ -26,7 +26,7 @@ from hydrabeam_mpi.report.page.key_numbers import table, text_table
 from hydrabeam_mpi.report.page.result import Result, load_result
 from hydrabeam_mpi.report.page.sections import channel_table, finding, key_numbers, provenance, warnings
 from hydrabeam_mpi.report.page.style import STYLE, Drawing, render
-from hydrabeam_mpi.report.page.words import introduction, megahertz, remarks
+from hydrabeam_mpi.report.page.words import introduction, megahertz, over_frequency_words, remarks
 from hydrabeam_mpi.sampling.storage.store import ChainStore
 
 FOOTER = "“The paper” is Wilensky et al. 2025, High Dimensional Beam Inference II, whose method this is."
@@ -185,7 +185,7 @@ def _channels(result: Result, album: _Album) -> str:
     several = len(result.channels) > 1
     shown = shown_channels(result.channels)
     parts = []
-    together = draw_frequencies(result.channels)
+    together = draw_frequencies(result.channels, over_frequency_words(result.numbers))
     if together is not None:
         parts.append(f"<h2>All channels</h2>\n{album.place(together)}{channel_table(result.channels)}")
     if len(shown) < len(result.channels):

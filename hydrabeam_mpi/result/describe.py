@@ -43,7 +43,11 @@ def _record(problem: Problem, f: int, result: ChannelResult, maps: SkyMaps) -> C
     prior, posterior = problem.priors[f], result.posterior
     variances, beams = eigenbeams(posterior, problem.basis)
     key = problem.job.seed, "posterior draw", int(problem.channel_numbers[f])
-    draws = posterior.draws([generator(*key, draw) for draw in range(problem.job.output.draws)])
+    coupled = result.coupled
+    if coupled is None:
+        draws = posterior.draws([generator(*key, draw) for draw in range(problem.job.output.draws)])
+    else:
+        draws = coupled.draws
     summary = {
         "freq_hz": float(problem.observation.freqs[f]),
         "n_data": result.normal.n_data,
@@ -70,6 +74,8 @@ def _record(problem: Problem, f: int, result: ChannelResult, maps: SkyMaps) -> C
         "z_counts": result.heldout.counts,
         **result.of_effects,
     }
+    if coupled is not None:
+        arrays |= {"information": coupled.information, "score": coupled.score}
     if problem.earlier is not None:
         arrays["model_mean"] = problem.model_means[f]
     if maps.truth is not None:

@@ -113,7 +113,8 @@ def least_result_bytes(job: Job, n_channels: int | None = None) -> int:
         n_modes, is_complex = (basis.max_degree + 1) * (basis.max_degree + 2) // 2, False
     else:
         n_modes, is_complex = basis.n_modes, basis.form == "complex"
-    return least_bytes(n_channels, n_modes, np.dtype(complex if is_complex else float).itemsize, job.output.draws)
+    itemsize, n_matrices = np.dtype(complex if is_complex else float).itemsize, 1 + job.prior.frequency.couples
+    return least_bytes(n_channels, n_modes, itemsize, job.output.draws, n_matrices)
 
 
 def check_records(records: Sequence[ChannelRecord]) -> None:

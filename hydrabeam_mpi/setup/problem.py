@@ -30,6 +30,7 @@ from hydrabeam_mpi.setup.cautions import cautions_of_data
 from hydrabeam_mpi.setup.earlier import beam_priors, find_earlier
 from hydrabeam_mpi.setup.findings import Finding
 from hydrabeam_mpi.setup.given import NOTHING, Given
+from hydrabeam_mpi.setup.over_frequency import Coupling, couple
 from hydrabeam_mpi.setup.selected import find_groups, observe, roles_of
 from hydrabeam_mpi.setup.skies import count_sources, load_sky, source_positions
 
@@ -76,6 +77,8 @@ class Problem:
         What was found wrong with the data before anything was fitted.
     earlier : Inferred, optional
         The result that is the prior, of all the job's channels. ``priors`` have its effects marginalised.
+    coupling : Coupling, optional
+        How the beams of all the job's channels hang together, where they do.
     """
 
     job: Job
@@ -99,6 +102,7 @@ class Problem:
     noise_file: Data | None = None
     findings: tuple[Finding, ...] = ()
     earlier: Inferred | None = None
+    coupling: Coupling | None = None
 
     @property
     def model_means(self) -> tuple[Array, ...]:
@@ -217,6 +221,7 @@ def prepare(
         cautions=cautions_of_data(job, observation),
         noise_file=given.noise or job.noise.file,
         earlier=earlier,
+        coupling=couple(job.prior.frequency, observation.freqs, priors),
     )
 
 

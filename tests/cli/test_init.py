@@ -16,6 +16,7 @@ from hydrabeam_mpi.cli import main
 from hydrabeam_mpi.commands.init import job_from_data
 from hydrabeam_mpi.config import Job, load_job
 from hydrabeam_mpi.config.effects import Loop
+from hydrabeam_mpi.config.frequency import OverFrequency
 from hydrabeam_mpi.config.named import expand
 from hydrabeam_mpi.config.sections import Basis, Beam, Data, Holdout, Noise, Output, Prior, Sky, SkyColumns, Solver
 from hydrabeam_mpi.errors import InputError
@@ -117,7 +118,7 @@ def test_job_is_written_where_asked(workspace: Workspace, capfd: pytest.CaptureF
     assert load_job(job).name == "data"
 
 
-SECTIONS = (Data, Noise, Holdout, Sky, SkyColumns, Beam, Basis, Prior, Solver, Output, Loop)
+SECTIONS = (Data, Noise, Holdout, Sky, SkyColumns, Beam, Basis, Prior, OverFrequency, Solver, Output, Loop)
 
 
 def test_keys_in_comments_are_at_their_defaults(write: Callable[..., Path], tmp_path: Path) -> None:
@@ -136,7 +137,7 @@ def test_every_key_is_printed_with_its_meaning(write: Callable[..., Path]) -> No
     for section in SECTIONS:
         for name, field in section.model_fields.items():
             if field.description is None:
-                assert name in ("simulate", "columns")
+                assert name in ("simulate", "columns", "frequency")
                 continue
             found = [i for i, line in enumerate(lines) if re.match(rf"(# )?{name} = ", line)]
             assert found, name

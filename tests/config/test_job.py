@@ -192,6 +192,9 @@ OTHERS = [
     "[data]\nfiles = ['a']\n[holdout]\nkind = 'baselines'\nantpairs = [[1, 2]]",
     "[data]\nfiles = ['a']\n[sky]\nkind = 'catalogue'\nfile = 'a.vot'\n[sky.columns]\nreference_freq = '150 MHz'\n"
     "spectral_index = ''",
+    "[data]\nfiles = ['a']\n[prior.frequency]\nkind = 'modes'\nmodes = 'dpss'\nn_modes = 3\ndelay = '100 ns'",
+    "[data]\nfiles = ['a']\n[prior.frequency]\nkind = 'gaussian-process'\nkernel = 'matern-3/2'\n"
+    "length = ['5 MHz', 1e7]\nevidence = 'marginalise'\nsolver = 'dense'",
 ]
 
 
@@ -246,6 +249,8 @@ def test_units_are_those_of_the_code(tmp_path: Path) -> None:
     assert job.data.redundancy_tol == 0.05
     assert job.noise.sigma == 0.25
     assert job.basis.edge == 95.0
+    assert load_job(write(OTHERS[-2], tmp_path)).prior.frequency.delay == pytest.approx(1e-7, rel=1e-15)
+    assert load_job(write(OTHERS[-1], tmp_path)).prior.frequency.length == (5e6, 1e7)
     simulation = load_job(write(SIMULATION, tmp_path))
     assert simulation.sky.flux_range == pytest.approx((0.01, 1.0), rel=1e-15)
     simulate = simulation.data.simulate
@@ -293,7 +298,7 @@ def test_every_key_has_a_meaning() -> None:
                 assert field.description, f"{section.__name__}.{name}"
                 assert not field.is_required() or (section in (Effect, Injected, SampledEffect) and name == "kind")
         assert section.__doc__
-    assert tables == 18
+    assert tables == 19
 
 
 def test_sections_do_not_change(tmp_path: Path) -> None:

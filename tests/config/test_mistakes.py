@@ -19,7 +19,7 @@ INJECTED = "[[data.simulate.effects]]\nkind = 'diffuse'\n"
 TABLES = {
     "": "", "data": "", "data.simulate": "", "data.simulate.array": "", "data.simulate.perturb": "", "noise": "",
     "holdout": "", "sky": "", "sky.columns": "[sky]\nkind = 'catalogue'\nfile = 'a.skyh5'\n", "beam": "", "basis": "",
-    "prior": "", "solver": "", "output": "", "loop": "",
+    "prior": "", "prior.frequency": "", "solver": "", "output": "", "loop": "",
 }  # fmt: skip
 
 
@@ -49,7 +49,7 @@ def complaint(text: str, folder: Path) -> str:
         (
             DATA + "kind = 'x'",
             "[data] kind: unknown key; it belongs in [[data.simulate.effects]] or [noise] or [holdout] or [sky]"
-            " or [basis] or [prior] or [[sample.effects]] or [[effects]]",
+            " or [basis] or [prior] or [prior.frequency] or [[sample.effects]] or [[effects]]",
         ),
         (
             DATA + "[solver]\nqwertz = 1",
@@ -267,6 +267,26 @@ def complaint(text: str, folder: Path) -> str:
             "[noise]: sigma is 1e-300 Jy, of which no sum has a digit",
         ),
         (DATA + "[sky]\nflux_range = [1e-300, 1]", "[sky] flux_range: is 1e-300; it should be at least 1e-30"),
+        (
+            DATA + "[prior.frequency]\nkind = 'modes'",
+            "[prior.frequency]: modes = 'legendre' needs n_modes; give n_modes = 3 or so",
+        ),
+        (
+            DATA + "[prior.frequency]\nkind = 'modes'\nmodes = 'dpss'",
+            "[prior.frequency]: modes = 'dpss' and delay go together; give both, such as 'dpss' and '100 ns', or",
+        ),
+        (
+            DATA + "[prior.frequency]\nlength = '5 MHz'",
+            "[prior.frequency]: length = [5000000.0] is for kind = 'gaussian-process', not 'independent'",
+        ),
+        (
+            DATA + "[prior.frequency]\nsolver = 'dense'",
+            "[prior.frequency]: solver = \"dense\" is for channels that hang together, not kind = 'independent'",
+        ),
+        (
+            DATA + "[prior]\nkind = 'flat'\n[prior.frequency]\nkind = 'gaussian-process'",
+            "[prior]: channels hang together by widths of independent coefficients, which kind = 'flat' has not",
+        ),
         (DATA + "[prior]\nfraction = 1e-200", "[prior]: fraction = 1e-200 lets no coefficient move by a digit that a"),
         (DATA + "[prior]\nfraction = 1e200", "[prior]: fraction = 1e+200 is no prior; set kind = 'flat' to have none"),
         (DATA + "[prior]\nfloor = 1e200", "[prior] floor: is 1e+200; it should be at most 4.503599627e+15"),

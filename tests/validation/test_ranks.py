@@ -44,6 +44,15 @@ JOBS = {
         n_times=2, freqs="131e6, 132e6", holdout='kind = "baselines"\nantpairs = [[0, 1], [2, 5]]', form="complex"
     ),
 }
+TOGETHER = """
+[prior.frequency]
+kind = "gaussian-process"
+kernel = "matern-5/2"
+length = "4 MHz"
+solver = "{}"
+"""
+for solver in ("dense", "conjugate-gradients"):
+    JOBS[f"hanging together, {solver}"] = JOBS["three channels"] + TOGETHER.format(solver)
 RUN_ALL = """
 import sys
 from pathlib import Path

@@ -24,8 +24,11 @@ PANELS = {
 COLOURS = {"model beam": MODEL, "inferred beam": INFERRED}
 
 
-def draw_frequencies(channels: list[Channel]) -> Drawing | None:
-    """Draw the key numbers against frequency; None for a single channel."""
+def draw_frequencies(channels: list[Channel], together: str = "") -> Drawing | None:
+    """Draw the key numbers against frequency; None for a single channel.
+
+    ``together`` says how the channels hang together, where they do.
+    """
     known = {title: lines for title, keys in PANELS.items() if (lines := _lines(channels, keys))}
     if len(channels) < 2 or not known:
         return None
@@ -51,7 +54,8 @@ def draw_frequencies(channels: list[Channel]) -> Drawing | None:
     return Drawing(
         "frequencies",
         "All channels",
-        "Key numbers of every channel; each was inferred from its own visibilities, without the others.",
+        "Key numbers of every channel"
+        + (f".{together}" if together else "; each was inferred from its own visibilities, without the others."),
         f"{len(known)} small panels with key numbers against frequency.",
         figure,
     )

@@ -35,10 +35,29 @@ def introduction(result: Result) -> str:
         unique = first.numbers.get("n_unique_baselines")
         text += f" on {unique:,} different baseline vectors" if unique else ""
     text += f", which {_origin(job.get('data', {}))}. {_basis(first)}{_prior(job)}{_sky(job)}{_holdout(job)}"
+    text += over_frequency_words(numbers)
     if "ranks" in numbers and "wall_s" in numbers:
         ranks = numbers["ranks"]
         text += f" {ranks} rank{'s' if ranks != 1 else ''} took {format_value(numbers['wall_s'])} s for the inference."
     return text
+
+
+def over_frequency_words(numbers: dict[str, Any]) -> str:
+    """Tell how the beams of all channels hang together; empty where they do not."""
+    told = numbers.get("over_frequency")
+    if not told:
+        return ""
+    settings = told["settings"]
+    if settings["kind"] == "modes":
+        how = f"each coefficient is a sum of {told['n_modes']} {settings['modes']} modes along frequency"
+    else:
+        length = f", length {megahertz(told['length'])}" if "length" in told else ""
+        how = f"each coefficient is a Gaussian process over frequency ({settings['kernel']}{length})"
+    text = f" Channels hang together: {how}, {told['n_unknowns']:,} unknowns in all"
+    if "log_evidence" in told:
+        gain = told["log_evidence"] - told["log_evidence_independent"]
+        text += f"; ln evidence {gain:+.1f} against independent channels"
+    return f"{text}."
 
 
 def _origin(data: dict[str, Any]) -> str:

@@ -1,0 +1,251 @@
+"""The beams given what the data say of all channels, where these hang together over frequency.
+
+The one place where they are solved for: as one matrix on rank 0, where it is not too large, or by conjugate gradients
+over the rank groups, each of which keeps the information of its own channels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import Array, FloatArray
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
+from hydrabeam_mpi.fit.matrix_free import N_SCALING, solve_matrix_free
+from hydrabeam_mpi.inference.coupled import ChannelTold, CoupledEquations, CoupledPosterior, Moments, choose_length
+from hydrabeam_mpi.inference.posterior import Posterior
+from hydrabeam_mpi.inference.prior import DiagonalPrior, Prior
+from hydrabeam_mpi.mpi import ProcessGrid, by_channel, share_by_channel, together
+from hydrabeam_mpi.setup.over_frequency import Coupling
+from hydrabeam_mpi.setup.problem import Problem
+
+MAX_DENSE = 10_000
+"""Unknowns up to which the system is one matrix: 0.8 GB, of which there are two at a time, and minutes of one core."""
+NEGLIGIBLE = 1e-4
+"""Lengths of which the evidence is less than this part of all are left out of the mean over lengths."""
+
+
+@dataclass(frozen=True)
+class CoupledChannel:
+    """What is kept of a channel that hangs together with others, to draw from all together again.
+
+    Attributes
+    ----------
+    information : ndarray, (n, n)
+        What the data say of its coefficients alone, kappa A^H N^-1 A.
+    score : ndarray, (n,)
+        kappa A^H N^-1 (d - A b_0), b_0 the prior's mean.
+    draws : ndarray, (n_draws, n)
+        Those of the same number belong together in all channels.
+    summary : dict
+        What is told of all channels together.
+    """
+
+    information: Array
+    score: Array
+    draws: Array
+    summary: dict[str, Any]
+
+
+def solve_coupled(
+    grid: ProcessGrid, problem: Problem, normals: Sequence[NormalEquations]
+) -> tuple[list[Posterior], list[CoupledChannel]]:
+    """Solve for the beams of all channels together.
+
+    Collective: all ranks of `grid.world`.
+
+    Parameters
+    ----------
+    grid : ProcessGrid
+    problem : Problem
+        Of the group's channels.
+    normals : sequence of NormalEquations
+        Of these, summed over the group.
+
+    Returns
+    -------
+    list of Posterior
+        Of each of the group's channels, whatever the others are; on the group's root.
+    list of CoupledChannel
+        On the group's root.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if the way to solve that the job asks for does not suffice.
+    """
+    coupling = problem.coupling
+    assert coupling is not None
+    told: list[ChannelTold] = []
+    alone = 0.0
+    with together(grid.world):
+        if grid.is_group_root:
+            told = list(map(_told, normals, problem.priors))
+            alone = sum(_evidence_alone(one) for one in told)
+    alone = grid.world.allreduce(alone)
+    n_draws = problem.job.output.draws
+    if _is_dense(coupling, problem.basis.n_modes):
+        moments, summary = _solve_dense(grid, problem, told, _noise(grid, problem, told, n_draws))
+    else:
+        noise = _noise(grid, problem, told, max(n_draws, N_SCALING))
+        moments, summary = solve_matrix_free(grid, problem.job.seed, coupling.candidates[0], told, noise)
+    posteriors: list[Posterior] = []
+    with together(grid.world):
+        if grid.is_group_root:
+            posteriors = [_posterior(one, prior) for one, prior in zip(moments, problem.priors, strict=True)]
+    settings = coupling.settings.model_dump(mode="json", exclude_none=True)
+    summary = {"settings": settings, **summary, "log_evidence_independent": alone}
+    kept = []
+    for normal, prior, one in zip(normals, problem.priors, moments, strict=False):
+        draws = prior.mean + prior.std() * one.draws[:n_draws]
+        kept.append(CoupledChannel(*_of_coefficients(normal, prior), draws, summary))
+    return posteriors, kept
+
+
+def _is_dense(coupling: Coupling, n: int) -> bool:
+    """Whether one matrix is solved, of all unknowns."""
+    size = n * max(modes.shape[1] for modes in coupling.candidates)
+    dense = coupling.settings.solver == "dense" or (coupling.settings.solver == "auto" and size <= MAX_DENSE)
+    if not dense and len(coupling.candidates) > 1:
+        raise InputError(
+            f"only one matrix tells the evidence of a length, and it would have {size} rows",
+            field="[prior.frequency] length",
+            remedy="give one length, or shorter lists of channels or modes, or solver = 'dense' where memory allows it",
+        )
+    return dense
+
+
+def _told(normal: NormalEquations, prior: Prior) -> ChannelTold:
+    information, score = _of_coefficients(normal, prior)
+    assert isinstance(prior, DiagonalPrior)
+    level = normal.log_det_inv_noise - normal.n_data * np.log(np.pi) - normal.misfit(BEAM, prior.mean)
+    return ChannelTold.of(information, score, prior.sigma, float(level))
+
+
+def _of_coefficients(normal: NormalEquations, prior: Prior) -> tuple[Array, Array]:
+    """Return information and score of the coefficients about the prior's mean, (n, n) and (n,)."""
+    kappa, own = 1.0 if normal.blocks[BEAM].is_complex else 2.0, normal.own(BEAM)
+    return kappa * own, kappa * (normal.projection[BEAM] - own @ prior.mean)
+
+
+def _evidence_alone(told: ChannelTold) -> float:
+    """Return ln p(d) of a channel that knows nothing of the others."""
+    equations = CoupledEquations(np.ones((1, 1)), len(told.score), np.iscomplexobj(told.score))
+    equations.add(0, told)
+    return float(equations.solve().joint.log_evidence or 0.0)
+
+
+def _noise(grid: ProcessGrid, problem: Problem, told: list[ChannelTold], n_draws: int) -> list[Array]:
+    """Draw the channels' parts of the noise of constrained realisations, (n, n_draws). Collective: all ranks."""
+    with together(grid.world):
+        keys = [
+            [("posterior draw", number, draw) for draw in range(n_draws)] for number in problem.channel_numbers.tolist()
+        ]
+        return [one.noise(key, problem.job.seed, grid.n_channels) for one, key in zip(told, keys, strict=False)]
+
+
+def _solve_dense(
+    grid: ProcessGrid, problem: Problem, told: list[ChannelTold], noise: list[Array]
+) -> tuple[list[Moments], dict[str, Any]]:
+    """Solve on rank 0, for all lengths that the evidence leaves. Collective: all ranks of the grid."""
+    coupling, seed = problem.coupling, problem.job.seed
+    assert coupling is not None
+    candidates = coupling.candidates
+    evidences = np.zeros(1)
+    if len(candidates) > 1:
+        solved = (_assemble(grid, problem, modes, told) for modes in candidates)
+        evidences = np.array([_evidence(grid, one) for one in solved])
+    weights = _weights(evidences, coupling.settings.evidence == "marginalise")
+    chosen = choose_length(weights, seed, problem.job.output.draws)
+    parts = []
+    for number in np.flatnonzero(weights):
+        posterior = _assemble(grid, problem, candidates[number], told, noise)
+        evidences[number] = _evidence(grid, posterior)
+        mine = chosen == number
+        moments = posterior.moments(seed, np.flatnonzero(mine).tolist()) if posterior else ()
+        parts.append((float(weights[number]), mine, share_by_channel(grid, moments)))
+    best = int(np.argmax(evidences))
+    summary: dict[str, Any] = {
+        "solver": "dense",
+        "covariances": "exact",
+        "n_modes": candidates[best].shape[1],
+        "n_unknowns": candidates[best].shape[1] * problem.basis.n_modes,
+        "log_evidence": float(_log_mean(evidences) if len(parts) > 1 else evidences[best]),
+    }
+    if coupling.lengths:
+        summary["length"] = coupling.lengths[best]
+    if len(candidates) > 1:
+        of_lengths = coupling.lengths, evidences.tolist(), weights.tolist()
+        summary |= dict(zip(("lengths", "log_evidences", "weights"), map(list, of_lengths), strict=True))
+    return [_mixed([(weight, mine, those[f]) for weight, mine, those in parts]) for f in range(len(told))], summary
+
+
+def _assemble(
+    grid: ProcessGrid,
+    problem: Problem,
+    modes: FloatArray,
+    told: list[ChannelTold],
+    noise: list[Array] | None = None,
+) -> CoupledPosterior | None:
+    """Bring together on rank 0 what the groups know, channel by channel, and solve. Collective: all ranks."""
+    basis, equations, solved = problem.basis, None, None
+    with together(grid.world):
+        if grid.is_world_root:
+            n_draws = problem.job.output.draws if noise is not None else 0
+            equations = CoupledEquations(modes, basis.n_modes, basis.is_complex, n_draws)
+    records = [(one, None if noise is None else noise[f]) for f, one in enumerate(told)]
+    for channel, (one, drawn) in enumerate(by_channel(grid, records)):
+        assert equations is not None
+        equations.add(channel, one, drawn)
+    with together(grid.world):
+        if equations is not None:
+            solved = equations.solve()
+    return solved
+
+
+def _evidence(grid: ProcessGrid, solved: CoupledPosterior | None) -> float:
+    """Return ln p(d) of all channels, on all ranks. Collective: all ranks of the grid."""
+    return float(grid.world.bcast(solved.joint.log_evidence if solved else None))
+
+
+def _weights(evidences: FloatArray, marginalises: bool) -> FloatArray:
+    """Return which part each length has: that of its evidence, or all for the likeliest."""
+    if not marginalises:
+        return np.asarray(np.arange(len(evidences)) == np.argmax(evidences), dtype=float)
+    weights = np.exp(evidences - evidences.max())
+    weights[weights < NEGLIGIBLE * weights.sum()] = 0.0
+    return np.asarray(weights / weights.sum())
+
+
+def _log_mean(evidences: FloatArray) -> float:
+    return float(evidences.max() + np.log(np.mean(np.exp(evidences - evidences.max()))))
+
+
+def _mixed(parts: Sequence[tuple[float, Array, Moments]]) -> Moments:
+    """Return a channel's moments of the mean over lengths: of each its part, which draws are of it, and its moments."""
+    first = parts[0][2]
+    mean = sum((weight * one.mean for weight, _, one in parts), np.zeros_like(first.mean))
+    covariance = np.zeros_like(first.covariance)
+    draws = np.zeros((len(parts[0][1]), len(mean)), mean.dtype)
+    for weight, mine, one in parts:
+        away = one.mean - mean
+        covariance += weight * (one.covariance + np.outer(away, away.conj()))
+        draws[mine] = one.draws
+    return Moments(mean, covariance, draws)
+
+
+def _posterior(moments: Moments, prior: Prior) -> Posterior:
+    """Return that of a channel's coefficients."""
+    width = prior.std()
+    try:
+        return Posterior.of(prior.mean + width * moments.mean, moments.covariance * width * width[:, np.newaxis])
+    except np.linalg.LinAlgError as error:
+        raise InputError(
+            f"the posterior of a channel could not be taken out of that of all ({error})",
+            field="[prior.frequency]",
+            remedy="ask for fewer modes along frequency, or a longer length",
+        ) from error

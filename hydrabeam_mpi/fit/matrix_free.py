@@ -1,0 +1,211 @@
+"""The system of channels that hang together, by conjugate gradients over rank groups, without a matrix of it all.
+
+Each group keeps the information J_f of its own channels and applies it; what travels are vectors, of which every
+group's root has all (as large as the coefficients of all beams). The system of `hydrabeam_mpi.inference.coupled` is
+
+    P_mm' = delta_mm' + sum_f U_fm U_fm' J_f,
+
+preconditioned by its diagonal blocks D_m = B_m B_m^H, of which each root has its share of the Cholesky factors. They
+are all of P where the channels tell as much as each other. What is solved is B^-1 P B^-H z = B^-1 x, in which the
+length of a residual is nearly that of the error in posterior standard deviations, so that it tells when to stop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.sparse.linalg import LinearOperator, cg
+
+from hydrabeam_mpi.data.observation import Array, FloatArray
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.inference.coupled import ChannelTold, Moments, noise_of_modes
+from hydrabeam_mpi.inference.matrices import cholesky_lower
+from hydrabeam_mpi.mpi import Comm, ProcessGrid, allreduce_sum, roots_of
+
+SIGMAS = 1e-10
+"""Where the iterations end: rms over unknowns of the residual, about that of the error in posterior std."""
+MAX_STEPS = 2000
+N_SCALING = 64
+"""Draws that tell how large variances are, at least: each by itself to a sixth, those of a channel together better."""
+
+
+class RootsSystem:
+    """The system as the roots of the rank groups have it.
+
+    Collective: all roots, as are all methods.
+
+    Parameters
+    ----------
+    comm : Comm
+        Of the roots, in the order of their channels.
+    modes : ndarray, (Nchan, M)
+    told : sequence of ChannelTold
+        Of this root's channels.
+    """
+
+    def __init__(self, comm: Comm, modes: FloatArray, told: Sequence[ChannelTold]) -> None:
+        self._comm, self.modes, self._told = comm, modes, told
+        counts = comm.allgather(len(told))
+        first = sum(counts[: comm.rank])
+        self.channels = range(first, first + len(told))
+        self.shape, self.dtype = (modes.shape[1], len(told[0].score)), told[0].information.dtype
+        n_modes = modes.shape[1]
+        self._mine = range(comm.rank * n_modes // comm.size, (comm.rank + 1) * n_modes // comm.size)
+        self._factors = self._factorise()
+
+    def _factorise(self) -> dict[int, Array]:
+        """Return the Cholesky factors of this root's diagonal blocks."""
+        factors = {}
+        for mode in range(self.shape[0]):
+            block = np.zeros((self.shape[1], self.shape[1]), self.dtype)
+            for channel, one in zip(self.channels, self._told, strict=True):
+                block += self.modes[channel, mode] ** 2 * one.information
+            allreduce_sum(self._comm, block)
+            if mode in self._mine:
+                block[np.diag_indices_from(block)] += 1.0
+                factors[mode] = cholesky_lower(block)
+        return factors
+
+    def times(self, x: Array) -> Array:
+        """Return P x, both (M, n)."""
+        beams = self.modes[self.channels] @ x
+        return x + self.from_channels([one.information @ beam for one, beam in zip(self._told, beams, strict=True)])
+
+    def from_channels(self, mine: Sequence[Array]) -> Array:
+        """Return sum_f U_fm y_f of what each root has of its channels, (n, ...); (M, n, ...).
+
+        Added up in the same order by every root, so that all go on with the same numbers.
+        """
+        parts = self._comm.allgather(np.array(mine))
+        return np.asarray(np.tensordot(self.modes, np.concatenate(parts), (0, 0)))
+
+    def unwhiten(self, z: Array) -> Array:
+        """Return B^-H z, both (M, n)."""
+        return self._through_factors(z, "C")
+
+    def whiten(self, x: Array) -> Array:
+        """Return B^-1 x, both (M, n)."""
+        return self._through_factors(x, "N")
+
+    def _through_factors(self, x: Array, trans: str) -> Array:
+        parts = [
+            solve_triangular(factor, x[mode], lower=True, trans=trans, check_finite=False)
+            for mode, factor in self._factors.items()
+        ]
+        own = np.array(parts, dtype=self.dtype).reshape(len(parts), self.shape[1])
+        return np.concatenate(self._comm.allgather(own))
+
+    def solve(self, x: Array) -> tuple[Array, int]:
+        """Return P^-1 x, (M, n), and how many steps it took; none if that was not enough."""
+        steps = 0
+
+        def count(_: Array) -> None:
+            nonlocal steps
+            steps += 1
+
+        def times(z: Array) -> Array:
+            return self.whiten(self.times(self.unwhiten(z.reshape(self.shape)))).ravel()
+
+        operator = LinearOperator((x.size, x.size), times, dtype=self.dtype)
+        enough = SIGMAS * np.sqrt(x.size)
+        solved, failed = cg(operator, self.whiten(x).ravel(), rtol=0, atol=enough, maxiter=MAX_STEPS, callback=count)
+        return self.unwhiten(solved.reshape(self.shape)), 0 if failed else max(steps, 1)
+
+    def covariances(self) -> list[Array]:
+        """Return sum_m U_fm^2 D_m^-1 of this root's channels, (n, n): that of a where D is all of P."""
+        found = [np.zeros((self.shape[1], self.shape[1]), self.dtype) for _ in self._told]
+        for mode in range(self.shape[0]):
+            inverse = np.zeros((self.shape[1], self.shape[1]), self.dtype)
+            if mode in self._mine:
+                half = solve_triangular(self._factors[mode], np.eye(self.shape[1]), lower=True, check_finite=False)
+                inverse += half.conj().T @ half
+            allreduce_sum(self._comm, inverse)
+            for channel, one in zip(self.channels, found, strict=True):
+                one += self.modes[channel, mode] ** 2 * inverse
+        return found
+
+
+def solve_matrix_free(
+    grid: ProcessGrid, seed: int, modes: FloatArray, told: list[ChannelTold], noise: list[Array]
+) -> tuple[list[Moments], dict[str, Any]]:
+    """Solve for mean and draws of all channels together by conjugate gradients.
+
+    Covariances are those of the preconditioner with the variances that draws have; see `scaled`. Collective: all
+    ranks of `grid.world`.
+
+    Parameters
+    ----------
+    grid : ProcessGrid
+    seed : int
+    modes : ndarray, (Nchan, M)
+    told : list of ChannelTold
+        Of the group's channels, on its root; empty on other ranks.
+    noise : list of ndarray, (n, n_draws)
+        These channels' parts of that of the draws, `N_SCALING` or more.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if the iterations do not come to an end.
+    """
+    comm = roots_of(grid)
+    moments: list[Moments] = []
+    steps: list[int] = []
+    if comm is not None:
+        moments, steps = _solve(comm, seed, modes, told, noise)
+        comm.Free()
+    steps = grid.world.bcast(steps)
+    if 0 in steps:
+        raise InputError(
+            f"conjugate gradients have not come to an end after {MAX_STEPS} steps",
+            field="[prior.frequency] solver",
+            remedy="set solver = 'dense', or ask for fewer modes along frequency, or a longer length",
+        )
+    size = modes.shape[1]
+    n = grid.world.bcast(len(told[0].score) if told else None)
+    return moments, {
+        "solver": "conjugate-gradients",
+        "covariances": "of the preconditioner, with variances from draws",
+        "n_modes": size,
+        "n_unknowns": size * n,
+        "steps": max(steps),
+    }
+
+
+def _solve(
+    comm: Comm, seed: int, modes: FloatArray, told: list[ChannelTold], noise: list[Array]
+) -> tuple[list[Moments], list[int]]:
+    """Solve on the groups' roots; also return the steps of each solution, none where they were not enough."""
+    system = RootsSystem(comm, modes, told)
+    n, n_draws = system.shape[1], noise[0].shape[1]
+    mean, taken = system.solve(system.from_channels([one.score for one in told]))
+    is_complex = np.issubdtype(system.dtype, np.complexfloating)
+    drawn = system.from_channels(noise) + noise_of_modes(modes, range(n_draws), seed, n, is_complex)
+    steps, away = [taken], np.zeros((n_draws, len(told), n), system.dtype)
+    for draw in range(n_draws):
+        moved, taken = system.solve(drawn[..., draw])
+        away[draw] = modes[system.channels] @ moved
+        steps.append(taken)
+    means = modes[system.channels] @ mean
+    moments = []
+    for f, covariance in enumerate(system.covariances()):
+        moments.append(Moments(means[f], scaled(covariance, away[:, f]), means[f] + away[:, f]))
+    return moments, steps
+
+
+def scaled(covariance: Array, away: Array) -> Array:
+    """Return a covariance, (n, n), with variances as draws about the mean have them, (n_draws, n).
+
+    The ratio of these to those of the covariance scatters by the number of draws, and by what the covariance gets
+    wrong. By how much it scatters more than by the former tells how far each ratio is to be believed beyond their mean.
+    """
+    ratio = np.mean(np.abs(away) ** 2, axis=0) / np.diag(covariance).real
+    level = float(np.mean(ratio))
+    by_chance = level**2 * (1 if np.iscomplexobj(away) else 2) / len(away)
+    scatter = float(np.var(ratio))
+    believed = max(scatter - by_chance, 0.0) / scatter if scatter else 0.0
+    root = np.sqrt(level + believed * (ratio - level))
+    return np.asarray(covariance * root * root[:, np.newaxis])

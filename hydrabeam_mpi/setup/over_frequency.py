@@ -1,0 +1,107 @@
+"""From ``[prior.frequency]`` of a job to the modes along frequency that its beams are solved for in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydrabeam_mpi.config import Job
+from hydrabeam_mpi.config.frequency import OverFrequency
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.inference.over_frequency import KERNELS, legendre, modes_of, within_delay
+from hydrabeam_mpi.inference.prior import DiagonalPrior, Prior
+
+N_LENGTHS = 8
+"""Lengths that are tried where a job gives none: each is two to three times the one before over most bands."""
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """How the beams of all channels hang together.
+
+    Attributes
+    ----------
+    settings : OverFrequency
+    candidates : tuple of ndarray, (Nchan, M)
+        Modes along frequency, U; several where the evidence decides among lengths.
+    lengths : tuple of float
+        Of each of these, Hz; none of modes.
+    """
+
+    settings: OverFrequency
+    candidates: tuple[FloatArray, ...]
+    lengths: tuple[float, ...] = ()
+
+
+def couple(settings: OverFrequency, freqs: FloatArray, priors: Sequence[Prior] = ()) -> Coupling | None:
+    """Return how the beams of channels at ``freqs``, Hz, (Nchan,), hang together; None where they do not.
+
+    Raises
+    ------
+    InputError
+        If the channels do not allow what is asked for, or their ``priors`` are not of independent coefficients.
+    """
+    if not settings.couples:
+        return None
+    if any(not isinstance(prior, DiagonalPrior) for prior in priors):
+        raise InputError(
+            "beams that hang together over frequency need a prior of independent coefficients in each channel",
+            field="[prior.frequency] kind",
+            remedy="give [prior] kind = 'fraction', or priors of that kind, or set kind = 'independent'",
+        )
+    if settings.kind == "modes":
+        return Coupling(settings, (_modes(settings, freqs),))
+    lengths = settings.length or _lengths(freqs)
+    kernel = KERNELS[settings.kernel]
+    return Coupling(settings, tuple(modes_of(kernel(freqs, length)) for length in lengths), lengths)
+
+
+def check_independent(job: Job, what: str) -> None:
+    """Make sure that channels are independent, as ``what`` knows them alone.
+
+    Raises
+    ------
+    InputError
+        If they are not.
+    """
+    if job.prior.frequency.couples:
+        raise InputError(
+            f"beams that hang together over frequency do not go with {what} yet",
+            field="[prior.frequency] kind",
+            remedy="set kind = 'independent', or use 'hydrabeam infer' without [[effects]]",
+        )
+
+
+def _modes(settings: OverFrequency, freqs: FloatArray) -> FloatArray:
+    if settings.n_modes is not None and settings.n_modes > len(freqs):
+        raise InputError(
+            f"is {settings.n_modes}, and there are {len(freqs)} channels",
+            field="[prior.frequency] n_modes",
+            remedy="ask for no more modes than channels",
+        )
+    if settings.modes == "legendre":
+        assert settings.n_modes is not None
+        return legendre(freqs, settings.n_modes)
+    assert settings.delay is not None
+    return modes_of(within_delay(freqs, settings.delay), settings.n_modes)
+
+
+def _lengths(freqs: FloatArray) -> tuple[float, ...]:
+    """Return lengths from half of the usual spacing, where channels are nearly independent, to four times the band.
+
+    Raises
+    ------
+    InputError
+        If there is one channel alone.
+    """
+    if len(freqs) < 2:
+        raise InputError(
+            "one channel does not tell how smooth a beam is over frequency",
+            field="[prior.frequency] length",
+            remedy="give a length, or more channels",
+        )
+    spacing, band = float(np.median(np.diff(np.sort(freqs)))), float(np.ptp(freqs))
+    return tuple(np.geomspace(0.5 * spacing, 4 * band, N_LENGTHS).tolist())
