@@ -154,7 +154,7 @@ class Values:
         """The effects by names of their own."""
         return {f"{number} {one.kind}": one for number, one in enumerate(self.active)}
 
-    @cached_property
+    @property
     def spans(self) -> tuple[slice, ...]:
         """Where each effect's parameters in use are, when those of all are side by side."""
         return tuple(spans(one.size for one in self.active))

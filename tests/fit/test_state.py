@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
 from hydrabeam_mpi.fit.blocks import BeamBlock
 from hydrabeam_mpi.fit.state import Active, Estimate, Values
 from hydrabeam_mpi.inference.posterior import Posterior
+from hydrabeam_mpi.io.kept_rounds import read_object, write_object
 from hydrabeam_mpi.random import generator
 from tests.effects.small import small_setup
 
@@ -113,3 +115,13 @@ def test_part_of_the_way(length: float) -> None:
     np.testing.assert_array_equal(between.values.active[0].x, gains.x + 4 * length)
     np.testing.assert_array_equal(between.beams[0].mean, length * np.array([1.0, 2, 4]))
     np.testing.assert_array_equal(between.beams[0].factor, 2 * np.eye(3))
+
+
+def test_values_can_be_kept_and_read_whatever_was_asked_of_them(tmp_path: Path) -> None:
+    """As by a fit that did not converge, whose last values are those that a step was taken from."""
+    active = Active.start(AntennaGains(), EXPERIMENT, np.ones(2 * N_ANTENNAS), np.zeros((1, 2 * N_ANTENNAS)))
+    values = Values((active,))
+    assert values.spans == (slice(0, 2 * N_ANTENNAS),)
+    assert values.blocks
+    write_object(tmp_path / "values", values)
+    assert read_object(tmp_path / "values").spans == values.spans
