@@ -6,8 +6,23 @@
 # HYDRABEAM_MPI=wheel (leave the machine's own MPI alone and use MPICH from the package index).
 
 fail() {
+    [[ -z ${beat:-} ]] || kill "$beat"
     echo "${0##*/}: $*" >&2
     exit 1
+}
+
+# Run a command, and say every half minute what is waited for: installing and compiling take minutes.
+step() {
+    local what=$1 beat status=0
+    shift
+    echo "$what"
+    # Ctrl-C does not reach what runs beside this shell, so that it looks whether this shell is there.
+    while sleep 30 &>/dev/null && kill -0 $$ 2>/dev/null; do echo "  still $what ($SECONDS s)"; done &
+    beat=$!
+    "$@" || status=$?
+    kill "$beat" 2>/dev/null || true
+    wait "$beat" 2>/dev/null || true
+    return "$status"
 }
 
 is_recent_python() {
@@ -18,8 +33,7 @@ make_environment() {
     local python
     for python in ${PYTHON:+"$PYTHON"} python3.11 python3 python; do
         if is_recent_python "$python"; then
-            echo "making $venv with $(command -v "$python")"
-            "$python" -m venv "$venv"
+            step "making $venv with $(command -v "$python")" "$python" -m venv "$venv"
             return
         fi
     done
@@ -72,11 +86,10 @@ install_mpi() {
     fi
     echo "$mpi" >"$venv/hydrabeam.mpi"
     if [[ $mpi == wheel ]]; then
-        "${pip[@]}" install "${pinned[@]}" mpi4py mpich
+        step "installing mpi4py and MPICH" "${pip[@]}" install "${pinned[@]}" mpi4py mpich
     else
         # Not from pip's cache, where an mpi4py built for another MPI may lie.
-        echo "building mpi4py with $mpi"
-        MPICC=$mpi "${pip[@]}" install "${pinned[@]}" --no-cache-dir --no-binary mpi4py mpi4py ||
+        MPICC=$mpi step "building mpi4py with $mpi" "${pip[@]}" install "${pinned[@]}" --no-cache-dir --no-binary mpi4py mpi4py ||
             fail "mpi4py cannot be built with $mpi; HYDRABEAM_MPI=wheel uses MPICH from the package index"
     fi
 }
@@ -124,8 +137,8 @@ set_up() {
     # Editable: the checkout is what runs and what is tested, with no second copy to fall behind it.
     target=.
     [[ $1 == run ]] || target=".[$1]"
-    "${pip[@]}" install "${pinned[@]}" --editable "$target"
-    check_mpi
+    step "installing hydrabeam_mpi and what it needs" "${pip[@]}" install "${pinned[@]}" --editable "$target"
+    step "starting 2 ranks with $(command -v mpiexec)" check_mpi
     [[ $1 == run ]] || echo "$key" >"$venv/hydrabeam.run"
     echo "$key" >"$venv/hydrabeam.$1"
 }

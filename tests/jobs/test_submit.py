@@ -18,6 +18,7 @@ from hydrabeam_mpi.terminal.command_line import make_parser
 ROOT = Path(__file__).parents[2]
 SCRIPTS = sorted((ROOT / "jobs").glob("*/submit.slurm"))
 VARIABLES = {"SLURM_NTASKS": "2", "SLURM_CPUS_PER_TASK": "1", "SLURM_ARRAY_TASK_ID": "7"}
+PBS = ROOT / "jobs/paper/submit.pbs"
 SRUN = """#!/usr/bin/env bash
 # Starts what srun would, and writes down how it was called.
 echo "srun $*" >>"$CALLS"
@@ -108,6 +109,20 @@ def test_body(script: Path, repository: Path) -> None:
     assert [call[4] for call in again] == ["sample"] * ("sample" in steps[0])
 
 
+def test_body_for_pbs(repository: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Started as PBS does: in the home folder, with a file of nodes that has a line a rank."""
+    (repository / "nodes").write_text("one\none\ntwo\n")
+    executable(
+        repository / ".venv/bin/mpiexec", SRUN.replace("srun", "mpiexec").replace("$1 == --*", "$1 != hydrabeam")
+    )
+    monkeypatch.setenv("PBS_NODEFILE", str(repository / "nodes"))
+    monkeypatch.setenv("PBS_O_WORKDIR", str(repository))
+    calls = submit(PBS, repository)
+    assert calls[0] == ["mpiexec", "-n", "3", "hydrabeam", "infer", "jobs/paper/job.toml", "-o", "out/paper"]
+    assert calls[-1] == ["hydrabeam", "report", "out/paper"]
+    assert [call[1] for call in submit(PBS, repository)] == ["report"]
+
+
 def test_array_takes_one_channel_each(repository: Path) -> None:
     submit(ROOT / "jobs/hera_350/submit.slurm", repository)
     job = (repository / "out/hera_350/jobs/channel_0007.toml").read_text()
@@ -131,5 +146,5 @@ def test_asks_for_what_the_body_uses(script: Path) -> None:
 
 @pytest.mark.skipif(shutil.which("shellcheck") is None, reason="shellcheck is not installed")
 def test_shellcheck() -> None:
-    done = subprocess.run(["shellcheck", *SCRIPTS], capture_output=True, text=True, check=False)
+    done = subprocess.run(["shellcheck", *SCRIPTS, PBS], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
