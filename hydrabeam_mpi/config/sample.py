@@ -30,6 +30,7 @@ class SampledEffect(Section):
     settings: dict[str, Any] = key({}, "which of several, such as the positions of sources")
     foremost: int | None = key(None, "instead: so many, those that matter most, such as the brightest sources", ge=1)
     width: Number = key(1.0, "standard deviation of the prior about zero, over the parameters' natural size")
+    prior_std: dict[str, Number] = key({}, "instead, of single parameters by name, in their units")
 
     @model_validator(mode="after")
     def _says_which_once(self) -> Self:

@@ -136,7 +136,14 @@ def _further(setup: ObservingSetup, one: SampledEffect) -> Active:
     parameters = effect.parameters(setup)
     if not len(parameters):
         raise InputError("has nothing to be drawn", field="settings", remedy="say which there are, or foremost = N")
-    return Active.start(effect, setup, (one.width * parameters.scale) ** 2, np.zeros(len(parameters)))
+    std = one.width * parameters.scale
+    names = [name for name, nonlinear in zip(parameters.names, parameters.nonlinear, strict=True) if not nonlinear]
+    for name, own in one.prior_std.items():
+        if name not in names:
+            remedy = f"use names such as '{names[0]}', '{names[-1]}'"
+            raise InputError(f"has no parameter '{name}' with a width", field="prior_std", remedy=remedy)
+        std[parameters.names.index(name)] = own
+    return Active.start(effect, setup, std**2, np.zeros(len(parameters)))
 
 
 def _moving(values: Values, wanted: Sample) -> tuple[int, ...]:

@@ -97,6 +97,7 @@ def test_proposals_learn_in_the_warm_up_alone(tmp_path: Path) -> None:
         ([{"kind": "antenna_gains", "foremost": 3}], {}, "has no candidates"),
         ([{"kind": "missing_sources", "foremost": 3}], {}, "matter more than others"),
         ([{"kind": "antenna_delays"}], {}, "channels"),
+        ([{**COUPLING, "prior_std": {"baseline 9-0 real": 0.1}}], {}, "no parameter 'baseline 9-0 real'.*'baseline 1-0"),
     ],
 )
 def test_what_cannot_be_drawn_is_refused(
@@ -111,6 +112,13 @@ def test_what_cannot_be_drawn_is_refused(
 def _changed(changes: dict[str, Any]) -> dict[str, Any]:
     job = small_job()
     return job | {"sample": job["sample"] | changes}
+
+
+def test_single_parameters_have_widths_of_their_own(tmp_path: Path) -> None:
+    """By name, in their units; the others that of the effect."""
+    one = {**COUPLING, "prior_std": {"baseline 1-0 imaginary": 0.05}}
+    (active,) = begin(context_of(small_job(one, n_modes=12), tmp_path)).unknowns.active
+    np.testing.assert_allclose(active.prior.of(0).std(), [0.2, 0.05, 0.2, 0.2])
 
 
 def test_modes_of_one_order_have_one_width(tmp_path: Path) -> None:
