@@ -31,6 +31,7 @@ class SampledEffect(Section):
     foremost: int | None = key(None, "instead: so many, those that matter most, such as the brightest sources", ge=1)
     width: Number = key(1.0, "standard deviation of the prior about zero, over the parameters' natural size")
     prior_std: dict[str, Number] = key({}, "instead, of single parameters by name, in their units")
+    draw_widths: bool = key(False, "draw the prior's widths too, one for each thing, such as a degree of harmonics")
 
     @model_validator(mode="after")
     def _says_which_once(self) -> Self:
@@ -58,7 +59,7 @@ class Sample(Section):
         "all", "what has one scale: all data; each antenna, whose two multiply; baselines of the same length"
     )
     noise_dof: Number | None = key(None, "noise of Student's t with so many degrees of freedom; Gaussian by default")
-    width_prior: tuple[Number, Number] = key((1.0, 1.0), "the same of the prior's variances over the stated ones")
+    width_prior: tuple[Number, Number] = key((1.0, 1.0), "the same of variances of priors over the stated ones")
     width_groups: Literal["all", "radial", "azimuthal"] = key("all", "modes that have one width: of the same order")
     effects: tuple[SampledEffect, ...] = ()
 

@@ -61,6 +61,8 @@ def begin(context: FitContext) -> Walk:
         for block, prior in zip((NOISE, PRIOR_WIDTH), scales, strict=True)
     )
     unknowns = Unknowns(fitted.values, moving, context.setup.observation.Nfreqs, context.learned is None)
+    with together(context.grid.world):
+        unknowns = replace(unknowns, width_of=_width_of(context, unknowns, wanted))
     weighed = context
     for _ in range(0 if noise is None else N_REFITS):
         weighed, fitted = _by_misfit(context, fitted, unknowns.free.shape[1])
@@ -71,7 +73,10 @@ def begin(context: FitContext) -> Walk:
         parts = NoiseParts.of(wanted.noise_groups, context.setup, tolerance)
     seen_by, dof = fitted.fit.posteriors, wanted.noise_dof
     seen = _beam_is_seen(context, unknowns, proposal, seen_by)
-    return Walk(context, unknowns, proposal, seen_by, noise, widths, group_of, wanted.collapsed, parts, dof, seen)
+    spreads = InverseGamma(*wanted.width_prior) if len(unknowns.width_of) else None
+    return Walk(
+        context, unknowns, proposal, seen_by, noise, widths, group_of, wanted.collapsed, parts, dof, seen, spreads
+    )
 
 
 def first_state(walk: Walk, seed: int, chain: int) -> ChainState:
@@ -90,7 +95,8 @@ def first_state(walk: Walk, seed: int, chain: int) -> ChainState:
         noise, parts = np.ones(n_local), np.repeat(each[:, np.newaxis], len(walk.parts.labels), axis=1)
     beams = tuple(one.mean for one in walk.seen_by)
     pace = np.ones(walk.unknowns.n_freqs + 1)
-    state = ChainState(walk.unknowns.values, beams, noise, np.ones((n_local, n_groups)), parts, pace, pace)
+    spreads = np.ones(walk.unknowns.width_of.max(initial=-1) + 1)
+    state = ChainState(walk.unknowns.values, beams, noise, np.ones((n_local, n_groups)), parts, pace, pace, spreads)
     walk = walk.weighed(state, chance)
     length = BEGINS_WIDE
     while True:
@@ -150,6 +156,34 @@ def _moving(values: Values, wanted: Sample) -> tuple[int, ...]:
     """Return the places of the effects that are drawn."""
     places = range(len(values.active))
     return tuple(place for place in places if not wanted.blocks or values.active[place].kind in wanted.blocks)
+
+
+def _width_of(context: FitContext, unknowns: Unknowns, wanted: Sample) -> IntArray:
+    """Return the number of the width of each unknown whose prior's is drawn, or -1; empty where there are none.
+
+    Raises
+    ------
+    InputError
+        If some of their combinations are held.
+    """
+    kinds = {one.kind for one in wanted.effects if one.draw_widths}
+    width_of, n_widths = np.full(unknowns.size, -1), 0
+    for one, span in zip(unknowns.active, unknowns.spans, strict=True):
+        if one.kind not in kinds:
+            continue
+        if np.any(one.held):
+            raise InputError(
+                "has combinations of parameters that no data can tell from another beam",
+                field=f"[[sample.effects]] ({one.kind}) draw_widths",
+                remedy="leave it out",
+            )
+        parameters = one.effect.parameters(context.setup)
+        of_set = np.unique(parameters.element[one.used], return_inverse=True)[1]
+        n_sets, n_groups = unknowns.vector(unknowns.values)[span].size // one.size, int(of_set.max()) + 1
+        numbers = n_widths + n_groups * np.arange(n_sets)[:, np.newaxis] + of_set
+        width_of[span] = np.where(parameters.nonlinear[one.used], -1, numbers).reshape(-1)
+        n_widths += n_sets * n_groups
+    return width_of if n_widths else np.zeros(0, dtype=int)
 
 
 def _groups(context: FitContext, wanted: Sample) -> IntArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -30,6 +30,8 @@ class ChainState:
     step, scale : ndarray, (Nfreqs + 1,)
         Of the proposals of effects in single channels, and of those in all together: how far they go, 0 to 1, and how
         much wider than the fit's Gaussian they are. The same on all ranks.
+    spreads : ndarray, (n_widths,)
+        By what variances of the effects' priors exceed the stated ones; the same on all ranks.
     """
 
     values: Values
@@ -39,6 +41,7 @@ class ChainState:
     parts: FloatArray
     step: FloatArray
     scale: FloatArray
+    spreads: FloatArray = field(default_factory=lambda: np.ones(0))
 
 
 @dataclass(frozen=True)

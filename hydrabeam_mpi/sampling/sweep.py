@@ -5,6 +5,7 @@ from __future__ import annotations
 from hydrabeam_mpi.sampling.state import ChainState, Chance
 from hydrabeam_mpi.sampling.steps.beam import draw_beams
 from hydrabeam_mpi.sampling.steps.conditional import draw_effects_given_beams
+from hydrabeam_mpi.sampling.steps.effect_width import draw_spreads
 from hydrabeam_mpi.sampling.steps.effects import draw_effects
 from hydrabeam_mpi.sampling.steps.noise import draw_noise
 from hydrabeam_mpi.sampling.steps.prior_width import draw_widths
@@ -26,6 +27,8 @@ def sweep(walk: Walk, state: ChainState, chance: Chance) -> tuple[ChainState, di
         steps.append(draw_noise)
     if walk.widths is not None:
         steps.append(draw_widths)
+    if walk.spreads is not None:
+        steps.append(draw_spreads)
     accepted: dict[str, float] = {}
     for step in steps:
         state, told = step(walk, state, chance)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -31,12 +31,15 @@ class Unknowns:
         Number of the job's channels.
     channels_apart : bool
         Whether nothing but the effects' priors may make parameters of different channels depend on each other.
+    width_of : ndarray of int, (n,)
+        Number of the width that is drawn of the prior of each entry of the vector, or -1; empty where there are none.
     """
 
     values: Values
     moving: tuple[int, ...]
     n_freqs: int
     channels_apart: bool = True
+    width_of: IntArray = field(default_factory=lambda: np.zeros(0, dtype=int))
 
     @property
     def active(self) -> list[Active]:
@@ -175,6 +178,32 @@ class Unknowns:
                 away = one.x[channels.start, one.used] - prior.mean
                 total[channels.start] -= 0.5 * float(away @ prior.precision_times(away))
         return total
+
+    def over_widths(self, vector: FloatArray) -> tuple[FloatArray, IntArray, IntArray]:
+        """Return what is to be known of the entries, (m,) each, of whose prior a width is drawn.
+
+        Squares over the stated variances, numbers of the widths, and the channels that they are of alone, or the number
+        of channels.
+        """
+        which = np.flatnonzero(self.width_of >= 0)
+        squares = vector[which] ** 2 * np.diag(self.prior_precision())[which]
+        channels = np.full(self.size, self.n_freqs)
+        for one, span in zip(self.active, self.spans, strict=True):
+            if self._is_apart(one):
+                channels[span] = np.repeat(np.arange(self.n_freqs), one.size)
+        return squares, self.width_of[which], channels[which]
+
+    def log_prior_of_widths(self, values: Values, spreads: FloatArray) -> FloatArray:
+        """Return by how much the prior's logarithm changes with variances ``spreads`` times as large.
+
+        (Nfreqs + 1,): by channel, and of what is of several, up to what the effects do not change.
+        """
+        if not len(spreads):
+            return np.zeros(self.n_freqs + 1)
+        squares, widths, channels = self.over_widths(self.vector(values))
+        return np.asarray(
+            np.bincount(channels, 0.5 * squares * (1 - 1 / spreads[widths]), self.n_freqs + 1), dtype=float
+        )
 
     def taken(self, channels: BoolArray, new: FloatArray, old: FloatArray) -> FloatArray:
         """Return the vector with what is of some channels alone, (Nfreqs,), as a new one has it, (n,)."""

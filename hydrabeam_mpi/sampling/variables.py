@@ -15,6 +15,8 @@ from hydrabeam_mpi.sampling.state import ChainState
 from hydrabeam_mpi.sampling.storage.variable import Variable
 from hydrabeam_mpi.sampling.walk import Walk
 
+EFFECT_WIDTH = "effect_width"
+"""Name of the variable of widths of effects' priors."""
 PACE = "pace"
 """Name of step and scale of the proposals among the arrays of a state."""
 
@@ -61,6 +63,14 @@ def variables_of(walk: Walk) -> tuple[Variable, ...]:
         what = "variances of the beam's prior over the stated ones"
         dims, coords = ("freq", "group"), {"freq": freqs}
         found.append(Variable(PRIOR_WIDTH, PRIOR_WIDTH, (n_freqs, n_groups), dims, coords, long_name=what))
+    if walk.spreads is not None:
+        of = walk.unknowns.width_of
+        names = [
+            names[place] for place, span in enumerate(walk.unknowns.spans) for _ in np.unique(of[span][of[span] >= 0])
+        ]
+        labels = [f"{name} {names[:number].count(name)}" for number, name in enumerate(names)]
+        what = "variances of effects' priors over the stated ones, channel by channel and thing by thing"
+        found.append(Variable(EFFECT_WIDTH, EFFECT_WIDTH, (len(labels),), ("of",), {"of": labels}, long_name=what))
     return tuple(found)
 
 
@@ -81,6 +91,7 @@ def arrays_of(walk: Walk, state: ChainState) -> dict[str, Array]:
     for name, one, span in zip(_names(walk), walk.unknowns.active, walk.unknowns.spans, strict=True):
         arrays[name] = vector[span] if one.prior.shared else vector[span].reshape(-1, one.size)
     arrays |= {NOISE: noise} if walk.noise is not None else {}
+    arrays |= {EFFECT_WIDTH: state.spreads} if walk.spreads is not None else {}
     return arrays | ({PRIOR_WIDTH: widths} if walk.widths is not None else {})
 
 
@@ -97,8 +108,9 @@ def state_from(walk: Walk, arrays: Mapping[str, Array] | None) -> ChainState:
         noise = told[NOISE][channels]
     if walk.widths is not None:
         widths = told[PRIOR_WIDTH][channels]
-    vector, pace = np.concatenate([np.zeros(0), *parts]), told[PACE]
-    return ChainState(walk.unknowns.at(vector), tuple(told[BEAM][channels]), noise, widths, of_parts, *pace)
+    vector, spreads = np.concatenate([np.zeros(0), *parts]), told.get(EFFECT_WIDTH, np.ones(0))
+    beams = tuple(told[BEAM][channels])
+    return ChainState(walk.unknowns.at(vector), beams, noise, widths, of_parts, told[PACE][0], told[PACE][1], spreads)
 
 
 def _of_noise(walk: Walk, freqs: list[float]) -> Variable:

@@ -103,6 +103,8 @@ class Walk:
         Degrees of freedom of noise of Student's t.
     beam_is_seen : bool
         Whether E or C depends on the beams.
+    spreads : InverseGamma, optional
+        Where widths of the effects' priors are drawn.
     """
 
     context: FitContext
@@ -116,6 +118,7 @@ class Walk:
     parts: NoiseParts | None = None
     dof: float | None = None
     beam_is_seen: bool = True
+    spreads: InverseGamma | None = None
     _sums: Latest = field(default_factory=Latest)
     _given: Latest = field(default_factory=Latest)
     _misfits: Latest = field(default_factory=Latest)
@@ -263,10 +266,11 @@ class Walk:
         more = self.misfit(state.values, state.beams) - self.misfit_seen_by_fit(state.values, state.beams)
         return np.asarray(-more / state.noise)
 
-    def log_prior(self, values: Values) -> float:
-        """Return ln of the prior of the effects that move, up to a constant."""
-        learned = self.context.learned
-        return self.unknowns.log_prior(values) + (learned.log_likelihood(values) if learned else 0.0)
+    def log_prior(self, state: ChainState) -> float:
+        """Return ln of the prior of the effects that move, up to what they do not change."""
+        learned, values = self.context.learned, state.values
+        of_widths = float(self.unknowns.log_prior_of_widths(values, state.spreads).sum())
+        return self.unknowns.log_prior(values) + of_widths + (learned.log_likelihood(values) if learned else 0.0)
 
     def log_prior_of_beams(self, state: ChainState) -> FloatArray:
         """Return ln of the prior of each channel's beam given the effects, up to a constant, (Nlocal,)."""

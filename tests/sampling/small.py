@@ -21,6 +21,7 @@ from tests.loop.mock import FREQ, context_of, mock_job
 GAINS = {"kind": "antenna_gains", "width": 0.2}
 FLUX = {"kind": "catalogue_flux", "foremost": 2, "width": 2.0}
 COUPLING = {"kind": "cross_coupling", "settings": {"baselines": [[0, 1], [1, 2]]}, "width": 0.2}
+DIFFUSE = {"kind": "diffuse", "settings": {"l_max": 1}, "width": 0.1, "draw_widths": True}
 POINTING = {"kind": "antenna_pointing", "width": 15.0}
 
 
@@ -76,7 +77,13 @@ def drawn_from_prior(walk: Walk, rng: np.random.Generator, step: float = 0.4) ->
     if walk.widths is not None:
         widths = walk.widths.scale / rng.gamma(walk.widths.shape, size=(n_local, n_groups))
     pace = np.ones(walk.unknowns.n_freqs + 1)
-    state = ChainState(values, (), noise, widths, parts, step * pace, pace)
+    spreads = np.ones(0)
+    if walk.spreads is not None:
+        width_of = walk.unknowns.width_of
+        spreads = walk.spreads.scale / rng.gamma(walk.spreads.shape, size=width_of.max() + 1)
+        factor = np.where(width_of >= 0, np.sqrt(spreads[width_of]), 1.0)
+        values = walk.unknowns.at(factor * walk.unknowns.vector(values))
+    state = ChainState(values, (), noise, widths, parts, step * pace, pace, spreads)
     return replace(state, beams=tuple(_drawn(prior, rng) for prior in walk.priors(state)))
 
 

@@ -97,7 +97,11 @@ def test_proposals_learn_in_the_warm_up_alone(tmp_path: Path) -> None:
         ([{"kind": "antenna_gains", "foremost": 3}], {}, "has no candidates"),
         ([{"kind": "missing_sources", "foremost": 3}], {}, "matter more than others"),
         ([{"kind": "antenna_delays"}], {}, "channels"),
-        ([{**COUPLING, "prior_std": {"baseline 9-0 real": 0.1}}], {}, "no parameter 'baseline 9-0 real'.*'baseline 1-0"),
+        (
+            [{**COUPLING, "prior_std": {"baseline 9-0 real": 0.1}}],
+            {},
+            "no parameter 'baseline 9-0 real'",
+        ),
     ],
 )
 def test_what_cannot_be_drawn_is_refused(

@@ -13,7 +13,17 @@ from hydrabeam_mpi.random import generator
 from hydrabeam_mpi.sampling.state import ChainState, Chance
 from hydrabeam_mpi.sampling.sweep import sweep
 from hydrabeam_mpi.sampling.walk import Walk
-from tests.sampling.small import COUPLING, FLUX, GAINS, POINTING, drawn_from_prior, observe, small_job, walk_about_prior
+from tests.sampling import small
+from tests.sampling.small import (
+    COUPLING,
+    FLUX,
+    GAINS,
+    POINTING,
+    drawn_from_prior,
+    observe,
+    small_job,
+    walk_about_prior,
+)
 
 FALSE_ALARM = 1e-3
 """Probability that a right sweep fails a case, were its seed another one."""
@@ -51,6 +61,7 @@ CASES: dict[str, tuple[dict[str, Any], int, float]] = {
         150,
         3.0,
     ),
+    "power of diffuse emission": (small_job(small.DIFFUSE, width_prior=[4.0, 4.0]), 100, 3.0),
     "given the beam": (small_job(WIDE_GAINS, collapsed=False), 120, 2.0),
     "given the beam that sees": (small_job(POINTING, collapsed=False), 60, 8.0),
 }
@@ -76,7 +87,9 @@ def told(walk: Walk, state: ChainState) -> Any:
     of_noise = [np.arcsinh(squares).sum(), walk.log_likelihood(state), scales.sum()]
     exact = np.zeros(0) if walk.dof else exact / state.noise
     both = [parts, parts**2, parts[:-1] * parts[1:], scales, scales**2]
-    return np.concatenate([*both, exact, of_noise, seen, [walk.log_prior(state.values)]])
+    return np.concatenate(
+        [*both, exact, of_noise, seen, [walk.log_prior(state)], np.log(state.spreads), np.log(state.spreads) ** 2]
+    )
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -82,4 +82,4 @@ def _given_beams(walk: Walk, state: ChainState) -> _Gaussian | None:
 def _log_target(walk: Walk, state: ChainState) -> float:
     """Return ln p(d | b, x, s) p(b | x) p(x) up to what the effects do not change. Collective: the chain's ranks."""
     told = walk.log_prior_of_beams(state) - walk.misfit(state.values, state.beams) / state.noise
-    return walk.context.over_channels(told) + walk.log_prior(state.values)
+    return walk.context.over_channels(told) + walk.log_prior(state)

@@ -36,6 +36,9 @@ TARGET = 0.4
 in many dimensions and the 0.44 in one (Roberts and Rosenthal 2001); the loss around the best is small."""
 FORGETS = 0.6
 """Power of the number of a sweep with which proposals learn less and less; between 1/2 and 1 for them to settle."""
+SHORT = 0.3
+"""Every second step is so much shorter than the one before: a chain that has come into a tail, from where hardly any
+whole step is accepted, walks out of it."""
 LEAST_STEP = 1e-4
 """Steps are not shortened any more; a chain that wants that has other troubles."""
 
@@ -70,7 +73,7 @@ def _moved(walk: Walk, state: ChainState, chance: Chance, groups: IntArray) -> t
     draws = [chance.of("effects accepted", group).random() for group in groups.tolist()]
     taken: BoolArray = bcast_object(walk.context.grid.world, np.log(draws) < rises)
     after = _where_taken(walk, taken, proposed, state)
-    if chance.warming_up:
+    if chance.warming_up and not chance.sweep % 2:
         after = _learnt(walk, after, groups, np.exp(np.minimum(rises, 0.0)), chance.sweep)
     return after, taken
 
@@ -85,10 +88,11 @@ def log_ratio(walk: Walk, state: ChainState, n_groups: int) -> FloatArray:
     told = walk.beams_given(state).log_evidence + walk.log_correction(state)
     about = 0.5 * (_white(walk, state) / state.scale[unknowns.channel_of_free]) ** 2
     if n_groups == 1:
-        return np.array([walk.context.over_channels(told) + walk.log_prior(state.values) + about.sum()])
+        return np.array([walk.context.over_channels(told) + walk.log_prior(state) + about.sum()])
     told = bcast_object(grid.world, np.array(gather_by_channel(grid, told.tolist() if grid.is_group_root else [])))
     of_each = np.bincount(unknowns.channel_of_free, about, n_groups + 1)[:-1]
-    return np.asarray(told + unknowns.log_prior_apart(state.values) + of_each)
+    of_widths = unknowns.log_prior_of_widths(state.values, state.spreads)[:-1]
+    return np.asarray(told + unknowns.log_prior_apart(state.values) + of_widths + of_each)
 
 
 def _white(walk: Walk, state: ChainState) -> FloatArray:
@@ -99,6 +103,8 @@ def _proposed(walk: Walk, state: ChainState, chance: Chance, groups: IntArray) -
     """Return the state with effects as they are proposed, the same on all ranks. Collective: the chain's ranks."""
     channel_of, unknowns, before = walk.unknowns.channel_of_free, walk.unknowns, walk.unknowns.vector(state.values)
     white, length, scale = _white(walk, state), state.step[channel_of], state.scale[channel_of]
+    if chance.sweep % 2:
+        length = SHORT * length
     new = np.sqrt(1 - length**2) * white + length * scale * chance.of("effects").standard_normal(len(white))
     vector = walk.proposal.vector(np.where(np.isin(channel_of, groups), new, white))
     if len(groups) > 1:
