@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from mpi4py import MPI
 
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.extras import check_extra
 from hydrabeam_mpi.mpi import (
     INTERRUPTED_STATUS,
     check_one_world,
@@ -25,6 +26,9 @@ from hydrabeam_mpi.terminal.progress import loudness, say, tell
 
 if TYPE_CHECKING:
     from hydrabeam_mpi.config import Job
+
+COMMANDS_WITH_EXTRAS = {"report": "plot", "sample": "chains"}
+"""What commands need besides: see `hydrabeam_mpi.extras`."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -67,6 +71,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(world: MPI.Comm, options: argparse.Namespace) -> None:
     """Dispatch. Commands are imported here so that `--help` does not wait for astronomy packages."""
     threads = limit_blas_threads(world)
+    if options.command in COMMANDS_WITH_EXTRAS:
+        check_extra(COMMANDS_WITH_EXTRAS[options.command], options.command)
     if options.command in ("simulate", "infer", "loop"):
         # A mistake in the job or its paths is told before the packages that the work needs are imported: that takes
         # seconds.

@@ -12,6 +12,7 @@ PACKAGE = "hydrabeam_mpi"
 ROOT = Path(__file__).parents[1]
 LAYERS = (
     ("errors", "memory", "random", "registry", "version", "words"),
+    ("extras",),
     ("data",),
     ("mpi", "terminal"),
     ("model.bases", "model.engines"),

@@ -135,7 +135,7 @@ set_up() {
     local -a pinned=(--quiet --constraint requirements.lock)
     install_mpi
     # Editable: the checkout is what runs and what is tested, with no second copy to fall behind it.
-    target=.
+    target=".[all]"
     [[ $1 == run ]] || target=".[$1]"
     step "installing hydrabeam_mpi and what it needs" "${pip[@]}" install "${pinned[@]}" --editable "$target"
     step "starting 2 ranks with $(command -v mpiexec)" check_mpi

@@ -1,0 +1,43 @@
+"""What an installation without extras says: one line with the remedy."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tomllib
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from hydrabeam_mpi.extras import EXTRAS
+
+ROOT = Path(__file__).parents[1]
+WITHOUT = """
+import sys
+class Without:
+    def find_spec(self, name, *_):
+        if name.partition(".")[0] == sys.argv[1]:
+            raise ModuleNotFoundError(name)
+sys.meta_path.insert(0, Without())
+from hydrabeam_mpi.cli import main
+sys.exit(main(sys.argv[2:]))
+"""
+
+
+def test_they_are_those_of_the_installation() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert set(EXTRAS) <= set(project["optional-dependencies"])
+    assert [module for modules in EXTRAS.values() for module in modules if find_spec(module) is None] == []
+
+
+@pytest.mark.parametrize(
+    ("module", "extra", "command"), [("matplotlib", "plot", "report"), ("xarray", "chains", "sample")]
+)
+def test_a_command_names_what_it_lacks(module: str, extra: str, command: str, tmp_path: Path) -> None:
+    words = [sys.executable, "-c", WITHOUT, module, command, str(tmp_path)]
+    run = subprocess.run(words, capture_output=True, text=True, cwd=ROOT, check=False)
+    assert run.returncode == 2
+    assert run.stderr.count("\n") == 1
+    assert module in run.stderr
+    assert f"pip install 'hydrabeam_mpi[{extra}]'" in run.stderr
