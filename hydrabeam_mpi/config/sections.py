@@ -279,7 +279,7 @@ class Prior(Section):
 class Solver(Section):
     """How the design matrix is computed."""
 
-    engine: EngineName = key("gemm", "matrix products, or a non-uniform FFT for many sources")
+    engine: EngineName = key("gemm", "matrix products, non-uniform FFTs for many baselines and sources, or the faster")
     compress: bool = key(True, "treat redundant baselines as one, which changes nothing but the time")
     precision: Literal["double", "mixed"] = key(
         "double", "'mixed': the design matrix in single precision where that suffices, else in double; infer only"

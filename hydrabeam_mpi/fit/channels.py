@@ -79,11 +79,11 @@ def infer_channels(grid: ProcessGrid, problem: Problem, clock: Clock) -> list[Ch
     with clock.time("read"):
         train, test = read_shares(grid, problem)
     mixed = problem.job.solver.precision == "mixed"
-    normals, posteriors, coupled, shift = _infer(grid, problem, train, clock, np.float32 if mixed else np.float64)
+    normals, posteriors, coupled, shift = infer_rows(grid, problem, train, clock, np.float32 if mixed else np.float64)
     if shift > MOST_SHIFT:
         told = f"single precision would move the posterior mean by up to {shift:.1e} std; all is computed in double"
         say(told, grid.is_world_root)
-        normals, posteriors, coupled, _ = _infer(grid, problem, train, clock, np.float64)
+        normals, posteriors, coupled, _ = infer_rows(grid, problem, train, clock, np.float64)
     with clock.time("heldout"):
         heldout = _sum_heldout(grid, problem, test, posteriors)
     chi2 = map(reduced_chi2, normals, posteriors)
@@ -103,7 +103,7 @@ def sum_channels(grid: ProcessGrid, problem: Problem, clock: Clock) -> tuple[lis
         return _sum_normals(grid, problem, train, np.float64, None), test
 
 
-def _infer(
+def infer_rows(
     grid: ProcessGrid, problem: Problem, train: Rows, clock: Clock, precision: Precision
 ) -> tuple[list[NormalEquations], list[Posterior], list[CoupledChannel], float]:
     """Infer from the rank's training rows, and tell how far rounding may have moved the mean, in std, of any channel.

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from hydrabeam_mpi.data.observation import FloatArray
     from hydrabeam_mpi.model.engines.base import Engine
 
-ENGINES: Registry[Engine] = Registry("hydrabeam_mpi.model.engines", "gemm", "nufft", ending="Engine")
+ENGINES: Registry[Engine] = Registry("hydrabeam_mpi.model.engines", "gemm", "nufft", "auto", ending="Engine")
 
 
 def make_engine(kind: str, vectors: FloatArray) -> Engine:

@@ -8,6 +8,7 @@ from threadpoolctl import threadpool_limits
 from hydrabeam_mpi.config.sections import Solver
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.engines import ENGINES, make_engine
+from hydrabeam_mpi.model.engines.auto import AutoEngine
 from hydrabeam_mpi.model.engines.fringes import Fringes, enu, find_lattice
 from hydrabeam_mpi.model.engines.gemm import GemmEngine
 from hydrabeam_mpi.model.engines.nufft import NufftEngine
@@ -96,7 +97,7 @@ def test_a_job_can_ask_for_every_engine(name):
 
 
 def test_an_unknown_engine_is_told():
-    with pytest.raises(InputError, match=r"'fft'.*gemm, nufft"):
+    with pytest.raises(InputError, match=r"'fft'.*gemm, nufft, auto"):
         make_engine("fft", HEX)
 
 
@@ -105,6 +106,19 @@ def test_both_engines_agree_to_a_billionth_on_many_sources():
     vectors = np.concatenate([HEX, irregular()])
     one = GemmEngine(vectors).design(Ripples(), za, az, flux, FREQS)
     other = NufftEngine(vectors).design(Ripples(), za, az, flux, FREQS)
+    assert np.abs(one - other).max() < 1e-9 * np.abs(one).max()
+
+
+def test_ffts_are_chosen_for_many_vectors_of_a_lattice_alone():
+    steps = np.array([[i, j] for i in range(-40, 41) for j in range(41)])
+    many = steps @ HEX[:2]
+    assert isinstance(AutoEngine(many).choose(5000, 1000), NufftEngine)
+    assert isinstance(AutoEngine(many).choose(5000, 1000, np.float32), GemmEngine)
+    assert isinstance(AutoEngine(many).choose(1, 1000), GemmEngine)
+    assert isinstance(AutoEngine(HEX).choose(5000, 1000), GemmEngine)
+    assert isinstance(AutoEngine(irregular(3000)).choose(5000, 1000), GemmEngine)
+    za, az, flux = sources(100)
+    one, other = (make(many).design(Ripples(), za, az, flux, FREQS) for make in (AutoEngine, GemmEngine))
     assert np.abs(one - other).max() < 1e-9 * np.abs(one).max()
 
 
