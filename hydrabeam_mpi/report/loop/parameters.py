@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 
 from hydrabeam_mpi.data.observation import Array
 from hydrabeam_mpi.report.loop.record import Entry, entries, number, title_of
@@ -105,12 +106,21 @@ def _family(title: str, unit: str, members: dict[str, dict[float, tuple[float, f
     keyed = [{-1.0 if math.isnan(freq) else freq: cell for freq, cell in cells.items()} for cells in members.values()]
     freqs = sorted({freq for cells in keyed for freq in cells})
     table = np.array([[cells.get(freq, (math.nan, math.nan)) for freq in freqs] for cells in keyed])
-    labels = ["–".join(NUMBER.findall(name)) if title else name for name in members]
+    labels = [_numbers_of(name) if title else name for name in members]
     return _Family(title, unit, labels, np.array(freqs), table[..., 0], table[..., 1])
 
 
+def _numbers_of(name: str) -> str:
+    """Return a name from its first number to its last: 3 of an antenna, 3–7 of a baseline, 13, -16 of a mode."""
+    first, *others = NUMBER.finditer(name)
+    last = others[-1] if others else first
+    return re.sub(r"(?<=\d)-(?=\d)", "–", name[first.start() : last.end()])
+
+
 def _without_numbers(name: str) -> str:
-    return re.sub(r"[\s,–-]+", " ", NUMBER.sub("", name)).strip(" =") if NUMBER.search(name) else name
+    return (
+        re.sub(r"[\s,–-]+", " ", NUMBER.sub("", name)).replace("( )", "").strip(" =") if NUMBER.search(name) else name
+    )
 
 
 def _numbered(family: _Family) -> bool:
@@ -143,6 +153,8 @@ def _draw_numbered(axes: Axes, family: _Family) -> None:
     values, errors = family.values[chosen, 0], np.nan_to_num(family.errors[chosen, 0])
     axes.errorbar(places, values, errors, fmt="o", markersize=size, color=INFERRED, elinewidth=0.8)
     axes.set(xlabel=family.title.split(" ")[0], ylabel=_label(family))
+    if all(place.is_integer() for place in places):
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     _heading(axes, family, len(chosen))
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import fnmatch
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +36,8 @@ def introduction(result: Result) -> str:
         text += f" from {n_data:,} complex visibilities"
         unique = first.numbers.get("n_unique_baselines")
         text += f" on {unique:,} different baseline vectors" if unique else ""
-    text += f", which {_origin(job.get('data', {}))}. {_basis(first)}{_prior(job)}{_sky(job)}{_holdout(job)}"
+    origin = _origin(job.get("data", {}), result.provenance.get("sha256", {}))
+    text += f", which {origin}. {_basis(first)}{_prior(job)}{_sky(job)}{_holdout(job)}"
     text += over_frequency_words(numbers)
     if "ranks" in numbers and "wall_s" in numbers:
         ranks = numbers["ranks"]
@@ -60,10 +63,11 @@ def over_frequency_words(numbers: dict[str, Any]) -> str:
     return f"{text}."
 
 
-def _origin(data: dict[str, Any]) -> str:
+def _origin(data: dict[str, Any], read: Iterable[str]) -> str:
+    """Say where the data are from; of files that wildcards name, those count that were ``read``."""
     if data.get("simulate"):
         return "were simulated with a known beam"
-    files = len(data.get("files", ()))
+    files = sum(1 if name in read else len(fnmatch.filter(read, name)) or 1 for name in data.get("files", ()))
     return f"were read from {files} file{'s' if files != 1 else ''}" if files else "were measured"
 
 

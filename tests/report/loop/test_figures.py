@@ -98,6 +98,25 @@ def test_parameters_over_antennas() -> None:
     np.testing.assert_array_equal(y, expected)
 
 
+def test_modes_are_told_by_both_their_orders() -> None:
+    modes = [(13, -16), (13, 16), (2, 0)]
+    parameters = [loops.parameter(f"coefficient of mode {mode}", 1.0, 0.1) for mode in modes]
+    drawing = draw_parameters(loops.gains_round() | {"parameters": parameters}, 1)
+    assert drawing is not None
+    (axes,) = drawing.figure.axes
+    assert axes.get_title(loc="left") == "coefficient of mode"
+    assert {text.get_text() for text in axes.get_yticklabels()} >= {"13, -16", "13, 16", "2, 0"}
+
+
+def test_ticks_stand_at_antennas() -> None:
+    numbers = range(20)
+    parameters = [loops.parameter(f"antenna {number} phase", 0.1, 0.1) for number in numbers]
+    drawing = draw_parameters(loops.gains_round() | {"parameters": parameters}, 1)
+    assert drawing is not None
+    ticks = drawing.figure.axes[0].get_xticks()
+    np.testing.assert_array_equal(ticks, np.round(ticks))
+
+
 def test_many_parameters_are_bounded() -> None:
     rng = np.random.default_rng(0)
     pairs = [(i, j) for i in range(40) for j in range(i)]
