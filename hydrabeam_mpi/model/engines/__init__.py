@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.extras import EXTRAS, check_extra
+from hydrabeam_mpi.extras import check_extra
 from hydrabeam_mpi.registry import Registry
 
 if TYPE_CHECKING:
@@ -32,6 +32,6 @@ def make_engine(kind: str, vectors: FloatArray) -> Engine:
     """
     if kind not in ENGINES:
         raise InputError(f"unknown engine {kind!r}", field="[solver] engine", remedy=f"known: {', '.join(ENGINES)}")
-    if kind in EXTRAS:
-        check_extra(kind, "[solver] engine")
+    if kind != "gemm":
+        check_extra("nufft", "[solver] engine")
     return ENGINES[kind](vectors)
