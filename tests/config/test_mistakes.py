@@ -90,7 +90,7 @@ def complaint(text: str, folder: Path) -> str:
             EFFECT + "strength = 1",
             "[[effects]] number 1 strength: unknown key; it belongs in [[data.simulate.effects]]",
         ),
-        (DATA + "prior_std = 1", "[data] prior_std: unknown key; it belongs in [[effects]]"),
+        (DATA + "prior_std = 1", "[data] prior_std: unknown key; it belongs in [[sample.effects]] or [[effects]]"),
         (DATA + "[[effects]]", "[[effects]] number 1 kind: is missing; add it"),
         (
             COMPLETE + "[[effects]]\nkind = 'diffus'",
