@@ -155,7 +155,7 @@ class Problem:
     def forward_model(self, groups: IntArray, precision: Precision = np.float64) -> ForwardModel:
         """Return the forward model of some redundant ``groups``, (Ngroups,)."""
         job = self.job
-        engine = make_engine(job.solver.engine, self.redundant.vectors[groups])
+        engine = make_engine(job.solver.engine, self.redundant.vectors[groups], self.observation.antpos)
         positions = source_positions(job, self.sky, self.observation)
         return ForwardModel(positions, self.sky.flux, self.observation.freqs, engine, precision)
 

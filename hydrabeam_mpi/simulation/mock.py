@@ -83,7 +83,7 @@ def simulate_to(world: Comm, job: Job, folder: Path) -> Scene:
         )
         check_tolerance(observation, redundant, job.data.redundancy_tol)
         vectors = np.concatenate([redundant.vectors, np.zeros((1, 3))])
-        engine = make_engine(job.solver.engine, vectors)
+        engine = make_engine(job.solver.engine, vectors, observation.antpos)
         model = ForwardModel(source_positions(job, sky, observation), sky.flux, observation.freqs, engine)
         alone = np.zeros(1, dtype=int)
         costs = count_sources(sky, observation)

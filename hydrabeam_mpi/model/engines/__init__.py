@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 ENGINES: Registry[Engine] = Registry("hydrabeam_mpi.model.engines", "gemm", "nufft", "auto", ending="Engine")
 
 
-def make_engine(kind: str, vectors: FloatArray) -> Engine:
+def make_engine(kind: str, vectors: FloatArray, points: FloatArray | None = None) -> Engine:
     """Build the engine of that name.
 
     Parameters
@@ -24,6 +24,8 @@ def make_engine(kind: str, vectors: FloatArray) -> Engine:
         One of `ENGINES`.
     vectors : ndarray, (Nvectors, 3)
         Baseline vectors in metres ENU.
+    points : ndarray, (Npoints, 3), optional
+        Where antennas stand: fringes of their differences take fewer exponentials.
 
     Raises
     ------
@@ -34,4 +36,6 @@ def make_engine(kind: str, vectors: FloatArray) -> Engine:
         raise InputError(f"unknown engine {kind!r}", field="[solver] engine", remedy=f"known: {', '.join(ENGINES)}")
     if kind != "gemm":
         check_extra("nufft", "[solver] engine")
-    return ENGINES[kind](vectors)
+    engine = ENGINES[kind](vectors)
+    engine.points = points
+    return engine

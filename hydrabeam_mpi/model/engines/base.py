@@ -65,7 +65,14 @@ class Engine(ABC):
         Baseline vectors in metres ENU.
     tol : float
         Distance in metres within which vectors count as lying on a lattice.
+
+    Attributes
+    ----------
+    points : ndarray, (Npoints, 3), optional
+        Where antennas stand, of which vectors may be differences; see `Fringes`.
     """
+
+    points: FloatArray | None = None
 
     def __init__(self, vectors: FloatArray, tol: float = 1e-7) -> None:
         self.vectors = np.ascontiguousarray(vectors, dtype=float)
@@ -79,7 +86,7 @@ class Engine(ABC):
     @cached_property
     def fringes(self) -> Fringes:
         """The vectors' fringes, source by source."""
-        return Fringes(self.vectors, self.tol)
+        return Fringes(self.vectors, self.tol, self.points)
 
     @abstractmethod
     def design(

@@ -9,6 +9,7 @@ import numpy as np
 from astropy.constants import c as speed_of_light
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.model.engines.antenna_pairs import AntennaPairs, find_pairs
 
 C_M_PER_S: float = speed_of_light.value
 
@@ -81,7 +82,8 @@ class Fringes:
     """The fringes of a fixed set of baseline vectors.
 
     On a lattice a fringe is the product of two geometric sequences, which costs two complex exponentials a
-    source instead of one a source and vector.
+    source instead of one a source and vector. Elsewhere it is the product of the phases of two antennas, one
+    exponential an antenna, as far as vectors are differences of antennas' places.
 
     Parameters
     ----------
@@ -89,11 +91,14 @@ class Fringes:
         Metres ENU.
     tol : float
         Distance in metres within which vectors count as lying on a lattice.
+    points : ndarray, (Npoints, 3)
+        Where antennas stand, metres ENU.
     """
 
-    def __init__(self, vectors: FloatArray, tol: float = 1e-7) -> None:
+    def __init__(self, vectors: FloatArray, tol: float = 1e-7, points: FloatArray | None = None) -> None:
         self.vectors = np.ascontiguousarray(vectors, dtype=float)
         self.lattice = find_lattice(self.vectors, tol)
+        self.pairs = find_pairs(self.vectors, points) if points is not None and self.lattice is None else None
 
     def fill(self, out: FloatArray, directions: FloatArray, weights: FloatArray, freq: float) -> None:
         """Write ``weights_s exp(+2 pi i freq b.s/c)`` into ``out``.
@@ -111,6 +116,9 @@ class Fringes:
             Hz.
         """
         wavenumber = 2 * np.pi * freq / C_M_PER_S
+        if self.pairs is not None:
+            self._fill_pairs(self.pairs, out, directions, weights, freq)
+            return
         if self.lattice is None:
             phase = (wavenumber * self.vectors) @ directions
             np.cos(phase, out=out[0])
@@ -124,6 +132,21 @@ class Fringes:
         product = np.empty(len(weights), dtype)
         for row, (i, j) in enumerate(self.lattice.index.tolist()):
             np.multiply(along[i], across[j], out=product)
+            out[0, row] = product.real
+            out[1, row] = product.imag
+
+    def _fill_pairs(
+        self, pairs: AntennaPairs, out: FloatArray, directions: FloatArray, weights: FloatArray, freq: float
+    ) -> None:
+        """Do as `fill` by the phases of antennas, and by exponentials for what is no difference of theirs."""
+        phase = (2 * np.pi * freq / C_M_PER_S * self.vectors[pairs.rest]) @ directions
+        out[0, pairs.rest] = weights * np.cos(phase)
+        out[1, pairs.rest] = weights * np.sin(phase)
+        waves = plane_waves(pairs.points, directions, freq)
+        weighted = weights * waves.conj()
+        product = np.empty_like(waves[0])
+        for row, one, two in zip(pairs.rows.tolist(), pairs.first.tolist(), pairs.second.tolist(), strict=True):
+            np.multiply(weighted[one], waves[two], out=product)
             out[0, row] = product.real
             out[1, row] = product.imag
 
