@@ -10,6 +10,10 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 
+BASIS_COST = 50.0
+"""What it takes to evaluate the basis at a time's sources, in rows of a baseline group at that time. Measured: 49 in
+the paper's case; both grow with modes and sources."""
+
 
 @dataclass(frozen=True)
 class Tile:
@@ -54,8 +58,8 @@ def split_by_cost(costs: FloatArray, n_parts: int) -> list[slice]:
 def make_tiles(times: IntArray, time_costs: FloatArray, bls: IntArray, group: IntArray, n_ranks: int) -> list[Tile]:
     """Deal out rows to ranks.
 
-    Times are cut first, since the basis is evaluated once a time whatever the number of baselines; baseline
-    groups are cut too only where there are more ranks than times.
+    Times are cut into runs and the baseline groups of a run among its ranks, into as many runs as let the slowest rank
+    end first: cutting groups balances better, but each rank of a run evaluates the basis at all of its sources.
 
     Parameters
     ----------
@@ -75,13 +79,34 @@ def make_tiles(times: IntArray, time_costs: FloatArray, bls: IntArray, group: In
     list of Tile
         One a rank, disjoint, together all rows. Idle ranks have an empty tile.
     """
-    groups = np.unique(group)
-    n_time_parts = min(n_ranks, len(times)) if len(times) else 1
-    n_group_parts = min(max(n_ranks // n_time_parts, 1), max(len(groups), 1))
+    groups, costs = np.unique(group), np.asarray(time_costs, dtype=float)
+    cuts = [_Cut.of(costs, len(groups), n_runs, n_ranks) for n_runs in range(1, min(n_ranks, len(times)) + 1)]
+    if not cuts:
+        return [Tile(times[:0], bls[:0])] * n_ranks
+    best = min(reversed(cuts), key=lambda cut: cut.slowest)
     tiles = []
-    for part in split_by_cost(np.asarray(time_costs, dtype=float), n_time_parts):
-        for group_part in split_by_cost(np.ones(len(groups)), n_group_parts):
-            mine = np.isin(group, groups[group_part])
-            tiles.append(Tile(times[part], bls[mine]))
-    empty = Tile(times[:0], bls[:0])
-    return tiles + [empty] * (n_ranks - len(tiles))
+    for run, n_parts in zip(best.runs, best.ranks, strict=True):
+        for part in split_by_cost(np.ones(len(groups)), n_parts):
+            mine = np.isin(group, groups[part])
+            tiles.append(Tile(times[run], bls[mine]))
+    return tiles
+
+
+@dataclass(frozen=True)
+class _Cut:
+    """Times cut into runs, with how many ranks each has, and what the slowest rank has to do."""
+
+    runs: list[slice]
+    ranks: list[int]
+    slowest: float
+
+    @classmethod
+    def of(cls, costs: FloatArray, n_groups: int, n_runs: int, n_ranks: int) -> _Cut:
+        """Cut times into runs of equal cost; ranks that are left over go where there is most to do."""
+        runs = split_by_cost(costs, n_runs)
+        loads = np.array([costs[run].sum() for run in runs])
+        ranks = np.full(n_runs, n_ranks // n_runs)
+        for _ in range(n_ranks % n_runs):
+            ranks[np.argmax(loads * (BASIS_COST + np.ceil(n_groups / ranks)))] += 1
+        slowest = np.max(loads * (BASIS_COST + np.ceil(n_groups / ranks)))
+        return cls(runs, ranks.tolist(), float(slowest))

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from hydrabeam_mpi.data.partition import make_tiles, split_by_cost
+from hydrabeam_mpi.data.partition import BASIS_COST, make_tiles, split_by_cost
 
 
 @pytest.mark.parametrize("n_items", [0, 1, 2, 7, 30])
@@ -36,6 +36,23 @@ def test_tiles_are_disjoint_complete_and_keep_groups_whole(n_ranks):
 def test_more_ranks_than_rows_leaves_ranks_idle():
     tiles = make_tiles(np.array([0]), np.ones(1), np.array([0, 1]), np.array([0, 0]), 3)
     assert sorted(tile.size for tile in tiles) == [0, 0, 2]
+
+
+@pytest.mark.parametrize(
+    ("n_times", "n_groups", "n_ranks"),
+    [(60, 63, n) for n in (2, 3, 4, 5)] + [(15, 8009, n) for n in (2, 3, 4, 7, 16, 64)],
+)
+def test_uneven_source_counts_are_balanced(n_times, n_groups, n_ranks):
+    counts = np.random.default_rng(1).uniform(1000, 6000, n_times)
+    bls = np.arange(n_groups)
+    tiles = make_tiles(np.arange(n_times), counts, bls, bls, n_ranks)
+    loads = [counts[tile.times].sum() * (BASIS_COST * (tile.size > 0) + len(tile.bls)) for tile in tiles]
+    assert max(loads) < 1.1 * np.mean(loads)
+
+
+def test_a_rank_evaluates_few_times_where_there_are_many():
+    tiles = make_tiles(np.arange(30), np.ones(30), np.arange(63), np.arange(63), 2)
+    assert [(len(tile.times), len(tile.bls)) for tile in tiles] == [(15, 63), (15, 63)]
 
 
 def test_no_rows_at_all():
