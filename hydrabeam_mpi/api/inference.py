@@ -53,7 +53,7 @@ def infer(setup: Setup) -> Result:
         return run_inference(setup, folder, threads)
 
 
-def run_inference(setup: Setup, folder: Path | None, threads: int) -> Result:
+def run_inference(setup: Setup, folder: Path | None, threads: int, waiting: Path | None = None) -> Result:
     """Infer the beam of every channel. Collective: all ranks of the setup.
 
     Parameters
@@ -63,6 +63,8 @@ def run_inference(setup: Setup, folder: Path | None, threads: int) -> Result:
         For simulated data; its disk must have room for the result.
     threads : int
         BLAS threads of this rank, for the record.
+    waiting : Path, optional
+        Folder in which covariances wait to be written.
     """
     if setup.job.effects:
         check_independent(setup.job, "[[effects]]")
@@ -84,7 +86,7 @@ def run_inference(setup: Setup, folder: Path | None, threads: int) -> Result:
         coupled = results[0].coupled
         over_frequency = coupled.summary if coupled else None
     with clock.time("describe"):
-        records = gather_records(grid, problem, results, numbers)
+        records = gather_records(grid, problem, results, numbers, waiting)
         integrations = integrations_of(world, problem.files, problem.observation)
     memory = peak_rss_mb(world)
     result = Result(setup.job)

@@ -103,9 +103,11 @@ class Result:
     def fill(self, folder: Path) -> None:
         """Write all files into an empty folder."""
         from hydrabeam_mpi.io.disk import write_computed
+        from hydrabeam_mpi.io.stored import drop_stored
         from hydrabeam_mpi.result.output import write_conversions
 
         write_computed(folder, self.write_files)
+        drop_stored(folder)
         write_conversions(folder, self.content)
 
     def write_files(self, folder: Path) -> None:
@@ -114,7 +116,8 @@ class Result:
 
         for number, record in enumerate(self.content.channels):
             for name in ("covariance", "information") if self.content.over_frequency else ("covariance",):
-                record.arrays.setdefault(name, self.beam.matrix(number, name))
+                if name not in record.arrays:
+                    record.arrays[name] = self.beam.matrix(number, name)
         write_result(folder, self.job, self.content, self.summary)
 
 

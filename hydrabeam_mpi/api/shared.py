@@ -22,6 +22,7 @@ from hydrabeam_mpi.fit.memory import Share, check_room, loop_bytes
 from hydrabeam_mpi.io.disk import check_space
 from hydrabeam_mpi.io.posterior_file import ChannelRecord, PosteriorFile
 from hydrabeam_mpi.io.provenance import provenance
+from hydrabeam_mpi.io.stored import store
 from hydrabeam_mpi.io.uvsource import Data
 from hydrabeam_mpi.loop.selection.heldout_numbers import HeldoutNumbers
 from hydrabeam_mpi.mpi import (
@@ -30,7 +31,7 @@ from hydrabeam_mpi.mpi import (
     bcast_object,
     blas_threads,
     free_windows,
-    gather_by_channel,
+    by_channel,
     library_version,
     limit_blas_threads,
     memory_per_rank,
@@ -210,7 +211,11 @@ def prior_told(setup: Setup, carried: CarriedOver | None) -> dict[str, Any]:
 
 
 def gather_records(
-    grid: ProcessGrid, problem: Problem, results: list[ChannelResult], numbers: HeldoutNumbers | None
+    grid: ProcessGrid,
+    problem: Problem,
+    results: list[ChannelResult],
+    numbers: HeldoutNumbers | None,
+    waiting: Path | None = None,
 ) -> list[ChannelRecord]:
     """Return what is written of all channels, on rank 0; empty on other ranks. Collective: all ranks of the grid.
 
@@ -223,9 +228,14 @@ def gather_records(
         Of the rank group's channels.
     numbers : HeldoutNumbers, optional
         In which effects are part of the model: those that the loop judges by, of data as they were read.
+    waiting : Path, optional
+        Folder in which covariances wait to be written, so that rank 0 never holds all of them.
     """
-    mine = describe_channels(grid, problem.of_channels(grid.channels), results)
-    records = gather_by_channel(grid, mine)
+    mine, records = describe_channels(grid, problem.of_channels(grid.channels), results), []
+    for channel, record in enumerate(by_channel(grid, mine)):
+        for name in {"covariance", "information"} & record.arrays.keys():
+            store(waiting, record.arrays, name, channel)
+        records.append(record)
     if numbers is None:
         return records
     return [replace(one, summary={**one.summary, **numbers.summary(f)}) for f, one in enumerate(records)]

@@ -36,7 +36,7 @@ def infer(world: Comm, job: Job, job_path: Path, out: Path, overwrite: bool, thr
         On all ranks, if something in the job or in a file is wrong.
     """
     with staged(world, job_path, job, out, overwrite) as folder:
-        result = run_inference(Setup.of(job, world, path=job_path), folder, threads)
+        result = run_inference(Setup.of(job, world, path=job_path), folder, threads, waiting=folder)
         with together(world):
             if world.rank == 0:
                 result.fill(folder)

@@ -88,7 +88,7 @@ def make_tiles(times: IntArray, time_costs: FloatArray, bls: IntArray, group: In
     for run, n_parts in zip(best.runs, best.ranks, strict=True):
         for part in split_by_cost(np.ones(len(groups)), n_parts):
             mine = np.isin(group, groups[part])
-            tiles.append(Tile(times[run], bls[mine]))
+            tiles.append(Tile(times[run], bls[mine]) if mine.any() else Tile(times[:0], bls[:0]))
     return tiles
 
 

@@ -83,9 +83,12 @@ class Share:
         return PER_VISIBILITY * self.channels * (self.train_times + self.test_times) * self.baselines
 
 
-def simulation_bytes(n_visibilities: int, root: bool) -> int:
-    """Return the bytes of simulated visibilities of all baselines, which are on rank 0: with noise, and as written."""
-    return 90 * n_visibilities if root else 0
+def simulation_bytes(n_rows: int, n_channels: int) -> int:
+    """Return the bytes of simulated data on rank 0: of visibilities with noise and as written, and of what each row is.
+
+    Of each row, a baseline at a time, pyuvdata keeps two dozen numbers.
+    """
+    return n_rows * (90 * n_channels + 300)
 
 
 def inference_bytes(share: Share, root: bool) -> int:

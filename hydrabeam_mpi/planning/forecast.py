@@ -261,7 +261,7 @@ class Steps:
         return {
             "describe": self.shares.channels * bench.describe_s,
             "gather": self.model.network.beta * size * elsewhere,
-            "write": bench.write_s * outline.n_channels + each * size / ON_DISK,
+            "write": bench.write_s + each * size / ON_DISK,
         }
 
     def _loop(self) -> dict[str, float]:
@@ -290,7 +290,7 @@ class Steps:
 
     def memory(self, command: str) -> int:
         """Return the bytes of the rank that needs most, besides the problem and the programs."""
-        simulating = simulation_bytes(self.n_simulated, root=True)
+        simulating = simulation_bytes(self.n_simulated // self.outline.n_channels, self.outline.n_channels)
         if command == "simulate":
             return simulating
         n_bytes = inference_bytes if command == "infer" else loop_bytes

@@ -166,7 +166,7 @@ class Bench:
 
     @cached_property
     def write_s(self) -> float:
-        """Seconds in which the beam of a channel is written in another format."""
+        """Seconds in which the beam is written in another format, which depends little on how many channels it has."""
         freqs, beams = self.outline.problem.observation.freqs, np.ones((1, 1, len(GRID_ZA), len(GRID_AZ)))
         with TemporaryDirectory(prefix="hydrabeam-") as folder:
             path = Path(folder) / "beam.beamfits"

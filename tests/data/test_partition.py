@@ -36,6 +36,7 @@ def test_tiles_are_disjoint_complete_and_keep_groups_whole(n_ranks):
 def test_more_ranks_than_rows_leaves_ranks_idle():
     tiles = make_tiles(np.array([0]), np.ones(1), np.array([0, 1]), np.array([0, 0]), 3)
     assert sorted(tile.size for tile in tiles) == [0, 0, 2]
+    assert sum(len(tile.times) for tile in tiles) == 1
 
 
 @pytest.mark.parametrize(
