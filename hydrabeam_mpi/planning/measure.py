@@ -34,6 +34,7 @@ from hydrabeam_mpi.result.describe import describe_channels
 from hydrabeam_mpi.result.summary import GRID_AZ, GRID_ZA
 from hydrabeam_mpi.sampling.begin import begin as begin_chains
 from hydrabeam_mpi.sampling.begin import first_state
+from hydrabeam_mpi.sampling.predictive import check_heldout as check_predictions
 from hydrabeam_mpi.sampling.state import Chance
 from hydrabeam_mpi.sampling.sweep import sweep
 from hydrabeam_mpi.sampling.variables import arrays_of
@@ -233,6 +234,8 @@ class Bench:
                 state, _ = sweep(walk, state, Chance(1, 0, number))
                 walk.log_likelihood(state)
                 arrays_of(walk, state)
+                if one.problem.job.sample.heldout:
+                    check_predictions(walk, state)
 
         walks = {}
         with redirect_stderr(StringIO()):
