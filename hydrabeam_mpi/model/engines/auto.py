@@ -34,9 +34,11 @@ class AutoEngine(Engine):
         Distance in metres within which vectors count as lying on a lattice.
     """
 
-    def __init__(self, vectors: FloatArray, tol: float = 1e-7) -> None:
-        super().__init__(vectors, tol)
-        self._gemm = GemmEngine(vectors, tol)
+    @cached_property
+    def _gemm(self) -> GemmEngine:
+        engine = GemmEngine(self.vectors, self.tol)
+        engine.points = self.points
+        return engine
 
     @cached_property
     def _nufft(self) -> NufftEngine:
