@@ -74,83 +74,90 @@ def _run(world: MPI.Comm, options: argparse.Namespace) -> None:
     if options.command in COMMANDS_WITH_EXTRAS:
         check_extra(COMMANDS_WITH_EXTRAS[options.command], options.command)
     if options.command in ("simulate", "infer", "loop"):
-        # A mistake in the job or its paths is told before the packages that the work needs are imported: that takes
-        # seconds.
-        from hydrabeam_mpi.setup.job_file import check_paths, load, may_go_on
-
-        simulates = options.command == "simulate"
-        job = load(world, options.job, simulates, options.command == "loop")
-        overwrite = options.overwrite or (options.command == "loop" and may_go_on(job, options.output))
-        check_paths(world, job, options.job, options.output, overwrite, simulates)
-        if options.dry_run:
-            _say_plan(world, options, job)
-            return
-        from hydrabeam_mpi.commands.infer import infer
-        from hydrabeam_mpi.commands.loop import close_loop
-        from hydrabeam_mpi.commands.simulate import simulate
-
-        command = {"simulate": simulate, "infer": infer, "loop": close_loop}[options.command]
-        command(world, job, options.job, options.output, options.overwrite, threads)
-        return
-    if options.command == "predict":
+        _model(world, options, threads)
+    elif options.command in ("predict", "correct"):
+        from hydrabeam_mpi.commands.correct import correct
         from hydrabeam_mpi.commands.predict import predict
 
-        predict(world, options.result, options.job, options.output, options.overwrite, threads)
-        return
-    if options.command == "correct":
-        from hydrabeam_mpi.commands.correct import correct
-
-        correct(world, options.result, options.job, options.output, options.overwrite, threads)
-        return
-    if options.command == "sample" and options.status is None:
+        command = predict if options.command == "predict" else correct
+        command(world, options.result, options.job, options.output, options.overwrite, threads)
+    elif options.command == "sample" and options.status is None:
         _sample(world, options)
-        return
-    if options.command == "plan":
-        from hydrabeam_mpi.setup.job_file import load, read_files
-
-        job = load(world, options.job)
-        with together(world):
-            if world.rank == 0:
-                read_files(job)
+    elif options.command == "plan":
         from hydrabeam_mpi.commands.plan import print_plan
 
+        job = _job_with_files(world, options)
         print_plan(world, job, options.job, options.ranks, options.commands, options.found, options.json)
+    else:
+        with together(world):
+            if world.rank == 0:
+                _on_one_rank(options)
+
+
+def _model(world: MPI.Comm, options: argparse.Namespace, threads: int) -> None:
+    """Simulate, infer or close the loop.
+
+    A mistake in the job or its paths is told before the packages that the work needs are imported: that takes seconds.
+    """
+    from hydrabeam_mpi.setup.job_file import check_paths, load, may_go_on
+
+    simulates = options.command == "simulate"
+    job = load(world, options.job, simulates, options.command == "loop")
+    overwrite = options.overwrite or (options.command == "loop" and may_go_on(job, options.output))
+    check_paths(world, job, options.job, options.output, overwrite, simulates)
+    if options.dry_run:
+        _say_plan(world, options, job)
         return
-    with together(world):
-        if world.rank == 0 and options.command == "sample":
-            from hydrabeam_mpi.commands.sample_status import print_status
+    from hydrabeam_mpi.commands.infer import infer
+    from hydrabeam_mpi.commands.loop import close_loop
+    from hydrabeam_mpi.commands.simulate import simulate
 
-            print_status(options.status)
-        elif world.rank == 0 and options.command == "report":
-            from hydrabeam_mpi.report.document import write_report
-
-            write_report(options.directory, options.gains)
-        elif world.rank == 0:
-            from hydrabeam_mpi.commands.init import job_from_data, write_job
-
-            text = job_from_data(options.files)
-            if options.output is None:
-                print(text, end="")
-            else:
-                write_job(text, options.output, options.overwrite)
+    command = {"simulate": simulate, "infer": infer, "loop": close_loop}[options.command]
+    command(world, job, options.job, options.output, options.overwrite, threads)
 
 
 def _sample(world: MPI.Comm, options: argparse.Namespace) -> None:
     """Draw chains; mistakes are told before the packages that the work needs are imported."""
-    from hydrabeam_mpi.setup.job_file import load, read_files
-
     if options.job is None or options.output is None:
         raise InputError("needs a job and a folder", field="sample", remedy="sample JOB.toml -o DIR, or --status DIR")
-    job = load(world, options.job)
-    with together(world):
-        if world.rank == 0:
-            read_files(job)
+    job = _job_with_files(world, options)
     if options.dry_run:
         _say_plan(world, options, job)
         return
     from hydrabeam_mpi.commands.sample import sample
 
     sample(world, job, options.job, options.output, options.chains, options.draws)
+
+
+def _job_with_files(world: MPI.Comm, options: argparse.Namespace) -> Job:
+    """Read the job, and look whether its files can be read."""
+    from hydrabeam_mpi.setup.job_file import load, read_files
+
+    job = load(world, options.job)
+    with together(world):
+        if world.rank == 0:
+            read_files(job)
+    return job
+
+
+def _on_one_rank(options: argparse.Namespace) -> None:
+    """Do what other ranks have no part in."""
+    if options.command == "sample":
+        from hydrabeam_mpi.commands.sample_status import print_status
+
+        print_status(options.status)
+    elif options.command == "report":
+        from hydrabeam_mpi.report.document import write_report
+
+        write_report(options.directory, options.gains)
+    else:
+        from hydrabeam_mpi.commands.init import job_from_data, write_job
+
+        text = job_from_data(options.files)
+        if options.output is None:
+            print(text, end="")
+        else:
+            write_job(text, options.output, options.overwrite)
 
 
 def _say_plan(world: MPI.Comm, options: argparse.Namespace, job: Job) -> None:

@@ -140,8 +140,11 @@ def _add_plan(commands: Any) -> None:
 
 
 def _number(text: str) -> int:
-    """Read a number of chains or draws."""
-    number = int(text)
+    """Read a number of chains, draws or ranks."""
+    try:
+        number = int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number") from None
     if number < 1:
         raise argparse.ArgumentTypeError(f"{number} is less than one")
     return number

@@ -34,6 +34,13 @@ def test_one_cannot_be_quiet_and_verbose(capfd: pytest.CaptureFixture[str]) -> N
     assert "not allowed with argument" in capfd.readouterr().err
 
 
+@pytest.mark.parametrize(("given", "told"), [("two", "'two' is not a whole number"), ("4,0", "0 is less than one")])
+def test_numbers_of_ranks_are_numbers(given: str, told: str, capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        make_parser().parse_args(["plan", "job.toml", "--ranks", given])
+    assert f"argument --ranks: {told}; see" in capfd.readouterr().err
+
+
 def printed(shell: str, capfd: pytest.CaptureFixture[str]) -> str:
     pytest.importorskip("shtab")
     with pytest.raises(SystemExit, match="0"):
