@@ -78,7 +78,7 @@ def plan(
         On all ranks, if a file or an argument cannot be used.
     """
     with setup.telling():
-        check_independent(setup.job, "'hydrabeam plan'")
+        check_independent(setup.job, "'hydrabeam plan' or --dry-run")
     world, startup_s = setup.comm, time.process_time()
     network = measure_network(world)
     if world.size > 1:
@@ -94,7 +94,7 @@ def plan(
             files = measure_files(known, clock)
             model = Model(Bench(known, clock), files, network, startup_s, own_bytes(), found)
             forecasts = tuple(model.forecast(command, count) for command in wanted for count in ranks)
-            made = Plan(forecasts, tuple(assumptions(found, network)))
+            made = Plan(forecasts, tuple(assumptions(network, found if "loop" in wanted else None)))
     return made
 
 

@@ -39,14 +39,16 @@ def as_table(forecasts: Sequence[Forecast], assumed: Sequence[str]) -> dict[str,
     }
 
 
-def assumptions(found: int, network: Network) -> list[str]:
-    """Say what a plan assumes."""
+def assumptions(network: Network, found: int | None) -> list[str]:
+    """Say what a plan assumes; ``found`` effects that a loop finds, None where there is no loop."""
     how = "measured between these ranks" if network.measured else "assumed; start under mpiexec to measure them"
-    return [
-        f"loop: finds {found} effect{'s' * (found != 1)}; all are weighed {found + 1} times.",
+    lines = [
         f"messages: {network.alpha * 1e6:.3g} us and {1e-9 / max(network.beta, 1e-15):.3g} GB/s, {how}.",
         "steps: timed on a few rows of this job with made-up data, on this machine as busy as it is now.",
     ]
+    if found is not None:
+        lines.insert(0, f"loop: finds {found} effect{'s' * (found != 1)}; all are weighed {found + 1} times.")
+    return lines
 
 
 def _cells(one: Forecast) -> tuple[str, ...]:

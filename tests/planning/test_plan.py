@@ -89,6 +89,7 @@ def test_table_has_a_line_a_forecast(made: hb.Plan) -> None:
         [command, ranks] for command in ("simulate", "infer") for ranks in ("1", "2", "12")
     ]
     assert any("assumed; start under mpiexec to measure them" in line for line in lines[7:])
+    assert not any(line.startswith("loop:") for line in lines)
 
 
 def test_cost_goes_through_what_was_measured() -> None:
