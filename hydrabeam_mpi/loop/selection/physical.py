@@ -11,6 +11,9 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.error_scale import error_scale
 from hydrabeam_mpi.fit.state import Active, Fitted, Values
 
+MOST_NAMED = 4
+"""Parameters that a line names, those furthest beyond their limits: of many sources it would be pages."""
+
 
 @dataclass(frozen=True)
 class LeftOut:
@@ -60,7 +63,9 @@ def leave_out_unphysical(context: FitContext, fitted: Fitted, n_before: int) -> 
         gone = is_unphysical(beyond, context.problem.job.loop.min_log_bayes_factor)
         if gone.any():
             names = one.effect.parameters(context.setup).names
-            each = (f"{names[i]} {one.x[:, i].mean():.4g} +- {std[:, i].mean():.2g}" for i in np.flatnonzero(gone))
+            which = np.flatnonzero(gone)[np.argsort(-beyond[gone], kind="stable")]
+            each = [f"{names[i]} {one.x[:, i].mean():.4g} +- {std[:, i].mean():.2g}" for i in which[:MOST_NAMED]]
+            each += [f"and {len(which) - MOST_NAMED} more"] if len(which) > MOST_NAMED else []
             told.append(f"{one.effect.title}: left out what would have {one.effect.unphysical}: {', '.join(each)}")
             left = _rest(context, one, gone)
         places[place] = None if left is None else len(kept)
