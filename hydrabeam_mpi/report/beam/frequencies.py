@@ -40,6 +40,7 @@ def draw_frequencies(channels: list[Channel], together: str = "") -> Drawing | N
         for name, values in lines.items():
             axes.plot(freqs, values, "o-", markersize=3, color=COLOURS.get(name, REFERENCE), label=name)
         axes.set(title=title)
+        axes.locator_params(axis="x", nbins=5)
         low, high = np.nanmin([*lines.values()]), np.nanmax([*lines.values()])
         if 0 < 10 * low < high:
             axes.set_yscale("log")
