@@ -112,7 +112,7 @@ def infer_rows(
     """
     in_single = precision == np.float32
     with clock.time("design"):
-        rounding = Rounding(problem, train) if in_single else None
+        rounding = Rounding(grid.group, problem, train) if in_single else None
         normals = _sum_normals(grid, problem, train, precision, rounding)
     with clock.time("solve"):
         posteriors, coupled = solve_channels(grid, problem, normals)

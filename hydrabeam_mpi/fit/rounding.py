@@ -4,6 +4,8 @@ With A + dA for the rows A that were computed, the mean x moves by -P^-1 A^H N^-
 posterior precision. dA x is the difference between what the mean beam sees in double precision and A x: two real
 columns instead of all of them. Rounding errors of different times are independent, as the sources are at other places,
 so that the shifts s_t by T of all N times give the standard deviation sqrt(N / T sum_t |s_t|^2) of each coefficient's.
+Where beams hang together over frequency, each is moved by the errors of all channels, which add up as far as these have
+one mode in common: by as many times as that has channels, the largest eigenvalue of the covariance over channels.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.fit.accumulate import seen_by
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.inference.posterior import Posterior
-from hydrabeam_mpi.mpi import ProcessGrid, allreduce_sum
+from hydrabeam_mpi.mpi import Comm, ProcessGrid, allreduce_sum
 from hydrabeam_mpi.setup.problem import Problem
 
 MOST_SHIFT = 1e-2
@@ -30,19 +32,32 @@ TIMES_IN_DOUBLE = 2
 class Rounding:
     """The rounding errors of a rank's rows at a few of all times.
 
+    Collective: all ranks of ``group``.
+
     Parameters
     ----------
+    group : mpi4py.MPI.Comm
+        Those that share the channels' rows.
     problem : Problem
     rows : Rows
         The rank's training rows.
     """
 
-    def __init__(self, problem: Problem, rows: Rows) -> None:
+    def __init__(self, group: Comm, problem: Problem, rows: Rows) -> None:
         self.problem, self.rows = problem, rows
+        self._weights = rows.compressed()[1]
         times = problem.train.times
-        count = min(TIMES_IN_DOUBLE, len(times))
-        self.n_times = len(times)
-        self.sampled = times[(2 * np.arange(count) + 1) * len(times) // (2 * count)]
+        counts = np.zeros((len(self._weights), len(times)))
+        counts[:, np.searchsorted(times, rows.tile.times)] = np.count_nonzero(self._weights, axis=2)
+        allreduce_sum(group, counts)
+        has_data = counts > 0
+        # Times at which all is flagged tell nothing: of those at which most channels have data.
+        of_channels = has_data.sum(axis=0)
+        full = np.flatnonzero(of_channels == of_channels.max(initial=0))
+        count = min(TIMES_IN_DOUBLE, len(full))
+        chosen = full[(2 * np.arange(count) + 1) * len(full) // (2 * max(count, 1))]
+        self.sampled = times[chosen]
+        self._scale = np.sqrt(has_data.sum(axis=1) / np.maximum(has_data[:, chosen].sum(axis=1), 1))
         self._designs: dict[int, Array] = {}
 
     def watch(self, by_time: Iterable[Array]) -> Iterator[Array]:
@@ -59,21 +74,27 @@ class Rounding:
         """
         n_modes = self.problem.basis.n_modes
         pulls = np.zeros((len(posteriors), len(self.sampled), n_modes), dtype=posteriors[0].factor.dtype)
-        weights = self.rows.compressed()[1]
         model = self.problem.forward_model(self.rows.groups)
         for time, design in self._designs.items():
             t, sample = list(self.rows.tile.times).index(time), list(self.sampled).index(time)
             beams = [partial(self.problem.basis.synthesize, one.mean) for one in posteriors]
             exact = model.visibilities(beams, np.array([time]))[:, 0]
             for f, posterior in enumerate(posteriors):
-                error = weights[f, t] * (exact[f] - seen_by(design[f], posterior.mean))
+                error = self._weights[f, t] * (exact[f] - seen_by(design[f], posterior.mean))
                 pulls[f, sample] = _pull(design[f], error)
         allreduce_sum(grid.group, pulls)
         worst = np.zeros(len(posteriors))
         for f, posterior in enumerate(posteriors if grid.is_group_root else ()):
             moved = cho_solve((posterior.factor, True), pulls[f].T, check_finite=False)
             worst[f] = np.max(np.linalg.norm(moved, axis=1) / posterior.std)
-        return 2 * worst * np.sqrt(self.n_times / max(len(self.sampled), 1))
+        return 2 * worst * self._scale * self._in_common()
+
+    def _in_common(self) -> float:
+        """Return how many channels' errors add up in a beam."""
+        coupling = self.problem.coupling
+        if coupling is None:
+            return 1.0
+        return max(float(np.sum(modes**2, axis=0).max()) for modes in coupling.candidates)
 
 
 def _pull(design: Array, weighted: Array) -> Array:

@@ -12,9 +12,9 @@ from mpi4py import MPI
 
 from hydrabeam_mpi.api.shared import prepare_shared
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.fit.channels import ChannelResult, infer_channels
+from hydrabeam_mpi.fit.channels import ChannelResult, infer_channels, read_share
 from hydrabeam_mpi.fit.clock import Clock
-from hydrabeam_mpi.fit.rounding import MOST_SHIFT
+from hydrabeam_mpi.fit.rounding import MOST_SHIFT, Rounding
 from hydrabeam_mpi.mpi import ProcessGrid
 from hydrabeam_mpi.setup.job_file import load
 from hydrabeam_mpi.setup.problem import Problem
@@ -53,6 +53,27 @@ def test_the_mean_moves_no_more_than_expected(comm: MPI.Comm, common_tmp_path: P
         assert mixed.rounding_shift is not None
         assert 0 < moved(mixed, double) < 1.5 * mixed.rounding_shift < 1.5 * MOST_SHIFT
         assert mixed.rounding_shift < 100 * moved(mixed, double)
+
+
+def test_errors_of_channels_with_one_beam_add_up(tmp_path: Path) -> None:
+    noise, prior = {"kind": "constant", "sigma": 0.1}, {"frequency": {"kind": "modes", "n_modes": 1}}
+    freqs = tuple(np.linspace(131e6, 133e6, 8).tolist())
+    problem = problem_of(MPI.COMM_SELF, tmp_path, basis=REAL, noise=noise, prior=prior, freqs=freqs)
+    for mixed, double in zip(*(infer(MPI.COMM_SELF, problem, one) for one in ("mixed", "double")), strict=True):
+        assert mixed.rounding_shift is not None
+        assert moved(mixed, double) < mixed.rounding_shift < MOST_SHIFT
+
+
+def test_times_that_are_flagged_tell_nothing(tmp_path: Path) -> None:
+    problem = problem_of(MPI.COMM_SELF, tmp_path, basis=REAL, freqs=(131e6, 132e6))
+    rows = read_share(ProcessGrid.split(MPI.COMM_SELF, 2), problem, problem.train)
+    every = Rounding(MPI.COMM_SELF, problem, rows)
+    weights = rows.inv_noise_var.copy()
+    weights[:, np.isin(rows.tile.times, every.sampled)] = 0
+    weights[1, : len(rows.tile.times) // 2] = 0
+    found = Rounding(MPI.COMM_SELF, problem, replace(rows, inv_noise_var=weights)).sampled
+    assert len(found) == len(every.sampled)
+    assert np.all(weights[:, np.isin(rows.tile.times, found)] > 0)
 
 
 def test_where_it_would_move_further_all_is_double(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
