@@ -88,7 +88,7 @@ def solve_coupled(
             alone = sum(_evidence_alone(one) for one in told)
     alone = grid.world.allreduce(alone)
     n_draws = problem.job.output.draws
-    if _is_dense(coupling, problem.basis.n_modes):
+    if dense_unknowns(coupling, problem.basis.n_modes):
         moments, summary = _solve_dense(grid, problem, told, _noise(grid, problem, told, n_draws))
     else:
         noise = _noise(grid, problem, told, max(n_draws, N_SCALING))
@@ -106,17 +106,26 @@ def solve_coupled(
     return posteriors, kept
 
 
-def _is_dense(coupling: Coupling, n: int) -> bool:
-    """Whether one matrix is solved, of all unknowns."""
+def dense_unknowns(coupling: Coupling | None, n: int) -> int:
+    """Return how many unknowns are solved for as one matrix, with ``n`` coefficients a channel; 0 if not so.
+
+    Raises
+    ------
+    InputError
+        If the job needs one matrix, and does not allow it.
+    """
+    if coupling is None:
+        return 0
     size = n * max(modes.shape[1] for modes in coupling.candidates)
-    dense = coupling.settings.solver == "dense" or (coupling.settings.solver == "auto" and size <= MAX_DENSE)
-    if not dense and len(coupling.candidates) > 1:
+    if coupling.settings.solver == "dense" or (coupling.settings.solver == "auto" and size <= MAX_DENSE):
+        return size
+    if len(coupling.candidates) > 1:
         raise InputError(
             f"only one matrix tells the evidence of a length, and it would have {size} rows",
             field="[prior.frequency] length",
             remedy="give one length, or shorter lists of channels or modes, or solver = 'dense' where memory allows it",
         )
-    return dense
+    return 0
 
 
 def _told(normal: NormalEquations, prior: Prior) -> ChannelTold:
@@ -168,6 +177,8 @@ def _solve_dense(
         mine = chosen == number
         moments = posterior.moments(seed, np.flatnonzero(mine).tolist()) if posterior else ()
         parts.append((float(weights[number]), mine, share_by_channel(grid, moments)))
+        # With the covariance, before the next one is assembled: there is memory for two matrices.
+        del posterior, moments
     best = int(np.argmax(evidences))
     summary: dict[str, Any] = {
         "solver": "dense",

@@ -99,7 +99,23 @@ class RootsSystem:
         return np.concatenate(self._comm.allgather(own))
 
     def solve(self, x: Array) -> tuple[Array, int]:
-        """Return P^-1 x, (M, n), and how many steps it took; none if that was not enough."""
+        """Return P^-1 x, (M, n), and how many steps it took; none if that was not enough.
+
+        One root iterates, and the others do each product with it: if each went on until its own numbers told it to
+        stop, another last digit, as processors of different kinds have it, would leave one waiting for ever.
+        """
+        found, source = None, self.whiten(x).ravel()
+        if self._comm.rank == 0:
+            found = self._iterate(source)
+            self._comm.bcast(None)
+        else:
+            while (z := self._comm.bcast(None)) is not None:
+                self._times_whitened(z)
+        solved, steps = self._comm.bcast(found)
+        return self.unwhiten(solved.reshape(self.shape)), steps
+
+    def _iterate(self, source: Array) -> tuple[Array, int]:
+        """Return z with B^-1 P B^-H z = ``source``, both (M n,), and the steps, on the first root."""
         steps = 0
 
         def count(_: Array) -> None:
@@ -107,12 +123,16 @@ class RootsSystem:
             steps += 1
 
         def times(z: Array) -> Array:
-            return self.whiten(self.times(self.unwhiten(z.reshape(self.shape)))).ravel()
+            return self._times_whitened(self._comm.bcast(z))
 
-        operator = LinearOperator((x.size, x.size), times, dtype=self.dtype)
-        enough = SIGMAS * np.sqrt(x.size)
-        solved, failed = cg(operator, self.whiten(x).ravel(), rtol=0, atol=enough, maxiter=MAX_STEPS, callback=count)
-        return self.unwhiten(solved.reshape(self.shape)), 0 if failed else max(steps, 1)
+        operator = LinearOperator((source.size, source.size), times, dtype=self.dtype)
+        enough = SIGMAS * np.sqrt(source.size)
+        solved, failed = cg(operator, source, rtol=0, atol=enough, maxiter=MAX_STEPS, callback=count)
+        return solved, 0 if failed else max(steps, 1)
+
+    def _times_whitened(self, z: Array) -> Array:
+        """Return B^-1 P B^-H z, both (M n,)."""
+        return self.whiten(self.times(self.unwhiten(z.reshape(self.shape)))).ravel()
 
     def covariances(self) -> list[Array]:
         """Return sum_m U_fm^2 D_m^-1 of this root's channels, (n, n): that of a where D is all of P."""
@@ -178,7 +198,7 @@ def solve_matrix_free(
 def _solve(
     comm: Comm, seed: int, modes: FloatArray, told: list[ChannelTold], noise: list[Array]
 ) -> tuple[list[Moments], list[int]]:
-    """Solve on the groups' roots; also return the steps of each solution, none where they were not enough."""
+    """Solve on the groups' roots; also return the steps of each solution, up to one where they were not enough: 0."""
     system = RootsSystem(comm, modes, told)
     n, n_draws = system.shape[1], noise[0].shape[1]
     mean, taken = system.solve(system.from_channels([one.score for one in told]))
@@ -186,6 +206,8 @@ def _solve(
     drawn = system.from_channels(noise) + noise_of_modes(modes, range(n_draws), seed, n, is_complex)
     steps, away = [taken], np.zeros((n_draws, len(told), n), system.dtype)
     for draw in range(n_draws):
+        if 0 in steps:
+            break
         moved, taken = system.solve(drawn[..., draw])
         away[draw] = modes[system.channels] @ moved
         steps.append(taken)

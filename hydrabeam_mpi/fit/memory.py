@@ -6,12 +6,15 @@ Counted are the arrays that are there at one time, from the sizes in the docstri
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.fit.coupled import dense_unknowns
+from hydrabeam_mpi.fit.rounding import TIMES_IN_DOUBLE
+from hydrabeam_mpi.fit.row_buffer import CAPACITY
 from hydrabeam_mpi.fit.row_model import KEPT_BYTES
 from hydrabeam_mpi.memory import own_bytes
 from hydrabeam_mpi.model.bases.base import LinearBasis
@@ -28,7 +31,6 @@ LOOKED_AT = 160
 """Bytes of a sample of the health check: data, model, weights, and sums of them beside each other."""
 DESCRIBED = 6
 """Matrices of the coefficients' size that are there at once when a channel is described, its posterior among them."""
-BUFFERED_ROWS = 512
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,10 @@ class Share:
     sources : int
         Of the whole sky.
     basis : LinearBasis
+    watched_times : int
+        Whose designs are kept to tell of rounding errors.
+    unknowns : int
+        Solved for as one matrix of all channels, on this rank.
     """
 
     channels: int
@@ -53,18 +59,27 @@ class Share:
     groups: int
     sources: int
     basis: LinearBasis
+    watched_times: int = 0
+    unknowns: int = 0
 
     @classmethod
     def of(cls, problem: Problem, channels: int, train: Tile, test: Tile) -> Share:
         """Return the sizes of a rank's tiles in so many channels."""
         groups = np.unique(problem.redundant.group[np.union1d(train.bls, test.bls)])
         n_bls = max(len(train.bls), len(test.bls))
-        return cls(channels, len(train.times), len(test.times), n_bls, len(groups), problem.sky.Nsrc, problem.basis)
+        watched = min(TIMES_IN_DOUBLE, len(train.times)) if problem.job.solver.precision == "mixed" else 0
+        sizes = channels, len(train.times), len(test.times), n_bls, len(groups), problem.sky.Nsrc
+        return cls(*sizes, problem.basis, watched)
+
+    @property
+    def item(self) -> int:
+        """Bytes of a coefficient."""
+        return COMPLEX if self.basis.is_complex else REAL
 
     @property
     def matrix(self) -> int:
         """Bytes of a matrix of the coefficients' size."""
-        return self.basis.n_modes**2 * (COMPLEX if self.basis.is_complex else REAL)
+        return self.basis.n_modes**2 * self.item
 
     @property
     def design(self) -> int:
@@ -96,13 +111,16 @@ def inference_bytes(share: Share, root: bool) -> int:
     rows = max(share.train_times, share.test_times) * share.baselines * share.channels
     reading = share.kept + (READING - 1) * PER_VISIBILITY * rows
     looking = LOOKED_AT * share.channels * (share.train_times + share.test_times) * share.baselines
-    buffered = share.channels * max(BUFFERED_ROWS, share.groups) * share.basis.n_modes * COMPLEX
+    buffered = share.channels * max(CAPACITY, share.groups) * share.basis.n_modes * COMPLEX
     flushed = 2 * buffered // share.channels
-    summing = share.making_design + buffered + flushed + share.channels * share.matrix
+    watched = share.watched_times * share.design
+    summing = share.making_design + buffered + flushed + share.channels * share.matrix + watched
     solved = 2 * share.channels * share.matrix
+    # The matrix of all channels, and its inverse.
+    solving = solved + 2 * share.item * share.unknowns**2 + watched
     checking = share.making_design + 2 * share.design // share.channels + solved
     describing = solved + (share.channels + DESCRIBED) * share.matrix if root else solved
-    return max(looking, reading, share.kept + max(summing, checking, describing))
+    return max(looking, reading, share.kept + max(summing, solving, checking, describing))
 
 
 def loop_bytes(share: Share, root: bool) -> int:
@@ -135,10 +153,13 @@ def check_room(grid: ProcessGrid, problem: Problem, needed: Callable[[Share, boo
     Raises
     ------
     InputError
-        On all ranks, if it needs more than a rank has.
+        On all ranks, if it needs more than a rank has, or the job's channels cannot be solved for together.
     """
     tiles = [problem.tile_of(rows, grid.group.rank, grid.group.size) for rows in (problem.train, problem.test)]
     share = Share.of(problem, len(grid.channels), *tiles)
+    with together(grid.world):
+        unknowns = dense_unknowns(problem.coupling, problem.basis.n_modes)
+        share = replace(share, unknowns=unknowns if grid.is_world_root else 0)
     most = max(grid.world.allgather(own_bytes() + needed(share, grid.is_group_root)))
     memory = memory_per_rank(grid.world)
     with together(grid.world):

@@ -8,6 +8,9 @@ from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray
 from hydrabeam_mpi.fit.columns import Columns, RowSet
 from hydrabeam_mpi.fit.equations import NormalEquations
 
+CAPACITY = 512
+"""Rows held before they are added: a rank-k update of so many runs as fast as one of more."""
+
 
 class RowBuffer:
     """Collects rows of one block, with columns by group, so that the rank-k updates of its Gram matrix are large ones.
@@ -22,7 +25,7 @@ class RowBuffer:
         Rows held before they are added.
     """
 
-    def __init__(self, equations: NormalEquations, name: str, capacity: int = 512) -> None:
+    def __init__(self, equations: NormalEquations, name: str, capacity: int = CAPACITY) -> None:
         self.equations, self.name, self.capacity = equations, name, capacity
         self._held: list[tuple[Array, ComplexArray, FloatArray]] = []
 

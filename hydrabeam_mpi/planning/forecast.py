@@ -299,8 +299,8 @@ class Steps:
     def _gathered(self) -> int:
         """Return the bytes of what rank 0 gathers of channels, but for covariances."""
         share, outline = self.shares.share, self.outline
-        item = 16 if share.basis.is_complex else 8
-        return outline.n_channels * (outline.job.output.draws * share.basis.n_modes * item + 7 * MAP_PIXELS * item)
+        numbers = outline.job.output.draws * share.basis.n_modes + 7 * MAP_PIXELS
+        return outline.n_channels * numbers * share.item
 
     def sent(self, command: str) -> int:
         """Return the bytes that a rank sends, the root of a group most."""
@@ -325,6 +325,6 @@ class Steps:
             return simulated
         outline, settings = self.outline, self.outline.job.sample
         if command == "sample":
-            item = 16 if outline.problem.basis.is_complex else 8
-            return settings.chains * settings.draws * outline.n_channels * outline.problem.basis.n_modes * item
+            share = self.shares.share
+            return settings.chains * settings.draws * outline.n_channels * share.basis.n_modes * share.item
         return least_result_bytes(outline.job, outline.n_channels)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -109,6 +110,13 @@ def test_memory_grows_with_what_is_held() -> None:
     small, large = (Share(1, n, n, 100, 50, 1000, basis) for n in (10, 1000))
     assert inference_bytes(small, root=False) <= inference_bytes(small, root=True) < inference_bytes(large, root=True)
     assert loop_bytes(large, root=True) > inference_bytes(large, root=True) > large.kept
+
+
+def test_memory_counts_what_is_kept_for_rounding_and_solved_for_together() -> None:
+    plain = Share(1, 10, 10, 100, 50, 1000, Zernike(6))
+    watching, together = replace(plain, watched_times=2), replace(plain, unknowns=10_000)
+    assert inference_bytes(watching, root=False) >= inference_bytes(plain, root=False) + 2 * plain.design
+    assert inference_bytes(together, root=True) > 2 * 8 * 10_000**2
 
 
 def test_what_does_not_fit_is_refused_in_one_line() -> None:
