@@ -83,7 +83,7 @@ def plan(
     network = measure_network(world)
     if world.size > 1:
         limit_blas_threads(world)
-    made = Plan((), ())
+    made, ranks = Plan((), ()), tuple(ranks)
     with setup.telling(), together(world):
         if world.rank == 0:
             wanted = tuple(commands or possible(setup.job))
@@ -100,5 +100,6 @@ def plan(
 
 def possible(job: Job) -> list[str]:
     """Return the commands that a job can be given to."""
-    left_out = {"simulate": job.data.simulate is None, "loop": job.holdout.kind == "none"}
+    mixed = job.solver.precision == "mixed"
+    left_out = {"simulate": job.data.simulate is None, "loop": mixed or job.holdout.kind == "none", "sample": mixed}
     return [command for command in COMMANDS if not left_out.get(command)]

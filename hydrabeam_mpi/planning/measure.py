@@ -44,7 +44,9 @@ MOST_GROUPS = 400
 FEWER = 4
 """How many times fewer groups, and times, there are where their number is varied."""
 MOST_TIMES = 4
+"""What is done once for all times is then told from what is done at each."""
 DRAWS = 4
+"""Of a chain, of which the first ones fill what later ones find in memory."""
 
 
 @dataclass(frozen=True)
@@ -124,8 +126,14 @@ class Bench:
 
     @cached_property
     def design(self) -> Cost:
-        """Normal equations of the beam."""
-        return self.cost(lambda one: accumulate(one.train.rows, one.train.model, one.problem.basis))
+        """Normal equations of the beam, in the job's precision."""
+        precision = np.float32 if self.outline.job.solver.precision == "mixed" else np.float64
+
+        def work(one: FitContext) -> object:
+            rows = one.train.rows
+            return accumulate(rows, replace(one.train.model, precision=precision), one.problem.basis)
+
+        return self.cost(work)
 
     @cached_property
     def heldout(self) -> Cost:
