@@ -1,0 +1,86 @@
+"""Who has which rows on a number of ranks, and what a step on them takes the slowest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from hydrabeam_mpi.data.partition import Tile, make_tiles
+from hydrabeam_mpi.fit.memory import Share
+from hydrabeam_mpi.mpi.grid import ranks_of_groups
+from hydrabeam_mpi.planning.measure import Cost
+from hydrabeam_mpi.planning.outline import Outline
+
+
+@dataclass(frozen=True)
+class Partition:
+    """How the work is shared out.
+
+    Attributes
+    ----------
+    groups, ranks_per_group : int
+        Groups of ranks, and how many there are in the smallest.
+    channels : int
+        Of the group that has most.
+    times, baseline_groups : int
+        Fitted ones of the slowest rank.
+    imbalance : float
+        By how much the slowest rank of a group has more to do than the mean, as a fraction.
+    """
+
+    groups: int
+    ranks_per_group: int
+    channels: int
+    times: int
+    baseline_groups: int
+    imbalance: float
+
+
+class Shares:
+    """Who has which rows, on a number of ranks."""
+
+    def __init__(self, outline: Outline, ranks: int) -> None:
+        self.outline, self.ranks = outline, ranks
+        self.n_groups = min(ranks, outline.n_channels)
+        self.in_group = min(ranks_of_groups(ranks, outline.n_channels))
+        self.channels = -(-outline.n_channels // self.n_groups)
+        self.train, self.test = (self._tiles(rows) for rows in (outline.problem.train, outline.problem.test))
+
+    def _tiles(self, rows: Tile) -> list[Tile]:
+        problem = self.outline.problem
+        costs = problem.time_costs[rows.times]
+        return make_tiles(rows.times, costs, rows.bls, problem.redundant.group[rows.bls], self.in_group)
+
+    def groups_of(self, tile: Tile) -> int:
+        """Return how many redundant groups a tile has."""
+        return len(np.unique(self.outline.problem.redundant.group[tile.bls]))
+
+    def seconds(self, cost: Cost, test: bool = False) -> float:
+        """Return the seconds of the slowest rank in which a step is done with its rows of all its channels."""
+        of_ranks = [self._seconds(cost, tile) for tile in (self.test if test else self.train)]
+        return self.channels * (cost.fixed + max(of_ranks))
+
+    def _seconds(self, cost: Cost, tile: Tile) -> float:
+        times = self.outline.times_of(tile)
+        return times * (cost.by_time + cost.by_group * self.groups_of(tile)) if tile.size else 0.0
+
+    @cached_property
+    def largest(self) -> Tile:
+        """The fitted rows of the rank that has most."""
+        return max(self.train, key=lambda tile: self.outline.times_of(tile) * self.groups_of(tile))
+
+    @cached_property
+    def partition(self) -> Partition:
+        """How the rows are shared out."""
+        loads = [self.outline.times_of(tile) * self.groups_of(tile) for tile in self.train]
+        imbalance = max(loads) / (sum(loads) / len(loads)) - 1 if sum(loads) else 0.0
+        tile = self.largest
+        return Partition(self.n_groups, self.in_group, self.channels, len(tile.times), self.groups_of(tile), imbalance)
+
+    @cached_property
+    def share(self) -> Share:
+        """Sizes of the share of the rank that has most."""
+        most = max(self.test, key=lambda tile: tile.size)
+        return Share.of(self.outline.problem, self.channels, self.largest, most)
