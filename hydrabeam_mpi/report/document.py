@@ -6,27 +6,28 @@ import os
 from base64 import b64encode
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from html import escape
-from importlib.resources import files
 from itertools import count
 from pathlib import Path
 
 import matplotlib
+from markupsafe import Markup
 
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.disk import replacing
 from hydrabeam_mpi.io.manifest import MANIFEST, add_to_manifest
 from hydrabeam_mpi.report.beam.frequencies import draw_frequencies
+from hydrabeam_mpi.report.beam.sky import draw_maps
 from hydrabeam_mpi.report.figures import draw_channel, shown_channels
-from hydrabeam_mpi.report.gains import gains_section
+from hydrabeam_mpi.report.gains import gains_body
 from hydrabeam_mpi.report.loop.record import as_written, load_loop
-from hydrabeam_mpi.report.loop.section import loop_section
+from hydrabeam_mpi.report.loop.section import loop_answer, loop_sections
 from hydrabeam_mpi.report.loop.words import verdict_words
 from hydrabeam_mpi.report.page.key_numbers import table, text_table
-from hydrabeam_mpi.report.page.result import Result, load_result
-from hydrabeam_mpi.report.page.sections import channel_table, finding, key_numbers, provenance, warnings
+from hydrabeam_mpi.report.page.parts import Answer, Section, part, set_page, together
+from hydrabeam_mpi.report.page.result import Channel, Result, load_result
+from hydrabeam_mpi.report.page.sections import channel_table, errors_table, finding, key_numbers, provenance
 from hydrabeam_mpi.report.page.style import STYLE, Drawing, render
-from hydrabeam_mpi.report.page.words import introduction, megahertz, over_frequency_words, remarks
+from hydrabeam_mpi.report.page.words import answer_words, introduction, megahertz, over_frequency_words, remarks
 from hydrabeam_mpi.sampling.storage.store import ChainStore
 
 FOOTER = "“The paper” is Wilensky et al. 2025, High Dimensional Beam Inference II, whose method this is."
@@ -65,28 +66,32 @@ def write_report(directory: Path, other_gains: Sequence[Path] = ()) -> None:
         raise InputError("tells of no gains", file=directory / "summary.json", field="gains", remedy=remedy)
     contents: dict[Path, bytes] = {}
     album = _Album(contents, directory / "figures")
-    of_loop = verdict = ""
     with matplotlib.rc_context(STYLE):
+        maps = draw_maps(result.channels[0])
+        picture = album.place(maps, _prefix(result, result.channels[0])) if maps else Markup()
+        answer, sections = _answer(result, picture), []
         if loop is not None:
             with as_written(directory):
-                of_loop, verdict = loop_section(loop, album.place), verdict_words(loop)
+                answer = loop_answer(loop, picture, answer.warnings)
+                sections = loop_sections(loop, album.place)
+        sections += _set_up(result, " of the amended model" if loop is not None else "")
         with as_written(directory, "summary.json"):
-            of_gains = gains_section(told, other_gains, album.place) if told else ""
-        page = _page(result, of_loop, album, of_gains)
-    _write_page(directory, page, contents)
+            sections += [Section("Gains", gains_body(told, other_gains, album.place))] if told else []
+        sections += [*_channels(result, album), Section("Provenance", provenance(result))]
+    _write_page(directory, set_page(f"Beam posterior: {result.name}", answer, sections, FOOTER), contents)
     print(introduction(result), end="\n\n")
     print(text_table(table(result.numbers, result.name)), end="\n\n")
     for remark in remarks(result):
         print(f"Note: {remark}")
-    if verdict:
-        print(verdict)
+    if loop is not None:
+        print(verdict_words(loop))
     print(f"Report: {directory / 'report.html'}")
 
 
 def _write_chains(directory: Path) -> None:
     """Write the page of a folder of chains, and print how far they are."""
     # What compares chains takes seconds to import.
-    from hydrabeam_mpi.report.chains.section import chains_body
+    from hydrabeam_mpi.report.chains.section import chains_page
     from hydrabeam_mpi.sampling.status import status_of
 
     store = ChainStore.open(directory)
@@ -95,7 +100,7 @@ def _write_chains(directory: Path) -> None:
     album = _Album(contents, directory / "figures")
     title = f"Chains: {Path(os.path.realpath(directory)).name}"
     with matplotlib.rc_context(STYLE):
-        page = _framed(title, f"<h1>{escape(title)}</h1>\n{chains_body(store, status, album.place)}")
+        page = set_page(title, *chains_page(store, status, album.place), FOOTER)
     _write_page(directory, page, contents)
     print(status, end="\n\n")
     print(f"Report: {directory / 'report.html'}")
@@ -140,59 +145,44 @@ class _Album:
         self._contents, self._folder = contents, folder
         self._numbers = count(1)
 
-    def place(self, drawing: Drawing, prefix: str = "") -> str:
+    def place(self, drawing: Drawing, prefix: str = "") -> Markup:
         """Return a figure element with its picture inside."""
         name = prefix + drawing.name
         pictures = render(drawing.figure)
         for form, content in pictures.items():
             self._contents[self._folder / f"{name}.{form}"] = content
-        source = b64encode(pictures["png"]).decode()
-        return (
-            f'<figure id="{escape(name)}"><img alt="{escape(drawing.alt)}" src="data:image/png;base64,{source}">'
-            f"<figcaption><b>Figure {next(self._numbers)}. {escape(drawing.title)}.</b> {escape(drawing.caption)} "
-            f'<span class="key">figures/{escape(name)}.pdf</span></figcaption></figure>\n'
-        )
+        return part("figure", name, next(self._numbers), drawing, b64encode(pictures["png"]).decode())
 
 
-def _page(result: Result, of_loop: str, album: _Album, of_gains: str) -> str:
-    title = f"Beam posterior: {result.name}"
-    body = [
-        f"<h1>{escape(title)}</h1>\n<p>{escape(introduction(result))}</p>\n",
-        f"{of_loop}<h2>The beam of the amended model</h2>\n" if of_loop else "",
-        finding(result.channels[0]) if len(result.channels) == 1 else "",
-        warnings(result),
-        key_numbers(result),
-        of_gains,
-        _channels(result, album),
-        provenance(result),
+def _answer(result: Result, picture: Markup) -> Answer:
+    return Answer(answer_words(result.channels), errors_table(result.channels), picture, remarks(result))
+
+
+def _set_up(result: Result, of_model: str) -> list[Section]:
+    """Tell what was inferred from what, and its key numbers."""
+    first = f" of the first channel, {megahertz(result.channels[0].freq)}" if len(result.channels) > 1 else ""
+    return [
+        Section("Set-up", part("paragraph", introduction(result))),
+        Section(f"Key numbers{of_model}{first}", key_numbers(result)),
     ]
-    return _framed(title, "".join(body))
 
 
-def _framed(title: str, body: str) -> str:
-    """Return a whole page."""
-    style = files("hydrabeam_mpi.report.page").joinpath("page.css").read_text(encoding="utf-8")
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n{body}"
-        f"<footer>{FOOTER}</footer>\n</body>\n</html>\n"
-    )
-
-
-def _channels(result: Result, album: _Album) -> str:
+def _channels(result: Result, album: _Album) -> Iterator[Section]:
     """Place the figures of all channels together, then of the chosen ones."""
-    several = len(result.channels) > 1
-    shown = shown_channels(result.channels)
-    parts = []
-    together = draw_frequencies(result.channels, over_frequency_words(result.numbers))
-    if together is not None:
-        parts.append(f"<h2>All channels</h2>\n{album.place(together)}{channel_table(result.channels)}")
-    if len(shown) < len(result.channels):
-        parts.append("<p>The first, the middle and the last channel follow in full.</p>\n")
+    channels, shown = result.channels, shown_channels(result.channels)
+    several = len(channels) > 1
+    together_drawn = draw_frequencies(channels, over_frequency_words(result.numbers))
+    if together_drawn is not None:
+        rest = "The first, the middle and the last channel follow in full."
+        pieces = (album.place(together_drawn), channel_table(channels))
+        yield Section("All channels", together(*pieces, part("paragraph", rest if len(shown) < len(channels) else "")))
     for channel in shown:
-        heading = f"Channel {channel.number}, {megahertz(channel.freq)}" if several else "Figures"
-        prefix = f"channel_{channel.number:04d}_" if several else ""
-        parts.append(f"<h2>{heading}</h2>\n{finding(channel) if several else ''}")
-        parts.extend(album.place(drawing, prefix) for drawing in draw_channel(channel))
-    return "".join(parts)
+        title = f"Channel {channel.number}, {megahertz(channel.freq)}" if several else "The beam in detail"
+        drawings = draw_channel(channel, with_maps=channel is not channels[0])
+        figures = (album.place(drawing, _prefix(result, channel)) for drawing in drawings)
+        yield Section(title, together(finding(channel), *figures))
+
+
+def _prefix(result: Result, channel: Channel) -> str:
+    """Tell the files of one channel from those of others."""
+    return f"channel_{channel.number:04d}_" if len(result.channels) > 1 else ""

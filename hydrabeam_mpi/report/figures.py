@@ -20,11 +20,11 @@ def shown_channels(channels: list[Channel]) -> list[Channel]:
     return [channels[0], channels[len(channels) // 2], channels[-1]]
 
 
-def draw_channel(channel: Channel) -> Iterator[Drawing]:
-    """Draw one channel: on the sky first, then held-out data, then the coefficients."""
+def draw_channel(channel: Channel, with_maps: bool) -> Iterator[Drawing]:
+    """Draw one channel: on the sky first, unless its maps begin the page, then held-out data, then coefficients."""
     covariance = channel.covariance()
     drawings = (
-        draw_maps(channel),
+        draw_maps(channel) if with_maps else None,
         draw_slices(channel),
         draw_map_scores(channel),
         draw_heldout_scores(channel),

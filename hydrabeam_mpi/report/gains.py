@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from astropy.coordinates import EarthLocation
+from markupsafe import Markup
 
 from hydrabeam_mpi.data.degenerate_gains import Degenerate, without_degenerate
 from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, Observation
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.gains import antennas_of, mean_gains
-from hydrabeam_mpi.report.page.sections import as_html, set_table
+from hydrabeam_mpi.report.page.parts import bullets, part, set_table, together
 from hydrabeam_mpi.report.page.style import INFERRED, MODEL, REFERENCE, Drawing, new_figure
 from hydrabeam_mpi.report.page.words import megahertz
 
@@ -164,7 +164,7 @@ def _read(path: Path, told: dict[str, Any]) -> ComplexArray:
     return gains
 
 
-def gains_section(told: dict[str, Any], others: Sequence[Path], place: Callable[[Drawing, str], str]) -> str:
+def gains_body(told: dict[str, Any], others: Sequence[Path], place: Callable[[Drawing, str], Markup]) -> Markup:
     """Return the section of the page as HTML: the first, the middle and the last of many channels.
 
     Parameters
@@ -177,30 +177,29 @@ def gains_section(told: dict[str, Any], others: Sequence[Path], place: Callable[
     compared = compare_gains(told, others)
     if len(compared) > 3:
         compared = [compared[0], compared[len(compared) // 2], compared[-1]]
-    parts = [f"<h2>Gains</h2>\n{gains_text(told, compared)}"]
+    parts = [gains_text(told, compared)]
     for number, channel in enumerate(compared):
         drawing = draw_gains(channel)
-        parts += [place(drawing, f"{number}_") if drawing else "", gains_table(channel)]
-    return "".join(parts)
+        parts += [place(drawing, f"{number}_") if drawing else Markup(), gains_table(channel)]
+    return together(*parts)
 
 
-def gains_text(told: dict[str, Any], compared: Sequence[ChannelGains]) -> str:
+def gains_text(told: dict[str, Any], compared: Sequence[ChannelGains]) -> Markup:
     """Return the introduction, as HTML."""
-    files = "".join(f"<li>{escape(one['file'])} (SHA-256 {escape(one['sha256'][:16])}…)</li>" for one in told["files"])
-    applied = f"<p>The data were divided by g_i g_j* of these files before the fit:</p><ul>{files}</ul>\n"
-    said = "".join(
-        f"<li>{megahertz(one.freq)}, {as_html(solution.words)}</li>" for one in compared for solution in one.solutions
-    )
+    files = [f"{one['file']} (SHA-256 {one['sha256'][:16]}…)" for one in told["files"]]
+    said = [f"{megahertz(one.freq)}, {solution.words}" for one in compared for solution in one.solutions]
     what = (
-        "<p>Relative to the gains that were applied, and less what no data of an array with one beam tell of gains: "
-        "the mean ln amplitude, the mean phase, and a gradient of phase along the ground.</p>\n"
+        "Relative to the gains that were applied, and less what no data of an array with one beam tell of gains: "
+        "the mean ln amplitude, the mean phase, and a gradient of phase along the ground."
     )
-    return (applied if files else "<p>No gains of files were applied to the data.</p>\n") + (
-        f"{what}<ul>{said}</ul>\n" if said else ""
+    if not files:
+        return together(part("paragraph", "No gains of files were applied to the data."), bullets(said, what))
+    return together(
+        bullets(files, "The data were divided by g_i g_j* of these files before the fit:"), bullets(said, what)
     )
 
 
-def gains_table(channel: ChannelGains) -> str:
+def gains_table(channel: ChannelGains) -> Markup:
     """Set what was given, found, and both together, by antenna, beside other solutions."""
     names = ["antenna", "given: amplitude", "phase, deg"]
     columns = _amplitude_and_phase(channel.given)
@@ -211,12 +210,8 @@ def gains_table(channel: ChannelGains) -> str:
         names += [f"{one.name}: amplitude, %", "phase, deg"]
         columns.append(_with_errors(100 * one.ln_amplitude, one.ln_amplitude_std, 100.0))
         columns.append(_with_errors(np.rad2deg(one.phase), one.phase_std, float(np.rad2deg(1.0))))
-    head = "".join(f'<th class="value">{escape(name)}</th>' for name in names)
-    lines = [
-        "<tr>" + "".join(f'<td class="value">{as_html(cell)}</td>' for cell in (str(antenna), *cells)) + "</tr>"
-        for antenna, *cells in zip(channel.antennas, *columns, strict=True)
-    ]
-    return set_table("", f"<tr>{head}</tr>", lines, "channels")
+    rows = [(str(antenna), *cells) for antenna, *cells in zip(channel.antennas, *columns, strict=True)]
+    return set_table(names, rows, range(len(names)))
 
 
 def _amplitude_and_phase(gains: ComplexArray) -> list[list[str]]:

@@ -2,43 +2,34 @@
 
 from __future__ import annotations
 
-from html import escape
-
 import numpy as np
+from markupsafe import Markup
 
+from hydrabeam_mpi.report.page.parts import part, set_table, together
 from hydrabeam_mpi.report.page.scales import LOGARITHMIC, scale_values
-from hydrabeam_mpi.report.page.sections import as_html, set_table
 from hydrabeam_mpi.report.page.style import INFERRED, MODEL, REFERENCE, Drawing, new_figure
 from hydrabeam_mpi.sampling.convergence import LARGEST_R_HAT, Diagnosis
 from hydrabeam_mpi.sampling.status import Status, duration, number
 
 
-def mixing_rows(diagnosis: Diagnosis) -> str:
+def mixing_rows(diagnosis: Diagnosis) -> Markup:
     """Set the worst R-hat and the smallest effective sample sizes of each block."""
-    names = ("parameters", "R-hat", "ESS bulk", "ESS tail", "ESS a second")
-    head = "".join(f'<th class="value">{name}</th>' for name in names)
-    lines = []
+    rows = []
     for one in diagnosis.blocks:
         r_hat = f"{one.r_hat:.4g}" if one.r_hat > 0 else "–"
         sizes = (_written(size) for size in (one.ess_bulk, one.ess_tail, one.ess_per_second))
-        cells = "".join(f'<td class="value">{as_html(cell)}</td>' for cell in (str(one.n_parameters), r_hat, *sizes))
-        lines.append(f"<tr><td>{escape(one.block)}</td>{cells}<td><code>{escape(one.worst)}</code></td></tr>")
-    return set_table("", f"<tr><th>block</th>{head}<th>worst parameter</th></tr>", lines)
+        worst = Markup("<code>{}</code>").format(one.worst)
+        rows.append((one.block, str(one.n_parameters), r_hat, *sizes, worst))
+    names = ("block", "parameters", "R-hat", "ESS bulk", "ESS tail", "ESS a second", "worst parameter")
+    return set_table(names, rows, range(1, 6), "keys")
 
 
-def progress_rows(status: Status) -> str:
+def progress_rows(status: Status) -> Markup:
     """Set how far each chain is."""
-    head = "".join(f'<th class="value">{name}</th>' for name in ("chain", "draws", "of", "seconds a draw"))
-    lines = [
-        "<tr>"
-        + "".join(
-            f'<td class="value">{cell}</td>' for cell in (one.chain, one.n_draws, one.total, _written(one.seconds))
-        )
-        + "<td></td></tr>"
-        for one in status.chains
-    ]
-    left = f"<p>At this pace the rest takes {duration(status.seconds_left)}.</p>\n" if status.seconds_left > 0 else ""
-    return set_table("", f"<tr>{head}<th></th></tr>", lines) + left
+    rows = [(str(one.chain), str(one.n_draws), str(one.total), _written(one.seconds)) for one in status.chains]
+    table = set_table(("chain", "draws", "of", "seconds a draw"), rows, range(4), "keys")
+    left = f"At this pace the rest takes {duration(status.seconds_left)}."
+    return together(table, part("paragraph", left) if status.seconds_left > 0 else Markup())
 
 
 def draw_ess(diagnosis: Diagnosis) -> Drawing | None:

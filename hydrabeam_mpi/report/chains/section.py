@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from html import escape
+
+from markupsafe import Markup
 
 from hydrabeam_mpi.report.chains.degeneracy import directions_of, draw_directions
 from hydrabeam_mpi.report.chains.mixing import draw_ess, mixing_rows, progress_rows
-from hydrabeam_mpi.report.chains.pooled import pool
+from hydrabeam_mpi.report.chains.pooled import Pooled, pool
 from hydrabeam_mpi.report.chains.traces import draw_traces
 from hydrabeam_mpi.report.chains.uncertainty import draw_spread, spread_of
-from hydrabeam_mpi.report.page.sections import as_html
+from hydrabeam_mpi.report.page.parts import Answer, Section, part, together
 from hydrabeam_mpi.report.page.style import Drawing
 from hydrabeam_mpi.report.page.words import megahertz
 from hydrabeam_mpi.sampling.status import Status
@@ -18,11 +19,11 @@ from hydrabeam_mpi.sampling.storage.store import ChainStore
 
 CONDITIONAL = "conditional"
 """Name of what chains keep of the beam given all else."""
-Place = Callable[[Drawing], str]
+Place = Callable[[Drawing], Markup]
 
 
-def chains_body(store: ChainStore, status: Status, place: Place) -> str:
-    """Return the body of the page as HTML.
+def chains_page(store: ChainStore, status: Status, place: Place) -> tuple[Answer, list[Section]]:
+    """Return what the page of chains begins with, and its sections.
 
     Parameters
     ----------
@@ -37,17 +38,27 @@ def chains_body(store: ChainStore, status: Status, place: Place) -> str:
     InputError
         If the chains cannot be read.
     """
-    diagnosis = status.diagnosis
-    parts = [
-        f"<p>{escape(introduction(store, status))}</p>\n",
-        _warnings(status),
-        f"<h2>Do the chains agree?</h2>\n{mixing_rows(diagnosis)}",
-        *map(place, _drawn(draw_ess(diagnosis), draw_traces(store, diagnosis))),
-        f"<p>{escape(str(status.held_out or ''))}</p>\n",
-        f"<h2>How far they are</h2>\n{progress_rows(status)}",
-        _beam(store, place),
+    diagnosis, pooled = status.diagnosis, pool(store)
+    spread = spread_of(pooled, store.kept(CONDITIONAL)) if pooled else None
+    picture = place(draw_spread(spread)) if spread else Markup()
+    answer = Answer(_agreement(status), Markup(), picture, list(status.cautions))
+    figures = map(place, _drawn(draw_ess(diagnosis), draw_traces(store, diagnosis)))
+    mixing = together(mixing_rows(diagnosis), *figures, part("paragraph", str(status.held_out or "")))
+    where = f", {megahertz(pooled.freq)}" if pooled and pooled.freq is not None else ""
+    return answer, [
+        Section("Do the chains agree?", mixing),
+        Section(f"The beam and all else{where}", _beam(pooled, spread is not None, place) if pooled else Markup()),
+        Section("How far they are", together(part("paragraph", introduction(store, status)), progress_rows(status))),
     ]
-    return "".join(parts)
+
+
+def _agreement(status: Status) -> str:
+    """Say in a sentence whether the draws can be used."""
+    if not status.diagnosis.chains:
+        return "There are too few draws yet to say anything."
+    if status.cautions:
+        return "The draws are not yet to be relied on; the warnings say why."
+    return "All chains agree: their draws are of the posterior."
 
 
 def introduction(store: ChainStore, status: Status) -> str:
@@ -60,29 +71,16 @@ def introduction(store: ChainStore, status: Status) -> str:
     return text + (f" {short} more have not come half as far, and are left out." if short else "")
 
 
-def _warnings(status: Status) -> str:
-    said = "".join(f"<li>{as_html(line)}</li>" for line in status.cautions)
-    return f'<div class="warnings"><p>Read this first</p><ul>{said}</ul></div>\n' if said else ""
-
-
-def _beam(store: ChainStore, place: Place) -> str:
+def _beam(pooled: Pooled, with_spread: bool, place: Place) -> Markup:
     """Return what the chains say of the beam, in the first channel."""
-    pooled = pool(store)
-    if pooled is None:
-        return ""
-    spread = spread_of(pooled, store.kept(CONDITIONAL))
     directions, chance = directions_of(pooled)
-    drawings = [
-        *map(place, _drawn(draw_spread(spread) if spread else None, draw_directions(pooled, directions, chance)))
-    ]
     said = []
-    if spread is None and pooled.labels:
+    if not with_spread and pooled.labels:
         said.append("There are too few draws to tell what part the other blocks have in the beam's uncertainty.")
     if not directions and pooled.labels:
         said.append("No direction in which the beam and the other blocks trade off is beyond chance.")
-    where = f", {megahertz(pooled.freq)}" if pooled.freq is not None else ""
-    words = "".join(f"<p>{line}</p>\n" for line in said)
-    return f"<h2>The beam and all else{where}</h2>\n{''.join(drawings)}{words}" if drawings or said else ""
+    drawn = map(place, _drawn(draw_directions(pooled, directions, chance)))
+    return together(*drawn, *(part("paragraph", line) for line in said))
 
 
 def _drawn(*drawings: Drawing | None) -> Iterator[Drawing]:

@@ -1,28 +1,58 @@
-"""The section of the page on what the model lacked: the verdict, the rounds, and what is left."""
+"""What a loop adds to the page: the verdict, what the model lacked, and what is left."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+
+from markupsafe import Markup
 
 from hydrabeam_mpi.report.loop.baselines import draw_baselines
 from hydrabeam_mpi.report.loop.figures import draw_fall, draw_ranking
 from hydrabeam_mpi.report.loop.parameters import draw_parameters
-from hydrabeam_mpi.report.loop.record import Entry, entries
+from hydrabeam_mpi.report.loop.record import Entry, entries, number, written
 from hydrabeam_mpi.report.loop.residuals import draw_residuals
 from hydrabeam_mpi.report.loop.statistics import statistics_table
 from hydrabeam_mpi.report.loop.structures import draw_singular_values, draw_structures
 from hydrabeam_mpi.report.loop.tables import heldout_table, left_out, parameters_table, rounds_table, seconds
 from hydrabeam_mpi.report.loop.where import where_tables
 from hydrabeam_mpi.report.loop.words import further_words, verdict_words
-from hydrabeam_mpi.report.page.sections import as_html
+from hydrabeam_mpi.report.page.parts import Answer, Section, bullets, part, set_table, together, under
 from hydrabeam_mpi.report.page.style import Drawing
 from hydrabeam_mpi.setup.findings import Finding
 
-Place = Callable[[Drawing], str]
+Place = Callable[[Drawing], Markup]
+ERRORS = {
+    "reduced χ² of held-out data": "error",
+    "rms residual of held-out data, Jy": "rms",
+}
+"""Measures of the error, by their keys in ``loop.json``."""
 
 
-def loop_section(loop: Entry, place: Place) -> str:
-    """Return the section as HTML.
+def loop_answer(loop: Entry, picture: Markup, warnings: list[str]) -> Answer:
+    """Begin the page with the verdict, and the error before and after.
+
+    Parameters
+    ----------
+    loop : dict
+        Of ``loop.json``.
+    picture : Markup
+        The beam of the amended model.
+    warnings : list of str
+        What is said of its posterior; what is wrong with the data themselves is put before it.
+    """
+    rows = []
+    for what, key in ERRORS.items():
+        values = [number(loop, f"{key}_{when}") for when in ("before", "after")]
+        if all(map(math.isfinite, values)):
+            rows.append((what, *map(written, values)))
+    table = set_table(("", "before", "after"), rows, (1, 2)) if rows else Markup()
+    health = [f"Of the data themselves: {Finding.of_record(one).line}" for one in entries(loop, "health")]
+    return Answer(verdict_words(loop), table, picture, health + warnings)
+
+
+def loop_sections(loop: Entry, place: Place) -> list[Section]:
+    """Return the sections on what was added, what is left, and what was not added.
 
     Parameters
     ----------
@@ -31,56 +61,43 @@ def loop_section(loop: Entry, place: Place) -> str:
     place : callable
         Turns a figure into its element.
     """
-    return "".join(
-        [
-            "<h2>What the model lacked</h2>\n"
-            if any(not one.get("revoked") for one in entries(loop, "rounds"))
-            else "<h2>Does the model lack anything?</h2>\n",
-            f'<div class="finding verdict"><p>{as_html(verdict_words(loop))}</p></div>\n',
-            _health(loop),
-            rounds_table(loop),
-            heldout_table(loop),
-            _placed(place, draw_fall(loop), draw_ranking(loop)),
-            _under("<h3>What was added</h3>", _parameters(loop, place)),
-            _under("<h2>What is left</h2>", _residual(loop, place)),
-            _under("<h3>What no effect explains</h3>", _unexplained(loop, place)),
-            _under("<h2>What was not added, and why</h2>", _left_out(loop)),
-        ]
+    added = any(not one.get("revoked") for one in entries(loop, "rounds"))
+    lacked = together(
+        rounds_table(loop),
+        heldout_table(loop),
+        _placed(place, draw_fall(loop), draw_ranking(loop)),
+        under("What was added", _parameters(loop, place)),
     )
+    left = together(_residual(loop, place), under("What no effect explains", _unexplained(loop, place)))
+    return [
+        Section("What the model lacked" if added else "Does the model lack anything?", lacked),
+        Section("What is left", left),
+        Section("What was not added, and why", _left_out(loop)),
+    ]
 
 
-def _placed(place: Place, *drawings: Drawing | None) -> str:
-    return "".join(place(drawing) for drawing in drawings if drawing is not None)
+def _placed(place: Place, *drawings: Drawing | None) -> Markup:
+    return together(*(place(drawing) for drawing in drawings if drawing is not None))
 
 
-def _health(loop: Entry) -> str:
-    """List what was found wrong with the data themselves, before and after a fit."""
-    said = "".join(f"<li>{as_html(Finding.of_record(one).line)}</li>" for one in entries(loop, "health"))
-    return f"<p>Of the data themselves:</p><ul>{said}</ul>\n" if said else ""
-
-
-def _under(heading: str, inside: str) -> str:
-    """Return what is inside under its heading; nothing where there is nothing."""
-    return f"{heading}\n{inside}" if inside else ""
-
-
-def _parameters(loop: Entry, place: Place) -> str:
-    return "".join(
-        _placed(place, draw_parameters(entry, count)) + parameters_table(entry)
+def _parameters(loop: Entry, place: Place) -> Markup:
+    pairs = (
+        (_placed(place, draw_parameters(entry, count)), parameters_table(entry))
         for count, entry in enumerate(entries(loop, "rounds"), 1)
     )
+    return together(*(piece for pair in pairs for piece in pair))
 
 
-def _residual(loop: Entry, place: Place) -> str:
-    return statistics_table(loop) + _placed(place, draw_residuals(loop), draw_baselines(loop))
+def _residual(loop: Entry, place: Place) -> Markup:
+    return together(statistics_table(loop), _placed(place, draw_residuals(loop), draw_baselines(loop)))
 
 
-def _unexplained(loop: Entry, place: Place) -> str:
+def _unexplained(loop: Entry, place: Place) -> Markup:
     structures = loop.get("structures")
-    return where_tables(loop) + _placed(place, draw_singular_values(structures), draw_structures(structures))
+    return together(where_tables(loop), _placed(place, draw_singular_values(structures), draw_structures(structures)))
 
 
-def _left_out(loop: Entry) -> str:
-    said = "".join(f"<li>{as_html(line)}</li>" for line in further_words(loop))
-    closing = f"<details><summary>How the loop put it</summary><ul>{said}</ul></details>\n"
-    return left_out(loop) + (closing if said else "") + seconds(loop)
+def _left_out(loop: Entry) -> Markup:
+    said = bullets(further_words(loop))
+    closing = part("folded", "How the loop put it", said) if said else said
+    return together(left_out(loop), closing, seconds(loop))

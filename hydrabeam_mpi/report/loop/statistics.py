@@ -5,24 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+from markupsafe import Markup
+
 from hydrabeam_mpi.report.loop.record import Entry, entries, first_statistics, number, sigmas, written
-from hydrabeam_mpi.report.loop.tables import set_rows
 from hydrabeam_mpi.report.page.key_numbers import format_value
+from hydrabeam_mpi.report.page.parts import part, set_table, together, under
 from hydrabeam_mpi.report.page.places import place_words
-from hydrabeam_mpi.report.page.sections import as_html
 
 
-def statistics_table(loop: Entry) -> str:
+def statistics_table(loop: Entry) -> Markup:
     """Set what is known of the residual as a whole, before and after; empty where nothing is."""
     states = [dict(_rows(state)) for state in (first_statistics(loop), loop.get("residual")) if state]
     names = list(dict.fromkeys(name for state in states for name in state))
     if not names:
-        return ""
+        return Markup()
     missing = ("–", "–")
     rows = [(name, *(cell for state in states for cell in state.get(name, missing))) for name in names]
     heads = ("before", "in σ", "after", "in σ") if len(states) == 2 else ("value", "in σ")
-    table = set_rows(("held-out residual", *heads), rows, range(1, 1 + len(heads)))
-    return f"<h3>The residual in numbers</h3>\n{table}{_worst(loop)}"
+    table = set_table(("held-out residual", *heads), rows, range(1, 1 + len(heads)))
+    return under("The residual in numbers", together(table, _worst(loop)))
 
 
 def _rows(state: Entry) -> Iterator[tuple[str, tuple[str, str]]]:
@@ -50,13 +51,13 @@ def _known(name: str, record: Entry | None, key: str) -> Iterator[tuple[str, tup
         yield name, (written(value), sigmas(number(record, "sigma")))
 
 
-def _worst(loop: Entry) -> str:
+def _worst(loop: Entry) -> Markup:
     """Tell what stands out most in the last residual."""
     state = loop.get("residual") or {}
     found, looks = state.get("significance") or {}, number(state, "looks")
     sigma, chance = number(found, "sigma"), number(found, "p")
     if not (found.get("axis") and math.isfinite(sigma)):
-        return ""
+        return Markup()
     of_all = f" of {format_value(looks, 'count')} looks" if math.isfinite(looks) else ""
     chance_words = ""
     if math.isfinite(chance):
@@ -65,4 +66,4 @@ def _worst(loop: Entry) -> str:
     place = place_words(str(found["axis"]), found.get("what"))
     when = "After the last round" if entries(loop, "rounds") else "Of all that was looked at,"
     text = f"{when} {place} stands out most{of_all}: {sigmas(sigma)}σ{chance_words}."
-    return f"<p>{as_html(text)}</p>\n"
+    return part("paragraph", text)

@@ -1,10 +1,11 @@
-"""The tables of the loop: rounds, the largest parameters, and what was not added; each function returns HTML."""
+"""The tables of the loop: rounds, the largest parameters, and what was not added."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from html import escape
+
+from markupsafe import Markup
 
 from hydrabeam_mpi.report.loop.record import (
     Entry,
@@ -19,7 +20,7 @@ from hydrabeam_mpi.report.loop.record import (
 )
 from hydrabeam_mpi.report.loop.words import round_words
 from hydrabeam_mpi.report.page.key_numbers import Kind
-from hydrabeam_mpi.report.page.sections import as_html, set_table
+from hydrabeam_mpi.report.page.parts import part, set_table, together, under
 from hydrabeam_mpi.report.page.words import megahertz
 from hydrabeam_mpi.words import joined
 
@@ -27,43 +28,15 @@ LISTED = 12
 """Parameters of an effect that the page lists."""
 
 
-def set_rows(names: Sequence[str], rows: Sequence[Sequence[str]], values: Sequence[int]) -> str:
-    """Set a table of these columns, of which ``values`` hold numbers."""
-    return set_table("", _head_of(names, values), _lines_of(rows, values), "channels")
-
-
-def _lines_of(rows: Sequence[Sequence[str]], values: Sequence[int]) -> list[str]:
-    """Set the lines of a table; the columns ``values`` hold numbers."""
-    return [
-        "<tr>"
-        + "".join(
-            f'<td class="value">{as_html(cell)}</td>' if column in values else f"<td>{as_html(cell)}</td>"
-            for column, cell in enumerate(row)
-        )
-        + "</tr>"
-        for row in rows
-    ]
-
-
-def _head_of(names: Sequence[str], values: Sequence[int]) -> str:
-    """Set the head of such a table."""
-    cells = (
-        f'<th class="value">{escape(name)}</th>' if column in values else f"<th>{escape(name)}</th>"
-        for column, name in enumerate(names)
-    )
-    return f"<tr>{''.join(cells)}</tr>"
-
-
 def _change(entry: Entry, name: str, kind: Kind = "number") -> str:
     return " → ".join(written(number(entry, f"{name}_{when}"), kind) for when in ("before", "after"))
 
 
-def rounds_table(loop: Entry) -> str:
+def rounds_table(loop: Entry) -> Markup:
     """Set the rounds, two lines each: the numbers, and the sentence below them."""
     names = ["", "added", "ln Bayes factor", "absorbed by beam", "χ² fitted", "χ² held out", "rms held out, Jy"]
     names += ["runner-up", "indistinguishable from"]
-    values = (2, 3, 4, 5, 6)
-    lines = []
+    rows: list[tuple[str, ...]] = []
     for count, entry in enumerate(entries(loop, "rounds"), 1):
         cells = (
             str(count),
@@ -76,14 +49,14 @@ def rounds_table(loop: Entry) -> str:
             runner_up(entry) or "–",
             joined([candidate_name(one) for one in entries(entry, "indistinguishable_from")]) or "–",
         )
-        lines += _lines_of([cells], values)
+        rows.append(cells)
         words = round_words(entry)
         if words:
-            lines.append(f'<tr class="said"><td></td><td colspan="{len(names) - 1}">{as_html(words)}</td></tr>')
-    return f"<h3>Rounds</h3>\n{set_table('', _head_of(names, values), lines, 'channels rounds')}" if lines else ""
+            rows.append(("", words))
+    return under("Rounds", set_table(names, rows, range(2, 7), "channels rounds")) if rows else Markup()
 
 
-def heldout_table(loop: Entry) -> str:
+def heldout_table(loop: Entry) -> Markup:
     """Set how near the held-out data are predicted: of all channels and of each; empty in older results.
 
     In two tables: residuals in Jy, and what follows from them.
@@ -95,20 +68,20 @@ def heldout_table(loop: Entry) -> str:
     rows = [("all", loop)] if math.isfinite(number(loop, "rms_after")) else []
     rows += [(megahertz(number(one, "freq_hz")), one) for one in channels] if len(channels) > 1 else []
     if not rows:
-        return ""
+        return Markup()
     rms = [(name, *(written(number(one, f"rms_{key}")) for key in powers)) for name, one in rows]
     keys = ("predictive_chi2", "noise_only_chi2", "log_density")
     lines = [(name, _change(one, "explained", "percent"), *(_change(one, key) for key in keys)) for name, one in rows]
-    tables = (set_rows(heads, cells, range(1, len(heads))) for heads, cells in ((in_jy, rms), (names, lines)))
-    return "<h3>What is left of the held-out data, rms in Jy</h3>\n" + "".join(tables)
+    tables = (set_table(heads, cells, range(1, len(heads))) for heads, cells in ((in_jy, rms), (names, lines)))
+    return under("What is left of the held-out data, rms in Jy", together(*tables))
 
 
-def parameters_table(entry: Entry) -> str:
+def parameters_table(entry: Entry) -> Markup:
     """Fold away those parameters of an effect that are farthest from zero."""
     parameters = entries(entry, "parameters")
     largest = sorted(parameters, key=_significance, reverse=True)[:LISTED]
     if not largest:
-        return ""
+        return Markup()
     rows = []
     for parameter in largest:
         freq, significance = number(parameter, "freq_hz"), _significance(parameter)
@@ -122,13 +95,13 @@ def parameters_table(entry: Entry) -> str:
                 sigmas(significance) if math.isfinite(significance) else "–",
             )
         )
-    table = set_rows(("parameter", "frequency", "value", "std", "unit", "in std"), rows, (2, 3, 5))
+    table = set_table(("parameter", "frequency", "value", "std", "unit", "in std"), rows, (2, 3, 5))
     what = f"{len(largest)} of {len(parameters):,} values, the farthest from zero in their standard deviations"
     if len(largest) == len(parameters):
         what = "The values"
     if not_told := len(entries(entry, "parameters_not_told")):
         what += f" ({not_told:,} more that the data do not tell)"
-    return f"<details><summary>{what}</summary>\n{table}</details>\n"
+    return part("folded", what, table)
 
 
 def _to_its_error(value: float, std: float) -> str:
@@ -146,7 +119,7 @@ def _significance(parameter: Entry) -> float:
     return abs(value) / std if std > 0 and math.isfinite(value) else -math.inf
 
 
-def left_out(loop: Entry) -> str:
+def left_out(loop: Entry) -> Markup:
     """Set what was not added: refused, not decidable, not looked for; and the conventions that were tested."""
     refused = [
         (candidate_name(entry), written(number(entry, "log_bayes_factor")), str(entry.get("reason") or "–"))
@@ -165,23 +138,24 @@ def left_out(loop: Entry) -> str:
         )
         for entry in entries(loop.get("conventions"), "tested")
     ]
-    return (
-        _titled("Liked by the fitted data, refused by the held-out data", ("effect", "ln Bayes factor", "why"), refused)
-        + _titled("What these data cannot decide", ("what", "why"), degenerate_directions)
-        + _titled("Effects that were not looked for", ("effect", "why"), skipped)
-        + _titled("Conventions that were tested", ("the data taken", "reduced χ²", "power explained"), tested)
+    heads = ("effect", "ln Bayes factor", "why")
+    return together(
+        _titled("Liked by the fitted data, refused by the held-out data", heads, refused),
+        _titled("What these data cannot decide", ("what", "why"), degenerate_directions),
+        _titled("Effects that were not looked for", ("effect", "why"), skipped),
+        _titled("Conventions that were tested", ("the data taken", "reduced χ²", "power explained"), tested),
     )
 
 
-def _titled(title: str, names: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def _titled(title: str, names: Sequence[str], rows: Sequence[Sequence[str]]) -> Markup:
     """Set a table under a heading; empty without rows."""
     numeric = ("ln Bayes factor", "reduced χ²", "power explained")
     values = [column for column, name in enumerate(names) if name in numeric]
-    return f"<h3>{title}</h3>\n{set_rows(names, rows, values)}" if rows else ""
+    return under(title, set_table(names, rows, values)) if rows else Markup()
 
 
-def seconds(loop: Entry) -> str:
+def seconds(loop: Entry) -> Markup:
     """Tell what took how long."""
     spent = loop.get("seconds") or {}
     known = [f"{effect_name(name)} {written(number(spent, name))} s" for name in spent if number(spent, name) >= 0]
-    return f"<p>Time: {as_html(', '.join(known))}.</p>\n" if known else ""
+    return part("paragraph", f"Time: {', '.join(known)}.") if known else Markup()

@@ -5,26 +5,28 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from markupsafe import Markup
+
 from hydrabeam_mpi.report.loop.record import Entry, effect_name, entries, number, sigmas, written
-from hydrabeam_mpi.report.loop.tables import set_rows
+from hydrabeam_mpi.report.page.parts import part, set_table, together
 from hydrabeam_mpi.report.page.places import place_words
 
 NAMED, LISTED = 3, 10
 
 
-def where_tables(loop: Entry) -> str:
+def where_tables(loop: Entry) -> Markup:
     """Set how the residual spreads over every axis, and fold away the entries that carry it."""
     axes = {name: axis for name, axis in (loop.get("where") or {}).items() if isinstance(axis, dict)}
     if not axes:
-        return ""
+        return Markup()
     overview = [(effect_name(name), *_overview(name, axis)) for name, axis in axes.items()]
     heads = ["over", "the excess is", "carry 2/3 of it", "unevenness, σ", "the strongest, with their shares"]
-    parts = [set_rows(heads, overview, (2, 3))]
+    parts = [set_table(heads, overview, (2, 3))]
     rows = [row for name, axis in axes.items() for row in _rows(name, axis)]
     if rows:
-        table = set_rows(["where", "χ²", "σ", "share of the excess"], rows, (1, 2, 3))
-        parts.append(f"<details><summary>Up to {LISTED} of each, the strongest first</summary>\n{table}</details>\n")
-    return "".join(parts)
+        table = set_table(["where", "χ²", "σ", "share of the excess"], rows, (1, 2, 3))
+        parts.append(part("folded", f"Up to {LISTED} of each, the strongest first", table))
+    return together(*parts)
 
 
 def _overview(name: str, axis: Entry) -> tuple[str, str, str, str]:

@@ -1,65 +1,57 @@
-"""The parts of the page that are text: findings, warnings, tables, provenance; each returns HTML."""
+"""The parts of the page that any result has: the error before and after, key numbers, channels, provenance."""
 
 from __future__ import annotations
 
 import json
-import re
-from html import escape
 from typing import Any
 
+import numpy as np
 import tomli_w
+from markupsafe import Markup
 
 from hydrabeam_mpi.report.page.key_numbers import PAPER_HEADING, Kind, format_value, table
+from hydrabeam_mpi.report.page.parts import part, set_table, together, under
 from hydrabeam_mpi.report.page.result import Channel, Result
-from hydrabeam_mpi.report.page.words import heldout_words, megahertz, remarks
+from hydrabeam_mpi.report.page.words import heldout_words, megahertz
 
-SIGNS = {"chi^2": "χ²", " -> ": " → ", " +- ": " ± "}
-
-
-def as_html(text: str) -> str:
-    """Escape text and set its powers of ten, such as 4.5e-6, and its signs as one writes them by hand."""
-    for plain, sign in SIGNS.items():
-        text = text.replace(plain, sign)
-
-    def power(match: re.Match[str]) -> str:
-        mantissa, exponent = match[1], str(int(match[2])).replace("-", "−")
-        return f"{'' if mantissa == '1' else f'{mantissa} × '}10<sup>{exponent}</sup>"
-
-    signed = re.sub(r"(?<![\w.])-(?=\d)", "−", escape(text))
-    return re.sub(r"(?<![\w.])(?<![\w.]-)(\d+(?:\.\d+)?)e([+-]?\d+)\b", power, signed)
+ERRORS = {
+    "reduced χ² of held-out data, noise alone gives 1": ("heldout_chi2_unperturbed", "heldout_chi2"),
+    "rms residual of held-out data, Jy": ("heldout_rms_jy_unperturbed", "heldout_rms_jy"),
+    "largest error of the beam": ("model_error_max", "beam_error_max"),
+}
+"""Measures of the error: with the model beam, and with the inferred one."""
 
 
-def finding(channel: Channel) -> str:
+def errors_table(channels: list[Channel]) -> Markup:
+    """Set the error before and after the inference, the median of channels; nothing where it is unknown."""
+    rows = []
+    for what, keys in ERRORS.items():
+        known = [[one.numbers[key] for key in keys] for one in channels if all(key in one.numbers for key in keys)]
+        if known:
+            rows.append((what, *(format_value(value) for value in np.median(known, axis=0))))
+    name = f"median of {len(channels)} channels" if len(channels) > 1 else ""
+    return set_table((name, "model beam", "inferred beam"), rows, (1, 2)) if rows else Markup()
+
+
+def finding(channel: Channel) -> Markup:
     """Tell the held-out residual before and after the inference; empty where nothing was held out."""
     words = heldout_words(channel.numbers)
-    return f'<div class="finding"><p>{as_html(words)}</p></div>\n' if words else ""
+    return part("finding", words) if words else Markup()
 
 
-def warnings(result: Result) -> str:
-    """List what a reader must not overlook."""
-    said = "".join(f"<li>{as_html(remark)}</li>" for remark in remarks(result))
-    return f'<div class="warnings"><p>Read this first</p><ul>{said}</ul></div>\n' if said else ""
-
-
-def key_numbers(result: Result) -> str:
+def key_numbers(result: Result) -> Markup:
     """Set the table of key numbers with their meaning, and the paper's where it is the paper's experiment."""
     groups = table(result.numbers, result.name)
-    if not groups:
-        return ""
     with_paper = any(row.paper for rows in groups.values() for row in rows)
-    paper = f"<th>{PAPER_HEADING[0].upper()}{PAPER_HEADING[1:]}</th>" if with_paper else ""
-    lines = []
-    for group, rows in groups.items():
-        lines.append(f'<tr><th colspan="{3 + with_paper}">{escape(group)}</th></tr>')
-        for row in rows:
-            cell = f"<td>{as_html(row.paper)}</td>" if with_paper else ""
-            lines.append(
-                f'<tr><td>{as_html(row.what)}</td><td class="value">{as_html(row.value)}</td>{cell}'
-                f'<td class="key">{escape(row.key)}</td></tr>'
-            )
-    note = f" of the first channel, {megahertz(result.channels[0].freq)}" if len(result.channels) > 1 else ""
-    head = f'<tr><th>What it is</th><th class="value">Value</th>{paper}<th>Key in summary.json</th></tr>'
-    return set_table(f"Key numbers{note}", head, lines)
+    rows: list[list[str]] = []
+    for group, lines in groups.items():
+        rows.append([group])
+        for row in lines:
+            key = Markup('<span class="key">{}</span>').format(row.key)
+            rows.append([row.what, row.value, *([row.paper] if with_paper else []), key])
+    paper = [PAPER_HEADING[0].upper() + PAPER_HEADING[1:]] if with_paper else []
+    names = ["What it is", "Value", *paper, "Key in summary.json"]
+    return set_table(names, rows, (1,), "keys") if rows else Markup()
 
 
 CHANNEL_COLUMNS: dict[str, tuple[str, Kind]] = {
@@ -75,29 +67,24 @@ CHANNEL_COLUMNS: dict[str, tuple[str, Kind]] = {
 }
 
 
-def channel_table(channels: list[Channel]) -> str:
+def channel_table(channels: list[Channel]) -> Markup:
     """Set the most telling numbers of every channel, one line each."""
     keys = [key for key in CHANNEL_COLUMNS if any(key in channel.numbers for channel in channels)]
-    names = "".join(f'<th class="value">{escape(CHANNEL_COLUMNS[key][0])}</th>' for key in keys)
-    lines = []
-    for channel in channels:
-        values = [
-            format_value(channel.numbers[key], CHANNEL_COLUMNS[key][1]) if key in channel.numbers else "–"
-            for key in keys
+    rows = [
+        [
+            megahertz(channel.freq),
+            *(
+                format_value(channel.numbers[key], CHANNEL_COLUMNS[key][1]) if key in channel.numbers else "–"
+                for key in keys
+            ),
         ]
-        cells = "".join(f'<td class="value">{as_html(value)}</td>' for value in values)
-        lines.append(f'<tr><td class="value">{megahertz(channel.freq)}</td>{cells}</tr>')
-    return set_table("", f'<tr><th class="value">frequency</th>{names}</tr>', lines, "channels")
+        for channel in channels
+    ]
+    names = ["frequency", *(CHANNEL_COLUMNS[key][0] for key in keys)]
+    return set_table(names, rows, range(len(names)))
 
 
-def set_table(title: str, head: str, lines: list[str], kind: str = "keys") -> str:
-    """Set a table from its head and its lines, under a heading where there is a title."""
-    heading = f"<h2>{escape(title)}</h2>\n" if title else ""
-    body = "\n".join(lines)
-    return f'{heading}<table class="{kind}">\n<thead>{head}</thead>\n<tbody>\n{body}\n</tbody>\n</table>\n'
-
-
-def provenance(result: Result) -> str:
+def provenance(result: Result) -> Markup:
     """Fold away where the result comes from: versions, checksums, the resolved job with its seed."""
     about = dict(result.provenance)
     job, versions, checksums = (about.pop(key, {}) for key in ("job", "versions", "sha256"))
@@ -109,8 +96,8 @@ def provenance(result: Result) -> str:
         "Input files (SHA-256)": _lines(checksums) or "none: the data were simulated in the run",
         "Job, as resolved": tomli_w.dumps(job).strip(),
     }
-    inside = "".join(f"<h3>{escape(title)}</h3>\n<pre>{escape(text)}</pre>\n" for title, text in blocks.items() if text)
-    return f"<h2>Provenance</h2>\n<details><summary>Versions, checksums, seed and job</summary>\n{inside}</details>\n"
+    inside = together(*(under(title, part("block", text)) for title, text in blocks.items() if text))
+    return part("folded", "Versions, checksums, seed and job", inside)
 
 
 def _lines(entries: dict[str, Any]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
+from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -148,7 +149,26 @@ def heldout_words(numbers: dict[str, Any]) -> str:
     for sentence, keys in sentences.items():
         if all(key in numbers for key in keys):
             text += sentence.format(*(format_value(numbers[key]) for key in keys))
-    return text + _verdict(after, before if scaled is None else min(before, scaled), predictive)
+    return text + verdict_words(numbers)
+
+
+def answer_words(channels: list[Channel]) -> str:
+    """Answer whether the inferred beam predicts data that it has not seen, a sentence for each outcome."""
+    outcomes = Counter(filter(None, (verdict_words(channel.numbers) for channel in channels)))
+    if not outcomes:
+        return "A beam was inferred; on data that it has not seen it was not tested."
+    if len(channels) == 1:
+        return next(iter(outcomes))
+    return " ".join(f"In {count} of {len(channels)} channels: {words}" for words, count in outcomes.most_common())
+
+
+def verdict_words(numbers: dict[str, Any]) -> str:
+    """Judge the inferred beam by held-out visibilities; empty where none were held out."""
+    after, before = numbers.get("heldout_chi2"), numbers.get("heldout_chi2_unperturbed")
+    if after is None or before is None:
+        return ""
+    scaled = numbers.get("heldout_chi2_unperturbed_scaled")
+    return _verdict(after, before if scaled is None else min(before, scaled), numbers.get("heldout_chi2_predictive"))
 
 
 def _verdict(after: float, before: float, predictive: float | None) -> str:

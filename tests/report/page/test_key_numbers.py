@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from hydrabeam_mpi.report.page.key_numbers import Kind, format_value, table, text_table
-from hydrabeam_mpi.report.page.sections import as_html
+from hydrabeam_mpi.report.page.parts import as_html
 from hydrabeam_mpi.report.page.words import heldout_words, megahertz
 from hydrabeam_mpi.result.summary import warnings_of
 
