@@ -72,7 +72,8 @@ def _run(world: MPI.Comm, options: argparse.Namespace) -> None:
     """Dispatch. Commands are imported here so that `--help` does not wait for astronomy packages."""
     threads = limit_blas_threads(world)
     if options.command in COMMANDS_WITH_EXTRAS:
-        check_extra(COMMANDS_WITH_EXTRAS[options.command], options.command)
+        with together(world):
+            check_extra(COMMANDS_WITH_EXTRAS[options.command], options.command)
     if options.command in ("simulate", "infer", "loop"):
         _model(world, options, threads)
     elif options.command in ("predict", "correct"):
@@ -118,8 +119,10 @@ def _model(world: MPI.Comm, options: argparse.Namespace, threads: int) -> None:
 
 def _sample(world: MPI.Comm, options: argparse.Namespace) -> None:
     """Draw chains; mistakes are told before the packages that the work needs are imported."""
-    if options.job is None or options.output is None:
-        raise InputError("needs a job and a folder", field="sample", remedy="sample JOB.toml -o DIR, or --status DIR")
+    with together(world):
+        if options.job is None or options.output is None:
+            remedy = "sample JOB.toml -o DIR, or --status DIR"
+            raise InputError("needs a job and a folder", field="sample", remedy=remedy)
     job = _job_with_files(world, options)
     if options.dry_run:
         _say_plan(world, options, job)
