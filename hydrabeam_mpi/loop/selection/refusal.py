@@ -75,22 +75,25 @@ def refusal_by_parts(constancy: Sequence[Constancy], settings: LoopSettings) -> 
 
     It needs the evidence that the job asks for that its parameters have a common part, or what is expected of an effect
     that is the same in all parts, less as much, where few parts tell them. Where even such an effect is expected to
-    have none, the answer says nothing; but where that is so because of what else is left, which it would have by noise
-    alone, it cannot be told from that.
+    have none, the answer says nothing. If that is so because of what else is left, which it would have by noise alone,
+    and no other division of the data tells that it is the same in all parts, it cannot be told from what is left.
     """
+    least = settings.min_log_bayes_factor
     for one in constancy:
-        if one.expected <= 0 and one.expected_by_noise >= settings.min_log_bayes_factor:
-            return (
-                f"it cannot be told from what is left beside it: with errors as large as that makes them, ln BF "
-                f"{one.expected:.3g} is expected of a common part between {one.between} even if it has one, where by "
-                f"noise alone {one.expected_by_noise:.3g} were"
-            )
-        short = min(settings.min_log_bayes_factor, one.expected - settings.min_log_bayes_factor)
-        if one.expected > 0 and one.log_bayes_factor < short:
+        if one.expected > 0 and one.log_bayes_factor < min(least, one.expected - least):
             return (
                 f"it is not the same in all parts of the data: its parameters differ between {one.between} by "
                 f"{one.spread:.2g} times what they have in common (ln BF that they have a common part "
                 f"{one.log_bayes_factor:.3g}, where {one.expected:.3g} is expected of what is the same in all)"
+            )
+    if any(one.expected > 0 and one.log_bayes_factor >= least for one in constancy):
+        return None
+    for one in constancy:
+        if one.expected <= 0 and one.expected_by_noise >= least:
+            return (
+                f"it cannot be told from what is left beside it: with errors as large as that makes them, ln BF "
+                f"{one.expected:.3g} is expected of a common part between {one.between} even if it has one, where by "
+                f"noise alone {one.expected_by_noise:.3g} were"
             )
     return None
 

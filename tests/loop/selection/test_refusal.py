@@ -176,6 +176,14 @@ def test_what_cannot_be_told_from_what_is_left_is_not_claimed() -> None:
     assert refusal_by_parts([Constancy("times", 4.6, 4.9, 0.0, expected_by_noise=25.9)], LOOP) is None
 
 
+def test_one_division_of_the_data_that_tells_is_enough() -> None:
+    """Where another cannot tell; not where it tells that there is no common part, nor where the first hardly tells."""
+    cannot = Constancy("baselines", -13.9, -12.3, 3.1, expected_by_noise=66.2)
+    assert refusal_by_parts([Constancy("times", 63.0, 68.0, 0.3, 150.0), cannot], LOOP) is None
+    assert "between times" in str(refusal_by_parts([Constancy("times", 2.0, 68.0, 9.0, 150.0), cannot], LOOP))
+    assert "cannot be told" in str(refusal_by_parts([Constancy("times", 1.0, 1.2, 0.0, 1.4), cannot], LOOP))
+
+
 def test_how_parts_differ_is_told_in_numbers() -> None:
     assert refusal_by_parts([Constancy("times", -1.534, 54.26, 2.63, 54.26)], LOOP) == (
         "it is not the same in all parts of the data: its parameters differ between times by 2.6 times what they have "
