@@ -54,6 +54,7 @@ def plan(
     commands: Iterable[str] | None = None,
     found: int = 1,
     clock: Callable[[], float] = time.perf_counter,
+    startup_s: float = 0.0,
 ) -> Plan:
     """Forecast what commands will take, without reading a visibility.
 
@@ -71,6 +72,8 @@ def plan(
         Effects that a loop finds: an assumption.
     clock : callable
         Tells the time in seconds. `time.process_time` forecasts seconds of the processor, on one thread.
+    startup_s : float
+        Seconds until a process has imported what it needs, which count as well.
 
     Raises
     ------
@@ -79,7 +82,7 @@ def plan(
     """
     with setup.telling():
         check_independent(setup.job, "'hydrabeam plan' or --dry-run")
-    world, startup_s = setup.comm, time.process_time()
+    world = setup.comm
     network = measure_network(world)
     if world.size > 1:
         limit_blas_threads(world)

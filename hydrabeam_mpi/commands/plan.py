@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -45,6 +46,8 @@ def print_plan(
     InputError
         On all ranks, if something in the job or in a file is wrong.
     """
-    made = plan(Setup.of(job, world, path=job_path), ranks, commands, found)
+    # What this process has done so far is what any command does first.
+    startup_s = time.process_time()
+    made = plan(Setup.of(job, world, path=job_path), ranks, commands, found, startup_s=startup_s)
     if world.rank == 0:
         print(json.dumps(made.as_table(), indent=2) if as_json else made, end="\n" if as_json else "")

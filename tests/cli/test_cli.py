@@ -100,7 +100,7 @@ def test_dry_run_says_what_it_would_take_and_writes_nothing(
     capfd.readouterr()
     assert main(["infer", str(job), "-o", str(out), "--dry-run"]) == 0
     said, err = capfd.readouterr()
-    assert re.search(r"^infer +1 +\d.* s +\d+ MB", said, re.MULTILINE)
+    assert re.search(r"^infer +1 +\d.* (s|min) +\d+ MB", said, re.MULTILINE)
     assert err.splitlines()[-1] == (f"hydrabeam: nothing has been done; without --dry-run, infer would write {out}")
     assert {path.name for path in workspace.folder.iterdir()} == {"job.toml"}
     # What is in the way is told as it would be.

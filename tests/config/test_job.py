@@ -113,10 +113,12 @@ width_groups = "radial"
 kind = "catalogue_flux"
 foremost = 10
 width = 0.5
+draw_widths = true
 
 [[sample.effects]]
 kind = "antenna_gains"
 settings = { law = "smooth" }
+prior_std = { "antenna 1 ln amplitude" = 0.5 }
 
 [[effects]]
 kind = "missing_sources"
