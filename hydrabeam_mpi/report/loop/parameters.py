@@ -19,6 +19,7 @@ from hydrabeam_mpi.report.page.style import AZ_0, AZ_90, INFERRED, MODEL, REFERE
 NUMBER = re.compile(r"(?<![\w.])[-−+]?\d+(?:\.\d+)?")
 LISTED, NUMBERED, LINES, PANELS = 20, 400, 6, 8
 TITLE = 40  # characters that a panel is wide
+BESIDE = 18  # characters of a name for which there is room beside each of two panels
 COLOURS = (INFERRED, MODEL, AZ_0, AZ_90, UNCERTAINTY, REFERENCE)
 
 
@@ -56,7 +57,8 @@ def draw_parameters(entry: Entry, count: int) -> Drawing | None:
     if not families:
         return None
     shown = families[:PANELS]
-    columns = min(len(shown), 2)
+    listed = [label for family in shown if len(family.freqs) == 1 for label in family.labels]
+    columns = 1 if max(map(len, listed), default=0) > BESIDE else min(len(shown), 2)
     rows = [shown[start : start + columns] for start in range(0, len(shown), columns)]
     heights = [max(_height(family) for family in row) for row in rows]
     figure = new_figure(sum(heights))

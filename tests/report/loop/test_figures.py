@@ -117,6 +117,17 @@ def test_ticks_stand_at_antennas() -> None:
     np.testing.assert_array_equal(ticks, np.round(ticks))
 
 
+def test_long_names_have_room_left_of_their_panel() -> None:
+    """So panels are one below the other."""
+    place = "source at ra=130.000 dec=-25.000: "
+    of = [(place + "flux, level", "Jy", 1.0), (place + "flux, drift", "Jy", 0.1), (place + "declination", "deg", -25.0)]
+    told = [{"name": name, "unit": unit, "value": value, "std": 0.01} for name, unit, value in of]
+    drawing = draw_parameters({"effect": "missing_sources", "parameters": told}, 1)
+    assert drawing is not None
+    one, two = drawing.figure.axes[:2]
+    assert one.get_position().y0 > two.get_position().y1
+
+
 def test_many_parameters_are_bounded() -> None:
     rng = np.random.default_rng(0)
     pairs = [(i, j) for i in range(40) for j in range(i)]
