@@ -73,6 +73,7 @@ class ChainWriter:
             if caution := files.caution():
                 logger.warning("%s; what is damaged, and what came after it, is in %s", caution, ASIDE)
             self._segments = files.tidy(self._variables)
+            self._merge()  # as a kill may have come between the writing of a segment and this
         self.n_draws = self._segments[-1].end if self._segments else 0
         self._last = time.monotonic()
         self._took = 0.0
