@@ -14,10 +14,17 @@ from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.io.formats import FORMAT, LOOP_FORMAT
 from hydrabeam_mpi.loop.output.heldout_change import heldout_change
 from hydrabeam_mpi.loop.output.parameters import counted, parameters_of, widened
-from hydrabeam_mpi.loop.output.sentences import say_round, say_verdict, still_there
+from hydrabeam_mpi.loop.output.sentences import say_predicting, say_round, say_verdict, still_there
 from hydrabeam_mpi.loop.residuals.left_out import rows_left_out
 from hydrabeam_mpi.loop.residuals.remains import Remains
-from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round, indistinguishable, why_unexplained
+from hydrabeam_mpi.loop.selection.acceptance import (
+    Candidate,
+    Checked,
+    Round,
+    indistinguishable,
+    verdict_of,
+    why_unexplained,
+)
 from hydrabeam_mpi.loop.selection.again import given_up
 from hydrabeam_mpi.loop.selection.rounds import History
 
@@ -74,15 +81,11 @@ def make_record(
         JSON-able; the same on all ranks.
     """
     found = _found(context, history, skipped, conventions, leakage, interrupted)
-    last, control = history.last.remains, _foreign(history)
-    why = why_unexplained(history.last, history.control)
-    verdict = "unexplained"
-    if interrupted:
-        verdict = "interrupted"
-    elif conventions["found"]:
-        verdict = "convention"
-    elif why is None or (last.consistent and control is None and not still_there(found["rounds"])):
-        verdict = "explained" if still_there(found["rounds"]) else "consistent"
+    claimed = history.claimed or history.last
+    last, control = claimed.remains, _foreign(history)
+    verdict = verdict_of(claimed, history.control, bool(still_there(found["rounds"])))
+    if interrupted or conventions["found"]:
+        verdict = "interrupted" if interrupted else "convention"
     unexplained = verdict == "unexplained"
     # Of data in another convention all is off, and before the last fit what an effect will explain.
     odd = last.odd if verdict not in ("convention", "interrupted") else ()
@@ -92,9 +95,10 @@ def make_record(
         "verdict": verdict,
         "error_before": history.first.score.chi2,
         "error_after": history.last.score.chi2,
+        "error_claimed": claimed.score.chi2,
         "heldout_n": history.last.score.n_data,
         **heldout_change(history.first, history.last, context.setup.observation.freqs),
-        "why": why if unexplained else None,
+        "why": why_unexplained(claimed, history.control) if unexplained else None,
         "foreign": control,
         **found,
         "not_yet_asked": [one["effect"] for one in found["rounds"] if not one.get("asked", True)],
@@ -102,7 +106,7 @@ def make_record(
         "health": [one.record() for one in (*context.problem.findings, *odd)],
         "conventions": conventions,
         "where": last.where if unexplained else None,
-        "residual": last.statistics,
+        "residual": history.last.remains.statistics,
         "structures": last.structures if unexplained else None,
     }
     record["sentence"] = say_verdict(record)
@@ -113,7 +117,7 @@ def make_record(
     ]
     # `summary.json` has these first; of a loop that ends, ``loop.json`` has all that are in that.
     convention = [record["sentence"]] if conventions["found"] else []
-    record["warnings"] = [*convention, *context.problem.cautions, *(one.line for one in odd)]
+    record["warnings"] = [*convention, *say_predicting(record), *context.problem.cautions, *(one.line for one in odd)]
     return {key: _finite(value) for key, value in record.items()}
 
 
@@ -230,6 +234,7 @@ def _round(context: FitContext, one: Round, chi2: list[float], before: Remains, 
         "heldout_sigma": one.sigma,
         "revised": list(one.revised),
         "revoked": one.revoked,
+        "predicts": one.predicts,
         "asked": at_last.asked or one.place is None,
         "constancy": [asdict(part) for part in one.constancy],
         "converged": one.after.fitted.diagnostics.converged,

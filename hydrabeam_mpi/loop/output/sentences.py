@@ -28,6 +28,7 @@ def say_round(told: dict[str, Any]) -> str:
     unsure = f" These data do not tell it from {' or '.join(doubt)}." if doubt else ""
     added = "Added" if told["asked"] else f"Added, but not yet asked: {QUESTIONS}"
     added = "Added at first, but taken back since" if told["revoked"] else added
+    added = "Added at first, and not claimed: it stays in the model for prediction" if told["predicts"] else added
     return f"{what} ({sure}). {added}. {error}; {rms}; {beam}.{_say_left_out(told)}{_say_widened(told)}{unsure}"
 
 
@@ -88,14 +89,22 @@ def _verdict(told: dict[str, Any]) -> str:
     unknown = f"What is left ({error}) is explained by no effect in the catalogue."
     if names:
         unknown = f"{lacked}, and something else that no effect in the catalogue explains ({error})."
-    revoked = _titles([one for one in told["rounds"] if one not in still_there(told["rounds"])])
+    revoked = _titles([one for one in told["rounds"] if one.get("revoked") and not one.get("predicts")])
     gone = [f"What was added at first was taken back: {joined(revoked)}."] if revoked else []
-    return " ".join([unknown, *gone, *_reasons(told), told["where"]["sentence"]])
+    return " ".join([unknown, *gone, *say_predicting(told), *_reasons(told), told["where"]["sentence"]])
 
 
 def still_there(rounds: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the rounds whose effect has not been taken back since."""
     return [one for one in rounds if not one.get("revoked")]
+
+
+def say_predicting(told: dict[str, Any]) -> list[str]:
+    """Say what is in the model without being claimed, and how far what is claimed comes alone; nothing if all is."""
+    titles = _titles([one for one in told["rounds"] if one.get("predicts")])
+    alone = f"reduced chi^2 {told['error_claimed']:.4g} without"
+    better = "not claimed, but in the model, which predicts held-out data better so"
+    return [f"{capital(joined(titles))}: {better} ({alone})."] if titles else []
 
 
 def _titles(rounds: Sequence[dict[str, Any]]) -> list[str]:

@@ -77,7 +77,8 @@ class Round:
     revised : tuple of str
         What became of earlier effects, and of this one, when all were weighed again.
     given_up : bool
-        Whether its effect was taken back when nothing more was found, and is not offered again since.
+        Whether its effect was taken back when nothing more was found, and is not offered again since. It may be in the
+        model nevertheless, see `selection.for_prediction`.
     taken_back : (Active, ndarray), optional
         The effect as it was when it was taken back at the end, and its standard deviations, (Nfreqs, n_params).
     constancy : tuple of Constancy
@@ -101,8 +102,13 @@ class Round:
 
     @property
     def revoked(self) -> bool:
-        """Whether its effect, or change of the weights, was taken back since."""
-        return self.place is None if self.candidate.finding is not None else self.given_up
+        """Whether its effect, or change of the weights, was taken back since: it is not claimed."""
+        return self.given_up or (self.candidate.finding is not None and self.place is None)
+
+    @property
+    def predicts(self) -> bool:
+        """Whether its effect is in the model though it is not claimed, for prediction."""
+        return self.given_up and self.place is not None
 
 
 def in_order(wanted: Sequence[Candidate], most: int, first: Candidate | None = None) -> list[Candidate]:
@@ -201,6 +207,14 @@ def why_unexplained(last: Checked, control: Round | None) -> str | None:
             f"{now['rms_expected']:.4g} Jy are expected"
         )
     return None if control is None else f"{control.candidate.title} would explain more than any effect"
+
+
+def verdict_of(last: Checked, control: Round | None, added: bool) -> str:
+    """Say how a loop ended whose last fit is of what it claims, of which there is some if anything was ``added``."""
+    calibrated = last.remains.consistent and control is None
+    if why_unexplained(last, control) is None or (calibrated and not added):
+        return "explained" if added else "consistent"
+    return "unexplained"
 
 
 def indistinguishable(candidate: Candidate, ranking: Sequence[Candidate], settings: LoopSettings) -> list[Candidate]:

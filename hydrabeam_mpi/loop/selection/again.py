@@ -8,6 +8,7 @@ from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.reweighting import Reweighting
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.loop.selection.for_prediction import keep_for_prediction
 from hydrabeam_mpi.loop.selection.rounds import History, run_rounds
 from hydrabeam_mpi.terminal.progress import say
 
@@ -26,6 +27,8 @@ def search(
     that it is not offered any more; what is taken back at the second end stays so. All rounds together are as many as
     the job allows. A history that was kept goes on in the search that it was kept in.
 
+    What is not claimed at the very end, but predicts, stays in the model: see `keep_for_prediction`.
+
     Collective: all ranks of the grid. Parameters as of `run_rounds`.
     """
     if not given_up(history):
@@ -38,6 +41,8 @@ def search(
     gone = given_up(history)
     effects = [one for one in effects if (one.kind, one.law) not in gone]
     run_rounds(context, history, effects, [one for one in changes if (one.kind, None) not in gone], clock, keep)
+    with clock.time("trials"):
+        keep_for_prediction(context, history)
 
 
 def given_up(history: History) -> list[tuple[str, str | None]]:

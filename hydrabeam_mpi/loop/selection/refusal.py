@@ -17,7 +17,7 @@ def refusal_of(before: Checked, after: Checked, candidate: Candidate, settings: 
     parameters a fit has come to. So one that has not converged is kept where it passes; where it does not, that says
     nothing against the effect.
     """
-    refused = _refusal_of_weights if candidate.finding is None else _refusal_of_effect
+    refused = _refusal_of_weights if candidate.finding is None else refusal_by_heldout
     reason: str | None = f"its log Bayes factor is {candidate.log_bayes_factor:.4g} once it is fitted"
     if candidate.log_bayes_factor >= settings.min_log_bayes_factor:
         reason = refused(before, after, settings)
@@ -32,7 +32,8 @@ def _refusal_of_weights(before: Checked, after: Checked, settings: LoopSettings)
     return None if after.remains.white else f"what is left is not white: {after.remains.why}"
 
 
-def _refusal_of_effect(before: Checked, after: Checked, settings: LoopSettings) -> str | None:
+def refusal_by_heldout(before: Checked, after: Checked, settings: LoopSettings) -> str | None:
+    """Say why held-out data do not want an effect in the model; None where they do."""
     if (rises := rise_of_rms(before, after)) is not None:
         return rises
     gain = after.score.log_density_at_own_level - before.score.log_density_at_own_level

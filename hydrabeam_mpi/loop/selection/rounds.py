@@ -41,6 +41,8 @@ class History:
         How many rounds there were before it.
     rest : Together, optional
         What is still to be tried of effects that explain the residual together.
+    claimed : Checked, optional
+        Fit of what is claimed alone, where the last one has more for prediction; see `selection.for_prediction`.
     """
 
     first: Checked
@@ -51,6 +53,7 @@ class History:
     control: Round | None = None
     control_since: int = 0
     rest: Together | None = None
+    claimed: Checked | None = None
 
     def add(self, found: Round, places: Mapping[int, int | None]) -> None:
         """Add a round, by which effects are at other ``places`` of the model than before, or taken back (None)."""

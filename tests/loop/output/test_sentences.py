@@ -50,6 +50,7 @@ def told(**given: Any) -> dict[str, Any]:
         "errors_widened_by": [1.0, 1.0],
         "asked": True,
         "revoked": False,
+        "predicts": False,
         "left_out": None,
         "log_bayes_factor": 5110910.4,
         "absorbed_by_beam": 0.071,
@@ -95,6 +96,10 @@ ROUNDS: dict[str, tuple[dict[str, Any], str]] = {
         {"asked": False},
         "7% of it). Added, but not yet asked: whether it is physical beside all others and the same in all parts of "
         "the data. Held-out reduced chi^2",
+    ),
+    "what is not claimed and stays": (
+        {"revoked": True, "predicts": True},
+        "7% of it). Added at first, and not claimed: it stays in the model for prediction. Held-out reduced chi^2",
     ),
     "what has been taken back": (
         {"revoked": True},
@@ -195,6 +200,13 @@ VERDICTS: dict[str, tuple[str, dict[str, Any], str]] = {
         "What is left (held-out reduced chi^2 1.012) is explained by no effect in the catalogue. What was added at "
         "first was taken back: antenna gains. It is on antenna 5.",
     ),
+    "what is not claimed predicts": (
+        "unexplained",
+        {"rounds": [GAINS | {"revoked": True, "predicts": True}], "error_claimed": 2.7051},
+        "What is left (held-out reduced chi^2 1.012) is explained by no effect in the catalogue. Antenna gains: not "
+        "claimed, but in the model, which predicts held-out data better so (reduced chi^2 2.705 without). It is on "
+        "antenna 5.",
+    ),
     "something that is no effect would explain it": (
         "unexplained",
         {"foreign": DRIFT, "why": "predictions are not calibrated"},
@@ -207,7 +219,7 @@ VERDICTS: dict[str, tuple[str, dict[str, Any], str]] = {
 
 @pytest.mark.parametrize(("verdict", "given", "said"), VERDICTS.values(), ids=VERDICTS)
 def test_verdicts(verdict: str, given: dict[str, Any], said: str) -> None:
-    nothing: dict[str, Any] = {"rounds": [], "foreign": None, "why": None, "health": []}
+    nothing: dict[str, Any] = {"rounds": [], "foreign": None, "why": None, "health": [], "error_claimed": 1.0}
     nothing |= {"not_yet_asked": [], "last_ranking": []}
     usual = {"error_before": 11.4, "error_after": 1.01234, "where": WHERE, **nothing}
     assert say_verdict({"verdict": verdict, **usual, **given}) == said

@@ -51,12 +51,17 @@ def test_what_was_taken_back_is_not_offered_again(context: FitContext) -> None:
     # Whoever goes on from what was kept is in the second search.
     (last,) = kept
     assert given_up(last) == GIVEN_UP
-    assert last.last is history.last
     assert last.last.fitted.values.active == ()
+    # Nothing explains the data, so that what cannot be claimed stays for prediction.
+    assert history.rounds[0].predicts
+    assert history.claimed is last.last
+    assert [one.kind for one in history.last.fitted.values.active] == ["antenna_positions"]
+    assert history.last.score.log_density > last.last.score.log_density
     search(context, last, [POSITIONS, GAINS], [], Clock(), lambda now: None)
     assert [one.kind for one in last.last.fitted.values.active] == ["antenna_gains"]
     assert {one.kind for one in last.ranking} == {"antenna_gains"}
     assert last.last.remains.consistent
+    assert last.claimed is None
 
 
 def test_nothing_is_searched_again_where_all_stays(context: FitContext) -> None:
