@@ -15,6 +15,7 @@ from hydrabeam_mpi.data.observation import Array, IntArray, Observation
 from hydrabeam_mpi.data.selection import match
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.checksums import checksum
+from hydrabeam_mpi.io.kept_rounds import check_ended
 from hydrabeam_mpi.io.manifest import MANIFEST, read_manifest
 from hydrabeam_mpi.io.posterior_file import PosteriorFile, read_covariance, read_posterior
 from hydrabeam_mpi.io.uvfile import FREQ_TOLERANCE
@@ -184,6 +185,7 @@ def read_inferred(folder: Path, field: str | None = None) -> Inferred:
     InputError
         If it is none, or the file has changed since.
     """
+    check_ended(folder)
     path = folder / POSTERIOR
     listed = read_manifest(folder)
     remedy = "name a folder written by 'hydrabeam infer' or 'hydrabeam loop'"

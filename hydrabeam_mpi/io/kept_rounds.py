@@ -62,6 +62,21 @@ def rounds_words(kept: Path) -> str:
     return f"{n} round(s)" if n else "the fit before the first round"
 
 
+def check_ended(folder: Path) -> None:
+    """Make sure that a folder is not what a loop left that was interrupted.
+
+    Raises
+    ------
+    InputError
+        If it is.
+    """
+    if latest_round(folder) is not None:
+        remedy = "run its command again to go on, or 'hydrabeam infer' with its amended.toml"
+        raise InputError(
+            "is of a loop that was interrupted: it has rounds, and no posterior", file=folder, remedy=remedy
+        )
+
+
 def settle(folder: Path) -> None:
     """Make a result of the last round: its files beside it."""
     kept = latest_round(folder)

@@ -53,6 +53,7 @@ from hydrabeam_mpi.data.observation import Array
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.formats import FORMAT, check_format, describe
 from hydrabeam_mpi.io.hdf5 import new_hdf5
+from hydrabeam_mpi.io.kept_rounds import check_ended
 from hydrabeam_mpi.io.reading import check_file, reading
 
 POSTERIOR_FORMAT = 1
@@ -157,8 +158,9 @@ def read_posterior(path: Path) -> PosteriorFile:
     Raises
     ------
     InputError
-        If the file is missing or is not a posterior of this package.
+        If the file is missing, as that of a loop that was interrupted, or is not a posterior of this package.
     """
+    check_ended(path.parent)
     check_file(path, remedy=_REMEDY)
     with reading(path, "a posterior", remedy=_REMEDY), h5py.File(path, "r") as file:
         check_format(file.attrs.get(FORMAT), POSTERIOR_FORMAT)

@@ -54,11 +54,6 @@ def write_report(directory: Path, other_gains: Sequence[Path] = ()) -> None:
         _write_chains(directory)
         return
     loop = load_loop(directory)
-    if loop is not None and loop["verdict"] == "interrupted":
-        remedy = "run its command again to go on, or 'hydrabeam infer' with its amended.toml"
-        raise InputError(
-            "is of a loop that was interrupted: it has rounds, and no posterior", file=directory, remedy=remedy
-        )
     result = load_result(directory)
     told = result.numbers.get("gains")
     if other_gains and not told:

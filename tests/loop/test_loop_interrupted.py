@@ -115,8 +115,12 @@ def test_what_is_interrupted_says_so_and_goes_on(
     told, expected = record["rounds"][0], record_of(whole)["rounds"][0]
     assert (told["effect"], told["log_bayes_factor"]) == (expected["effect"], expected["log_bayes_factor"])
     assert [path.name for path in (result / "rounds").iterdir()] == ["0001"]
-    assert main(["report", str(result)]) == 2
-    assert "is of a loop that was interrupted" in refusal(capfd, comm)
+    before = write_job({**JOB, "prior": {"file": str(result)}}, interrupted / "other")
+    uses = [["report", result], ["infer", before], ["correct", result], ["predict", result, interrupted / "job.toml"]]
+    for number, words in enumerate(uses):
+        out = ["-o", str(interrupted / "other" / f"out{number}")] if number else []
+        assert main([*map(str, words), *out]) == 2
+        assert f"{result}: is of a loop that was interrupted" in refusal(capfd, comm)
     # Another job does not take its place.
     other = write_job({**JOB, "seed": 5}, interrupted / "other")
     assert main(["loop", str(other), "-o", str(result)]) == 2

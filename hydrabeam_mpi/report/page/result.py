@@ -9,6 +9,7 @@ from typing import Any
 
 from hydrabeam_mpi.data.observation import Array
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.kept_rounds import check_ended
 from hydrabeam_mpi.io.posterior_file import PosteriorFile, read_covariance, read_posterior
 from hydrabeam_mpi.io.reading import read_json
 
@@ -98,6 +99,7 @@ def load_result(directory: Path) -> Result:
     """
     if not directory.is_dir():
         raise InputError("no such folder", file=directory, remedy=REMEDY)
+    check_ended(directory)
     summary = _read_summary(directory / "summary.json")
     path = directory / "posterior.h5"
     posterior = read_posterior(path)
