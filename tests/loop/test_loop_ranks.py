@@ -13,7 +13,7 @@ from hydrabeam_mpi.config import load_job
 from tests.loop.mock import mock_job, write_job
 from tests.loop.test_loop_command import GAIN, TWO, assert_reproduced, channels_of, record_of
 
-FEW = ["antenna_gains", "cross_coupling", "missing_sources", "timestamp", "outliers"]
+FEW = ["antenna_gains", "cross_coupling", "missing_sources", "catalogue_flux", "timestamp", "outliers"]
 JOBS = {
     "two channels": mock_job(GAIN, freqs=TWO, loop={"effects": FEW}),
     "one channel, few times": mock_job(GAIN, n_times=4, holdout={"every": 2}, loop={"effects": FEW}),

@@ -27,21 +27,23 @@ def pick(context: FitContext, fitted: Fitted, cached: CachedRowBlocks, effects: 
     The beam follows most what is brightest, of which it may leave little to see. So the brightest are looked at again
     beside those that are the best with the beam as it is, now with the beam and the model's effects marginalised.
     """
-    scanned = [effect for effect in effects if isinstance(effect, ScannedEffect)]
+    # By their number, which is the same on all ranks.
+    scanned = {number: effect for number, effect in enumerate(effects) if isinstance(effect, ScannedEffect)}
     best: dict[int, IntArray] = {}
     again: dict[int, Effect] = {}
-    for effect, (drop, power) in zip(scanned, _scan(context, cached, scanned), strict=True):
+    found = _scan(context, cached, list(scanned.values()))
+    for (number, effect), (drop, power) in zip(scanned.items(), found, strict=True):
         order, brightest = (np.argsort(-one, kind="stable") for one in (drop, power))
         both = np.stack([order, brightest], axis=1).reshape(-1)
         first = both[np.sort(np.unique(both, return_index=True)[1])][:MAX_ELEMENTS]
         every = effect.every(context.setup, first)
-        best[id(effect)] = order[:MAX_ELEMENTS] if every is None else first
+        best[number] = order[:MAX_ELEMENTS] if every is None else first
         if every is not None:
-            again[id(effect)] = every
-    for key, drop in _drops_beside(context, fitted, cached, again).items():
-        best[key] = best[key][np.argsort(-drop, kind="stable")]
-    chosen = {id(effect): effect.at(context.setup, best[id(effect)]) for effect in scanned}
-    return [chosen.get(id(effect), effect) for effect in effects]
+            again[number] = every
+    for number, drop in _drops_beside(context, fitted, cached, again).items():
+        best[number] = best[number][np.argsort(-drop, kind="stable")]
+    chosen = {number: effect.at(context.setup, best[number]) for number, effect in scanned.items()}
+    return [chosen.get(number, effect) for number, effect in enumerate(effects)]
 
 
 def _drops_beside(
