@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from hydrabeam_mpi.config.base import Section, key
+from hydrabeam_mpi.config.quantities import Degrees
 from hydrabeam_mpi.data.limits import LARGEST
 from hydrabeam_mpi.effects.registry import EFFECTS
 
@@ -21,6 +22,7 @@ else:  # a job may name what there is
     EffectKind = Literal[tuple(EFFECTS)]
 
 Number = Annotated[float, Field(gt=0, le=LARGEST)]
+Spacing = Annotated[Degrees, Field(ge=1, le=90)]
 
 
 class SampledEffect(Section):
@@ -52,6 +54,9 @@ class Sample(Section):
     thin: int = key(1, "sweeps for each draw", ge=1)
     collapsed: bool = key(True, "draw effects with the beam integrated out; else given the beam, which mixes slowly")
     heldout: bool = key(True, "compare each draw's prediction with the rows that are held out, if there are any")
+    positive_beam: Spacing | None = key(
+        None, "beams are nowhere negative at points of the sky so far apart, deg; '3 deg' or so; not asked by default"
+    )
     noise_prior: tuple[Number, Number] = key(
         (1.0, 1.0), "shape and scale of the inverse gamma that the noise variance over the stated one has"
     )

@@ -100,6 +100,12 @@ class Posterior:
         half = solve_triangular(self.factor, rows.conj().T, lower=True, check_finite=False)
         return np.einsum("ij,ij->j", half, half.conj()).real
 
+    def carried(self, x: Array, other: Posterior) -> Array:
+        """Return what is as far from another's mean as ``x`` from this one's, (n,), in deviations L^H (x - mean)."""
+        white = self.factor.conj().T @ (x - self.mean)
+        moved = solve_triangular(other.factor, white, lower=True, trans="C", check_finite=False)
+        return np.asarray(other.mean + moved)
+
     def draw(self, rng: np.random.Generator) -> Array:
         """Draw coefficients, (n,)."""
         return self.draws([rng])[0]

@@ -25,9 +25,11 @@ from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.prior import DiagonalPrior
 from hydrabeam_mpi.mpi import bcast_array, bcast_object, together
 from hydrabeam_mpi.sampling.noise import InverseGamma, NoiseParts
+from hydrabeam_mpi.sampling.positive import nowhere_negative
+from hydrabeam_mpi.sampling.proposal import Proposal
 from hydrabeam_mpi.sampling.state import ChainState, Chance
 from hydrabeam_mpi.sampling.unknowns import Unknowns
-from hydrabeam_mpi.sampling.walk import Proposal, Walk
+from hydrabeam_mpi.sampling.walk import Walk
 
 BEGINS_WIDE = 2.0
 """Chains begin with effects that many times as far from the fit as the posterior is wide, so that it shows in R-hat
@@ -50,6 +52,7 @@ def begin(context: FitContext) -> Walk:
         values = _values(context, job)
         moving = _moving(values, wanted)
         group_of = _groups(context, wanted)
+        positive = nowhere_negative(context.problem, wanted.positive_beam) if wanted.positive_beam else None
     fitted = refit(context, values)
     context, fitted = _with_fixed_weights(context, settle(context, fitted))
     with together(context.grid.world):
@@ -71,12 +74,11 @@ def begin(context: FitContext) -> Walk:
     parts, tolerance = None, job.data.redundancy_tol
     if noise is not None and wanted.noise_groups != "all":
         parts = NoiseParts.of(wanted.noise_groups, context.setup, tolerance)
-    seen_by, dof = fitted.fit.posteriors, wanted.noise_dof
+    seen_by = fitted.fit.posteriors
     seen = _beam_is_seen(context, unknowns, proposal, seen_by)
     spreads = InverseGamma(*wanted.width_prior) if len(unknowns.width_of) else None
-    return Walk(
-        context, unknowns, proposal, seen_by, noise, widths, group_of, wanted.collapsed, parts, dof, seen, spreads
-    )
+    more = {"parts": parts, "dof": wanted.noise_dof, "beam_is_seen": seen, "spreads": spreads, "positive": positive}
+    return Walk(context, unknowns, proposal, seen_by, noise, widths, group_of, wanted.collapsed, **more)
 
 
 def first_state(walk: Walk, seed: int, chain: int) -> ChainState:

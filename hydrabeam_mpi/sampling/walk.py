@@ -23,58 +23,16 @@ from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.known_precision import KnownPrecision
 from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.state import Estimate, Values
+from hydrabeam_mpi.inference.nonnegative import NonNegative
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.prior import DiagonalPrior, Prior
 from hydrabeam_mpi.mpi import allreduce_sum, bcast_array, together
+from hydrabeam_mpi.sampling.beams_given import BeamsGiven, solve_beam
 from hydrabeam_mpi.sampling.latest import Latest
 from hydrabeam_mpi.sampling.noise import InverseGamma, NoiseParts, drawn_weights, log_densities, squared_residuals
+from hydrabeam_mpi.sampling.proposal import Proposal
 from hydrabeam_mpi.sampling.state import ChainState, Chance
 from hydrabeam_mpi.sampling.unknowns import Unknowns
-
-
-@dataclass(frozen=True)
-class Proposal:
-    """The Gaussian that the joint fit says effects have, the beams marginalised: from where they are proposed.
-
-    Attributes
-    ----------
-    centre : ndarray, (n,)
-    factor : ndarray, (n, n_free)
-        F with F F^T the covariance.
-    inverse : ndarray, (n_free, n)
-        From deviations to numbers of variance one.
-    """
-
-    centre: FloatArray
-    factor: FloatArray
-    inverse: FloatArray
-
-    def vector(self, white: FloatArray) -> FloatArray:
-        """Return the parameters, (n,), of numbers of variance one, (n_free,)."""
-        return self.centre + self.factor @ white
-
-    def white(self, vector: FloatArray) -> FloatArray:
-        """Return the numbers, (n_free,), of some parameters, (n,)."""
-        return self.inverse @ (vector - self.centre)
-
-
-@dataclass(frozen=True)
-class BeamsGiven:
-    """The beams given all else, E and C as seen by the fit's beams.
-
-    Attributes
-    ----------
-    normals : list of NormalEquations
-        By the stated noise.
-    posteriors : list of Posterior
-        On the group's root alone.
-    log_evidence : ndarray, (Nlocal,)
-        ln p(d | x, s, t) up to a constant; on the group's root alone.
-    """
-
-    normals: list[NormalEquations]
-    posteriors: list[Posterior]
-    log_evidence: FloatArray
 
 
 @dataclass(frozen=True)
@@ -105,6 +63,8 @@ class Walk:
         Whether E or C depends on the beams.
     spreads : InverseGamma, optional
         Where widths of the effects' priors are drawn.
+    positive : NonNegative, optional
+        What makes a beam nowhere negative, where beams are to be so.
     """
 
     context: FitContext
@@ -119,6 +79,7 @@ class Walk:
     dof: float | None = None
     beam_is_seen: bool = True
     spreads: InverseGamma | None = None
+    positive: NonNegative | None = None
     _sums: Latest = field(default_factory=Latest)
     _given: Latest = field(default_factory=Latest)
     _misfits: Latest = field(default_factory=Latest)
@@ -220,14 +181,36 @@ class Walk:
         evidence = np.where(taken, there.log_evidence, here.log_evidence)
         self._given.of(self._key_of(after), lambda: BeamsGiven(normals, posteriors, evidence))
 
-    def drawn(self, given: BeamsGiven, chance: Chance, purpose: str) -> tuple[Array, ...]:
-        """Draw the beams given all else, E and C as seen by the fit's beams. Collective: the chain's ranks."""
+    def drawn(
+        self, given: BeamsGiven, chance: Chance, purpose: str, before: Sequence[Array] | None = None
+    ) -> tuple[Array, ...]:
+        """Draw the beams given all else, E and C as seen by the fit's beams. Collective: the chain's ranks.
+
+        Beams that may not be negative are drawn from where they are ``before``; where they are nowhere yet what comes
+        is near a draw, and none of theirs.
+        """
         group, found = self.context.grid.group, []
         for f, channel in enumerate(self.channels):
-            root = self.context.grid.is_group_root
-            beam = given.posteriors[f].draw(chance.of(purpose, channel)) if root else None
+            beam = None
+            if self.context.grid.is_group_root:
+                posterior, rng = given.posteriors[f], chance.of(purpose, channel)
+                if self.positive is not None and before is not None:
+                    beam = self.positive.draw(posterior, before[f], rng)
+                else:
+                    beam = posterior.draw(rng)
+                    beam = beam if self.positive is None else self.positive.nearest(posterior, beam)
             found.append(bcast_array(group, beam))
         return tuple(found)
+
+    def carried(self, here: ChainState, there: ChainState) -> tuple[Array, ...]:
+        """Return the beams of one state as far from those that another state's effects expect, in their deviations.
+
+        Collective: the chain's ranks.
+        """
+        pairs = zip(self.beams_given(here).posteriors, self.beams_given(there).posteriors, strict=True)
+        found = [old.carried(beam, new) for beam, (old, new) in zip(here.beams, pairs, strict=False)]
+        group, is_root = self.context.grid.group, self.context.grid.is_group_root
+        return tuple(bcast_array(group, found[f] if is_root else None) for f in range(len(self.channels)))
 
     def misfit(self, values: Values, beams: Sequence[Array]) -> FloatArray:
         """Return chi^2 by the stated noise of each channel with E and C as its beam sees them, (Nlocal,).
@@ -259,12 +242,13 @@ class Walk:
     def log_correction(self, state: ChainState) -> FloatArray:
         """Return ln of the exact density over that with E and C as the fit's beams see them, (Nlocal,).
 
-        Collective: the chain's ranks.
+        Minus infinity where a beam is negative that may not be. Collective: the chain's ranks.
         """
+        negative = np.array([self.positive is not None and not self.positive.holds(beam) for beam in state.beams])
         if not self.beam_is_seen:
-            return np.zeros(len(state.beams))
+            return np.where(negative, -np.inf, 0.0)
         more = self.misfit(state.values, state.beams) - self.misfit_seen_by_fit(state.values, state.beams)
-        return np.asarray(-more / state.noise)
+        return np.where(negative, -np.inf, -more / state.noise)
 
     def log_prior(self, state: ChainState) -> float:
         """Return ln of the prior of the effects that move, up to what they do not change."""
@@ -296,16 +280,6 @@ class Walk:
             one.log_det_inv_noise - one.n_data * np.log(np.pi * s) for one, s in zip(normals, state.noise, strict=True)
         ]
         return self.context.over_channels(np.array(det) - exponent)
-
-
-def solve_beam(normal: NormalEquations, prior: Prior) -> tuple[Posterior, float]:
-    """Return a beam's posterior, and ln of the evidence of the data up to a constant, also where a prior is flat."""
-    gaussian = normal.gaussian({BEAM: prior})
-    posterior = gaussian.solve(overwrite=True)
-    log_det = 2 * float(np.sum(np.log(np.diag(posterior.factor).real)))
-    told = float(np.vdot(gaussian.source, posterior.mean).real)
-    known = float(np.vdot(prior.mean, prior.precision_times(prior.mean)).real) - (prior.log_det_precision or 0.0)
-    return posterior, normal.log_det_inv_noise - normal.data_norm + (told - log_det - known) / gaussian.kappa
 
 
 def _key(values: Values) -> bytes:

@@ -14,8 +14,9 @@ from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.prior import Prior
 from hydrabeam_mpi.random import complex_normal, generator
 from hydrabeam_mpi.sampling.begin import begin
+from hydrabeam_mpi.sampling.proposal import Proposal
 from hydrabeam_mpi.sampling.state import ChainState
-from hydrabeam_mpi.sampling.walk import Proposal, Walk
+from hydrabeam_mpi.sampling.walk import Walk
 from tests.loop.mock import FREQ, context_of, mock_job
 
 GAINS = {"kind": "antenna_gains", "width": 0.2}
@@ -66,7 +67,14 @@ def walk_about_prior(folder: Path, job: dict[str, Any], signal_to_noise: float =
 
 
 def drawn_from_prior(walk: Walk, rng: np.random.Generator, step: float = 0.4) -> ChainState:
-    """Draw all from its prior."""
+    """Draw all from its prior; where beams may not be negative, anew until they are not."""
+    while True:
+        state = _drawn_from_prior(walk, rng, step)
+        if walk.positive is None or all(map(walk.positive.holds, state.beams)):
+            return state
+
+
+def _drawn_from_prior(walk: Walk, rng: np.random.Generator, step: float) -> ChainState:
     values = walk.unknowns.at(walk.proposal.vector(rng.standard_normal(walk.proposal.factor.shape[1])))
     n_local, n_groups = len(walk.channels), int(walk.group_of.max(initial=-1)) + 1
     noise, widths, parts = np.ones(n_local), np.ones((n_local, n_groups)), np.ones((n_local, 0))

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.integrate import cumulative_trapezoid
-from scipy.stats import kstest, multivariate_normal
+from scipy.stats import ks_2samp, kstest, multivariate_normal
 
 from hydrabeam_mpi.random import generator
 from hydrabeam_mpi.sampling.begin import begin, first_state
@@ -16,6 +16,8 @@ from hydrabeam_mpi.sampling.sweep import sweep
 from hydrabeam_mpi.sampling.walk import Walk
 from tests.sampling.small import FLUX, drawn_from_prior, model_of, observe, small_job, walk_about_prior
 
+FALSE_ALARM = 1e-3
+"""Probability that right chains fail a case, were their seed another one."""
 WIDTH = 0.5
 ONE_SOURCE = {**FLUX, "foremost": 1, "width": 10 * WIDTH}
 
@@ -53,3 +55,23 @@ def test_a_flux_has_the_posterior_of_quadrature(collapsed: bool, tmp_path: Path)
     assert kept.std() < 0.8 * WIDTH, "the data tell nothing"
     told = kstest(kept, lambda at: np.interp(at, x, cumulated / cumulated[-1]))
     assert told.pvalue > 1e-3, (mean, kept.mean(), kept.std())
+
+
+def test_a_beam_that_may_not_be_negative_is_drawn_from_what_rejection_leaves(tmp_path: Path) -> None:
+    """With noise so large that a third of what the data allow is left; chains begin where no beam is negative."""
+    of_prior = walk_about_prior(tmp_path, small_job(positive_beam="10 deg"), 1.0)
+    rng = generator(4, "data")
+    observe(of_prior, drawn_from_prior(of_prior, rng), rng)
+    walk = begin(of_prior.context)
+    assert walk.positive is not None
+    state = first_state(walk, 1, 0)
+    every = walk.beams_given(state).posteriors[0].draws([generator(5, number) for number in range(10000)])
+    left = every[(every @ walk.positive.rows.T >= 0).all(axis=1)]
+    assert 200 < len(left) < 0.5 * len(every), len(left)
+    drawn = []
+    for number in range(3000):
+        assert walk.positive.holds(state.beams[0])
+        state, _ = sweep(walk, state, Chance(1, 0, number))
+        drawn.append(state.beams[0])
+    pairs = list(zip(np.array(drawn[::5]).T, left.T, strict=True))
+    assert min(ks_2samp(*pair).pvalue for pair in pairs) > FALSE_ALARM / len(pairs)

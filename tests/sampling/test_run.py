@@ -84,7 +84,11 @@ def test_a_chain_killed_at_any_moment_goes_on_as_if_nothing_had_been(
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("more", [{}, {"noise_groups": "antenna", "noise_dof": 4.0}], ids=["one noise", "of antennas"])
+@pytest.mark.parametrize(
+    "more",
+    [{"positive_beam": "15 deg"}, {"noise_groups": "antenna", "noise_dof": 4.0}],
+    ids=["beam nowhere negative", "noise of antennas"],
+)
 def test_any_number_of_ranks_walks_the_same_way(more: dict[str, Any], comm: MPI.Comm, common_tmp_path: Path) -> None:
     """Two channels, what they share, and two chains, begun by all ranks and gone on with by one."""
     job = small_job(GAINS, FLUX, blocks=("noise", "prior_width"), n_freqs=2, warm_up=5, **more)
@@ -105,6 +109,14 @@ def test_any_number_of_ranks_walks_the_same_way(more: dict[str, Any], comm: MPI.
         run_chains(fresh(alone), other, [0, 1], SEED, 1)
         check_same(other, store)
     comm.Barrier()
+
+
+def test_a_beam_of_two_different_feeds_has_no_sign(tmp_path: Path) -> None:
+    job = small_job(positive_beam="15 deg")
+    job["data"]["polarization"] = "en"
+    job["basis"]["form"] = "complex"
+    with pytest.raises(InputError, match="has no sign"):
+        begin(context_of(job, tmp_path))
 
 
 def test_widths_of_a_prior_without_any_are_refused(tmp_path: Path) -> None:

@@ -62,6 +62,21 @@ CASES: dict[str, tuple[dict[str, Any], int, float]] = {
         3.0,
     ),
     "power of diffuse emission": (small_job(small.DIFFUSE, width_prior=[4.0, 4.0]), 100, 3.0),
+    "beam nowhere negative, all together in two channels": (
+        small_job(
+            GAINS,
+            FLUX,
+            blocks=("noise", "prior_width"),
+            n_freqs=2,
+            noise_prior=[8.0, 8.0],
+            width_prior=[6.0, 6.0],
+            positive_beam="90 deg",
+        ),
+        80,
+        3.0,
+    ),
+    "beam nowhere negative, and the sky": (small_job({**FLUX, "width": 10.0}, positive_beam="15 deg"), 400, 1.0),
+    "beam nowhere negative, that is seen": (small_job(POINTING, positive_beam="15 deg"), 50, 8.0),
     "given the beam": (small_job(WIDE_GAINS, collapsed=False), 120, 2.0),
     "given the beam that sees": (small_job(POINTING, collapsed=False), 60, 8.0),
 }

@@ -2,6 +2,7 @@
 
 Where E or C is seen by the beam the draw is a proposal, from the Gaussian with those that the fit's beam sees, and a
 channel's is accepted with the ratio of what the exact density has over that Gaussian to the same of the beam before.
+Beams that are nowhere negative are drawn from the same Gaussian where they are so, which is reversible as well.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from hydrabeam_mpi.sampling.walk import Walk
 
 def draw_beams(walk: Walk, state: ChainState, chance: Chance) -> tuple[ChainState, dict[str, float]]:
     """Draw the beams given all else, and tell which part of the channels took theirs. Collective: the chain's ranks."""
-    proposed = replace(state, beams=walk.drawn(walk.beams_given(state), chance, "beam"))
+    proposed = replace(state, beams=walk.drawn(walk.beams_given(state), chance, "beam", state.beams))
     if not walk.beam_is_seen:
         return proposed, {"beam": 1.0}
     gain = walk.log_correction(proposed) - walk.log_correction(state)

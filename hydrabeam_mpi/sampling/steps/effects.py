@@ -13,6 +13,9 @@ there and here. Where E or C is seen by the beam, p(d | x) is that with what the
 with x', from the Gaussian that belongs to it, and both are accepted together, with the exact density over that one as
 a further factor. Else the beams that follow are drawn afresh by the step after this one, before anything else is drawn.
 
+Beams that may not be negative go with x' instead: as far from what x' expects of them as they were from what x did,
+w = L^H (b - m). In (x, w) the target is p(d | x) p(x) N(w; 0, 1) where b(x, w) is nowhere negative, and zero elsewhere.
+
 The numbers y are ordered such that those of a channel alone, with F the inverse of a Cholesky factor, change the
 parameters of that channel alone, and the numbers y of what channels have in common change these and take those of all
 channels with them, as far as they depend on each other. Given the latter the posterior factorises: all channels are
@@ -63,7 +66,9 @@ def _moved(walk: Walk, state: ChainState, chance: Chance, groups: IntArray) -> t
     here = log_ratio(walk, state, len(groups))
     proposed = _proposed(walk, state, chance, groups)
     try:
-        if walk.beam_is_seen:
+        if walk.positive is not None:
+            proposed = replace(proposed, beams=walk.carried(state, proposed))
+        elif walk.beam_is_seen:
             purpose = f"beam with effects of {groups[0]}"
             proposed = replace(proposed, beams=walk.drawn(walk.beams_given(proposed), chance, purpose))
         rises = np.nan_to_num(log_ratio(walk, proposed, len(groups)) - here, nan=-np.inf)
