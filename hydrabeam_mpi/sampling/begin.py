@@ -77,8 +77,8 @@ def begin(context: FitContext) -> Walk:
     seen_by = fitted.fit.posteriors
     seen = _beam_is_seen(context, unknowns, proposal, seen_by)
     spreads = InverseGamma(*wanted.width_prior) if len(unknowns.width_of) else None
-    more = {"parts": parts, "dof": wanted.noise_dof, "beam_is_seen": seen, "spreads": spreads, "positive": positive}
-    return Walk(context, unknowns, proposal, seen_by, noise, widths, group_of, wanted.collapsed, **more)
+    walk = Walk(context, unknowns, proposal, seen_by, noise, widths, group_of, wanted.collapsed, parts)
+    return replace(walk, dof=wanted.noise_dof, beam_is_seen=seen, spreads=spreads, positive=positive)
 
 
 def first_state(walk: Walk, seed: int, chain: int) -> ChainState:
