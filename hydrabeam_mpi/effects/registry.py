@@ -76,7 +76,10 @@ def make_effect(kind: str, settings: Mapping[str, Any]) -> Effect:
 
 def laws_of(kind: str) -> list[Effect]:
     """Return an effect that is to be looked for, with each of the laws by which it may go on in time."""
-    return [make_effect(kind, {"law": law}) for law in (CONSTANT, *EFFECTS[kind].laws)]
+    from hydrabeam_mpi.effects.shared.in_time import LAWS
+
+    sought = [law for law in EFFECTS[kind].laws if LAWS[law].sought]
+    return [make_effect(kind, {"law": law}) for law in (CONSTANT, *sought)]
 
 
 def _in_time(kind: str, law: str, settings: Mapping[str, Any]) -> Effect:

@@ -141,6 +141,7 @@ def _further(setup: ObservingSetup, one: SampledEffect) -> Active:
         if not isinstance(effect, ScannedEffect):
             raise InputError("has no candidates", field="foremost", remedy="leave it out")
         effect = effect.foremost(setup, one.foremost)
+    effect = effect.in_full(setup)
     parameters = effect.parameters(setup)
     if not len(parameters):
         raise InputError("has nothing to be drawn", field="settings", remedy="say which there are, or foremost = N")

@@ -63,6 +63,7 @@ IN_TIME = {
     for kind, law in (
         ("antenna_gains", "smooth"),
         ("antenna_gains", "piecewise"),
+        ("antenna_gains", "correlated"),
         ("cross_coupling", "smooth"),
         ("catalogue_flux", "smooth"),
         ("missing_sources", "smooth"),

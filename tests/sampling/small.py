@@ -20,6 +20,7 @@ from hydrabeam_mpi.sampling.walk import Walk
 from tests.loop.mock import FREQ, context_of, mock_job
 
 GAINS = {"kind": "antenna_gains", "width": 0.2}
+DRIFTING_GAINS = {**GAINS, "settings": {"law": "correlated", "kernel": "dpss", "minutes": 360}}
 FLUX = {"kind": "catalogue_flux", "foremost": 2, "width": 2.0}
 COUPLING = {"kind": "cross_coupling", "settings": {"baselines": [[0, 1], [1, 2]]}, "width": 0.2}
 DIFFUSE = {"kind": "diffuse", "settings": {"l_max": 1}, "width": 0.1, "draw_widths": True}
@@ -27,12 +28,17 @@ POINTING = {"kind": "antenna_pointing", "width": 15.0}
 
 
 def small_job(
-    *effects: dict[str, Any], blocks: tuple[str, ...] = (), n_modes: int = 3, n_freqs: int = 1, **sample: Any
+    *effects: dict[str, Any],
+    blocks: tuple[str, ...] = (),
+    n_modes: int = 3,
+    n_freqs: int = 1,
+    n_times: int = 6,
+    **sample: Any,
 ) -> dict[str, Any]:
-    """Four antennas, three fitted times, twenty sources; beam, the given effects, and ``blocks`` are drawn."""
+    """Four antennas, half of the times fitted, twenty sources; beam, the given effects, and ``blocks`` are drawn."""
     kinds = [str(one["kind"]) for one in effects]
     job = mock_job(
-        n_times=6,
+        n_times=n_times,
         freqs=tuple(FREQ + 8e6 * number for number in range(n_freqs)),
         holdout={"every": 2},
         sky={"n_sources": 20},

@@ -45,6 +45,7 @@ CASES: dict[str, tuple[dict[str, Any], int, float]] = {
     ),
     "outliers, and effects given the beam": (small_job(WIDE_GAINS, noise_dof=3.0, collapsed=False), 100, 2.0),
     "what multiplies": (small_job(GAINS), 200, 3.0),
+    "gains that are correlated in time": (small_job(small.DRIFTING_GAINS, n_times=8), 80, 3.0),
     "the sky": (small_job(FLUX), 150, 3.0),
     "what the beam sees": (small_job(POINTING), 100, 8.0),
     "two channels that see a beam": (small_job(POINTING, n_freqs=2), 60, 8.0),

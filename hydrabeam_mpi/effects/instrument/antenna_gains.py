@@ -36,6 +36,7 @@ class AntennaGains(Effect):
         "sidereal": "antenna gains that drift by sidereal time",
         "nightly": "antenna gains that drift anew each night",
         "piecewise": "antenna gains that jump",
+        "correlated": "antenna gains that are correlated in time",
     }
 
     def parameters(self, setup: ObservingSetup) -> Parameters:

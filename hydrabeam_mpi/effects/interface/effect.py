@@ -207,6 +207,10 @@ class Effect(InOtherData, HasLimits, MayChange, Cause):
         parameters = self.parameters(setup)
         return Told(parameters.names, parameters.units, x, std, np.ones(len(parameters), dtype=bool))
 
+    def in_full(self, setup: ObservingSetup) -> Effect:
+        """Return the effect with what its settings leave to the data, such as the times that a law is over."""
+        return self
+
     def next_after(self, setup: ObservingSetup, newest: Effect) -> Effect:
         """Return what to look for where ``newest`` is the last effect that the model got.
 

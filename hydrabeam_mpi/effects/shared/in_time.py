@@ -18,10 +18,11 @@ from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters, 
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
+from hydrabeam_mpi.effects.shared.correlated_law import Correlated
 from hydrabeam_mpi.effects.shared.nightly_laws import Nightly, Sidereal
 from hydrabeam_mpi.effects.shared.time_laws import Piecewise, Smooth, TimeLaw
 
-LAWS: dict[str, type[TimeLaw]] = {law.name: law for law in (Smooth, Sidereal, Nightly, Piecewise)}
+LAWS: dict[str, type[TimeLaw]] = {law.name: law for law in (Smooth, Sidereal, Nightly, Piecewise, Correlated)}
 """By the names that jobs give them."""
 LEAST_TIMES = 4
 """Fitted times that tell a slope and a curvature and still contradict them."""
@@ -60,6 +61,10 @@ class InTime(ScannedEffect):
     def describe(self) -> dict[str, Any]:
         """Return what makes the effect, and the law."""
         return {**self.effect.describe(), **self.time_law.describe()}
+
+    def in_full(self, setup: ObservingSetup) -> InTime:
+        """Return the effect with its law over the times of the data."""
+        return type(self)(self.effect, self.time_law.over(setup.jd))
 
     def not_applicable(self, setup: ObservingSetup) -> str | None:
         """Ask for several times."""

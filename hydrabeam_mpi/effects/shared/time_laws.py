@@ -37,6 +37,8 @@ class TimeLaw(ABC):
     span: tuple[Jd, Jd] | None = None
 
     name: ClassVar[str]
+    sought: ClassVar[bool] = True
+    """Whether it is looked for in data; else it is there for those who name it."""
 
     @abstractmethod
     def candidates(self, fitted: FloatArray, times: FloatArray) -> Self:
