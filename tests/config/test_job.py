@@ -103,6 +103,7 @@ warm_up = 0
 thin = 3
 collapsed = false
 heldout = false
+positive_beam = 4
 noise_prior = [2, 0.5]
 noise_groups = "antenna"
 noise_dof = 4.0
