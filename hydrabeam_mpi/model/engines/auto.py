@@ -46,13 +46,17 @@ class AutoEngine(Engine):
 
     def choose(self, n_sources: int, n_columns: int, precision: Precision = np.float64) -> Engine:
         """Return the engine for so many sources and columns."""
-        lattice = self._gemm.fringes.lattice
-        if lattice is None or precision == np.float32:
-            return self._gemm
-        n_cells = np.prod(2 * np.abs(lattice.index).max(axis=0) + 1)
+        products, transforms = self.expected(n_sources, n_columns)
+        return self._gemm if products < transforms or precision == np.float32 else self._nufft
+
+    def expected(self, n_sources: int, n_columns: int) -> tuple[float, float]:
+        """Return the seconds that matrix products and FFTs are expected to take; the latter for ever off a lattice."""
         products = n_sources * self.n_vectors * (PRODUCT * n_columns + FRINGE)
-        transforms = n_columns * (SPREAD * n_sources + CELL * n_cells)
-        return self._gemm if products < transforms else self._nufft
+        lattice = self._gemm.fringes.lattice
+        if lattice is None:
+            return products, np.inf
+        n_cells = int(np.prod(2 * np.abs(lattice.index).max(axis=0) + 1))
+        return products, n_columns * (SPREAD * n_sources + CELL * n_cells)
 
     def design(
         self,
