@@ -182,7 +182,7 @@ def _whiten(context: FitContext, fitted: Fitted) -> Whitened:
         covariance = fitted.fit.covariances[channel] if has_effects else np.zeros((0, 0))
         errors = SharedErrors(covariance) if _is_shared(context, len(covariance)) else None
         own_root = np.zeros((0, 0)) if errors else _followed_root(covariance)
-        with together(context.grid.world):
+        with together(context.grid.group):
             for span, block, design in share.row_blocks(channel, fitted.estimate, added[channel], rows):
                 model[channel, span] = root[channel, span] * block.vis
                 power[channel, span] = noise[channel, span] * block.weights * np.abs(block.residual) ** 2

@@ -55,7 +55,7 @@ def candidate_sums(
     if by_pairs:
         model, candidates = {**model, **candidates}, {}
     total = sums_of(model, candidates)
-    with together(context.grid.world):
+    with together(context.grid.group):
         for block in cached.row_blocks(channel):
             add_block(total, block, model, candidates)
     total.reduce(context.grid.group)
