@@ -122,10 +122,11 @@ class InferredBeam:
         return draws
 
     def _draw_together(self, n: int, seed: int) -> Array:
-        from hydrabeam_mpi.fit.coupled_draws import draw_again
+        from hydrabeam_mpi.fit.coupled_draws import check_drawn_again, draw_again
 
         told = self._content.over_frequency
         assert told is not None
+        check_drawn_again(told)
         parts = ((self.matrix(channel, "information"), score) for channel, score in enumerate(self._stacked("score")))
         away = draw_again(told, self.freqs, parts, self._stacked("prior_std"), seed, n)
         return np.asarray(self._stacked("prior_mean") + self._stacked("prior_std") * away)

@@ -7,7 +7,15 @@ from typing import Any
 
 from hydrabeam_mpi.api.result import Result
 from hydrabeam_mpi.api.setup import Setup
-from hydrabeam_mpi.api.shared import begun, gather_records, make_result, origin_of, prepare_checked, prior_told
+from hydrabeam_mpi.api.shared import (
+    begun,
+    gather_records,
+    make_result,
+    origin_of,
+    over_frequency_told,
+    prepare_checked,
+    prior_told,
+)
 from hydrabeam_mpi.fit.channels import ChannelResult, infer_channels
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.grown import grown_problem
@@ -20,9 +28,7 @@ from hydrabeam_mpi.loop.output.amendment import effects_found
 from hydrabeam_mpi.loop.selection.heldout_numbers import heldout_numbers
 from hydrabeam_mpi.mpi import peak_rss_mb, together
 from hydrabeam_mpi.result.gains import gains_told
-from hydrabeam_mpi.result.over_frequency import warnings_over_frequency
 from hydrabeam_mpi.setup.earlier import integrations_of
-from hydrabeam_mpi.setup.over_frequency import check_independent
 
 
 def infer(setup: Setup) -> Result:
@@ -66,11 +72,9 @@ def run_inference(setup: Setup, folder: Path | None, threads: int, waiting: Path
     waiting : Path, optional
         Folder in which covariances wait to be written.
     """
-    if setup.job.effects:
-        check_independent(setup.job, "[[effects]]")
     clock, world = Clock(), setup.comm
     grid, problem, mine = prepare_checked(setup, folder, clock, told, inference_bytes)
-    numbers = found = carried = over_frequency = None
+    numbers = found = carried = None
     fitted_gains: tuple[Any, ...] = ()
     if setup.job.effects or (problem.earlier and problem.earlier.entries):
         context = read_context(grid, problem, mine, clock)
@@ -83,8 +87,6 @@ def run_inference(setup: Setup, folder: Path | None, threads: int, waiting: Path
         fitted_gains = context.setup, fitted.values
     else:
         results = infer_channels(grid, mine, clock)
-        coupled = results[0].coupled
-        over_frequency = coupled.summary if coupled else None
     with clock.time("describe"):
         records = gather_records(grid, problem, results, numbers, waiting)
         integrations = integrations_of(world, problem.files, problem.observation)
@@ -101,10 +103,8 @@ def run_inference(setup: Setup, folder: Path | None, threads: int, waiting: Path
                 **gains_told(problem, records, *fitted_gains),
             }
             origin = origin_of(setup, problem, threads)
-            if over_frequency:
-                run["over_frequency"] = over_frequency
-            warnings = warnings_over_frequency(over_frequency) if over_frequency else ()
-            result = make_result(setup, problem, records, integrations, origin, run, warnings, found)
+            run |= over_frequency_told(results)
+            result = make_result(setup, problem, records, integrations, origin, run, (), found)
     return result
 
 

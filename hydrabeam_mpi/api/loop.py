@@ -11,7 +11,15 @@ import numpy as np
 
 from hydrabeam_mpi.api.result import Found, Result
 from hydrabeam_mpi.api.setup import Setup
-from hydrabeam_mpi.api.shared import begun, gather_records, make_result, origin_of, prepare_checked, prior_told
+from hydrabeam_mpi.api.shared import (
+    begun,
+    gather_records,
+    make_result,
+    origin_of,
+    over_frequency_told,
+    prepare_checked,
+    prior_told,
+)
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
@@ -32,7 +40,6 @@ from hydrabeam_mpi.mpi import peak_rss_mb, together
 from hydrabeam_mpi.result.gains import gains_told
 from hydrabeam_mpi.setup.earlier import integrations_of
 from hydrabeam_mpi.setup.job_file import check_holds_out
-from hydrabeam_mpi.setup.over_frequency import check_independent
 from hydrabeam_mpi.setup.problem import Problem
 
 
@@ -88,7 +95,6 @@ def run_loop(
     overwrite : bool
         Whether a result in ``out`` may be replaced.
     """
-    check_independent(setup.job, "'hydrabeam loop'")
     clock, world, job = Clock(), setup.comm, setup.job
     grid, problem, mine = prepare_checked(setup, folder, clock, mended)
     context = read_context(grid, problem, mine, clock)
@@ -144,6 +150,7 @@ def _found(
         if world.rank == 0:
             gains = gains_told(problem, records, known, fitted.values)
             run = {"phases_s": clock.seconds, "peak_rss_mb": memory, **prior_told(setup, context.carried), **gains}
+            run |= over_frequency_told(results)
             effects = effects_found(problem.job, fitted, known)
             result = make_result(setup, problem, records, integrations, origin(), run, record["warnings"], effects)
             told = {**record, "warnings": result.summary["warnings"], "seconds": clock.seconds}

@@ -115,7 +115,7 @@ class Result:
         from hydrabeam_mpi.result.output import write_result
 
         for number, record in enumerate(self.content.channels):
-            for name in ("covariance", "information") if self.content.over_frequency else ("covariance",):
+            for name in ("covariance", "information") if "score" in record.arrays else ("covariance",):
                 if name not in record.arrays:
                     record.arrays[name] = self.beam.matrix(number, name)
         write_result(folder, self.job, self.content, self.summary)

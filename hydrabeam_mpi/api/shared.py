@@ -39,6 +39,7 @@ from hydrabeam_mpi.mpi import (
 )
 from hydrabeam_mpi.result.describe import describe_channels
 from hydrabeam_mpi.result.output import check_records, input_files, least_result_bytes, summarise
+from hydrabeam_mpi.result.over_frequency import warnings_over_frequency
 from hydrabeam_mpi.result.summary import GRID_AZ, GRID_ZA
 from hydrabeam_mpi.setup.earlier import check_not_counted
 from hydrabeam_mpi.setup.flagged import without_flagged
@@ -210,6 +211,12 @@ def prior_told(setup: Setup, carried: CarriedOver | None) -> dict[str, Any]:
     return {"prior": {"result": str(setup.job.prior.file), **carried.summary}} if carried else {}
 
 
+def over_frequency_told(results: Sequence[ChannelResult]) -> dict[str, Any]:
+    """Return what a summary says of channels that hang together."""
+    coupled = results[0].coupled
+    return {"over_frequency": coupled.summary} if coupled else {}
+
+
 def gather_records(
     grid: ProcessGrid,
     problem: Problem,
@@ -276,6 +283,8 @@ def make_result(
     check_records(records)
     before = problem.earlier.integrations if problem.earlier else ()
     about = {**about, "integrations": [*before, *integrations]}
+    coupled = run.get("over_frequency")
+    warnings = [*(warnings_over_frequency(coupled) if coupled else ()), *warnings]
     content = PosteriorFile(
         problem.basis.describe(),
         about,
@@ -285,6 +294,6 @@ def make_result(
         records,
         problem.observation.telescope_name,
         effects,
-        run.get("over_frequency"),
+        coupled,
     )
     return Result(setup.job, content, summarise(setup.job, problem, content, run, warnings))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,9 +15,11 @@ from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.known_precision import Key, KnownPrecision
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Diagnostics, Estimate, Values
+from hydrabeam_mpi.inference.coupled import CoupledPosterior
+from hydrabeam_mpi.inference.over_frequency import inverse_over_channels
 from hydrabeam_mpi.inference.posterior import Posterior
-from hydrabeam_mpi.inference.prior import Prior
-from hydrabeam_mpi.mpi import together
+from hydrabeam_mpi.mpi import ProcessGrid, together
+from hydrabeam_mpi.setup.problem import Problem
 
 
 @dataclass(frozen=True)
@@ -24,7 +27,9 @@ class Solved:
     """The beams given the effects, and the sums over rows that tell them.
 
     ``reached`` is ln(likelihood x prior) of the effects with the beams that E is seen by, or with ``beams`` if there is
-    no E; ``rises`` by how much it would be higher with ``beams``, were E the same for them.
+    no E; ``rises`` by how much it would be higher with ``beams``, were E the same for them. ``log_joint``, (Nlocal,),
+    is that of ``beams`` without the prior of the effects. ``together`` is the posterior of the beams of all channels,
+    on rank 0, where these hang together.
     """
 
     beams: tuple[Posterior, ...]
@@ -33,6 +38,8 @@ class Solved:
     added: ComplexArray
     reached: float
     rises: float
+    log_joint: FloatArray
+    together: CoupledPosterior | None = None
 
     @property
     def train_chi2(self) -> FloatArray:
@@ -100,35 +107,50 @@ def solve_beams(context: FitContext, at: Estimate, keep: bool = False) -> Solved
     """
     problem, sums = context.given(at.values), sum_for_beams(context, at)
     normals, known = sums.normals, sums.known
-    solved, _ = solve_channels(context.grid, problem, normals, None if known is None else known.factors)
+    is_coupled = problem.coupling is not None
+    solved, coupled = solve_channels(context.grid, problem, normals, None if known is None else known.factors)
     beams = tuple(solved)
     if known is None:
-        context.train.known.keep(KnownPrecision.of(sums.key, normals, beams))
+        context.train.known.keep(KnownPrecision.of(sums.key, normals, None if is_coupled else beams))
     if keep:
         beams = tuple(replace(two, mean=one.mean) for one, two in zip(at.beams, beams, strict=True))
     # E is that of the beams before, so that only those tell what beams and effects reach together.
     seen_by = at.beams if at.beams and at.values.adds else beams
-    reached, best = (
-        total_log_joint(context, at.values, np.array(list(map(_log_joint, normals, one, problem.priors))))
-        for one in (seen_by, beams)
-    )
-    return Solved(beams, normals, sums.rows, sums.added, reached, best - reached)
+    of_seen, of_beams = (log_joints(context.grid, problem, normals, one) for one in (seen_by, beams))
+    reached, best = (total_log_joint(context, at.values, one) for one in (of_seen, of_beams))
+    joint = coupled.joint if coupled else None
+    return Solved(beams, normals, sums.rows, sums.added, reached, best - reached, of_beams, joint)
 
 
-def diagnostics_of(context: FitContext, values: Values, solved: Solved) -> Diagnostics:
-    """Tell how well the fitted rows are fitted with the effects at ``values``. Serial."""
+def diagnostics_of(context: FitContext, solved: Solved) -> Diagnostics:
+    """Tell how well the fitted rows are fitted. Serial."""
     normals, beams = solved.normals, solved.beams
     effective = list(map(_effective, normals, beams)) if context.grid.is_group_root else []
-    log_joint = np.array(list(map(_log_joint, normals, beams, context.given(values).priors)))
     n_data = np.array([float(normal.n_data) for normal in normals])
-    return Diagnostics(solved.train_chi2, log_joint, np.array(effective), n_data)
+    return Diagnostics(solved.train_chi2, solved.log_joint, np.array(effective), n_data)
 
 
-def _log_joint(normal: NormalEquations, posterior: Posterior, prior: Prior) -> float:
-    """Return ln(likelihood x prior) at the mean, up to terms that neither effects nor beams change."""
-    away = posterior.mean - prior.mean
-    penalty = np.vdot(away, prior.precision_times(away)).real / (1 if posterior.is_complex else 2)
-    return -reduced_chi2(normal, posterior) * max(normal.n_data, 1) - float(penalty)
+def log_joints(
+    grid: ProcessGrid, problem: Problem, normals: Sequence[NormalEquations], beams: Sequence[Posterior]
+) -> FloatArray:
+    """Return ln(likelihood x prior) at the means, up to terms that neither effects nor beams change, (Nlocal,).
+
+    Where channels hang together the prior of all is shared out among them. Collective: all ranks of the grid.
+    """
+    if problem.coupling is None:
+        pairs = [(one.mean - prior.mean, prior) for one, prior in zip(beams, problem.priors, strict=True)]
+        penalties = [np.vdot(away, prior.precision_times(away)).real for away, prior in pairs]
+    else:
+        widths = [prior.std() for prior in problem.priors]
+        away = [(one.mean - prior.mean) / s for one, prior, s in zip(beams, problem.priors, widths, strict=True)]
+        parts = grid.world.allgather((problem.channel_numbers.tolist(), away) if grid.is_group_root else ([], []))
+        of_all = dict(pair for numbers, part in parts for pair in zip(numbers, part, strict=True))
+        inverse = inverse_over_channels(problem.coupling.candidates[0])
+        pulled = inverse[problem.channel_numbers] @ np.array([of_all[f] for f in sorted(of_all)])
+        penalties = [np.vdot(one, pull).real for one, pull in zip(away, pulled, strict=True)]
+    kappa = 1 if problem.basis.is_complex else 2
+    chi2 = [reduced_chi2(one, beam) * max(one.n_data, 1) for one, beam in zip(normals, beams, strict=True)]
+    return np.array([-fit - float(penalty) / kappa for fit, penalty in zip(chi2, penalties, strict=True)])
 
 
 def _effective(normal: NormalEquations, posterior: Posterior) -> float:

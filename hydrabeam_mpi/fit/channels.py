@@ -13,7 +13,7 @@ from hydrabeam_mpi.data.observation import Array
 from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.fit.accumulate import accumulate_designs, check_heldout, designs
 from hydrabeam_mpi.fit.clock import Clock
-from hydrabeam_mpi.fit.coupled import CoupledChannel, solve_coupled
+from hydrabeam_mpi.fit.coupled import CoupledChannel, CoupledSolution, solve_coupled
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.rounding import MOST_SHIFT, Rounding
 from hydrabeam_mpi.fit.rows import Rows, read_rows
@@ -115,7 +115,10 @@ def infer_rows(
         rounding = Rounding(grid.group, problem, train) if in_single else None
         normals = _sum_normals(grid, problem, train, precision, rounding)
     with clock.time("solve"):
-        posteriors, coupled = solve_channels(grid, problem, normals)
+        posteriors, solution = solve_channels(grid, problem, normals, n_draws=problem.job.output.draws)
+        coupled = solution.channels if solution else []
+        # The matrix of all channels is of no use any more.
+        del solution
         with together(grid.world):
             for posterior in posteriors if grid.is_group_root else ():
                 _ = posterior.covariance  # cached: part of the inference, though only written later
@@ -162,8 +165,12 @@ def _sum_normals(
 
 
 def solve_channels(
-    grid: ProcessGrid, problem: Problem, normals: list[NormalEquations], factors: Sequence[Array] | None = None
-) -> tuple[list[Posterior], list[CoupledChannel]]:
+    grid: ProcessGrid,
+    problem: Problem,
+    normals: list[NormalEquations],
+    factors: Sequence[Array] | None = None,
+    n_draws: int = 0,
+) -> tuple[list[Posterior], CoupledSolution | None]:
     """Solve on the group's root and share the posterior, which every rank needs for its held-out rows.
 
     Collective: all ranks of `grid.world`.
@@ -176,17 +183,20 @@ def solve_channels(
     normals : list of NormalEquations
     factors : sequence of ndarray, (n, n), optional
         The channels' factors of the precision, on all ranks, where they are known and channels are independent.
+    n_draws : int
+        How many draws are made of channels that hang together.
 
     Returns
     -------
     list of Posterior
-    list of CoupledChannel
-        Where channels hang together, on the group's root; else empty.
+    CoupledSolution, optional
+        Where channels hang together.
     """
     solved: list[Posterior] = []
-    coupled: list[CoupledChannel] = []
+    coupled = None
     if problem.coupling is not None:
-        solved, coupled = solve_coupled(grid, problem, normals)
+        coupled = solve_coupled(grid, problem, normals, n_draws)
+        solved = coupled.posteriors
     with together(grid.world):
         if grid.is_group_root:
             if problem.coupling is None:

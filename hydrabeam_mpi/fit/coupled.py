@@ -35,25 +35,42 @@ class CoupledChannel:
 
     Attributes
     ----------
-    information : ndarray, (n, n)
-        What the data say of its coefficients alone, kappa A^H N^-1 A.
-    score : ndarray, (n,)
-        kappa A^H N^-1 (d - A b_0), b_0 the prior's mean.
+    told : dict
+        What the data say of its coefficients alone: ``information``, (n, n), kappa A^H N^-1 A, and ``score``, (n,),
+        kappa A^H N^-1 (d - A b_0), b_0 the prior's mean. Empty with effects, with which that is not all.
     draws : ndarray, (n_draws, n)
         Those of the same number belong together in all channels.
     summary : dict
         What is told of all channels together.
     """
 
-    information: Array
-    score: Array
+    told: dict[str, Array]
     draws: Array
     summary: dict[str, Any]
 
 
+@dataclass(frozen=True)
+class CoupledSolution:
+    """The beams of channels that hang together.
+
+    Attributes
+    ----------
+    posteriors : list of Posterior
+        Of each of the group's channels, whatever the others are; on the group's root.
+    channels : list of CoupledChannel
+        Of these, on the group's root.
+    joint : CoupledPosterior, optional
+        Of all channels, on rank 0, where there was one matrix of one length.
+    """
+
+    posteriors: list[Posterior]
+    channels: list[CoupledChannel]
+    joint: CoupledPosterior | None
+
+
 def solve_coupled(
-    grid: ProcessGrid, problem: Problem, normals: Sequence[NormalEquations]
-) -> tuple[list[Posterior], list[CoupledChannel]]:
+    grid: ProcessGrid, problem: Problem, normals: Sequence[NormalEquations], n_draws: int
+) -> CoupledSolution:
     """Solve for the beams of all channels together.
 
     Collective: all ranks of `grid.world`.
@@ -65,13 +82,8 @@ def solve_coupled(
         Of the group's channels.
     normals : sequence of NormalEquations
         Of these, summed over the group.
-
-    Returns
-    -------
-    list of Posterior
-        Of each of the group's channels, whatever the others are; on the group's root.
-    list of CoupledChannel
-        On the group's root.
+    n_draws : int
+        How many draws are made.
 
     Raises
     ------
@@ -84,26 +96,30 @@ def solve_coupled(
     alone = 0.0
     with together(grid.world):
         if grid.is_group_root:
-            told = list(map(_told, normals, problem.priors))
+            told = list(map(told_of, normals, problem.priors))
             alone = sum(_evidence_alone(one) for one in told)
     alone = grid.world.allreduce(alone)
-    n_draws = problem.job.output.draws
+    joint = None
     if dense_unknowns(coupling, problem.basis.n_modes):
-        moments, summary = _solve_dense(grid, problem, told, _noise(grid, problem, told, n_draws))
+        moments, summary, joint = _solve_dense(grid, problem, told, _noise(grid, problem, told, n_draws), n_draws)
     else:
         noise = _noise(grid, problem, told, max(n_draws, N_SCALING))
         moments, summary = solve_matrix_free(grid, problem.job.seed, coupling.candidates[0], told, noise)
     posteriors: list[Posterior] = []
     with together(grid.world):
         if grid.is_group_root:
-            posteriors = [_posterior(one, prior) for one, prior in zip(moments, problem.priors, strict=True)]
+            for one, prior in zip(moments, problem.priors, strict=True):
+                width = prior.std()
+                covariance = one.covariance * width * width[:, np.newaxis]
+                posteriors.append(posterior_of(prior.mean + width * one.mean, covariance))
     settings = coupling.settings.model_dump(mode="json", exclude_none=True)
     summary = {"settings": settings, **summary, "log_evidence_independent": alone}
     kept = []
     for normal, prior, one in zip(normals, problem.priors, moments, strict=False):
         draws = prior.mean + prior.std() * one.draws[:n_draws]
-        kept.append(CoupledChannel(*_of_coefficients(normal, prior), draws, summary))
-    return posteriors, kept
+        information, score = _of_coefficients(normal, prior)
+        kept.append(CoupledChannel({"information": information, "score": score}, draws, summary))
+    return CoupledSolution(posteriors, kept, joint)
 
 
 def dense_unknowns(coupling: Coupling | None, n: int) -> int:
@@ -128,7 +144,8 @@ def dense_unknowns(coupling: Coupling | None, n: int) -> int:
     return 0
 
 
-def _told(normal: NormalEquations, prior: Prior) -> ChannelTold:
+def told_of(normal: NormalEquations, prior: Prior) -> ChannelTold:
+    """Return what the data say of a channel, from the sums over its rows."""
     information, score = _of_coefficients(normal, prior)
     assert isinstance(prior, DiagonalPrior)
     level = normal.log_det_inv_noise - normal.n_data * np.log(np.pi) - normal.misfit(BEAM, prior.mean)
@@ -158,27 +175,29 @@ def _noise(grid: ProcessGrid, problem: Problem, told: list[ChannelTold], n_draws
 
 
 def _solve_dense(
-    grid: ProcessGrid, problem: Problem, told: list[ChannelTold], noise: list[Array]
-) -> tuple[list[Moments], dict[str, Any]]:
+    grid: ProcessGrid, problem: Problem, told: list[ChannelTold], noise: list[Array], n_draws: int
+) -> tuple[list[Moments], dict[str, Any], CoupledPosterior | None]:
     """Solve on rank 0, for all lengths that the evidence leaves. Collective: all ranks of the grid."""
     coupling, seed = problem.coupling, problem.job.seed
     assert coupling is not None
     candidates = coupling.candidates
     evidences = np.zeros(1)
     if len(candidates) > 1:
-        solved = (_assemble(grid, problem, modes, told) for modes in candidates)
+        solved = (assemble(grid, problem, modes, told) for modes in candidates)
         evidences = np.array([_evidence(grid, one) for one in solved])
     weights = _weights(evidences, coupling.settings.evidence == "marginalise")
-    chosen = choose_length(weights, seed, problem.job.output.draws)
+    chosen = choose_length(weights, seed, n_draws)
     parts = []
     for number in np.flatnonzero(weights):
-        posterior = _assemble(grid, problem, candidates[number], told, noise)
+        posterior = assemble(grid, problem, candidates[number], told, noise, n_draws)
         evidences[number] = _evidence(grid, posterior)
         mine = chosen == number
         moments = posterior.moments(seed, np.flatnonzero(mine).tolist()) if posterior else ()
         parts.append((float(weights[number]), mine, share_by_channel(grid, moments)))
         # With the covariance, before the next one is assembled: there is memory for two matrices.
-        del posterior, moments
+        del moments
+        joint = posterior if len(candidates) == 1 else None
+        del posterior
     best = int(np.argmax(evidences))
     summary: dict[str, Any] = {
         "solver": "dense",
@@ -192,21 +211,22 @@ def _solve_dense(
     if len(candidates) > 1:
         of_lengths = coupling.lengths, evidences.tolist(), weights.tolist()
         summary |= dict(zip(("lengths", "log_evidences", "weights"), map(list, of_lengths), strict=True))
-    return [_mixed([(weight, mine, those[f]) for weight, mine, those in parts]) for f in range(len(told))], summary
+    mixed = [_mixed([(weight, mine, those[f]) for weight, mine, those in parts]) for f in range(len(told))]
+    return mixed, summary, joint
 
 
-def _assemble(
+def assemble(
     grid: ProcessGrid,
     problem: Problem,
     modes: FloatArray,
     told: list[ChannelTold],
     noise: list[Array] | None = None,
+    n_draws: int = 0,
 ) -> CoupledPosterior | None:
     """Bring together on rank 0 what the groups know, channel by channel, and solve. Collective: all ranks."""
     basis, equations, solved = problem.basis, None, None
     with together(grid.world):
         if grid.is_world_root:
-            n_draws = problem.job.output.draws if noise is not None else 0
             equations = CoupledEquations(modes, basis.n_modes, basis.is_complex, n_draws)
     records = [(one, None if noise is None else noise[f]) for f, one in enumerate(told)]
     for channel, (one, drawn) in enumerate(by_channel(grid, records)):
@@ -249,11 +269,16 @@ def _mixed(parts: Sequence[tuple[float, Array, Moments]]) -> Moments:
     return Moments(mean, covariance, draws)
 
 
-def _posterior(moments: Moments, prior: Prior) -> Posterior:
-    """Return that of a channel's coefficients."""
-    width = prior.std()
+def posterior_of(mean: Array, covariance: Array) -> Posterior:
+    """Return that of a channel's coefficients, as it is in the posterior of all.
+
+    Raises
+    ------
+    InputError
+        If rounding errors have left no covariance.
+    """
     try:
-        return Posterior.of(prior.mean + width * moments.mean, moments.covariance * width * width[:, np.newaxis])
+        return Posterior.of(mean, covariance)
     except np.linalg.LinAlgError as error:
         raise InputError(
             f"the posterior of a channel could not be taken out of that of all ({error})",

@@ -15,6 +15,27 @@ from hydrabeam_mpi.inference.coupled import ChannelTold, CoupledEquations, choos
 from hydrabeam_mpi.setup.over_frequency import couple
 
 
+def check_drawn_again(summary: dict[str, Any]) -> None:
+    """Make sure that a result has what it takes to make further draws.
+
+    Raises
+    ------
+    InputError
+        If it was not found by one matrix, which then is too large, or has effects.
+    """
+    how = None
+    if summary["solver"] != "dense":
+        how = "that were solved for by conjugate gradients"
+    elif summary.get("with_effects"):
+        how = "that hang together over frequency, with effects"
+    if how:
+        raise InputError(
+            f"no more draws can be made of beams {how}",
+            field="[output] draws",
+            remedy="use those in posterior.h5, or infer again with more",
+        )
+
+
 def draw_again(
     summary: dict[str, Any],
     freqs: FloatArray,
@@ -25,7 +46,7 @@ def draw_again(
 ) -> Array:
     """Draw coefficients, in units of the prior's widths about its mean, of all channels together.
 
-    By one matrix, as the result was. Serial.
+    By one matrix, as the result was; see `check_drawn_again`. Serial.
 
     Parameters
     ----------
@@ -42,18 +63,7 @@ def draw_again(
     Returns
     -------
     ndarray, (n_draws, Nchan, n)
-
-    Raises
-    ------
-    InputError
-        If the result was not found by one matrix, which then is too large.
     """
-    if summary["solver"] != "dense":
-        raise InputError(
-            "no more draws can be made of beams that were solved for by conjugate gradients",
-            field="[output] draws",
-            remedy="use those in posterior.h5, or infer again with more",
-        )
     coupling = couple(OverFrequency.model_validate_json(json.dumps(summary["settings"])), freqs)
     assert coupling is not None
     told = [ChannelTold.of(*one, width) for one, width in zip(parts, widths, strict=True)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +12,7 @@ from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.beams_given import Solved, diagnostics_of, solve_beams
 from hydrabeam_mpi.fit.blocks import EffectBlock, add_block, sums_of
 from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.coupled_step import share_step, step_together
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.joint_step import solve_jointly
 from hydrabeam_mpi.fit.marginal import Marginal
@@ -85,7 +86,7 @@ def refit(
     start = _start(values, before)
     if not values.active and not values.reweighted:
         solved = solve_beams(context, start)
-        return Fitted(values, Fit(solved.beams), diagnostics_of(context, values, solved))
+        return Fitted(values, Fit(solved.beams), diagnostics_of(context, solved))
     try:
         end, step, converged = _search(context, start, first_step, worth)
     except InputError as error:
@@ -94,8 +95,8 @@ def refit(
         raise BrokenOff("its fit was broken off, as no beams can be solved for where it begins") from error
     # Not converged: the beams that E is seen by stay, as E may be another one with those solved for.
     solved = solve_beams(context, end, keep=not converged and end.values.adds)
-    diagnostics = replace(diagnostics_of(context, end.values, solved), converged=converged)
-    return Fitted(end.values, replace(step.fit, posteriors=solved.beams), diagnostics)
+    diagnostics = replace(diagnostics_of(context, solved), converged=converged)
+    return Fitted(end.values, step.fit.with_beams(solved.beams), diagnostics)
 
 
 def solved_at(context: FitContext, values: Values, before: Fitted) -> Fitted:
@@ -103,7 +104,7 @@ def solved_at(context: FitContext, values: Values, before: Fitted) -> Fitted:
     at = Estimate(values, before.fit.posteriors)
     solved = solve_beams(context, at)
     step = take_step(context, replace(at, beams=solved.beams), solved)
-    return Fitted(values, replace(step.fit, posteriors=solved.beams), diagnostics_of(context, values, solved))
+    return Fitted(values, step.fit.with_beams(solved.beams), diagnostics_of(context, solved))
 
 
 def stepped(context: FitContext, values: Values, before: Fitted) -> Fitted:
@@ -111,15 +112,15 @@ def stepped(context: FitContext, values: Values, before: Fitted) -> Fitted:
     at = Estimate(values, before.fit.posteriors)
     solved = solve_beams(context, at)
     step = take_step(context, replace(at, beams=solved.beams), solved)
-    fit = replace(step.fit, posteriors=step.to.beams)
-    return Fitted(step.to.values, fit, diagnostics_of(context, values, solved))
+    return Fitted(step.to.values, step.fit.with_beams(step.to.beams), diagnostics_of(context, solved))
 
 
 @dataclass(frozen=True)
 class _Step:
     """A Gauss-Newton step: where it leads, what it tells of the effects, and how many standard deviations it is long.
 
-    Its ``fit`` is without posteriors. By ``gain`` the linear model expects ln(likelihood x prior) to rise.
+    Its ``fit`` is without posteriors, unless channels hang together. By ``gain`` the linear model expects
+    ln(likelihood x prior) to rise.
     """
 
     to: Estimate
@@ -215,8 +216,8 @@ def linearised(context: FitContext, at: Estimate, solved: Solved) -> tuple[list[
     """
     mine, response = [], []
     names = list(at.values.blocks)
-    for channel, posterior in enumerate(at.beams):
-        sums = active_sums(context, context.train, at, channel, solved.rows, solved.added[channel], at.values.blocks)
+    each = sums_at(context, at, solved.rows, solved.added)
+    for channel, (sums, posterior) in enumerate(zip(each, at.beams, strict=True)):
         marginal = Marginal(sums, BEAM, posterior)
         response.append(marginal.response(names))
         if context.grid.is_group_root:
@@ -228,11 +229,19 @@ def linearised(context: FitContext, at: Estimate, solved: Solved) -> tuple[list[
     return [by_channel[f] for f in sorted(by_channel)], response
 
 
+def sums_at(context: FitContext, at: Estimate, rows: Rows, added: ComplexArray) -> Iterator[NormalEquations]:
+    """Yield those of beams and effects of each of the group's channels. Collective: all ranks of the grid."""
+    for channel in range(len(at.beams)):
+        yield active_sums(context, context.train, at, channel, rows, added[channel], at.values.blocks)
+
+
 def take_step(context: FitContext, at: Estimate, solved: Solved) -> _Step:
     """Move the effects, with the beams ``at`` following them. Collective: all ranks of the grid."""
     values = at.values
     if not values.active:
         return _Step(at, Fit(), 0.0, 0.0)
+    if context.problem.coupling is not None:
+        return _take_step_together(context, at, solved)
     likelihoods, response = linearised(context, at, solved)
     answer = None
     with together(context.grid.world):
@@ -243,9 +252,18 @@ def take_step(context: FitContext, at: Estimate, solved: Solved) -> _Step:
     # E of the next step is seen by the beams that belong to these parameters, not by those before.
     followed = zip(at.beams, response, context.channels, strict=True)
     beams = tuple(replace(one, mean=one.mean + by_effects @ change[f]) for one, by_effects, f in followed)
-    of_channels = tuple(covariances[f] for f in context.channels)
-    fit = Fit(covariances=of_channels, beam_response=tuple(response), std=values.by_effect(std))
+    fit = Fit((), tuple(covariances[f] for f in context.channels), tuple(response), values.by_effect(std))
     return _Step(Estimate(values.at(x), beams), fit, float(moved), float(gain))
+
+
+def _take_step_together(context: FitContext, at: Estimate, solved: Solved) -> _Step:
+    """Take a step where beams hang together over frequency. Collective: all ranks of the grid."""
+    values = at.values
+    sums = list(sums_at(context, at, solved.rows, solved.added))
+    step = step_together(context, values, sums, solved.together)
+    beams, covariances, responses = share_step(context, step, solved.together, at.beams, values.x)
+    x, std, *told = bcast_object(context.grid.world, (step.x, step.std, step.moved, step.gain) if step else None)
+    return _Step(Estimate(values.at(x), beams), Fit(beams, covariances, responses, values.by_effect(std)), *told)
 
 
 def active_sums(
@@ -260,11 +278,11 @@ def active_sums(
     """Sum over a group's rows the columns of the beam and of ``effects``, such as those that are active.
 
     ``added`` is E of the channel's rows, (Ntimes, Nbls). What a result says that is the prior counts as fitted rows.
-    Collective: all ranks of `grid.world`.
+    Collective: all ranks of `grid.group`; groups may have different numbers of channels.
     """
     model = {BEAM: context.beam, **effects}
     total = sums_of(model)
-    with together(context.grid.world):
+    with together(context.grid.group):
         for _, block, _ in share.row_blocks(channel, at, added, rows):
             add_block(total, block, model)
     total.reduce(context.grid.group)

@@ -96,6 +96,12 @@ def beams_alone(fit: Fit) -> tuple[Posterior, ...]:
     return tuple(_wider(posterior, follow @ root_of(covariance)) for posterior, follow, covariance in parts)
 
 
+def of_the_beam(setup: ObservingSetup, values: Values) -> BoolArray:
+    """Return which of the parameters in use, side by side, are coefficients of the beam, (q,)."""
+    own = [np.full(len(one.used), one.effect.beam_functions(setup) is not None) for one in values.active]
+    return np.concatenate([np.zeros(0, dtype=bool), *own])
+
+
 def marginal_beams(
     setup: ObservingSetup, fitted: Fitted, channels: Sequence[int], learned: Learned | None = None
 ) -> tuple[Posterior, ...]:
@@ -111,10 +117,9 @@ def marginal_beams(
         What is known of the first effects beforehand.
     """
     values, fit = fitted.values, fitted.fit
-    growth = [one.effect.beam_functions(setup) is not None for one in values.active]
-    if not any(growth):
+    of_beam = of_the_beam(setup, values)
+    if not of_beam.any():
         return beams_alone(fit)
-    of_beam = np.concatenate([np.full(len(one.used), own) for one, own in zip(values.active, growth, strict=True)])
     parts = zip(fit.posteriors, fit.beam_response, fit.covariances, channels, strict=True)
     found = []
     for beam, follow, spread, f in parts:

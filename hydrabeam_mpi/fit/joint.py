@@ -18,6 +18,8 @@ from hydrabeam_mpi.fit.carried_over import CarriedOver, carry_over, share_fit
 from hydrabeam_mpi.fit.channels import ChannelResult, read_shares, reduce_heldout, reduced_chi2
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.coupled_effects import coupled_channels
+from hydrabeam_mpi.fit.coupled_step import check_solved_with_effects
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.grown import beams_alone, marginal_beams
 from hydrabeam_mpi.fit.heldout import variance_by_effects
@@ -64,8 +66,11 @@ def read_context(grid: ProcessGrid, problem: Problem, mine: Problem, clock: Cloc
     Raises
     ------
     InputError
-        If the job asks for mixed precision, of which the errors are known for a beam alone.
+        If the job asks for mixed precision, of which the errors are known for a beam alone; or if beams that hang
+        together over frequency cannot be solved for with effects.
     """
+    with together(grid.world):
+        check_solved_with_effects(problem)
     if problem.job.solver.precision != "double":
         asked = f"'{problem.job.solver.precision}' is for 'hydrabeam infer' without effects"
         raise InputError(asked, field="[solver] precision", remedy="set it to 'double', or leave it out")
@@ -201,4 +206,8 @@ def channel_results(context: FitContext, fitted: Fitted) -> list[ChannelResult]:
     errors = zip(fitted.fit.covariances, fitted.fit.beam_response, strict=True)
     of_effects = [{"effects_covariance": one, "effects_beam_response": two} for one, two in errors] or [{}] * len(given)
     parts = zip(normals, map(reduced_chi2, normals, given), beams, heldout, of_effects, strict=True)
-    return [ChannelResult(*part) for part in parts]
+    results = [ChannelResult(*part) for part in parts]
+    if problem.coupling is None:
+        return results
+    coupled = coupled_channels(context, fitted)
+    return [replace(one, coupled=two) for one, two in zip(results, coupled, strict=True)] if coupled else results

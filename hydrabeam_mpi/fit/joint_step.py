@@ -6,7 +6,7 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.fit.state import Active, Values
-from hydrabeam_mpi.inference.gaussian import Block, Gaussian
+from hydrabeam_mpi.inference.gaussian import Block, Gaussian, spans_of
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.inference.prior import Prior, precision_of
 
@@ -54,16 +54,58 @@ def solve_jointly(
         blocks = tuple(_block(name, one, f) for name, one in values.blocks.items())
         of_channels.append(Gaussian(blocks, likelihood.information, likelihood.score, None) * own[f])
         common *= of_channels[f].marginalise([one.name for one in own[f].blocks])
+    steps, covariances = zip(*(one.moments_given(common) for one in of_channels), strict=True)
+    std = np.sqrt([np.diag(one) for one in covariances])
+    new, moved, gain = _moved(values, np.array(steps), std, np.array([one.score for one in likelihoods]))
+    return new, std, list(covariances), moved, gain
+
+
+def solve_together(
+    values: Values, information: FloatArray, scores: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, float, float]:
+    """Take the same step where what is known of one channel's parameters depends on those of the others.
+
+    Parameters
+    ----------
+    values : Values
+    information : ndarray, (Nfreqs q, Nfreqs q)
+        Of all channels' parameters, those of a channel side by side, with the beams marginalised.
+    scores : ndarray, (Nfreqs, q)
+
+    Returns
+    -------
+    x, std : ndarray, (Nfreqs, q)
+    covariance : ndarray, (Nfreqs q, Nfreqs q)
+    moved, gain : float
+    """
+    n_freqs = len(scores)
+    each = [_block(name, one, f) for f in range(n_freqs) for name, one in values.blocks.items()]
+    blocks = tuple(dict.fromkeys(each))
+    spans = spans_of(blocks, in_parts=True)
+    index = np.concatenate([np.arange(spans[one.name].start, spans[one.name].stop) for one in each])
+    n = max(span.stop for span in spans.values())
+    matrix, source = np.zeros((n, n)), np.zeros(n)
+    np.add.at(matrix, (index[:, np.newaxis], index), information)
+    np.add.at(source, index, scores.ravel())
+    known = Gaussian(blocks, matrix, source, None)
+    for name, one in values.blocks.items():
+        for channels, prior in one.prior.pieces(n_freqs):
+            known *= _prior(name, one, channels, prior)
+    step, spread = known.moments
+    covariance = spread[np.ix_(index, index)]
+    std = np.sqrt(np.diag(covariance)).reshape(scores.shape)
+    new, moved, gain = _moved(values, step[index].reshape(scores.shape), std, scores)
+    return new, std, covariance, moved, gain
+
+
+def _moved(values: Values, steps: FloatArray, std: FloatArray, scores: FloatArray) -> tuple[FloatArray, float, float]:
+    """Return where steps lead, the largest in standard deviations, and their gain; (Nfreqs, q) each but the latter."""
+    share = np.where(values.shared, 1 / len(steps), 1.0)
+    pulls = [score + share * values.prior_score(f) for f, score in enumerate(scores)]
+    gain = 0.5 * sum(float(step @ pull) for step, pull in zip(steps, pulls, strict=True))
     x = values.x
-    new, std, covariances, gain = x.copy(), np.zeros_like(x), [], 0.0
-    share = np.where(values.shared, 1 / n_freqs, 1.0)
-    for f, one_channel in enumerate(of_channels):
-        step, covariance = one_channel.moments_given(common)
-        gain += 0.5 * float(step @ (likelihoods[f].score + share * values.prior_score(f)))
-        covariances.append(covariance)
-        std[f] = np.sqrt(np.diag(covariance))
-        new[f] += _limited(values, step)
-    return new, std, covariances, float(np.max(np.abs(new - x) / std, initial=0.0)), gain
+    new = x + np.array([_limited(values, step) for step in steps])
+    return new, float(np.max(np.abs(new - x) / std, initial=0.0)), gain
 
 
 def _block(name: str, one: Active, channel: int) -> Block:

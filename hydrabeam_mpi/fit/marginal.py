@@ -61,10 +61,10 @@ class Marginal:
             return self._taken[two, one].T
         if (one, two) not in self._taken:
             kappa = 2.0 if self._posterior.is_complex else 4.0
-            self._taken[one, two] = kappa * (_parts(self._half(one)).T @ _parts(self._half(two)))
+            self._taken[one, two] = kappa * (in_parts(self._half(one)).T @ in_parts(self._half(two)))
         return self._taken[one, two]
 
 
-def _parts(half: Array) -> FloatArray:
+def in_parts(half: Array) -> FloatArray:
     """Return real parts above imaginary ones, with which the real part of a product is a real product."""
     return np.concatenate([half.real, half.imag]) if np.iscomplexobj(half) else half

@@ -13,6 +13,7 @@ import numpy as np
 from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.coupled import dense_unknowns
+from hydrabeam_mpi.fit.coupled_step import MAX_PARAMETERS
 from hydrabeam_mpi.fit.rounding import TIMES_IN_DOUBLE
 from hydrabeam_mpi.fit.row_buffer import CAPACITY
 from hydrabeam_mpi.fit.row_model import KEPT_BYTES
@@ -134,7 +135,10 @@ def loop_bytes(share: Share, root: bool) -> int:
     waves = share.sources * share.train_times * share.groups * REAL * share.channels
     # Those of the rows and of the blocks that effects see of them, of effects' columns, and of a larger basis. Measured
     # in the paper's case: 1.6 GB, of which this is three fifths.
-    return inference_bytes(share, root) + 4 * kept + (4 * waves if waves <= KEPT_BYTES / 4 else 0)
+    of_rows = 4 * kept + (4 * waves if waves <= KEPT_BYTES / 4 else 0)
+    # Of beams that hang together, how they follow effects: columns of their matrix, twice solved for.
+    following = 3 * share.item * share.unknowns * min(share.unknowns, MAX_PARAMETERS)
+    return inference_bytes(share, root) + of_rows + following
 
 
 def check_room(grid: ProcessGrid, problem: Problem, needed: Callable[[Share, bool], int]) -> None:

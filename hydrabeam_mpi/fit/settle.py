@@ -54,8 +54,8 @@ def settle(context: FitContext, fitted: Fitted) -> Fitted:
         if moved > SETTLED_SIGMAS and not moved < SHRINKS * before:
             break
         if before < np.inf:
-            best = Fitted(at.values, replace(step.fit, posteriors=solved.beams)), solved
+            best = Fitted(at.values, step.fit.with_beams(solved.beams)), solved
         if moved < SETTLED_SIGMAS:
             break
         before, at = moved, step.to
-    return fitted if best is None else replace(best[0], diagnostics=diagnostics_of(context, best[0].values, best[1]))
+    return fitted if best is None else replace(best[0], diagnostics=diagnostics_of(context, best[1]))

@@ -227,12 +227,12 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Fit:
-    """What a fit gives: of this rank group's channels, and the standard deviations of all.
+    """What a fit gives: of this rank group's channels, others that they hang together with marginalised, and all std.
 
     Attributes
     ----------
     posteriors : tuple of Posterior
-        Of the beams, given the effects.
+        Of the beams, given the channel's effects.
     covariances : tuple of ndarray, (q, q)
         Posterior covariance of all active parameters in use, side by side.
     beam_response : tuple of ndarray, (n_modes, q)
@@ -245,6 +245,11 @@ class Fit:
     covariances: tuple[FloatArray, ...] = ()
     beam_response: tuple[Array, ...] = ()
     std: tuple[FloatArray, ...] = ()
+
+    def with_beams(self, beams: tuple[Posterior, ...]) -> Fit:
+        """Return the same of other beams; where their uncertainty is known already their means alone count."""
+        known = tuple(replace(one, mean=beam.mean) for one, beam in zip(self.posteriors, beams, strict=False))
+        return replace(self, posteriors=known or beams)
 
 
 @dataclass(frozen=True)

@@ -165,9 +165,10 @@ class CoupledPosterior:
         draws = self.draws(seed, numbers)
         for channel in range(len(self.modes)):
             mean = np.asarray(self.modes[channel] @ self.joint.mean.reshape(-1, self.n))
-            yield Moments(mean, self._covariance(channel), draws[:, channel])
+            yield Moments(mean, self.covariance_of(channel), draws[:, channel])
 
-    def _covariance(self, channel: int) -> Array:
+    def covariance_of(self, channel: int) -> Array:
+        """Return that of a channel's a, (n, n)."""
         weights, size = self.modes[channel], self.modes.shape[1]
         half = (weights @ self.joint.covariance.reshape(size, -1)).reshape(self.n, size, self.n)
         return np.asarray(np.einsum("m,imj->ij", weights, half))

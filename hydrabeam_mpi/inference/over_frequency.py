@@ -27,6 +27,12 @@ def modes_of(covariance: FloatArray, n_modes: int | None = None) -> FloatArray:
     return _upright(vectors[:, kept]) * np.sqrt(values[kept])
 
 
+def inverse_over_channels(modes: FloatArray) -> FloatArray:
+    """Return the inverse of K = U U^T among what the modes, (Nchan, M), orthogonal, can make, (Nchan, Nchan)."""
+    scaled = modes / np.sum(modes**2, axis=0)
+    return np.asarray(scaled @ scaled.T)
+
+
 def legendre(freqs: FloatArray, n_modes: int) -> FloatArray:
     """Return polynomials of degree 0 to ``n_modes`` - 1 in frequency, orthogonal over the channels, (Nchan, n_modes).
 

@@ -75,7 +75,7 @@ def _record(problem: Problem, f: int, result: ChannelResult, maps: SkyMaps) -> C
         **result.of_effects,
     }
     if coupled is not None:
-        arrays |= {"information": coupled.information, "score": coupled.score}
+        arrays |= coupled.told
     if problem.earlier is not None:
         arrays["model_mean"] = problem.model_means[f]
     if maps.truth is not None:
