@@ -27,7 +27,6 @@ from hydrabeam_mpi.sampling.run import groups_of_chains, run_chains
 from hydrabeam_mpi.sampling.storage.store import ChainStore
 from hydrabeam_mpi.sampling.variables import variables_of
 from hydrabeam_mpi.sampling.walk import Walk
-from hydrabeam_mpi.setup.over_frequency import check_independent
 from hydrabeam_mpi.setup.problem import Problem
 from hydrabeam_mpi.terminal.progress import say, warn
 
@@ -111,7 +110,6 @@ def run_sampling(setup: Setup, out: Path, folder: Path | None, threads: int) -> 
     threads : int
         BLAS threads of this rank, for the record.
     """
-    check_independent(setup.job, "'hydrabeam sample'")
     clock, world, wanted = Clock(), setup.comm, setup.job.sample
     _, problem, _ = prepare_checked(setup, folder, clock, told)
     group, chains = groups_of_chains(world, wanted.chains)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -16,7 +17,8 @@ from hydrabeam_mpi.effects.registry import EFFECTS, make_effect
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.beams_given import solve_beams
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.gauss_newton import linearised, refit
+from hydrabeam_mpi.fit.coupled_step import marginal_together
+from hydrabeam_mpi.fit.gauss_newton import linearised, refit, sums_at
 from hydrabeam_mpi.fit.joint import restore
 from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.settle import settle
@@ -52,6 +54,7 @@ def begin(context: FitContext) -> Walk:
         values = _values(context, job)
         moving = _moving(values, wanted)
         group_of = _groups(context, wanted)
+        _check_together(context, wanted)
         positive = nowhere_negative(context.problem, wanted.positive_beam) if wanted.positive_beam else None
     fitted = refit(context, values)
     context, fitted = _with_fixed_weights(context, settle(context, fitted))
@@ -63,7 +66,8 @@ def begin(context: FitContext) -> Walk:
         InverseGamma(*prior) if block in wanted.blocks else None
         for block, prior in zip((NOISE, PRIOR_WIDTH), scales, strict=True)
     )
-    unknowns = Unknowns(fitted.values, moving, context.setup.observation.Nfreqs, context.learned is None)
+    apart = context.learned is None and context.problem.coupling is None
+    unknowns = Unknowns(fitted.values, moving, context.setup.observation.Nfreqs, apart)
     with together(context.grid.world):
         unknowns = replace(unknowns, width_of=_width_of(context, unknowns, wanted))
     weighed = context
@@ -110,6 +114,20 @@ def first_state(walk: Walk, seed: int, chain: int) -> ChainState:
             if length < 1e-3:
                 raise
             length *= 0.5
+
+
+def _check_together(context: FitContext, wanted: Sample) -> None:
+    """Make sure that nothing is drawn that is known of single channels alone, where they hang together."""
+    if context.problem.coupling is None:
+        return
+    asked = {"blocks": PRIOR_WIDTH in wanted.blocks, "positive_beam": bool(wanted.positive_beam)}
+    for key, what in (("blocks", PRIOR_WIDTH), ("positive_beam", "positive_beam")):
+        if asked[key]:
+            raise InputError(
+                f"{what} does not go with beams that hang together over frequency",
+                field=f"[sample] {key}",
+                remedy="leave it out, or set [prior.frequency] kind = 'independent'",
+            )
 
 
 def _values(context: FitContext, job: Job) -> Values:
@@ -249,11 +267,20 @@ def _proposal(context: FitContext, fitted: Fitted, unknowns: Unknowns) -> Propos
         return Proposal(vector, free, free.T)
     at = Estimate(unknowns.at(vector), fitted.fit.posteriors)
     solved = solve_beams(context, at)
-    told, _ = linearised(context, replace(at, beams=solved.beams), solved)
-    found: Proposal | None = None
-    with together(context.grid.world):
+    at, found = replace(at, beams=solved.beams), None
+    posterior = None
+    if context.problem.coupling is None:
+        told, _ = linearised(context, at, solved)
         if told is not None:
-            mean, factor = unknowns.posterior(vector, told, np.ones(len(told)))
+            posterior = partial(unknowns.posterior, vector, told, np.ones(len(told)))
+    else:
+        sums = list(sums_at(context, at, solved.rows, solved.added))
+        known = marginal_together(context, at.values, sums, solved.together)
+        if known is not None:
+            posterior = partial(unknowns.posterior_together, vector, *known)
+    with together(context.grid.world):
+        if posterior is not None:
+            mean, factor = posterior()
             half = solve_triangular(factor, free.T, lower=True, check_finite=False)
             found = Proposal(vector + free @ mean, half.T, factor.T @ free.T)
     made: Proposal = bcast_object(context.grid.world, found)

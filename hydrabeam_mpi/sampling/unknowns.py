@@ -151,6 +151,29 @@ class Unknowns:
             here, among = self.of_channel(channel)
             precision[np.ix_(here, here)] += one.information[np.ix_(among, among)] / noise[channel]
             score[here] += one.score[among] / noise[channel]
+        return self._solved(precision, score)
+
+    def posterior_together(
+        self, vector: FloatArray, information: FloatArray, scores: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the same where what is known of a channel's parameters depends on those of the others.
+
+        Parameters
+        ----------
+        vector : ndarray, (n,)
+        information : ndarray, (Nfreqs q, Nfreqs q)
+            Of all effects, those of a channel side by side.
+        scores : ndarray, (Nfreqs, q)
+        """
+        precision, score = self.prior_precision(), self.prior_score(vector)
+        own = [self.of_channel(channel) for channel in range(self.n_freqs)]
+        here = np.concatenate([one for one, _ in own])
+        among = np.concatenate([channel * scores.shape[1] + one for channel, (_, one) in enumerate(own)])
+        np.add.at(precision, (here[:, np.newaxis], here), information[np.ix_(among, among)])
+        np.add.at(score, here, scores.ravel()[among])
+        return self._solved(precision, score)
+
+    def _solved(self, precision: FloatArray, score: FloatArray) -> tuple[FloatArray, FloatArray]:
         try:
             factor = np.linalg.cholesky(self.free.T @ precision @ self.free)
         except np.linalg.LinAlgError as error:

@@ -27,7 +27,8 @@ from hydrabeam_mpi.inference.nonnegative import NonNegative
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.prior import DiagonalPrior, Prior
 from hydrabeam_mpi.mpi import allreduce_sum, bcast_array, together
-from hydrabeam_mpi.sampling.beams_given import BeamsGiven, solve_beam
+from hydrabeam_mpi.sampling.beams_given import BeamsGiven, solve_given
+from hydrabeam_mpi.sampling.coupled import draw_together
 from hydrabeam_mpi.sampling.latest import Latest
 from hydrabeam_mpi.sampling.noise import InverseGamma, NoiseParts, drawn_weights, log_densities, squared_residuals
 from hydrabeam_mpi.sampling.proposal import Proposal
@@ -88,6 +89,11 @@ class Walk:
     def channels(self) -> list[int]:
         """Numbers of the rank group's channels."""
         return self.context.channels
+
+    @property
+    def hangs_together(self) -> bool:
+        """Whether the beams of different channels depend on each other."""
+        return self.context.problem.coupling is not None
 
     def weighed(self, state: ChainState, chance: Chance) -> Walk:
         """Return the walk with weights as the scales of parts of the noise have them, and those of Student's t drawn.
@@ -150,17 +156,14 @@ class Walk:
         return self._given.of(self._key_of(state), lambda: self._solve(state))
 
     def _key_of(self, state: ChainState) -> bytes:
-        return _key(state.values) + state.noise.tobytes() + state.widths.tobytes()
+        noise = state.noise.tobytes()
+        if self.hangs_together:
+            # All groups solve together, or none does.
+            noise = b"".join(self.context.grid.world.allgather(noise))
+        return _key(state.values) + noise + state.widths.tobytes()
 
     def _solve(self, state: ChainState) -> BeamsGiven:
-        normals = self.sums(state.values)
-        posteriors, evidence = [], np.zeros(len(normals))
-        with together(self.context.grid.world):
-            if self.context.grid.is_group_root:
-                for f, (normal, prior) in enumerate(zip(normals, self.priors(state), strict=True)):
-                    posterior, evidence[f] = solve_beam(normal.with_noise(float(state.noise[f])), prior)
-                    posteriors.append(posterior)
-        return BeamsGiven(normals, posteriors, evidence)
+        return solve_given(self.context, self.sums(state.values), state.noise, self.priors(state))
 
     def mixed(self, taken: BoolArray, new: ChainState, old: ChainState, after: ChainState) -> None:
         """Keep what is known where some of the rank group's channels have gone and others have not.
@@ -189,6 +192,8 @@ class Walk:
         Beams that may not be negative are drawn from where they are ``before``; where they are nowhere yet what comes
         is near a draw, and none of theirs.
         """
+        if self.hangs_together:
+            return draw_together(self.context, given.together, chance.of(purpose), self.context.problem.priors)
         group, found = self.context.grid.group, []
         for f, channel in enumerate(self.channels):
             beam = None

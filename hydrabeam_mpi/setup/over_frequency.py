@@ -71,7 +71,7 @@ def check_independent(job: Job, what: str) -> None:
         raise InputError(
             f"beams that hang together over frequency do not go with {what} yet",
             field="[prior.frequency] kind",
-            remedy="set kind = 'independent', or use 'hydrabeam infer' or 'hydrabeam loop'",
+            remedy="set kind = 'independent', or leave it out",
         )
 
 

@@ -2,7 +2,8 @@
 
 Where E or C is seen by the beam the draw is a proposal, from the Gaussian with those that the fit's beam sees, and a
 channel's is accepted with the ratio of what the exact density has over that Gaussian to the same of the beam before.
-Beams that are nowhere negative are drawn from the same Gaussian where they are so, which is reversible as well.
+Beams that are nowhere negative are drawn from the same Gaussian where they are so, which is reversible as well. Where
+channels hang together all of them are accepted, or none.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hydrabeam_mpi.mpi import bcast_array
+from hydrabeam_mpi.mpi import bcast_array, bcast_object
 from hydrabeam_mpi.sampling.state import ChainState, Chance
 from hydrabeam_mpi.sampling.walk import Walk
 
@@ -22,6 +23,10 @@ def draw_beams(walk: Walk, state: ChainState, chance: Chance) -> tuple[ChainStat
     if not walk.beam_is_seen:
         return proposed, {"beam": 1.0}
     gain = walk.log_correction(proposed) - walk.log_correction(state)
+    if walk.hangs_together:
+        rises = walk.context.over_channels(gain)
+        all_taken = bcast_object(walk.context.grid.world, bool(np.log(chance.of("beam accepted").random()) < rises))
+        return (proposed if all_taken else state), {"beam": float(all_taken)}
     chances = [chance.of("beam accepted", channel).random() for channel in walk.channels]
     taken = bcast_array(walk.context.grid.group, np.log(chances) < gain)
     pairs = zip(taken.tolist(), proposed.beams, state.beams, strict=True)
