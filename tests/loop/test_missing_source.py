@@ -1,8 +1,12 @@
-"""A source that the catalogue lacks is told by where it is on the sky, wherever the loop still writes of it."""
+"""A source that the catalogue lacks is told by where it is on the sky, wherever the loop still writes of it.
+
+So is one that varies during the night, or anew in each.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -39,5 +43,39 @@ def test_a_source_is_told_by_its_place(tmp_path: Path, capfd: pytest.CaptureFixt
     np.testing.assert_allclose(entry.settings["sources"], [[ra, dec]], atol=1e-4)
     assert all("offset" in name for name in entry.names[1:3])
     assert np.all(np.abs(np.array(entry.values)[:, 1:3]) < 1e-4)
+    assert main(["infer", str(result / "amended.toml"), "-o", str(tmp_path / "again")]) == 0
+    assert_reproduced(result, tmp_path / "again")
+
+
+LAWS: dict[str, tuple[dict[str, Any], dict[str, float]]] = {
+    "smooth": ({"orders": [0, 1]}, {"flux, level": 4.0, "flux, drift from first to last time": 2.0}),
+    "nightly": (
+        {"orders": [0, 0, 0], "nights": [0, 1, 2]},
+        {"flux, night 1: level": 2.0, "flux, night 2: level": 5.0, "flux, night 3: level": 3.0},
+    ),
+}
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_one_that_varies_is_told_with_its_law(law: str, tmp_path: Path) -> None:
+    """From the file that it is put into the data by to the one that has it as it was found."""
+    settings, fluxes = LAWS[law]
+    source = {
+        "kind": "missing_sources",
+        "settings": {"law": law, **settings, "sources": [list(PLACE)]},
+        "parameters": {NAME + name: flux for name, flux in fluxes.items()},
+    }
+    job = mock_job(source, n_times=12, loop={"effects": ["missing_sources"]}, holdout={"every": 2})
+    job["data"]["simulate"] |= {
+        "lst_range": ["0.5 h", "3.5 h"],
+        "nights": len(settings["orders"]) if law == "nightly" else 1,
+    }
+    result = run_loop(job, tmp_path)
+    record = record_of(result)
+    (found,) = record["rounds"]
+    assert (found["effect"], found["law"], record["verdict"]) == ("missing_sources", law, "explained")
+    told = {one["name"].partition(": ")[2]: one for one in found["parameters"]}
+    for name, flux in fluxes.items():
+        assert abs(told[name]["value"] - flux) < 3 * told[name]["std"] < 0.3
     assert main(["infer", str(result / "amended.toml"), "-o", str(tmp_path / "again")]) == 0
     assert_reproduced(result, tmp_path / "again")
