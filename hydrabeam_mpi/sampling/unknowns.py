@@ -209,12 +209,22 @@ class Unknowns:
         of channels.
         """
         which = np.flatnonzero(self.width_of >= 0)
-        squares = vector[which] ** 2 * np.diag(self.prior_precision())[which]
+        return (vector[which] / self._stated_std[which]) ** 2, self.width_of[which], self._channel_of[which]
+
+    @cached_property
+    def _stated_std(self) -> FloatArray:
+        """Standard deviations of the vector's prior, (n,)."""
+        pieces = [prior.std() for one in self.active for _, prior in one.prior.pieces(self.n_freqs)]
+        return np.concatenate([np.zeros(0), *pieces])
+
+    @cached_property
+    def _channel_of(self) -> IntArray:
+        """The channel that each entry of the vector is of alone, or the number of channels, (n,)."""
         channels = np.full(self.size, self.n_freqs)
         for one, span in zip(self.active, self.spans, strict=True):
             if self._is_apart(one):
                 channels[span] = np.repeat(np.arange(self.n_freqs), one.size)
-        return squares, self.width_of[which], channels[which]
+        return channels
 
     def log_prior_of_widths(self, values: Values, spreads: FloatArray) -> FloatArray:
         """Return by how much the prior's logarithm changes with variances ``spreads`` times as large.

@@ -23,20 +23,22 @@ AT_ONCE = 256
 
 @dataclass(frozen=True, eq=False)
 class Pooled:
-    """Draws of the beam in one channel and of all else, one after the other by chain.
+    """Draws of the beam in one channel and of all else in it, one after the other by chain.
 
     Attributes
     ----------
+    channel : int
     freq : float or None
         Of the channel, Hz.
     basis : LinearBasis
     beam : ndarray, (n_draws, n_modes)
     others : ndarray, (n_draws, n_others)
-        All other numbers that move; of complex ones the real and the imaginary parts.
+        All other numbers that move, of this channel or of all; of complex ones the real and the imaginary parts.
     labels : list of str
         Their names.
     """
 
+    channel: int
     freq: float | None
     basis: LinearBasis
     beam: Array
@@ -61,15 +63,22 @@ def standardised(values: FloatArray) -> FloatArray:
     return np.divide(away, std, out=np.zeros_like(away), where=std > 0)
 
 
-def pool(store: ChainStore) -> Pooled | None:
-    """Read draws of the beam and of all else; None where there is no beam, or no draw.
+def beam_of(store: ChainStore) -> Variable | None:
+    """Return the variable that is the beam, if there is one."""
+    return next((one for one in store.variables if one.block == BEAM and one.dims[-1:] == ("mode",)), None)
+
+
+def pool(store: ChainStore, channel: int = 0) -> Pooled | None:
+    """Read draws of a channel's beam and of all else in it; None where there is no beam, or no draw.
+
+    Given what channels share, the numbers of others say nothing of this one's.
 
     Raises
     ------
     InputError
         If it is not known in which basis the beam is.
     """
-    beam = next((one for one in store.variables if one.block == BEAM and one.dims[-1:] == ("mode",)), None)
+    beam = beam_of(store)
     chains, draws = store.comparable()
     if beam is None or draws.stop - draws.start < 2:
         return None
@@ -77,21 +86,30 @@ def pool(store: ChainStore) -> Pooled | None:
         raise InputError("does not say in which basis the beam is", file=store.folder, field="about basis")
     basis = basis_from_description(store.about["basis"])
     step = -(-len(chains) * (draws.stop - draws.start) // MOST)
-    first_channel = slice(0, beam.shape[-1])
-    read = _read(store, beam, chains, draws, step, first_channel)
+    read = _read(store, beam, chains, draws, step, _of_channel(beam, channel))
     others, labels = [np.empty((len(read), 0))], []
     for variable in store.variables:
         if variable.block != BEAM:
-            values = _read(store, variable, chains, draws, step, slice(0, variable.size))
-            names = [variable.label(index) for index in range(variable.size)]
+            here = _of_channel(variable, channel)
+            values = _read(store, variable, chains, draws, step, here)
+            names = [variable.label(index) for index in range(here.start, here.stop)]
             parts = [(values, "")] if variable.dtype == "float64" else [(values.real, ""), (values.imag, "imaginary ")]
             for part, prefix in parts:
                 moves = np.ptp(part, axis=0) > 0
                 others.append(part[:, moves])
                 labels += [prefix + name for name, keeps in zip(names, moves, strict=True) if keeps]
     freqs = beam.coords.get("freq", ())
-    freq = float(freqs[0]) if len(freqs) else None
-    return Pooled(freq, basis, read, np.concatenate(others, axis=1), labels)
+    freq = float(freqs[channel]) if len(freqs) else None
+    return Pooled(channel, freq, basis, read, np.concatenate(others, axis=1), labels)
+
+
+def _of_channel(variable: Variable, channel: int) -> slice:
+    """Return the numbers of a variable that are of a channel, or all where they are of none alone."""
+    if "freq" not in variable.dims:
+        return slice(0, variable.size)
+    assert variable.dims[0] == "freq", variable.name
+    size = variable.size // variable.shape[0]
+    return slice(channel * size, (channel + 1) * size)
 
 
 def _read(

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 
 from markupsafe import Markup
 
+from hydrabeam_mpi.report.chains.channels import channel_rows
 from hydrabeam_mpi.report.chains.degeneracy import directions_of, draw_directions
 from hydrabeam_mpi.report.chains.mixing import draw_ess, mixing_rows, progress_rows
 from hydrabeam_mpi.report.chains.pooled import Pooled, pool
@@ -48,6 +49,7 @@ def chains_page(store: ChainStore, status: Status, place: Place) -> tuple[Answer
     return answer, [
         Section("Do the chains agree?", mixing),
         Section(f"The beam and all else{where}", _beam(pooled, spread is not None, place) if pooled else Markup()),
+        Section("All channels", channel_rows(store, status.diagnosis, store.kept(CONDITIONAL))),
         Section("How far they are", together(part("paragraph", introduction(store, status)), progress_rows(status))),
     ]
 

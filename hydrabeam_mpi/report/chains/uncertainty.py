@@ -68,7 +68,7 @@ def spread_of(pooled: Pooled, kept: Mapping[str, Array]) -> Spread | None:
     marginal = np.sqrt(np.sum(np.abs(away) ** 2, axis=0) / (n - 1)).reshape(len(ZA), len(AZ))
     if rank > SHARE * n:
         where = np.ix_(*(np.searchsorted(kept[name], at - 1e-6) for name, at in (("grid_za", ZA), ("grid_az", AZ))))
-        return Spread(marginal, kept["map_std_conditional"][0][where])
+        return Spread(marginal, kept["map_std_conditional"][pooled.channel][where])
     remains = away - directions @ (directions.T @ away)
     conditional = np.sqrt(np.sum(np.abs(remains) ** 2, axis=0) / (n - 1 - rank))
     return Spread(marginal, conditional.reshape(len(ZA), len(AZ)))

@@ -25,6 +25,9 @@ def test_the_page_shows_all_figures(tmp_path: Path, capsys: pytest.CaptureFixtur
         "of each of 2 chains",
         "flux[Fornax A]",
         "The beam and all else, 120 MHz",
+        "All channels",
+        "<td>120 MHz</td>",
+        "<td>130 MHz</td>",
     ):
         assert words in page
     assert "nan" not in page.split("base64")[0]

@@ -32,7 +32,11 @@ def test_draws_are_pooled_at_even_intervals(store: ChainStore, pooled: Pooled) -
     assert (pooled.n_draws, pooled.freq) == (600, 1.2e8)
     np.testing.assert_array_equal(pooled.beam[150:300], store.read("beam", 1)[::2, 0])
     expected = ["flux[Fornax A]", "flux[B]", "flux[C]"]
-    assert pooled.labels == [*expected, "noise[freq=120000000]", "noise[freq=130000000]"]
+    assert pooled.labels == [*expected, "noise[freq=120000000]"]
+    other = pool(store, 1)
+    assert other is not None
+    assert (other.freq, other.labels) == (1.3e8, [*expected, "noise[freq=130000000]"])
+    np.testing.assert_array_equal(other.beam[:150], store.read("beam", 0)[::2, 1])
 
 
 def test_the_marginal_spread_is_wider_by_what_the_beam_owes_to_the_flux(pooled: Pooled) -> None:
