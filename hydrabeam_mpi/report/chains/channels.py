@@ -10,7 +10,7 @@ from markupsafe import Markup
 from hydrabeam_mpi.config.sample import NOISE
 from hydrabeam_mpi.data.observation import Array
 from hydrabeam_mpi.report.chains.pooled import beam_of, pool
-from hydrabeam_mpi.report.chains.uncertainty import spread_of
+from hydrabeam_mpi.report.chains.uncertainty import marginal_std, spread_of
 from hydrabeam_mpi.report.page.parts import set_table
 from hydrabeam_mpi.report.page.words import megahertz
 from hydrabeam_mpi.sampling.convergence import Diagnosis
@@ -49,12 +49,8 @@ def channel_rows(store: ChainStore, diagnosis: Diagnosis, kept: Mapping[str, Arr
         if pooled is None:
             return Markup()
         spread = spread_of(pooled, kept)
-        seen = spread is not None and np.isfinite(spread.ratio)
-        told = (
-            [np.median(spread.marginal[seen]), np.median(spread.ratio[seen]), spread.ratio[seen].max()]
-            if spread is not None
-            else [np.nan] * 3
-        )
+        ratio = np.full(1, np.nan) if spread is None else spread.ratio[np.isfinite(spread.ratio)]
+        told = (np.median(marginal_std(pooled)), np.median(ratio), ratio.max())
         noise = [column for name, column in zip(pooled.labels, pooled.others.T, strict=True) if name.startswith(NOISE)]
         scale = f"{number(np.mean(noise))} +- {number(np.std(noise, axis=1).mean())}" if noise else "-"
         known = of_channel[np.isfinite(of_channel)]

@@ -46,6 +46,11 @@ def on_sky(pooled: Pooled, coefficients: Array) -> Array:
     return np.asarray(values).reshape(len(coefficients), len(ZA), len(AZ))
 
 
+def marginal_std(pooled: Pooled) -> FloatArray:
+    """Return the standard deviation of the beam on the sky with all else drawn, (Nza, Naz)."""
+    return np.asarray(on_sky(pooled, pooled.beam).std(axis=0, ddof=1))
+
+
 def spread_of(pooled: Pooled, kept: Mapping[str, Array]) -> Spread | None:
     """Return the two standard deviations; None where the second is not known.
 
@@ -64,8 +69,7 @@ def spread_of(pooled: Pooled, kept: Mapping[str, Array]) -> Spread | None:
     if not rank or (rank > SHARE * n and not kept):
         return None
     beams = on_sky(pooled, pooled.beam).reshape(n, -1)
-    away = beams - beams.mean(axis=0)
-    marginal = np.sqrt(np.sum(np.abs(away) ** 2, axis=0) / (n - 1)).reshape(len(ZA), len(AZ))
+    away, marginal = beams - beams.mean(axis=0), marginal_std(pooled)
     if rank > SHARE * n:
         where = np.ix_(*(np.searchsorted(kept[name], at - 1e-6) for name, at in (("grid_za", ZA), ("grid_az", AZ))))
         return Spread(marginal, kept["map_std_conditional"][pooled.channel][where])
