@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray
+from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.place import Place
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
@@ -51,6 +53,7 @@ class RowModel:
     linear_sky: LinearSky | None = None
     _places: dict[int, Place] = field(default_factory=dict)
     _memo: dict[tuple[int, str], Any] = field(default_factory=dict)
+    _skies: dict[tuple[int, str, str], FloatArray] = field(default_factory=dict)
 
     @cached_property
     def model(self) -> ForwardModel:
@@ -129,12 +132,35 @@ class RowModel:
                 change = sources.flux_without() - sources.flux
                 changed = np.flatnonzero(change)
                 sky = [(sources.za[changed], sources.az[changed], change[changed])]
-                sky += [more for one, x in block.sky_effects if (more := one.extra_sky(block, time, x)) is not None]
+                standing: list[FloatArray] = []
+                for one, x in block.sky_effects:
+                    numbers = one.standing_numbers(block, time, x)
+                    if numbers is not None and self._keeps_skies(len(numbers)):
+                        standing.append(np.tensordot(numbers, self._design_of_skies(one, channel, block), axes=1))
+                    elif (more := one.extra_sky(block, time, x)) is not None:
+                        sky.append(more)
                 za, az, flux = (np.concatenate(parts) for parts in zip(*sky, strict=True))
                 za, az, flux = (one[flux != 0] for one in (za, az, flux))
-                by_channel.append(engine.design(basis, za, az, flux[np.newaxis], np.array([block.freq]))[0])
+                turning = engine.design(basis, za, az, flux[np.newaxis], np.array([block.freq]))[0]
+                by_channel.append(sum(standing, start=turning))
             mixed = basis.mix(np.array(by_channel))
             yield mixed[:, 0] + 1j * mixed[:, 1] if basis.is_complex else mixed
+
+    def _keeps_skies(self, n_skies: int) -> bool:
+        """Whether designs of so many skies that do not turn take less time, and room, than one at each time."""
+        size = 16 * n_skies * len(self.rows.groups) * self.problem.basis.n_columns * len(self.rows.data)
+        return n_skies <= len(self.rows.tile.times) and size <= SLOPES_BYTES
+
+    def _design_of_skies(self, effect: Effect, channel: int, block: RowBlock) -> FloatArray:
+        """Return the design of each of an effect's skies that do not turn, (K, 2, Ngroups, n_columns); made once."""
+        key = channel, effect.kind, json.dumps(effect.describe())
+        if key not in self._skies:
+            total: Any = 0.0
+            for za, az, flux in effect.standing_skies(block):
+                freqs = np.full(len(flux), block.freq)
+                total = total + self.model.engine.design(self.problem.basis, za, az, flux, freqs)
+            self._skies[key] = total
+        return self._skies[key]
 
     def block(self, channel: int, span: slice, beam: Beam, values: Values, **data: Any) -> RowBlock:
         """Return the block of some of the rank's times; ``data`` are fields of `RowBlock` about its rows."""

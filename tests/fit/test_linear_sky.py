@@ -6,7 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
+from hydrabeam_mpi.fit import row_model
 from hydrabeam_mpi.fit.linear_sky import linear_sky
 from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.state import Values
@@ -48,3 +50,15 @@ def test_a_sky_that_bends_is_not_taken_for_a_sum(tmp_path: Path) -> None:
     assert share.linear_sky is None
     values = begin(context_of(small_job(FLUX, n_freqs=2), tmp_path)).unknowns.values
     assert linear_sky(share.designs, values, [0], [0, 1]) is not None
+
+
+def test_skies_that_do_not_turn_make_up_the_sky_of_every_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside fluxes that change, in two channels; without room for them the sky is worked out at each time."""
+    walk = begin(context_of(small_job(FLUX, DIFFUSE, n_freqs=2, n_times=10), tmp_path))
+    share, values = walk.context.train, drawn(walk.unknowns.values)
+    once = RankData(share.problem, share.setup, share.rows)
+    found = np.array(list(once.designs(values)))
+    assert [len(one) for one in once._skies.values()] == [4, 4]
+    monkeypatch.setattr(row_model, "SLOPES_BYTES", 0)
+    expected = np.array(list(RankData(share.problem, share.setup, share.rows).designs(values)))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13 * np.abs(expected).max())

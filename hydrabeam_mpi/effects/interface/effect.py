@@ -14,6 +14,7 @@ effect.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -165,6 +166,14 @@ class Effect(InOtherData, HasLimits, MayChange, Cause):
         Each is (Nsrc,).
         """
         return None
+
+    def standing_numbers(self, block: RowBlock, itime: int, x: FloatArray) -> FloatArray | None:
+        """Return of which combination of skies that do not turn `extra_sky` is one time's, (K,); None if of none."""
+        return None
+
+    def standing_skies(self, block: RowBlock) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
+        """Yield sources of these skies, some at a time: za, az, (Nsrc,) each, and flux, (K, Nsrc)."""
+        return iter(())
 
     @abstractmethod
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:

@@ -8,7 +8,9 @@ to the horizon, and every time takes its own combinations of them.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
+from functools import lru_cache
 from math import factorial
 from typing import Annotated, Any
 
@@ -92,11 +94,24 @@ class Diffuse(Effect):
 
     def extra_sky(self, block: RowBlock, itime: int, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the points of the quadrature with the flux that each stands for, each (Nsrc,)."""
+        numbers = self.standing_numbers(block, itime, x)
+        parts = [(za, az, numbers @ flux) for za, az, flux in self.standing_skies(block)]
+        za, az, flux = (np.concatenate(one) for one in zip(*parts, strict=True))
+        return za, az, flux
+
+    def standing_numbers(self, block: RowBlock, itime: int, x: FloatArray) -> FloatArray:
+        """Return the coefficients of the horizontal harmonics, (n,)."""
+        return np.asarray(self._turns(replace(block, times=np.array([itime])))[0].T @ x)
+
+    def standing_skies(self, block: RowBlock) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
+        """Yield points of the quadrature with the flux that each stands for in each of these, (n, Nsrc)."""
         up, az, area = _hemisphere(block, block.vectors)
-        turn = self._turns(replace(block, times=np.array([itime])))[0]
-        flux = area * np.tensordot(turn.T @ x, harmonics(self.l_max, up, az), axes=1)
-        za, az, flux = np.broadcast_arrays(np.arccos(up), az, flux)
-        return za.ravel(), az.ravel(), flux.ravel()
+        step = max(1, POINTS_AT_ONCE // az.size)
+        for lo in range(0, len(up), step):
+            part = up[lo : lo + step]
+            flux = area[lo : lo + step] * harmonics(self.l_max, part, az)
+            za, azimuth = np.broadcast_arrays(np.arccos(part), az)
+            yield za.ravel(), azimuth.ravel(), flux.reshape(len(flux), -1)
 
     def _horizontal(self, block: RowBlock, groups: IntArray) -> ComplexArray:
         """Return the visibilities of harmonics of (90 deg - za, az), (len(groups), n)."""
@@ -119,15 +134,20 @@ class Diffuse(Effect):
 
         By projection over the sphere, with points and weights that are exact for products of two harmonics.
         """
-        nodes, weights = np.polynomial.legendre.leggauss(self.l_max + 1)
-        n_az = 2 * self.l_max + 3
-        az = np.tile(2 * np.pi * np.arange(n_az) / n_az, len(nodes))
-        z = np.repeat(nodes, n_az)
-        points = enu(np.arccos(z), az)
-        projection = harmonics(self.l_max, z, az) * np.repeat(weights, n_az) * (2 * np.pi / n_az)
+        points, projection = _projection(self.l_max)
         turned = np.einsum("tij,ip->tjp", _frames(block), points)
         equatorial = harmonics(self.l_max, turned[:, 2].clip(-1, 1), np.arctan2(turned[:, 1], turned[:, 0]))
         return np.einsum("atp,bp->tab", equatorial, projection)
+
+
+@lru_cache(maxsize=4)
+def _projection(l_max: int) -> tuple[FloatArray, FloatArray]:
+    """Return points on the sphere, (3, N), and what projects functions there on harmonics, (n, N)."""
+    nodes, weights = np.polynomial.legendre.leggauss(l_max + 1)
+    n_az = 2 * l_max + 3
+    az = np.tile(2 * np.pi * np.arange(n_az) / n_az, len(nodes))
+    z = np.repeat(nodes, n_az)
+    return enu(np.arccos(z), az), harmonics(l_max, z, az) * np.repeat(weights, n_az) * (2 * np.pi / n_az)
 
 
 def _hemisphere(block: RowBlock, vectors: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
