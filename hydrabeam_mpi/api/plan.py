@@ -18,7 +18,6 @@ from hydrabeam_mpi.planning.measure import Bench
 from hydrabeam_mpi.planning.network import measure_network
 from hydrabeam_mpi.planning.outline import outline
 from hydrabeam_mpi.planning.table import as_table, as_text, assumptions
-from hydrabeam_mpi.setup.over_frequency import check_independent
 
 COMMANDS = ("simulate", "infer", "loop", "sample")
 
@@ -80,8 +79,6 @@ def plan(
     InputError
         On all ranks, if a file or an argument cannot be used.
     """
-    with setup.telling():
-        check_independent(setup.job, "'hydrabeam plan' or --dry-run")
     world = setup.comm
     network = measure_network(world)
     if world.size > 1:
@@ -104,5 +101,8 @@ def plan(
 def possible(job: Job) -> list[str]:
     """Return the commands that a job can be given to."""
     mixed = job.solver.precision == "mixed"
-    left_out = {"simulate": job.data.simulate is None, "loop": mixed or job.holdout.kind == "none", "sample": mixed}
+    frequency = job.prior.frequency
+    # With effects there is one length alone.
+    alone = mixed or (frequency.kind == "gaussian-process" and len(frequency.length) != 1)
+    left_out = {"simulate": job.data.simulate is None, "loop": alone or job.holdout.kind == "none", "sample": alone}
     return [command for command in COMMANDS if not left_out.get(command)]

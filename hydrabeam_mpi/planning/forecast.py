@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hydrabeam_mpi.config.sample import NOISE
 from hydrabeam_mpi.data.partition import make_tiles
 from hydrabeam_mpi.fit.memory import inference_bytes, loop_bytes, simulation_bytes
 from hydrabeam_mpi.io.posterior_file import MAP_PIXELS
@@ -175,9 +176,23 @@ class Steps:
             "design": shares.seconds(bench.design),
             "sum": shares.channels * sums if shares.in_group > 1 else 0.0,
             "solve": shares.channels * bench.solve_s,
+            "together": self._together() + (bench.together.inference_s if bench.together else 0.0),
             "heldout": shares.seconds(bench.heldout, test=True),
             **self._write(),
         }
+
+    def _together(self) -> float:
+        """Seconds in which rank 0 is told of all channels that hang together."""
+        if self.model.bench.together is None:
+            return 0.0
+        elsewhere = 1 - 1 / self.shares.n_groups
+        return self.model.network.beta * elsewhere * self.outline.n_channels * self.shares.share.matrix
+
+    def _factorised(self) -> float:
+        """Seconds of the beams of one draw, which are solved for as effects move and again as the noise does."""
+        known, settings = self.model.bench.together, self.outline.job.sample
+        n_solved = settings.thin * (1 + (NOISE in settings.blocks))
+        return n_solved * (self._together() + known.factor_s) if known else 0.0
 
     def _write(self) -> dict[str, float]:
         """Seconds of describing channels, of sending them to rank 0, and of writing them there."""
@@ -202,6 +217,7 @@ class Steps:
             "attribution": weighings * shares.seconds(bench.attribution),
             "trials": fits * shares.seconds(bench.trial),
             "sum": in_group * shares.channels * (weighings + 4 * fits) * self._allreduce(matrix),
+            "together": 4 * fits * self._together() + (fits + 1) * (bench.together.fit_s if bench.together else 0.0),
             "settle": shares.seconds(bench.trial),
             **self._write(),
         }
@@ -211,8 +227,9 @@ class Steps:
         chains = -(-settings.chains // min(self.ranks, settings.chains))
         one = shares.seconds(bench.draw) + (self._allreduce(shares.share.matrix) if shares.in_group > 1 else 0.0)
         return {
-            "begin": shares.seconds(bench.begin_chains),
+            "begin": shares.seconds(bench.begin_chains) + (bench.together.fit_s if bench.together else 0.0),
             "draws": chains * (settings.warm_up + settings.draws) * one,
+            "together": chains * (settings.warm_up + settings.draws) * self._factorised(),
         }
 
     def memory(self, command: str) -> int:

@@ -28,6 +28,7 @@ from hydrabeam_mpi.loop.selection.choice import choose
 from hydrabeam_mpi.loop.selection.rounds import begin as first_fit
 from hydrabeam_mpi.loop.selection.trials import try_effects
 from hydrabeam_mpi.loop.selection.weighing import weigh
+from hydrabeam_mpi.planning.coupled import SolvedTogether, solved_together
 from hydrabeam_mpi.planning.outline import Clock, Outline
 from hydrabeam_mpi.planning.probe import probe
 from hydrabeam_mpi.result.describe import describe_channels
@@ -161,6 +162,11 @@ class Bench:
     def solve_s(self) -> float:
         """Seconds in which a channel's coefficients are solved for, with their covariance."""
         return self._solved[0]
+
+    @cached_property
+    def together(self) -> SolvedTogether | None:
+        """What it takes rank 0 to solve for beams that hang together."""
+        return solved_together(self.outline, self.clock)
 
     @property
     def result(self) -> ChannelResult:

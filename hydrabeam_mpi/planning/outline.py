@@ -8,12 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hydrabeam_mpi.config import Job
+from hydrabeam_mpi.config.frequency import OverFrequency
 from hydrabeam_mpi.config.named import expand
 from hydrabeam_mpi.data.observation import FloatArray, Observation
 from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.model.fit import fit_beam
 from hydrabeam_mpi.setup.beams import load_beams
 from hydrabeam_mpi.setup.given import Given
+from hydrabeam_mpi.setup.over_frequency import Coupling, couple
 from hydrabeam_mpi.setup.problem import Problem, prepare
 from hydrabeam_mpi.setup.selected import observe
 from hydrabeam_mpi.setup.skies import load_sky
@@ -39,6 +41,10 @@ class Outline:
         Seconds of sky and beams without a fit, as for a simulation.
     fit_s : float
         Seconds of the model beam of each further channel.
+    job : Job
+        As it was given; that of the problem has independent channels.
+    coupling : Coupling, optional
+        How the beams of all channels hang together.
     """
 
     observation: Observation
@@ -46,11 +52,8 @@ class Outline:
     prepare_s: float
     scene_s: float
     fit_s: float
-
-    @property
-    def job(self) -> Job:
-        """The job."""
-        return self.problem.job
+    job: Job
+    coupling: Coupling | None = None
 
     @property
     def n_channels(self) -> int:
@@ -83,10 +86,12 @@ def outline(job: Job, given: Given, clock: Clock) -> Outline:
         observation = observe(job, given.data or expand(job.data.files, "[data] files"))
     middle = slice(observation.Nfreqs // 2, observation.Nfreqs // 2 + 1)
     one = replace(observation, freqs=observation.freqs[middle], channel_width=observation.channel_width[middle])
-    problem = prepare(job, (), given=given, observation=one)
+    alone = job.model_copy(update={"prior": job.prior.model_copy(update={"frequency": OverFrequency()})})
+    problem = prepare(alone, (), given=given, observation=one)
+    coupling = couple(job.prior.frequency, observation.freqs, problem.priors)
     prepared = clock()
     load_sky(job, one.freqs, given.sky)
     load_beams(job, one.freqs, one.pols[0], given.beam)
     loaded = clock()
     fit_beam(problem.beams[0], problem.basis)
-    return Outline(observation, problem, prepared - start, loaded - prepared, clock() - loaded)
+    return Outline(observation, problem, prepared - start, loaded - prepared, clock() - loaded, job, coupling)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from hydrabeam_mpi.data.partition import Tile, make_tiles
+from hydrabeam_mpi.fit.coupled import dense_unknowns
 from hydrabeam_mpi.fit.memory import Share
 from hydrabeam_mpi.mpi.grid import ranks_of_groups
 from hydrabeam_mpi.planning.measure import Cost
@@ -83,4 +84,5 @@ class Shares:
     def share(self) -> Share:
         """Sizes of the share of the rank that has most."""
         most = max(self.test, key=lambda tile: tile.size)
-        return Share.of(self.outline.problem, self.channels, self.largest, most)
+        share = Share.of(self.outline.problem, self.channels, self.largest, most)
+        return replace(share, unknowns=dense_unknowns(self.outline.coupling, share.basis.n_modes))

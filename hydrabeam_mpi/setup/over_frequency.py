@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.frequency import OverFrequency
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.errors import InputError
@@ -57,22 +56,6 @@ def couple(settings: OverFrequency, freqs: FloatArray, priors: Sequence[Prior] =
     lengths = settings.length or _lengths(freqs)
     kernel = KERNELS[settings.kernel]
     return Coupling(settings, tuple(modes_of(kernel(freqs, length)) for length in lengths), lengths)
-
-
-def check_independent(job: Job, what: str) -> None:
-    """Make sure that channels are independent, as ``what`` knows them alone.
-
-    Raises
-    ------
-    InputError
-        If they are not.
-    """
-    if job.prior.frequency.couples:
-        raise InputError(
-            f"beams that hang together over frequency do not go with {what} yet",
-            field="[prior.frequency] kind",
-            remedy="set kind = 'independent', or leave it out",
-        )
 
 
 def _modes(settings: OverFrequency, freqs: FloatArray) -> FloatArray:

@@ -135,11 +135,6 @@ def test_polynomials_and_conjugate_gradients(folder: Path) -> None:
     assert np.max(np.abs(left)) < 1e-6 * np.max(np.abs(over))
 
 
-def test_what_knows_only_single_channels_refuses(folder: Path) -> None:
-    with pytest.raises(hb.InputError, match="hang together over frequency do not go with"):
-        hb.plan(setup_of(folder, **PROCESS))
-
-
 @pytest.mark.parametrize(
     ("frequency", "words"),
     [

@@ -10,9 +10,12 @@ import pytest
 from mpi4py import MPI
 
 import hydrabeam_mpi as hb
+from hydrabeam_mpi.api.plan import possible
 from hydrabeam_mpi.cli import main
+from hydrabeam_mpi.config import Job, load_job
 from hydrabeam_mpi.fit.memory import Share, check_fits, inference_bytes, loop_bytes
 from hydrabeam_mpi.model.bases.zernike import Zernike
+from hydrabeam_mpi.planning.forecast import Forecast
 from hydrabeam_mpi.planning.measure import Cost
 from hydrabeam_mpi.planning.network import TYPICAL, measure_network
 
@@ -133,3 +136,30 @@ def test_messages_are_timed_where_there_are_ranks(comm: MPI.Comm) -> None:
     assert network.alpha > 0
     assert network.allreduce(8_000_000, 1) == 0 < network.allreduce(8_000_000, 64)
     assert TYPICAL.allreduce(8, 4096) > TYPICAL.allreduce(8, 64)
+
+
+def test_channels_that_hang_together(job: Path, tmp_path: Path) -> None:
+    """Rank 0 solves for all of them, and for each length once more than for one; other steps are as they were."""
+
+    def forecasts(frequency: str) -> dict[str, Forecast]:
+        path = tmp_path / "job.toml"
+        path.write_text(job.read_text() + f"[prior.frequency]\n{frequency}\n")
+        found = hb.plan(hb.Setup.from_job(path), ranks=(1,), commands=("infer",)).forecasts
+        return {one.command: one for one in found}
+
+    alone, two, many = (
+        forecasts(f"kind = '{kind}'")["infer"]
+        for kind in ("independent", "modes'\nn_modes = 2\nsolver = 'dense", "gaussian-process'\nsolver = 'dense")
+    )
+    assert "together" not in alone.phases_s
+    assert 0 < two.phases_s["together"] < many.phases_s["together"]
+    assert alone.file_bytes < two.file_bytes == many.file_bytes
+    with pytest.raises(hb.InputError, match="how many steps conjugate gradients take"):
+        forecasts("kind = 'modes'\nn_modes = 2\nsolver = 'conjugate-gradients'")
+    assert possible(load_job(tmp_path / "job.toml")) == ["simulate", "infer", "loop", "sample"]
+    assert possible(many_lengths(job, tmp_path)) == ["simulate", "infer"]
+
+
+def many_lengths(job: Path, folder: Path) -> Job:
+    (folder / "many.toml").write_text(job.read_text() + "[prior.frequency]\nkind = 'gaussian-process'\n")
+    return load_job(folder / "many.toml")
