@@ -11,11 +11,11 @@ from hydrabeam_mpi.model.engines.base import Columns, Engine, Precision
 from hydrabeam_mpi.model.engines.gemm import GemmEngine
 from hydrabeam_mpi.model.engines.nufft import NufftEngine
 
-PRODUCT = 9.5e-11
-"""Seconds of a source, vector and column in a matrix product: four operations at 42 per nanosecond, measured."""
-FRINGE = 4e-9
+PRODUCT = 8.4e-11
+"""Seconds of a source, vector and column in a matrix product: four operations at 48 per nanosecond, measured."""
+FRINGE = 7e-9
 """Seconds of the fringe of a source on a vector of a lattice, measured."""
-SPREAD = 8.5e-8
+SPREAD = 6.6e-8
 """Seconds in which a source and column are spread onto the grid of an FFT to 1e-12, measured."""
 CELL = 2.2e-8
 """Seconds of an FFT for each cell of the lattice and column, measured."""
