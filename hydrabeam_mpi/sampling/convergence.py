@@ -113,7 +113,7 @@ class Diagnosis:
                     f"block {block.block} has not converged: R-hat of {block.worst} is {block.r_hat:.4g}, above "
                     f"{LARGEST_R_HAT}; draw more"
                 )
-            if block.n_still and self.n_draws >= FEWEST_DRAWS:
+            if block.n_still and self.n_draws >= _fewest(self.chains):
                 said.append(f"block {block.block}: {block.n_still} of {block.n_parameters} parameters never move")
         return said
 
@@ -138,7 +138,7 @@ def diagnose(store: ChainStore) -> Diagnosis:
 def _mixing(store: ChainStore, variable: Variable, chains: tuple[int, ...], draws: slice) -> Mixing:
     parts = 2 if variable.dtype == "complex128" else 1
     numbers = np.full((3, parts, variable.size), np.nan)
-    if draws.stop - draws.start >= FEWEST_DRAWS:
+    if draws.stop - draws.start >= _fewest(chains):
         for columns, values in _slices(store, variable, chains, draws):
             numbers[:, 0, columns] = _of_real(values.real)
             if parts == 2:
@@ -165,10 +165,22 @@ def _of_real(values: FloatArray) -> FloatArray:
     axes = {"chain_axis": 0, "draw_axis": 1}
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")  # a chain that does not move has no spread: its R-hat is infinite
-        found[0, moves] = np.nan_to_num(array_stats.rhat(values, **axes), nan=np.inf, posinf=np.inf)
+        compared = values if len(values) > 1 else _halves(values[0])
+        found[0, moves] = np.nan_to_num(array_stats.rhat(compared, **axes), nan=np.inf, posinf=np.inf)
         found[1, moves] = array_stats.ess(values, method="bulk", **axes)
         found[2, moves] = array_stats.ess(values, method="tail", prob=TAIL, **axes)
     return found
+
+
+def _fewest(chains: tuple[int, ...]) -> int:
+    """Return how many draws of each chain there must be; of a single one both halves are compared."""
+    return FEWEST_DRAWS * (2 if len(chains) == 1 else 1)
+
+
+def _halves(chain: FloatArray) -> FloatArray:
+    """Return a single chain, (n_draws, n), as two, between which R-hat can tell whether it still drifts."""
+    half = len(chain) // 2
+    return np.stack([chain[:half], chain[len(chain) - half :]])
 
 
 def _of_block(name: str, variables: list[Mixing], seconds: float) -> BlockMixing:

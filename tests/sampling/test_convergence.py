@@ -96,3 +96,19 @@ def test_short_chains_are_left_out_and_few_draws_say_nothing(tmp_path: Path) -> 
     assert np.isnan([block.r_hat for block in found.blocks]).all()
     assert found.warnings() == []
     assert len(found.variables) == len(VARIABLES)
+
+
+def test_of_a_single_chain_the_halves_are_compared(tmp_path: Path) -> None:
+    """One flux drifts."""
+    flux = autocorrelated(0.0, 1, N, 3, 5)
+    flux[0, :, 2] += np.linspace(0, 3, N)
+    beam = autocorrelated(0.0, 1, N, 12, 6).reshape(1, N, 2, 6)
+    store = new_store(tmp_path / "long", 1, N)
+    write_values(store, {"beam": beam + 1j * beam, "flux": flux, "scale": flux[..., 0]}, seconds=0.1)
+    of_beam, of_flux, _ = diagnose(store).blocks
+    assert of_beam.r_hat < 1.1 < 1.3 < of_flux.r_hat < 3
+    assert of_flux.worst == "flux[C]"
+    short = new_store(tmp_path / "short")
+    with short.writer(0) as writer:
+        add(writer, 0, 7, 100)
+    assert diagnose(short).warnings() == []
