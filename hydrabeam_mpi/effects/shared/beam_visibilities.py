@@ -6,6 +6,8 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.interface.sources import Sources
+from hydrabeam_mpi.model.engines.base import amplitude
 from hydrabeam_mpi.model.rime import Beam
 
 
@@ -30,8 +32,17 @@ def beam_visibilities(block: RowBlock, vectors: FloatArray) -> ComplexArray:
         beam, times, values = kept[key]
         if beam is block.beam and times is block.times:
             return values
-    integrals = block.integrate(lambda sources: sources.beam[np.newaxis], vectors)
+    if vectors.any():
+        integrals = block.integrate(lambda sources: sources.beam[np.newaxis], vectors)
+    else:
+        # There are no fringes.
+        integrals = np.array([[_total_power(block.sources(time))] * len(vectors) for time in block.times.tolist()])
     # Without times `integrals` has lost its axes.
     values = integrals.reshape(len(block.times), len(vectors)).astype(complex)
     kept[key] = block.beam, block.times, values
     return values
+
+
+def _total_power(sources: Sources) -> float:
+    """Return the autocorrelation of the sky, Jy."""
+    return float(amplitude(sources.flux_without()) @ sources.beam)
