@@ -21,7 +21,7 @@ from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.grown import grown_problem
 from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.joint import channel_results, fit_with_effects, read_context
-from hydrabeam_mpi.fit.memory import inference_bytes
+from hydrabeam_mpi.fit.memory import inference_bytes, loop_bytes
 from hydrabeam_mpi.fit.rounding import MOST_SHIFT
 from hydrabeam_mpi.loop.checks.health import told
 from hydrabeam_mpi.loop.output.amendment import effects_found
@@ -73,7 +73,8 @@ def run_inference(setup: Setup, folder: Path | None, threads: int, waiting: Path
         Folder in which covariances wait to be written.
     """
     clock, world = Clock(), setup.comm
-    grid, problem, mine = prepare_checked(setup, folder, clock, told, inference_bytes)
+    needed = loop_bytes if setup.job.effects else inference_bytes
+    grid, problem, mine = prepare_checked(setup, folder, clock, told, needed)
     numbers = found = carried = None
     fitted_gains: tuple[Any, ...] = ()
     if setup.job.effects or (problem.earlier and problem.earlier.entries):

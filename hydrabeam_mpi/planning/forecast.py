@@ -237,7 +237,7 @@ class Steps:
         simulating = simulation_bytes(self.n_simulated // self.outline.n_channels, self.outline.n_channels)
         if command == "simulate":
             return simulating
-        n_bytes = inference_bytes if command == "infer" else loop_bytes
+        n_bytes = inference_bytes if command == "infer" and not self.outline.job.effects else loop_bytes
         return max(simulating, n_bytes(self.shares.share, root=True) + self._gathered())
 
     def _gathered(self) -> int:
