@@ -22,7 +22,10 @@ CALIBRATED = 0.3
 A factor of two is a matter of conventions, which have a check of their own.
 """
 INCOMPLETE = 1.5
-"""The same where the data are larger than the model, which may lack the Sun or the Galaxy: e^1.5 is no rare thing."""
+"""The same at most where the data are larger than the model, which may lack the Sun or the Galaxy.
+
+e^1.5 is no rare thing; see `_width_if_larger` for a model that hardly lacks anything.
+"""
 UNCALIBRATED = 10.0
 """The same of data that nothing calibrates, in units of a correlator's choice: e^10 either way is common."""
 KNOWN_NOISE = 0.2
@@ -47,14 +50,15 @@ def flux_scale(problem: Problem, sums: Sums) -> list[Finding]:
     their medians each is weighed by itself, at the price of having so many.
     """
     channels = [_log_scales(one) for one in sums.bl_products.swapaxes(0, 1)]
+    larger = _width_if_larger(sums.bl_products.sum(axis=2))
     known = np.concatenate(channels) if channels else np.zeros(0)
     if not known.size:
         return []
     if not _differ([one for one in channels if one.size]):
-        value, odds = _weighed(known)
+        value, odds = _weighed(known, larger)
         scales, odds_of = np.array([np.exp(value)]), np.array([odds])
     else:
-        found = [_weighed(one) if one.size else (0.0, -np.inf) for one in channels]
+        found = [_weighed(one, larger) if one.size else (0.0, -np.inf) for one in channels]
         values, odds_of = np.array(found).T
         odds_of = odds_of - np.log(len(channels))
         # Of a channel that does not show the model nobody knows more than of the others.
@@ -82,10 +86,32 @@ def _wrong_scale(problem: Problem, sums: Sums, scales: FloatArray, wrong: BoolAr
     )
 
 
-def _weighed(logs: FloatArray) -> tuple[float, float]:
-    """Return the median of ln s_b, (N,), and the log odds that nothing calibrates such data."""
+def _weighed(logs: FloatArray, larger: float) -> tuple[float, float]:
+    """Return the median of ln s_b, (N,), and the log odds that nothing calibrates such data.
+
+    ``larger`` is the spread of calibrated data that are larger than the model.
+    """
     value, error = centre_and_spread(logs)
-    return value, log_odds_of_wide(value, error, CALIBRATED if value < 0 else INCOMPLETE, UNCALIBRATED)
+    return value, log_odds_of_wide(value, error, CALIBRATED if value < 0 else larger, UNCALIBRATED)
+
+
+def _width_if_larger(products: ComplexArray) -> float:
+    """Return the spread of ln s for calibrated data that are larger than the model.
+
+    What makes them larger is sky that the model lacks. Of it no more is like the model's visibilities m, (s - 1) |m|,
+    than is unlike them, q s |m|, what one complex scale for all baselines leaves. So s <= 1 / (1 - q): data that are
+    the model's to a permille are not 50 times as large for want of a source.
+
+    Parameters
+    ----------
+    products : ndarray, (3, Nfreqs)
+        Those of `Sums`, of all baselines.
+    """
+    overlap, model, data = products
+    followed = float(np.sum(np.abs(overlap) ** 2 / np.where(model.real > 0, model.real, 1.0)))
+    left = max(float(np.sum(data.real)) - followed, 0.0)
+    q = np.sqrt(left / followed) if followed > 0 else 1.0
+    return float(min(INCOMPLETE, np.hypot(CALIBRATED, -np.log1p(-q)))) if q < 1 else INCOMPLETE
 
 
 def _differ(channels: Sequence[FloatArray]) -> bool:

@@ -128,21 +128,33 @@ def test_redundant_partners_with_other_gains_differ_by_most_where_the_sky_is_bri
         assert np.flatnonzero(outliers(total / n, LOG_STD / np.sqrt(n)) > 0).tolist() == bad
 
 
-@pytest.mark.parametrize("with_phases", [False, True])
-def test_raw_data(job: dict[str, Any], folder: Path, with_phases: bool) -> None:
-    """Nothing calibrates them: gains of 0.0122, and every antenna with a phase of its own."""
+@pytest.mark.parametrize(("scale", "with_phases"), [(1.5e-4, False), (1.5e-4, True), (40.0, False)])
+def test_raw_data(job: dict[str, Any], folder: Path, scale: float, with_phases: bool) -> None:
+    """Nothing calibrates them: gains of 0.0122, and every antenna with a phase of its own.
+
+    Data that are larger, and else the model's, lack no source.
+    """
 
     def uncalibrate(uv: UVData) -> None:
         phases = np.random.default_rng(1).uniform(0, 2 * np.pi, 100) * with_phases
-        gain = np.sqrt(1.5e-4) * np.exp(1j * phases)
+        gain = np.sqrt(scale) * np.exp(1j * phases)
         uv.data_array *= (gain[uv.ant_1_array] * gain[uv.ant_2_array].conj())[:, None, None]
 
     (one,) = found(job, folder, files=damaged(folder, uncalibrate))
     assert one.what == "a wrong flux scale"
-    assert one.flux_scale == pytest.approx((1 / 1.5e-4,), rel=0.1)
+    assert one.flux_scale == pytest.approx((1 / scale,), rel=0.1)
     assert f"flux_scale = {one.flux_scale[0]:.5g}" in one.remedy
     # As the remedy says.
     assert found(job, folder, files=["damaged.uvh5"], flux_scale=one.flux_scale[0]) == []
+
+
+def test_data_that_are_larger_may_be_a_sky_that_the_model_lacks(job: dict[str, Any], folder: Path) -> None:
+    """As long as they are not the model's but for a scale."""
+
+    def brighter(uv: UVData) -> None:
+        uv.data_array *= 40 * np.exp(1j * uv.uvw_array[:, :1])[:, np.newaxis]
+
+    assert found(job, folder, files=damaged(folder, brighter)) == []
 
 
 @pytest.mark.parametrize("scales", [(1.5e-4, 3e-4), (1.0, 1e3)])
