@@ -45,6 +45,8 @@ STEPS_BACK = 0.5
 
 Worth = Callable[[float, float], bool]
 """Whether a fit is worth going on with; see `refit`."""
+NO_BEAMS = "its fit was broken off, as no beams can be solved for where it begins"
+"""Why a fit ends before it has begun."""
 
 
 class BrokenOff(Exception):
@@ -92,7 +94,7 @@ def refit(
     except InputError as error:
         if before is None:
             raise
-        raise BrokenOff("its fit was broken off, as no beams can be solved for where it begins") from error
+        raise BrokenOff(NO_BEAMS) from error
     # Not converged: the beams that E is seen by stay, as E may be another one with those solved for.
     solved = solve_beams(context, end, keep=not converged and end.values.adds)
     diagnostics = replace(diagnostics_of(context, solved), converged=converged)
@@ -108,9 +110,18 @@ def solved_at(context: FitContext, values: Values, before: Fitted) -> Fitted:
 
 
 def stepped(context: FitContext, values: Values, before: Fitted) -> Fitted:
-    """Take one step from the effects' ``values``, near their linear optimum. Collective: all ranks of the grid."""
+    """Take one step from the effects' ``values``, near their linear optimum. Collective: all ranks of the grid.
+
+    Raises
+    ------
+    BrokenOff
+        On all ranks, where no beams can be solved for there.
+    """
     at = Estimate(values, before.fit.posteriors)
-    solved = solve_beams(context, at)
+    try:
+        solved = solve_beams(context, at)
+    except InputError as error:
+        raise BrokenOff(NO_BEAMS) from error
     step = take_step(context, replace(at, beams=solved.beams), solved)
     return Fitted(step.to.values, step.fit.with_beams(step.to.beams), diagnostics_of(context, solved))
 
