@@ -40,7 +40,7 @@ LAYERS = (
     ("sampling",),
     ("planning",),
     ("report.page",),
-    ("report.beam", "report.chains", "report.loop"),
+    ("report.beam", "report.chains", "report.data", "report.loop"),
     ("report",),
     ("api",),
     ("commands",),

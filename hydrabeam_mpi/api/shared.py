@@ -38,6 +38,7 @@ from hydrabeam_mpi.mpi import (
     together,
 )
 from hydrabeam_mpi.result.describe import describe_channels
+from hydrabeam_mpi.result.observed import observed
 from hydrabeam_mpi.result.output import check_records, input_files, least_result_bytes, summarise
 from hydrabeam_mpi.result.over_frequency import warnings_over_frequency
 from hydrabeam_mpi.result.summary import GRID_AZ, GRID_ZA
@@ -295,5 +296,6 @@ def make_result(
         problem.observation.telescope_name,
         effects,
         coupled,
+        observed(problem),
     )
     return Result(setup.job, content, summarise(setup.job, problem, content, run, warnings))

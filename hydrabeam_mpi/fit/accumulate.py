@@ -82,7 +82,7 @@ def check_heldout(
         The model beam of each channel, before the inference.
     """
     before = model.visibilities(beams, rows.tile.times)
-    return check_designs(rows, designs(rows, model, basis, "held-out rows", show), posteriors, before)
+    return check_designs(rows, designs(rows, model, basis, "held-out rows", show), posteriors, before)[0]
 
 
 def check_designs(
@@ -92,17 +92,19 @@ def check_designs(
     before: ComplexArray,
     more_variance: FloatArray | None = None,
     as_read: Rows | None = None,
-) -> list[HeldoutStatistics]:
+) -> tuple[list[HeldoutStatistics], ComplexArray]:
     """Do as `check_heldout` with each time's design and the model beam's visibilities, (Nfreqs, Ntimes, Nlocal).
+
+    Returns the inferred beam's visibilities, too.
 
     ``more_variance``, (Nfreqs, 2, Ntimes, Nbls) in Jy^2, is added to the variance of real and imaginary parts that the
     beam's uncertainty gives. Where effects have been taken out of the ``rows``, those that were read are ``as_read``.
     """
     read = as_read or rows
-    statistics = [HeldoutStatistics() for _ in rows.data]
+    statistics, after = [HeldoutStatistics() for _ in rows.data], np.zeros_like(before)
     for t, design in enumerate(by_time):
         for f, posterior in enumerate(posteriors):
-            mean, of_groups = predict(posterior, design[f])
+            after[f, t], of_groups = predict(posterior, design[f])
             variance = of_groups[:, rows.member]
             if more_variance is not None:
                 variance = variance + more_variance[f, :, t]
@@ -110,12 +112,12 @@ def check_designs(
             statistics[f].add(
                 rows.data[f, t],
                 rows.inv_noise_var[f, t],
-                mean[rows.member],
+                after[f, t][rows.member],
                 variance,
                 before_of_rows,
                 (read.data[f, t], read.inv_noise_var[f, t]),
             )
-    return statistics
+    return statistics, after
 
 
 def designs(rows: Rows, model: ForwardModel, basis: LinearBasis, label: str, show: bool) -> Iterator[Array]:

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from hydrabeam_mpi.data.observation import Array
 from hydrabeam_mpi.data.partition import Tile
-from hydrabeam_mpi.fit.accumulate import accumulate_designs, check_heldout, designs
+from hydrabeam_mpi.fit.accumulate import accumulate_designs, check_designs, designs
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.coupled import CoupledChannel, CoupledSolution, solve_coupled
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
+from hydrabeam_mpi.fit.heldout_sample import heldout_sample
 from hydrabeam_mpi.fit.rounding import MOST_SHIFT, Rounding
 from hydrabeam_mpi.fit.rows import Rows, read_rows
 from hydrabeam_mpi.inference.posterior import Posterior
@@ -40,8 +41,9 @@ class ChannelResult:
     posterior : Posterior
     heldout : HeldoutStatistics
         Summed over all held-out rows.
-    of_effects : dict
-        With effects in the model their joint errors, by the names that they have in ``posterior.h5``.
+    arrays : dict
+        What else is kept, by the names that it has in ``posterior.h5``: the sample of held-out rows, and with effects
+        in the model their joint errors.
     rounding_shift : float or None
         How far, in its std, single precision was expected to move a posterior mean of any channel; beyond `MOST_SHIFT`
         all was repeated in double. None in double precision.
@@ -53,7 +55,7 @@ class ChannelResult:
     train_chi2: float
     posterior: Posterior
     heldout: HeldoutStatistics
-    of_effects: dict[str, NDArray[Any]] = field(default_factory=dict)
+    arrays: dict[str, NDArray[Any]] = field(default_factory=dict)
     rounding_shift: float | None = None
     coupled: CoupledChannel | None = None
 
@@ -85,9 +87,9 @@ def infer_channels(grid: ProcessGrid, problem: Problem, clock: Clock) -> list[Ch
         say(told, grid.is_world_root)
         normals, posteriors, coupled, _ = infer_rows(grid, problem, train, clock, np.float64)
     with clock.time("heldout"):
-        heldout = _sum_heldout(grid, problem, test, posteriors)
+        heldout, samples = _sum_heldout(grid, problem, test, posteriors)
     chi2 = map(reduced_chi2, normals, posteriors)
-    parts = zip(normals, chi2, posteriors, heldout, strict=True)
+    parts = zip(normals, chi2, posteriors, heldout, samples, strict=True)
     results = [ChannelResult(*part, rounding_shift=shift if mixed else None) for part in parts]
     return [replace(one, coupled=two) for one, two in zip(results, coupled, strict=True)] if coupled else results
 
@@ -216,13 +218,15 @@ def solve_channels(
 
 def _sum_heldout(
     grid: ProcessGrid, problem: Problem, rows: Rows, posteriors: list[Posterior]
-) -> list[HeldoutStatistics]:
-    """Check the rank's held-out rows and combine the statistics of the group."""
+) -> tuple[list[HeldoutStatistics], list[dict[str, Array]]]:
+    """Check the rank's held-out rows, and combine the statistics of the group and a sample of its rows."""
     with together(grid.world):
         model = problem.forward_model(rows.groups)
-        statistics = check_heldout(rows, model, problem.basis, posteriors, problem.beams, show=grid.world.rank == 0)
+        before = model.visibilities(problem.beams, rows.tile.times)
+        by_time = designs(rows, model, problem.basis, "held-out rows", show=grid.is_world_root)
+        statistics, after = check_designs(rows, by_time, posteriors, before)
     reduce_heldout(grid, statistics)
-    return statistics
+    return statistics, heldout_sample(grid, problem, rows, before, rows, after)
 
 
 def reduce_heldout(grid: ProcessGrid, statistics: list[HeldoutStatistics]) -> None:

@@ -23,6 +23,7 @@ from hydrabeam_mpi.fit.coupled_step import check_solved_with_effects
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.grown import beams_alone, marginal_beams
 from hydrabeam_mpi.fit.heldout import variance_by_effects
+from hydrabeam_mpi.fit.heldout_sample import heldout_sample
 from hydrabeam_mpi.fit.learned import Learned
 from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.settle import settle
@@ -200,12 +201,15 @@ def channel_results(context: FitContext, fitted: Fitted) -> list[ChannelResult]:
         variance, with_beam = variance_by_effects(context, fitted, test, added)
         predicting = given if with_beam else beams_alone(fitted.fit)
         designs = context.test.designs(fitted.values)
-        heldout = check_designs(test, designs, predicting, before, variance, context.test.rows)
+        heldout, after = check_designs(test, designs, predicting, before, variance, context.test.rows)
+        factor, _ = context.test.effects(fitted.estimate)
     reduce_heldout(grid, heldout)
+    samples = heldout_sample(grid, problem, context.test.rows, before, test, after, factor)
     beams = marginal_beams(context.setup, fitted, context.channels, context.learned)
     errors = zip(fitted.fit.covariances, fitted.fit.beam_response, strict=True)
     of_effects = [{"effects_covariance": one, "effects_beam_response": two} for one, two in errors] or [{}] * len(given)
-    parts = zip(normals, map(reduced_chi2, normals, given), beams, heldout, of_effects, strict=True)
+    arrays = [one | two for one, two in zip(of_effects, samples, strict=True)]
+    parts = zip(normals, map(reduced_chi2, normals, given), beams, heldout, arrays, strict=True)
     results = [ChannelResult(*part) for part in parts]
     if problem.coupling is None:
         return results

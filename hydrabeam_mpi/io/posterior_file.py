@@ -11,6 +11,8 @@ that effects add to it; ``entries``, the effects as in a job's ``[[effects]]``, 
 parameters, ``known``.
 Where beams hang together over frequency an attribute ``over_frequency`` (JSON): ``settings``, those of the job's
 ``[prior.frequency]``; how they were solved for, and what the evidence says of it.
+A group ``observed`` tells what was observed: antennas, groups of baselines, tracks of sources, and of which times and
+baselines the sample of held-out visibilities is.
 One group a channel, ``channel_0000`` and so on, with attributes ``freq`` (Hz), ``log_evidence`` (absent with a flat
 prior), ``summary`` (JSON) and the data sets
 
@@ -31,11 +33,18 @@ eigen_beams        (4, 91, 360)        their eigenvectors on the sky
 z_edges, z_counts  (Nb + 1,), (2, Nb)  held-out z-scores: inferred beam, model beam
 information        (n, n)              only of beams that hang together: kappa A^H N^-1 A of the channel's data
 score              (n,)                only of these: kappa A^H N^-1 (d - A prior_mean); kappa = 2 where real, else 1
+heldout_data       (Nt, Ns)            of Ns baselines a sample of the held-out visibilities as they were read
+heldout_before     (Nt, Ns)            what the model beam predicts of them, with nothing fitted
+heldout_after      (Nt, Ns)            what the inferred beam predicts of them, with the effects of the model
+heldout_weights    (Nt, Ns)            one over the variance of their noise; zero where flagged
+baseline_n         (Nbls,)             number of held-out visibilities of each of all baselines
+baseline_chi2      (2, Nbls)           their reduced chi^2: before, after; zero where there are none
 =================  ==================  =========================================================
 
-with which all channels can be drawn from together (`hydrabeam_mpi.inference.coupled`), as ``draws`` are;
-and of q parameters of effects in use, side by side, ``effects_covariance``, (q, q), and ``effects_beam_response``,
-(m, q): by how much the first m coefficients, those in ``basis``, move when one of these parameters does.
+With ``information`` and ``score`` all channels can be drawn from together (`hydrabeam_mpi.inference.coupled`), as
+``draws`` are. Of q parameters of effects in use, side by side, there are ``effects_covariance``, (q, q), and
+``effects_beam_response``, (m, q): by how much the first m coefficients, those in ``basis``, move when one of these
+parameters does.
 """
 
 from __future__ import annotations
@@ -83,8 +92,30 @@ LONG_NAMES = {
     "effects_beam_response": "change of the beam's coefficients with each parameter of an effect, per its unit",
     "information": "information of the channel's data on the coefficients",
     "score": "gradient of the ln likelihood of the channel's data in the coefficients at the prior mean",
+    "heldout_data": "a sample of the held-out visibilities as they were read",
+    "heldout_before": "what the model beam predicts of them, with nothing fitted",
+    "heldout_after": "what the inferred beam predicts of them, with the effects of the model",
+    "heldout_weights": "one over the variance of their noise, E|n|^2; zero where flagged",
+    "baseline_n": "number of held-out visibilities of each baseline",
+    "baseline_chi2": "their reduced chi^2, of the model beam and of the inferred beam",
 }
-"""What the data sets of a channel say of themselves; all are pure numbers, but for parameters of effects."""
+"""What the data sets of a channel say of themselves."""
+UNITS = dict.fromkeys(("heldout_data", "heldout_before", "heldout_after"), "Jy") | {"heldout_weights": "Jy^-2"}
+"""Of those that are no pure numbers, but for parameters of effects, which have each its own."""
+OBSERVED = {
+    "antenna_numbers": ("1", "antennas"),
+    "antenna_positions": ("m", "East, North and Up of the antennas"),
+    "baselines": ("1", "the two antennas of each baseline"),
+    "baseline_vectors": ("m", "East, North and Up of the redundant groups of baselines"),
+    "baseline_counts": ("1", "number of baselines of each group"),
+    "heldout_jd": ("d", "times of the sample of held-out visibilities, Julian dates (UTC)"),
+    "heldout_lst": ("rad", "their local apparent sidereal times"),
+    "heldout_antennas": ("1", "the two antennas of each baseline of the sample"),
+    "track_flux": ("Jy", "flux densities in the first channel of the sources that the beam sees brightest"),
+    "track_za": ("rad", "their zenith angles at some of the times; beyond a quarter turn they are below the horizon"),
+    "track_az": ("rad", "their azimuths, from East through North"),
+}
+"""Data sets of the group ``observed`` with their units and long names."""
 ON_DISK = ("covariance", "information")
 """Data sets that are not read with the others, as they are large."""
 
@@ -112,6 +143,7 @@ class PosteriorFile:
     telescope_name: str = "unknown"
     effects: dict[str, Any] | None = None
     over_frequency: dict[str, Any] | None = None
+    observed: dict[str, Array] = field(default_factory=dict)
 
 
 def write_posterior(path: Path, content: PosteriorFile) -> None:
@@ -135,6 +167,9 @@ def write_posterior(path: Path, content: PosteriorFile) -> None:
             file["effects"] = json.dumps(content.effects)
         if content.over_frequency is not None:
             file.attrs["over_frequency"] = json.dumps(content.over_frequency)
+        for name, array in content.observed.items():
+            file[f"observed/{name}"] = array
+            describe(file[f"observed/{name}"], *OBSERVED[name])
         for number, record in enumerate(content.channels):
             group = file.create_group(CHANNEL.format(number))
             group.attrs["freq"] = record.freq
@@ -143,7 +178,7 @@ def write_posterior(path: Path, content: PosteriorFile) -> None:
                 group.attrs["log_evidence"] = record.log_evidence
             for name, array in record.arrays.items():
                 group[name] = array
-                describe(group[name], "1", LONG_NAMES[name])
+                describe(group[name], UNITS.get(name, "1"), LONG_NAMES[name])
 
 
 def least_bytes(n_channels: int, n_modes: int, itemsize: int, n_draws: int, n_matrices: int = 1) -> int:
@@ -173,7 +208,10 @@ def read_posterior(path: Path) -> PosteriorFile:
         polarization = str(file.attrs["polarization"])
         effects = _table(file["effects"][()], "effects") if "effects" in file else None
         coupled = _json(file, "over_frequency", "") if "over_frequency" in file.attrs else None
-        return PosteriorFile(basis, provenance, polarization, za, az, channels, telescope_name, effects, coupled)
+        observed = {name: _numbers(file["observed"], name) for name in file.get("observed", ())}
+        return PosteriorFile(
+            basis, provenance, polarization, za, az, channels, telescope_name, effects, coupled, observed
+        )
 
 
 def _read_channel(group: h5py.Group, name: str, grid: tuple[int, int]) -> ChannelRecord:

@@ -17,7 +17,8 @@ from hydrabeam_mpi.io.disk import replacing
 from hydrabeam_mpi.io.manifest import MANIFEST, add_to_manifest
 from hydrabeam_mpi.report.beam.frequencies import draw_frequencies
 from hydrabeam_mpi.report.beam.sky import draw_maps
-from hydrabeam_mpi.report.figures import draw_channel, shown_channels
+from hydrabeam_mpi.report.data.section import data_body
+from hydrabeam_mpi.report.figures import draw_channel, draw_details, shown_channels
 from hydrabeam_mpi.report.gains import gains_body
 from hydrabeam_mpi.report.loop.record import as_written, load_loop
 from hydrabeam_mpi.report.loop.section import loop_answer, loop_sections
@@ -69,6 +70,8 @@ def write_report(directory: Path, other_gains: Sequence[Path] = ()) -> None:
             with as_written(directory):
                 answer = loop_answer(loop, picture, answer.warnings)
                 sections = loop_sections(loop, album.place)
+        with as_written(directory, "posterior.h5"):
+            sections.append(Section("Data, model and residual", data_body(result, album.place)))
         sections += _set_up(result, " of the amended model" if loop is not None else "")
         with as_written(directory, "summary.json"):
             sections += [Section("Gains", gains_body(told, other_gains, album.place))] if told else []
@@ -173,9 +176,12 @@ def _channels(result: Result, album: _Album) -> Iterator[Section]:
         yield Section("All channels", together(*pieces, part("paragraph", rest if len(shown) < len(channels) else "")))
     for channel in shown:
         title = f"Channel {channel.number}, {megahertz(channel.freq)}" if several else "The beam in detail"
-        drawings = draw_channel(channel, with_maps=channel is not channels[0])
-        figures = (album.place(drawing, _prefix(result, channel)) for drawing in drawings)
-        yield Section(title, together(finding(channel), *figures))
+        shown_open, folded = (
+            together(*(album.place(drawing, _prefix(result, channel)) for drawing in drawings))
+            for drawings in (draw_channel(channel, with_maps=channel is not channels[0]), draw_details(channel))
+        )
+        details = part("folded", "Coefficients, correlations, eigenbeams", folded)
+        yield Section(title, together(finding(channel), shown_open, details))
 
 
 def _prefix(result: Result, channel: Channel) -> str:

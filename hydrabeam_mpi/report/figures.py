@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from hydrabeam_mpi.report.beam.coefficients import draw_coefficients
+from hydrabeam_mpi.report.beam.corner import draw_corner
 from hydrabeam_mpi.report.beam.correlation import draw_correlation
 from hydrabeam_mpi.report.beam.eigenbeams import draw_eigenbeams
 from hydrabeam_mpi.report.beam.predictive_checks import draw_heldout_scores
@@ -21,14 +22,22 @@ def shown_channels(channels: list[Channel]) -> list[Channel]:
 
 
 def draw_channel(channel: Channel, with_maps: bool) -> Iterator[Drawing]:
-    """Draw one channel: on the sky first, unless its maps begin the page, then held-out data, then coefficients."""
-    covariance = channel.covariance()
+    """Draw one channel: on the sky first, unless its maps begin the page, then held-out data."""
     drawings = (
         draw_maps(channel) if with_maps else None,
         draw_slices(channel),
         draw_map_scores(channel),
         draw_heldout_scores(channel),
+    )
+    yield from (drawing for drawing in drawings if drawing is not None)
+
+
+def draw_details(channel: Channel) -> Iterator[Drawing]:
+    """Draw what few readers ask for: coefficients and their covariance."""
+    covariance = channel.covariance()
+    drawings = (
         draw_coefficients(channel),
+        draw_corner(channel, covariance),
         draw_correlation(channel, covariance),
         draw_eigenbeams(channel, covariance),
     )

@@ -72,7 +72,7 @@ def _record(problem: Problem, f: int, result: ChannelResult, maps: SkyMaps) -> C
         "eigen_beams": beams,
         "z_edges": Z_EDGES,
         "z_counts": result.heldout.counts,
-        **result.of_effects,
+        **result.arrays,
     }
     if coupled is not None:
         arrays |= coupled.told

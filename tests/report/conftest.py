@@ -37,8 +37,11 @@ BANDS: dict[str, Any] = {
 }
 FREQS = ["120 MHz", "130 MHz", "140 MHz", "150 MHz"]
 
-# Without these a report has two figures, and is quick.
-BULK = ("map_mean", "map_std", "map_model", "map_truth", "z_counts", "eigen_beams", "eigen_variances")
+# Without these a report has few figures, and is quick.
+BULK = (
+    *("map_mean", "map_std", "map_model", "map_truth", "z_counts", "eigen_beams", "eigen_variances"),
+    *("heldout_data", "baseline_chi2"),
+)
 Edit = Callable[[Path, Callable[[dict[str, Any]], None]], Path]
 
 

@@ -17,9 +17,10 @@ from hydrabeam_mpi.io.manifest import find_strangers, read_manifest
 from hydrabeam_mpi.report.document import write_report
 from tests.report.conftest import BULK, Edit, drop_arrays
 
-FIGURES = {"maps", "slices", "map_scores", "heldout_scores", "coefficients", "correlation", "eigenbeams"}
-WITHOUT_HELDOUT = FIGURES - {"heldout_scores"}
-WITHOUT_MAPS = {"coefficients", "correlation"}
+OF_DATA = {"visibilities", "waterfall", "array", "baselines", "tracks"}
+WITHOUT_MAPS = {"coefficients", "corner", "correlation"}
+WITHOUT_HELDOUT = WITHOUT_MAPS | {"maps", "slices", "map_scores", "eigenbeams"}
+FIGURES = WITHOUT_HELDOUT | OF_DATA | {"heldout_scores"}
 
 
 @dataclass
@@ -95,7 +96,7 @@ def test_the_page_needs_nothing_but_itself(paper: Path, bands: Path) -> None:
         ("paper", FIGURES),
         (
             "bands",
-            {"frequencies"}
+            {"frequencies", "array"}
             | {f"channel_0000_{name}" for name in WITHOUT_HELDOUT}
             | {f"channel_{number:04d}_{name}" for number in (2, 3) for name in WITHOUT_MAPS},
         ),

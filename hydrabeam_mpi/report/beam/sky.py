@@ -101,6 +101,9 @@ def _map_caption(channel: Channel, mean: Array) -> str:
     return text + VIEW
 
 
+BAND = 3  # standard deviations on either side
+
+
 def draw_slices(channel: Channel) -> Drawing | None:
     """Draw cuts of the beam at azimuth 0 and 90 degrees, and the size of the error along them."""
     if "map_mean" not in channel.arrays:
@@ -116,6 +119,8 @@ def draw_slices(channel: Channel) -> Drawing | None:
     for degrees, colour in ((0, AZ_0), (90, AZ_90)):
         cut = int(np.abs(np.exp(1j * channel.az) - np.exp(1j * np.deg2rad(degrees))).argmin())
         top.plot(za, mean[:, cut], color=colour, label=f"MAP, az = {degrees}°")
+        band = BAND * std[:, cut]
+        top.fill_between(za, mean[:, cut] - band, mean[:, cut] + band, color=colour, alpha=0.25, linewidth=0)
         top.plot(za, part(reference[:, cut]), "--", color=colour, linewidth=1, label=f"{name}, az = {degrees}°")
         bottom.plot(za, np.abs(error[:, cut]), color=colour, label=f"|{what}|, az = {degrees}°")
         bottom.plot(za, std[:, cut], ":", color=colour, label=f"posterior std, az = {degrees}°")
@@ -133,8 +138,9 @@ def draw_slices(channel: Channel) -> Drawing | None:
     return Drawing(
         "slices",
         "Slices",
-        f"Cuts through the beam ({shown}) at azimuth 0° (East) and 90° (North): inferred (solid) and {name} (dashed). "
-        f"Below, the size of {what} along the cuts, with the posterior standard deviation (dotted).",
+        f"Cuts through the beam ({shown}) at azimuth 0° (East) and 90° (North): inferred (solid), with a band of "
+        f"±{BAND}σ of the posterior, which shows where the beam is faint, and {name} (dashed). Below, the size of "
+        f"{what} along the cuts, with the posterior standard deviation (dotted).",
         f"Beam against zenith angle at two azimuths, inferred and {name}, on a logarithmic scale; below, their "
         "difference.",
         figure,

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 
 from hydrabeam_mpi.data.observation import Array
 from hydrabeam_mpi.report.loop.record import Entry, axis_entries, first_statistics, is_complete, number
@@ -142,6 +143,8 @@ def _draw_panel(axes: Axes, name: str, curves: dict[str, _Curve]) -> None:
         axes.scatter(curve.place - start, curve.chi2, s=size, c=faces, edgecolors=colour, linewidths=0.8, zorder=3)
     scale_values(axes, [1.0, *(value for curve in drawn for value in curve.chi2.tolist())])
     axes.set(ylabel="reduced χ²", xlabel=AXES[name].label.format(start))
+    if name == "antennas":
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     if name == "night":
         axes.xaxis.set_major_formatter(lambda lst, _: f"{lst % 24:.4g}")
     axes.grid()

@@ -7,7 +7,6 @@ from collections.abc import Callable
 
 from markupsafe import Markup
 
-from hydrabeam_mpi.report.loop.baselines import draw_baselines
 from hydrabeam_mpi.report.loop.figures import draw_fall, draw_ranking
 from hydrabeam_mpi.report.loop.parameters import draw_parameters
 from hydrabeam_mpi.report.loop.record import Entry, entries, number, written
@@ -89,7 +88,7 @@ def _parameters(loop: Entry, place: Place) -> Markup:
 
 
 def _residual(loop: Entry, place: Place) -> Markup:
-    return together(statistics_table(loop), _placed(place, draw_residuals(loop), draw_baselines(loop)))
+    return together(statistics_table(loop), _placed(place, draw_residuals(loop)))
 
 
 def _unexplained(loop: Entry, place: Place) -> Markup:

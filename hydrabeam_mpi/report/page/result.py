@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -36,6 +37,8 @@ class Channel:
         The grid of the maps, radians.
     path : Path
         Of ``posterior.h5``.
+    effects : list of dict
+        Those of the model that have parameters, as in a job's ``[[effects]]``.
     """
 
     number: int
@@ -46,6 +49,7 @@ class Channel:
     za: Array
     az: Array
     path: Path
+    effects: Sequence[dict[str, Any]] = ()
 
     @property
     def is_complex(self) -> bool:
@@ -79,6 +83,8 @@ class Result:
     provenance : dict
         Resolved job, versions, checksums, ranks.
     polarization : str
+    observed : dict of ndarray
+        What was observed, named as in ``posterior.h5``; empty of results that were written before it was kept.
     """
 
     name: str
@@ -87,6 +93,7 @@ class Result:
     channels: list[Channel]
     provenance: dict[str, Any]
     polarization: str
+    observed: dict[str, Array]
 
 
 def load_result(directory: Path) -> Result:
@@ -118,7 +125,7 @@ def load_result(directory: Path) -> Result:
         )
     channels = [_channel(posterior, number, numbers, path) for number, numbers in enumerate(per_channel)]
     name = str(summary.pop("name", Path(os.path.realpath(directory)).name))
-    return Result(name, summary, warnings, channels, posterior.provenance, posterior.polarization)
+    return Result(name, summary, warnings, channels, posterior.provenance, posterior.polarization, posterior.observed)
 
 
 def _read_summary(path: Path) -> dict[str, Any]:
@@ -134,6 +141,6 @@ def _channel(posterior: PosteriorFile, number: int, numbers: dict[str, Any], pat
     known = {**record.summary, **numbers}
     if record.log_evidence is not None:
         known.setdefault("log_evidence", record.log_evidence)
-    return Channel(
-        number, record.freq, known, record.arrays, posterior.basis, posterior.grid_za, posterior.grid_az, path
-    )
+    grid = posterior.grid_za, posterior.grid_az
+    effects = [entry for entry in (posterior.effects or {}).get("entries", ()) if entry.get("names")]
+    return Channel(number, record.freq, known, record.arrays, posterior.basis, *grid, path, effects)

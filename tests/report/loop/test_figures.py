@@ -12,7 +12,6 @@ import pytest
 from matplotlib.colors import to_hex
 from matplotlib.text import Text
 
-from hydrabeam_mpi.report.loop.baselines import draw_baselines
 from hydrabeam_mpi.report.loop.figures import draw_fall, draw_ranking
 from hydrabeam_mpi.report.loop.parameters import draw_parameters
 from hydrabeam_mpi.report.loop.residuals import draw_residuals
@@ -199,20 +198,6 @@ def test_lists_of_the_most_significant_are_not_joined() -> None:
     drawing = draw_residuals(loop)
     assert drawing is not None
     assert "not joined" in drawing.caption
-
-
-def test_baselines_are_a_symmetric_map() -> None:
-    loop = loops.explained()
-    drawing = draw_baselines(loop)
-    assert drawing is not None
-    before, after = (np.ma.filled(axes.images[0].get_array(), np.nan) for axes in drawing.figure.axes[:2])
-    np.testing.assert_array_equal(before, before.T)
-    entry = loop["residual"]["axes"]["baselines"][3]
-    first, second = (loops.ANTENNAS.index(antenna) for antenna in entry["what"])
-    assert after[first, second] == entry["chi2"]
-    for state in (loop["residual"], loop["rounds"][0]["residual"]):
-        del state["axes"]["baselines"]
-    assert draw_baselines(loop) is None
 
 
 @pytest.mark.parametrize("n_freqs", [1, 6])

@@ -27,7 +27,7 @@ from tests.report.test_document import Page
 
 Entry = dict[str, Any]
 MADE_UP = {"consistent": loops.consistent, "explained": loops.explained, "unexplained": loops.unexplained}
-ALWAYS = {"loop_ranking", "loop_residuals", "loop_baselines"}
+ALWAYS = {"loop_ranking", "loop_residuals"}
 OF_ROUNDS = ALWAYS | {"loop_heldout", "loop_parameters_1"}
 
 
