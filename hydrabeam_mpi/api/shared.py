@@ -284,18 +284,8 @@ def make_result(
     check_records(records)
     before = problem.earlier.integrations if problem.earlier else ()
     about = {**about, "integrations": [*before, *integrations]}
-    coupled = run.get("over_frequency")
+    coupled, telescope = run.get("over_frequency"), problem.observation.telescope_name
     warnings = [*(warnings_over_frequency(coupled) if coupled else ()), *warnings]
-    content = PosteriorFile(
-        problem.basis.describe(),
-        about,
-        problem.observation.pols[0],
-        GRID_ZA,
-        GRID_AZ,
-        records,
-        problem.observation.telescope_name,
-        effects,
-        coupled,
-        observed(problem),
-    )
+    basis, pol, seen = problem.basis.describe(), problem.observation.pols[0], observed(problem)
+    content = PosteriorFile(basis, about, pol, GRID_ZA, GRID_AZ, records, telescope, effects, coupled, seen)
     return Result(setup.job, content, summarise(setup.job, problem, content, run, warnings))

@@ -84,9 +84,8 @@ class HeldoutStatistics:
 
         ``heldout_chi2_predictive`` is the mean of z^2 under the posterior predictive, whose variance is that of noise
         and beam: one where the posterior is right. ``heldout_chi2_noise_only`` divides the same residuals by the noise
-        alone, and is above one by what the data leave uncertain of the beam; ``heldout_chi2`` is its older name. A
-        plain rms is sqrt(sum w|x|^2 / sum w), Jy: of the residual, of the data (what predicting zero leaves) and of the
-        noise alone; ``_complex`` has the model beam with its best complex scale. ``heldout_log_density`` is complete,
+        alone, and is above one by what the data leave uncertain of the beam. A plain rms is sqrt(sum w|x|^2 / sum w),
+        Jy: of the residual, of the data (what predicting zero leaves) and of the noise alone; ``_complex`` has the model beam with its best complex scale. ``heldout_log_density`` is complete,
         with the logarithm of the variances, of each part by itself.
         """
         n, z, z2, log_density, z_before, z2_before, *products = self.sums.tolist()
@@ -102,7 +101,6 @@ class HeldoutStatistics:
             "ppd_z_std_unperturbed": _std(n, z_before, z2_before),
             "ppd_z_max_unperturbed": float(self.largest[1]),
             "heldout_chi2_predictive": z2 / n,
-            "heldout_chi2_noise_only": 2 * after / n,
             "heldout_log_density": log_density,
             "heldout_n": n / 2,
             "heldout_rms_jy_data": float(np.sqrt(power / weight)),
@@ -112,7 +110,7 @@ class HeldoutStatistics:
             "heldout_amplitude_unperturbed": amplitude,
         }
         for name, residual in {"": after, "_unperturbed": before, "_unperturbed_scaled": scaled}.items():
-            numbers[f"heldout_chi2{name}"] = 2 * residual / n
+            numbers[f"heldout_chi2{name or '_noise_only'}"] = 2 * residual / n
             numbers[f"heldout_explained{name}"] = 1 - residual / power if power else 0.0
             numbers[f"heldout_rms_jy{name}"] = float(np.sqrt(residual / weight))
         return numbers

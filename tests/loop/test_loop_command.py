@@ -170,8 +170,8 @@ def test_infer_is_wrong_without_the_amendment(explained: Path, tmp_path: Path) -
     """So that the tests above compare what can be otherwise."""
     assert main(["infer", str(explained / "job.toml"), "-o", str(tmp_path / "plain")]) == 0
     one, two = summary_of(explained), summary_of(tmp_path / "plain")
-    assert two["heldout_chi2"] > 100 * one["heldout_chi2"]
-    assert record_of(explained)["error_before"] == pytest.approx(two["heldout_chi2"], rel=0.5)
+    assert two["heldout_chi2_noise_only"] > 100 * one["heldout_chi2_noise_only"]
+    assert record_of(explained)["error_before"] == pytest.approx(two["heldout_chi2_noise_only"], rel=0.5)
 
 
 def test_data_from_files(explained: Path, tmp_path: Path) -> None:
@@ -182,7 +182,7 @@ def test_data_from_files(explained: Path, tmp_path: Path) -> None:
     assert record["verdict"] == "explained"
     assert record["error_after"] == pytest.approx(record_of(explained)["error_after"], rel=1e-6)
     assert main(["infer", str(tmp_path / "result" / "amended.toml"), "-o", str(tmp_path / "again")]) == 0
-    assert summary_of(tmp_path / "again")["heldout_chi2"] < 1.5
+    assert summary_of(tmp_path / "again")["heldout_chi2_noise_only"] < 1.5
 
 
 def test_the_report_is_drawn(explained: Path, tmp_path: Path) -> None:

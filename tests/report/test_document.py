@@ -218,7 +218,11 @@ def test_a_beam_that_predicts_worse_is_called_so(paper: Path, edited: Edit) -> N
     def change(summary: dict[str, Any]) -> None:
         for numbers in (summary, *summary["channels"]):
             numbers.update(
-                {"heldout_chi2": 9.0, "heldout_chi2_unperturbed": 4.0, "heldout_chi2_unperturbed_scaled": 3.0}
+                {
+                    "heldout_chi2_noise_only": 9.0,
+                    "heldout_chi2_unperturbed": 4.0,
+                    "heldout_chi2_unperturbed_scaled": 3.0,
+                }
             )
 
     copy = edited(paper, change)

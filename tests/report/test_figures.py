@@ -223,7 +223,7 @@ def test_merged_bins_keep_all_counts(n: int) -> None:
 
 def test_numbers_against_frequency(bands: Path) -> None:
     channels = load_result(bands).channels
-    channels[1].numbers["heldout_chi2"] = 3.0  # known in one channel only
+    channels[1].numbers["heldout_chi2_noise_only"] = 3.0  # known in one channel only
     drawing = draw_frequencies(channels)
     assert drawing is not None
     first = drawing.figure.axes[0]

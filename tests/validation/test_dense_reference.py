@@ -260,7 +260,6 @@ def predict(form, rows, design, mean, covariance, before):
         "ppd_z_std_unperturbed": z_before.std(),
         "ppd_z_max_unperturbed": np.abs(z_before).max(),
         "heldout_log_density": np.sum(-(z**2) / 2 - np.log(2 * np.pi * total) / 2),
-        "heldout_chi2": np.mean(np.sum(residual**2, axis=0) / rows.variance),
         "heldout_chi2_noise_only": np.mean(np.sum(residual**2, axis=0) / rows.variance),
         "heldout_chi2_predictive": np.mean(z**2),
         "heldout_chi2_unperturbed": np.mean(np.sum(raw**2, axis=0) / rows.variance),

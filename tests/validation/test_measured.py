@@ -89,7 +89,7 @@ def test_the_inferred_beam_explains_more_of_data_that_it_has_not_seen(summary):
     assert summary["beam_fwhm_ew_deg"] == pytest.approx(summary["beam_fwhm_ew_deg_model"], rel=0.2)
     # And says what that does not prove.
     assert "takes up errors that are not its own" in " ".join(summary["warnings"])
-    assert summary["heldout_chi2"] > 10
+    assert summary["heldout_chi2_noise_only"] > 10
 
 
 def test_measured_data_are_healthy_but_for_a_channel_width(write_job, data_dir):

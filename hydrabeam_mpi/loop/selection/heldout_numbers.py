@@ -28,7 +28,6 @@ IN_SUMMARY = {
     "heldout_explained": "explained",
     "heldout_explained_unperturbed": "explained_model",
     "heldout_explained_unperturbed_complex": "explained_model_scaled",
-    "heldout_chi2": "noise_only_chi2",
     "heldout_chi2_noise_only": "noise_only_chi2",
     "heldout_chi2_predictive": "predictive_chi2",
     "heldout_log_density": "log_density",

@@ -12,7 +12,7 @@ from hydrabeam_mpi.report.page.style import INFERRED, MODEL, REFERENCE, Drawing,
 PANELS = {
     "held-out reduced χ² over the noise": {
         "heldout_chi2_unperturbed": "model beam",
-        "heldout_chi2": "inferred beam",
+        "heldout_chi2_noise_only": "inferred beam",
         "heldout_chi2_predictive": "inferred beam, predictive",
     },
     "largest beam error": {"model_error_max": "model beam", "beam_error_max": "inferred beam"},

@@ -65,7 +65,6 @@ GROUPS: dict[str, tuple[KeyNumber, ...]] = {
         KeyNumber("ppd_z_max_unperturbed", "largest |z|, model beam", paper="up to 100"),
         KeyNumber("heldout_chi2_predictive", "reduced χ² under the posterior predictive (noise and beam)"),
         KeyNumber("heldout_chi2_noise_only", "the same residuals over the noise alone"),
-        KeyNumber("heldout_chi2", "older name of heldout_chi2_noise_only"),
         KeyNumber("heldout_chi2_unperturbed", "reduced χ² over the noise, model beam"),
         KeyNumber("heldout_chi2_unperturbed_scaled", "reduced χ² over the noise, scaled model beam"),
         KeyNumber("heldout_amplitude_unperturbed", "its scale, fitted to the held-out data"),

@@ -15,6 +15,8 @@ from hydrabeam_mpi.io.posterior_file import PosteriorFile, read_covariance, read
 from hydrabeam_mpi.io.reading import read_json
 
 REMEDY = "name a folder written by 'hydrabeam infer'"
+OLDER = {"heldout_chi2": "heldout_chi2_noise_only"}
+"""What key numbers were called before."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +127,9 @@ def load_result(directory: Path) -> Result:
         )
     channels = [_channel(posterior, number, numbers, path) for number, numbers in enumerate(per_channel)]
     name = str(summary.pop("name", Path(os.path.realpath(directory)).name))
-    return Result(name, summary, warnings, channels, posterior.provenance, posterior.polarization, posterior.observed)
+    return Result(
+        name, renamed(summary), warnings, channels, posterior.provenance, posterior.polarization, posterior.observed
+    )
 
 
 def _read_summary(path: Path) -> dict[str, Any]:
@@ -136,9 +140,17 @@ def _read_summary(path: Path) -> dict[str, Any]:
     return summary
 
 
+def renamed(numbers: dict[str, Any]) -> dict[str, Any]:
+    """Return key numbers by the names that they have now, in results of earlier versions, too."""
+    older = {key: value for key, value in numbers.items() if key in OLDER}
+    return {OLDER[key]: value for key, value in older.items()} | {
+        key: value for key, value in numbers.items() if key not in OLDER
+    }
+
+
 def _channel(posterior: PosteriorFile, number: int, numbers: dict[str, Any], path: Path) -> Channel:
     record = posterior.channels[number]
-    known = {**record.summary, **numbers}
+    known = renamed({**record.summary, **numbers})
     if record.log_evidence is not None:
         known.setdefault("log_evidence", record.log_evidence)
     grid = posterior.grid_za, posterior.grid_az

@@ -15,7 +15,7 @@ from hydrabeam_mpi.report.page.result import Channel, Result
 from hydrabeam_mpi.report.page.words import heldout_words, megahertz
 
 ERRORS = {
-    "reduced χ² of held-out data, noise alone gives 1": ("heldout_chi2_unperturbed", "heldout_chi2"),
+    "reduced χ² of held-out data, noise alone gives 1": ("heldout_chi2_unperturbed", "heldout_chi2_noise_only"),
     "rms residual of held-out data, Jy": ("heldout_rms_jy_unperturbed", "heldout_rms_jy"),
     "largest error of the beam": ("model_error_max", "beam_error_max"),
 }
@@ -62,7 +62,7 @@ CHANNEL_COLUMNS: dict[str, tuple[str, Kind]] = {
     "beam_update_max": ("largest change", "number"),
     "negative_fraction": ("negative", "percent"),
     "heldout_chi2_unperturbed": ("χ² held out over noise, model", "number"),
-    "heldout_chi2": ("χ² held out over noise, inferred", "number"),
+    "heldout_chi2_noise_only": ("χ² held out over noise, inferred", "number"),
     "heldout_chi2_predictive": ("χ² held out, predictive", "number"),
 }
 

@@ -117,7 +117,7 @@ def _holdout(job: dict[str, Any]) -> str:
 
 def heldout_words(numbers: dict[str, Any]) -> str:
     """Tell what the inferred beam makes of held-out visibilities, before and after; empty where none were held out."""
-    after, before = numbers.get("heldout_chi2"), numbers.get("heldout_chi2_unperturbed")
+    after, before = numbers.get("heldout_chi2_noise_only"), numbers.get("heldout_chi2_unperturbed")
     if after is None or before is None:
         return ""
     predictive = numbers.get("heldout_chi2_predictive")
@@ -164,7 +164,7 @@ def answer_words(channels: list[Channel]) -> str:
 
 def verdict_words(numbers: dict[str, Any]) -> str:
     """Judge the inferred beam by held-out visibilities; empty where none were held out."""
-    after, before = numbers.get("heldout_chi2"), numbers.get("heldout_chi2_unperturbed")
+    after, before = numbers.get("heldout_chi2_noise_only"), numbers.get("heldout_chi2_unperturbed")
     if after is None or before is None:
         return ""
     scaled = numbers.get("heldout_chi2_unperturbed_scaled")
@@ -196,6 +196,6 @@ def remarks(result: Result) -> list[str]:
             "the beam takes up errors that are not its own: imaginary parts and negative power stand in for the "
             "missing sources, and the posterior standard deviation knows nothing of it."
         )
-    if not any("heldout_chi2" in channel.numbers for channel in result.channels):
+    if not any("heldout_chi2_noise_only" in channel.numbers for channel in result.channels):
         said.append("No data were held out, so nothing here tests the posterior on data that it has not seen.")
     return said

@@ -92,7 +92,7 @@ def test_heldout_words_compare_before_and_after() -> None:
     words = heldout_words(
         {
             "heldout_n": 19980.0,
-            "heldout_chi2": 1.03,
+            "heldout_chi2_noise_only": 1.03,
             "heldout_chi2_unperturbed": 1952.0,
             "heldout_rms_jy": 0.0173,
             "heldout_rms_jy_unperturbed": 0.574,
@@ -103,7 +103,7 @@ def test_heldout_words_compare_before_and_after() -> None:
     assert "to 1.03 with the inferred beam" in words
     assert "rms changes from 0.574 to 0.0173 Jy, of 22.3 Jy" in words
     assert words.endswith("to the noise.")
-    assert heldout_words({"heldout_chi2": 1.0}) == ""
+    assert heldout_words({"heldout_chi2_noise_only": 1.0}) == ""
 
 
 @pytest.mark.parametrize(
@@ -122,7 +122,7 @@ def test_verdicts_hold_against_the_scaled_model(
     after: float, predictive: float | None, scaled: float, verdict: str
 ) -> None:
     numbers = {
-        "heldout_chi2": after,
+        "heldout_chi2_noise_only": after,
         "heldout_chi2_predictive": predictive,
         "heldout_chi2_unperturbed": 1000.0,
         "heldout_chi2_unperturbed_scaled": scaled,
@@ -135,7 +135,6 @@ def test_page_and_warnings_agree() -> None:
     known = {"heldout_amplitude_unperturbed": 1.0, "negative_fraction": 0.0, "imag_max": 0.0, "freq_hz": 1e8}
     for noise_only, predictive in ((676.0, 1.19), (1.5, 1.4), (30.0, 2.1), (676.0, 600.0), (1.0, 1.0)):
         numbers = {
-            "heldout_chi2": noise_only,
             "heldout_chi2_noise_only": noise_only,
             "heldout_chi2_predictive": predictive,
             "heldout_chi2_unperturbed": 1e5,

@@ -192,7 +192,7 @@ def test_what_the_basis_lacks_of_the_beam_is_below_the_noise(tmp_path, basis):
 
 def test_a_gross_error_is_one_to_the_inference(tmp_path):
     generate(3, tmp_path, "convention: conjugated")
-    assert infer_summary(tmp_path)["heldout_chi2"] > 100
+    assert infer_summary(tmp_path)["heldout_chi2_noise_only"] > 100
 
 
 def test_the_answer_is_sealed_apart(tmp_path):
