@@ -26,7 +26,6 @@ extensions = [
     "sphinx.ext.viewcode",
     "sphinx-mathjax-offline",
 ]
-suppress_warnings = ["toc.not_included"]
 exclude_patterns = ["build"]
 html_theme = "sphinx_rtd_theme"
 html_static_path = ["static"]
