@@ -85,8 +85,9 @@ class HeldoutStatistics:
         ``heldout_chi2_predictive`` is the mean of z^2 under the posterior predictive, whose variance is that of noise
         and beam: one where the posterior is right. ``heldout_chi2_noise_only`` divides the same residuals by the noise
         alone, and is above one by what the data leave uncertain of the beam. A plain rms is sqrt(sum w|x|^2 / sum w),
-        Jy: of the residual, of the data (what predicting zero leaves) and of the noise alone; ``_complex`` has the model beam with its best complex scale. ``heldout_log_density`` is complete,
-        with the logarithm of the variances, of each part by itself.
+        Jy: of the residual, of the data (what predicting zero leaves) and of the noise alone; ``_complex`` has the
+        model beam with its best complex scale. ``heldout_log_density`` is complete, with the logarithm of the
+        variances, of each part by itself.
         """
         n, z, z2, log_density, z_before, z2_before, *products = self.sums.tolist()
         if not n:

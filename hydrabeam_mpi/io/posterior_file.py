@@ -62,8 +62,8 @@ from hydrabeam_mpi.data.observation import Array
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.formats import FORMAT, check_format, describe
 from hydrabeam_mpi.io.hdf5 import new_hdf5
-from hydrabeam_mpi.io.posterior_names import LONG_NAMES, OBSERVED, UNITS
 from hydrabeam_mpi.io.kept_rounds import check_ended
+from hydrabeam_mpi.io.posterior_names import LONG_NAMES, OBSERVED, UNITS
 from hydrabeam_mpi.io.reading import check_file, reading
 
 POSTERIOR_FORMAT = 1
