@@ -114,6 +114,11 @@ def test_posterior(job, on_one_rank, on_many_ranks):
         np.testing.assert_array_equal(many["z_counts"], one["z_counts"])
         np.testing.assert_allclose(many["map_mean"], one["map_mean"], rtol=0, atol=1e-8 * one["map_std"].max())
         np.testing.assert_allclose(many["map_std"], one["map_std"], rtol=1e-9)
+        sampled = [name for name in one if name.startswith(("heldout", "baseline"))]
+        assert len(sampled) == (0 if job == "nothing held out" else 6)
+        for name in sampled:
+            largest = np.abs(one[name]).max()
+            np.testing.assert_allclose(many[name], one[name], rtol=0, atol=1e-6 * largest)  # in single precision
 
 
 @pytest.mark.parametrize("job", JOBS)
