@@ -215,7 +215,7 @@ def test_large_numbers_fit() -> None:
     loop["error_before"] = loop["rounds"][0]["heldout_before"] = 4.5e9
     html, drawings = section(loop)
     assert "4.50 × 10<sup>9</sup>" in html
-    assert len(drawings) == 4 + 4
+    assert len(drawings) == 3 + 4
 
 
 @pytest.mark.parametrize("text", ["{", "[1]", '{"verdict": "perhaps"}', "{}", "[" * 100_000])
