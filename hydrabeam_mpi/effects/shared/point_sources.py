@@ -139,7 +139,8 @@ def dirty_map(block: RowBlock, sky: Sky, functions: FloatArray | None = None) ->
     weights = block.weights.sum(axis=1)
     if not weights.any():
         return projection, power
-    beam, positions = _sampled(block.beam), block.positions.follow(sky)
+    few = sky.Nsrc * np.count_nonzero(weights) < (2 * HALF_WIDTH) ** 2
+    beam, positions = _directly(block.beam) if few else _sampled(block.beam), block.positions.follow(sky)
     for t in np.flatnonzero(weights).tolist():
         index, za, az = positions.above_horizon(int(block.times[t]))
         directions = enu(za, az)
@@ -148,6 +149,16 @@ def dirty_map(block: RowBlock, sky: Sky, functions: FloatArray | None = None) ->
         projection[index] += told[:, np.newaxis] * functions[t]
         power[index] += weights[t] * amplitude(seen)[:, np.newaxis] ** 2 * functions[t] ** 2
     return projection, power
+
+
+def _directly(beam: Beam) -> Callable[[FloatArray], FloatArray]:
+    """Return the beam as a function of unit vectors (3, N)."""
+
+    def value(directions: FloatArray) -> FloatArray:
+        za, az = np.arccos(np.clip(directions[2], -1.0, 1.0)), np.arctan2(directions[1], directions[0])
+        return np.asarray(beam(za, az % (2 * np.pi))).real
+
+    return value
 
 
 def _sampled(beam: Beam) -> Callable[[FloatArray], FloatArray]:

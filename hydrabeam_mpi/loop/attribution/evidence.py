@@ -15,12 +15,12 @@ prior, in which whole sets of parameters are taken so: those of all antennas wit
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.data.observation import BoolArray, FloatArray
 from hydrabeam_mpi.effects.interface.effect import Parameters
 from hydrabeam_mpi.inference.gaussian import Block, Gaussian
 from hydrabeam_mpi.inference.likelihood import RANK_RTOL, Likelihood
@@ -52,6 +52,8 @@ class Evidence:
         By how much x raises the logarithm of likelihood times prior, as far as the model is linear.
     alone : ndarray, (q,)
         By how much the element of each parameter alone raises ln evidence, where the prior was looked for.
+    std : ndarray, (Nblocks, q)
+        Posterior standard deviations of x; zero where the prior is.
     """
 
     log_bayes_factor: float
@@ -63,6 +65,7 @@ class Evidence:
     rank: int
     linear_gain: float
     alone: FloatArray = field(default_factory=lambda: np.zeros(0))
+    std: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def n_parameters(self) -> int:
@@ -111,6 +114,24 @@ def find_evidence(
     log_bayes_factor, prior_var = best
     found = _describe(blocks, log_bayes_factor, prior_var, rank)
     return replace(found, alone=each_alone(scaled, parameters))
+
+
+def find_possible(
+    blocks: Sequence[Likelihood],
+    parameters: Parameters,
+    degenerate_directions: FloatArray | None,
+    beyond: Callable[[Evidence], BoolArray],
+) -> Evidence:
+    """Compute the evidence for those elements of an effect that can be; others have no part.
+
+    Arguments are those of `find_evidence`, and ``beyond`` tells which parameters, (q,), are beyond their limits.
+    """
+    while (found := find_evidence(blocks, parameters, degenerate_directions)).prior_var.any():
+        gone = np.unique(parameters.element[beyond(found)])
+        if not len(gone):
+            break
+        parameters = replace(parameters, scale=np.where(np.isin(parameters.element, gone), 0.0, parameters.scale))
+    return found
 
 
 def evidence_of(
@@ -190,4 +211,6 @@ def _describe(blocks: Sequence[Likelihood], log_bayes_factor: float, prior_var: 
     absorbed = 1 - seen / present if present > 0 else 0.0
     used = prior_var > 0
     gain = 0.5 * drop - 0.5 * float(np.sum(x[:, used] ** 2 / prior_var[used]))
-    return Evidence(log_bayes_factor, prior_var, x, drop, effective, float(np.clip(absorbed, 0.0, 1.0)), rank, gain)
+    std = np.array([np.sqrt(np.maximum(np.diag(covariance), 0.0)) for covariance in covariances])
+    absorbed = float(np.clip(absorbed, 0.0, 1.0))
+    return Evidence(log_bayes_factor, prior_var, x, drop, effective, absorbed, rank, gain, std=std)

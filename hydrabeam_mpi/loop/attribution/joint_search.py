@@ -1,7 +1,7 @@
 """Which effects together explain the residual: a search by marginal likelihood over all of them at once.
 
 An effect that is weighed by itself also gets the evidence of what it can stand for. So effects are chosen with all
-others of the set marginalised, each with the prior that is the best then (`find_evidence`: elements, functions of time
+others of the set marginalised, each with the prior that is the best then (`find_possible`: elements, functions of time
 or all of it, with widths of their own and at their price). Effects are added, weighed again, left out, and exchanged
 for others, one or several, until no such move raises the evidence of the whole set: sparse Bayesian learning (Tipping
 and Faul 2003) in groups. All effects are linearised where they are not there.
@@ -9,16 +9,16 @@ and Faul 2003) in groups. All effects are linearised where they are not there.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.data.observation import BoolArray, FloatArray
 from hydrabeam_mpi.effects.interface.parameters import Parameters
 from hydrabeam_mpi.inference.likelihood import Likelihood
-from hydrabeam_mpi.loop.attribution.evidence import Evidence, evidence_of, find_evidence
+from hydrabeam_mpi.loop.attribution.evidence import Evidence, evidence_of, find_possible
 from hydrabeam_mpi.loop.attribution.others import Others
 
 MOST_SWEEPS = 20
@@ -28,6 +28,10 @@ LEAST_GAIN = 0.1
 
 State = dict[int, Evidence]
 """A set of effects by number: the evidence that each had beside the others when it was last weighed, with its prior."""
+
+
+def _nothing(found: Evidence) -> BoolArray:
+    return np.zeros(found.prior_var.shape, dtype=bool)
 
 
 @dataclass(frozen=True)
@@ -43,12 +47,15 @@ class Competitor:
     shared : bool
         Whether channels share them.
     is_control : bool
+    beyond : function of Evidence
+        Which of them, (q,), are beyond what is physical.
     """
 
     parameters: Parameters
     degenerate: FloatArray
     shared: bool
     is_control: bool = False
+    beyond: Callable[[Evidence], BoolArray] = _nothing
 
 
 @dataclass(frozen=True)
@@ -81,7 +88,7 @@ class JointLikelihood:
             of_sort = [i for i in numbers if self.competitors[i].shared is shared and i not in found]
             for i, blocks in zip(of_sort, self._beside(state, of_sort, shared), strict=True):
                 one = self.competitors[i]
-                found[i] = find_evidence(blocks, one.parameters, one.degenerate)
+                found[i] = find_possible(blocks, one.parameters, one.degenerate, one.beyond)
         return {i: found[i] for i in numbers}
 
     def worth(self, state: State, number: int) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -14,7 +15,8 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Fitted, Values
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.loop.attribution.candidate_rows import CachedRowBlocks, likelihoods
-from hydrabeam_mpi.loop.attribution.evidence import Evidence, evidence_of, find_evidence
+from hydrabeam_mpi.loop.attribution.evidence import Evidence, evidence_of, find_evidence, find_possible
+from hydrabeam_mpi.loop.attribution.limits import Limits
 from hydrabeam_mpi.loop.attribution.others import beside_model
 from hydrabeam_mpi.loop.attribution.scan import pick
 from hydrabeam_mpi.mpi import bcast_object, together
@@ -66,11 +68,12 @@ def attribute(
         for number, effect in enumerate(picked)
     }
     by_name = likelihoods(context, fitted, cached, candidates)
+    limits = Limits.of(context, fitted)
     findings = None
     with together(context.grid.world):
         if by_name is not None:
             findings = [
-                Finding(effect, weigh(context, values, effect, by_name[name]))
+                Finding(effect, weigh(context, values, effect, by_name[name], limits=limits))
                 for name, effect in zip(candidates, picked, strict=True)
             ]
             findings.sort(key=lambda finding: -finding.evidence.log_bayes_factor)
@@ -95,20 +98,25 @@ def weigh(
     effect: Effect,
     by_channel: list[Likelihood],
     prior_var: FloatArray | None = None,
+    limits: Limits | None = None,
 ) -> Evidence:
     """Weigh one effect over all channels, with the active effects marginalised and without what is part of them.
 
-    With ``prior_var``, (n_params,), by that prior; else by the one that has the most evidence.
+    With ``prior_var``, (n_params,), by that prior; else by the one that has the most evidence, of what can be within
+    ``limits``.
     """
     parameters = effect.parameters(context.setup)
     scale = parameters.scale.copy()
     scale[taken(values, effect)] = 0.0
     blocks = beside_model(values, effect, by_channel)
     parameters, degenerate = replace(parameters, scale=scale), effect.degenerate_directions(context.setup)
-    if prior_var is None:
-        evidence = find_evidence(blocks, parameters, degenerate)
-    else:
+    if prior_var is not None:
         evidence = evidence_of(blocks, parameters, prior_var, degenerate)
+    elif limits is not None:
+        beyond = partial(limits.beyond, effect, np.arange(len(parameters)))
+        evidence = find_possible(blocks, parameters, degenerate, beyond)
+    else:
+        evidence = find_evidence(blocks, parameters, degenerate)
     return replace(evidence, absorbed=_absorbed(evidence, by_channel)) if values.active else evidence
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.stats import chi2
@@ -13,7 +14,6 @@ from hydrabeam_mpi.effects.interface.parameters import Parameters
 from hydrabeam_mpi.fit.blocks import CandidateBlock, ColumnBlock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.equations import BEAM
-from hydrabeam_mpi.fit.error_scale import fitted_chi2
 from hydrabeam_mpi.fit.marginal import Marginal
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.inference.likelihood import Likelihood
@@ -21,6 +21,7 @@ from hydrabeam_mpi.inference.significance import SIGNIFICANT_P
 from hydrabeam_mpi.loop.attribution.candidate_rows import CachedRowBlocks, candidate_sums
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.attribution.joint_search import Competitor, JointLikelihood, JointSet, search
+from hydrabeam_mpi.loop.attribution.limits import Limits
 from hydrabeam_mpi.loop.attribution.others import Others
 from hydrabeam_mpi.loop.attribution.score_effects import Finding, taken
 from hydrabeam_mpi.loop.rules import RULES
@@ -71,16 +72,19 @@ def weigh_together(
     wanted = [one for one in findings if one.evidence.log_bayes_factor >= least]
     picked = columns_that_matter(context, fitted, wanted)
     by_channel = _likelihoods(context, fitted, cached, picked)
-    total, free = fitted_chi2(context, fitted)
+    limits = Limits.of(context, fitted)
 
     found = None
     with together(context.grid.world):
         if by_channel is not None:
-            competitors = [_competitor(context, fitted, *one) for one in picked]
+            competitors = [
+                replace(_competitor(context, fitted, one, which), beyond=partial(limits.beyond, one.effect, which))
+                for one, which in picked
+            ]
             model = Others.of(fitted.values, len(by_channel))
             alone = {i: _of_some(one.evidence, which) for i, (one, which) in enumerate(picked)}
             joint = JointLikelihood(by_channel, model, competitors, alone)
-            found = _told(picked, search(joint, least), findings, total, free)
+            found = _told(picked, search(joint, least), findings, limits.chi2, limits.free)
     result: TogetherFound = bcast_object(context.grid.world, found)
     return result
 
@@ -190,12 +194,13 @@ def _told(
 
 def _of_some(evidence: Evidence, which: IntArray) -> Evidence:
     """Return the evidence for an effect in terms of some of its parameters, all that are in use among them."""
-    return replace(evidence, prior_var=evidence.prior_var[which], x=evidence.x[:, which], alone=evidence.alone[which])
+    prior_var, alone = evidence.prior_var[which], evidence.alone[which]
+    return replace(evidence, prior_var=prior_var, x=evidence.x[:, which], std=evidence.std[:, which], alone=alone)
 
 
 def _of_all(evidence: Evidence, which: IntArray, n: int) -> Evidence:
     """Return the evidence for an effect of which some parameters were weighed, the others at zero."""
     prior_var: FloatArray = np.zeros(n)
-    x: FloatArray = np.zeros((len(evidence.x), n))
-    prior_var[which], x[:, which] = evidence.prior_var, evidence.x
-    return replace(evidence, prior_var=prior_var, x=x, alone=np.zeros(0))
+    x, std = np.zeros((2, len(evidence.x), n))
+    prior_var[which], x[:, which], std[:, which] = evidence.prior_var, evidence.x, evidence.std
+    return replace(evidence, prior_var=prior_var, x=x, std=std, alone=np.zeros(0))

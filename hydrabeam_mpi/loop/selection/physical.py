@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import BoolArray, FloatArray
+from hydrabeam_mpi.data.observation import BoolArray
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.error_scale import error_scale
 from hydrabeam_mpi.fit.state import Active, Fitted, Values
+from hydrabeam_mpi.loop.attribution.limits import is_unphysical
 
 MOST_NAMED = 4
 """Parameters that a line names, those furthest beyond their limits: of many sources it would be pages."""
@@ -71,15 +72,6 @@ def leave_out_unphysical(context: FitContext, fitted: Fitted, n_before: int) -> 
         places[place] = None if left is None else len(kept)
         kept += [] if left is None else [left]
     return LeftOut(replace(fitted.values, active=tuple(kept)), places, tuple(told)) if told else None
-
-
-def is_unphysical(beyond: FloatArray, nats: float) -> BoolArray:
-    """Whether what is ``beyond`` its limit by so many standard errors is so by more than errors allow, (n_params,).
-
-    At the limit ln likelihood is less by beyond^2 / 2. It is unphysical if that is more than the evidence, ``nats``,
-    for which anything is believed.
-    """
-    return np.asarray(0.5 * beyond**2 > nats)
 
 
 def _rest(context: FitContext, one: Active, gone: BoolArray) -> Active | None:
