@@ -6,18 +6,19 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import BoolArray
 from hydrabeam_mpi.effects.interface.effect import Parameters
+from hydrabeam_mpi.effects.interface.limits import sigmas
 from hydrabeam_mpi.loop.attribution.evidence import Evidence, find_evidence, find_possible
 from hydrabeam_mpi.loop.attribution.limits import is_unphysical
 from tests.loop.attribution.test_evidence import make_model
 
 
 def below_minus_one(found: Evidence) -> BoolArray:
-    return is_unphysical(np.max(-1.0 - found.x, axis=0) / np.maximum(found.std[0], 1e-12), 5.0)
+    return is_unphysical(sigmas(-1.0 - found.x, found.std).max(axis=0), 5.0)
 
 
 def test_an_element_beyond_its_limit_has_no_part() -> None:
-    """Of three sources one has an error of -9, which would be a flux below zero, and another one of +2."""
-    likelihood = make_model(3, 5, np.array([0.0, -9.0, 2.0])).likelihood
+    """Of three sources one has an error of -3, which would be a flux below zero, and another one of 9."""
+    likelihood = make_model(3, 5, np.array([0.0, -3.0, 9.0])).likelihood
     names = [f"source {i}" for i in range(3)]
     parameters = Parameters.of(names, "", np.full(3, 0.1), np.arange(3), trials=300)
     free = find_evidence([likelihood], parameters)
