@@ -166,7 +166,7 @@ class MissingSources(MayVary):
         """Look at these sources and at eight places around each of them; see `ScannedEffect.finer`."""
         part = np.zeros((len(self.sources), _n_each(setup)))
         shifts = step * _spacing(setup) * np.array([(east, north) for east in (0, -1, 1) for north in (0, -1, 1)])
-        places = [one for shift in shifts for one in in_degrees(*self._places(part, shift))]
+        places = [(ra % 360, dec) for shift in shifts for ra, dec in in_degrees(*self._places(part, shift))]
         finer = MissingSources(self.sources, self.trials)
         finer._places_around = tuple(places)
         return finer if places else None

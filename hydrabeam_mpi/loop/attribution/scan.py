@@ -19,8 +19,8 @@ from hydrabeam_mpi.mpi import allreduce_sum, bcast_object, together
 
 MAX_ELEMENTS = 350
 """How many of a scan's best candidates are compared together."""
-STEPS = (0.5, 0.25, 0.125)
-"""Of a grid's spacing, by which candidates come closer: at half a resolution's, a source is left to a thousandth."""
+STEPS = (0.5, 0.25, 0.125, 0.0625)
+"""Of a grid's spacing, by which candidates come closer: closer than that the beam, as it is, leads astray."""
 
 
 def pick(context: FitContext, fitted: Fitted, cached: CachedRowBlocks, effects: Sequence[Effect]) -> list[Effect]:
@@ -44,7 +44,9 @@ def pick(context: FitContext, fitted: Fitted, cached: CachedRowBlocks, effects: 
             again[number] = every
     for number, drop in _drops_beside(context, fitted, cached, again).items():
         best[number] = best[number][np.argsort(-drop, kind="stable")]
-    chosen = {number: effect.at(context.setup, best[number]) for number, effect in scanned.items()}
+    chosen: dict[int, Effect] = {number: effect.at(context.setup, best[number]) for number, effect in scanned.items()}
+    for step in STEPS:
+        chosen |= _closer(context, cached, chosen, step)
     return [chosen.get(number, effect) for number, effect in enumerate(effects)]
 
 
