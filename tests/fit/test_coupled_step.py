@@ -117,9 +117,7 @@ def test_results_of_channels_that_hang_together(tmp_path: Path, width: float) ->
     for one, two, three in zip(alone, far, near, strict=True):
         assert np.max(np.abs(one.posterior.mean - two.posterior.mean) / one.posterior.std) < 1e-7
         np.testing.assert_allclose(two.posterior.std, one.posterior.std, rtol=1e-7)
-        np.testing.assert_allclose(
-            two.of_effects["effects_covariance"], one.of_effects["effects_covariance"], rtol=1e-6
-        )
+        np.testing.assert_allclose(two.arrays["effects_covariance"], one.arrays["effects_covariance"], rtol=1e-6)
         assert np.all(three.posterior.std < 1.001 * one.posterior.std)
         assert np.min(three.posterior.std / one.posterior.std) < 0.95
         assert two.heldout.summary() == pytest.approx(one.heldout.summary(), rel=1e-7)

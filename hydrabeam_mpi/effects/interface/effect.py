@@ -274,7 +274,8 @@ class ScannedEffect(ScannedInTime, Effect):
     def finer(self, setup: ObservingSetup, step: float) -> ScannedEffect | None:
         """Return what scans the effect's elements and what lies around each, by ``step`` of the grid's spacing.
 
-        None where candidates are not on a grid, or what lies between its points matters little.
+        None where candidates are not on a grid, or where what lies between its points says little, such as of sources
+        that vary: with as much freedom these explain most where they are not.
         """
         return None
 

@@ -226,11 +226,6 @@ class InTime(ScannedEffect):
         most = max(MOST_COLUMNS // len(self.effect.parameters(setup)), LEAST_FUNCTIONS)
         return InTime(self.effect, law.at(law.best(np.asarray(hypotheses), most)))
 
-    def finer(self, setup: ObservingSetup, step: float) -> InTime | None:
-        """Look at what lies around the effect's elements; see `ScannedEffect.finer`."""
-        finer = self.effect.finer(setup, step) if isinstance(self.effect, ScannedEffect) else None
-        return None if finer is None else type(self)(finer, self.time_law)
-
     def drawn(self, setup: ObservingSetup, rng: np.random.Generator) -> InTime:
         """Pick an element at random, or a function."""
         law = self.time_law.over(setup.jd) if self.time_law.names() else self._candidates(setup)

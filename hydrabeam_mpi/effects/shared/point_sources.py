@@ -22,6 +22,8 @@ from hydrabeam_mpi.model.sky import Sky, separation
 
 HALF_WIDTH = 64  # samples of the beam from the zenith to the horizon, where a map does with an interpolated one
 
+FEW = 256  # sources at whose places a beam is evaluated faster than at its samples, a night long
+
 
 class PointSources(ScannedEffect):
     """An effect whose elements are single sources, the same in all channels.
@@ -139,8 +141,8 @@ def dirty_map(block: RowBlock, sky: Sky, functions: FloatArray | None = None) ->
     weights = block.weights.sum(axis=1)
     if not weights.any():
         return projection, power
-    few = sky.Nsrc * np.count_nonzero(weights) < (2 * HALF_WIDTH) ** 2
-    beam, positions = _directly(block.beam) if few else _sampled(block.beam), block.positions.follow(sky)
+    beam = _directly(block.beam) if sky.Nsrc < FEW else _sampled(block.beam)
+    positions = block.positions.follow(sky)
     for t in np.flatnonzero(weights).tolist():
         index, za, az = positions.above_horizon(int(block.times[t]))
         directions = enu(za, az)
