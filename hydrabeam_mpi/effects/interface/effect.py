@@ -271,14 +271,6 @@ class ScannedEffect(ScannedInTime, Effect):
         """
         return None
 
-    def finer(self, setup: ObservingSetup, step: float) -> ScannedEffect | None:
-        """Return what scans the effect's elements and what lies around each, by ``step`` of the grid's spacing.
-
-        None where candidates are not on a grid, or where what lies between its points says little, such as of sources
-        that vary: with as much freedom these explain most where they are not.
-        """
-        return None
-
     def foremost(self, setup: ObservingSetup, n: int) -> Effect:
         """Return the effect with the ``n`` candidates that matter most by what is known before any data are seen.
 

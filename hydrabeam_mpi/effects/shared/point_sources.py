@@ -22,8 +22,6 @@ from hydrabeam_mpi.model.sky import Sky, separation
 
 HALF_WIDTH = 64  # samples of the beam from the zenith to the horizon, where a map does with an interpolated one
 
-FEW = 256  # sources at whose places a beam is evaluated faster than at its samples, a night long
-
 
 class PointSources(ScannedEffect):
     """An effect whose elements are single sources, the same in all channels.
@@ -141,8 +139,7 @@ def dirty_map(block: RowBlock, sky: Sky, functions: FloatArray | None = None) ->
     weights = block.weights.sum(axis=1)
     if not weights.any():
         return projection, power
-    beam = _directly(block.beam) if sky.Nsrc < FEW else _sampled(block.beam)
-    positions = block.positions.follow(sky)
+    beam, positions = _sampled(block.beam), block.positions.follow(sky)
     for t in np.flatnonzero(weights).tolist():
         index, za, az = positions.above_horizon(int(block.times[t]))
         directions = enu(za, az)
@@ -151,16 +148,6 @@ def dirty_map(block: RowBlock, sky: Sky, functions: FloatArray | None = None) ->
         projection[index] += told[:, np.newaxis] * functions[t]
         power[index] += weights[t] * amplitude(seen)[:, np.newaxis] ** 2 * functions[t] ** 2
     return projection, power
-
-
-def _directly(beam: Beam) -> Callable[[FloatArray], FloatArray]:
-    """Return the beam as a function of unit vectors (3, N)."""
-
-    def value(directions: FloatArray) -> FloatArray:
-        za, az = np.arccos(np.clip(directions[2], -1.0, 1.0)), np.arctan2(directions[1], directions[0])
-        return np.asarray(beam(za, az % (2 * np.pi))).real
-
-    return value
 
 
 def _sampled(beam: Beam) -> Callable[[FloatArray], FloatArray]:

@@ -58,9 +58,6 @@ class MissingSources(MayVary):
         "nightly": "missing point sources that vary anew each night",
     }
 
-    _places_around: tuple[tuple[float, float], ...] = ()
-    """Candidates instead of the grid's, degrees."""
-
     def parameters(self, setup: ObservingSetup) -> Parameters:
         """Return flux, offsets east and north, and the change of spectral index of every source."""
         spacing = float(np.rad2deg(_spacing(setup)))
@@ -160,16 +157,7 @@ class MissingSources(MayVary):
 
     def n_hypotheses(self, setup: ObservingSetup) -> int:
         """Return the number of grid points that rise high enough."""
-        return len(self._candidates(setup)[0])
-
-    def finer(self, setup: ObservingSetup, step: float) -> MissingSources | None:
-        """Look at these sources and at eight places around each of them; see `ScannedEffect.finer`."""
-        part = np.zeros((len(self.sources), _n_each(setup)))
-        shifts = step * _spacing(setup) * np.array([(east, north) for east in (0, -1, 1) for north in (0, -1, 1)])
-        places = [(ra % 360, dec) for shift in shifts for ra, dec in in_degrees(*self._places(part, shift))]
-        finer = MissingSources(self.sources, self.trials)
-        finer._places_around = tuple(places)
-        return finer if places else None
+        return len(candidates(setup)[0])
 
     def scan(self, block: RowBlock) -> tuple[FloatArray, FloatArray]:
         """Correlate the residual with a source at every grid point, each (n_hypotheses, p)."""
@@ -177,7 +165,7 @@ class MissingSources(MayVary):
 
     def scan_in_time(self, block: RowBlock, functions: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Do so with all functions, (Ntimes, k), in one pass, each (n_hypotheses, k)."""
-        ra, dec = self._candidates(block.setup)
+        ra, dec = candidates(block.setup)
         spectrum = (block.setup.observation.freqs / block.setup.reference_freq) ** SPECTRAL_INDEX
         sky = Sky(ra, dec, np.broadcast_to(spectrum[:, np.newaxis], (len(spectrum), len(ra))))
         return dirty_map(block, sky, functions)
@@ -187,13 +175,11 @@ class MissingSources(MayVary):
 
         ``hypotheses`` is (Nchosen,).
         """
-        trials = round(len(candidates(setup)[0]) * (_spacing(setup) / resolution(setup)) ** 2)
-        ra, dec = (one[hypotheses] for one in self._candidates(setup))
+        ra, dec = candidates(setup)
+        trials = max(MIN_TRIALS, round(len(ra) * (_spacing(setup) / resolution(setup)) ** 2))
+        ra, dec = ra[hypotheses], dec[hypotheses]
         kept = keep_apart(ra, dec, resolution(setup), AT_MOST)
-        return MissingSources(in_degrees(ra[kept], dec[kept]), max(MIN_TRIALS, trials))
-
-    def _candidates(self, setup: ObservingSetup) -> tuple[FloatArray, FloatArray]:
-        return in_radians(self._places_around) if self._places_around else candidates(setup)
+        return MissingSources(in_degrees(ra[kept], dec[kept]), trials)
 
     def drawn(self, setup: ObservingSetup, rng: np.random.Generator) -> MissingSources:
         """Place a source at random where it comes within 30 degrees of the zenith."""

@@ -19,17 +19,10 @@ from hydrabeam_mpi.mpi import allreduce_sum, bcast_object, together
 
 MAX_ELEMENTS = 350
 """How many of a scan's best candidates are compared together."""
-STEPS = (0.5, 0.25, 0.125, 0.0625)
-"""Of a grid's spacing, by which candidates come closer: closer than that the beam, as it is, leads astray."""
 
 
-def pick(
-    context: FitContext, fitted: Fitted, cached: CachedRowBlocks, effects: Sequence[Effect]
-) -> list[tuple[Effect, ...]]:
+def pick(context: FitContext, fitted: Fitted, cached: CachedRowBlocks, effects: Sequence[Effect]) -> list[Effect]:
     """Scan where there are too many candidates, and keep the best of them. Collective: all ranks of the grid.
-
-    Of effects on a grid there are two, of which one is to be chosen: on the grid, and where with the beam as it is they
-    explain most. That is nearer to what is so unless the beam has taken up much of it.
 
     The beam follows most what is brightest, of which it may leave little to see. So the brightest are looked at again
     beside those that are the best with the beam as it is, now with the beam and the model's effects marginalised.
@@ -49,29 +42,8 @@ def pick(
             again[number] = every
     for number, drop in _drops_beside(context, fitted, cached, again).items():
         best[number] = best[number][np.argsort(-drop, kind="stable")]
-    chosen: dict[int, Effect] = {number: effect.at(context.setup, best[number]) for number, effect in scanned.items()}
-    closer = chosen
-    for step in STEPS:
-        closer = _closer(context, cached, closer, step)
-    either = {number: (effect, closer[number]) if number in closer else (effect,) for number, effect in chosen.items()}
-    return [either.get(number, (effect,)) for number, effect in enumerate(effects)]
-
-
-def _closer(
-    context: FitContext, cached: CachedRowBlocks, chosen: Mapping[int, Effect], step: float
-) -> dict[int, Effect]:
-    """Move the candidates that were chosen from a grid to where, around them, they explain most.
-
-    Beside its place a source leaves a part of itself for others to explain. Collective: all ranks of the grid.
-    """
-    finer = {
-        number: one
-        for number, effect in chosen.items()
-        if isinstance(effect, ScannedEffect) and (one := effect.finer(context.setup, step)) is not None
-    }
-    found = _scan(context, cached, list(finer.values()))
-    best = [np.argsort(-drop, kind="stable") for drop, _ in found]
-    return {number: one.at(context.setup, order) for (number, one), order in zip(finer.items(), best, strict=True)}
+    chosen = {number: effect.at(context.setup, best[number]) for number, effect in scanned.items()}
+    return [chosen.get(number, effect) for number, effect in enumerate(effects)]
 
 
 def _drops_beside(

@@ -61,27 +61,21 @@ def attribute(
     values = fitted.values
     with together(context.grid.world):
         cached = cached or CachedRowBlocks.of(context, fitted.estimate)
-    picked = [
-        (number, one)
-        for number, either in enumerate(pick(context, fitted, cached, effects))
-        for one in either
-        if _has_more(context, values, one)
-    ]
+    picked = pick(context, fitted, cached, effects)
+    picked = [effect for effect in picked if _has_more(context, values, effect)]
     candidates = {
-        f"candidate {place}": CandidateBlock(one, np.zeros(len(one.parameters(context.setup))))
-        for place, (_, one) in enumerate(picked)
+        f"candidate {number}": CandidateBlock(effect, np.zeros(len(effect.parameters(context.setup))))
+        for number, effect in enumerate(picked)
     }
     by_name = likelihoods(context, fitted, cached, candidates)
     limits = Limits.of(context, fitted)
     findings = None
     with together(context.grid.world):
         if by_name is not None:
-            best: dict[int, Finding] = {}
-            for name, (number, one) in zip(candidates, picked, strict=True):
-                found = Finding(one, weigh(context, values, one, by_name[name], limits=limits))
-                if number not in best or found.evidence.log_bayes_factor > best[number].evidence.log_bayes_factor:
-                    best[number] = found
-            findings = list(best.values())
+            findings = [
+                Finding(effect, weigh(context, values, effect, by_name[name], limits=limits))
+                for name, effect in zip(candidates, picked, strict=True)
+            ]
             findings.sort(key=lambda finding: -finding.evidence.log_bayes_factor)
     result: list[Finding] = bcast_object(context.grid.world, findings)
     return result
