@@ -128,13 +128,15 @@ def try_control(
 ) -> Round | None:
     """Fit the control model with the most evidence where it may explain more than what was found.
 
-    Collective: all ranks of the grid.
+    It is asked what effects are: one that the held-out data refuse explains nothing. Collective: all ranks of the grid.
     """
     controls = [one for one in _wanted(context, ranking) if one.is_control]
     if not controls or (found is not None and not may_be_better(controls[0], found, found.after.remains.consistent)):
         return None
     fitted, after = _fit(context, checked, controls[0])
-    return round_of(context, checked, after, fitted, ranking)
+    reason = refusal_of(checked, after, fitted, context.problem.job.loop)
+    say(f"    refused: {reason}", context.grid.is_world_root and reason is not None)
+    return None if reason is not None else round_of(context, checked, after, fitted, ranking)
 
 
 def _wanted(context: FitContext, ranking: Sequence[Candidate]) -> list[Candidate]:
