@@ -18,7 +18,7 @@ from hydrabeam_mpi.fit.state import Diagnostics, Estimate, Values
 from hydrabeam_mpi.inference.coupled import CoupledPosterior
 from hydrabeam_mpi.inference.over_frequency import inverse_over_channels
 from hydrabeam_mpi.inference.posterior import Posterior
-from hydrabeam_mpi.mpi import ProcessGrid, together
+from hydrabeam_mpi.mpi import ProcessGrid, allreduce_sum, together
 from hydrabeam_mpi.setup.problem import Problem
 
 
@@ -72,6 +72,7 @@ class BeamSums:
     """The sums over rows that tell the beams given the effects, of all ranks of the group.
 
     ``known`` is what has been worked out before for the same weights and the same sky, which are told by ``key``.
+    ``left_out``, (Nlocal,), is what the rows cost in ln likelihood that changes of the weights leave out.
     """
 
     normals: list[NormalEquations]
@@ -79,6 +80,7 @@ class BeamSums:
     added: ComplexArray
     key: Key
     known: KnownPrecision | None
+    left_out: FloatArray
 
 
 def sum_for_beams(context: FitContext, at: Estimate) -> BeamSums:
@@ -97,7 +99,23 @@ def sum_for_beams(context: FitContext, at: Estimate) -> BeamSums:
         normals = accumulate_designs(rows, designs, context.problem.basis, None if known is None else known.grams)
     for normal in normals:
         normal.reduce(grid.group)
-    return BeamSums(normals, rows, added, key, known)
+    return BeamSums(normals, rows, added, key, known, _price_of_left_out(context, at.values, rows))
+
+
+def _price_of_left_out(context: FitContext, values: Values, rows: Rows) -> FloatArray:
+    """Return what it costs that rows are left out, (Nlocal,); see `Reweighting.price`. Collective: all ranks."""
+    price, given = np.zeros(len(context.channels)), context.train.rows
+    changes = [one for one in values.reweighted if one.change.leaves_out]
+    if not changes:
+        return price
+    left_out = np.sum((given.inv_noise_var > 0) & (rows.inv_noise_var == 0), axis=1)
+    for one in changes:
+        price += [
+            float(count @ one.change.price(number, rows.tile.bls, one.x[number]))
+            for number, count in zip(context.channels, left_out, strict=True)
+        ]
+    allreduce_sum(context.grid.group, price)
+    return price
 
 
 def solve_beams(context: FitContext, at: Estimate, keep: bool = False) -> Solved:
@@ -116,7 +134,7 @@ def solve_beams(context: FitContext, at: Estimate, keep: bool = False) -> Solved
         beams = tuple(replace(two, mean=one.mean) for one, two in zip(at.beams, beams, strict=True))
     # E is that of the beams before, so that only those tell what beams and effects reach together.
     seen_by = at.beams if at.beams and at.values.adds else beams
-    of_seen, of_beams = (log_joints(context.grid, problem, normals, one) for one in (seen_by, beams))
+    of_seen, of_beams = (log_joints(context.grid, problem, normals, one) - sums.left_out for one in (seen_by, beams))
     reached, best = (total_log_joint(context, at.values, one) for one in (of_seen, of_beams))
     joint = coupled.joint if coupled else None
     return Solved(beams, normals, sums.rows, sums.added, reached, best - reached, of_beams, joint)

@@ -40,7 +40,7 @@ Parameters that still move then drift along directions that the data do not cons
 FLAT_STEPS = 2
 """The fit ends after this many steps in a row without a rise."""
 STEPS_BACK = 0.5
-"""A step counts as too long at this relative loss of ln(likelihood x prior), where weights are fitted too."""
+"""A step counts as too long at this relative loss of ln(likelihood x prior), where all weights follow residuals."""
 
 
 Worth = Callable[[float, float], bool]
@@ -214,9 +214,10 @@ def _misfit(context: FitContext, solved: Solved) -> float:
 def _least_rise(best: float, values: Values, misfit: float) -> float:
     """Return the rise of ln(likelihood x prior) below which a step was too long.
 
-    When weights change the likelihoods are not comparable, so that only a great loss counts.
+    When all weights change the likelihoods are not comparable, so that only a great loss counts.
     """
-    return -STEPS_BACK * abs(best) if values.reweighted else -FLAT_NATS * misfit
+    incomparable = any(one.change.follows_residuals for one in values.reweighted)
+    return -STEPS_BACK * abs(best) if incomparable else -FLAT_NATS * misfit
 
 
 def linearised(context: FitContext, at: Estimate, solved: Solved) -> tuple[list[Likelihood] | None, list[Array]]:

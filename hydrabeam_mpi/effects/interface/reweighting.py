@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray
+from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 
@@ -35,6 +35,9 @@ class ReweightingFit:
         Number of measured parameters of all channels.
     reason : str, optional
         Why the residuals are not of this kind, where they are not although they deviate.
+    levels : ndarray, (Nfreqs, Nbls), optional
+        Of each baseline the variance of most of its whitened residuals, one if they are noise. Known where the change
+        can be told beside residuals that are larger than noise; see `Reweighting.at_levels`.
     """
 
     log_bayes_factor: float
@@ -45,6 +48,7 @@ class ReweightingFit:
     chi2_drop: float
     n_parameters: int
     reason: str | None = None
+    levels: FloatArray | None = None
 
 
 class Reweighting(ABC):
@@ -58,8 +62,28 @@ class Reweighting(ABC):
     """Whether, where it is refused, it is looked for once more in the residuals of a robust fit."""
     leaves_out: ClassVar[bool] = False
     """Whether it leaves out rows, of which is told where they are."""
+    follows_residuals: ClassVar[bool] = False
+    """Whether weights of all rows change with their residuals, so that likelihoods do not compare."""
     times_refitted: ClassVar[int] = 0
     """How often it is fitted again to the residuals of a fit that has it."""
+
+    @property
+    def at_own_level(self) -> bool:
+        """Whether it is told beside residuals that are larger than noise, as something else is missing."""
+        return False
+
+    def at_levels(self, levels: FloatArray) -> Self | None:
+        """Return the change beside residuals that have these variances, (Nfreqs, Nbls); None where it has no such."""
+        return None
+
+    @property
+    def beside_noise(self) -> Self:
+        """The change beside residuals that are noise but for it."""
+        return self
+
+    def describe(self) -> dict[str, Any]:
+        """Return the settings with which it can be made again."""
+        return {}
 
     def scales_antennas(self, x: FloatArray) -> bool:
         """Whether parameters, (Nfreqs, n_params), scale the noise of single antennas."""
@@ -120,6 +144,14 @@ class Reweighting(ABC):
         x : ndarray, (n_params,)
             Of the block's channel.
         """
+
+    def price(self, channel: int, bls: IntArray, x: FloatArray) -> FloatArray:
+        """Return what it costs in ln likelihood to leave out a row of some baselines, (Nbls,): by default nothing.
+
+        That is |z|^2 where a row is just left out, so that the likelihood has no jump where rows come and go in a fit.
+        ``x``, (n_params,), is the channel's.
+        """
+        return np.zeros(len(bls))
 
     @abstractmethod
     def draw(self, setup: ObservingSetup, rng: np.random.Generator, strength: float) -> FloatArray:

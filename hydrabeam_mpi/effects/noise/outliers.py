@@ -11,19 +11,22 @@ of a histogram with fine bins.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
+from pydantic import Field
 from scipy.optimize import minimize
 from scipy.stats import binom
 
-from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray
+from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.reweighting import Reweighting, ReweightingFit, fitted_counts
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.inference.robust import LOG_MEAN
 from hydrabeam_mpi.random import complex_normal
 
+Level = Annotated[float, Field(ge=1)]
 # Bins of |z|^2; the last has no end. Half of the good rows lie above 0.7, and one in 1e10 above 23.
 EDGES: FloatArray = np.concatenate([[0.0], np.geomspace(0.05, 1e12, 241)])
 LOG_EDGES: FloatArray = np.concatenate([[-np.inf], np.log(EDGES[1:])])
@@ -65,12 +68,42 @@ class Outliers(Reweighting):
 
     The parameters of a channel are the threshold of |z|^2, and the fraction of rows hit with the scale of their |z|^2.
     The threshold is chosen so that in the mean less than 0.01 of all good rows are lost.
+
+    While something else is missing, residuals are larger than noise: those of each baseline by a level of its own, as
+    gains and sources make them. Bursts are then told from the other times of their baseline, with |z|^2 in units of
+    its level.
+
+    Parameters
+    ----------
+    levels : sequence, (Nfreqs, Nbls), optional
+        Variance of most of the whitened residuals of each baseline; none where they are noise.
     """
 
     kind = "outliers"
     title = "outliers"
     searched_again_with_heavy_tails = True
     leaves_out = True
+
+    def __init__(self, levels: Sequence[Sequence[Level]] = ()) -> None:
+        self.levels = tuple(tuple(map(float, of_channel)) for of_channel in levels)
+
+    @property
+    def at_own_level(self) -> bool:
+        """Whether residuals have levels."""
+        return bool(self.levels)
+
+    def at_levels(self, levels: FloatArray) -> Self:
+        """Return outliers beside residuals that have these variances, (Nfreqs, Nbls)."""
+        return type(self)(levels.tolist())
+
+    @property
+    def beside_noise(self) -> Self:
+        """Outliers of residuals without levels."""
+        return type(self)()
+
+    def describe(self) -> dict[str, Any]:
+        """Return the levels, if there are any."""
+        return {"levels": [list(of_channel) for of_channel in self.levels]} if self.levels else {}
 
     def sizes(self, setup: ObservingSetup) -> tuple[int, ...]:
         """Return three: threshold, fraction and scale."""
@@ -81,42 +114,46 @@ class Outliers(Reweighting):
         return {"largest |z|^2 kept": HIT, "fraction of rows hit": 0.0, "scale of |z|^2 where hit": 1.0}
 
     def n_sums(self, setup: ObservingSetup) -> int:
-        """Return the number of bins, of counts by time and by baseline, and of moments."""
+        """Return the number of bins, of logs by baseline, of counts by time and by baseline, and of moments."""
         observation = setup.observation
-        return len(EDGES) - 1 + 2 * (observation.Ntimes + observation.Nbls) + N_MOMENTS
+        return len(EDGES) - 1 + observation.Nbls + 2 * (observation.Ntimes + observation.Nbls) + N_MOMENTS
 
     def sums(self, block: RowBlock, z: ComplexArray) -> FloatArray:
-        """Return the histogram of |z|^2; rows and hits by time; rows and large ones by baseline; moments, (n_sums,).
+        """Return sums of |z|^2 in units of its level, (n_sums,).
 
-        The moments: sums of 1, a and a^2 with a = ln |m|^2 w, the model's, over all rows, and of 1, a, a^2, b, b^2 and
-        a b with b = ln |z|^2 over those that are hit.
+        These are: the histogram; sums of ln |z|^2 by baseline; rows and hits by time; rows and large ones by baseline;
+        moments. Those are sums of 1, a and a^2 with a = ln |m|^2 w, the model's, over all rows, and of 1, a, a^2, b,
+        b^2 and a b with b = ln |z|^2 over those that are hit.
         """
         observation = block.setup.observation
         used = block.weights > 0
-        u = np.abs(z) ** 2
+        u = np.abs(z) ** 2 / self._level(block.channel, block.bls)
         hit = used & (u > HIT)
         counts = np.histogram(np.minimum(u[used], EDGES[-2]), EDGES)[0]
         by_time, by_bl = np.zeros((2, observation.Ntimes)), np.zeros((2, observation.Nbls))
         by_time[:, block.times] = used.sum(axis=1), hit.sum(axis=1)
         by_bl[:, block.bls] = used.sum(axis=0), (used & (u > LARGE)).sum(axis=0)
+        logs = np.zeros(observation.Nbls)
+        logs[block.bls] = np.sum(np.log(np.where(used & (u > 0), u, 1.0)), axis=0)
         bright = used & (block.vis != 0)
         model = np.log(np.abs(block.vis[bright]) ** 2 * block.weights[bright])
         of_hits, size = model[hit[bright]], np.log(u[bright & hit])
         moments = [len(model), model.sum(), model @ model, len(size), of_hits.sum(), of_hits @ of_hits]
         moments += [size.sum(), size @ size, of_hits @ size]
-        return np.concatenate([counts, by_time.reshape(-1), by_bl.reshape(-1), moments])
+        return np.concatenate([counts, logs, by_time.reshape(-1), by_bl.reshape(-1), moments])
 
     def fit(self, setup: ObservingSetup, sums: FloatArray, effective_parameters: FloatArray) -> ReweightingFit:
         """Weigh the mixture against noise alone, with ``sums`` (Nfreqs, n_sums); see `Reweighting.fit`."""
         n_bins, n_bls = len(EDGES) - 1, setup.observation.Nbls
-        fits, reasons = [], []
+        fits, reasons, levels = [], [], []
         for of_channel, taken in zip(sums, effective_parameters, strict=True):
             rows = of_channel[-N_MOMENTS - 2 * n_bls : -N_MOMENTS - n_bls]
-            bulk = float(fitted_counts(rows, taken).sum() / max(rows.sum(), 1.0))
+            bulk = 1.0 if self.levels else float(fitted_counts(rows, taken).sum() / max(rows.sum(), 1.0))
             fitted = _fit_mixture(of_channel[:n_bins], bulk)
             fits.append(fitted)
+            levels.append(_levels(of_channel[n_bins : n_bins + n_bls], rows))
             if fitted.gain > MIN_GAIN:
-                reasons.append(_not_bursts(setup, of_channel[n_bins:]) or fitted.reason)
+                reasons.append(_not_bursts(setup, of_channel[n_bins + n_bls :]) or fitted.reason)
         refused = [reason for reason in reasons if reason]
         evidence = float(sum(one.log_bayes_factor for one in fits))
         return ReweightingFit(
@@ -128,6 +165,7 @@ class Outliers(Reweighting):
             chi2_drop=float(2 * sum(one.gain for one in fits)),
             n_parameters=2 * len(fits),
             reason=refused[0] if refused else None,
+            levels=None if self.levels else np.array(levels),
         )
 
     def weight_factor(self, block: RowBlock, x: FloatArray) -> FloatArray:
@@ -138,8 +176,16 @@ class Outliers(Reweighting):
         A time is judged by the block's own baselines.
         """
         used = block.weights > 0
-        beyond = used & (np.abs(block.residual) ** 2 * block.weights > x[0])
+        beyond = used & (np.abs(block.residual) ** 2 * block.weights > x[0] * self._level(block.channel, block.bls))
         return np.where(beyond | mostly(beyond.sum(axis=1), used.sum(axis=1))[:, np.newaxis], 0.0, 1.0)
+
+    def price(self, channel: int, bls: IntArray, x: FloatArray) -> FloatArray:
+        """Return the threshold of each baseline, (Nbls,); see `Reweighting.price`."""
+        return x[0] * self._level(channel, bls)
+
+    def _level(self, channel: int, bls: IntArray) -> FloatArray:
+        """Return the variance of most of the whitened residuals of some baselines, (Nbls,)."""
+        return np.array(self.levels[channel])[bls] if self.levels else np.ones(len(bls))
 
     def draw(self, setup: ObservingSetup, rng: np.random.Generator, strength: float) -> FloatArray:
         """Draw bursts in a tenth of ``strength`` of the rows, 5% at most, of a power between 100 and 10,000.
@@ -154,6 +200,16 @@ class Outliers(Reweighting):
         burst = complex_normal(rng, block.shape) * np.sqrt(x[2] / rng.standard_exponential(block.shape))
         sigma = np.sqrt(np.where(chosen, 1 / np.where(chosen, block.weights, 1.0), 0.0))
         return data + burst * sigma
+
+
+def _levels(logs: FloatArray, rows: FloatArray) -> FloatArray:
+    """Return the variance of most of each baseline's whitened residuals, noise at least, from the mean of ln |z|^2.
+
+    A mean of logs feels few wild rows little. Baselines of which no row is fitted have the mean level of all.
+    """
+    has = rows > 0
+    means = np.where(has, logs / np.where(has, rows, 1.0), logs.sum() / max(rows.sum(), 1.0))
+    return np.asarray(np.maximum(np.exp(means - LOG_MEAN), 1.0))
 
 
 def mostly(hits: FloatArray, rows: FloatArray) -> BoolArray:

@@ -32,6 +32,8 @@ class HeavyTails:
     """Weights for noise with Cauchy tails, under which outlying rows count less."""
 
     kind = "heavy_tails"
+    leaves_out = False
+    follows_residuals = True
 
     def weight_factor(self, block: RowBlock, x: FloatArray) -> FloatArray:
         """Return 3 / (1 + 2 |z|^2), as for a complex Student t distribution with one degree of freedom.
@@ -41,27 +43,41 @@ class HeavyTails:
         return np.asarray(3 / (1 + 2 * np.abs(block.residual) ** 2 * block.weights))
 
 
+def heavy_tails(context: FitContext) -> Reweighted:
+    """Return weights by which rows far out count less, as part of a model."""
+    none = np.zeros((context.setup.observation.Nfreqs, 0))
+    return Reweighted(HeavyTails(), none, none)
+
+
 def fit_reweightings(context: FitContext, fitted: Fitted, changes: Sequence[Reweighting]) -> list[WeightsFound]:
     """Fit every change of the weights. Collective: all ranks of the grid.
 
     A few strong outliers can pull a fit so far off that all rows seem to be outliers. Where outliers are refused they
-    are therefore looked for once more, in the residuals of a fit in which outlying rows count less.
+    are therefore looked for once more, in the residuals of a fit in which outlying rows count less; and there beside
+    residuals that are larger than noise, as they are where something else is missing.
     """
     found = _fit_all(context, fitted, changes)
     for i, one in enumerate(found):
         if one.change.searched_again_with_heavy_tails and one.fit.reason is not None:
-            n_freqs = context.setup.observation.Nfreqs
-            tails = Reweighted(HeavyTails(), np.zeros((n_freqs, 0)), np.zeros((n_freqs, 0)))
             reweighted = fitted.values.reweighted
-            robust = refit(context, replace(fitted.values, reweighted=(*reweighted, tails)), fitted)
-            again = _fit_all(context, _reweighted(robust, reweighted), [one.change])[0]
+            robust = refit(context, replace(fitted.values, reweighted=(*reweighted, heavy_tails(context))), fitted)
+            again = _fit_once(context, _reweighted(robust, reweighted), one.change)
             if again.fit.reason is None:
                 found[i] = again
     return found
 
 
+def _fit_once(context: FitContext, fitted: Fitted, change: Reweighting) -> WeightsFound:
+    """Fit a change of the weights, beside residuals that are larger than noise if it is refused beside noise."""
+    (found,) = _fit_all(context, fitted, [change])
+    if found.fit.reason is None or found.fit.levels is None:
+        return found
+    beside = change.at_levels(found.fit.levels)
+    return _fit_all(context, fitted, [beside])[0] if beside is not None else found
+
+
 def refit_reweighting(context: FitContext, fitted: Fitted, change: Reweighting) -> ReweightingFit:
-    """Fit a change of the weights again, to the residuals of a fit with these weights.
+    """Fit a change of the weights again, beside noise, to the residuals of a fit with these weights.
 
     What the beam has taken from each baseline is counted exactly, which is too long a sum for what is only weighed.
     Collective: all ranks of the grid.
@@ -83,7 +99,7 @@ def refit_reweighting(context: FitContext, fitted: Fitted, change: Reweighting) 
                 effective[number, block.bls] += 2 * np.sum(block.weights * variance[:, block.member], axis=0)
     allreduce_sum(context.grid.world, effective)
     others = tuple(one for one in fitted.values.reweighted if one.change is not change)
-    return _fit_all(context, _reweighted(fitted, others), [change], effective)[0].fit
+    return _fit_all(context, _reweighted(fitted, others), [change.beside_noise], effective)[0].fit
 
 
 def _reweighted(fitted: Fitted, by: tuple[Reweighted, ...]) -> Fitted:

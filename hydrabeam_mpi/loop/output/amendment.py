@@ -36,7 +36,8 @@ def amended_job(job: Job, fitted: Fitted, setup: ObservingSetup, scale: ErrorSca
         )
     for change in fitted.values.reweighted:
         kind = change.change.kind
-        entry = EffectEntry.model_construct(kind=kind, values=_rows(change.x), std=_rows(change.std))
+        settings = change.change.describe()
+        entry = EffectEntry.model_construct(kind=kind, settings=settings, values=_rows(change.x), std=_rows(change.std))
         entries.append(entry)
     return job.model_copy(update={"effects": tuple(entries)})
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.state import Fitted, Reweighted
 from hydrabeam_mpi.loop.attribution.constancy import Constancy
 from hydrabeam_mpi.loop.attribution.parts import ask_constancy
-from hydrabeam_mpi.loop.attribution.score_noise import refit_reweighting
+from hydrabeam_mpi.loop.attribution.score_noise import WeightsFound, refit_reweighting
 from hydrabeam_mpi.loop.selection.acceptance import Round
 from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical
 from hydrabeam_mpi.loop.selection.refits import fit_patiently
@@ -70,6 +71,41 @@ def take_back(context: FitContext, last: Round, n_given: int) -> Taken:
     values = replace(fitted.values, active=tuple(active[place] for place in kept))
     after = check(context, fit_patiently(context, values, fitted))
     return replace(last, after=after, revised=(*last.revised, *told)), places, asked
+
+
+def beside_noise(context: FitContext, last: Round, n_given: int) -> tuple[Round, dict[str, WeightsFound]]:
+    """Tell changes of the weights beside noise that were told beside larger residuals, where that is all there is now.
+
+    Collective: all ranks of the grid.
+
+    Parameters
+    ----------
+    context : FitContext
+    last : Round
+        Just accepted.
+    n_given : int
+        How many changes of the weights the job itself has in the model, which stay.
+
+    Returns
+    -------
+    last : Round
+        Fitted with them.
+    found : dict of str to WeightsFound
+        By their kinds.
+    """
+    fitted, least = last.after.fitted, context.problem.job.loop.min_log_bayes_factor
+    reweighted, found = list(fitted.values.reweighted), {}
+    for place, one in enumerate(reweighted[n_given:], n_given):
+        if not one.change.at_own_level:
+            continue
+        fit = refit_reweighting(context, fitted, one.change)
+        if fit.log_bayes_factor >= least:
+            found[one.change.kind] = WeightsFound(one.change.beside_noise, fit, Fitted())
+            reweighted[place] = Reweighted(one.change.beside_noise, fit.x, fit.std)
+    if found:
+        values = replace(fitted.values, reweighted=tuple(reweighted))
+        last = replace(last, after=check(context, fit_patiently(context, values, fitted)))
+    return last, found
 
 
 def take_back_weights(context: FitContext, last: Round, n_given: int) -> tuple[Round, frozenset[str]]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
@@ -9,6 +11,7 @@ from hydrabeam_mpi.fit.beams_given import total_log_joint
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import Worth, refit
 from hydrabeam_mpi.fit.state import Active, Fitted, Values
+from hydrabeam_mpi.loop.attribution.score_noise import heavy_tails
 from hydrabeam_mpi.loop.rules import RULES
 
 
@@ -34,6 +37,19 @@ def fit_patiently(context: FitContext, values: Values, before: Fitted, worth: Wo
         return fitted
     again = refit(context, values, before, RULES.first_step, worth)
     return again if again.diagnostics.converged or rise(context, fitted, again, of_nonlinear=True) > 0 else fitted
+
+
+def fit_anew(context: FitContext, values: Values, before: Fitted) -> Fitted:
+    """Fit effects of which some parameters are no longer in use; arguments are those of `refit`.
+
+    Without these all rows may seem to be outliers at first, and be left out. So rows far out count less until the other
+    parameters have followed. Collective: all ranks of the grid.
+    """
+    if any(one.change.leaves_out for one in values.reweighted):
+        others = tuple(one for one in values.reweighted if not one.change.leaves_out)
+        robust = refit(context, replace(values, reweighted=(*others, heavy_tails(context))), before)
+        values, before = replace(robust.values, reweighted=values.reweighted), robust
+    return fit_patiently(context, values, before)
 
 
 def rise(context: FitContext, before: Fitted, after: Fitted, of_nonlinear: bool = False) -> float:

@@ -29,7 +29,9 @@ def refusal_of(before: Checked, after: Checked, candidate: Candidate, settings: 
 def _refusal_of_weights(before: Checked, after: Checked, settings: LoopSettings) -> str | None:
     if abs(after.score.chi2 - 1) > abs(before.score.chi2 - 1):
         return f"held-out chi^2 goes from {before.score.chi2:.4g} to {after.score.chi2:.4g}"
-    return None if after.remains.white else f"what is left is not white: {after.remains.why}"
+    if after.remains.white or after.fitted.values.reweighted[-1].change.at_own_level:
+        return None
+    return f"what is left is not white: {after.remains.why}"
 
 
 def refusal_by_heldout(before: Checked, after: Checked, settings: LoopSettings) -> str | None:

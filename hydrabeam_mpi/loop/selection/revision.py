@@ -11,7 +11,7 @@ from hydrabeam_mpi.fit.state import Active, Fitted
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.attribution.reconsider import Known, compare_priors
 from hydrabeam_mpi.loop.selection.acceptance import Checked, Round
-from hydrabeam_mpi.loop.selection.refits import fit_patiently, is_same_prior, restarted, rise
+from hydrabeam_mpi.loop.selection.refits import fit_anew, is_same_prior, restarted, rise
 from hydrabeam_mpi.loop.selection.trials import check
 from hydrabeam_mpi.terminal.progress import say
 
@@ -72,7 +72,7 @@ def revise(context: FitContext, last: Round, n_given: int) -> tuple[Round, dict[
     by_place = {one.place: one for one in revisions}
     kept = [place for place in same if place not in by_place or by_place[place].new is not None]
     values = replace(fitted.values, active=tuple(_revised(context, active[i], by_place.get(i)) for i in kept))
-    again = fit_patiently(context, values, fitted)
+    again = fit_anew(context, values, fitted)
     gain = sum(one.gain for one in revisions) + rise(context, fitted, again)
     if not (gain >= 0 and again.diagnostics.converged):
         return last, same

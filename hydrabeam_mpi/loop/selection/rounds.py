@@ -13,8 +13,9 @@ from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.settle import refined, settle
 from hydrabeam_mpi.fit.state import Fitted, Values
 from hydrabeam_mpi.loop.attribution.constancy import Constancy
+from hydrabeam_mpi.loop.attribution.score_noise import WeightsFound
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
-from hydrabeam_mpi.loop.selection.constant import take_back, take_back_unphysical, take_back_weights
+from hydrabeam_mpi.loop.selection.constant import beside_noise, take_back, take_back_unphysical, take_back_weights
 from hydrabeam_mpi.loop.selection.exchange import exchange
 from hydrabeam_mpi.loop.selection.revision import revise
 from hydrabeam_mpi.loop.selection.trials import check, try_control, try_effects
@@ -61,6 +62,14 @@ class History:
             one if one.place is None else replace(one, place=places[one.place]) for one in (*self.rounds, found)
         ]
         self.last = found.after
+
+    def tell_again(self, found: Mapping[str, WeightsFound]) -> None:
+        """Tell changes of the weights, by kind, as they have been ``found`` since."""
+        for number, one in enumerate(self.rounds):
+            if one.candidate.kind in found and one.candidate.weights is not None:
+                weights = found[one.candidate.kind]
+                candidate = replace(one.candidate, weights=weights, log_bayes_factor=weights.fit.log_bayes_factor)
+                self.rounds[number] = replace(one, candidate=candidate)
 
     def compare(self, control: Round | None) -> None:
         """Take note of a control model of the last search, or leave out one that all that was found since surpasses."""
@@ -155,8 +164,11 @@ def run_rounds(
                 added = replace(added, together=weighed.together.members)
                 history.rest = weighed.after(added.candidate)
             if added is not None:
-                added, places = revise(context, added, len(history.first.fitted.values.active))
+                given = history.first.fitted.values
+                added, places = revise(context, added, len(given.active))
+                added, told = beside_noise(context, added, len(given.reweighted))
                 history.add(added, places)
+                history.tell_again(told)
             checked = history.last
         history.compare(control)
         if added is None:

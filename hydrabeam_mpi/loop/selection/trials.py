@@ -60,7 +60,7 @@ def try_effects(
     is a ``best`` one already, others have to be better. Where an ``outlook`` is given, it says which is tried first,
     and whether what the best so far leaves is explained by others, so that its rivals need not be tried.
     """
-    settings = context.problem.job.loop
+    settings, better = context.problem.job.loop, outlook.is_better if outlook else is_better
     wanted = [one for one in _wanted(context, ranking) if not one.is_control]
     for candidate in in_order(wanted, RULES.most_tries, outlook.weighed.first if outlook else None):
         if best is not None and not _may_be_better(candidate, best, outlook):
@@ -77,7 +77,7 @@ def try_effects(
         say(f"    refused: {reason}", context.grid.is_world_root and reason is not None)
         if reason is not None:
             tried.append((fitted, reason))
-        elif best is None or is_better(fitted, after, best):
+        elif best is None or better(fitted, after, best):
             best = round_of(context, checked, after, fitted, ranking)
     return best
 

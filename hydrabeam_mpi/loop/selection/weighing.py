@@ -8,12 +8,13 @@ from dataclasses import dataclass, field
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.reweighting import Reweighting
 from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.error_scale import fitted_chi2
 from hydrabeam_mpi.fit.state import Fitted, Values
 from hydrabeam_mpi.loop.attribution.candidate_rows import CachedRowBlocks
 from hydrabeam_mpi.loop.attribution.score_effects import attribute
 from hydrabeam_mpi.loop.attribution.score_noise import fit_reweightings
 from hydrabeam_mpi.loop.attribution.weigh_together import weigh_together
-from hydrabeam_mpi.loop.selection.acceptance import Candidate, Round
+from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round, is_better
 from hydrabeam_mpi.mpi import together
 
 
@@ -117,6 +118,21 @@ class Outlook:
         at, weighed = self.ahead
         return at is fitted and weighed.explains
 
+    def is_better(self, fitted: Candidate, after: Checked, best: Round) -> bool:
+        """Whether a fitted effect is better than the best so far; see `acceptance.is_better`.
+
+        Where the best is the first of a set that leaves no more than noise, another has to come to more than the whole
+        set, with all that further effects could explain of what it leaves. Positions of all antennas may stand for a
+        clock that is wrong together with the gain of one of them. Collective: all ranks of the grid.
+        """
+        rest = self.weighed.after(best.candidate)
+        if rest is not None and self.weighed.explains:
+            left, noise = fitted_chi2(self.context, after.fitted)
+            of_set = best.candidate.log_bayes_factor + sum(one.log_bayes_factor for one in rest.members)
+            if fitted.log_bayes_factor + max(left - noise, 0.0) < of_set:
+                return False
+        return is_better(fitted, after, best)
+
     def comes_next(self, candidate: Candidate, best: Round) -> bool:
         """Whether a candidate explains, beside the best, what this leaves: it is no rival of it, but tried after it."""
         rest = self.weighed.after(best.candidate)
@@ -163,13 +179,17 @@ def weigh(
     if most < 1 or sum(one.log_bayes_factor >= least for one in candidates) < 2:
         return Weighed(ranking)
     found = weigh_together(context, fitted, findings, cached)
-    by_weights = max((one.log_bayes_factor for one in reweightings), default=0.0)
+    by_weights = max((one.log_bayes_factor for one in reweightings if not _at_own_level(one)), default=0.0)
     if not found.numbers or by_weights > found.log_bayes_factor:
         return Weighed(ranking)
     beside = [list(map(Candidate.of, one)) for one in found.beside[:most]]
     members = tuple(one[0] for one in beside)
     chosen = Together(members, tuple(tuple(sorted(one, key=_best_first)) for one in beside))
     return Weighed(ranking, candidates[found.numbers[0]], chosen, found.explains)
+
+
+def _at_own_level(one: Candidate) -> bool:
+    return one.weights is not None and one.weights.change.at_own_level
 
 
 def _best_first(one: Candidate) -> float:

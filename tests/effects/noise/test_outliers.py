@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,8 @@ import pytest
 from hydrabeam_mpi.effects.interface.reweighting import ReweightingFit
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.noise.outliers import Outliers, log_broad
+from hydrabeam_mpi.effects.registry import make_reweighting
+from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.random import complex_normal, generator
 from tests.effects.small import small_block, small_setup
 
@@ -30,8 +33,8 @@ def row_blocks(*key: int | str, scale: float = 1.0) -> list[RowBlock]:
     return made
 
 
-def fit(made: list[RowBlock]) -> ReweightingFit:
-    effect = Outliers()
+def fit(made: list[RowBlock], effect: Outliers | None = None) -> ReweightingFit:
+    effect = effect or Outliers()
     sums = np.array([effect.sums(block, block.residual * np.sqrt(block.weights)) for block in made])
     assert sums.shape == (2, effect.n_sums(EXPERIMENT))
     return effect.fit(EXPERIMENT, sums, np.zeros(2))
@@ -79,6 +82,60 @@ def test_masked_rows() -> None:
     np.testing.assert_array_equal(factor, np.where(u > threshold, 0.0, 1.0))
     good = row_blocks("others")[0]
     assert np.all(Outliers().weight_factor(good, found.x[0]) == 1)
+
+
+def unexplained(made: list[RowBlock]) -> list[RowBlock]:
+    """Let half of the baselines have residuals ten times the noise, as the gain of an antenna makes them."""
+    scale = np.where(np.arange(made[0].shape[1]) % 2, 10, 1)
+    return [replace(one, residual=scale * one.residual) for one in made]
+
+
+def test_bursts_beside_residuals_that_are_larger_than_noise() -> None:
+    fractions = []
+    for seed in range(8):
+        made = with_bursts(unexplained(row_blocks(seed)), seed)
+        alone = fit(made)
+        assert alone.reason is not None
+        assert alone.levels is not None
+        assert np.all((alone.levels[:, 1::2] > 30) & (alone.levels[:, 1::2] < 300))
+        assert np.all((alone.levels[:, ::2] >= 1) & (alone.levels[:, ::2] < 3))
+        beside = Outliers().at_levels(alone.levels)
+        found = fit(made, beside)
+        assert found.reason is None
+        assert found.log_bayes_factor > 100
+        fractions.append(found.x[:, 1])
+        # Of the baselines with larger residuals only what is far beyond these is left out.
+        kept = beside.weight_factor(made[0], found.x[0]) > 0
+        u = np.abs(made[0].residual) ** 2 * made[0].weights
+        threshold = found.x[0, 0] * alone.levels[0]
+        np.testing.assert_array_equal(kept, u <= threshold)
+        assert np.mean(kept[:, 1::2]) > 0.98
+    assert np.mean(fractions) == pytest.approx(0.01, rel=0.3)
+
+
+def test_larger_residuals_alone_are_no_bursts() -> None:
+    for seed in range(8):
+        made = unexplained(row_blocks(seed))
+        alone = fit(made)
+        assert alone.log_bayes_factor <= 0
+        assert alone.levels is not None
+        assert fit(made, Outliers().at_levels(alone.levels)).log_bayes_factor < 1
+
+
+def test_levels_are_settings() -> None:
+    made = with_bursts(unexplained(row_blocks()))
+    levels = fit(made).levels
+    assert levels is not None
+    beside = Outliers().at_levels(levels)
+    x = np.array([12.0, 0.01, 1000.0])
+    again = make_reweighting("outliers", json.loads(json.dumps(beside.describe())))
+    for block in made:
+        np.testing.assert_array_equal(again.weight_factor(block, x), beside.weight_factor(block, x))
+    assert again.at_own_level
+    assert not again.beside_noise.at_own_level
+    assert Outliers().describe() == {}
+    with pytest.raises(InputError, match="not understood"):
+        make_reweighting("outliers", {"levels": [[0.5] * EXPERIMENT.observation.Nbls] * 2})
 
 
 def test_whole_times() -> None:

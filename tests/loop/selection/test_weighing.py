@@ -11,10 +11,12 @@ from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.instrument.closure_errors import ClosureErrors
 from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
 from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.error_scale import fitted_chi2
 from hydrabeam_mpi.fit.gauss_newton import refit
-from hydrabeam_mpi.fit.state import Values
+from hydrabeam_mpi.fit.state import Active, Fitted, Values
 from hydrabeam_mpi.loop.attribution import weigh_together
 from hydrabeam_mpi.loop.rules import RULES, Rules
+from hydrabeam_mpi.loop.selection.acceptance import Candidate, is_better
 from hydrabeam_mpi.loop.selection.trials import check, try_effects
 from hydrabeam_mpi.loop.selection.weighing import Outlook, Weighed, weigh
 from tests.loop.mock import context_of, mock_job
@@ -71,6 +73,39 @@ def test_both_are_found_without_weighing_again(context: FitContext, weighed: Wei
     assert tried == []
     assert then.after(second.candidate) is None
     assert weighed.after(second.candidate) is None
+
+
+def test_what_explains_all_has_to_beat_the_whole_set_and_not_its_first(context: FitContext, weighed: Weighed) -> None:
+    """Factors of all baselines stand for the gain of one antenna and a coupling together, at more parameters."""
+    assert weighed.explains
+    before = check(context, refit(context, Values()))
+    outlook = Outlook(context, EFFECTS, [], 6, weighed)
+    first = try_effects(context, before, weighed.ranking[:1], [], outlook=outlook)
+    assert first is not None
+    assert first.candidate.kind == weighed.together.members[0].kind
+    rest = weighed.after(first.candidate)
+    assert rest is not None
+    whole = first.candidate.log_bayes_factor + sum(one.log_bayes_factor for one in rest.members)
+    all_at_once = check(context, context_with_all(context))
+    assert all_at_once.remains.consistent
+    left, noise = fitted_chi2(context, all_at_once.fitted)
+    nothing_left = max(left - noise, 0.0)
+    for ahead, better in ((-1.0, False), (1.0, True)):
+        rival = Candidate("closure_errors", "closure errors", whole - nothing_left + ahead)
+        assert rival.log_bayes_factor > first.candidate.log_bayes_factor
+        assert is_better(rival, all_at_once, first)
+        assert outlook.is_better(rival, all_at_once, first) == better
+
+
+def context_with_all(context: FitContext) -> Fitted:
+    """Fit with what was put into the data."""
+    active = []
+    for effect, *given in zip(EFFECTS, (GAIN, COUPLED), strict=True):
+        names = effect.parameters(context.setup).names
+        wanted = set(given[0]["parameters"])  # type: ignore[call-overload]
+        prior_var = np.array([1.0 if name in wanted else 0.0 for name in names])
+        active.append(Active.start(effect, context.setup, prior_var, np.zeros((1, len(names)))))
+    return refit(context, Values(tuple(active)))
 
 
 def test_no_more_effects_than_may_be_added(context: FitContext, weighed: Weighed) -> None:
