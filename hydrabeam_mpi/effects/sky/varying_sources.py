@@ -68,6 +68,14 @@ class VaryingSources(InTime):
     def __init__(self, effect: MayVary, law: Smooth) -> None:
         super().__init__(effect, law)
 
+    def unchanging(self, n_params: int) -> tuple[MayVary, IntArray] | None:
+        """Return the sources with their level at all times."""
+        functions = self.time_law.names()
+        if LEVEL not in functions:
+            return None
+        _, first, is_flux = self._layout(n_params)
+        return self.effect, first + np.where(is_flux[first], functions.index(LEVEL), 0)
+
     def carried_over(self, setup: ObservingSetup) -> Effect | str:  # type: ignore[override]
         """Return the sources; where nobody knows how they vary they have their level, if they had one at all times."""
         here = super().carried_over(setup)

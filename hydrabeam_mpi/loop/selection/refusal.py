@@ -17,21 +17,29 @@ def refusal_of(before: Checked, after: Checked, candidate: Candidate, settings: 
     parameters a fit has come to. So one that has not converged is kept where it passes; where it does not, that says
     nothing against the effect.
     """
-    refused = _refusal_of_weights if candidate.finding is None else refusal_by_heldout
     reason: str | None = f"its log Bayes factor is {candidate.log_bayes_factor:.4g} once it is fitted"
     if candidate.log_bayes_factor >= settings.min_log_bayes_factor:
-        reason = refused(before, after, settings)
+        if candidate.finding is None:
+            reason = _refusal_of_weights(before, after, candidate)
+        else:
+            reason = refusal_by_heldout(before, after, settings)
     if reason is not None and not after.fitted.diagnostics.converged:
         return f"its fit did not converge, which says nothing for or against it (where it ended, {reason})"
     return reason
 
 
-def _refusal_of_weights(before: Checked, after: Checked, settings: LoopSettings) -> str | None:
+def _refusal_of_weights(before: Checked, after: Checked, candidate: Candidate) -> str | None:
+    """Say why a change of the weights is not kept: what is left is white unless something else is known to be there."""
     if abs(after.score.chi2 - 1) > abs(before.score.chi2 - 1):
         return f"held-out chi^2 goes from {before.score.chi2:.4g} to {after.score.chi2:.4g}"
-    if after.remains.white or after.fitted.values.reweighted[-1].change.at_own_level:
+    if after.remains.white or is_at_own_level(candidate):
         return None
     return f"what is left is not white: {after.remains.why}"
+
+
+def is_at_own_level(candidate: Candidate) -> bool:
+    """Whether a candidate is a change of the weights beside residuals that are larger than noise."""
+    return candidate.weights is not None and candidate.weights.change.at_own_level
 
 
 def refusal_by_heldout(before: Checked, after: Checked, settings: LoopSettings) -> str | None:

@@ -61,6 +61,7 @@ class History:
         self.rounds = [
             one if one.place is None else replace(one, place=places[one.place]) for one in (*self.rounds, found)
         ]
+        self.rounds = [_as_in_model(one, found.after.fitted) for one in self.rounds]
         self.last = found.after
 
     def tell_again(self, found: Mapping[str, WeightsFound]) -> None:
@@ -222,6 +223,17 @@ def _take_back(context: FitContext, history: History) -> None:
         replace(one, given_up=one.given_up or (was and one.revoked))
         for was, one in zip(there, history.rounds, strict=True)
     ]
+
+
+def _as_in_model(one: Round, last: Fitted) -> Round:
+    """Return a round with its effect as that is in the model now: sources that varied may have been found constant."""
+    if one.place is None or one.candidate.finding is None:
+        return one
+    effect = last.values.active[one.place].effect
+    if effect.law == one.candidate.law:
+        return one
+    found = replace(one.candidate.finding, effect=effect)
+    return replace(one, candidate=replace(one.candidate, title=effect.title, finding=found))
 
 
 def _asked(

@@ -15,6 +15,7 @@ from hydrabeam_mpi.loop.attribution.score_effects import attribute
 from hydrabeam_mpi.loop.attribution.score_noise import fit_reweightings
 from hydrabeam_mpi.loop.attribution.weigh_together import weigh_together
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round, is_better
+from hydrabeam_mpi.loop.selection.refusal import is_at_own_level
 from hydrabeam_mpi.mpi import together
 
 
@@ -179,17 +180,13 @@ def weigh(
     if most < 1 or sum(one.log_bayes_factor >= least for one in candidates) < 2:
         return Weighed(ranking)
     found = weigh_together(context, fitted, findings, cached)
-    by_weights = max((one.log_bayes_factor for one in reweightings if not _at_own_level(one)), default=0.0)
+    by_weights = max((one.log_bayes_factor for one in reweightings if not is_at_own_level(one)), default=0.0)
     if not found.numbers or by_weights > found.log_bayes_factor:
         return Weighed(ranking)
     beside = [list(map(Candidate.of, one)) for one in found.beside[:most]]
     members = tuple(one[0] for one in beside)
     chosen = Together(members, tuple(tuple(sorted(one, key=_best_first)) for one in beside))
     return Weighed(ranking, candidates[found.numbers[0]], chosen, found.explains)
-
-
-def _at_own_level(one: Candidate) -> bool:
-    return one.weights is not None and one.weights.change.at_own_level
 
 
 def _best_first(one: Candidate) -> float:

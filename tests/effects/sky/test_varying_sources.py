@@ -143,3 +143,18 @@ def test_in_other_nights_they_may_be_as_bright_as_in_those_that_are_known() -> N
     assert set(names) <= set(sizes)
     assert sizes[names[0]] == {before[0]: 0.5, before[1]: 0.5}
     assert sizes[names[2]] == {names[2]: 1.0}
+
+
+def test_what_does_not_change_of_them_is_sources_with_their_level(setup: ObservingSetup) -> None:
+    effect, block = two_sources(setup), small_block(setup)
+    found = effect.unchanging(len(X))
+    assert found is not None
+    constant, numbers = found
+    assert constant is effect.effect
+    assert len(numbers) == len(constant.parameters(setup))
+    steady = np.where(np.isin(np.arange(len(X)), numbers), X, 0.0)
+    added = effect.added(block, steady)
+    np.testing.assert_allclose(constant.added(block, X[numbers]), added, rtol=0, atol=1e-12 * np.abs(added).max())
+    assert two_sources(setup, orders=[1, 2]).unchanging(len(X)) is None
+    two_nights = experiment_of((131e6, 151e6), 5, 60, 2)
+    assert two_sources(two_nights, law="nightly", orders=[0, 0], nights=[0, 1]).unchanging(len(X)) is None

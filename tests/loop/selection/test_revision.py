@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
 from hydrabeam_mpi.effects.interface.effect import Effect
+from hydrabeam_mpi.effects.registry import make_effect
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Active, Values
@@ -65,3 +67,34 @@ def test_a_single_effect_is_weighed_again_after_a_change_of_the_weights_only(con
     last, places = revise(context, round_with(context, COUPLING, newest=None), 0)
     assert places == {0: None}
     assert last.after.fitted.values.active == ()
+
+
+PLACE = (31.37, -28.64)
+NAME = "source at ra=31.370 dec=-28.640: flux"
+
+
+@pytest.mark.parametrize("drift", [0.0, 2.0], ids=["constant", "varying"])
+def test_sources_that_varied_while_something_was_missing(drift: float, tmp_path: Path) -> None:
+    """Once that is in the model they are constant if the evidence is higher so, and stay as they are if not."""
+    law = {"law": "smooth", "orders": [0, 1], "sources": [list(PLACE)]}
+    fluxes = {f"{NAME}, level": 3.0, f"{NAME}, drift from first to last time": drift}
+    context = context_of(mock_job(GAIN, {"kind": "missing_sources", "settings": law, "parameters": fluxes}), tmp_path)
+    varying = make_effect("missing_sources", law).in_full(context.setup)
+    names = varying.parameters(context.setup).names
+    prior_var = np.array([9.0 if "flux" in name else 0.0 for name in names])
+    x = np.array([[fluxes.get(name, 0.0) for name in names]])
+    gain = Active.start(GAINS, context.setup, np.full(14, 0.05**2), np.zeros((1, 14)))
+    active = (Active.start(varying, context.setup, prior_var, x), gain)
+    before, after = (check(context, refit(context, Values(values))) for values in ((), active))
+    last, places = revise(context, round_of(effect_candidate(GAINS), before, after), 0)
+    assert places == {0: 0, 1: 1}
+    found = last.after.fitted.values.active[0]
+    labels = [name for name, _ in found.labels(context.setup)]
+    if drift:
+        assert found.effect is varying
+        assert set(fluxes) <= set(labels)
+    else:
+        assert found.effect.law == "constant"
+        assert labels[0] == NAME
+        assert abs(found.x[0, 0] - 3.0) < 4 * last.after.fitted.fit.std[0][0, 0]
+        assert any("as the model is better without what changes" in line for line in last.revised)
