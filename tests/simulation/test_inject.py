@@ -229,7 +229,7 @@ DRAWN = [150.37974683544303, -21.97674418604651]  # degrees
         (
             {"kind": "outliers", "settings": {"of": 1}},
             FREQS,
-            "(outliers) settings: are not understood; leave them out",
+            "(outliers) settings: are not understood; there are levels, as 'hydrabeam loop' writes them",
         ),
         (
             {"kind": "cross_coupling", "settings": {"baselines": [[0, 77]]}, "parameters": {"x": 1.0}},

@@ -184,7 +184,7 @@ def _told(
 
     def finding(number: int, evidence: Evidence) -> Finding:
         one, which = picked[number]
-        return Finding(one.effect, _of_all(evidence, which, len(one.evidence.prior_var)))
+        return Finding(one.effect, _of_all(evidence, which, one.evidence))
 
     beside = [[finding(i, found) for i, found in chosen.beside[m].items()] for m in order]
     places = [next(i for i, one in enumerate(findings) if one is picked[m][0]) for m in order]
@@ -198,9 +198,13 @@ def _of_some(evidence: Evidence, which: IntArray) -> Evidence:
     return replace(evidence, prior_var=prior_var, x=evidence.x[:, which], std=evidence.std[:, which], alone=alone)
 
 
-def _of_all(evidence: Evidence, which: IntArray, n: int) -> Evidence:
-    """Return the evidence for an effect of which some parameters were weighed, the others at zero."""
+def _of_all(evidence: Evidence, which: IntArray, by_itself: Evidence) -> Evidence:
+    """Return the evidence for an effect of which some parameters were weighed, the others at zero.
+
+    What each element gains alone is as it was with nothing beside the effect.
+    """
+    n = len(by_itself.prior_var)
     prior_var: FloatArray = np.zeros(n)
     x, std = np.zeros((2, len(evidence.x), n))
     prior_var[which], x[:, which], std[:, which] = evidence.prior_var, evidence.x, evidence.std
-    return replace(evidence, prior_var=prior_var, x=x, std=std, alone=np.zeros(0))
+    return replace(evidence, prior_var=prior_var, x=x, std=std, alone=by_itself.alone)

@@ -32,14 +32,9 @@ def _refusal_of_weights(before: Checked, after: Checked, candidate: Candidate) -
     """Say why a change of the weights is not kept: what is left is white unless something else is known to be there."""
     if abs(after.score.chi2 - 1) > abs(before.score.chi2 - 1):
         return f"held-out chi^2 goes from {before.score.chi2:.4g} to {after.score.chi2:.4g}"
-    if after.remains.white or is_at_own_level(candidate):
+    if after.remains.white or (candidate.weights and candidate.weights.change.at_own_level):
         return None
     return f"what is left is not white: {after.remains.why}"
-
-
-def is_at_own_level(candidate: Candidate) -> bool:
-    """Whether a candidate is a change of the weights beside residuals that are larger than noise."""
-    return candidate.weights is not None and candidate.weights.change.at_own_level
 
 
 def refusal_by_heldout(before: Checked, after: Checked, settings: LoopSettings) -> str | None:

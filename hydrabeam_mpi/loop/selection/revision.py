@@ -85,9 +85,13 @@ def revise(context: FitContext, last: Round, n_given: int) -> tuple[Round, dict[
     for line in told:
         say(f"  {line} (ln evidence rises by {gain:.4g})", context.grid.is_world_root)
     after: Checked = check(context, again)
-    return replace(last, after=after, revised=tuple(told)), same | dict.fromkeys(same) | {
-        old: new for new, old in enumerate(kept)
-    }
+    moved = same | dict.fromkeys(same) | {old: new for new, old in enumerate(kept)}
+    last = replace(last, after=after, revised=(*last.revised, *told))
+    if not any(one.unchanging for one in revisions):
+        return last, moved
+    # Of what was taken for variable in several places there may be fewer that are not.
+    last, further = revise(context, last, n_given)
+    return last, {old: None if new is None else further[new] for old, new in moved.items()}
 
 
 def _weigh_again(context: FitContext, fitted: Fitted, known: Known, place: int, is_newest: bool) -> Revision | None:

@@ -196,10 +196,10 @@ def _fit_effect(
     What is unphysical there is left out; `BrokenOff` is raised where that is all of it.
     """
     assert candidate.finding is not None
-    effect, evidence = candidate.finding.effect, candidate.finding.evidence
-    begun = effect.begun(context.setup, evidence.x)
-    start = Active.start(effect, context.setup, evidence.prior_var, begun)
-    fitted = _fit_physically(context, before.values.extended(start), before, worth)
+    fitted = _fit_foremost(context, before, candidate.finding)
+    if fitted is None:
+        start = _started(context, candidate.finding, candidate.finding.evidence.prior_var)
+        fitted = _fit_physically(context, before.values.extended(start), before, worth)
     again = reconsider(context, fitted)
     for _ in range(RULES.most_refits):
         last = fitted.values.active[-1]
@@ -212,6 +212,34 @@ def _fit_effect(
     log_bayes_factor = again.log_bayes_factor - again.linear_gain + gained
     finding = Finding(fitted.values.active[-1].effect, replace(again, log_bayes_factor=log_bayes_factor))
     return replace(candidate, finding=finding, log_bayes_factor=log_bayes_factor), fitted
+
+
+def _started(context: FitContext, finding: Finding, prior_var: FloatArray) -> Active:
+    """Return an effect where its fit begins, with a prior of variances (n_params,)."""
+    effect, x = finding.effect, np.where(prior_var > 0, finding.evidence.x, 0.0)
+    return Active.start(effect, context.setup, prior_var, effect.begun(context.setup, x))
+
+
+def _fit_foremost(context: FitContext, before: Fitted, finding: Finding) -> Fitted | None:
+    """Fit the one element that matters most, such as a source; None where that says nothing of the others.
+
+    Where candidates lie on a grid a bright source beside its place is made up for by several, which are hardly told
+    from each other, so that a fit of all may go anywhere. Once the first is where it belongs the others are weighed
+    again. Collective: all ranks of the grid.
+    """
+    effect, evidence = finding.effect, finding.evidence
+    element = effect.parameters(context.setup).element
+    several = len(np.unique(element[evidence.prior_var > 0])) > 1
+    if not (effect.gets_simpler_when_fitted and several and len(evidence.alone)):
+        return None
+    foremost = element[np.where(evidence.prior_var > 0, evidence.alone, -np.inf).argmax()]
+    start = _started(context, finding, np.where(element == foremost, evidence.prior_var, 0.0))
+    try:
+        fitted = fit_patiently(context, before.values.extended(start), before)
+    except BrokenOff:
+        return None
+    is_told = fitted.diagnostics.converged and leave_out_unphysical(context, fitted, len(before.values.active)) is None
+    return fitted if is_told else None
 
 
 def _fit_physically(context: FitContext, values: Values, before: Fitted, worth: Worth | None) -> Fitted:

@@ -15,7 +15,6 @@ from hydrabeam_mpi.loop.attribution.score_effects import attribute
 from hydrabeam_mpi.loop.attribution.score_noise import fit_reweightings
 from hydrabeam_mpi.loop.attribution.weigh_together import weigh_together
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round, is_better
-from hydrabeam_mpi.loop.selection.refusal import is_at_own_level
 from hydrabeam_mpi.mpi import together
 
 
@@ -180,7 +179,7 @@ def weigh(
     if most < 1 or sum(one.log_bayes_factor >= least for one in candidates) < 2:
         return Weighed(ranking)
     found = weigh_together(context, fitted, findings, cached)
-    by_weights = max((one.log_bayes_factor for one in reweightings if not is_at_own_level(one)), default=0.0)
+    by_weights = max((one.log_bayes_factor for one in reweightings), default=0.0)
     if not found.numbers or by_weights > found.log_bayes_factor:
         return Weighed(ranking)
     beside = [list(map(Candidate.of, one)) for one in found.beside[:most]]
