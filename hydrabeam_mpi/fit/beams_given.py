@@ -13,6 +13,7 @@ from hydrabeam_mpi.fit.channels import reduced_chi2, solve_channels
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.known_precision import Key, KnownPrecision
+from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Diagnostics, Estimate, Values
 from hydrabeam_mpi.inference.coupled import CoupledPosterior
@@ -99,21 +100,27 @@ def sum_for_beams(context: FitContext, at: Estimate) -> BeamSums:
         normals = accumulate_designs(rows, designs, context.problem.basis, None if known is None else known.grams)
     for normal in normals:
         normal.reduce(grid.group)
-    return BeamSums(normals, rows, added, key, known, _price_of_left_out(context, at.values, rows))
+    return BeamSums(normals, rows, added, key, known, price_of_left_out(context, share, at, rows))
 
 
-def _price_of_left_out(context: FitContext, values: Values, rows: Rows) -> FloatArray:
-    """Return what it costs that rows are left out, (Nlocal,); see `Reweighting.price`. Collective: all ranks."""
-    price, given = np.zeros(len(context.channels)), context.train.rows
-    changes = [one for one in values.reweighted if one.change.leaves_out]
+def price_of_left_out(context: FitContext, share: RankData, at: Estimate, rows: Rows | None = None) -> FloatArray:
+    """Return what the rows cost in ln likelihood that changes of the weights leave out, (Nlocal,).
+
+    See `Reweighting.price`. They are those of the fitted or the held-out ``share``; ``rows`` are its calibrated ones,
+    where these are known. Collective: all ranks of the grid.
+    """
+    price = np.zeros(len(context.channels))
+    changes = [one for one in at.values.reweighted if one.change.leaves_out]
     if not changes:
         return price
-    left_out = np.sum((given.inv_noise_var > 0) & (rows.inv_noise_var == 0), axis=1)
-    for one in changes:
-        price += [
-            float(count @ one.change.price(number, rows.tile.bls, one.x[number]))
-            for number, count in zip(context.channels, left_out, strict=True)
-        ]
+    with together(context.grid.world):
+        rows = rows or share.calibrated(at)[0]
+        left_out = np.sum((share.rows.inv_noise_var > 0) & (rows.inv_noise_var == 0), axis=1)
+        for one in changes:
+            price += [
+                float(count @ one.change.price(number, rows.tile.bls, one.x[number]))
+                for number, count in zip(context.channels, left_out, strict=True)
+            ]
     allreduce_sum(context.grid.group, price)
     return price
 

@@ -89,7 +89,7 @@ def where(
             described[name] = _describe(axis, carriers, freedom, freedom.heavier(sums))
             found[name] = carriers
     # A noise that is larger at some times has more in common with anything there; so these times set the level.
-    level = max(1.0, float(axes["times"].chi2.max(initial=1.0)))
+    level = max(1.0, float(axes["times"].chi2.max(initial=1.0))) if "times" in axes else 1.0
     looks = [(coherent_look(one, layout, 1.0 if one.name in OF_TIMES else level), one) for one in coherent]
     for look, one in sorted(looks, key=lambda pair: pair[0].log_p):
         name = "baselines" if one.name in OF_BASELINES else "times" if one.name in OF_TIMES else "antennas"

@@ -24,16 +24,19 @@ class HeldoutScore:
         Sum and number for each time and each redundant group.
     log_spread : float
         See `Whitened`.
+    left_out : float
+        What the rows cost in ln density that changes of the weights leave out: they are predicted no better than that.
     """
 
     times: FloatArray
     groups: FloatArray
     log_spread: float = 0.0
+    left_out: float = 0.0
 
     @property
     def log_density(self) -> float:
         """Logarithm of the predictive density of all, up to a constant of the noise."""
-        return -float(self.times[0].sum()) - self.log_spread
+        return -float(self.times[0].sum()) - self.log_spread - self.left_out
 
     @property
     def chi2(self) -> float:
@@ -49,7 +52,8 @@ class HeldoutScore:
         nothing, and the density is that of data which are as uncertain as they turn out to be.
         """
         level = max(self.chi2, 1.0)
-        return -self.n_data * float(np.log(level)) - float(self.times[0].sum()) / level - self.log_spread
+        kept = float(self.times[0].sum()) / level
+        return -self.n_data * float(np.log(level)) - kept - self.log_spread - self.left_out
 
     @property
     def n_data(self) -> int:
@@ -57,8 +61,8 @@ class HeldoutScore:
         return round(float(self.times[1].sum()))
 
 
-def heldout_score(context: FitContext, whitened: Whitened) -> HeldoutScore:
-    """Sum |z|^2 / 2 by time and by redundant group. Collective: all ranks of the grid."""
+def heldout_score(context: FitContext, whitened: Whitened, left_out: float = 0.0) -> HeldoutScore:
+    """Sum |z|^2 / 2 by time and by redundant group; ``left_out`` is that of the result. Collective: all ranks."""
     observation, rows = context.setup.observation, context.test.rows
     power = np.where(whitened.used, 0.5 * np.abs(whitened.z) ** 2, 0.0).sum(axis=0)
     count = whitened.used.sum(axis=0).astype(float)
@@ -69,7 +73,7 @@ def heldout_score(context: FitContext, whitened: Whitened) -> HeldoutScore:
         np.add.at(groups[row], rows.groups[rows.member], values.sum(axis=0))
     allreduce_sum(context.grid.world, times)
     allreduce_sum(context.grid.world, groups)
-    return HeldoutScore(times, groups, float(whitened.log_spread.sum()))
+    return HeldoutScore(times, groups, float(whitened.log_spread.sum()), left_out)
 
 
 def fall_significance(before: HeldoutScore, after: HeldoutScore) -> float:

@@ -29,7 +29,12 @@ def refusal_of(before: Checked, after: Checked, candidate: Candidate, settings: 
 
 
 def _refusal_of_weights(before: Checked, after: Checked, candidate: Candidate) -> str | None:
-    """Say why a change of the weights is not kept: what is left is white unless something else is known to be there."""
+    """Say why a change of the weights is not kept: what is left is white unless something else is known to be there.
+
+    What leaves out most rows has not told a few from the others.
+    """
+    if 2 * after.score.n_data < before.score.n_data:
+        return f"it leaves out all but {after.score.n_data} of {before.score.n_data} held-out data"
     if abs(after.score.chi2 - 1) > abs(before.score.chi2 - 1):
         return f"held-out chi^2 goes from {before.score.chi2:.4g} to {after.score.chi2:.4g}"
     if after.remains.white or (candidate.weights and candidate.weights.change.at_own_level):
