@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray
 from hydrabeam_mpi.fit.accumulate import accumulate_designs
 from hydrabeam_mpi.fit.channels import reduced_chi2, solve_channels
 from hydrabeam_mpi.fit.context import FitContext
@@ -100,27 +100,27 @@ def sum_for_beams(context: FitContext, at: Estimate) -> BeamSums:
         normals = accumulate_designs(rows, designs, context.problem.basis, None if known is None else known.grams)
     for normal in normals:
         normal.reduce(grid.group)
-    return BeamSums(normals, rows, added, key, known, price_of_left_out(context, share, at, rows))
+    return BeamSums(
+        normals, rows, added, key, known, price_of_left_out(context, share, at.values, rows.inv_noise_var > 0)
+    )
 
 
-def price_of_left_out(context: FitContext, share: RankData, at: Estimate, rows: Rows | None = None) -> FloatArray:
+def price_of_left_out(context: FitContext, share: RankData, values: Values, kept: BoolArray) -> FloatArray:
     """Return what the rows cost in ln likelihood that changes of the weights leave out, (Nlocal,).
 
-    See `Reweighting.price`. They are those of the fitted or the held-out ``share``; ``rows`` are its calibrated ones,
-    where these are known. Collective: all ranks of the grid.
+    See `Reweighting.price`. Of the rows of ``share``, the fitted or the held-out ones, those ``kept`` are (Nlocal,
+    Ntimes, Nbls). Collective: all ranks of the grid.
     """
     price = np.zeros(len(context.channels))
-    changes = [one for one in at.values.reweighted if one.change.leaves_out]
+    changes = [one for one in values.reweighted if one.change.leaves_out]
     if not changes:
         return price
-    with together(context.grid.world):
-        rows = rows or share.calibrated(at)[0]
-        left_out = np.sum((share.rows.inv_noise_var > 0) & (rows.inv_noise_var == 0), axis=1)
-        for one in changes:
-            price += [
-                float(count @ one.change.price(number, rows.tile.bls, one.x[number]))
-                for number, count in zip(context.channels, left_out, strict=True)
-            ]
+    left_out = np.sum((share.rows.inv_noise_var > 0) & ~kept, axis=1)
+    for one in changes:
+        price += [
+            float(count @ one.change.price(number, share.rows.tile.bls, one.x[number]))
+            for number, count in zip(context.channels, left_out, strict=True)
+        ]
     allreduce_sum(context.grid.group, price)
     return price
 

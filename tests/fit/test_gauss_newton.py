@@ -49,7 +49,7 @@ def free(context: FitContext, effect: Effect, width: float, only: Sequence[int] 
 
 
 def heldout_chi2(context: FitContext, fitted: Fitted) -> float:
-    return heldout_score(context, whiten(context, fitted)).chi2
+    return heldout_score(context, whiten(context, fitted), fitted.values).chi2
 
 
 def beam_error(context: FitContext, fitted: Fitted, folder: Path) -> float:

@@ -32,13 +32,6 @@ class MayChange:
         """Return what changes by a law in time where not all of its parameters do; None where they do."""
         return None
 
-    def unchanging(self, n_params: int) -> tuple[MayChange, IntArray] | None:
-        """Return what it is if it does not change, and which of its ``n_params`` parameters that has, (n_left,).
-
-        None where what is constant is no part of it.
-        """
-        return None
-
     def undecidable_in_time(self, setup: ObservingSetup) -> FloatArray:
         """Return those of the `degenerate_directions` that no data can tell even if they change in time, (n, n_params).
 

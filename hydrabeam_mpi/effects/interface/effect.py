@@ -211,6 +211,13 @@ class Effect(InOtherData, HasLimits, MayChange, Cause):
         """
         return self, x, np.arange(x.shape[1])
 
+    def unchanging(self, n_params: int) -> tuple[Effect, IntArray] | None:
+        """Return what it is if it does not change in time, and which of the ``n_params`` parameters are then left.
+
+        Their numbers are (n_left,). None where what is constant is no part of it.
+        """
+        return None
+
     def told(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> Told:
         """Return fitted parameters and their errors, (Nfreqs, n_params) each, as they are told: one for each."""
         parameters = self.parameters(setup)

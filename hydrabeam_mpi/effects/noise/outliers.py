@@ -85,12 +85,12 @@ class Outliers(Reweighting):
     leaves_out = True
 
     def __init__(self, levels: Sequence[Sequence[Level]] = ()) -> None:
-        self.levels = tuple(tuple(map(float, of_channel)) for of_channel in levels)
+        self.levels: FloatArray = np.array(levels, dtype=float)
 
     @property
     def at_own_level(self) -> bool:
         """Whether residuals have levels."""
-        return bool(self.levels)
+        return self.levels.size > 0
 
     def at_levels(self, levels: FloatArray) -> Self:
         """Return outliers beside residuals that have these variances, (Nfreqs, Nbls)."""
@@ -103,7 +103,7 @@ class Outliers(Reweighting):
 
     def describe(self) -> dict[str, Any]:
         """Return the levels, if there are any."""
-        return {"levels": [list(of_channel) for of_channel in self.levels]} if self.levels else {}
+        return {"levels": self.levels.tolist()} if self.at_own_level else {}
 
     def sizes(self, setup: ObservingSetup) -> tuple[int, ...]:
         """Return three: threshold, fraction and scale."""
@@ -148,7 +148,7 @@ class Outliers(Reweighting):
         fits, reasons, levels = [], [], []
         for of_channel, taken in zip(sums, effective_parameters, strict=True):
             rows = of_channel[-N_MOMENTS - 2 * n_bls : -N_MOMENTS - n_bls]
-            bulk = 1.0 if self.levels else float(fitted_counts(rows, taken).sum() / max(rows.sum(), 1.0))
+            bulk = 1.0 if self.at_own_level else float(fitted_counts(rows, taken).sum() / max(rows.sum(), 1.0))
             fitted = _fit_mixture(of_channel[:n_bins], bulk)
             fits.append(fitted)
             levels.append(_levels(of_channel[n_bins : n_bins + n_bls], rows))
@@ -165,7 +165,7 @@ class Outliers(Reweighting):
             chi2_drop=float(2 * sum(one.gain for one in fits)),
             n_parameters=2 * len(fits),
             reason=refused[0] if refused else None,
-            levels=None if self.levels else np.array(levels),
+            levels=None if self.at_own_level else np.array(levels),
         )
 
     def weight_factor(self, block: RowBlock, x: FloatArray) -> FloatArray:
@@ -185,7 +185,7 @@ class Outliers(Reweighting):
 
     def _level(self, channel: int, bls: IntArray) -> FloatArray:
         """Return the variance of most of the whitened residuals of some baselines, (Nbls,)."""
-        return np.array(self.levels[channel])[bls] if self.levels else np.ones(len(bls))
+        return self.levels[channel, bls] if self.at_own_level else np.ones(len(bls))
 
     def draw(self, setup: ObservingSetup, rng: np.random.Generator, strength: float) -> FloatArray:
         """Draw bursts in a tenth of ``strength`` of the rows, 5% at most, of a power between 100 and 10,000.

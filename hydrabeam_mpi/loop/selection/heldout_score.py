@@ -8,8 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.fit.beams_given import price_of_left_out
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.heldout import Whitened
+from hydrabeam_mpi.fit.state import Values
 from hydrabeam_mpi.inference.significance import sigma_of_log_p
 from hydrabeam_mpi.mpi import allreduce_sum
 
@@ -61,18 +63,22 @@ class HeldoutScore:
         return round(float(self.times[1].sum()))
 
 
-def heldout_score(context: FitContext, whitened: Whitened, left_out: float = 0.0) -> HeldoutScore:
-    """Sum |z|^2 / 2 by time and by redundant group; ``left_out`` is that of the result. Collective: all ranks."""
+def heldout_score(context: FitContext, whitened: Whitened, values: Values) -> HeldoutScore:
+    """Sum |z|^2 / 2 of what a model with these ``values`` predicts, by time and by redundant group.
+
+    Collective: all ranks of the grid.
+    """
     observation, rows = context.setup.observation, context.test.rows
     power = np.where(whitened.used, 0.5 * np.abs(whitened.z) ** 2, 0.0).sum(axis=0)
     count = whitened.used.sum(axis=0).astype(float)
     times = np.zeros((2, observation.Ntimes))
     groups = np.zeros((2, context.setup.redundant.Ngroups))
-    for row, values in enumerate((power, count)):
-        np.add.at(times[row], rows.tile.times, values.sum(axis=1))
-        np.add.at(groups[row], rows.groups[rows.member], values.sum(axis=0))
+    for row, of_rows in enumerate((power, count)):
+        np.add.at(times[row], rows.tile.times, of_rows.sum(axis=1))
+        np.add.at(groups[row], rows.groups[rows.member], of_rows.sum(axis=0))
     allreduce_sum(context.grid.world, times)
     allreduce_sum(context.grid.world, groups)
+    left_out = context.over_channels(price_of_left_out(context, context.test, values, whitened.used))
     return HeldoutScore(times, groups, float(whitened.log_spread.sum()), left_out)
 
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from hydrabeam_mpi.data.observation import IntArray
+from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Active, Fitted
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
@@ -30,14 +30,14 @@ class Revision:
         With the prior that is the best now; None where the model is better without it.
     gain : float
         By how much that raises ln evidence, beyond what a fit gains in ln(likelihood x prior).
-    unchanging : bool
-        Whether it is the better for what does not change in time alone.
+    unchanging : (Effect, ndarray of int), optional
+        What it is without what changes in time, if that is better; see `Effect.unchanging`.
     """
 
     place: int
     new: Evidence | None
     gain: float
-    unchanging: bool = False
+    unchanging: tuple[Effect, IntArray] | None = None
 
 
 def revise(context: FitContext, last: Round, n_given: int) -> tuple[Round, dict[int, int | None]]:
@@ -103,21 +103,15 @@ def _weigh_again(context: FitContext, fitted: Fitted, known: Known, place: int, 
     if best.log_bayes_factor < 0 and not is_newest:
         return Revision(place, None, present.linear_gain - present.log_bayes_factor)
     wanted = present if is_same_prior(best.prior_var, now) else max(present, best, key=_log_bayes_factor)
-    level = _of_level(context, fitted, known, place, wanted)
-    new = wanted if level is None else max(wanted, level, key=_log_bayes_factor)
+    new, unchanging = wanted, one.effect.unchanging(len(now))
+    if unchanging is not None:
+        stays = np.isin(np.arange(len(now)), unchanging[1])
+        _, level = compare_priors(context, fitted, known, place, np.where(stays, wanted.prior_var, 0.0))
+        new = max(wanted, level, key=_log_bayes_factor)
     if new is present:
         return None
     gain = new.log_bayes_factor - new.linear_gain - (present.log_bayes_factor - present.linear_gain)
-    return Revision(place, new, gain, unchanging=new is level)
-
-
-def _of_level(context: FitContext, fitted: Fitted, known: Known, place: int, wanted: Evidence) -> Evidence | None:
-    """Weigh an effect that changes in time by what does not change of it; None where it has no such part."""
-    unchanging = fitted.values.active[place].effect.unchanging(len(wanted.prior_var))
-    if unchanging is None:
-        return None
-    stays = np.isin(np.arange(len(wanted.prior_var)), unchanging[1])
-    return compare_priors(context, fitted, known, place, np.where(stays, wanted.prior_var, 0.0))[1]
+    return Revision(place, new, gain, unchanging if new is not wanted else None)
 
 
 def _log_bayes_factor(one: Evidence) -> float:
@@ -129,24 +123,18 @@ def _revised(context: FitContext, active: Active, revision: Revision | None) -> 
         return active
     assert revision.new is not None
     prior_var = revision.new.prior_var
-    if revision.unchanging:
-        effect, stays = _unchanging(active)
+    if revision.unchanging is not None:
+        effect, stays = revision.unchanging
         active, prior_var = replace(active, effect=effect, x=active.x[:, stays]), prior_var[stays]
     return restarted(context, active, prior_var)
-
-
-def _unchanging(active: Active) -> tuple[Any, IntArray]:
-    found = active.effect.unchanging(active.x.shape[1])
-    assert found is not None
-    return found
 
 
 def _told(context: FitContext, active: Active, revision: Revision) -> str:
     """Say what becomes of an effect."""
     if revision.new is None:
         return f"{active.effect.title}: taken back, as the model is better without it"
-    if revision.unchanging:
-        return f"{active.effect.title}: {_unchanging(active)[0].title}, as the model is better without what changes"
+    if revision.unchanging is not None:
+        return f"{active.effect.title}: {revision.unchanging[0].title}, as the model is better without what changes"
     names = active.effect.parameters(context.setup).names
     used = np.flatnonzero(revision.new.prior_var)
     gone = [names[i] for i in active.used if i not in set(used.tolist())]

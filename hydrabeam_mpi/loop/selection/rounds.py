@@ -165,11 +165,7 @@ def run_rounds(
                 added = replace(added, together=weighed.together.members)
                 history.rest = weighed.after(added.candidate)
             if added is not None:
-                given = history.first.fitted.values
-                added, places = revise(context, added, len(given.active))
-                added, told = beside_noise(context, added, len(given.reweighted))
-                history.add(added, places)
-                history.tell_again(told)
+                added = _accept(context, history, added)
             checked = history.last
         history.compare(control)
         if added is None:
@@ -178,6 +174,16 @@ def run_rounds(
         _keep(clock, keep, history)
     with clock.time("trials"):
         _take_back(context, history)
+
+
+def _accept(context: FitContext, history: History, added: Round) -> Round:
+    """Add a round once all that was found before is weighed again; return it. Collective: all ranks of the grid."""
+    given = history.first.fitted.values
+    added, places = revise(context, added, len(given.active))
+    added, told = beside_noise(context, added, len(given.reweighted))
+    history.add(added, places)
+    history.tell_again(told)
+    return added
 
 
 def _exchanged(context: FitContext, history: History, effects: Sequence[Effect]) -> Round | None:

@@ -10,7 +10,6 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.reweighting import ReweightingFit
-from hydrabeam_mpi.fit.beams_given import price_of_left_out
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Worth, refit, stepped
 from hydrabeam_mpi.fit.heldout import whiten
@@ -44,8 +43,8 @@ def check(context: FitContext, fitted: Fitted) -> Checked:
     """Predict the held-out rows. Collective: all ranks of the grid."""
     whitened = whiten(context, fitted)
     remains = remains_of(context, fitted, whitened)
-    left_out = context.over_channels(price_of_left_out(context, context.test, fitted.estimate))
-    return Checked(fitted, heldout_score(context, whitened, left_out), remains, heldout_numbers(context, whitened))
+    score = heldout_score(context, whitened, fitted.values)
+    return Checked(fitted, score, remains, heldout_numbers(context, whitened))
 
 
 def try_effects(
