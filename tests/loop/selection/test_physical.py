@@ -20,8 +20,9 @@ from hydrabeam_mpi.loop.selection import trials
 from hydrabeam_mpi.loop.selection.acceptance import Candidate
 from hydrabeam_mpi.loop.selection.constant import take_back_unphysical
 from hydrabeam_mpi.loop.selection.physical import is_unphysical, leave_out_unphysical
+from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refits import fit_patiently
-from hydrabeam_mpi.loop.selection.trials import check, try_effects
+from hydrabeam_mpi.loop.selection.trials import try_effects
 from tests.loop.made import effect_candidate, round_of
 from tests.loop.mock import context_of, mock_job
 
