@@ -16,7 +16,7 @@ from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Active, Fitted, Values
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.attribution.score_effects import Finding
-from hydrabeam_mpi.loop.selection import trials
+from hydrabeam_mpi.loop.selection import candidate_fits
 from hydrabeam_mpi.loop.selection.acceptance import Candidate
 from hydrabeam_mpi.loop.selection.constant import take_back_unphysical
 from hydrabeam_mpi.loop.selection.physical import is_unphysical, leave_out_unphysical
@@ -126,7 +126,7 @@ def test_what_cannot_be_at_the_linear_optimum_is_left_out_before_the_first_fit(
         fits.append(values.active[-1].effect.parameters(context.setup).names)
         return fit_patiently(context, values, *args)
 
-    monkeypatch.setattr(trials, "fit_patiently", noted)
+    monkeypatch.setattr(candidate_fits, "fit_patiently", noted)
     evidence = Evidence(1e4, np.full(2, 10.0), np.array([[0.5, -1.2]]), 0.0, 2.0, 0.0, 2, 0.0)
     try_effects(context, check(context, refit(context, Values())), [Candidate.of(Finding(effect, evidence))], [])
     assert fits[0] == names[:1]
