@@ -61,12 +61,17 @@ def exchange(
 
 
 def _near(found: Round, effects: Sequence[Effect]) -> list[Effect]:
-    """Return the effects that came near one when it was chosen."""
+    """Return the effects that came near one when it was chosen.
+
+    Laws in time of a constant effect are no rivals of it: they are looked for beside it, in every round.
+    """
+    own = found.candidate
     # All by the linear model: a fit may raise the evidence of what was chosen several times.
-    chosen = next((one for one in found.ranking if one.name == found.candidate.name), found.candidate)
+    chosen = next((one for one in found.ranking if one.name == own.name), own)
     least = RULES.near_if_linear * chosen.log_bayes_factor
     names = {one.name for one in found.ranking if one.finding is not None and one.log_bayes_factor > least}
-    return [one for one in effects if (one.kind, one.law) in names - {found.candidate.name}]
+    names -= {one for one in names if one == own.name or (one[0] == own.kind and own.law == Effect.law)}
+    return [one for one in effects if (one.kind, one.law) in names]
 
 
 def _better_than(

@@ -77,6 +77,13 @@ def test_a_law_in_the_place_of_another_of_the_same_effect(context: FitContext) -
     ]
 
 
+def test_a_law_of_a_constant_effect_is_looked_for_beside_it_not_in_its_place(context: FitContext) -> None:
+    drifting = make_effect("antenna_gains", {"law": "smooth", "orders": (1,)})
+    so_far, tried = rounds(context, GAINS, drifting, COUPLING), []  # type: tuple[list[Round], list[Any]]
+    assert exchange(context, so_far[-1].after, so_far, [drifting, COUPLING], tried) is None
+    assert not tried
+
+
 def test_what_is_right_keeps_its_place(context: FitContext) -> None:
     so_far = rounds(context, GAINS, factors(context), COUPLING)
     tried: list = []
