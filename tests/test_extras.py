@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import tomllib
@@ -32,11 +33,18 @@ def test_they_are_those_of_the_installation() -> None:
 
 
 @pytest.mark.parametrize(
-    ("module", "extra", "command"), [("matplotlib", "plot", "report"), ("xarray", "chains", "sample")]
+    ("module", "extra", "command"),
+    [
+        ("matplotlib", "plot", "report out"),
+        ("xarray", "chains", "sample job.toml -o out"),
+        ("finufft", "nufft", "infer job.toml -o out"),
+    ],
 )
 def test_a_command_names_what_it_lacks(module: str, extra: str, command: str, tmp_path: Path) -> None:
-    words = [sys.executable, "-c", WITHOUT, module, command, str(tmp_path)]
-    run = subprocess.run(words, capture_output=True, text=True, cwd=ROOT, check=False)
+    (tmp_path / "job.toml").write_text('[data.simulate]\n[solver]\nengine = "nufft"\n')
+    words = [sys.executable, "-c", WITHOUT, module, *command.split()]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    run = subprocess.run(words, capture_output=True, text=True, cwd=tmp_path, env=environment, check=False)
     assert run.returncode == 2
     assert run.stderr.count("\n") == 1
     assert module in run.stderr
