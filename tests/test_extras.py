@@ -1,4 +1,4 @@
-"""What an installation without extras says: one line with the remedy."""
+"""What an installation without extras, or without MPI, says: one line with the remedy."""
 
 from __future__ import annotations
 
@@ -23,6 +23,16 @@ class Without:
 sys.meta_path.insert(0, Without())
 from hydrabeam_mpi.cli import main
 sys.exit(main(sys.argv[2:]))
+"""
+WITHOUT_MPI = """
+import sys
+class Without:
+    def find_spec(self, name, *_):
+        if name == "mpi4py.MPI":
+            raise RuntimeError("cannot load MPI library\\nlibmpi.so: no such file\\nlibmpi.so.12: no such file")
+sys.meta_path.insert(0, Without())
+from hydrabeam_mpi.__main__ import main
+sys.exit(main())
 """
 
 
@@ -49,3 +59,19 @@ def test_a_command_names_what_it_lacks(module: str, extra: str, command: str, tm
     assert run.stderr.count("\n") == 1
     assert module in run.stderr
     assert f"pip install 'hydrabeam_mpi[{extra}]'" in run.stderr
+
+
+@pytest.mark.parametrize("words", [["--version"], ["infer", "job.toml", "-o", "out"]])
+def test_without_mpi(words: list[str]) -> None:
+    """As the wheel of mpi4py fails where there is no library. Of several tasks the first one says so."""
+    said = {}
+    for task in ("0", "1"):
+        environment = {**os.environ, "SLURM_STEP_NUM_TASKS": "2", "SLURM_PROCID": task}
+        command = [sys.executable, "-c", WITHOUT_MPI, *words]
+        run = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=environment, check=False)
+        assert (run.returncode, run.stdout) == (2, "")
+        said[task] = run.stderr
+    assert said["0"].startswith("hydrabeam: error: mpi4py finds no MPI (cannot load MPI library); ")
+    assert "pip install 'hydrabeam_mpi[mpi]'" in said["0"]
+    assert said["0"].count("\n") == 1
+    assert said["1"] == ""
