@@ -21,9 +21,8 @@ class Without:
         if name.partition(".")[0] == sys.argv[1]:
             raise ModuleNotFoundError(name)
 sys.meta_path.insert(0, Without())
-from hydrabeam_mpi.cli import main
-sys.exit(main(sys.argv[2:]))
 """
+RUN = "from hydrabeam_mpi.cli import main; sys.exit(main(sys.argv[2:]))"
 WITHOUT_MPI = """
 import sys
 class Without:
@@ -52,13 +51,23 @@ def test_they_are_those_of_the_installation() -> None:
 )
 def test_a_command_names_what_it_lacks(module: str, extra: str, command: str, tmp_path: Path) -> None:
     (tmp_path / "job.toml").write_text('[data.simulate]\n[solver]\nengine = "nufft"\n')
-    words = [sys.executable, "-c", WITHOUT, module, *command.split()]
+    words = [sys.executable, "-c", WITHOUT + RUN, module, *command.split()]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     run = subprocess.run(words, capture_output=True, text=True, cwd=tmp_path, env=environment, check=False)
     assert run.returncode == 2
     assert run.stderr.count("\n") == 1
     assert module in run.stderr
     assert f"pip install 'hydrabeam_mpi[{extra}]'" in run.stderr
+
+
+def test_python_names_what_it_lacks() -> None:
+    ask = "import hydrabeam_mpi as hb; print(hb.load_chains.__name__); hb.sample"
+    words = [sys.executable, "-c", WITHOUT + ask, "arviz_stats"]
+    run = subprocess.run(words, capture_output=True, text=True, cwd=ROOT, check=False)
+    assert run.stdout == "load_chains\n"
+    assert run.stderr.endswith(
+        "InputError: sample: needs arviz_stats, which is not installed; pip install 'hydrabeam_mpi[chains]'\n"
+    )
 
 
 @pytest.mark.parametrize("words", [["--version"], ["infer", "job.toml", "-o", "out"]])
