@@ -8,9 +8,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
-from hydrabeam_mpi.api.result import Found, Result, load
+from hydrabeam_mpi.api.loading import load
+from hydrabeam_mpi.api.preparation import prepare_checked
+from hydrabeam_mpi.api.result import Found, Result
 from hydrabeam_mpi.api.setup import Setup
-from hydrabeam_mpi.api.shared import prepare_checked
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.sections import Holdout, Prior
 from hydrabeam_mpi.errors import InputError

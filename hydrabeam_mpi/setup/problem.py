@@ -166,6 +166,7 @@ def prepare(
     truths: tuple[Beam, ...] = (),
     given: Given = NOTHING,
     observation: Observation | None = None,
+    redundant: RedundantGroups | None = None,
 ) -> Problem:
     """Read and fit everything but the visibilities. Serial.
 
@@ -180,6 +181,8 @@ def prepare(
         What is in memory: beam, sky, noise and priors; the visibilities are all in ``files``.
     observation : Observation, optional
         What `observe` says of the files, where it is known already.
+    redundant : RedundantGroups, optional
+        Of its baselines, where they are known.
 
     Raises
     ------
@@ -196,33 +199,53 @@ def prepare(
     sky = whole_sky.brighter_than(job.sky.model_flux_min)
     time_costs = count_sources(sky, observation)
     earlier = find_earlier(job, observation, given.earlier)
-    basis, fits = fit_model_beams(job, beams, earlier.basis if earlier else None)
-    if earlier is not None:
-        priors: tuple[Prior, ...] = beam_priors(earlier)
-    else:
-        priors = given_priors(given.priors, fits) if given.priors else tuple(make_prior(job, fit) for fit in fits)
     return Problem(
         job=job,
         files=files,
         gain_files=expand(job.data.gains, "[data] gains", "file"),
         observation=observation,
-        redundant=find_groups(job, observation),
+        redundant=redundant or find_groups(job, observation),
         train=train,
         test=test,
         sky=sky,
         flux_removed=1 - float(sky.flux.sum() / whole_sky.flux.sum()),
-        basis=basis,
-        beams=tuple(beams),
-        priors=priors,
-        fit_rms=tuple(fit.rms_residual for fit in fits),
         time_costs=time_costs,
         channel_numbers=np.arange(observation.Nfreqs),
         truths=truths,
         cautions=cautions_of_data(job, observation),
         noise_file=given.noise or job.noise.file,
         earlier=earlier,
-        coupling=couple(job.prior.frequency, observation.freqs, priors),
+        **_known_of_beams(job, observation, beams, earlier, given),
     )
+
+
+def _known_of_beams(
+    job: Job, observation: Observation, beams: tuple[Beam, ...], earlier: Inferred | None, given: Given
+) -> dict[str, Any]:
+    """Return the fields of a `Problem` that tell of the model beams, (Nfreqs,), and of what is known of them before."""
+    basis, fits = fit_model_beams(job, beams, earlier.basis if earlier else None)
+    if earlier is not None:
+        priors: tuple[Prior, ...] = beam_priors(earlier)
+    else:
+        priors = given_priors(given.priors, fits) if given.priors else tuple(make_prior(job, fit) for fit in fits)
+    return {
+        "basis": basis,
+        "beams": beams,
+        "priors": priors,
+        "fit_rms": tuple(fit.rms_residual for fit in fits),
+        "coupling": couple(job.prior.frequency, observation.freqs, priors),
+    }
+
+
+def of_polarization(problem: Problem, job: Job, pol: str, truths: tuple[Beam, ...], given: Given) -> Problem:
+    """Return the problem of a job that differs in its polarisation alone, ``pol`` as the data name it. Serial.
+
+    Other parameters and errors as of `prepare`.
+    """
+    observation = replace(problem.observation, pols=(pol,))
+    beams = load_beams(job, observation.freqs, pol, given.beam)
+    known = _known_of_beams(job, observation, beams, None, given)
+    return replace(problem, job=job, observation=observation, truths=truths, **known)
 
 
 def _differences(job: Job) -> Literal["time", "frequency"] | None:
