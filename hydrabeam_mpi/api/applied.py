@@ -23,6 +23,7 @@ from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.io.disk import writing
 from hydrabeam_mpi.io.inferred import Inferred
 from hydrabeam_mpi.io.staging import write_whole
+from hydrabeam_mpi.io.together import check_of_one
 from hydrabeam_mpi.loop.checks.health import told
 from hydrabeam_mpi.mpi import Comm, together
 from hydrabeam_mpi.result.output import write_job_and_provenance
@@ -91,11 +92,12 @@ def load_shared(world: Comm, folder: Path) -> Result:
     Raises
     ------
     InputError
-        On all ranks, if it is no such folder.
+        On all ranks, if it is no such folder, or of several polarisations.
     """
     result = None
     with together(world):
         if world.rank == 0:
+            check_of_one(folder)
             result = load(folder)
     job = world.bcast(result.job if result else None)
     return result or Result(job)
