@@ -177,7 +177,12 @@ def designs(rows: Rows, model: ForwardModel, basis: LinearBasis, label: str, sho
     """Yield each time's design, (Nfreqs, 2, Nlocal, n_modes) or complex (Nfreqs, Nlocal, n_modes)."""
     times = rows.tile.times
     for parts in track(model.design_columns(basis, times), len(times), label, show):
-        yield basis.mix(parts[:, 0] + 1j * parts[:, 1] if basis.is_complex else parts)
+        yield mixed(basis, parts)
+
+
+def mixed(basis: LinearBasis, parts: FloatArray) -> Array:
+    """Return a time's design, as of `designs`, of that of the real columns, (Nfreqs, 2, Nlocal, n_columns)."""
+    return basis.mix(parts[:, 0] + 1j * parts[:, 1] if basis.is_complex else parts)
 
 
 def predict(posterior: Posterior, design: Array) -> tuple[ComplexArray, FloatArray]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Any
@@ -11,20 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydrabeam_mpi.data.observation import Array
-from hydrabeam_mpi.fit.accumulate import Accumulator, HeldoutCheck, designs
+from hydrabeam_mpi.fit.accumulate import Accumulator, HeldoutCheck
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.coupled import CoupledChannel, CoupledSolution, solve_coupled
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.heldout_sample import heldout_sample
 from hydrabeam_mpi.fit.rounding import MOST_SHIFT, Rounding
 from hydrabeam_mpi.fit.rows import Rows
+from hydrabeam_mpi.fit.shared_design import SharedDesign
 from hydrabeam_mpi.fit.shares import read_shares, read_shares_of_each
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.predictive_checks import HeldoutStatistics
 from hydrabeam_mpi.io.finite import INFERENCE, check_finite
-from hydrabeam_mpi.model.bases.shared import SharedBasis
 from hydrabeam_mpi.model.engines.base import Precision
-from hydrabeam_mpi.model.rime import ForwardModel
 from hydrabeam_mpi.mpi import ProcessGrid, allreduce_max, allreduce_sum, bcast_array, together
 from hydrabeam_mpi.setup.problem import Problem
 from hydrabeam_mpi.terminal.progress import say
@@ -182,26 +181,17 @@ def _sum_normals(
 ) -> list[list[NormalEquations]]:
     """Accumulate the rank's rows and sum over the group."""
     with together(grid.world):
-        model = problems[0].forward_model(rows[0].groups, precision)
+        design = SharedDesign(problems, rows, precision)
         takers = [Accumulator(one, problem.basis) for one, problem in zip(rows, problems, strict=True)]
-        for t, of_each in _designs_of_each(grid, problems, rows[0], model, "design matrix"):
-            for rounding, design in zip(roundings, of_each, strict=bool(roundings)):
-                rounding.watch(t, design)
-            for taker, design in zip(takers, of_each, strict=True):
-                taker.add(t, design)
+        for t, of_each in design.by_time("design matrix", show=grid.is_world_root):
+            for rounding, own in zip(roundings, of_each, strict=bool(roundings)):
+                rounding.watch(t, own)
+            for taker, own in zip(takers, of_each, strict=True):
+                taker.add(t, own)
         normals = [taker.finish() for taker in takers]
     for normal in chain(*normals):
         normal.reduce(grid.group)
     return normals
-
-
-def _designs_of_each(
-    grid: ProcessGrid, problems: Sequence[Problem], rows: Rows, model: ForwardModel, label: str
-) -> Iterator[tuple[int, list[Array]]]:
-    """Yield the number of each of the rank's times, with its design in the basis of each problem."""
-    shared = SharedBasis([problem.basis for problem in problems])
-    by_time = designs(rows, model, shared.basis, label, show=grid.is_world_root)
-    return ((t, shared.of(design)) for t, design in enumerate(by_time))
 
 
 def solve_channels(
@@ -259,10 +249,12 @@ def _sum_heldout(
 ) -> list[tuple[list[HeldoutStatistics], list[dict[str, Array]]]]:
     """Check the rank's held-out rows, and combine the statistics of the group and a sample of its rows."""
     with together(grid.world):
-        model = problems[0].forward_model(rows[0].groups)
-        before = [model.visibilities(problem.beams, rows[0].tile.times) for problem in problems]
+        before = [
+            problem.forward_model(own.groups).visibilities(problem.beams, own.tile.times)
+            for problem, own in zip(problems, rows, strict=True)
+        ]
         checks = [HeldoutCheck(*parts) for parts in zip(rows, posteriors, before, strict=True)]
-        for t, of_each in _designs_of_each(grid, problems, rows[0], model, "held-out rows"):
+        for t, of_each in SharedDesign(problems, rows).by_time("held-out rows", show=grid.is_world_root):
             for check, design in zip(checks, of_each, strict=True):
                 check.add(t, design)
     found = []

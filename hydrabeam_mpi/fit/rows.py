@@ -117,5 +117,6 @@ def read_rows_of_each(problems: Sequence[Problem], tile: Tile, autos: Block | No
         data, weights = data * scale, weights / scale**2
     visibilities, n_unflagged = Visibilities(data, weights), np.sum(~flags, axis=(0, 1, 2)).tolist()
     return [
-        Rows.of(tile, visibilities, problem.redundant, count, divisor, pol) for pol, count in enumerate(n_unflagged)
+        Rows.of(tile, visibilities, one.redundant, count, divisor, pol)
+        for pol, (one, count) in enumerate(zip(problems, n_unflagged, strict=True))
     ]

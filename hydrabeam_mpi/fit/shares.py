@@ -8,6 +8,7 @@ import numpy as np
 
 from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.fit.rows import Rows, read_rows_of_each
+from hydrabeam_mpi.fit.shared_design import leader
 from hydrabeam_mpi.io.noise import check_weights
 from hydrabeam_mpi.mpi import ProcessGrid, allreduce_sum, together
 from hydrabeam_mpi.setup.problem import Problem
@@ -41,7 +42,8 @@ def _read_share(
     grid: ProcessGrid, problems: Sequence[Problem], rows: Tile, whole_times: bool = False, must_count: bool = True
 ) -> list[Rows]:
     with together(grid.world):
-        tile = problems[0].tile_of(rows, grid.group.rank, grid.group.size, whole_times)
+        # With the fewest groups: none of the others' is torn.
+        tile = problems[leader(problems)].tile_of(rows, grid.group.rank, grid.group.size, whole_times)
         mine = read_rows_of_each(problems, tile)
     counts = np.array([(one.n_unflagged, np.count_nonzero(one.inv_noise_var)) for one in mine])
     allreduce_sum(grid.world, counts)

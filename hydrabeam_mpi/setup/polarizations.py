@@ -12,7 +12,6 @@ from hydrabeam_mpi.io.uvsource import Data
 from hydrabeam_mpi.model.beam import Beam
 from hydrabeam_mpi.setup.given import Given
 from hydrabeam_mpi.setup.problem import Problem, of_polarization, prepare
-from hydrabeam_mpi.setup.selected import find_groups
 
 FIELD = "[data] polarization"
 
@@ -58,8 +57,7 @@ def prepare_each(
 ) -> list[Problem]:
     """Set up the problem of each of a job's polarisations. Serial.
 
-    What does not depend on them is there once: they share the sky, and the rows in one grouping of baselines. With
-    cross-polarised ones among them a baseline and its reverse are two groups, as their visibilities are no conjugates.
+    They share the sky and the rows.
 
     Parameters
     ----------
@@ -83,10 +81,9 @@ def prepare_each(
             field=FIELD,
             remedy="name each once",
         )
-    redundant = find_groups(job, observation)
     (first, *others), (pol, *more) = jobs_of_each(job), observation.pols
     alone = replace(observation, pols=(pol,))
-    problem = prepare(first, files, truths.get(first.data.pol, ()), given, alone, redundant)
+    problem = prepare(first, files, truths.get(first.data.pol, ()), given, alone)
     return [
         problem,
         *(

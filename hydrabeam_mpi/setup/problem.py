@@ -166,7 +166,6 @@ def prepare(
     truths: tuple[Beam, ...] = (),
     given: Given = NOTHING,
     observation: Observation | None = None,
-    redundant: RedundantGroups | None = None,
 ) -> Problem:
     """Read and fit everything but the visibilities. Serial.
 
@@ -181,8 +180,6 @@ def prepare(
         What is in memory: beam, sky, noise and priors; the visibilities are all in ``files``.
     observation : Observation, optional
         What `observe` says of the files, where it is known already.
-    redundant : RedundantGroups, optional
-        Of its baselines, where they are known.
 
     Raises
     ------
@@ -204,7 +201,7 @@ def prepare(
         files=files,
         gain_files=expand(job.data.gains, "[data] gains", "file"),
         observation=observation,
-        redundant=redundant or find_groups(job, observation),
+        redundant=find_groups(job, observation),
         train=train,
         test=test,
         sky=sky,
@@ -245,7 +242,10 @@ def of_polarization(problem: Problem, job: Job, pol: str, truths: tuple[Beam, ..
     observation = replace(problem.observation, pols=(pol,))
     beams = load_beams(job, observation.freqs, pol, given.beam)
     known = _known_of_beams(job, observation, beams, None, given)
-    return replace(problem, job=job, observation=observation, truths=truths, **known)
+    # Cross-polarised visibilities of a baseline and of its reverse are no conjugates.
+    as_before = observation.is_copolar == problem.observation.is_copolar
+    redundant = problem.redundant if as_before else find_groups(job, observation)
+    return replace(problem, job=job, observation=observation, redundant=redundant, truths=truths, **known)
 
 
 def _differences(job: Job) -> Literal["time", "frequency"] | None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from hydrabeam_mpi.config import Job
-from hydrabeam_mpi.data.observation import Observation, are_copolar
+from hydrabeam_mpi.data.observation import Observation
 from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.data.redundancy import RedundantGroups, check_tolerance, find_redundant_groups
 from hydrabeam_mpi.data.selection import HoldoutRule, Selection, split_holdout
@@ -91,7 +91,7 @@ def roles_of(job: Job, observation: Observation) -> tuple[Tile, Tile]:
 def find_groups(job: Job, observation: Observation) -> RedundantGroups:
     """Group redundant baselines, or keep each alone where the job says not to compress."""
     tol, vectors = job.data.redundancy_tol, observation.bl_vectors
-    redundant = find_redundant_groups(vectors, tol, either_sign=are_copolar(observation.pols))
+    redundant = find_redundant_groups(vectors, tol, either_sign=observation.is_copolar)
     if job.solver.compress:
         check_tolerance(observation, redundant, tol)
         return redundant

@@ -35,7 +35,7 @@ class SharedBasis:
             self.basis, places_of_one = found
             self._places.append(places_of_one)
 
-    def of(self, rows: Array) -> list[Array]:
-        """Return what belongs to each of the bases, (..., n_modes), out of rows of all functions, (..., all modes)."""
-        everything = list(range(self.basis.n_modes))
-        return [rows if places == everything else np.take(rows, places, axis=-1) for places in self._places]
+    def taken(self, number: int, rows: Array) -> Array:
+        """Return what belongs to one of the bases, (..., n_modes), out of rows of all functions, (..., all modes)."""
+        places = self._places[number]
+        return rows if places == list(range(self.basis.n_modes)) else np.take(rows, places, axis=-1)
