@@ -7,7 +7,6 @@ the geometric mean of the two co-polarised peaks. An E-field is turned into powe
 
 from __future__ import annotations
 
-import unicodedata
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,7 +17,7 @@ from astropy.io import fits
 from pyuvdata import UVBeam
 from pyuvdata.utils import polnum2str, polstr2num
 
-from hydrabeam_mpi.data.observation import Array, FloatArray
+from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.beamsamples import check_peak, check_values, pixel_directions, read_uvbeam, usable_uvbeam
 from hydrabeam_mpi.io.feeds import orientation_from_field, pol_number, x_orientation
@@ -26,6 +25,7 @@ from hydrabeam_mpi.io.reading import reading
 from hydrabeam_mpi.model.bases.rings import SAME_ANGLE, Pixels
 from hydrabeam_mpi.model.beam import BeamInfo, SampledBeam
 from hydrabeam_mpi.model.interpolate import AzZaGrid, HealpixMap
+from hydrabeam_mpi.words import in_ascii
 
 SAME_FREQ = 5e-4
 """Relative distance within which a beam's frequency is the one asked for."""
@@ -214,7 +214,8 @@ def write_power_beam(
 
     Values are written as they are ("physical" normalisation, bandpass one), as visibilities do constrain the
     amplitude; of a co-polarised beam the real part, the largest imaginary one going to the header (IMAGMAX).
-    A file holds evenly spaced channels only. Others go into one each, ``NAME.<freq>MHz.SUFFIX``.
+    A file holds evenly spaced channels only. Others go into one each, ``NAME.<freq>MHz.SUFFIX``. Likewise three of the
+    four polarisations without one that stands between them go into ``NAME.<pol>.SUFFIX``.
 
     Parameters
     ----------
@@ -243,6 +244,11 @@ def write_power_beam(
             for f, name in enumerate(names)
         )
     uvbeam = power_uvbeam(values, freqs, pols, **about)
+    if _uneven(uvbeam.polarization_array):
+        names = [path.with_name(f"{path.stem}.{pol}{path.suffix}") for pol in pols]
+        return max(
+            write_power_beam(name, values[p : p + 1], freqs, pols[p : p + 1], **about) for p, name in enumerate(names)
+        )
     imag_max = float(uvbeam.extra_keywords["IMAGMAX"])
     uvbeam.write_beamfits(str(path), clobber=True)
     _put_polarisations_in_place(path)
@@ -258,8 +264,14 @@ def power_uvbeam(
     history: str = "",
     x_points: str = "east",
 ) -> UVBeam:
-    """Return power beams on a grid, (Npols, Nfreqs, Nza, Naz), as a UVBeam; see :func:`write_power_beam`."""
+    """Return power beams on a grid, (Npols, Nfreqs, Nza, Naz), as a UVBeam; see :func:`write_power_beam`.
+
+    Polarisations whose numbers are not evenly spaced are put in the order xx, yy, xy, yx.
+    """
     numbers = np.array([int(polstr2num(pol, x_orientation=x_points)) for pol in pols])
+    if _uneven(numbers):
+        order = np.argsort(-numbers)
+        numbers, values = numbers[order], values[order]
     copol = np.isin(numbers, _COPOLS)
     imag_max = float(np.abs(np.imag(values[copol])).max(initial=0.0))
     data = np.array(values, dtype=np.complex128)
@@ -284,10 +296,8 @@ def power_uvbeam(
     return uvbeam
 
 
-def in_ascii(text: str) -> str:
-    """Return text as a FITS header may have it: letters without their accents, and "?" for what ASCII lacks."""
-    plain = (letter for letter in unicodedata.normalize("NFKD", text) if not unicodedata.combining(letter))
-    return "".join(letter if letter.isascii() and letter.isprintable() else "?" for letter in plain)
+def _uneven(numbers: IntArray) -> bool:
+    return len(set(np.diff(numbers).tolist())) > 1
 
 
 def _put_polarisations_in_place(path: Path) -> None:

@@ -206,3 +206,50 @@ def test_a_channel_that_one_lacks_is_left_out_of_both(folder: Path, tmp_path: Pa
     (ee, nn) = prepare_shared_each(MPI.COMM_SELF, load(MPI.COMM_SELF, path, takes_several=True), None)
     assert ee.observation.freqs.tolist() == nn.observation.freqs.tolist() == [FREQ]
     assert any("of which all data of ee or nn are flagged: 132 MHz" in line for line in ee.cautions)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"solver": {"precision": "mixed"}}, {"prior": {"frequency": {"kind": "modes", "n_modes": 1}}}],
+    ids=["mixed precision", "over frequency"],
+)
+def test_other_ways_to_solve(folder: Path, tmp_path: Path, changes: dict[str, Any]) -> None:
+    job = mock_job(basis={"n_modes": 40, "k_max": 16, "m_max": 4}, freqs=(FREQ, FREQ + 5e4))
+    job |= {"beam": {"source": str(folder / "beams.beamfits")}, "noise": {"kind": "constant", "sigma": 0.1}, **changes}
+    made = {**job["data"]["simulate"], "noise": False}
+    paths = [
+        write_job({**job, "data": {"simulate": made, "polarization": pol}}, tmp_path, f"{name}.toml")
+        for name, pol in {"both": BOTH, "nn": "nn"}.items()
+    ]
+    both, alone = (hb.infer(hb.Setup.from_job(path)) for path in paths)
+    np.testing.assert_allclose(both["nn"].beam.std, alone.beam.std, rtol=1e-6)
+    assert np.all(np.abs(both["nn"].beam.mean - alone.beam.mean) < 1e-4 * alone.beam.std)
+    for told in ("rounding_shift", "over_frequency"):
+        assert (told in both["nn"].summary) == (told in alone.summary)
+
+
+def test_simulated_together(folder: Path, tmp_path: Path) -> None:
+    """The first is as in a job of its own; of cross-polarised ones the feeds' autocorrelations come along."""
+    job = mock_job()
+    for name, pol in {"several": ["ee", "nn"], "one": "ee", "crossed": "en"}.items():
+        path = write_job({**job, "data": {**job["data"], "polarization": pol}}, tmp_path, f"{name}.toml")
+        assert main(["simulate", str(path), "-o", str(tmp_path / name)]) == 0
+    several, one, crossed = (UVData.from_file(tmp_path / name / "data.uvh5") for name in ("several", "one", "crossed"))
+    assert several.get_pols() == ["ee", "nn"]
+    np.testing.assert_array_equal(several.data_array[..., 0], one.data_array[..., 0])
+    assert np.abs(several.data_array[..., 1] - several.data_array[..., 0]).max() > 0
+    assert sorted(crossed.get_pols()) == ["ee", "en", "nn"]
+    assert UVBeam.from_file(tmp_path / "crossed" / "true_beam.beamfits").polarization_array.tolist() == [-5, -6, -7]
+    assert hb.load_truth(tmp_path / "several" / "truth-nn.h5").polarization == "nn"
+    with pytest.raises(InputError, match="takes one at a time"):
+        hb.simulate(tmp_path / "several.toml")
+
+
+def test_effects_are_simulated_in_one(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    job = mock_job({"kind": "antenna_gains"})
+    path = write_job({**job, "data": {**job["data"], "polarization": BOTH}}, tmp_path)
+    assert main(["simulate", str(path), "-o", str(tmp_path / "out")]) == 2
+    told = capfd.readouterr().err
+    assert (
+        'job.toml: [data] polarization: has 2 polarisations, and effects are simulated in one; set it to "ee"' in told
+    )
