@@ -17,7 +17,7 @@ from astropy.io import fits
 from pyuvdata import UVBeam
 from pyuvdata.utils import polnum2str, polstr2num
 
-from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.beamsamples import check_peak, check_values, pixel_directions, read_uvbeam, usable_uvbeam
 from hydrabeam_mpi.io.feeds import orientation_from_field, pol_number, x_orientation
@@ -196,8 +196,6 @@ class BeamFile:
 _COPOLS = (-5, -6, -1, -2)
 # Axes of real power in a beamfits file: vector component, spectral window, polarisation, frequency, za, az.
 _REAL_POWER_NDIM = 6
-# A file holds channels whose spacings agree to this, Hz.
-_UNEVEN = 1e-3
 
 
 def write_power_beam(
@@ -214,8 +212,8 @@ def write_power_beam(
 
     Values are written as they are ("physical" normalisation, bandpass one), as visibilities do constrain the
     amplitude; of a co-polarised beam the real part, the largest imaginary one going to the header (IMAGMAX).
-    A file holds evenly spaced channels only. Others go into one each, ``NAME.<freq>MHz.SUFFIX``. Likewise three of the
-    four polarisations without one that stands between them go into ``NAME.<pol>.SUFFIX``.
+    A file holds evenly spaced channels only. Others go into one each, ``NAME.<freq>MHz.SUFFIX``, as do three of the
+    four polarisations without one that stands between them, ``NAME.<pol>.SUFFIX``.
 
     Parameters
     ----------
@@ -237,18 +235,16 @@ def write_power_beam(
         Largest absolute imaginary part of the co-polarised values.
     """
     about = {"telescope_name": telescope_name, "history": history, "x_points": x_points}
-    if len(freqs) > 2 and np.ptp(np.diff(freqs)) > _UNEVEN:
-        names = [path.with_name(f"{path.stem}.{freq / 1e6:.6f}MHz{path.suffix}") for freq in freqs]
-        return max(
-            write_power_beam(name, values[:, f : f + 1], freqs[f : f + 1], pols, **about)
-            for f, name in enumerate(names)
-        )
     uvbeam = power_uvbeam(values, freqs, pols, **about)
-    if _uneven(uvbeam.polarization_array):
-        names = [path.with_name(f"{path.stem}.{pol}{path.suffix}") for pol in pols]
-        return max(
-            write_power_beam(name, values[p : p + 1], freqs, pols[p : p + 1], **about) for p, name in enumerate(names)
-        )
+    parts: dict[str, tuple[Array, FloatArray, list[str]]] = {}
+    if _uneven(freqs):
+        parts = {f"{freq / 1e6:.6f}MHz": (values[:, [f]], freqs[[f]], pols) for f, freq in enumerate(freqs)}
+    elif _uneven(uvbeam.polarization_array):
+        parts = {pol: (values[[p]], freqs, [pol]) for p, pol in enumerate(pols)}
+    if parts:
+        names = [path.with_name(f"{path.stem}.{part}{path.suffix}") for part in parts]
+        pairs = zip(names, parts.values(), strict=True)
+        return max(write_power_beam(name, some, own, of, **about) for name, (some, own, of) in pairs)
     imag_max = float(uvbeam.extra_keywords["IMAGMAX"])
     uvbeam.write_beamfits(str(path), clobber=True)
     _put_polarisations_in_place(path)
@@ -296,8 +292,8 @@ def power_uvbeam(
     return uvbeam
 
 
-def _uneven(numbers: IntArray) -> bool:
-    return len(set(np.diff(numbers).tolist())) > 1
+def _uneven(values: Array) -> bool:
+    return len(values) > 2 and bool(np.ptp(np.diff(values)) > 1e-3)
 
 
 def _put_polarisations_in_place(path: Path) -> None:
