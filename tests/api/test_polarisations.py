@@ -253,3 +253,27 @@ def test_effects_are_simulated_in_one(tmp_path: Path, capfd: pytest.CaptureFixtu
     assert (
         'job.toml: [data] polarization: has 2 polarisations, and effects are simulated in one; set it to "ee"' in told
     )
+
+
+@pytest.mark.mpi
+def test_rows_of_either_kind_share_the_design(comm: MPI.Comm, common_tmp_path: Path) -> None:
+    """Of an array in which some baselines are others reversed, which cross-polarised data keep apart."""
+    basis = {"n_modes": 30, "k_max": 10, "m_max": 2, "form": "complex"}
+    job = mock_job(basis=basis, noise={"kind": "constant", "sigma": 0.1})
+    layout = "0 0 0\n30 0 0\n15 5 0\n30 20 0\n45 5 0\n0 20 0\n0 60 0\n"
+    made = {**job["data"]["simulate"], "noise": False, "array": {"file": str(common_tmp_path / "array.txt")}}
+    pols = {"both": ["en", "ee"], "en": "en", "ee": "ee"}
+    if comm.rank == 0:
+        (common_tmp_path / "array.txt").write_text(layout)
+        for name, pol in pols.items():
+            data = {"simulate": made, "polarization": pol}
+            write_job({**job, "data": data}, common_tmp_path, f"{name}.toml")
+    comm.Barrier()
+    both, *alone = (hb.infer(hb.Setup.from_job(common_tmp_path / f"{name}.toml", comm)) for name in pols)
+    if comm.rank:
+        return
+    for one in alone:
+        (pol,) = one.polarizations
+        assert np.all(np.abs(both[pol].beam.mean - one.beam.mean) < 1e-9 * one.beam.std)
+        assert both[pol].summary["n_unique_baselines"] == one.summary["n_unique_baselines"]
+    assert both["en"].summary["n_unique_baselines"] > both["ee"].summary["n_unique_baselines"]
