@@ -11,6 +11,7 @@ and waits for no astronomy packages.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from hydrabeam_mpi.extras import check_extra
 from hydrabeam_mpi.version import __version__
 
 if TYPE_CHECKING:
@@ -60,6 +61,8 @@ _HOMES = {
     "simulate": "api.simulation",
 }
 
+_EXTRAS = {"sample": "chains"}  # what is needed besides; see `hydrabeam_mpi.extras`
+
 __all__ = [
     "Chains",
     "Correction",
@@ -95,6 +98,8 @@ def __getattr__(name: str) -> Any:
     """Import a public name when it is asked for."""
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name in _EXTRAS:
+        check_extra(_EXTRAS[name], name)
     value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
     globals()[name] = value
     return value

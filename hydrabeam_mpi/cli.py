@@ -6,12 +6,12 @@ import argparse
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from mpi4py import MPI
-
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.extras import check_extra
 from hydrabeam_mpi.mpi import (
+    COMM_WORLD,
     INTERRUPTED_STATUS,
+    Comm,
     check_one_world,
     end_interrupted,
     install_abort_hook,
@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit status: 0; 2 where the input is wrong, as is a command line that cannot be parsed; 130 if
         interrupted.
     """
-    world = MPI.COMM_WORLD
+    world = COMM_WORLD
     with console(speaks=world.rank == 0):
         options = make_parser().parse_args(arguments)
         install_abort_hook(world)
@@ -68,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _run(world: MPI.Comm, options: argparse.Namespace) -> None:
+def _run(world: Comm, options: argparse.Namespace) -> None:
     """Dispatch. Commands are imported here so that `--help` does not wait for astronomy packages."""
     threads = limit_blas_threads(world)
     if options.command in COMMANDS_WITH_EXTRAS:
@@ -95,7 +95,7 @@ def _run(world: MPI.Comm, options: argparse.Namespace) -> None:
                 _on_one_rank(options)
 
 
-def _model(world: MPI.Comm, options: argparse.Namespace, threads: int) -> None:
+def _model(world: Comm, options: argparse.Namespace, threads: int) -> None:
     """Simulate, infer or close the loop.
 
     A mistake in the job or its paths is told before the packages that the work needs are imported: that takes seconds.
@@ -117,7 +117,7 @@ def _model(world: MPI.Comm, options: argparse.Namespace, threads: int) -> None:
     command(world, job, options.job, options.output, options.overwrite, threads)
 
 
-def _sample(world: MPI.Comm, options: argparse.Namespace) -> None:
+def _sample(world: Comm, options: argparse.Namespace) -> None:
     """Draw chains; mistakes are told before the packages that the work needs are imported."""
     with together(world):
         if options.job is None or options.output is None:
@@ -132,7 +132,7 @@ def _sample(world: MPI.Comm, options: argparse.Namespace) -> None:
     sample(world, job, options.job, options.output, options.chains, options.draws)
 
 
-def _job_with_files(world: MPI.Comm, options: argparse.Namespace) -> Job:
+def _job_with_files(world: Comm, options: argparse.Namespace) -> Job:
     """Read the job, and look whether its files can be read."""
     from hydrabeam_mpi.setup.job_file import load, read_files
 
@@ -163,7 +163,7 @@ def _on_one_rank(options: argparse.Namespace) -> None:
             write_job(text, options.output, options.overwrite)
 
 
-def _say_plan(world: MPI.Comm, options: argparse.Namespace, job: Job) -> None:
+def _say_plan(world: Comm, options: argparse.Namespace, job: Job) -> None:
     """Say what a command would do, and what it would take on as many ranks as there are."""
     from hydrabeam_mpi.commands.plan import print_plan
 

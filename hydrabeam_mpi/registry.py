@@ -33,6 +33,9 @@ class Registry(Mapping[str, type[Kind]]):
         of_kind: type[Kind] = getattr(module, kind.title().replace("_", "") + self._ending)
         return of_kind
 
+    def __contains__(self, kind: object) -> bool:
+        return kind in self._modules  # without importing it
+
     def __iter__(self) -> Iterator[str]:
         return iter(self._modules)
 

@@ -11,7 +11,7 @@ import pytest
 PACKAGE = "hydrabeam_mpi"
 ROOT = Path(__file__).parents[1]
 LAYERS = (
-    ("errors", "memory", "random", "registry", "version", "words"),
+    ("errors", "launchers", "memory", "random", "registry", "version", "words"),
     ("extras",),
     ("data",),
     ("mpi", "terminal"),
@@ -160,8 +160,8 @@ def test_effects_are_known_by_what_all_of_them_offer(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", MODULES)
-def test_mpi4py_is_imported_in_few_places(name: str) -> None:
-    if not in_any(name, ("mpi", "cli")):
+def test_mpi4py_is_imported_in_one_room(name: str) -> None:
+    if not in_any(name, ("mpi",)):
         assert not [found for found in imported(MODULES[name]) if found.split(".")[0] == "mpi4py"]
 
 
@@ -172,7 +172,7 @@ def test_serial_modules_never_see_processes(name: str) -> None:
 
 @pytest.mark.parametrize("name", [name for name in MODULES if in_any(name, ("mpi",))])
 def test_processes_know_nothing_of_beams(name: str) -> None:
-    allowed = ("mpi", "data", "errors", "memory")
+    allowed = ("mpi", "data", "errors", "launchers", "memory")
     within = [found for found in imported(MODULES[name]) if found.split(".")[0] == PACKAGE and found in MODULES]
     assert [found for found in within if found != PACKAGE and not in_any(found, allowed)] == []
 

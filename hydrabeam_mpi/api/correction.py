@@ -20,7 +20,7 @@ from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.fit.taken_out import Parts, antenna_gains, take_out
-from hydrabeam_mpi.io.calfits import write_calfits
+from hydrabeam_mpi.io.calwrite import write_gains
 from hydrabeam_mpi.io.noise import calibrated_autos
 from hydrabeam_mpi.io.uvdata import read_autos, read_visibilities
 from hydrabeam_mpi.io.uvsource import as_source
@@ -89,7 +89,7 @@ class Correction(Applied):
             return  # it is there already
         with _in_files(self, folder, self.observation, bool(np.isfinite(self.autos).any())) as add:
             add(np.arange(self.observation.Ntimes), self)
-        write_calfits(folder / "gains.calfits", self.observation, self.gains, self.histories["gains"])
+        write_gains(folder, self.observation, self.gains, self.histories["gains"])
 
 
 def correct(result: Result, setup: Setup, bad_antennas: Collection[int] = ()) -> Correction:
@@ -181,7 +181,7 @@ def run_correction(
     with together(world):
         if world.rank == 0 and into is not None:
             history = correction.histories["gains"]
-            write_calfits(into / "gains.calfits", problem.observation, correction.gains, history)
+            write_gains(into, problem.observation, correction.gains, history)
             return replace(correction, observation=None)
     return parts.joined(correction) if world.rank == 0 else correction
 

@@ -9,6 +9,8 @@ from hydrabeam_mpi.api.setup import Setup
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.mpi import Comm, together
 from hydrabeam_mpi.result.output import staged
+from hydrabeam_mpi.result.told import say_result
+from hydrabeam_mpi.terminal.progress import say, warn
 
 
 def infer(world: Comm, job: Job, job_path: Path, out: Path, overwrite: bool, threads: int) -> None:
@@ -40,3 +42,8 @@ def infer(world: Comm, job: Job, job_path: Path, out: Path, overwrite: bool, thr
         with together(world):
             if world.rank == 0:
                 result.fill(folder)
+                for pol in result.polarizations:
+                    of_several = f"{pol}, " if len(result.polarizations) > 1 else ""
+                    for line in say_result(result[pol].summary):
+                        say(of_several + line)
+                warn(result.summary["warnings"])

@@ -11,6 +11,7 @@ from hydrabeam_mpi.loop.output.resume import find_earlier
 from hydrabeam_mpi.mpi import Comm, together
 from hydrabeam_mpi.result.output import staged
 from hydrabeam_mpi.setup.job_file import may_go_on
+from hydrabeam_mpi.terminal.progress import say, warn
 
 
 def close_loop(world: Comm, job: Job, job_path: Path, out: Path, overwrite: bool, threads: int) -> None:
@@ -28,3 +29,6 @@ def close_loop(world: Comm, job: Job, job_path: Path, out: Path, overwrite: bool
         with together(world):
             if world.rank == 0:
                 found.fill(folder)
+                for line in found.record["said"]:
+                    say(line)
+                warn(found.record["warnings"])

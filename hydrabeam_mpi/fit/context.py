@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.fit.blocks import BeamBlock
 from hydrabeam_mpi.fit.carried_over import CarriedOver
+from hydrabeam_mpi.fit.channels import read_share
 from hydrabeam_mpi.fit.learned import Learned
 from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.state import Values
@@ -53,6 +55,19 @@ class FitContext:
     def beam(self) -> BeamBlock:
         """The beam of this rank group's channels."""
         return BeamBlock(self.problem.basis, ChannelPrior(tuple(self.problem.priors)))
+
+    @cached_property
+    def exchanged(self) -> FitContext:
+        """The same with the fitted and the held-out rows in each other's place.
+
+        The rows that are held out then are read again where the ranks share those of a time, whose errors are whitened
+        together. Collective: all ranks of the grid.
+        """
+        problem = replace(self.problem, train=self.problem.test, test=self.problem.train)
+        mine, test = len(self.train.rows.tile.bls), self.train
+        if not all(self.grid.world.allgather(mine in (0, len(problem.test.bls)))):
+            test = RankData(self.problem, self.setup, read_share(self.grid, self.problem, problem.test, True, False))
+        return replace(self, problem=problem, train=self.test, test=test)
 
     def given(self, values: Values) -> Problem:
         """Return the problem of this rank group with the beams' priors given the effects."""

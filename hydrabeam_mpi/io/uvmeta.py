@@ -134,10 +134,10 @@ def linear_pols(pols: Sequence[str], path: Path) -> list[str]:
     linear = [pol for pol in pols if len(pol) == 2 and set(pol) <= set("enxy")]
     if not linear:
         raise InputError(
-            f"only the polarisations {', '.join(pols)}, and the beam is that of a linear feed",
+            f"only the polarisations {', '.join(pols)}, and the model is of products of linear feeds",
             file=path,
             field="polarization_array",
-            remedy="give data of linear feeds, such as xx and yy",
+            remedy="give the data of which these are sums, such as ee and nn or xx and yy",
         )
     return linear
 

@@ -30,6 +30,10 @@ class Rules:
     rise_sigmas : float
         Standard errors of the paired difference over blocks, beyond which the rms of the held-out residual has risen.
         One, as a true effect lowers it: chance alone refuses what is too faint to be seen in the rms.
+    decided_sigmas : float
+        Standard errors by which a gain in held-out ln density, or a loss, is more than a job asks for, where one split
+        of the data has decided. Else the held-out rows predict the fitted ones as well, and the sum decides. More would
+        cost time where the answer is clear.
     first_step : float
         Part of a step with which a fit that did not converge is begun again. Steps that succeed are doubled, so that
         an eighth costs three steps more where a whole one would do.
@@ -42,6 +46,7 @@ class Rules:
     near_if_linear: float = 0.7
     element_nats: float = 4.0
     rise_sigmas: float = 1.0
+    decided_sigmas: float = 2.0
     first_step: float = 0.125
 
 

@@ -1,6 +1,14 @@
 """Processes: which rank has which channels, how arrays are sent between ranks, and how a failure ends all ranks."""
 
-from mpi4py.MPI import Comm
+from hydrabeam_mpi.errors import InputError
+
+try:
+    from mpi4py.MPI import COMM_WORLD, Comm
+except (ImportError, RuntimeError) as error:
+    raise InputError(
+        f"mpi4py finds no MPI ({str(error).partition(chr(10))[0]})",
+        remedy="pip install 'hydrabeam_mpi[mpi]', or on a cluster load the MPI that mpi4py was installed with",
+    ) from error
 
 from hydrabeam_mpi.mpi.abort import INTERRUPTED_STATUS, end_interrupted, install_abort_hook, refuse
 from hydrabeam_mpi.mpi.apart import FailedElsewhere, apart
@@ -23,6 +31,7 @@ from hydrabeam_mpi.mpi.threads import blas_threads, limit_blas_threads
 from hydrabeam_mpi.mpi.window import OneSided, free_windows
 
 __all__ = [
+    "COMM_WORLD",
     "INTERRUPTED_STATUS",
     "Comm",
     "FailedElsewhere",

@@ -8,23 +8,9 @@ from collections.abc import Mapping
 from mpi4py import MPI
 
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.launchers import task_of
 from hydrabeam_mpi.mpi.failure import Shared, share
 from hydrabeam_mpi.mpi.library import library_version
-
-LAUNCHERS = {
-    "SLURM_STEP_NUM_TASKS": "SLURM_PROCID",
-    "PMI_SIZE": "PMI_RANK",
-    "OMPI_COMM_WORLD_SIZE": "OMPI_COMM_WORLD_RANK",
-    "MV2_COMM_WORLD_SIZE": "MV2_COMM_WORLD_RANK",
-    "PALS_SIZE": "PALS_RANKID",
-    "FLUX_JOB_SIZE": "FLUX_TASK_RANK",
-    "JSM_NAMESPACE_SIZE": "JSM_NAMESPACE_RANK",
-}
-"""Where launchers tell a task how many there are, and which it is: srun; MPICH's, Intel's and Cray's; Open MPI's, also
-under PBS; MVAPICH's; Cray's PALS under PBS; Flux; jsrun.
-
-`SLURM_NTASKS` is not among them: it is the size of an allocation, which a script or a shell in it has, too.
-"""
 
 
 def check_one_world(world: MPI.Comm, environment: Mapping[str, str] = os.environ) -> None:
@@ -39,12 +25,12 @@ def check_one_world(world: MPI.Comm, environment: Mapping[str, str] = os.environ
     """
     if world.size > 1:
         return
-    for size, rank in LAUNCHERS.items():
-        if environment.get(size, "").isdecimal() and int(environment[size]) > 1:
-            error = InputError(
-                f"1 rank, but {size}={environment[size]}: each task would do the whole run by itself",
-                remedy=f"launch with srun --mpi=..., or with the mpiexec of {library_version()};"
-                f" if that is what is wanted, unset {size}",
-            )
-            share(error, Shared(n_ranks=1, speaks=environment.get(rank, "0") == "0"))
-            raise error
+    task = task_of(environment)
+    if task is not None:
+        error = InputError(
+            f"1 rank, but {task.variable}={task.n_tasks}: each task would do the whole run by itself",
+            remedy=f"launch with srun --mpi=..., or with the mpiexec of {library_version()};"
+            f" if that is what is wanted, unset {task.variable}",
+        )
+        share(error, Shared(n_ranks=1, speaks=task.is_first))
+        raise error

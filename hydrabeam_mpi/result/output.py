@@ -22,7 +22,7 @@ from hydrabeam_mpi.io.posterior_file import ChannelRecord, PosteriorFile, least_
 from hydrabeam_mpi.io.staging import StagedDirectory
 from hydrabeam_mpi.io.uvsource import files_among
 from hydrabeam_mpi.mpi import Comm, together
-from hydrabeam_mpi.result.summary import warnings_of
+from hydrabeam_mpi.result.told import warnings_of
 from hydrabeam_mpi.setup.cautions import cautions_of_flags
 from hydrabeam_mpi.setup.job_file import read_files, unread_files
 from hydrabeam_mpi.setup.problem import Problem

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.inference.posterior import Posterior
-from hydrabeam_mpi.inference.predictive_checks import LARGEST_PREDICTIVE
 from hydrabeam_mpi.inference.prior import Prior
 from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.rime import Beam
@@ -153,47 +151,3 @@ def eigenbeams(posterior: Posterior, basis: LinearBasis, n: int = 4) -> tuple[Fl
     for ring, za in enumerate(GRID_ZA):
         beams[:, ring] = vectors.T @ basis.evaluate(np.full(len(GRID_AZ), za), GRID_AZ)
     return variances, beams
-
-
-def warnings_of(channels: list[dict[str, Any]]) -> list[str]:
-    """Say in plain words what a user should not overlook in the channels' summaries."""
-    said = _warnings_of_heldout([channel for channel in channels if "heldout_chi2_predictive" in channel])
-    negative = max(channel.get("negative_fraction", 0.0) for channel in channels)
-    if negative > 0.01:
-        said.append(f"The inferred power beam is negative on up to {negative:.1%} of the sky, which no power beam is.")
-    imaginary = max(channel.get("imag_max", 0.0) for channel in channels)
-    if imaginary > 1e-3:
-        said.append(f"The inferred beam has imaginary parts up to {imaginary:.1e}, which no co-polarised beam has.")
-    return said
-
-
-def _warnings_of_heldout(channels: list[dict[str, Any]]) -> list[str]:
-    """Say what the held-out data say against the inferred beam.
-
-    Whether it predicts them is judged under the posterior predictive: residuals that the posterior itself expects,
-    because the data leave the beam uncertain, say nothing against it however large they are beside the noise.
-    """
-    said = []
-    chi2 = max((channel["heldout_chi2_predictive"] for channel in channels), default=0.0)
-    if chi2 > LARGEST_PREDICTIVE:
-        said.append(
-            f"Held-out reduced chi^2 is up to {chi2:.3g} under the posterior predictive (noise and beam): the beam "
-            "alone does not explain the data. Where sky, gains or another effect are wrong, the inferred beam takes "
-            "up errors that are not its own. Its standard deviations know nothing of that, and are too small by a "
-            f"factor of up to {np.sqrt(chi2):.2g} at least."
-        )
-    lost = [c for c in channels if c["heldout_chi2_noise_only"] > c["heldout_chi2_unperturbed_scaled"]]
-    if lost:
-        freqs = ", ".join(f"{channel['freq_hz'] / 1e6:.6g}" for channel in lost)
-        said.append(
-            f"At {freqs} MHz the model beam with one free amplitude predicts the held-out data better than the "
-            "inferred beam does."
-        )
-    amplitudes = [channel["heldout_amplitude_unperturbed"] for channel in channels]
-    if any(abs(amplitude - 1) > 0.05 for amplitude in amplitudes):
-        span = " to ".join(dict.fromkeys(f"{limit:.3g}" for limit in (min(amplitudes), max(amplitudes))))
-        said.append(
-            f"The model beam fits the held-out data best when it is {span} times as large: "
-            "flux scale and beam amplitude cannot be told apart, so the peak of the inferred beam need not be one."
-        )
-    return said

@@ -10,6 +10,8 @@ from astropy.time import Time
 
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.data.observation import Observation
+from hydrabeam_mpi.model.bases import basis_from_settings
+from hydrabeam_mpi.model.bases.base import LinearBasis, Selection
 from hydrabeam_mpi.model.earth_orientation import beyond_table
 from hydrabeam_mpi.setup.skies import are_apparent
 
@@ -28,6 +30,23 @@ def cautions_of_times(job: Job, observation: Observation) -> tuple[str, ...]:
     """Say how far the sources may be off their places for want of a table of the Earth's orientation."""
     beyond = beyond_table(observation.times) if are_apparent(job) else None
     return (beyond,) if beyond else ()
+
+
+def cautions_of_basis(job: Job, basis: LinearBasis) -> tuple[str, ...]:
+    """Say that the beam has far fewer functions than asked for, as the model beam has no part in the others."""
+    asked = basis_from_settings(job.basis.model_dump())
+    if not isinstance(asked, Selection):
+        return ()
+    n_asked = min(asked.basis.n_modes, asked.n_modes or asked.basis.n_modes)
+    # Where sines and cosines come in pairs one may be left over.
+    if basis.n_modes >= n_asked - 1:
+        return ()
+    return (
+        f"The model beam is made of {basis.n_modes} of the {n_asked} functions asked for, and has no part in the "
+        "others, as a round beam has none in those that vary with azimuth. Prior widths that are a fraction of the "
+        "model's coefficients leave them out: the inferred beam cannot have them. With [prior] floor, such as 1e-3, it "
+        "can.",
+    )
 
 
 def cautions_of_flags(channels: Sequence[dict[str, Any]], holds_out: bool) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ from hydrabeam_mpi.config.sizes import check_sizes
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.kept_rounds import latest_round, origin_of
 from hydrabeam_mpi.io.staging import check_place
+from hydrabeam_mpi.model.engines import check_engine
 from hydrabeam_mpi.mpi import Comm, memory_per_rank, together
 
 
@@ -34,6 +35,7 @@ def load(
             job = load_job(path)
             try:
                 check_sizes(job, memory)
+                check_engine(job.solver.engine)
                 _ = takes_several or job.data.pol
             except InputError as error:
                 error.locate(path)

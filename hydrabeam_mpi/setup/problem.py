@@ -26,7 +26,7 @@ from hydrabeam_mpi.model.rime import ForwardModel
 from hydrabeam_mpi.model.sky import Sky
 from hydrabeam_mpi.mpi import Comm, together
 from hydrabeam_mpi.setup.beams import fit_model_beams, given_priors, load_beams, make_prior
-from hydrabeam_mpi.setup.cautions import cautions_of_data
+from hydrabeam_mpi.setup.cautions import cautions_of_basis, cautions_of_data
 from hydrabeam_mpi.setup.earlier import beam_priors, find_earlier
 from hydrabeam_mpi.setup.findings import Finding
 from hydrabeam_mpi.setup.given import NOTHING, Given
@@ -209,7 +209,7 @@ def prepare(
         time_costs=time_costs,
         channel_numbers=np.arange(observation.Nfreqs),
         truths=truths,
-        cautions=cautions_of_data(job, observation),
+        cautions=(*cautions_of_data(job, observation), *(() if earlier else cautions_of_basis(job, basis))),
         noise_file=given.noise or job.noise.file,
         earlier=earlier,
         **_known_of_beams(job, observation, beams, earlier, given),

@@ -30,12 +30,15 @@ class _Voice:
         Whether it is told more often, with the time since ``began``.
     began, last : float
         Seconds of the clock, ``last`` being when something was last said.
+    warned : set of str, optional
+        Warnings that have been told, where each is told once.
     """
 
     quiet: bool = False
     verbose: bool = False
     began: float = field(default_factory=time.monotonic)
     last: float = field(default_factory=time.monotonic)
+    warned: set[str] | None = None
 
 
 _voice = [_Voice()]
@@ -43,8 +46,8 @@ _voice = [_Voice()]
 
 @contextmanager
 def loudness(*, quiet: bool = False, verbose: bool = False) -> Iterator[None]:
-    """Say less, or more, in a block; errors and warnings are told in any case."""
-    _voice.append(_Voice(quiet, verbose))
+    """Say less, or more, in a block; errors and warnings are told in any case, the latter once."""
+    _voice.append(_Voice(quiet, verbose, warned=set()))
     try:
         yield
     finally:
@@ -112,4 +115,8 @@ def say_meanwhile(line: str, show: bool) -> None:
 def warn(cautions: Iterable[str]) -> None:
     """Say what a user should not overlook, a line each."""
     for caution in cautions:
-        tell(f"warning: {caution}")
+        warned = _voice[-1].warned
+        if warned is None or caution not in warned:
+            tell(f"warning: {caution}")
+        if warned is not None:
+            warned.add(caution)

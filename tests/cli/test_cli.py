@@ -84,8 +84,13 @@ def test_normal_run_says_only_its_own_lines(
     if comm.rank > 0:
         assert not err
         return
-    assert all(re.match("hydrabeam: (?!error|warning)", line) for line in err.splitlines())
-    assert err.splitlines()[-1] == f"hydrabeam: wrote {workspace.folder / 'result'}"
+    said = err.splitlines()
+    assert all(re.match("hydrabeam: (?!error)", line) for line in said)
+    warnings = json.loads((workspace.folder / "result" / "summary.json").read_text())["warnings"]
+    assert [line for line in said if "warning" in line] == [f"hydrabeam: warning: {one}" for one in warnings]
+    *_, told, last = (line for line in said if "warning" not in line)
+    assert last == f"hydrabeam: wrote {workspace.folder / 'result'}"
+    assert re.match(r"hydrabeam: 131 MHz: held-out rms \S+ Jy \(noise \S+, model beam \S+ Jy\), reduced chi\^2", told)
     assert {path.name for path in (workspace.folder / "result").iterdir()} == {
         "beam.beamfits", "data.uvh5", "job.toml", "manifest.json", "posterior.h5", "provenance.json", "summary.json",
         "truth.h5",

@@ -14,10 +14,20 @@ from hydrabeam_mpi.effects.interface.effect import Cause, Effect, ScannedEffect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.registry import EFFECTS, KINDS, REWEIGHTINGS, SEPARATE, make_cause, make_effect
+from hydrabeam_mpi.effects.sky.missing_sources import SPECTRAL_INDEX, MissingSources
+from hydrabeam_mpi.model.sky import Sky
 from hydrabeam_mpi.random import generator
 from tests.effects.cases import CASES, IN_TIME, Case, candidates, draw, experiment_of, places, set_up
 from tests.effects.direct import C, assert_same, row_vectors, seen_by_the_beam, unit_vectors
-from tests.effects.small import check_adjoint, check_derivative, check_recovery, matrix_at, part_of, with_effect
+from tests.effects.small import (
+    check_adjoint,
+    check_derivative,
+    check_recovery,
+    matrix_at,
+    part_of,
+    small_block,
+    with_effect,
+)
 
 
 def test_no_two_have_one_name() -> None:
@@ -144,6 +154,31 @@ def test_it_multiplies_or_adds_or_changes_the_sky(kind: str) -> None:
     # What changes the sky is seen by the beam: its fluxes and further sources give what it adds.
     expected = with_effect(effect, block, x) if effect.changes_sky else block.vis
     assert_same(seen_by_the_beam(effect, block, x), expected, block, rtol=1e-12)
+
+
+# Compression is zero at what the model beam sees of the catalogue in the mean.
+@pytest.mark.parametrize("kind", [kind for kind in (*EFFECTS, *IN_TIME) if kind != "compression"])
+def test_sources_that_are_added_to_the_sky_are_seen_like_those_of_the_catalogue(kind: str) -> None:
+    """A clock, antennas elsewhere or other beams do the same to either."""
+    effect, block, case = set_up(kind)
+    if effect.changes_sky:
+        return
+    setup, freqs = block.setup, block.setup.observation.freqs
+    place = setup.observation.lsts[1] + 0.1, setup.observation.latitude - 0.2
+    source = MissingSources([tuple(np.rad2deg(place))])
+    x = np.eye(1, len(source.parameters(setup)))[0] * 30.0
+    flux = 30.0 * (freqs / setup.reference_freq)[:, np.newaxis] ** SPECTRAL_INDEX
+    sky = Sky(*(np.append(*one) for one in zip((setup.sky.ra, setup.sky.dec), place, strict=True)),
+              np.append(setup.sky.flux, flux, axis=1))  # fmt: skip
+    listed = replace(small_block(setup, block.channel, sky), weights=block.weights, residual=block.residual)
+    found = replace(block, sky_effects=[(source, x)], vis=block.vis + source.added(block, x), integrals={})
+    assert_same(found.vis, listed.vis, block)
+    for strength in (0.0, case.strengths[0]):
+        own = draw(effect, setup, strength)
+        assert_same(effect.added(found, own), effect.added(listed, own), block)
+        assert_same(effect.factor(found, own), effect.factor(listed, own), block)
+        one, two = (matrix_at(effect, rows, own) for rows in (found, listed))
+        np.testing.assert_allclose(one, two, rtol=0, atol=1e-9 * np.abs(two).max())
 
 
 @pytest.mark.parametrize("kind", [*EFFECTS, *IN_TIME])

@@ -101,7 +101,7 @@ def test_stokes_data_are_told_what_is_needed(write):
     """And not to ask for a polarisation that a job cannot name."""
     path = write(make_uvdata(pols=(1, 2), x_orientation=None))
     with pytest.raises(
-        InputError, match=r"only the polarisations pI, pQ, .*; give data of linear feeds, such as"
+        InputError, match=r"only the polarisations pI, pQ, .*; give the data of which these are sums"
     ) as caught:
         read_observation([path], Selection(pols=("ee",)))
     assert "ask for" not in str(caught.value)

@@ -18,9 +18,9 @@ from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Reweighted, Values
 from hydrabeam_mpi.loop.attribution.score_noise import WeightsFound
 from hydrabeam_mpi.loop.selection.acceptance import Candidate
+from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refusal import refusal_of
 from hydrabeam_mpi.loop.selection.rounds import begin, run_rounds
-from hydrabeam_mpi.loop.selection.trials import check
 from tests.loop.mock import context_of, mock_job
 
 GAIN = {"kind": "antenna_gains", "parameters": {"antenna 2 ln amplitude": 0.1, "antenna 2 phase": -0.1}}

@@ -242,6 +242,20 @@ def test_no_round_is_allowed(tmp_path: Path) -> None:
     assert record["last_ranking"][0]["effect"] == "antenna_gains"
 
 
+def test_what_was_found_is_told_on_the_console_at_the_end(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    job = mock_job(GAIN, loop={"effects": ["antenna_gains"], "max_rounds": 1})
+    record = record_of(run_loop(job, tmp_path))
+    said = capfd.readouterr().err.splitlines()
+    told = [f"hydrabeam: {one}" for one in record["said"]]
+    assert len(record["rounds"]) == 1
+    assert told[-1].startswith("hydrabeam: The model lacked antenna gains;")
+    first = said.index(told[0])
+    assert said[first : first + len(told)] == told
+    rest = said[first + len(told) : -1]
+    assert rest == [f"hydrabeam: warning: {one}" for one in record["warnings"] if f"hydrabeam: warning: {one}" in rest]
+    assert said[-1].startswith("hydrabeam: wrote ")
+
+
 def test_what_is_skipped_is_told(tmp_path: Path) -> None:
     job = mock_job(loop={"skip": ["diffuse", "outliers"]})
     record = record_of(run_loop(job, tmp_path))

@@ -12,7 +12,8 @@ import pytest
 from mpi4py import MPI
 
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.mpi.launcher import LAUNCHERS, check_one_world
+from hydrabeam_mpi.launchers import LAUNCHERS
+from hydrabeam_mpi.mpi.launcher import check_one_world
 
 Runner = Callable[..., subprocess.CompletedProcess[str]]
 PROGRAM = (sys.executable, "-m", "hydrabeam_mpi")

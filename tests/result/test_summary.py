@@ -7,7 +7,8 @@ import pytest
 
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
-from hydrabeam_mpi.result.summary import GRID_AZ, GRID_ZA, eigenbeams, full_width, warnings_of
+from hydrabeam_mpi.result.summary import GRID_AZ, GRID_ZA, eigenbeams, full_width
+from hydrabeam_mpi.result.told import warnings_of
 
 ZA = np.arange(91.0)
 

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
+import pytest
+
 from hydrabeam_mpi.setup.cautions import cautions_of_flags
+from tests.loop.mock import context_of, mock_job
 
 GOOD = {"freq_hz": 131e6, "n_data": 42, "heldout_n": 40.0}
 EMPTY = {"freq_hz": 131.1e6, "n_data": 0}
@@ -17,3 +23,27 @@ def test_channels_without_data_are_named() -> None:
 
 def test_where_nothing_was_to_be_held_out_nothing_lacks() -> None:
     assert cautions_of_flags([{"freq_hz": 131e6, "n_data": 42}], holds_out=False) == ()
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({}, True),
+        ({"prior": {"floor": 1e-3}}, False),
+        ({"prior": {"kind": "flat"}}, False),
+        ({"basis": {"n_modes": 24, "k_max": 24, "m_max": 4}}, False),
+        ({"basis": {"kind": "zernike", "max_degree": 6}}, False),
+    ],
+    ids=["a round beam", "with a floor", "without a prior", "no more functions than it has", "no selection"],
+)
+def test_functions_that_the_model_beam_lacks_are_told(changes: dict[str, Any], said: bool, tmp_path: Path) -> None:
+    """An Airy beam has those of m = 0 alone."""
+    job = mock_job(**{"basis": {"n_modes": 60, "k_max": 24, "m_max": 4}, **changes})
+    if "kind" in job["basis"]:
+        job["basis"] = changes["basis"]
+    problem = context_of(job, tmp_path).problem
+    told = [one for one in problem.cautions if one.startswith("The model beam is made of 24 of the 60 functions")]
+    assert len(told) == said
+    if said:
+        assert problem.basis.n_modes == 24
+        assert "[prior] floor" in told[0]

@@ -142,6 +142,22 @@ class RowBlock:
         place.keep(self.channel, self.beam, self.sky_effects, sources)
         return sources
 
+    def further_sources(self, itime: int) -> Sources | None:
+        """Return the point sources that effects add to the sky at a time; None where there are none.
+
+        What stands for diffuse emission is not among them: it is too faint for what effects change of it to matter.
+        """
+        added = [
+            more
+            for effect, x in self.sky_effects
+            if effect.standing_numbers(self, itime, x) is None
+            and (more := effect.extra_sky(self, itime, x)) is not None
+        ]
+        if not added:
+            return None
+        za, az, flux = (np.concatenate(parts) for parts in zip(*added, strict=True))
+        return Sources(np.full(len(za), -1), za, az, flux, self.beam, freq=self.freq, itime=itime)
+
     def _place(self, itime: int) -> Place:
         if self.places is None:
             return Place(*self.positions.above_horizon(itime))
@@ -155,12 +171,12 @@ class RowBlock:
         vectors: FloatArray | None = None,
         flux: Literal["within columns"] | None = None,
     ) -> ComplexArray:
-        """Integrate real columns over the sky at every time of the block.
+        """Integrate real columns over the sky at every time of the block, with the point sources that effects add.
 
         Parameters
         ----------
         columns : callable
-            From `Sources` to an array (K, Nsrc).
+            From `Sources` to an array (K, Nsrc); called once for those of the sky model, and once for those added.
         vectors : ndarray, (N, 3), optional
             Baseline vectors, metres ENU; the groups' own by default.
         flux : "within columns", optional
@@ -175,21 +191,24 @@ class RowBlock:
         freqs = np.array([self.freq])
         out = []
         for itime in self.times.tolist():
-            sources = self.sources(itime)
-            weights = sources.flux_without() if flux is None else np.ones(len(sources.za))
-            values = columns(sources)
-            if vectors is None and self.keeps_waves and itime not in self._sources:
-                waves = self._place(itime).waves(self.channel, engine, self.freq)
-                design = (waves @ (amplitude(weights) * values).T).reshape(2, engine.n_vectors, -1)
-            else:
-                design = engine.design(GivenColumns(values), sources.za, sources.az, weights[np.newaxis], freqs)[0]
-            out.append(design[0] + 1j * design[1])
+            total: Any = 0.0
+            of_model, further = self.sources(itime), self.further_sources(itime)
+            for sources in (of_model, further) if further else (of_model,):
+                weights = sources.flux_without() if flux is None else np.ones(len(sources.za))
+                values, keeps = columns(sources), self.keeps_waves and itime not in self._sources
+                if vectors is None and keeps and sources is of_model:
+                    waves = self._place(itime).waves(self.channel, engine, self.freq)
+                    design = (waves @ (amplitude(weights) * values).T).reshape(2, engine.n_vectors, -1)
+                else:
+                    design = engine.design(GivenColumns(values), sources.za, sources.az, weights[np.newaxis], freqs)[0]
+                total = total + design[0] + 1j * design[1]
+            out.append(total)
         return np.array(out)
 
     def fixed_integral(self, name: str, columns: Callable[[Sources], FloatArray]) -> ComplexArray:
         """Integrate columns that do not depend on the beam: once, where there is room to keep it.
 
-        Where effects change the sky, what they change is integrated besides. The result is (Ntimes, N, K).
+        Where effects change the sky, what they change and add is integrated besides. The result is (Ntimes, N, K).
 
         Parameters
         ----------
@@ -214,7 +233,7 @@ class RowBlock:
         return np.array([changed[time][1] for time in self.times.tolist()])
 
     def _change_of_sky(self, itime: int, columns: Callable[[Sources], FloatArray]) -> ComplexArray:
-        """Integrate what effects change of the fluxes, (N, K), over the sources whose fluxes they change."""
+        """Integrate what effects change of the fluxes, (N, K), over the sources whose fluxes they change or add."""
         sources = self.sources(itime)
         change = sources.flux_without() - sources.flux
         which = np.flatnonzero(change)
@@ -223,17 +242,16 @@ class RowBlock:
         one_time._sources[itime] = some
         return one_time.integrate(columns)[0]
 
-    def further_integral(self, basis: LinearBasis) -> ComplexArray:
-        """Return what the functions of a real basis see of the sources that effects add to the sky.
+    def diffuse_integral(self, basis: LinearBasis) -> ComplexArray:
+        """Return what the functions of a real basis see of the diffuse emission that effects add to the sky.
 
         The result is (Ntimes, Ngroups, n_modes).
         """
         out = np.zeros((len(self.times), len(self.groups), basis.n_modes), dtype=complex)
         for t, itime in enumerate(self.times.tolist()):
             for effect, x in self.sky_effects:
-                more = effect.extra_sky(self, itime, x)
-                if more is not None:
-                    za, az, flux = more
+                if effect.standing_numbers(self, itime, x) is not None:
+                    za, az, flux = effect.extra_sky(self, itime, x)
                     parts = self.engine.design(basis, za, az, flux[np.newaxis], np.array([self.freq]))[0]
                     out[t] += basis.mix(parts[0]) + 1j * basis.mix(parts[1])
         return out

@@ -1,35 +1,23 @@
-"""A few rows far from all others, such as residual radio interference: a heavy tail of |z|^2.
-
-Whitened residuals z of Gaussian noise have u = |z|^2 distributed as exp(-u). The alternative is that a fraction p of
-the rows, at most 5%, have instead
-
-    g(u) = S / (S + u)^2,
-
-bursts of power E_1 S/E_2 with E_1 and E_2 exponential: of the scale S, but over several decades. The likelihood is that
-of a histogram with fine bins.
-"""
+"""A few rows far from all others, such as residual radio interference: a heavy tail of |z|^2."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Annotated, Any, NamedTuple, Self
+from collections.abc import Sequence
+from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import Field
-from scipy.optimize import minimize
 from scipy.stats import binom
 
 from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.reweighting import Reweighting, ReweightingFit, fitted_counts
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.noise.heavy_tail import EDGES, MAX_FRACTION, MIN_GAIN, fit_mixture
 from hydrabeam_mpi.inference.robust import LOG_MEAN
 from hydrabeam_mpi.random import complex_normal
 
 Level = Annotated[float, Field(ge=1)]
-# Bins of |z|^2; the last has no end. Half of the good rows lie above 0.7, and one in 1e10 above 23.
-EDGES: FloatArray = np.concatenate([[0.0], np.geomspace(0.05, 1e12, 241)])
-LOG_EDGES: FloatArray = np.concatenate([[-np.inf], np.log(EDGES[1:])])
 # Rows beyond this stand out; noise has 1.4e-11 of its rows there.
 HIT = 25.0
 # Rows beyond this are counted by baseline; noise has 3e-7 of its rows there.
@@ -37,12 +25,6 @@ LARGE = 15.0
 # Large rows of one baseline, that many at least, gather if they are no likelier than this by chance.
 GATHERED = 3
 GATHERED_P = 1e-6
-MAX_FRACTION = 0.05
-MIN_SCALE, MAX_SCALE = 4.0, 1e9
-# Good rows that masking may cost, of all rows of a channel.
-GOOD_ROWS_LOST = 0.01
-# By how much the log evidence must exceed that of a broader bulk.
-MIN_GAIN = 3.0
 # Hits this many standard deviations above the mean in ln |m|^2 w, or whose size correlates this well with it, are the
 # model's errors, not bursts.
 BRIGHTER = 1.0
@@ -51,16 +33,6 @@ N_MOMENTS = 9
 MIN_HITS = 10
 # Fewer baselines than this at a time have no majority.
 MIN_BASELINES = 4
-
-
-class _Mixture(NamedTuple):
-    """Fit of one channel: parameters with errors, ln Bayes factor, gain in ln L, and why these are not outliers."""
-
-    x: FloatArray
-    std: FloatArray
-    log_bayes_factor: float
-    gain: float
-    reason: str | None
 
 
 class Outliers(Reweighting):
@@ -149,7 +121,7 @@ class Outliers(Reweighting):
         for of_channel, taken in zip(sums, effective_parameters, strict=True):
             rows = of_channel[-N_MOMENTS - 2 * n_bls : -N_MOMENTS - n_bls]
             bulk = 1.0 if self.at_own_level else float(fitted_counts(rows, taken).sum() / max(rows.sum(), 1.0))
-            fitted = _fit_mixture(of_channel[:n_bins], bulk)
+            fitted = fit_mixture(of_channel[:n_bins], bulk)
             fits.append(fitted)
             levels.append(_levels(of_channel[n_bins : n_bins + n_bls], rows))
             if fitted.gain > MIN_GAIN:
@@ -215,89 +187,6 @@ def _levels(logs: FloatArray, rows: FloatArray) -> FloatArray:
 def mostly(hits: FloatArray, rows: FloatArray) -> BoolArray:
     """Tell where hits are the majority of rows, and these are enough to say so; all are of one shape, (N,)."""
     return np.asarray((rows >= MIN_BASELINES) & (2 * hits > rows))
-
-
-def _log_bulk(scale: float) -> FloatArray:
-    """Return ln probability of each bin for u / scale distributed as exp(-u)."""
-    width = np.append(np.diff(EDGES[:-1]), np.inf)
-    return np.asarray(-EDGES[:-1] / scale + np.log(-np.expm1(-width / scale)))
-
-
-def log_broad(log_scale: float) -> FloatArray:
-    """Return ln probability of each bin for the density S / (S + u)^2, which is S (b - a) / (S + a) (S + b), (Nbins,).
-
-    The logarithms are added: a difference of the probabilities beyond either edge is zero where S is large.
-    """
-    beyond = np.logaddexp(log_scale, LOG_EDGES[:-1])
-    inner = log_scale + np.log(np.diff(EDGES[:-1])) - beyond[:-1] - beyond[1:]
-    return np.append(inner, log_scale - beyond[-1])
-
-
-def _log_likelihood(counts: FloatArray, bulk: float, log_p: float, log_scale: float) -> float:
-    """Return ln L of the mixture."""
-    mixed = np.logaddexp(np.log1p(-np.exp(log_p)) + _log_bulk(bulk), log_p + log_broad(log_scale))
-    return float(counts @ mixed)
-
-
-def _fit_mixture(counts: FloatArray, bulk: float) -> _Mixture:
-    """Fit fraction and scale of what is broad in one channel's histogram."""
-    total = max(float(counts.sum()), 1.0)
-    threshold = bulk * np.log(total / GOOD_ROWS_LOST)
-    bounds = [(np.log(0.1 / total), np.log(MAX_FRACTION)), (np.log(MIN_SCALE), np.log(MAX_SCALE))]
-    if bounds[0][0] >= bounds[0][1]:
-        return _Mixture(np.array([threshold, 0.0, MIN_SCALE]), np.zeros(3), 0.0, 0.0, None)
-    starts = [(p, s) for p in np.linspace(*bounds[0], 12) for s in np.linspace(*bounds[1], 15)]
-    start = max(starts, key=lambda at: _log_likelihood(counts, bulk, *at))
-    found = minimize(lambda at: -_log_likelihood(counts, bulk, *at), start, method="Nelder-Mead", bounds=bounds)
-    gain = float(-found.fun - counts @ _log_bulk(bulk))
-    curvature = _hessian(lambda at: -_log_likelihood(counts, bulk, *at), found.x)
-    values, vectors = np.linalg.eigh(curvature)
-    # No error is wider than the prior, flat in the logarithms.
-    values = np.maximum(values, 1 / max(high - low for low, high in bounds) ** 2)
-    covariance = (vectors / values) @ vectors.T
-    volume = float(np.prod([high - low for low, high in bounds]))
-    occam = np.log(min(2 * np.pi * np.sqrt(np.prod(1 / values)) / volume, 1.0))
-    fraction, scale = np.exp(found.x)
-    x = np.array([threshold, fraction, scale])
-    std = np.array([0.0, *np.exp(found.x) * np.sqrt(np.diag(covariance))])
-    reason = None
-    if fraction > 0.9 * MAX_FRACTION:
-        reason = f"more than {fraction:.1%} of the rows stand out, which are not a few"
-    elif _gain_over_broader_bulk(counts, found.x) + occam < MIN_GAIN:
-        reason = "the rows are as a whole more scattered than noise, not a few of them"
-    return _Mixture(x, std, gain + occam, gain, reason)
-
-
-def _gain_over_broader_bulk(counts: FloatArray, at: FloatArray) -> float:
-    """Return how much ln L gains by outliers where the noise of all rows is free in either case."""
-
-    def loss(values: FloatArray) -> float:
-        return -_log_likelihood(counts, float(np.exp(values[0])), min(values[1], np.log(MAX_FRACTION)), values[2])
-
-    def alone(values: FloatArray) -> float:
-        return -float(counts @ _log_bulk(float(np.exp(values[0]))))
-
-    mixed = minimize(loss, [0.0, *at], method="Nelder-Mead", options={"maxiter": 600})
-    # Powers in logarithmic bins: their centres start the search for the scale of all rows near its end.
-    centres = np.sqrt(np.maximum(EDGES[:-1], 0.01) * EDGES[1:])
-    mean = np.log(counts @ centres / max(counts.sum(), 1.0))
-    bulk = min((minimize(alone, [start], method="Nelder-Mead") for start in (0.0, mean)), key=lambda one: one.fun)
-    return float(bulk.fun - mixed.fun)
-
-
-def _hessian(function: Callable[[FloatArray], float], at: FloatArray, step: float = 1e-3) -> FloatArray:
-    """Return second derivatives by central differences, (n, n)."""
-    steps = step * np.eye(len(at))
-    return np.array(
-        [
-            [
-                (function(at + a + b) - function(at + a - b) - function(at - a + b) + function(at - a - b))
-                / (4 * step**2)
-                for b in steps
-            ]
-            for a in steps
-        ]
-    )
 
 
 def _not_bursts(setup: ObservingSetup, counts: FloatArray) -> str | None:

@@ -44,23 +44,21 @@ def added_by_beams(block: RowBlock, antennas: IntArray, beams: Callable[[Sources
     of_row = place[row_antennas(block)]
     both = np.flatnonzero((of_row >= 0).all(axis=1))
     positions = setup.observation.antpos[setup.antennas_in_use[antennas]]
-    for t, time in enumerate(block.times.tolist()):
-        sources = block.sources(time)
-        own = beams(sources)
-        roots = np.sqrt(np.maximum(own, 0.0)) - np.sqrt(np.maximum(sources.beam, 0.0))
-        single = (own - sources.beam) - roots**2
-        one_time = replace(block, times=block.times[t : t + 1])
-        changes = one_time.integrate(_given(single))[0, block.member]
+    for t in range(len(block.times)):
+        seen: list[tuple[Sources, FloatArray]] = []
+
+        def single(sources: Sources, seen: list[tuple[Sources, FloatArray]] = seen) -> FloatArray:
+            own = beams(sources)
+            roots = np.sqrt(np.maximum(own, 0.0)) - np.sqrt(np.maximum(sources.beam, 0.0))
+            seen.append((sources, roots))
+            return np.asarray((own - sources.beam) - roots**2)
+
+        changes = replace(block, times=block.times[t : t + 1]).integrate(single)[0, block.member]
         for side in range(2):
             rows = np.flatnonzero(of_row[:, side] >= 0)
             out[t, rows] += 0.5 * changes[rows, of_row[rows, side]]
-        if len(both):
+        for sources, roots in seen if len(both) else ():
             voltages = roots * plane_waves(positions, sources.enu, block.freq)
             pairs = (voltages.conj() * amplitude(sources.flux_without())) @ voltages.T
             out[t, both] += pairs[of_row[both, 0], of_row[both, 1]]
     return out
-
-
-def _given(columns: FloatArray) -> Callable[[Sources], FloatArray]:
-    """Return columns that are known already as a function of their sources."""
-    return lambda _: columns

@@ -6,7 +6,6 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.model.engines.base import amplitude
 from hydrabeam_mpi.model.rime import Beam
 
@@ -36,13 +35,14 @@ def beam_visibilities(block: RowBlock, vectors: FloatArray) -> ComplexArray:
         integrals = block.integrate(lambda sources: sources.beam[np.newaxis], vectors)
     else:
         # There are no fringes.
-        integrals = np.array([[_total_power(block.sources(time))] * len(vectors) for time in block.times.tolist()])
+        integrals = np.array([[_total_power(block, time)] * len(vectors) for time in block.times.tolist()])
     # Without times `integrals` has lost its axes.
     values = integrals.reshape(len(block.times), len(vectors)).astype(complex)
     kept[key] = block.beam, block.times, values
     return values
 
 
-def _total_power(sources: Sources) -> float:
+def _total_power(block: RowBlock, itime: int) -> float:
     """Return the autocorrelation of the sky, Jy."""
-    return float(amplitude(sources.flux_without()) @ sources.beam)
+    parts = filter(None, (block.sources(itime), block.further_sources(itime)))
+    return float(sum(amplitude(sources.flux_without()) @ sources.beam for sources in parts))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
@@ -14,6 +15,7 @@ from hydrabeam_mpi.effects.interface.limits import sigmas
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
+from hydrabeam_mpi.effects.interface.told import Told
 from hydrabeam_mpi.effects.shared.settings import Azimuth, Count, Elevation
 
 HIGHEST = 10.0  # elevation up to which something may stand, degrees
@@ -79,6 +81,11 @@ class Horizon(ScannedEffect):
         scale = np.repeat([1.0, UNKNOWN], [n, more])
         nonlinear = [False] * n + [True] * more
         return Parameters.of(names, "", scale, element, nonlinear, max(self.trials, n) if n else 0)
+
+    def told(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> Told:
+        """Return what each box changes of the transmission; see `Effect.told`."""
+        told = super().told(setup, x, std)
+        return replace(told, names=tuple(f"change of transmission at {name}" for name in told.names))
 
     def sky_factor(self, setup: ObservingSetup, sources: Sources, x: FloatArray) -> FloatArray:
         """Return each source's transmission, (Nsrc,)."""

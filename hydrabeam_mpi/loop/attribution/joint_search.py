@@ -160,7 +160,7 @@ def search(joint: JointLikelihood, least: float) -> JointSet:
         if any(joint.competitors[i].is_control for i in state):
             return JointSet()
         state = _settled(joint, state)
-        better = _exchanged(joint, state, least)
+        better = _exchanged(joint, state, least) or _shared_out(joint, state, least)
         if better is None:
             break
         state = better
@@ -224,6 +224,27 @@ def _exchanged(joint: JointLikelihood, state: State, least: float) -> State | No
         # Of those that were added, the evidence that each had when it was.
         if sum(one.log_bayes_factor for j, one in instead.items() if j not in rest) > own + LEAST_GAIN:
             return instead
+    return None
+
+
+def _shared_out(joint: JointLikelihood, state: State, least: float) -> State | None:
+    """Let another effect take over a part of what one of a set explains; return the set if that is better.
+
+    Positions of all antennas stand for a wrong clock as well: beside a clock those of one antenna are left.
+    """
+    for i in state:
+        rest = _without(state, i)
+        own = joint.worth(state, i)
+        best, most = None, own + LEAST_GAIN
+        for j, other in joint.weigh(rest, _free(joint, state)).items():
+            if other.log_bayes_factor < least or joint.competitors[j].is_control:
+                continue
+            beside = {**rest, j: other}
+            left = joint.weigh(beside, [i])[i]
+            if left.log_bayes_factor >= least and left.log_bayes_factor + other.log_bayes_factor > most:
+                best, most = {**beside, i: left}, left.log_bayes_factor + other.log_bayes_factor
+        if best is not None:
+            return _added(joint, best, (), least)
     return None
 
 

@@ -16,7 +16,7 @@ from hydrabeam_mpi.loop.attribution.score_noise import WeightsFound
 from hydrabeam_mpi.loop.residuals.remains import Remains
 from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.heldout_numbers import HeldoutNumbers
-from hydrabeam_mpi.loop.selection.heldout_score import HeldoutScore, gain_significance
+from hydrabeam_mpi.loop.selection.heldout_score import HeldoutScore, gain_of, gain_significance
 
 
 @dataclass(frozen=True)
@@ -188,7 +188,7 @@ def improvement(before: Checked, after: Checked, candidate: Candidate) -> float:
     if candidate.finding is None:
         return float(abs(before.score.chi2 - after.score.chi2) * np.sqrt(before.score.n_data))
     one, two = before.score, after.score
-    return gain_significance(one, two, two.log_density_at_own_level - one.log_density_at_own_level)
+    return gain_significance(one, two, gain_of(one, two))
 
 
 def why_unexplained(last: Checked, control: Round | None) -> str | None:

@@ -11,9 +11,9 @@ from hydrabeam_mpi.loop.attribution.parts import ask_constancy
 from hydrabeam_mpi.loop.attribution.score_noise import WeightsFound, refit_reweighting
 from hydrabeam_mpi.loop.selection.acceptance import Round
 from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical
+from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refits import fit_patiently
 from hydrabeam_mpi.loop.selection.refusal import refusal_by_parts
-from hydrabeam_mpi.loop.selection.trials import check
 from hydrabeam_mpi.terminal.progress import say
 
 Taken = tuple[Round, dict[int, int | None], dict[int, tuple[Constancy, ...]]]

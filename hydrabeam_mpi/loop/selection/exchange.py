@@ -12,8 +12,9 @@ from hydrabeam_mpi.loop.attribution.reconsider import reconsider
 from hydrabeam_mpi.loop.attribution.score_effects import attribute
 from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
+from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refits import rise
-from hydrabeam_mpi.loop.selection.trials import check, round_of, try_effects
+from hydrabeam_mpi.loop.selection.trials import round_of, try_effects
 from hydrabeam_mpi.terminal.progress import say
 
 
@@ -60,10 +61,17 @@ def exchange(
 
 
 def _near(found: Round, effects: Sequence[Effect]) -> list[Effect]:
-    """Return the effects that came near one when it was chosen."""
-    least = RULES.near_if_linear * found.candidate.log_bayes_factor
+    """Return the effects that came near one when it was chosen.
+
+    Laws in time of a constant effect are no rivals of it: they are looked for beside it, in every round.
+    """
+    own = found.candidate
+    # All by the linear model: a fit may raise the evidence of what was chosen several times.
+    chosen = next((one for one in found.ranking if one.name == own.name), own)
+    least = RULES.near_if_linear * chosen.log_bayes_factor
     names = {one.name for one in found.ranking if one.finding is not None and one.log_bayes_factor > least}
-    return [one for one in effects if (one.kind, one.law) in names - {found.candidate.name}]
+    names -= {one for one in names if one == own.name or (one[0] == own.kind and own.law == Effect.law)}
+    return [one for one in effects if (one.kind, one.law) in names]
 
 
 def _better_than(

@@ -12,10 +12,11 @@ from dataclasses import replace
 
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.loop.selection.acceptance import verdict_of
+from hydrabeam_mpi.loop.selection.folds import compared
+from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refits import fit_patiently
 from hydrabeam_mpi.loop.selection.refusal import refusal_by_heldout, refusal_by_parts
 from hydrabeam_mpi.loop.selection.rounds import History
-from hydrabeam_mpi.loop.selection.trials import check
 from hydrabeam_mpi.terminal.progress import say
 
 
@@ -35,7 +36,7 @@ def keep_for_prediction(context: FitContext, history: History) -> None:
         before, (active, _) = history.last, one.taken_back
         values = before.fitted.values.extended(active)
         after = check(context, fit_patiently(context, values, before.fitted))
-        if refusal_by_heldout(before, after, settings) is not None:
+        if refusal_by_heldout(*compared(context, before, after), settings) is not None:
             continue
         told = f"{one.candidate.title}: not claimed, but in the model again, which predicts held-out data better so"
         change = f"chi^2 {before.score.chi2:.4g} -> {after.score.chi2:.4g}"

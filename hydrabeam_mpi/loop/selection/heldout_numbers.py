@@ -59,6 +59,10 @@ class HeldoutNumbers:
     times: FloatArray
     groups: FloatArray
 
+    def __add__(self, other: HeldoutNumbers) -> HeldoutNumbers:
+        """Return the sums over these data and others."""
+        return HeldoutNumbers(self.channels + other.channels, self.times + other.times, self.groups + other.groups)
+
     def of_channel(self, number: int) -> dict[str, float]:
         """Return the numbers of one of the job's channels."""
         return _numbers(self.channels[:, [number]])

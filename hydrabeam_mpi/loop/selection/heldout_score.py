@@ -35,6 +35,15 @@ class HeldoutScore:
     log_spread: float = 0.0
     left_out: float = 0.0
 
+    def __add__(self, other: HeldoutScore) -> HeldoutScore:
+        """Return the score of these rows and of others."""
+        return HeldoutScore(
+            self.times + other.times,
+            self.groups + other.groups,
+            self.log_spread + other.log_spread,
+            self.left_out + other.left_out,
+        )
+
     @property
     def log_density(self) -> float:
         """Logarithm of the predictive density of all, up to a constant of the noise."""
@@ -80,6 +89,32 @@ def heldout_score(context: FitContext, whitened: Whitened, values: Values) -> He
     allreduce_sum(context.grid.world, groups)
     left_out = context.over_channels(price_of_left_out(context, context.test, values, whitened.used))
     return HeldoutScore(times, groups, float(whitened.log_spread.sum()), left_out)
+
+
+def gain_of(before: HeldoutScore, after: HeldoutScore) -> float:
+    """Return by how much the ln density of the held-out rows rises; see `HeldoutScore.log_density_at_own_level`."""
+    return after.log_density_at_own_level - before.log_density_at_own_level
+
+
+def gain_error(before: HeldoutScore, after: HeldoutScore) -> float:
+    """Return the standard error of `gain_of`, over blocks of times or of groups.
+
+    The greater of the two; infinite where there is but one block of either kind.
+    """
+    errors = []
+    for one, two in ((before.times, after.times), (before.groups, after.groups)):
+        has = (one[1] > 0) & (two[1] > 0)
+        if has.sum() > 1:
+            gain = _cost(one[:, has], before.chi2) - _cost(two[:, has], after.chi2)
+            errors.append(float(np.std(gain, ddof=1)) * np.sqrt(has.sum()))
+    return max(errors, default=np.inf)
+
+
+def _cost(blocks: FloatArray, chi2: float) -> FloatArray:
+    """Return minus the ln density of blocks with all variances scaled by ``chi2`` where that is above one."""
+    level = max(chi2, 1.0)
+    cost: FloatArray = blocks[1] * np.log(level) + blocks[0] / level
+    return cost
 
 
 def fall_significance(before: HeldoutScore, after: HeldoutScore) -> float:

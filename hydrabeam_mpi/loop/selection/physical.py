@@ -74,6 +74,18 @@ def leave_out_unphysical(context: FitContext, fitted: Fitted, n_before: int) -> 
     return LeftOut(replace(fitted.values, active=tuple(kept)), places, tuple(told)) if told else None
 
 
+def price_of_limits(context: FitContext, fitted: Fitted) -> float:
+    """Return the nats that it costs the last effect that parts of it are beyond their limits, if by little.
+
+    A Gaussian prior knows no limits. The most probable values within them are at the limit, where ln likelihood is
+    less by beyond^2 / 2 for each part. Collective: all ranks of the grid.
+    """
+    one, by_noise = fitted.values.active[-1], fitted.fit.std[-1]
+    std = error_scale(context, fitted).of(one, by_noise)
+    beyond = one.effect.beyond(context.setup, one.x, std)
+    return float(0.5 * np.sum(beyond[np.isfinite(beyond)] ** 2))
+
+
 def _rest(context: FitContext, one: Active, gone: BoolArray) -> Active | None:
     """Return an effect without some of its parameters; None where none of those left is in use."""
     effect, left = one.effect.without(gone)

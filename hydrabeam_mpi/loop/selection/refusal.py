@@ -8,6 +8,7 @@ from hydrabeam_mpi.config.effects import Loop as LoopSettings
 from hydrabeam_mpi.loop.attribution.constancy import Constancy
 from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked
+from hydrabeam_mpi.loop.selection.heldout_score import gain_of
 
 
 def refusal_of(before: Checked, after: Checked, candidate: Candidate, settings: LoopSettings) -> str | None:
@@ -46,7 +47,7 @@ def refusal_by_heldout(before: Checked, after: Checked, settings: LoopSettings) 
     """Say why held-out data do not want an effect in the model; None where they do."""
     if (rises := rise_of_rms(before, after)) is not None:
         return rises
-    gain = after.score.log_density_at_own_level - before.score.log_density_at_own_level
+    gain = gain_of(before.score, after.score)
     if not gain >= settings.min_log_bayes_factor:
         change = f"{before.score.chi2:.4g} to {after.score.chi2:.4g}"
         return f"held-out data are predicted no better: ln of their density changes by {gain:.4g}, chi^2 from {change}"

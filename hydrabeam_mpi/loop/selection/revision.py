@@ -13,8 +13,8 @@ from hydrabeam_mpi.fit.state import Active, Fitted
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.attribution.reconsider import Known, compare_priors
 from hydrabeam_mpi.loop.selection.acceptance import Checked, Round
+from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refits import fit_anew, is_same_prior, restarted, rise
-from hydrabeam_mpi.loop.selection.trials import check
 from hydrabeam_mpi.terminal.progress import say
 
 

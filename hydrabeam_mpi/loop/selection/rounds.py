@@ -17,8 +17,9 @@ from hydrabeam_mpi.loop.attribution.score_noise import WeightsFound
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
 from hydrabeam_mpi.loop.selection.constant import beside_noise, take_back, take_back_unphysical, take_back_weights
 from hydrabeam_mpi.loop.selection.exchange import exchange
+from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.revision import revise
-from hydrabeam_mpi.loop.selection.trials import check, try_control, try_effects
+from hydrabeam_mpi.loop.selection.trials import try_control, try_effects
 from hydrabeam_mpi.loop.selection.weighing import Outlook, Together, Weighed, next_of, weigh
 from hydrabeam_mpi.terminal.progress import say
 

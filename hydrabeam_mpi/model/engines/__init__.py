@@ -30,12 +30,23 @@ def make_engine(kind: str, vectors: FloatArray, points: FloatArray | None = None
     Raises
     ------
     InputError
-        If there is none of that name.
+        If `check_engine` does.
+    """
+    check_engine(kind)
+    engine = ENGINES[kind](vectors)
+    engine.points = points
+    return engine
+
+
+def check_engine(kind: str) -> None:
+    """Make sure that there is an engine of that name, and what it needs.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name, or a package that it needs is not installed.
     """
     if kind not in ENGINES:
         raise InputError(f"unknown engine {kind!r}", field="[solver] engine", remedy=f"known: {', '.join(ENGINES)}")
     if kind != "gemm":
         check_extra("nufft", "[solver] engine")
-    engine = ENGINES[kind](vectors)
-    engine.points = points
-    return engine

@@ -10,7 +10,8 @@ import pytest
 
 from hydrabeam_mpi.effects.interface.reweighting import ReweightingFit
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.effects.noise.outliers import Outliers, log_broad
+from hydrabeam_mpi.effects.noise.heavy_tail import log_broad
+from hydrabeam_mpi.effects.noise.outliers import Outliers
 from hydrabeam_mpi.effects.registry import make_reweighting
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.random import complex_normal, generator

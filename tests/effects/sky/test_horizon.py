@@ -159,6 +159,14 @@ def test_a_transmission_is_between_zero_and_one(x: list[float], expected: list[f
     np.testing.assert_allclose(found * two, expected, atol=1e-9)
 
 
+def test_people_are_told_by_how_much_the_transmission_changes() -> None:
+    """A wall that hides everything has -1; it is not a transmission of -1."""
+    setup = wide_scene()[0]
+    told = BOXES.told(setup, np.array([[-1.0, 0, 0, 0, 0]]), np.full((1, 5), 0.1))
+    assert told.names[0].startswith("change of transmission at elevation 0-")
+    assert told.values[0, 0] == -1.0
+
+
 def test_what_is_left_out_takes_its_strips_with_it() -> None:
     effect, left = BOXES.without(np.array([True, False, False, False, False]))
     assert effect.describe() == {"walls": [[30, 60, 0, 8]], "strips": [[0, [55, 65, 0, 8]]], "trials": 1}

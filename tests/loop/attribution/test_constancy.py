@@ -20,8 +20,8 @@ from hydrabeam_mpi.loop.attribution import parts
 from hydrabeam_mpi.loop.attribution.constancy import Constancy, Spectrum, compare
 from hydrabeam_mpi.loop.attribution.parts import ask_constancy, likelihoods_of, parted_block
 from hydrabeam_mpi.loop.selection.constant import take_back
+from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refusal import refusal_by_parts
-from hydrabeam_mpi.loop.selection.trials import check
 from hydrabeam_mpi.random import generator
 from tests.loop.made import effect_candidate, round_of
 from tests.loop.mock import context_of, mock_job

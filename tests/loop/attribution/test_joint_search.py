@@ -92,6 +92,26 @@ def test_what_is_right_together_takes_the_place_of_what_explains_most_alone(stan
         assert max(beside, key=lambda j: beside[j]) == i
 
 
+def test_what_one_effect_explains_is_shared_out() -> None:
+    """All elements of one stand for another and for one element, as positions of all antennas do for a wrong clock.
+
+    Neither can be added beside all elements, and what has the most evidence in their place is not what is right.
+    """
+    each = draw(N_DATA, 12, seed=8)
+    clock = each @ draw(12, 1, seed=9)
+    part = 0.7 * clock + each[:, [4]] + 0.3 * np.std(clock) * draw(N_DATA, 1, seed=10)
+    truth = 2 * clock[:, 0] + 6 * each[:, 4]
+    competitors = [competitor(12, elements=True), competitor(1), competitor(1)]
+    data = Data([each, clock + 0.01 * draw(N_DATA, 1, seed=11), part], competitors, [truth])
+    alone = data.joint.weigh({}, range(3))
+    assert sorted(alone, key=lambda i: -alone[i].log_bayes_factor) == [0, 2, 1]
+    assert data.joint.weigh({0: alone[0]}, [1])[1].log_bayes_factor < LEAST
+    found = data.found()
+    assert set(found.order) == {0, 1}
+    assert np.flatnonzero(found.beside[0][0].prior_var).tolist() == [4]
+    assert found.log_bayes_factor > alone[0].log_bayes_factor + LEAST
+
+
 def test_chi2_of_what_a_set_leaves(stand_in: Data) -> None:
     found = stand_in.found()
     state = {i: found.beside[i][i] for i in found.order}

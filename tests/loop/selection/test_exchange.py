@@ -15,7 +15,7 @@ from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Active, Values
 from hydrabeam_mpi.loop.selection.acceptance import Round
 from hydrabeam_mpi.loop.selection.exchange import exchange
-from hydrabeam_mpi.loop.selection.trials import check
+from hydrabeam_mpi.loop.selection.predictions import check
 from tests.loop.made import effect_candidate, round_of
 from tests.loop.mock import context_of, mock_job
 
@@ -75,6 +75,13 @@ def test_a_law_in_the_place_of_another_of_the_same_effect(context: FitContext) -
         ("cross_coupling", "constant"),
         ("antenna_gains", "constant"),
     ]
+
+
+def test_a_law_of_a_constant_effect_is_looked_for_beside_it_not_in_its_place(context: FitContext) -> None:
+    drifting = make_effect("antenna_gains", {"law": "smooth", "orders": (1,)})
+    so_far, tried = rounds(context, GAINS, drifting, COUPLING), []  # type: tuple[list[Round], list[Any]]
+    assert exchange(context, so_far[-1].after, so_far, [drifting, COUPLING], tried) is None
+    assert not tried
 
 
 def test_what_is_right_keeps_its_place(context: FitContext) -> None:

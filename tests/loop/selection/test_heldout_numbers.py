@@ -14,8 +14,8 @@ from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Active, Fit, Values, independent_prior
 from hydrabeam_mpi.loop.selection.heldout_numbers import HeldoutNumbers
+from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.rounds import begin
-from hydrabeam_mpi.loop.selection.trials import check
 from tests.loop.made import numbers
 from tests.loop.mock import FREQ, context_of, mock_job
 

@@ -12,16 +12,18 @@ import pytest
 from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
 from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.error_scale import error_scale
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Active, Fitted, Values
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.attribution.score_effects import Finding
-from hydrabeam_mpi.loop.selection import trials
+from hydrabeam_mpi.loop.selection import candidate_fits
 from hydrabeam_mpi.loop.selection.acceptance import Candidate
 from hydrabeam_mpi.loop.selection.constant import take_back_unphysical
-from hydrabeam_mpi.loop.selection.physical import is_unphysical, leave_out_unphysical
+from hydrabeam_mpi.loop.selection.physical import is_unphysical, leave_out_unphysical, price_of_limits
+from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refits import fit_patiently
-from hydrabeam_mpi.loop.selection.trials import check, try_effects
+from hydrabeam_mpi.loop.selection.trials import try_effects
 from tests.loop.made import effect_candidate, round_of
 from tests.loop.mock import context_of, mock_job
 
@@ -78,6 +80,17 @@ def test_errors_are_larger_where_something_is_left(context: FitContext) -> None:
         assert (leave_out_unphysical(context, wrong, 0) is not None) == gone
 
 
+def test_what_is_beyond_its_limits_by_little_costs_evidence(context: FitContext) -> None:
+    """As much as the likelihood of the limit itself is less."""
+    for places in ((FALSE,), (TRUE,)):
+        fitted = fit_of(context, *places)
+        (active,), (std,) = fitted.values.active, fitted.fit.std
+        flux, error = active.x[0, 0], std[0, 0] * error_scale(context, fitted).channels[0]
+        expected = 0.5 * (min(flux, 0.0) / error) ** 2
+        assert price_of_limits(context, fitted) == pytest.approx(expected)
+        assert (expected > 0) == (places == (FALSE,))
+
+
 def test_what_is_unphysical_at_the_end_is_taken_back(context: FitContext) -> None:
     before = check(context, refit(context, Values()))
     for places, kept, n_left in (((FALSE, TRUE), 0, 1), ((FALSE,), None, 0)):
@@ -125,7 +138,7 @@ def test_what_cannot_be_at_the_linear_optimum_is_left_out_before_the_first_fit(
         fits.append(values.active[-1].effect.parameters(context.setup).names)
         return fit_patiently(context, values, *args)
 
-    monkeypatch.setattr(trials, "fit_patiently", noted)
+    monkeypatch.setattr(candidate_fits, "fit_patiently", noted)
     evidence = Evidence(1e4, np.full(2, 10.0), np.array([[0.5, -1.2]]), 0.0, 2.0, 0.0, 2, 0.0)
     try_effects(context, check(context, refit(context, Values())), [Candidate.of(Finding(effect, evidence))], [])
     assert fits[0] == names[:1]

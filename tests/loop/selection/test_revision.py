@@ -16,8 +16,8 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Active, Values
 from hydrabeam_mpi.loop.selection.acceptance import Round
+from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.revision import revise
-from hydrabeam_mpi.loop.selection.trials import check
 from tests.loop.made import effect_candidate, round_of
 from tests.loop.mock import context_of, mock_job
 

@@ -13,7 +13,9 @@ from hydrabeam_mpi.effects.instrument.basis_truncation import BasisTruncation
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Values
 from hydrabeam_mpi.loop.attribution.score_effects import attribute
-from hydrabeam_mpi.loop.selection.trials import as_large_as_wanted, check, try_effects
+from hydrabeam_mpi.loop.selection.candidate_fits import as_large_as_wanted
+from hydrabeam_mpi.loop.selection.predictions import check
+from hydrabeam_mpi.loop.selection.trials import try_effects
 from hydrabeam_mpi.loop.selection.weighing import rank
 from tests.loop.mock import context_of, mock_job
 

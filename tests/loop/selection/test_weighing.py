@@ -17,7 +17,8 @@ from hydrabeam_mpi.fit.state import Active, Fitted, Values
 from hydrabeam_mpi.loop.attribution import weigh_together
 from hydrabeam_mpi.loop.rules import RULES, Rules
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, is_better
-from hydrabeam_mpi.loop.selection.trials import check, try_effects
+from hydrabeam_mpi.loop.selection.predictions import check
+from hydrabeam_mpi.loop.selection.trials import try_effects
 from hydrabeam_mpi.loop.selection.weighing import Outlook, Weighed, weigh
 from tests.loop.mock import context_of, mock_job
 

@@ -9,7 +9,7 @@ import pytest
 from hydrabeam_mpi.report.page.key_numbers import Kind, format_value, table, text_table
 from hydrabeam_mpi.report.page.parts import as_html
 from hydrabeam_mpi.report.page.words import heldout_words, megahertz
-from hydrabeam_mpi.result.summary import warnings_of
+from hydrabeam_mpi.result.told import warnings_of
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,51 @@
+"""Cross-validation: where one split of the data has not decided, the held-out rows predict the fitted ones as well."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from hydrabeam_mpi.config.effects import Loop as LoopSettings
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff
+from hydrabeam_mpi.loop.rules import RULES
+from hydrabeam_mpi.loop.selection.acceptance import Checked
+from hydrabeam_mpi.loop.selection.heldout_score import gain_error, gain_of
+from hydrabeam_mpi.loop.selection.predictions import check
+from hydrabeam_mpi.loop.selection.refits import fit_patiently
+from hydrabeam_mpi.terminal.progress import say
+
+
+def compared(context: FitContext, before: Checked, after: Checked) -> tuple[Checked, Checked]:
+    """Return two fits to compare, with the scores of both folds of the data where one has not decided between them.
+
+    Few data say little: an effect that is there may make the prediction of one half worse by chance, and one that is
+    not make it better. Each of the two models is then fitted to the rows that were held out, from where it is and with
+    the priors that it has, and predicts those that were fitted. The sum over both folds is the score of all data, each
+    predicted from others.
+
+    Collective: all ranks of the grid.
+    """
+    settings, speaks = context.problem.job.loop, context.grid.is_world_root
+    gain, error = gain_of(before.score, after.score), gain_error(before.score, after.score)
+    if is_decided(gain, error, settings):
+        return before, after
+    try:
+        one, two = _with_other_fold(context, before), _with_other_fold(context, after)
+    except BrokenOff:
+        return before, after
+    of_both = f"with the fitted rows predicted from the held-out ones as well: by {gain_of(one.score, two.score):.4g}"
+    say(f"    held-out ln density changes by {gain:.4g} +- {error:.2g}; {of_both}", speaks)
+    return one, two
+
+
+def is_decided(gain: float, error: float, settings: LoopSettings) -> bool:
+    """Whether a gain, or a loss, is more than a job asks for, and by more than it may be off by chance."""
+    return not abs(gain) <= settings.min_log_bayes_factor + RULES.decided_sigmas * error
+
+
+def _with_other_fold(context: FitContext, checked: Checked) -> Checked:
+    """Add the score of the fitted rows, predicted from the held-out ones. Collective: all ranks of the grid."""
+    other = context.exchanged
+    fitted = fit_patiently(other, checked.fitted.values, checked.fitted)
+    again = check(other, fitted)
+    return replace(checked, score=checked.score + again.score, numbers=checked.numbers + again.numbers)

@@ -1,0 +1,19 @@
+"""What a fit predicts of the held-out rows."""
+
+from __future__ import annotations
+
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.heldout import whiten
+from hydrabeam_mpi.fit.state import Fitted
+from hydrabeam_mpi.loop.residuals.remains import remains_of
+from hydrabeam_mpi.loop.selection.acceptance import Checked
+from hydrabeam_mpi.loop.selection.heldout_numbers import heldout_numbers
+from hydrabeam_mpi.loop.selection.heldout_score import heldout_score
+
+
+def check(context: FitContext, fitted: Fitted) -> Checked:
+    """Predict the held-out rows. Collective: all ranks of the grid."""
+    whitened = whiten(context, fitted)
+    remains = remains_of(context, fitted, whitened)
+    score = heldout_score(context, whitened, fitted.values)
+    return Checked(fitted, score, remains, heldout_numbers(context, whitened))

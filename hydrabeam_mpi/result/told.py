@@ -1,0 +1,75 @@
+"""What the numbers of a result say, in plain words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from hydrabeam_mpi.inference.predictive_checks import LARGEST_PREDICTIVE
+
+MOST_CHANNELS = 4
+"""More channels than these are not told one by one, but the one that is predicted worst."""
+
+
+def say_result(summary: Mapping[str, Any]) -> list[str]:
+    """Say of each channel in a line how near the data are predicted, as ``summary.json`` has it."""
+    channels = summary["channels"]
+    if len(channels) <= MOST_CHANNELS:
+        return list(map(_say_channel, channels))
+    worst = max(channels, key=lambda one: one.get("heldout_chi2_predictive", 0.0))
+    return [f"of {len(channels)} channels the one that is predicted worst, {_say_channel(worst)}"]
+
+
+def _say_channel(channel: Mapping[str, Any]) -> str:
+    at = f"{channel['freq_hz'] / 1e6:.6g} MHz"
+    if "heldout_chi2_predictive" not in channel:
+        return f"{at}: nothing is held out; reduced chi^2 of the fitted data {channel['train_chi2']:.3g}"
+    beside = f"noise {channel['heldout_rms_jy_noise']:.3g}, model beam {channel['heldout_rms_jy_unperturbed']:.3g} Jy"
+    chi2 = f"{channel['heldout_chi2_predictive']:.3g} under the posterior predictive (1 where it is calibrated)"
+    return f"{at}: held-out rms {channel['heldout_rms_jy']:.3g} Jy ({beside}), reduced chi^2 {chi2}"
+
+
+def warnings_of(channels: list[dict[str, Any]]) -> list[str]:
+    """Say in plain words what a user should not overlook in the channels' summaries."""
+    said = _warnings_of_heldout([channel for channel in channels if "heldout_chi2_predictive" in channel])
+    negative = max(channel.get("negative_fraction", 0.0) for channel in channels)
+    if negative > 0.01:
+        said.append(f"The inferred power beam is negative on up to {negative:.1%} of the sky, which no power beam is.")
+    imaginary = max(channel.get("imag_max", 0.0) for channel in channels)
+    if imaginary > 1e-3:
+        said.append(f"The inferred beam has imaginary parts up to {imaginary:.1e}, which no co-polarised beam has.")
+    return said
+
+
+def _warnings_of_heldout(channels: list[dict[str, Any]]) -> list[str]:
+    """Say what the held-out data say against the inferred beam.
+
+    Whether it predicts them is judged under the posterior predictive: residuals that the posterior itself expects,
+    because the data leave the beam uncertain, say nothing against it however large they are beside the noise.
+    """
+    said = []
+    chi2 = max((channel["heldout_chi2_predictive"] for channel in channels), default=0.0)
+    if chi2 > LARGEST_PREDICTIVE:
+        said.append(
+            f"Held-out reduced chi^2 is up to {chi2:.3g} under the posterior predictive (noise and beam): the beam "
+            "alone does not explain the data. Where sky, gains or another effect are wrong, the inferred beam takes "
+            "up errors that are not its own. Its standard deviations know nothing of that, and are too small by a "
+            f"factor of up to {np.sqrt(chi2):.2g} at least."
+        )
+    lost = [c for c in channels if c["heldout_chi2_noise_only"] > c["heldout_chi2_unperturbed_scaled"]]
+    if lost:
+        freqs = ", ".join(f"{channel['freq_hz'] / 1e6:.6g}" for channel in lost)
+        said.append(
+            f"At {freqs} MHz the model beam with one free amplitude predicts the held-out data better than the "
+            "inferred beam does."
+        )
+    amplitudes = [channel["heldout_amplitude_unperturbed"] for channel in channels]
+    if any(abs(amplitude - 1) > 0.05 for amplitude in amplitudes):
+        span = " to ".join(dict.fromkeys(f"{limit:.3g}" for limit in (min(amplitudes), max(amplitudes))))
+        said.append(
+            f"The model beam fits the held-out data best when it is {span} times as large: "
+            "flux scale and beam amplitude cannot be told apart, so the peak of the inferred beam need not be one."
+        )
+    return said
