@@ -135,7 +135,7 @@ def prepare_shared_each(world: Comm, job: Job, folder: Path | None, given: Given
             if folder:
                 check_space(folder, least_result_bytes(job, observation.Nfreqs))
             say(_one_line(problems))
-            warn(problems[0].cautions)
+            warn(list(dict.fromkeys(line for problem in problems for line in problem.cautions)))
             problems = [replace(problem, files=()) for problem in problems]
     problems = [replace(problem, files=files) for problem in bcast_object(world, problems)]
     if earlier := problems[0].earlier:

@@ -209,7 +209,6 @@ def prepare(
         time_costs=time_costs,
         channel_numbers=np.arange(observation.Nfreqs),
         truths=truths,
-        cautions=(*cautions_of_data(job, observation), *(() if earlier else cautions_of_basis(job, basis))),
         noise_file=given.noise or job.noise.file,
         earlier=earlier,
         **_known_of_beams(job, observation, beams, earlier, given),
@@ -219,7 +218,7 @@ def prepare(
 def _known_of_beams(
     job: Job, observation: Observation, beams: tuple[Beam, ...], earlier: Inferred | None, given: Given
 ) -> dict[str, Any]:
-    """Return the fields of a `Problem` that tell of the model beams, (Nfreqs,), and of what is known of them before."""
+    """Return the fields of a `Problem` that follow from the model beams, (Nfreqs,), and what is known of them before."""
     basis, fits = fit_model_beams(job, beams, earlier.basis if earlier else None)
     if earlier is not None:
         priors: tuple[Prior, ...] = beam_priors(earlier)
@@ -230,6 +229,7 @@ def _known_of_beams(
         "beams": beams,
         "priors": priors,
         "fit_rms": tuple(fit.rms_residual for fit in fits),
+        "cautions": (*cautions_of_data(job, observation), *(() if earlier else cautions_of_basis(job, basis))),
         "coupling": couple(job.prior.frequency, observation.freqs, priors),
     }
 
