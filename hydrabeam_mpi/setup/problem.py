@@ -218,7 +218,7 @@ def prepare(
 def _known_of_beams(
     job: Job, observation: Observation, beams: tuple[Beam, ...], earlier: Inferred | None, given: Given
 ) -> dict[str, Any]:
-    """Return the fields of a `Problem` that follow from the model beams, (Nfreqs,), and what is known of them before."""
+    """Return the fields of a `Problem` that follow from the model beams, (Nfreqs,), and what is known of them."""
     basis, fits = fit_model_beams(job, beams, earlier.basis if earlier else None)
     if earlier is not None:
         priors: tuple[Prior, ...] = beam_priors(earlier)
