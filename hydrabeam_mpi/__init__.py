@@ -20,10 +20,12 @@ if TYPE_CHECKING:
     from hydrabeam_mpi.api.chains import Chains, load_chains
     from hydrabeam_mpi.api.correction import Correction, correct
     from hydrabeam_mpi.api.inference import infer
+    from hydrabeam_mpi.api.loading import load, load_loop, load_posterior
     from hydrabeam_mpi.api.loop import close_loop
     from hydrabeam_mpi.api.plan import Plan, plan
     from hydrabeam_mpi.api.prediction import Prediction, predict
-    from hydrabeam_mpi.api.result import Found, Result, load, load_loop, load_posterior
+    from hydrabeam_mpi.api.result import Found, Result
+    from hydrabeam_mpi.api.results import Results
     from hydrabeam_mpi.api.sampling import sample
     from hydrabeam_mpi.api.setup import Setup
     from hydrabeam_mpi.api.simulation import Mock, simulate
@@ -41,16 +43,17 @@ _HOMES = {
     "Plan": "api.plan",
     "Prediction": "api.prediction",
     "Result": "api.result",
+    "Results": "api.results",
     "Setup": "api.setup",
     "Truth": "io.truth_file",
     "Zernike": "api.arguments",
     "close_loop": "api.loop",
     "correct": "api.correction",
     "infer": "api.inference",
-    "load": "api.result",
+    "load": "api.loading",
     "load_chains": "api.chains",
-    "load_loop": "api.result",
-    "load_posterior": "api.result",
+    "load_loop": "api.loading",
+    "load_posterior": "api.loading",
     "load_truth": "io.truth_file",
     "plan": "api.plan",
     "predict": "api.prediction",
@@ -71,6 +74,7 @@ __all__ = [
     "Plan",
     "Prediction",
     "Result",
+    "Results",
     "Setup",
     "Truth",
     "Zernike",

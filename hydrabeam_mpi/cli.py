@@ -102,8 +102,8 @@ def _model(world: Comm, options: argparse.Namespace, threads: int) -> None:
     """
     from hydrabeam_mpi.setup.job_file import check_paths, load, may_go_on
 
-    simulates = options.command == "simulate"
-    job = load(world, options.job, simulates, options.command == "loop")
+    simulates, loops = options.command == "simulate", options.command == "loop"
+    job = load(world, options.job, simulates, loops, takes_several=not loops)
     overwrite = options.overwrite or (options.command == "loop" and may_go_on(job, options.output))
     check_paths(world, job, options.job, options.output, overwrite, simulates)
     if options.dry_run:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Sequence
 
 
@@ -19,3 +20,9 @@ def effect_words(kind: str, law: str | None = None) -> str:
 def capital(text: str) -> str:
     """Begin a sentence, leaving all other letters as they are."""
     return f"{text[:1].upper()}{text[1:]}"
+
+
+def in_ascii(text: str) -> str:
+    """Return text as a FITS header may have it: letters without their accents, and "?" for what ASCII lacks."""
+    plain = (letter for letter in unicodedata.normalize("NFKD", text) if not unicodedata.combining(letter))
+    return "".join(letter if letter.isascii() and letter.isprintable() else "?" for letter in plain)

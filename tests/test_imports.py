@@ -84,6 +84,7 @@ RUNNING = (
     "sampling.variables",
     "sampling.walk",
     "api.setup",
+    "api.preparation",
     "api.shared",
     "api.inference",
     "api.loop",

@@ -8,9 +8,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
-from hydrabeam_mpi.api.result import Found, Result, load
+from hydrabeam_mpi.api.loading import load
+from hydrabeam_mpi.api.preparation import prepare_checked
+from hydrabeam_mpi.api.result import Found, Result
 from hydrabeam_mpi.api.setup import Setup
-from hydrabeam_mpi.api.shared import prepare_checked
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.sections import Holdout, Prior
 from hydrabeam_mpi.errors import InputError
@@ -22,6 +23,7 @@ from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.io.disk import writing
 from hydrabeam_mpi.io.inferred import Inferred
 from hydrabeam_mpi.io.staging import write_whole
+from hydrabeam_mpi.io.together import check_of_one
 from hydrabeam_mpi.loop.checks.health import told
 from hydrabeam_mpi.mpi import Comm, together
 from hydrabeam_mpi.result.output import write_job_and_provenance
@@ -90,11 +92,12 @@ def load_shared(world: Comm, folder: Path) -> Result:
     Raises
     ------
     InputError
-        On all ranks, if it is no such folder.
+        On all ranks, if it is no such folder, or of several polarisations.
     """
     result = None
     with together(world):
         if world.rank == 0:
+            check_of_one(folder)
             result = load(folder)
     job = world.bcast(result.job if result else None)
     return result or Result(job)

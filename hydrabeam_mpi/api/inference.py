@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hydrabeam_mpi.api.preparation import prepare_checked_each
 from hydrabeam_mpi.api.result import Result
+from hydrabeam_mpi.api.results import Results
 from hydrabeam_mpi.api.setup import Setup
 from hydrabeam_mpi.api.shared import (
     begun,
@@ -13,10 +16,10 @@ from hydrabeam_mpi.api.shared import (
     make_result,
     origin_of,
     over_frequency_told,
-    prepare_checked,
     prior_told,
 )
-from hydrabeam_mpi.fit.channels import ChannelResult, infer_channels
+from hydrabeam_mpi.fit.carried_over import CarriedOver
+from hydrabeam_mpi.fit.channels import ChannelResult, infer_each
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.grown import grown_problem
 from hydrabeam_mpi.fit.heldout import whiten
@@ -25,14 +28,15 @@ from hydrabeam_mpi.fit.memory import inference_bytes, loop_bytes
 from hydrabeam_mpi.fit.rounding import MOST_SHIFT
 from hydrabeam_mpi.loop.checks.health import told
 from hydrabeam_mpi.loop.output.amendment import effects_found
-from hydrabeam_mpi.loop.selection.heldout_numbers import heldout_numbers
-from hydrabeam_mpi.mpi import peak_rss_mb, together
+from hydrabeam_mpi.loop.selection.heldout_numbers import HeldoutNumbers, heldout_numbers
+from hydrabeam_mpi.mpi import ProcessGrid, peak_rss_mb, together
 from hydrabeam_mpi.result.gains import gains_told
 from hydrabeam_mpi.setup.earlier import integrations_of
+from hydrabeam_mpi.setup.problem import Problem
 
 
 def infer(setup: Setup) -> Result:
-    """Infer the beam of every channel.
+    """Infer the beam of every channel, and of each polarisation where ``data={"polarization": [...]}`` names several.
 
     With Gaussian noise N and prior (b_0, Sigma) the posterior of the coefficients is the Gaussian (HDBI II, eqs 10
     to 14)
@@ -48,7 +52,7 @@ def infer(setup: Setup) -> Result:
     Returns
     -------
     Result
-        What it holds is on rank 0.
+        What it holds is on rank 0. Of several polarisations `Results`, such as ``infer(setup)["nn"]``.
 
     Raises
     ------
@@ -72,24 +76,75 @@ def run_inference(setup: Setup, folder: Path | None, threads: int, waiting: Path
     waiting : Path, optional
         Folder in which covariances wait to be written.
     """
-    clock, world = Clock(), setup.comm
+    clock = Clock()
     needed = loop_bytes if setup.job.effects else inference_bytes
-    grid, problem, mine = prepare_checked(setup, folder, clock, told, needed)
-    numbers = found = carried = None
-    fitted_gains: tuple[Any, ...] = ()
-    if setup.job.effects or (problem.earlier and problem.earlier.entries):
-        context = read_context(grid, problem, mine, clock)
-        fitted = fit_with_effects(context, clock)
-        with clock.time("heldout"):
-            results = channel_results(context, fitted)
-            numbers = heldout_numbers(context, whiten(context, fitted))
-        problem = grown_problem(problem, context.setup, fitted.values, context.learned)
-        found, carried = effects_found(setup.job, fitted, context.setup), context.carried
-        fitted_gains = context.setup, fitted.values
+    grid, problems = prepare_checked_each(setup, folder, clock, told, needed)
+    if setup.job.effects or (problems[0].earlier and problems[0].earlier.entries):
+        (problem,) = problems
+        fits = [_with_effects(setup, grid, problem, clock)]
     else:
-        results = infer_channels(grid, mine, clock)
+        mine = [problem.of_channels(grid.channels) for problem in problems]
+        fits = list(map(_Fit, problems, infer_each(grid, mine, clock)))
+    if len(fits) == 1:
+        return _result(setup, grid, fits[0], threads, clock, waiting)
+    results: dict[str, Result] = {}
+    for pol, own, fit in zip(setup.job.data.polarization, setup.of_each_polarization(), fits, strict=True):
+        part = waiting / pol if waiting else None
+        with together(grid.world):
+            if part and grid.world.rank == 0:
+                part.mkdir()
+        results[pol] = _result(own, grid, fit, threads, clock, part)
+    return Results(setup.job, results)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """What was fitted in one polarisation.
+
+    Attributes
+    ----------
+    problem : Problem
+        Of all channels.
+    results : list of ChannelResult
+        Of the rank group's channels.
+    numbers : HeldoutNumbers, optional
+        Where effects are in the model.
+    effects : dict, optional
+        See `effects_found`.
+    carried : CarriedOver, optional
+        Of the result that is the prior.
+    gains : tuple
+        What `gains_told` takes of effects: setup and values.
+    """
+
+    problem: Problem
+    results: list[ChannelResult]
+    numbers: HeldoutNumbers | None = None
+    effects: dict[str, Any] | None = None
+    carried: CarriedOver | None = None
+    gains: tuple[Any, ...] = ()
+
+
+def _with_effects(setup: Setup, grid: ProcessGrid, problem: Problem, clock: Clock) -> _Fit:
+    """Fit beams and effects together. Collective: all ranks of the setup."""
+    context = read_context(grid, problem, problem.of_channels(grid.channels), clock)
+    fitted = fit_with_effects(context, clock)
+    with clock.time("heldout"):
+        results = channel_results(context, fitted)
+        numbers = heldout_numbers(context, whiten(context, fitted))
+    problem = grown_problem(problem, context.setup, fitted.values, context.learned)
+    found, gains = effects_found(setup.job, fitted, context.setup), (context.setup, fitted.values)
+    return _Fit(problem, results, numbers, found, context.carried, gains)
+
+
+def _result(setup: Setup, grid: ProcessGrid, fit: _Fit, threads: int, clock: Clock, waiting: Path | None) -> Result:
+    """Put together what rank 0 has of one polarisation; parameters as of `run_inference`.
+
+    Collective: all ranks of the setup.
+    """
+    problem, world = fit.problem, setup.comm
     with clock.time("describe"):
-        records = gather_records(grid, problem, results, numbers, waiting)
+        records = gather_records(grid, problem, fit.results, fit.numbers, waiting)
         integrations = integrations_of(world, problem.files, problem.observation)
     memory = peak_rss_mb(world)
     result = Result(setup.job)
@@ -97,15 +152,15 @@ def run_inference(setup: Setup, folder: Path | None, threads: int, waiting: Path
         if world.rank == 0:
             run = {
                 "wall_s": clock.inference,
-                "phases_s": clock.seconds,
+                "phases_s": dict(clock.seconds),
                 "peak_rss_mb": memory,
-                **_rounding_told(results),
-                **prior_told(setup, carried),
-                **gains_told(problem, records, *fitted_gains),
+                **_rounding_told(fit.results),
+                **prior_told(setup, fit.carried),
+                **gains_told(problem, records, *fit.gains),
             }
             origin = origin_of(setup, problem, threads)
-            run |= over_frequency_told(results)
-            result = make_result(setup, problem, records, integrations, origin, run, (), found)
+            run |= over_frequency_told(fit.results)
+            result = make_result(setup, problem, records, integrations, origin, run, (), fit.effects)
     return result
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from hydrabeam_mpi.api.preparation import prepare_checked
 from hydrabeam_mpi.api.result import Found, Result
 from hydrabeam_mpi.api.setup import Setup
 from hydrabeam_mpi.api.shared import (
@@ -17,7 +18,6 @@ from hydrabeam_mpi.api.shared import (
     make_result,
     origin_of,
     over_frequency_told,
-    prepare_checked,
     prior_told,
 )
 from hydrabeam_mpi.errors import InputError

@@ -86,6 +86,7 @@ def plan(
     made, ranks = Plan((), ()), tuple(ranks)
     with setup.telling(), together(world):
         if world.rank == 0:
+            _ = setup.job.data.pol  # several are not forecast
             wanted = tuple(commands or possible(setup.job))
             if unknown := set(wanted) - set(possible(setup.job)):
                 message = f"'{sorted(unknown)[0]}' is no command that this job can be given to"

@@ -1,4 +1,4 @@
-"""What was inferred, and what a loop found: just computed, or read from a result folder."""
+"""What was inferred, and what a loop found, whether just computed or in a result folder."""
 
 from __future__ import annotations
 
@@ -9,16 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hydrabeam_mpi.api.beam import InferredBeam
-from hydrabeam_mpi.config import Job, load_job
+from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.data.observation import FloatArray
-from hydrabeam_mpi.io.formats import read_loop
-from hydrabeam_mpi.io.posterior_file import PosteriorFile, read_posterior
-from hydrabeam_mpi.io.reading import read_json
+from hydrabeam_mpi.io.posterior_file import PosteriorFile
 
 if TYPE_CHECKING:
     from hydrabeam_mpi.api.setup import Setup
-
-REMEDY = "name a folder written by 'hydrabeam infer' or 'hydrabeam loop'"
 
 
 class Result:
@@ -45,6 +41,17 @@ class Result:
     ) -> None:
         self.job = job
         self._content, self._summary, self._path = content, summary or {}, path
+
+    @property
+    def polarizations(self) -> tuple[str, ...]:
+        """Those that there are results of, as the job names them."""
+        return self.job.data.polarization
+
+    def __getitem__(self, pol: str) -> Result:
+        """Return the result of one polarisation."""
+        if pol not in self.polarizations:
+            raise KeyError(pol)
+        return self
 
     @property
     def content(self) -> PosteriorFile:
@@ -95,18 +102,28 @@ class Result:
         InputError
             If the folder exists and may not be replaced, or cannot be written.
         """
-        if self._content is not None:
+        if (inputs := self.inputs) is not None:
             from hydrabeam_mpi.io.staging import write_whole
 
-            write_whole(Path(folder), self.fill, overwrite, map(Path, self.content.provenance.get("sha256", {})))
+            write_whole(Path(folder), self.fill, overwrite, inputs)
+
+    @property
+    def inputs(self) -> list[Path] | None:
+        """The files that it was made from; None on ranks other than 0."""
+        return None if self._content is None else list(map(Path, self.content.provenance.get("sha256", {})))
 
     def fill(self, folder: Path) -> None:
         """Write all files into an empty folder."""
         from hydrabeam_mpi.io.disk import write_computed
+
+        write_computed(folder, self.write_files)
+        self.finish(folder)
+
+    def finish(self, folder: Path) -> None:
+        """Write what follows from what has been computed and written."""
         from hydrabeam_mpi.io.stored import drop_stored
         from hydrabeam_mpi.result.output import write_conversions
 
-        write_computed(folder, self.write_files)
         drop_stored(folder)
         write_conversions(folder, self.content)
 
@@ -178,52 +195,3 @@ class Found(Result):
         super().write_files(folder)
         for name, text in loop_texts(self.record, self.amended.job).items():
             (folder / name).write_text(text)
-
-
-def load(folder: str | Path) -> Result | Found:
-    """Read a result folder, of `hydrabeam infer`, `hydrabeam loop` or ``write``.
-
-    Parameters
-    ----------
-    folder : str or Path
-
-    Returns
-    -------
-    Result
-        A `Found` where it is of a loop. Covariances are read when they are asked for.
-
-    Raises
-    ------
-    InputError
-        If it is no such folder.
-    """
-    place = Path(folder)
-    content = read_posterior(place / "posterior.h5")
-    summary = read_json(place / "summary.json", what="a part of a result", remedy=REMEDY)
-    result = Result(load_job(place / "job.toml"), content, summary, place / "posterior.h5")
-    if not (place / "loop.json").exists():
-        return result
-    record = read_loop(place / "loop.json", REMEDY)
-    return Found(result, record, place / "amended.toml")
-
-
-def load_posterior(path: str | Path) -> InferredBeam:
-    """Read ``posterior.h5`` alone.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read, or is of a layout that is not known.
-    """
-    return InferredBeam(read_posterior(Path(path)), Path(path))
-
-
-def load_loop(path: str | Path) -> dict[str, Any]:
-    """Read ``loop.json`` alone: a table as ``hydrabeam_mpi/tables/loop.schema.json`` describes it.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read, or is of a layout that is not known.
-    """
-    return read_loop(Path(path), REMEDY)

@@ -12,8 +12,9 @@ from typing import Any
 from pydantic import ValidationError
 
 from hydrabeam_mpi.api.chains import Chains
+from hydrabeam_mpi.api.preparation import prepare_checked
 from hydrabeam_mpi.api.setup import Setup
-from hydrabeam_mpi.api.shared import begun, origin_of, prepare_checked
+from hydrabeam_mpi.api.shared import begun, origin_of
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.mistakes import as_input_error
 from hydrabeam_mpi.config.sample import Sample

@@ -33,7 +33,7 @@ class Setup:
     uvd : UVData, str, Path or a sequence of them
         The visibilities: in memory, or names of files, of several times, channels or polarisations. Flags and
         nsamples count; phased data are turned back to drift scan in a copy. Of several polarisations
-        ``data={"polarization": "nn"}`` chooses; "ee" is the default.
+        ``data={"polarization": "nn"}`` chooses; "ee" is the default, and `infer` takes a list of them.
     beam : UVBeam, BeamInterface, analytic beam of pyuvdata, str, Path or mapping, optional
         The model beam, whose fit in the basis is the prior mean; names as in a job file, the built-in HERA beam at
         131 MHz by default. ``beam_options={"frequency": "interpolate"}`` and others are as in a job.
@@ -103,7 +103,7 @@ class Setup:
         from hydrabeam_mpi.mpi import alone
         from hydrabeam_mpi.setup.job_file import load
 
-        return cls.of(load(comm or alone(), Path(path)), comm, path=Path(path))
+        return cls.of(load(comm or alone(), Path(path), takes_several=True), comm, path=Path(path))
 
     @classmethod
     def of(cls, job: Job, comm: Comm | None = None, given: Given = NOTHING, path: Path | None = None) -> Self:
@@ -118,6 +118,12 @@ class Setup:
         from hydrabeam_mpi.mpi import alone
 
         return self._comm if self._comm is not None else alone()
+
+    def of_each_polarization(self) -> list[Setup]:
+        """Return the same for each polarisation alone."""
+        from hydrabeam_mpi.setup.polarizations import jobs_of_each
+
+        return [Setup.of(job, self._comm, self.given, self.path) for job in jobs_of_each(self.job)]
 
     def amended(self, job: Job) -> Setup:
         """Return the same data with another job."""

@@ -1,8 +1,8 @@
-"""What all runs share: the problem on every rank, and the result on rank 0."""
+"""What all runs share: where they begin, and the result on rank 0."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -11,24 +11,15 @@ from typing import Any
 
 from hydrabeam_mpi.api.result import Result
 from hydrabeam_mpi.api.setup import Setup
-from hydrabeam_mpi.config import Job
-from hydrabeam_mpi.config.named import expand
 from hydrabeam_mpi.config.sizes import check_sizes
-from hydrabeam_mpi.data.observation import Observation
 from hydrabeam_mpi.fit.carried_over import CarriedOver
 from hydrabeam_mpi.fit.channels import ChannelResult
-from hydrabeam_mpi.fit.clock import Clock
-from hydrabeam_mpi.fit.memory import Share, check_room, loop_bytes
-from hydrabeam_mpi.io.disk import check_space
 from hydrabeam_mpi.io.posterior_file import ChannelRecord, PosteriorFile
 from hydrabeam_mpi.io.provenance import provenance
 from hydrabeam_mpi.io.stored import store
-from hydrabeam_mpi.io.uvsource import Data
 from hydrabeam_mpi.loop.selection.heldout_numbers import HeldoutNumbers
 from hydrabeam_mpi.mpi import (
-    Comm,
     ProcessGrid,
-    bcast_object,
     blas_threads,
     by_channel,
     free_windows,
@@ -39,17 +30,10 @@ from hydrabeam_mpi.mpi import (
 )
 from hydrabeam_mpi.result.describe import describe_channels
 from hydrabeam_mpi.result.observed import observed
-from hydrabeam_mpi.result.output import check_records, input_files, least_result_bytes, summarise
+from hydrabeam_mpi.result.output import check_records, input_files, summarise
 from hydrabeam_mpi.result.over_frequency import warnings_over_frequency
 from hydrabeam_mpi.result.summary import GRID_AZ, GRID_ZA
-from hydrabeam_mpi.setup.earlier import check_not_counted
-from hydrabeam_mpi.setup.flagged import without_flagged
-from hydrabeam_mpi.setup.given import NOTHING, Given
-from hydrabeam_mpi.setup.held import hold
-from hydrabeam_mpi.setup.problem import Problem, estimate_noise, prepare
-from hydrabeam_mpi.setup.selected import observe
-from hydrabeam_mpi.simulation.mock import simulate_to
-from hydrabeam_mpi.terminal.progress import say, warn
+from hydrabeam_mpi.setup.problem import Problem
 
 
 @contextmanager
@@ -81,123 +65,6 @@ def begun(setup: Setup) -> Iterator[tuple[Path | None, int]]:
         finally:
             if made:
                 made.cleanup()
-
-
-def prepare_checked(
-    setup: Setup,
-    folder: Path | None,
-    clock: Clock,
-    check: Callable[[ProcessGrid, Problem], Problem],
-    needed: Callable[[Share, bool], int] = loop_bytes,
-) -> tuple[ProcessGrid, Problem, Problem]:
-    """Set up the problem and look at the health of its data.
-
-    Collective: all ranks of the setup.
-
-    Parameters
-    ----------
-    setup : Setup
-    folder : Path, optional
-        As of `prepare_shared`.
-    clock : Clock
-        Receives the phases "prepare" and "health".
-    check : callable
-        `hydrabeam_mpi.loop.checks.health.told` or ``mended``.
-    needed : callable
-        How many bytes a rank's share needs.
-
-    Raises
-    ------
-    InputError
-        On all ranks, if that is more than there is, or something in the job or in a file is wrong.
-
-    Returns
-    -------
-    grid : ProcessGrid
-    problem, mine : Problem
-        Of all channels, and of the rank group's.
-    """
-    with clock.time("prepare"):
-        problem = prepare_shared(setup.comm, setup.job, folder, setup.given)
-    grid = ProcessGrid.split(setup.comm, problem.observation.Nfreqs)
-    check_room(grid, problem, needed)
-    with clock.time("health"):
-        problem = check(grid, problem)
-    return grid, problem, problem.of_channels(grid.channels)
-
-
-def prepare_shared(world: Comm, job: Job, folder: Path | None, given: Given = NOTHING) -> Problem:
-    """Simulate where asked, and set up the problem on every rank.
-
-    Collective: all ranks of `world`.
-
-    Parameters
-    ----------
-    world : Comm
-    job : Job
-    folder : Path, optional
-        Where simulated data and the result go; None where neither is written.
-    given : Given
-        What is in memory, on rank 0.
-
-    Raises
-    ------
-    InputError
-        On all ranks, if something in the job or in a file is wrong, or ``folder`` has no room for the result.
-    """
-    with together(world):
-        if world.rank == 0 and folder:
-            check_space(folder, least_result_bytes(job))
-    truths = simulate_to(world, job, folder).beams[job.data.polarization] if job.data.simulate and folder else ()
-    simulated = (folder / "data.uvh5",) if job.data.simulate and folder else ()
-    files, job, observation = look_at_data(world, job, simulated, given)
-    problem = None
-    with together(world):
-        if world.rank == 0:
-            say("reading sky and beam")
-            problem = prepare(job, files, truths, given, observation)
-            if folder:
-                check_space(folder, least_result_bytes(job, problem.observation.Nfreqs))
-            say(_one_line(problem))
-            warn(problem.cautions)
-            problem = replace(problem, files=())
-    problem = replace(bcast_object(world, problem), files=files)
-    if problem.earlier:
-        check_not_counted(world, files, problem.observation, problem.earlier)
-    return estimate_noise(world, problem)
-
-
-def look_at_data(
-    world: Comm, job: Job, simulated: tuple[Path, ...], given: Given
-) -> tuple[tuple[Data, ...], Job, Observation]:
-    """Return the files, on every rank, what they say of themselves, and the job that leaves out what is flagged.
-
-    Collective: all ranks of `world`. Channels without data are left out unless something is known of them already.
-    """
-    named: tuple[Data, ...] = ()
-    with together(world):
-        if world.rank == 0:
-            say("reading metadata")
-            named = simulated or given.data or expand(job.data.files, "[data] files")
-    files = hold(world, named)
-    seen: tuple[Observation | None, bool] = None, False
-    with together(world):
-        if world.rank == 0:
-            # What a prior of its own says of a channel is not lost where these data say nothing of it.
-            earlier = given.earlier is not None or (job.prior.file is not None and job.prior.file.is_dir())
-            seen = observe(job, files), bool(simulated) or earlier or len(given.priors or ()) > 1
-    observation, keeps_all = bcast_object(world, seen)
-    return (files, job, observation) if keeps_all else (files, *without_flagged(world, job, files, observation))
-
-
-def _one_line(problem: Problem) -> str:
-    """Say what is inferred from what."""
-    observation, basis = problem.observation, problem.basis
-    return (
-        f"{basis.n_modes} {'complex' if basis.is_complex else 'real'} coefficients in {observation.Nfreqs} channel(s)"
-        f" from {len(problem.train.times)} times x {len(problem.train.bls)} baselines"
-        f" ({problem.n_unique_baselines} unique), {problem.sky.Nsrc} sources"
-    )
 
 
 def origin_of(setup: Setup, problem: Problem, threads: int) -> dict[str, Any]:

@@ -60,10 +60,11 @@ def simulate(job: str | Path | Mapping[str, Any]) -> Mock:
     resolved = _job(job) if isinstance(job, Mapping) else load_job(Path(job))
     if resolved.data.simulate is None:
         raise InputError("is missing", field="[data.simulate]", remedy="add it, see jobs/paper/job.toml")
+    pol = resolved.data.pol
     with TemporaryDirectory(prefix="hydrabeam-") as folder:
         scene = simulate_to(alone(), resolved, Path(folder))
         uvd = read_uvdata(Path(folder) / "data.uvh5", "uvh5")
-    return Mock(uvd, scene.beams[resolved.data.polarization], true_sky(resolved, scene))
+    return Mock(uvd, scene.beams[pol], true_sky(resolved, scene))
 
 
 def _job(content: Mapping[str, Any]) -> Job:

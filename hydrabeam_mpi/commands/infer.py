@@ -42,6 +42,8 @@ def infer(world: Comm, job: Job, job_path: Path, out: Path, overwrite: bool, thr
         with together(world):
             if world.rank == 0:
                 result.fill(folder)
-                for line in say_result(result.summary):
-                    say(line)
+                for pol in result.polarizations:
+                    of_several = f"{pol}, " if len(result.polarizations) > 1 else ""
+                    for line in say_result(result[pol].summary):
+                        say(of_several + line)
                 warn(result.summary["warnings"])

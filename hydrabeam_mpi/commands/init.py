@@ -12,10 +12,11 @@ import numpy as np
 
 from hydrabeam_mpi.commands.inputs import Inputs, sort_inputs
 from hydrabeam_mpi.config import Job, Section
+from hydrabeam_mpi.config.data import Data
 from hydrabeam_mpi.config.effects import Loop
 from hydrabeam_mpi.config.frequency import OverFrequency
 from hydrabeam_mpi.config.sample import Sample
-from hydrabeam_mpi.config.sections import Basis, Beam, Data, Holdout, Noise, Output, Prior, Sky, SkyColumns, Solver
+from hydrabeam_mpi.config.sections import Basis, Beam, Holdout, Noise, Output, Prior, Sky, SkyColumns, Solver
 from hydrabeam_mpi.config.text import frequency_text, keys_text, table_text
 from hydrabeam_mpi.data.observation import Array, BoolArray, FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.redundancy import find_redundant_groups

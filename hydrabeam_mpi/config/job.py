@@ -8,10 +8,11 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from hydrabeam_mpi.config.base import Section, key
+from hydrabeam_mpi.config.data import Data
 from hydrabeam_mpi.config.effects import Effect, Loop
 from hydrabeam_mpi.config.mistakes import as_input_error
 from hydrabeam_mpi.config.sample import Sample
-from hydrabeam_mpi.config.sections import Basis, Beam, Data, Holdout, Noise, Output, Prior, Sky, Solver
+from hydrabeam_mpi.config.sections import Basis, Beam, Holdout, Noise, Output, Prior, Sky, Solver
 from hydrabeam_mpi.config.toml import read_toml
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo
+from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, ValidationInfo
 
 from hydrabeam_mpi.data.limits import FIRST_JD, LARGEST, LAST_JD, RADIO
 
@@ -68,7 +68,7 @@ def _is_some_time(pair: tuple[float, float]) -> tuple[float, float]:
     return pair
 
 
-def _are_distinct(values: tuple[float, ...]) -> tuple[float, ...]:
+def _are_distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
     if len(set(values)) < len(values):
         raise ValueError("a list that names each value once")
     return values
@@ -81,6 +81,12 @@ FreqRange = Annotated[tuple[Hertz, Hertz], AfterValidator(_ascends)]
 Flux = Annotated[Jansky, Field(ge=1 / LARGEST, le=LARGEST)]
 FluxRange = Annotated[tuple[Flux, Flux], AfterValidator(_ascends)]
 Freqs = Annotated[tuple[Hertz, ...], AfterValidator(_are_distinct), Field(min_length=1)]
+# One of something is written without a list.
+OneOrMore = (
+    BeforeValidator(lambda values: tuple(values) if isinstance(values, list | tuple) else (values,)),
+    PlainSerializer(lambda values: values[0] if len(values) == 1 else values),
+)
+Polarizations = Annotated[tuple[Polarization, ...], *OneOrMore, AfterValidator(_are_distinct), Field(min_length=1)]
 
 
 def from_job(name: Any, info: ValidationInfo) -> Any:

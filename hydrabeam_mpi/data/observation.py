@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -28,6 +29,11 @@ BoolArray = NDArray[np.bool_]
 
 SIDEREAL_DAY = 0.99726956632908
 """Days of UT1: a turn of the Earth against the stars."""
+
+
+def are_copolar(pols: Iterable[str]) -> bool:
+    """Whether all polarisations are of equal feeds, so that their power beams are real."""
+    return all(pol[0] == pol[1] for pol in pols)
 
 
 @dataclass(frozen=True)
@@ -128,7 +134,7 @@ class Observation:
     @property
     def is_copolar(self) -> bool:
         """Whether the first polarisation is of equal feeds, so that the power beam is real."""
-        return self.pols[0][0] == self.pols[0][1]
+        return are_copolar(self.pols[:1])
 
     @property
     def lst_hours(self) -> FloatArray:

@@ -39,21 +39,42 @@ def accumulate_designs(
     grams : sequence of ndarray, (n_modes, n_modes), optional
         A^H N^-1 A of all ranks' rows, one a channel, where it is known already.
     """
-    block = Block(BEAM, basis.n_modes, basis.is_complex)
-    if grams is None:
-        normals = [NormalEquations([block]) for _ in rows.data]
-    else:
-        normals = [NormalEquations([block], known={(BEAM, BEAM): gram}) for gram in grams]
-    buffers = [RowBuffer(normal, BEAM) for normal in normals]
-    weighted, weights = rows.compressed()
-    for f, normal in enumerate(normals):
-        normal.add_data(rows.data[f], rows.inv_noise_var[f], None if rows.divisor is None else rows.divisor[f])
+    sums = Accumulator(rows, basis, grams)
     for t, design in enumerate(by_time):
-        for f, buffer in enumerate(buffers):
-            buffer.add(design[f], weighted[f, t], weights[f, t])
-    for buffer in buffers:
-        buffer.flush()
-    return normals
+        sums.add(t, design)
+    return sums.finish()
+
+
+class Accumulator:
+    """A rank's partial normal equations, one set a channel, which grow by one time after the other.
+
+    Parameters
+    ----------
+    rows, basis, grams
+        As of `accumulate_designs`.
+    """
+
+    def __init__(self, rows: Rows, basis: LinearBasis, grams: Sequence[Array] | None = None) -> None:
+        block = Block(BEAM, basis.n_modes, basis.is_complex)
+        if grams is None:
+            self._normals = [NormalEquations([block]) for _ in rows.data]
+        else:
+            self._normals = [NormalEquations([block], known={(BEAM, BEAM): gram}) for gram in grams]
+        self._buffers = [RowBuffer(normal, BEAM) for normal in self._normals]
+        self._weighted, self._weights = rows.compressed()
+        for f, normal in enumerate(self._normals):
+            normal.add_data(rows.data[f], rows.inv_noise_var[f], None if rows.divisor is None else rows.divisor[f])
+
+    def add(self, t: int, design: Array) -> None:
+        """Add the rank's time number ``t`` with its design, (Nfreqs, ..., Nlocal, n_modes)."""
+        for f, buffer in enumerate(self._buffers):
+            buffer.add(design[f], self._weighted[f, t], self._weights[f, t])
+
+    def finish(self) -> list[NormalEquations]:
+        """Return what all times give."""
+        for buffer in self._buffers:
+            buffer.flush()
+        return self._normals
 
 
 def check_heldout(
@@ -100,31 +121,68 @@ def check_designs(
     ``more_variance``, (Nfreqs, 2, Ntimes, Nbls) in Jy^2, is added to the variance of real and imaginary parts that the
     beam's uncertainty gives. Where effects have been taken out of the ``rows``, those that were read are ``as_read``.
     """
-    read = as_read or rows
-    statistics, after = [HeldoutStatistics() for _ in rows.data], np.zeros_like(before)
+    check = HeldoutCheck(rows, posteriors, before, more_variance, as_read)
     for t, design in enumerate(by_time):
-        for f, posterior in enumerate(posteriors):
-            after[f, t], of_groups = predict(posterior, design[f])
+        check.add(t, design)
+    return check.statistics, check.after
+
+
+class HeldoutCheck:
+    """A rank's held-out rows against the posterior predictive and the model beam, one time after the other.
+
+    Parameters
+    ----------
+    rows, posteriors, before, more_variance, as_read
+        As of `check_designs`.
+
+    Attributes
+    ----------
+    statistics : list of HeldoutStatistics
+        One a channel, of the times so far.
+    after : ndarray of complex, (Nfreqs, Ntimes, Nlocal)
+        Visibilities of the inferred beam.
+    """
+
+    def __init__(
+        self,
+        rows: Rows,
+        posteriors: Sequence[Posterior],
+        before: ComplexArray,
+        more_variance: FloatArray | None = None,
+        as_read: Rows | None = None,
+    ) -> None:
+        self._rows, self._read, self._posteriors = rows, as_read or rows, posteriors
+        self._before, self._more_variance = before, more_variance
+        self.statistics, self.after = [HeldoutStatistics() for _ in rows.data], np.zeros_like(before)
+
+    def add(self, t: int, design: Array) -> None:
+        """Check the rank's time number ``t`` by its design, (Nfreqs, ..., Nlocal, n_modes)."""
+        rows, read = self._rows, self._read
+        for f, posterior in enumerate(self._posteriors):
+            self.after[f, t], of_groups = predict(posterior, design[f])
             variance = of_groups[:, rows.member]
-            if more_variance is not None:
-                variance = variance + more_variance[f, :, t]
-            before_of_rows = before[f, t][rows.member]
-            statistics[f].add(
+            if self._more_variance is not None:
+                variance = variance + self._more_variance[f, :, t]
+            self.statistics[f].add(
                 rows.data[f, t],
                 rows.inv_noise_var[f, t],
-                after[f, t][rows.member],
+                self.after[f, t][rows.member],
                 variance,
-                before_of_rows,
+                self._before[f, t][rows.member],
                 (read.data[f, t], read.inv_noise_var[f, t]),
             )
-    return statistics, after
 
 
 def designs(rows: Rows, model: ForwardModel, basis: LinearBasis, label: str, show: bool) -> Iterator[Array]:
     """Yield each time's design, (Nfreqs, 2, Nlocal, n_modes) or complex (Nfreqs, Nlocal, n_modes)."""
     times = rows.tile.times
     for parts in track(model.design_columns(basis, times), len(times), label, show):
-        yield basis.mix(parts[:, 0] + 1j * parts[:, 1] if basis.is_complex else parts)
+        yield mixed(basis, parts)
+
+
+def mixed(basis: LinearBasis, parts: FloatArray) -> Array:
+    """Return a time's design, as of `designs`, of that of the real columns, (Nfreqs, 2, Nlocal, n_columns)."""
+    return basis.mix(parts[:, 0] + 1j * parts[:, 1] if basis.is_complex else parts)
 
 
 def predict(posterior: Posterior, design: Array) -> tuple[ComplexArray, FloatArray]:

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.fit.carried_over import CarriedOver, carry_over, share_fit
-from hydrabeam_mpi.fit.channels import read_share
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.joint import find_setup
 from hydrabeam_mpi.fit.rank_data import RankData
+from hydrabeam_mpi.fit.shares import read_share
 from hydrabeam_mpi.fit.state import Fit, Fitted
 from hydrabeam_mpi.io.inferred import Inferred
 from hydrabeam_mpi.mpi import ProcessGrid, bcast_object, together

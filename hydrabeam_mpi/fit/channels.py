@@ -4,24 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hydrabeam_mpi.data.observation import Array
-from hydrabeam_mpi.data.partition import Tile
-from hydrabeam_mpi.fit.accumulate import accumulate_designs, check_designs, designs
+from hydrabeam_mpi.fit.accumulate import Accumulator, HeldoutCheck
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.coupled import CoupledChannel, CoupledSolution, solve_coupled
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.heldout_sample import heldout_sample
 from hydrabeam_mpi.fit.rounding import MOST_SHIFT, Rounding
-from hydrabeam_mpi.fit.rows import Rows, read_rows
+from hydrabeam_mpi.fit.rows import Rows
+from hydrabeam_mpi.fit.shared_design import SharedDesign
+from hydrabeam_mpi.fit.shares import read_shares, read_shares_of_each
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.predictive_checks import HeldoutStatistics
 from hydrabeam_mpi.io.finite import INFERENCE, check_finite
-from hydrabeam_mpi.io.noise import check_weights
 from hydrabeam_mpi.model.engines.base import Precision
 from hydrabeam_mpi.mpi import ProcessGrid, allreduce_max, allreduce_sum, bcast_array, together
 from hydrabeam_mpi.setup.problem import Problem
@@ -61,37 +62,50 @@ class ChannelResult:
 
 
 def infer_channels(grid: ProcessGrid, problem: Problem, clock: Clock) -> list[ChannelResult]:
-    """Infer the beams of this group's channels.
+    """Infer the beams of this group's channels: one polarisation alone, as of `infer_each`."""
+    return infer_each(grid, [problem], clock)[0]
+
+
+def infer_each(grid: ProcessGrid, problems: Sequence[Problem], clock: Clock) -> list[list[ChannelResult]]:
+    """Infer the beams of this group's channels, of several polarisations.
+
+    Their data are read at once, and the design of each time, which depends on sky, array and functions alone, is
+    computed once for all.
 
     Collective: all ranks of `grid.world`.
 
     Parameters
     ----------
     grid : ProcessGrid
-    problem : Problem
-        Of this group's channels.
+    problems : sequence of Problem
+        Of this group's channels; they differ in the polarisation alone, and in what follows from that.
     clock : Clock
         Receives the seconds of the phases "read", "design", "solve" and "heldout".
 
     Returns
     -------
-    list of ChannelResult
-        On every rank of the group.
+    list of list of ChannelResult
+        Those of each problem; on every rank of the group.
     """
     with clock.time("read"):
-        train, test = read_shares(grid, problem)
-    mixed = problem.job.solver.precision == "mixed"
-    normals, posteriors, coupled, shift = infer_rows(grid, problem, train, clock, np.float32 if mixed else np.float64)
-    if shift > MOST_SHIFT:
-        told = f"single precision would move the posterior mean by up to {shift:.1e} std; all is computed in double"
+        train, test = read_shares_of_each(grid, problems)
+    mixed = problems[0].job.solver.precision == "mixed"
+    solved = _infer_rows(grid, problems, train, clock, np.float32 if mixed else np.float64)
+    shifts = [one.rounding_shift for one in solved]
+    if again := [p for p, shift in enumerate(shifts) if shift > MOST_SHIFT]:
+        told = (
+            f"single precision would move the posterior mean by up to {max(shifts):.1e} std; all is computed in double"
+        )
         say(told, grid.is_world_root)
-        normals, posteriors, coupled, _ = infer_rows(grid, problem, train, clock, np.float64)
+        anew = _infer_rows(grid, [problems[p] for p in again], [train[p] for p in again], clock, np.float64)
+        for p, one in zip(again, anew, strict=True):
+            solved[p] = one
     with clock.time("heldout"):
-        heldout, samples = _sum_heldout(grid, problem, test, posteriors)
-    chi2 = map(reduced_chi2, normals, posteriors)
-    parts = zip(normals, chi2, posteriors, heldout, samples, strict=True)
-    results = [ChannelResult(*part, rounding_shift=shift if mixed else None) for part in parts]
-    return [replace(one, coupled=two) for one, two in zip(results, coupled, strict=True)] if coupled else results
+        checked = _sum_heldout(grid, problems, test, [one.posteriors for one in solved])
+    return [
+        one.results(heldout, samples, shift if mixed else None)
+        for one, (heldout, samples), shift in zip(solved, checked, shifts, strict=True)
+    ]
 
 
 def sum_channels(grid: ProcessGrid, problem: Problem, clock: Clock) -> tuple[list[NormalEquations], Rows]:
@@ -102,66 +116,80 @@ def sum_channels(grid: ProcessGrid, problem: Problem, clock: Clock) -> tuple[lis
     with clock.time("read"):
         train, test = read_shares(grid, problem)
     with clock.time("design"):
-        return _sum_normals(grid, problem, train, np.float64, None), test
+        return _sum_normals(grid, [problem], [train], np.float64)[0], test
 
 
-def infer_rows(
-    grid: ProcessGrid, problem: Problem, train: Rows, clock: Clock, precision: Precision
-) -> tuple[list[NormalEquations], list[Posterior], list[CoupledChannel], float]:
+@dataclass(frozen=True)
+class _Solved:
+    """What follows from the training rows of one polarisation; see `ChannelResult`."""
+
+    normals: list[NormalEquations]
+    posteriors: list[Posterior]
+    coupled: list[CoupledChannel]
+    rounding_shift: float
+
+    def results(
+        self, heldout: list[HeldoutStatistics], samples: list[dict[str, Array]], shift: float | None
+    ) -> list[ChannelResult]:
+        """Return the channels' results with what the held-out rows say."""
+        chi2 = map(reduced_chi2, self.normals, self.posteriors)
+        parts = zip(self.normals, chi2, self.posteriors, heldout, samples, strict=True)
+        results = [ChannelResult(*part, rounding_shift=shift) for part in parts]
+        if not self.coupled:
+            return results
+        return [replace(one, coupled=told) for one, told in zip(results, self.coupled, strict=True)]
+
+
+def _infer_rows(
+    grid: ProcessGrid, problems: Sequence[Problem], train: Sequence[Rows], clock: Clock, precision: Precision
+) -> list[_Solved]:
     """Infer from the rank's training rows, and tell how far rounding may have moved the mean, in std, of any channel.
 
     Collective: all ranks of `grid.world`.
     """
     in_single = precision == np.float32
     with clock.time("design"):
-        rounding = Rounding(grid.group, problem, train) if in_single else None
-        normals = _sum_normals(grid, problem, train, precision, rounding)
+        roundings = [Rounding(grid.group, *pair) for pair in zip(problems, train, strict=True)] if in_single else []
+        normals = _sum_normals(grid, problems, train, precision, roundings)
     with clock.time("solve"):
-        posteriors, solution = solve_channels(grid, problem, normals, n_draws=problem.job.output.draws)
-        coupled = solution.channels if solution else []
-        # The matrix of all channels is of no use any more.
-        del solution
-        with together(grid.world):
-            for posterior in posteriors if grid.is_group_root else ():
-                _ = posterior.covariance  # cached: part of the inference, though only written later
-        worst = np.zeros(1)
-        if rounding is not None:
-            worst[0] = rounding.shifts(grid, posteriors).max(initial=0.0)
-            allreduce_max(grid.world, worst)
-    return normals, posteriors, coupled, float(worst[0])
+        of_each = zip(problems, normals, roundings or len(problems) * [None], strict=True)
+        return [_solve(grid, *one) for one in of_each]
 
 
-def read_shares(grid: ProcessGrid, problem: Problem, whole_times: bool = False) -> tuple[Rows, Rows]:
-    """Read the rank's training and held-out rows; ``whole_times`` keeps held-out rows of the same time together.
-
-    Collective: all ranks of `grid.world`.
-    """
-    return read_share(grid, problem, problem.train), read_share(grid, problem, problem.test, whole_times, False)
-
-
-def read_share(
-    grid: ProcessGrid, problem: Problem, rows: Tile, whole_times: bool = False, must_count: bool = True
-) -> Rows:
-    """Read the rank's share of some rows, some of which ``must_count``. Collective: all ranks of `grid.world`."""
+def _solve(grid: ProcessGrid, problem: Problem, normals: list[NormalEquations], rounding: Rounding | None) -> _Solved:
+    """Solve for one polarisation. Collective: all ranks of `grid.world`."""
+    posteriors, solution = solve_channels(grid, problem, normals, n_draws=problem.job.output.draws)
+    coupled = solution.channels if solution else []
+    # The matrix of all channels is of no use any more.
+    del solution
     with together(grid.world):
-        mine = read_rows(problem, problem.tile_of(rows, grid.group.rank, grid.group.size, whole_times))
-    counts = np.array([mine.n_unflagged, np.count_nonzero(mine.inv_noise_var)])
-    allreduce_sum(grid.world, counts)
-    with together(grid.world):
-        if must_count:
-            check_weights(int(counts[0]), int(counts[1]), problem.files)
-    return mine
+        for posterior in posteriors if grid.is_group_root else ():
+            _ = posterior.covariance  # cached: part of the inference, though only written later
+    worst = np.zeros(1)
+    if rounding is not None:
+        worst[0] = rounding.shifts(grid, posteriors).max(initial=0.0)
+        allreduce_max(grid.world, worst)
+    return _Solved(normals, posteriors, coupled, float(worst[0]))
 
 
 def _sum_normals(
-    grid: ProcessGrid, problem: Problem, rows: Rows, precision: Precision, rounding: Rounding | None
-) -> list[NormalEquations]:
+    grid: ProcessGrid,
+    problems: Sequence[Problem],
+    rows: Sequence[Rows],
+    precision: Precision,
+    roundings: Sequence[Rounding] = (),
+) -> list[list[NormalEquations]]:
     """Accumulate the rank's rows and sum over the group."""
     with together(grid.world):
-        model = problem.forward_model(rows.groups, precision)
-        by_time = designs(rows, model, problem.basis, "design matrix", show=grid.is_world_root)
-        normals = accumulate_designs(rows, rounding.watch(by_time) if rounding else by_time, problem.basis)
-    for normal in normals:
+        design = SharedDesign(problems, rows, precision)
+        takers = [Accumulator(one, problem.basis) for one, problem in zip(rows, problems, strict=True)]
+        for t, of_each in design.by_time("design matrix", show=grid.is_world_root):
+            for rounding, own in zip(roundings, of_each, strict=bool(roundings)):
+                rounding.watch(t, own)
+            for taker, own in zip(takers, of_each, strict=True):
+                taker.add(t, own)
+        normals = [taker.finish() for taker in takers]
+    for normal in chain(*normals):
         normal.reduce(grid.group)
     return normals
 
@@ -217,16 +245,23 @@ def solve_channels(
 
 
 def _sum_heldout(
-    grid: ProcessGrid, problem: Problem, rows: Rows, posteriors: list[Posterior]
-) -> tuple[list[HeldoutStatistics], list[dict[str, Array]]]:
+    grid: ProcessGrid, problems: Sequence[Problem], rows: Sequence[Rows], posteriors: Sequence[list[Posterior]]
+) -> list[tuple[list[HeldoutStatistics], list[dict[str, Array]]]]:
     """Check the rank's held-out rows, and combine the statistics of the group and a sample of its rows."""
     with together(grid.world):
-        model = problem.forward_model(rows.groups)
-        before = model.visibilities(problem.beams, rows.tile.times)
-        by_time = designs(rows, model, problem.basis, "held-out rows", show=grid.is_world_root)
-        statistics, after = check_designs(rows, by_time, posteriors, before)
-    reduce_heldout(grid, statistics)
-    return statistics, heldout_sample(grid, problem, rows, before, rows, after)
+        before = [
+            problem.forward_model(own.groups).visibilities(problem.beams, own.tile.times)
+            for problem, own in zip(problems, rows, strict=True)
+        ]
+        checks = [HeldoutCheck(*parts) for parts in zip(rows, posteriors, before, strict=True)]
+        for t, of_each in SharedDesign(problems, rows).by_time("held-out rows", show=grid.is_world_root):
+            for check, design in zip(checks, of_each, strict=True):
+                check.add(t, design)
+    found = []
+    for problem, own, seen, check in zip(problems, rows, before, checks, strict=True):
+        reduce_heldout(grid, check.statistics)
+        found.append((check.statistics, heldout_sample(grid, problem, own, seen, own, check.after)))
+    return found
 
 
 def reduce_heldout(grid: ProcessGrid, statistics: list[HeldoutStatistics]) -> None:

@@ -11,9 +11,9 @@ from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.fit.blocks import BeamBlock
 from hydrabeam_mpi.fit.carried_over import CarriedOver
-from hydrabeam_mpi.fit.channels import read_share
 from hydrabeam_mpi.fit.learned import Learned
 from hydrabeam_mpi.fit.rank_data import RankData
+from hydrabeam_mpi.fit.shares import read_share
 from hydrabeam_mpi.fit.state import Values
 from hydrabeam_mpi.inference.prior import ChannelPrior
 from hydrabeam_mpi.mpi import ProcessGrid

@@ -15,7 +15,7 @@ from hydrabeam_mpi.effects.registry import EFFECTS, REWEIGHTINGS, make_effect, m
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.accumulate import accumulate_designs, check_designs
 from hydrabeam_mpi.fit.carried_over import CarriedOver, carry_over, share_fit
-from hydrabeam_mpi.fit.channels import ChannelResult, read_shares, reduce_heldout, reduced_chi2
+from hydrabeam_mpi.fit.channels import ChannelResult, reduce_heldout, reduced_chi2
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.coupled_effects import coupled_channels
@@ -27,6 +27,7 @@ from hydrabeam_mpi.fit.heldout_sample import heldout_sample
 from hydrabeam_mpi.fit.learned import Learned
 from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.settle import settle
+from hydrabeam_mpi.fit.shares import read_shares
 from hydrabeam_mpi.fit.state import Active, Fitted, Reweighted, Values, independent_prior
 from hydrabeam_mpi.inference.prior import ChannelPrior, FactoredPrior
 from hydrabeam_mpi.io.uvmeta import read_observation

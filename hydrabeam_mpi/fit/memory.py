@@ -5,7 +5,7 @@ Counted are the arrays that are there at one time, from the sizes in the docstri
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -141,7 +141,7 @@ def loop_bytes(share: Share, root: bool) -> int:
     return inference_bytes(share, root) + of_rows + following
 
 
-def check_room(grid: ProcessGrid, problem: Problem, needed: Callable[[Share, bool], int]) -> None:
+def check_room(grid: ProcessGrid, problems: Sequence[Problem], needed: Callable[[Share, bool], int]) -> None:
     """Refuse a run that does not fit the memory, before it begins.
 
     Collective: all ranks of `grid.world`.
@@ -149,8 +149,8 @@ def check_room(grid: ProcessGrid, problem: Problem, needed: Callable[[Share, boo
     Parameters
     ----------
     grid : ProcessGrid
-    problem : Problem
-        Of all channels.
+    problems : sequence of Problem
+        Of all channels, one a polarisation. What each needs counts, though they share the design.
     needed : callable
         `inference_bytes` or `loop_bytes`.
 
@@ -159,12 +159,15 @@ def check_room(grid: ProcessGrid, problem: Problem, needed: Callable[[Share, boo
     InputError
         On all ranks, if it needs more than a rank has, or the job's channels cannot be solved for together.
     """
-    tiles = [problem.tile_of(rows, grid.group.rank, grid.group.size) for rows in (problem.train, problem.test)]
-    share = Share.of(problem, len(grid.channels), *tiles)
-    with together(grid.world):
-        unknowns = dense_unknowns(problem.coupling, problem.basis.n_modes)
-        share = replace(share, unknowns=unknowns if grid.is_world_root else 0)
-    most = max(grid.world.allgather(own_bytes() + needed(share, grid.is_group_root)))
+    rows, own = problems[0], own_bytes()
+    tiles = [rows.tile_of(some, grid.group.rank, grid.group.size) for some in (rows.train, rows.test)]
+    for problem in problems:
+        share = Share.of(problem, len(grid.channels), *tiles)
+        with together(grid.world):
+            unknowns = dense_unknowns(problem.coupling, problem.basis.n_modes)
+            share = replace(share, unknowns=unknowns if grid.is_world_root else 0)
+        own += needed(share, grid.is_group_root)
+    most = max(grid.world.allgather(own))
     memory = memory_per_rank(grid.world)
     with together(grid.world):
         check_fits(most, memory, grid.world.size)

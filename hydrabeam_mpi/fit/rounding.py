@@ -10,7 +10,7 @@ one mode in common: by as many times as that has channels, the largest eigenvalu
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -60,12 +60,11 @@ class Rounding:
         self._scale = np.sqrt(has_data.sum(axis=1) / np.maximum(has_data[:, chosen].sum(axis=1), 1))
         self._designs: dict[int, Array] = {}
 
-    def watch(self, by_time: Iterable[Array]) -> Iterator[Array]:
-        """Pass on the designs of the rank's times, and keep those of the few."""
-        for time, design in zip(self.rows.tile.times.tolist(), by_time, strict=True):
-            if time in self.sampled:
-                self._designs[time] = design
-            yield design
+    def watch(self, t: int, design: Array) -> None:
+        """Keep the design of the rank's time number ``t`` if it is of the few."""
+        time = int(self.rows.tile.times[t])
+        if time in self.sampled:
+            self._designs[time] = design
 
     def shifts(self, grid: ProcessGrid, posteriors: Sequence[Posterior]) -> FloatArray:
         """Return two standard deviations of the shift of the coefficient that moves most, in its std, (Nfreqs,).

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -52,17 +53,20 @@ class Rows:
         redundant: RedundantGroups,
         n_unflagged: int,
         divisor: FloatArray | None = None,
+        pol: int = 0,
     ) -> Rows:
-        """Take the visibilities of ``tile`` in the one polarisation of the job.
+        """Take the visibilities of ``tile`` in one polarisation, by its number.
 
         ``divisor``, if any, is in the shape of the visibilities' data.
         """
-        data = visibilities.data[..., 0]
+        data = visibilities.data[..., pol]
         flipped = redundant.flipped[tile.bls]
         groups, member = np.unique(redundant.group[tile.bls], return_inverse=True)
         oriented = np.where(flipped, data.conj(), data)
-        of_pol = None if divisor is None else divisor[..., 0]
-        return cls(tile, oriented, visibilities.inv_noise_var[..., 0], groups, member, n_unflagged, of_pol)
+        # Not as views, which would keep the other polarisations.
+        weights = np.ascontiguousarray(visibilities.inv_noise_var[..., pol])
+        of_pol = None if divisor is None else np.ascontiguousarray(divisor[..., pol])
+        return cls(tile, oriented, weights, groups, member, n_unflagged, of_pol)
 
     def compressed(self) -> tuple[ComplexArray, FloatArray]:
         """Return sum(w d) and sum(w) over each group, (Nfreqs, Ntimes, Nlocal): exact sufficient statistics."""
@@ -84,7 +88,17 @@ def read_rows(problem: Problem, tile: Tile, autos: Block | None = None) -> Rows:
     InputError
         If a file cannot be used, or visibilities, gains or noise are not as they should be.
     """
-    files, observation, job = problem.files, problem.observation, problem.job
+    return read_rows_of_each([problem], tile, autos)[0]
+
+
+def read_rows_of_each(problems: Sequence[Problem], tile: Tile, autos: Block | None = None) -> list[Rows]:
+    """Read the same rows for problems that differ in their polarisation alone, all at once; see `read_rows`."""
+    problem, noise_variance = problems[0], None
+    if problem.noise_variance is not None:
+        of_each = [one.noise_variance for one in problems if one.noise_variance is not None]
+        noise_variance = np.concatenate(of_each, axis=2)
+    observation = replace(problem.observation, pols=tuple(pol for one in problems for pol in one.observation.pols))
+    files, job = problem.files, problem.job
     data, flags, nsamples = read_visibilities(files, observation, tile)
     divisor = None
     if problem.gain_files:
@@ -93,12 +107,16 @@ def read_rows(problem: Problem, tile: Tile, autos: Block | None = None) -> Rows:
         weights = noise.constant_weights(job.noise.sigma, flags, nsamples)
     elif problem.noise_file is not None:
         weights = noise.file_weights(problem.noise_file, observation, tile, flags, nsamples)
-    elif problem.noise_variance is not None:
-        weights = noise.variance_weights(problem.noise_variance[:, tile.bls], flags, nsamples)
+    elif noise_variance is not None:
+        weights = noise.variance_weights(noise_variance[:, tile.bls], flags, nsamples)
     else:
         gains = problem.gain_files
         weights = noise.radiometer_weights(files, observation, tile, flags, nsamples, gains, autos)
     scale = problem.flux_scale.reshape(-1, 1, 1, 1)
     if np.any(scale != 1):
         data, weights = data * scale, weights / scale**2
-    return Rows.of(tile, Visibilities(data, weights), problem.redundant, int(np.sum(~flags)), divisor)
+    visibilities, n_unflagged = Visibilities(data, weights), np.sum(~flags, axis=(0, 1, 2)).tolist()
+    return [
+        Rows.of(tile, visibilities, one.redundant, count, divisor, pol)
+        for pol, (one, count) in enumerate(zip(problems, n_unflagged, strict=True))
+    ]

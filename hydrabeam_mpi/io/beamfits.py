@@ -7,7 +7,6 @@ the geometric mean of the two co-polarised peaks. An E-field is turned into powe
 
 from __future__ import annotations
 
-import unicodedata
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -26,6 +25,7 @@ from hydrabeam_mpi.io.reading import reading
 from hydrabeam_mpi.model.bases.rings import SAME_ANGLE, Pixels
 from hydrabeam_mpi.model.beam import BeamInfo, SampledBeam
 from hydrabeam_mpi.model.interpolate import AzZaGrid, HealpixMap
+from hydrabeam_mpi.words import in_ascii
 
 SAME_FREQ = 5e-4
 """Relative distance within which a beam's frequency is the one asked for."""
@@ -196,8 +196,6 @@ class BeamFile:
 _COPOLS = (-5, -6, -1, -2)
 # Axes of real power in a beamfits file: vector component, spectral window, polarisation, frequency, za, az.
 _REAL_POWER_NDIM = 6
-# A file holds channels whose spacings agree to this, Hz.
-_UNEVEN = 1e-3
 
 
 def write_power_beam(
@@ -214,7 +212,8 @@ def write_power_beam(
 
     Values are written as they are ("physical" normalisation, bandpass one), as visibilities do constrain the
     amplitude; of a co-polarised beam the real part, the largest imaginary one going to the header (IMAGMAX).
-    A file holds evenly spaced channels only. Others go into one each, ``NAME.<freq>MHz.SUFFIX``.
+    A file holds evenly spaced channels only. Others go into one each, ``NAME.<freq>MHz.SUFFIX``, as do three of the
+    four polarisations without one that stands between them, ``NAME.<pol>.SUFFIX``.
 
     Parameters
     ----------
@@ -236,13 +235,16 @@ def write_power_beam(
         Largest absolute imaginary part of the co-polarised values.
     """
     about = {"telescope_name": telescope_name, "history": history, "x_points": x_points}
-    if len(freqs) > 2 and np.ptp(np.diff(freqs)) > _UNEVEN:
-        names = [path.with_name(f"{path.stem}.{freq / 1e6:.6f}MHz{path.suffix}") for freq in freqs]
-        return max(
-            write_power_beam(name, values[:, f : f + 1], freqs[f : f + 1], pols, **about)
-            for f, name in enumerate(names)
-        )
     uvbeam = power_uvbeam(values, freqs, pols, **about)
+    parts: dict[str, tuple[Array, FloatArray, list[str]]] = {}
+    if _uneven(freqs):
+        parts = {f"{freq / 1e6:.6f}MHz": (values[:, [f]], freqs[[f]], pols) for f, freq in enumerate(freqs)}
+    elif _uneven(uvbeam.polarization_array):
+        parts = {pol: (values[[p]], freqs, [pol]) for p, pol in enumerate(pols)}
+    if parts:
+        names = [path.with_name(f"{path.stem}.{part}{path.suffix}") for part in parts]
+        pairs = zip(names, parts.values(), strict=True)
+        return max(write_power_beam(name, some, own, of, **about) for name, (some, own, of) in pairs)
     imag_max = float(uvbeam.extra_keywords["IMAGMAX"])
     uvbeam.write_beamfits(str(path), clobber=True)
     _put_polarisations_in_place(path)
@@ -258,8 +260,14 @@ def power_uvbeam(
     history: str = "",
     x_points: str = "east",
 ) -> UVBeam:
-    """Return power beams on a grid, (Npols, Nfreqs, Nza, Naz), as a UVBeam; see :func:`write_power_beam`."""
+    """Return power beams on a grid, (Npols, Nfreqs, Nza, Naz), as a UVBeam; see :func:`write_power_beam`.
+
+    Polarisations whose numbers are not evenly spaced are put in the order xx, yy, xy, yx.
+    """
     numbers = np.array([int(polstr2num(pol, x_orientation=x_points)) for pol in pols])
+    if _uneven(numbers):
+        order = np.argsort(-numbers)
+        numbers, values = numbers[order], values[order]
     copol = np.isin(numbers, _COPOLS)
     imag_max = float(np.abs(np.imag(values[copol])).max(initial=0.0))
     data = np.array(values, dtype=np.complex128)
@@ -284,10 +292,8 @@ def power_uvbeam(
     return uvbeam
 
 
-def in_ascii(text: str) -> str:
-    """Return text as a FITS header may have it: letters without their accents, and "?" for what ASCII lacks."""
-    plain = (letter for letter in unicodedata.normalize("NFKD", text) if not unicodedata.combining(letter))
-    return "".join(letter if letter.isascii() and letter.isprintable() else "?" for letter in plain)
+def _uneven(values: Array) -> bool:
+    return len(values) > 2 and bool(np.ptp(np.diff(values)) > 1e-3)
 
 
 def _put_polarisations_in_place(path: Path) -> None:

@@ -18,6 +18,7 @@ from hydrabeam_mpi.io.checksums import checksum
 from hydrabeam_mpi.io.kept_rounds import check_ended
 from hydrabeam_mpi.io.manifest import MANIFEST, read_manifest
 from hydrabeam_mpi.io.posterior_file import PosteriorFile, read_covariance, read_posterior
+from hydrabeam_mpi.io.together import check_of_one
 from hydrabeam_mpi.io.uvfile import FREQ_TOLERANCE
 from hydrabeam_mpi.model.bases import basis_from_description
 from hydrabeam_mpi.model.bases.base import LinearBasis
@@ -186,6 +187,7 @@ def read_inferred(folder: Path, field: str | None = None) -> Inferred:
         If it is none, or the file has changed since.
     """
     check_ended(folder)
+    check_of_one(folder, field)
     path = folder / POSTERIOR
     listed = read_manifest(folder)
     remedy = "name a folder written by 'hydrabeam infer' or 'hydrabeam loop'"

@@ -53,8 +53,8 @@ def find_strangers(folder: Path) -> list[str]:
     OSError
         If not all of it can be read.
     """
-    listed = read_manifest(folder) or {}
     files, folders = _content(folder)
+    listed = _listed_within(folder)
     expected = {str(parent) for name in listed for parent in Path(name).parents}
     said = [f"{name} (added)" for name in folders if name not in expected]
     for name in files:
@@ -67,7 +67,7 @@ def find_strangers(folder: Path) -> list[str]:
 
 def remove_result(folder: Path) -> bool:
     """Remove the files that a result's manifest lists and the folders that are empty then; tell whether all is gone."""
-    listed = read_manifest(folder) or {}
+    listed = _listed_within(folder)
     files, folders = _content(folder)
     with suppress(OSError):
         for name in [name for name in files if name in listed]:
@@ -78,6 +78,20 @@ def remove_result(folder: Path) -> bool:
             (folder / name).rmdir()
         folder.rmdir()
     return not folder.exists()
+
+
+def _listed_within(folder: Path) -> dict[str, str]:
+    """Return the checksums of a result's files, those of results within it by their own manifests.
+
+    These may have changed since: a report is made in one of them.
+    """
+    listed = read_manifest(folder) or {}
+    for part in [Path(name).parent for name in listed if Path(name).name == MANIFEST]:
+        within = read_manifest(folder / part)
+        if within is not None:
+            listed |= {str(part / name): told for name, told in within.items()}
+            listed[str(part / MANIFEST)] = checksum(folder / part / MANIFEST)
+    return listed
 
 
 def _content(folder: Path) -> tuple[list[str], list[str]]:

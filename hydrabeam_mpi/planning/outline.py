@@ -81,7 +81,7 @@ def outline(job: Job, given: Given, clock: Clock) -> Outline:
     """
     start = clock()
     if job.data.simulate is not None and not given.data:
-        observation = mock_observation(job.data.simulate, job.data.polarization)
+        observation = mock_observation(job.data.simulate, job.data.pol)
     else:
         observation = observe(job, given.data or expand(job.data.files, "[data] files"))
     middle = slice(observation.Nfreqs // 2, observation.Nfreqs // 2 + 1)

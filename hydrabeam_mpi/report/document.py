@@ -15,6 +15,7 @@ from markupsafe import Markup
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.disk import replacing
 from hydrabeam_mpi.io.manifest import MANIFEST, add_to_manifest
+from hydrabeam_mpi.io.together import folders_of_each
 from hydrabeam_mpi.report.beam.frequencies import draw_frequencies
 from hydrabeam_mpi.report.beam.sky import draw_maps
 from hydrabeam_mpi.report.data.section import data_body
@@ -42,7 +43,8 @@ def write_report(directory: Path, other_gains: Sequence[Path] = ()) -> None:
     Parameters
     ----------
     directory : Path
-        Folder that ``hydrabeam infer`` or ``hydrabeam loop`` wrote, or that ``hydrabeam sample`` wrote or is writing.
+        Folder that ``hydrabeam infer`` or ``hydrabeam loop`` wrote, or that ``hydrabeam sample`` wrote or is writing;
+        of several polarisations each gets its own.
     other_gains : sequence of Path
         Files of gains that were not applied to the data, to be compared with those that were given and found.
 
@@ -53,6 +55,10 @@ def write_report(directory: Path, other_gains: Sequence[Path] = ()) -> None:
     """
     if ChainStore.exists(directory) and not other_gains:
         _write_chains(directory)
+        return
+    if parts := folders_of_each(directory):
+        for part_of_one in parts.values():
+            write_report(part_of_one, other_gains)
         return
     loop = load_loop(directory)
     result = load_result(directory)

@@ -114,7 +114,8 @@ def least_result_bytes(job: Job, n_channels: int | None = None) -> int:
     else:
         n_modes, is_complex = basis.n_modes, basis.form == "complex"
     itemsize, n_matrices = np.dtype(complex if is_complex else float).itemsize, 1 + job.prior.frequency.couples
-    return least_bytes(n_channels, n_modes, itemsize, job.output.draws, n_matrices)
+    one = least_bytes(n_channels, n_modes, itemsize, job.output.draws, n_matrices)
+    return one * len(job.data.polarization)
 
 
 def check_records(records: Sequence[ChannelRecord]) -> None:
@@ -174,20 +175,25 @@ def summarise(
 def write_result(folder: Path, job: Job, content: PosteriorFile, summary: dict[str, Any]) -> None:
     """Write what has been computed: posterior, summary, job and provenance."""
     write_posterior(folder / "posterior.h5", content)
-    _write_json(folder / "summary.json", summary)
+    write_json(folder / "summary.json", summary)
     write_job_and_provenance(folder, job, content.provenance)
 
 
 def write_job_and_provenance(folder: Path, job: Job, about: dict[str, Any]) -> None:
     """Write the resolved job and where the result comes from."""
     (folder / "job.toml").write_text(tomli_w.dumps(job.model_dump(mode="json", exclude_none=True)))
-    _write_json(folder / "provenance.json", about)
+    write_json(folder / "provenance.json", about)
 
 
 def write_conversions(folder: Path, content: PosteriorFile) -> None:
     """Write the MAP beam in another format; what stands in its way is one more warning of the summary."""
+    write_beams(folder, [content])
+
+
+def write_beams(folder: Path, contents: Sequence[PosteriorFile]) -> None:
+    """Do as `write_conversions` with the beams of several polarisations in one file."""
     try:
-        write_power_beam(folder / "beam.beamfits", **map_beams(content))
+        write_power_beam(folder / "beam.beamfits", **map_beams(*contents))
     except Exception as error:  # whatever it is, the result itself is there
         for part in folder.glob("beam*.beamfits"):
             part.unlink()
@@ -197,13 +203,17 @@ def write_conversions(folder: Path, content: PosteriorFile) -> None:
         _add_warning(folder / "summary.json", caution)
 
 
-def map_beams(content: PosteriorFile) -> dict[str, Any]:
-    """Return the MAP beams, (1, Nfreqs, 91, 360), and what is said of them, as `write_power_beam` takes them."""
+def map_beams(*contents: PosteriorFile) -> dict[str, Any]:
+    """Return the MAP beams, (Npols, Nfreqs, 91, 360), and what is said of them, as `write_power_beam` takes them.
+
+    Each of the ``contents``, of the same channels, is of one polarisation.
+    """
+    content = contents[0]
     version = content.provenance["versions"]["hydrabeam_mpi"]
     return {
-        "values": np.array([[record.arrays["map_mean"] for record in content.channels]]),
+        "values": np.array([[record.arrays["map_mean"] for record in one.channels] for one in contents]),
         "freqs": np.array([record.freq for record in content.channels]),
-        "pols": [content.polarization],
+        "pols": [one.polarization for one in contents],
         "telescope_name": content.telescope_name,
         "history": f"Maximum a posteriori beam inferred by hydrabeam_mpi {version}.",
     }
@@ -215,10 +225,11 @@ def _add_warning(path: Path, caution: str) -> None:
     summary["warnings"].append(caution)
     try:
         with replacing(path) as partial:
-            _write_json(partial, summary)
+            write_json(partial, summary)
     except OSError as error:
         warn([f"nor could that be added to summary.json ({error.strerror})"])
 
 
-def _write_json(path: Path, content: dict[str, Any]) -> None:
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Write a table of JSON, indented."""
     path.write_text(json.dumps(content, indent=2) + "\n")

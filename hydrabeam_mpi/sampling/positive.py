@@ -20,7 +20,7 @@ def nowhere_negative(problem: Problem, spacing: float) -> NonNegative:
     """
     if not problem.beams[0].info.is_copol:
         raise InputError(
-            f"a beam of polarization '{problem.job.data.polarization}', of two different feeds, has no sign",
+            f"a beam of polarization '{problem.job.data.pol}', of two different feeds, has no sign",
             field="[sample] positive_beam",
             remedy="leave it out",
         )

@@ -1,4 +1,4 @@
-"""Channels of which all data are flagged: found before anything is made of them, and left out."""
+"""Channels of which all data of a polarisation are flagged: found before anything is made of them, and left out."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ GROWTH = 16
 
 
 def without_flagged(world: Comm, job: Job, files: Sequence[Data], observation: Observation) -> tuple[Job, Observation]:
-    """Leave out channels without any unflagged cross-correlation, as if the job did not ask for them.
+    """Leave out channels without any unflagged cross-correlation in one polarisation, as if the job did not name them.
 
     Collective: all ranks of `world`, which share out the times. Most channels have data that count among the first
     that are looked at, and of the others alone all are read.
@@ -48,28 +48,28 @@ def without_flagged(world: Comm, job: Job, files: Sequence[Data], observation: O
         observation,
         freqs=freqs,
         channel_width=observation.channel_width[live],
-        doubts=(*observation.doubts, _told(observation.freqs, live)),
+        doubts=(*observation.doubts, _told(observation.freqs, live, observation.pols)),
     )
     return job.model_copy(update={"data": job.data.model_copy(update=changes)}), kept
 
 
 def _live_channels(world: Comm, files: Sequence[Data], observation: Observation) -> BoolArray:
-    """Tell which channels have unflagged data, (Nfreqs,)."""
-    live = np.zeros(observation.Nfreqs, dtype=np.int64)
+    """Tell which channels have unflagged data in all polarisations, (Nfreqs,)."""
+    live = np.zeros((observation.Nfreqs, observation.Npols), dtype=np.int64)
     times = np.array_split(np.arange(observation.Ntimes), world.size)[world.rank]
     rows, at, step = len(times) * observation.Nbls, 0, FIRST_ROWS
     while True:
-        dark = np.flatnonzero(live == 0)
+        dark = np.flatnonzero(~live.all(axis=1))
         with together(world):
-            until = min(rows, at + min(step, WINDOW_BYTES // (SAMPLE_BYTES * dark.size) + 1))
+            until = min(rows, at + min(step, WINDOW_BYTES // (SAMPLE_BYTES * dark.size * observation.Npols) + 1))
             for part_times, part_bls in _rectangles(times, observation.Nbls, at, until):
                 live[dark] |= _have_data(files, observation, dark, part_times, part_bls)
         at, step = until, GROWTH * step
         told = np.append(live, int(at < rows))
         allreduce_max(world, told)
-        live = told[:-1]
+        live = told[:-1].reshape(live.shape)
         if live.all() or not told[-1]:
-            return live.astype(bool)
+            return np.asarray(live.all(axis=1))
 
 
 def _rectangles(times: IntArray, n_bls: int, first: int, last: int) -> Iterator[tuple[IntArray, IntArray]]:
@@ -85,15 +85,16 @@ def _rectangles(times: IntArray, n_bls: int, first: int, last: int) -> Iterator[
 def _have_data(
     files: Sequence[Data], observation: Observation, channels: IntArray, times: IntArray, bls: IntArray
 ) -> BoolArray:
-    """Tell which of some channels have unflagged data at some times and baselines, (len(channels),)."""
+    """Tell which of some channels have unflagged data at some times and baselines, (len(channels), Npols)."""
     part = replace(observation, freqs=observation.freqs[channels], channel_width=observation.channel_width[channels])
     flags = read_block(files, part, times, observation.antpairs[bls], observation.pols).flags
-    return np.asarray(~flags.all(axis=(1, 2, 3)))
+    return np.asarray(~flags.all(axis=(1, 2)))
 
 
-def _told(freqs: FloatArray, live: BoolArray) -> str:
+def _told(freqs: FloatArray, live: BoolArray, pols: Sequence[str]) -> str:
     """Say which channels are left out; neighbours are told as ranges."""
     dark = np.flatnonzero(~live)
     runs = np.split(dark, 1 + np.flatnonzero(np.diff(dark) > 1))
     named = (" to ".join(f"{freqs[f] / 1e6:.6g}" for f in np.unique(run[[0, -1]])) for run in runs)
-    return f"Skipped {len(dark)} of {len(live)} channels, of which all data are flagged: {', '.join(named)} MHz."
+    data = "all data" if len(pols) == 1 else f"all data of {' or '.join(pols)}"
+    return f"Skipped {len(dark)} of {len(live)} channels, of which {data} are flagged: {', '.join(named)} MHz."

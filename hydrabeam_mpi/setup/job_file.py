@@ -15,7 +15,9 @@ from hydrabeam_mpi.model.engines import check_engine
 from hydrabeam_mpi.mpi import Comm, memory_per_rank, together
 
 
-def load(world: Comm, path: Path, needs_simulation: bool = False, needs_holdout: bool = False) -> Job:
+def load(
+    world: Comm, path: Path, needs_simulation: bool = False, needs_holdout: bool = False, takes_several: bool = False
+) -> Job:
     """Read the job on rank 0 and share it.
 
     Collective: all ranks of `world`.
@@ -24,7 +26,8 @@ def load(world: Comm, path: Path, needs_simulation: bool = False, needs_holdout:
     ------
     InputError
         On all ranks, if the job cannot be used, or simulates nothing where it ``needs_simulation``, or holds
-        nothing out where it ``needs_holdout``.
+        nothing out where it ``needs_holdout``, or has several polarisations where it does not
+        ``takes_several``.
     """
     job, memory = None, memory_per_rank(world)
     with together(world):
@@ -33,6 +36,7 @@ def load(world: Comm, path: Path, needs_simulation: bool = False, needs_holdout:
             try:
                 check_sizes(job, memory)
                 check_engine(job.solver.engine)
+                _ = takes_several or job.data.pol
             except InputError as error:
                 error.locate(path)
                 raise

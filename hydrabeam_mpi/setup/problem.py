@@ -196,11 +196,6 @@ def prepare(
     sky = whole_sky.brighter_than(job.sky.model_flux_min)
     time_costs = count_sources(sky, observation)
     earlier = find_earlier(job, observation, given.earlier)
-    basis, fits = fit_model_beams(job, beams, earlier.basis if earlier else None)
-    if earlier is not None:
-        priors: tuple[Prior, ...] = beam_priors(earlier)
-    else:
-        priors = given_priors(given.priors, fits) if given.priors else tuple(make_prior(job, fit) for fit in fits)
     return Problem(
         job=job,
         files=files,
@@ -211,18 +206,46 @@ def prepare(
         test=test,
         sky=sky,
         flux_removed=1 - float(sky.flux.sum() / whole_sky.flux.sum()),
-        basis=basis,
-        beams=tuple(beams),
-        priors=priors,
-        fit_rms=tuple(fit.rms_residual for fit in fits),
         time_costs=time_costs,
         channel_numbers=np.arange(observation.Nfreqs),
         truths=truths,
-        cautions=(*cautions_of_data(job, observation), *(() if earlier else cautions_of_basis(job, basis))),
         noise_file=given.noise or job.noise.file,
         earlier=earlier,
-        coupling=couple(job.prior.frequency, observation.freqs, priors),
+        **_known_of_beams(job, observation, beams, earlier, given),
     )
+
+
+def _known_of_beams(
+    job: Job, observation: Observation, beams: tuple[Beam, ...], earlier: Inferred | None, given: Given
+) -> dict[str, Any]:
+    """Return the fields of a `Problem` that follow from the model beams, (Nfreqs,), and what is known of them."""
+    basis, fits = fit_model_beams(job, beams, earlier.basis if earlier else None)
+    if earlier is not None:
+        priors: tuple[Prior, ...] = beam_priors(earlier)
+    else:
+        priors = given_priors(given.priors, fits) if given.priors else tuple(make_prior(job, fit) for fit in fits)
+    return {
+        "basis": basis,
+        "beams": beams,
+        "priors": priors,
+        "fit_rms": tuple(fit.rms_residual for fit in fits),
+        "cautions": (*cautions_of_data(job, observation), *(() if earlier else cautions_of_basis(job, basis))),
+        "coupling": couple(job.prior.frequency, observation.freqs, priors),
+    }
+
+
+def of_polarization(problem: Problem, job: Job, pol: str, truths: tuple[Beam, ...], given: Given) -> Problem:
+    """Return the problem of a job that differs in its polarisation alone, ``pol`` as the data name it. Serial.
+
+    Other parameters and errors as of `prepare`.
+    """
+    observation = replace(problem.observation, pols=(pol,))
+    beams = load_beams(job, observation.freqs, pol, given.beam)
+    known = _known_of_beams(job, observation, beams, None, given)
+    # Cross-polarised visibilities of a baseline and of its reverse are no conjugates.
+    as_before = observation.is_copolar == problem.observation.is_copolar
+    redundant = problem.redundant if as_before else find_groups(job, observation)
+    return replace(problem, job=job, observation=observation, redundant=redundant, truths=truths, **known)
 
 
 def _differences(job: Job) -> Literal["time", "frequency"] | None:

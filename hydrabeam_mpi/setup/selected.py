@@ -20,7 +20,7 @@ def select(job: Job) -> Selection:
     """Turn the data section into a selection in radians and Hz."""
     data = job.data
     return Selection(
-        pols=(data.polarization,),
+        pols=data.polarization,
         antennas=data.antennas,
         exclude_antennas=data.exclude_antennas,
         antpairs=data.antpairs,

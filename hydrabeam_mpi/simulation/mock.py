@@ -15,7 +15,7 @@ from astropy.time import Time
 from hydrabeam_mpi.config import Job, Simulate
 from hydrabeam_mpi.config.sizes import check_fits, simulated_bytes
 from hydrabeam_mpi.data.limits import LARGEST
-from hydrabeam_mpi.data.observation import SIDEREAL_DAY, ComplexArray, FloatArray, Observation
+from hydrabeam_mpi.data.observation import SIDEREAL_DAY, ComplexArray, FloatArray, Observation, are_copolar
 from hydrabeam_mpi.data.partition import make_tiles
 from hydrabeam_mpi.data.redundancy import RedundantGroups, check_apart, check_tolerance, find_redundant_groups
 from hydrabeam_mpi.effects.interface.observing_setup import FEEDS
@@ -79,7 +79,7 @@ def simulate_to(world: Comm, job: Job, folder: Path) -> Scene:
     observation, sky, beams = scene.observation, scene.sky, scene.beams
     with together(world):
         redundant = find_redundant_groups(
-            observation.bl_vectors, job.data.redundancy_tol, either_sign=observation.is_copolar
+            observation.bl_vectors, job.data.redundancy_tol, either_sign=are_copolar(beams)
         )
         check_tolerance(observation, redundant, job.data.redundancy_tol)
         vectors = np.concatenate([redundant.vectors, np.zeros((1, 3))])
@@ -100,19 +100,21 @@ def simulate_to(world: Comm, job: Job, folder: Path) -> Scene:
 
 def _set_scene(job: Job, settings: Simulate, memory: int) -> Scene:
     """Lay out what is observed, with which sky, and with which beams in which polarisations."""
-    pol: str = job.data.polarization
-    observation = mock_observation(settings, pol)
+    pols: tuple[str, ...] = job.data.polarization
+    if settings.effects and len(pols) > 1:
+        told, remedy = f"has {len(pols)} polarisations, and effects are simulated in one", f'set it to "{pols[0]}"'
+        raise InputError(told, field="[data] polarization", remedy=remedy)
+    # Noise is that of the autocorrelations of both feeds, which have beams of their own.
+    autos = [2 * feed for pol in pols if not are_copolar([pol]) for feed in pol]
+    observation = replace(mock_observation(settings, pols[0]), pols=tuple(dict.fromkeys([*pols, *autos])))
     needed = simulated_bytes(observation.Nants, observation.Ntimes, observation.Nfreqs)
     check_fits("[data.simulate]", needed, memory)
     check_apart(observation, job.data.redundancy_tol)
-    if not observation.is_copolar:
-        # Noise is that of the autocorrelations of both feeds, which have beams of their own.
-        observation = replace(observation, pols=(pol, 2 * pol[0], 2 * pol[1]))
     beams = {one: load_beams(job, observation.freqs, one) for one in observation.pols}
     if settings.perturb is not None:
         change = partial(perturb, job, settings=settings.perturb)
         beams = {one: tuple(map(change, own)) for one, own in beams.items()}
-    own = beams[pol]
+    own, pol = beams[pols[0]], pols[0]
     if observation.is_copolar and any(entry.kind in SEPARATE for entry in settings.effects):
         one, other = next(feeds for feeds in FEEDS if pol[0] in feeds)
         observation = replace(observation, pols=(2 * one, 2 * other, one + other, other + one))
@@ -204,19 +206,19 @@ def _write(
     if injection:
         data, truths = injection.before_noise(data)
     if settings.noise:
-        own = job.data.polarization
+        own = job.data.polarization[0]
         data = {pol: add_noise(vis, variance[pol], job.seed, *[pol] * (pol != own)) for pol, vis in data.items()}
     if injection:
         data, more = injection.after_noise(data, variance)
         truths += more
     _check_simulated(observation, data, autos, truths)
     _write_data(folder / "data.uvh5", observation, data, autos, settings.nsamples)
-    own_beams = beams[job.data.polarization]
-    maps = np.array([evaluate_on_grid(beam) for beam in own_beams])
-    names = [beam.info.name for beam in own_beams]
-    where = sky.ra, sky.dec, sky.flux
-    truth = Truth(observation.freqs, GRID_ZA, GRID_AZ, maps, *where, names, job.data.polarization, truths)
-    write_truth(folder / "truth.h5", truth)
+    for pol in job.data.polarization:
+        maps = np.array([evaluate_on_grid(beam) for beam in beams[pol]])
+        names = [beam.info.name for beam in beams[pol]]
+        where = sky.ra, sky.dec, sky.flux
+        truth = Truth(observation.freqs, GRID_ZA, GRID_AZ, maps, *where, names, pol, truths)
+        write_truth(folder / ("truth.h5" if len(job.data.polarization) == 1 else f"truth-{pol}.h5"), truth)
 
 
 def _check_simulated(
@@ -253,5 +255,5 @@ def _injection(
     beams: Mapping[str, tuple[Beam, ...]],
 ) -> Injection:
     """Prepare the effects that the job wants in its data."""
-    basis, fits = fit_model_beams(job, load_beams(job, observation.freqs, job.data.polarization))
+    basis, fits = fit_model_beams(job, load_beams(job, observation.freqs, job.data.pol))
     return Injection(job, observation, redundant, sky, beams, basis, [fit.coeffs for fit in fits])

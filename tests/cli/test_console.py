@@ -94,7 +94,7 @@ from mpi4py.MPI import COMM_WORLD as world
 from hydrabeam_mpi import cli
 from hydrabeam_mpi.setup import job_file
 
-def fail(comm, *_):
+def fail(comm, *_, **__):
     {body}
 job_file.load = fail
 sys.exit(cli.main(["infer", "job.toml", "-o", "out"]))

@@ -15,10 +15,11 @@ from pyuvdata import UVData
 from hydrabeam_mpi.cli import main
 from hydrabeam_mpi.commands.init import job_from_data
 from hydrabeam_mpi.config import Job, load_job
+from hydrabeam_mpi.config.data import Data
 from hydrabeam_mpi.config.effects import Loop
 from hydrabeam_mpi.config.frequency import OverFrequency
 from hydrabeam_mpi.config.named import expand
-from hydrabeam_mpi.config.sections import Basis, Beam, Data, Holdout, Noise, Output, Prior, Sky, SkyColumns, Solver
+from hydrabeam_mpi.config.sections import Basis, Beam, Holdout, Noise, Output, Prior, Sky, SkyColumns, Solver
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.posterior_file import read_posterior
 from tests.cli.conftest import Workspace
@@ -169,7 +170,7 @@ def test_data_are_described(write: Callable[..., Path], tmp_path: Path) -> None:
     assert "Every antenna has autocorrelations." in text
     job = load(text, tmp_path)
     assert job.data.files == (str(path),)
-    assert job.data.polarization == "ee"
+    assert job.data.pol == "ee"
     assert job.data.exclude_antennas == (7,)
     assert job.data.freqs == (120e6, 121e6, 123e6)
     assert job.noise.kind == "autocorrelations"
@@ -203,7 +204,7 @@ def test_files_that_state_the_feeds_in_different_ways(write: Callable[..., Path]
     north = write(pols=(-5,), x_orientation="north", name="north.uvh5")
     text = job_from_data([east, north])
     assert "Polarisations: ee, nn." in text
-    assert load(text, tmp_path).data.polarization == "ee"
+    assert load(text, tmp_path).data.pol == "ee"
     silent = write(pols=(-5,), x_orientation=None, times=TIMES + 1, name="silent.uvh5")
     with pytest.raises(InputError, match=r"silent.uvh5: feed_angle: does not tell .*, and east.uvh5 does: x east; if"):
         job_from_data([east, silent])
@@ -301,7 +302,7 @@ def test_one_of_many_channels_and_no_holdout_of_one_time(write: Callable[..., Pa
 def test_another_polarisation_needs_a_beam(write: Callable[..., Path], tmp_path: Path) -> None:
     text = job_from_data([write(pols=(-6,))])
     job = load(text, tmp_path)
-    assert job.data.polarization == "nn"
+    assert job.data.pol == "nn"
     assert job.beam.source == str(tmp_path / "BEAM.beamfits")
     assert "CHOOSE the beam in 'source'." in text
 

@@ -59,6 +59,8 @@ class Workspace:
             (folder / f"{name}.toml").write_text(tomli_w.dumps({"data": {"files": [f"{name}.uvh5"]}, **MODEL}))
         (folder / "DATA.toml").rename(folder / "job.toml")
         (folder / "simulation.toml").write_text(tomli_w.dumps({"data": {"simulate": SIMULATE}, **MODEL}))
+        both = {"simulate": SIMULATE, "polarization": ["ee", "nn"]}
+        (folder / "both.toml").write_text(tomli_w.dumps({"data": both, **MODEL}))
         self.run("hydrabeam loop job.toml -o found")
 
     def run(self, line: str) -> None:

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from hydrabeam_mpi.api.shared import prepare_shared
+from hydrabeam_mpi.api.preparation import prepare_shared
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.fit.channels import ChannelResult, infer_channels, read_share
+from hydrabeam_mpi.fit.channels import ChannelResult, infer_channels
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.rounding import MOST_SHIFT, Rounding
+from hydrabeam_mpi.fit.shares import read_share
 from hydrabeam_mpi.mpi import ProcessGrid
 from hydrabeam_mpi.setup.job_file import load
 from hydrabeam_mpi.setup.problem import Problem

@@ -10,7 +10,7 @@ import h5py
 import tomli_w
 from mpi4py import MPI
 
-from hydrabeam_mpi.api.shared import prepare_shared
+from hydrabeam_mpi.api.preparation import prepare_shared
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.joint import read_context

@@ -19,9 +19,11 @@ from pyradiosky import SkyModel
 from pyuvdata import UVBeam
 from pyuvdata.analytic_beam import AnalyticBeam
 
+import hydrabeam_mpi as hb
 from hydrabeam_mpi.commands.infer import infer
 from hydrabeam_mpi.config import load_job
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, Observation
+from hydrabeam_mpi.io.beamfits import BeamFile
 from hydrabeam_mpi.io.uvwrite import write_uvh5
 from hydrabeam_mpi.model.sky import Sky
 from hydrabeam_mpi.random import complex_normal, generator
@@ -106,26 +108,27 @@ JOB: dict[str, Any] = {
 }
 
 
-@pytest.fixture(scope="module")
-def observed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What matvis sees of many sources in all polarisations, with noise, and an E-field that is nearly right."""
-    folder = tmp_path_factory.mktemp("polarised")
+POLS = ("ee", "nn", "en", "ne")
+
+
+def write_observed(folder: Path, beam: AnalyticBeam | UVBeam, freq: float) -> None:
+    """Write what matvis sees of many sources in all polarisations, with noise, and the sources."""
     once = observe(ARRAYS["hexagon"])
     times = once.times[0] + np.arange(N_TIMES) / 72
     observation = replace(
         once,
-        freqs=FREQS[:1],
+        freqs=np.array([freq]),
         channel_width=np.full(1, 1e5),
         times=times,
         lsts=Time(times, format="jd", location=once.location).sidereal_time("apparent").rad,
         integration_time=np.full(N_TIMES, 10.0),
-        pols=("ee", "nn", "en", "ne"),
+        pols=POLS,
     )
     rng = generator(5, "sky")
     flux = 10 ** rng.uniform(-1, 1.5, (1, N_SOURCES))
     sky = Sky(rng.uniform(0, 2 * np.pi, N_SOURCES), np.arcsin(rng.uniform(-1, 1, N_SOURCES)), flux)
-    seen = by_matvis(observation, sky, Polarised(**FEEDS))
-    data = np.stack([seen[pol] for pol in observation.pols], axis=-1)
+    seen = by_matvis(observation, sky, beam)
+    data = np.stack([seen[pol] for pol in POLS], axis=-1)
     data += NOISE * complex_normal(generator(5, "noise"), data.shape)
     write_uvh5(folder / "data.uvh5", observation, data, np.zeros(data.shape, bool), np.ones(data.shape))
     SkyModel(
@@ -134,18 +137,31 @@ def observed(tmp_path_factory: pytest.TempPathFactory) -> Path:
         stokes=np.stack([flux, *np.zeros((3, 1, N_SOURCES))]) * units.Jy,
         spectral_type="flat",
     ).write_skyh5(folder / "sky.skyh5")
+
+
+def infer_from(folder: Path, name: str, job: dict[str, Any]) -> Path:
+    """Infer from a job and return the result's folder."""
+    path = folder / f"{name}.toml"
+    path.write_text(tomli_w.dumps(job))
+    infer(MPI.COMM_SELF, load_job(path), path, folder / name, overwrite=False, threads=1)
+    return folder / name
+
+
+@pytest.fixture(scope="module")
+def observed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Data of all polarisations, an E-field that is nearly right, and what one job infers of all of them."""
+    folder = tmp_path_factory.mktemp("polarised")
+    write_observed(folder, Polarised(**FEEDS), float(FREQS[0]))
     grid = {"axis1_array": np.deg2rad(np.arange(360.0)), "axis2_array": np.deg2rad(np.arange(91.0))}
     model = Polarised(leak=LEAK, **FEEDS).to_uvbeam(freq_array=FREQS[:1], beam_type="efield", **grid)
     model.write_beamfits(str(folder / "beam.fits"))
+    infer_from(folder, "together", {**JOB, "data": {**JOB["data"], "polarization": POLS}})
     return folder
 
 
 @pytest.mark.parametrize("pol", ["en", "ne"])
-def test_the_cross_polarised_beam_is_recovered(observed: Path, pol: str, tmp_path: Path) -> None:
-    job = {**JOB, "data": {**JOB["data"], "polarization": pol}}
-    (observed / f"{pol}.toml").write_text(tomli_w.dumps(job))
-    path, out = observed / f"{pol}.toml", tmp_path / "out"
-    infer(MPI.COMM_SELF, load_job(path), path, out, overwrite=False, threads=1)
+def test_the_cross_polarised_beam_is_recovered(observed: Path, pol: str) -> None:
+    out = observed / "together" / pol
     uvbeam = UVBeam.from_file(out / "beam.beamfits")
     # At the zenith all azimuthal orders are one, and few sources cross it.
     az, za = np.meshgrid(uvbeam.axis1_array, uvbeam.axis2_array[5:])
@@ -157,12 +173,51 @@ def test_the_cross_polarised_beam_is_recovered(observed: Path, pol: str, tmp_pat
     assert not [line for line in told["warnings"] if "negative" in line or "imaginary" in line]
 
 
-def test_simulated_ones_have_the_noise_of_both_feeds(observed: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("pol", ["ee", "ne"])
+def test_together_is_as_alone(observed: Path, pol: str) -> None:
+    """Of co-polarised data baselines and their reverses are one, of others two; the design is the same."""
+    alone = hb.load(infer_from(observed, pol, {**JOB, "data": {**JOB["data"], "polarization": pol}}))
+    together = hb.load(observed / "together")[pol]
+    assert np.all(np.abs(together.beam.mean - alone.beam.mean) < 1e-9 * alone.beam.std)
+    np.testing.assert_allclose(together.beam.std, alone.beam.std, rtol=1e-9)
+
+
+def test_all_beams_are_in_one_file(observed: Path) -> None:
+    uvbeam = UVBeam.from_file(observed / "together" / "beam.beamfits")
+    assert uvbeam.polarization_array.tolist() == [-5, -6, -7, -8]
+    for number, pol in enumerate(POLS):
+        own = UVBeam.from_file(observed / "together" / pol / "beam.beamfits")
+        np.testing.assert_array_equal(uvbeam.data_array[0, number], own.data_array[0, 0])
+        assert np.iscomplexobj(own.data_array) == (pol[0] != pol[1])
+
+
+def test_beams_of_a_dipole_are_recovered_at_once(data_dir: Path, tmp_path: Path) -> None:
+    """All four products of the two feeds of an electromagnetic simulation, from a model with one component wrong."""
+    path = data_dir / "models" / "HERA_Dipole_efield_100-101MHz.fits"
+    true = UVBeam.from_file(path, freq_range=[99.9e6, 100.1e6])
+    true.peak_normalize()
+    write_observed(tmp_path, true, 100e6)
+    model = true.copy()
+    # The component along azimuth of the feed that points East.
+    model.data_array[0, 0] *= 1.3
+    model.write_beamfits(str(tmp_path / "beam.fits"))
+    job = {**JOB, "data": {**JOB["data"], "polarization": POLS}}
+    found = UVBeam.from_file(infer_from(tmp_path, "found", job) / "beam.beamfits")
+    for number, pol in enumerate(POLS):
+        beams = [BeamFile.of(one, "beam").beam(100e6, pol) for one in (true, model)]
+        az, za = np.meshgrid(found.axis1_array, found.axis2_array[5:])
+        expected, before = (one(za.ravel(), az.ravel()).reshape(za.shape) for one in beams)
+        left = rms(found.data_array[0, number, 0, 5:] - expected)
+        assert left < 0.08 * rms(expected)
+        assert pol == "nn" or left < 0.03 * rms(before - expected)  # that feed is right in the model
+        told = json.loads((tmp_path / "found" / pol / "summary.json").read_text())
+        assert 0.7 < told["heldout_chi2_predictive"] < 1.3
+
+
+def test_simulated_ones_have_the_noise_of_both_feeds(observed: Path) -> None:
     simulate = {"array": {"hex": [2, 3]}, "n_times": N_TIMES, "freqs": FREQS[:1].tolist(), "nsamples": 0.3}
     job = {**JOB, "data": {"simulate": simulate, "polarization": "en"}, "noise": {}, "sky": {"n_sources": 500}}
-    (observed / "mock.toml").write_text(tomli_w.dumps(job))
-    path, out = observed / "mock.toml", tmp_path / "out"
-    infer(MPI.COMM_SELF, load_job(path), path, out, overwrite=False, threads=1)
+    out = infer_from(observed, "mock", job)
     assert 0.8 < json.loads((out / "summary.json").read_text())["heldout_chi2_predictive"] < 1.25
 
 

@@ -227,9 +227,20 @@ class LinearBasis(Protocol):
             values[part] = weights @ self.columns(za[part], az[part])
         return values
 
+    def united(self, other: LinearBasis) -> tuple[LinearBasis, list[int]] | None:
+        """Return the basis of one's own functions and then those that another one has besides.
+
+        Also where all of the other's functions are in it. None where it is not of the same kind.
+        """
+        return (self, list(range(self.n_modes))) if self.describe() == other.describe() else None
+
     def with_more(self, other: LinearBasis) -> LinearBasis | None:
-        """Return the basis of one's own functions and then those of another one, where it is of the same kind."""
-        return None
+        """Return the basis of one's own functions and then those of another one, where it is of the same kind.
+
+        None where both have one in common.
+        """
+        both = self.united(other)
+        return both[0] if both and both[0].n_modes == self.n_modes + other.n_modes else None
 
     def table(self, coeffs: Array) -> PolarTable | None:
         """Return a table of the real part of the beam, by which it and its slopes are cheap at many points.

@@ -238,12 +238,12 @@ class FourierBessel(LinearBasis):
             return values[0] + 1j * values[1]
         return values[0].astype(matrix.dtype)
 
-    def with_more(self, other: LinearBasis) -> FourierBessel | None:
-        """Return the basis with the modes of another one on the same disc; see :meth:`LinearBasis.with_more`."""
-        if not isinstance(other, FourierBessel) or set(self.modes) & set(other.modes):
+    def united(self, other: LinearBasis) -> tuple[FourierBessel, list[int]] | None:
+        """Return the basis of the modes of both, if on the same disc; see :meth:`LinearBasis.united`."""
+        if not isinstance(other, FourierBessel) or any(getattr(self, n) != getattr(other, n) for n in _SETTINGS):
             return None
-        same = all(getattr(self, name) == getattr(other, name) for name in _SETTINGS)
-        return self.with_modes([*self.modes, *other.modes]) if same else None
+        place = {mode: number for number, mode in enumerate(dict.fromkeys([*self.modes, *other.modes]))}
+        return self.with_modes(place), [place[mode] for mode in other.modes]
 
     @property
     def table_nodes(self) -> tuple[int, int]:

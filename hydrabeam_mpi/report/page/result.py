@@ -13,6 +13,7 @@ from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.kept_rounds import check_ended
 from hydrabeam_mpi.io.posterior_file import PosteriorFile, read_covariance, read_posterior
 from hydrabeam_mpi.io.reading import read_json
+from hydrabeam_mpi.io.together import check_of_one
 
 REMEDY = "name a folder written by 'hydrabeam infer'"
 OLDER = {"heldout_chi2": "heldout_chi2_noise_only"}
@@ -109,6 +110,7 @@ def load_result(directory: Path) -> Result:
     if not directory.is_dir():
         raise InputError("no such folder", file=directory, remedy=REMEDY)
     check_ended(directory)
+    check_of_one(directory)
     summary = _read_summary(directory / "summary.json")
     path = directory / "posterior.h5"
     posterior = read_posterior(path)

@@ -10,7 +10,7 @@ import pytest
 import tomli_w
 
 from hydrabeam_mpi.config import Job, load_job
-from hydrabeam_mpi.config.sections import Data
+from hydrabeam_mpi.config.data import Data
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup

@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from hydrabeam_mpi.config.sections import Data
+from hydrabeam_mpi.config.data import Data
 from hydrabeam_mpi.data.observation import ComplexArray, Observation
 from hydrabeam_mpi.data.selection import Selection
 from hydrabeam_mpi.io.uvmeta import read_observation
