@@ -125,7 +125,7 @@ class BasisTruncation(Effect):
 def _integrated(block: RowBlock, key: str, modes: LinearBasis) -> ComplexArray:
     """Return the visibilities of modes, (Ntimes, Ngroups, n_modes)."""
     known = block.fixed_integral(key, lambda sources: modes.evaluate(sources.za, sources.az))
-    return known + block.diffuse_integral(modes)
+    return known + block.diffuse_integral(key, modes)
 
 
 def _amplitudes(setup: ObservingSetup) -> FloatArray:

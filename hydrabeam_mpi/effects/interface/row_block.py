@@ -20,6 +20,9 @@ from hydrabeam_mpi.model.engines.base import Engine, amplitude
 from hydrabeam_mpi.model.positions import SourcePositions
 from hydrabeam_mpi.model.rime import Beam
 
+AT_ALL_TIMES = -1
+"""In place of a time, where something is the same at all."""
+
 
 @dataclass(frozen=True, eq=False)
 class RowBlock:
@@ -242,19 +245,43 @@ class RowBlock:
         one_time._sources[itime] = some
         return one_time.integrate(columns)[0]
 
-    def diffuse_integral(self, basis: LinearBasis) -> ComplexArray:
+    def diffuse_integral(self, name: str, basis: LinearBasis) -> ComplexArray:
         """Return what the functions of a real basis see of the diffuse emission that effects add to the sky.
 
+        The skies of which that is made do not turn: what is seen of them is found once, where there is room to keep it.
         The result is (Ntimes, Ngroups, n_modes).
+
+        Parameters
+        ----------
+        name : str
+            Of these functions.
+        basis : LinearBasis
         """
         out = np.zeros((len(self.times), len(self.groups), basis.n_modes), dtype=complex)
-        for t, itime in enumerate(self.times.tolist()):
-            for effect, x in self.sky_effects:
-                if effect.standing_numbers(self, itime, x) is not None:
-                    za, az, flux = effect.extra_sky(self, itime, x)
-                    parts = self.engine.design(basis, za, az, flux[np.newaxis], np.array([self.freq]))[0]
-                    out[t] += basis.mix(parts[0]) + 1j * basis.mix(parts[1])
+        for effect, x in self.sky_effects:
+            for t, itime in enumerate(self.times.tolist()):
+                numbers = effect.standing_numbers(self, itime, x)
+                if numbers is None:
+                    break
+                if self.memo is not None:
+                    out[t] += np.tensordot(numbers, self._seen_standing(name, effect, basis), axes=1)
+                    continue
+                za, az, flux = effect.extra_sky(self, itime, x)
+                out[t] += self._seen(basis, za, az, flux[np.newaxis])[0]
         return out
+
+    def _seen_standing(self, name: str, effect: Any, basis: LinearBasis) -> ComplexArray:
+        """Return what functions see of each of an effect's skies that do not turn, (K, Ngroups, n_modes); kept."""
+        assert self.memo is not None
+        kept, _ = self.memo.setdefault((self.channel, f"{name} {effect.kind} {effect.describe()}"), ({}, {}))
+        if AT_ALL_TIMES not in kept:
+            kept[AT_ALL_TIMES] = np.sum([self._seen(basis, *sky) for sky in effect.standing_skies(self)], axis=0)
+        return kept[AT_ALL_TIMES]
+
+    def _seen(self, basis: LinearBasis, za: FloatArray, az: FloatArray, flux: FloatArray) -> ComplexArray:
+        """Return the design of skies of the same sources, fluxes (K, Nsrc), by a real basis, (K, Ngroups, n_modes)."""
+        parts = self.engine.design(basis, za, az, flux, np.full(len(flux), self.freq))
+        return np.asarray(basis.mix(parts[:, 0]) + 1j * basis.mix(parts[:, 1]))
 
     def integral(self, effect: Any) -> ComplexArray:
         """Return what an effect needs integrated over the sky, (Ntimes, Ngroups, K); see `Effect.sky_columns`."""

@@ -7,9 +7,11 @@ import pytest
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.instrument.basis_truncation import MOST_MODES, BasisTruncation
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.sky.diffuse import Diffuse
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
 from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
 from hydrabeam_mpi.model.bases.zernike import Zernike
+from hydrabeam_mpi.model.engines.fringes import C_M_PER_S, enu
 from hydrabeam_mpi.model.fit import fit_beam
 from hydrabeam_mpi.random import generator
 from hydrabeam_mpi.tables import embedded_beam
@@ -80,6 +82,31 @@ def test_modes_see_what_is_added_to_the_sky(basis) -> None:
     expected = source.added(replace(block, beam=larger), flux)
     assert np.abs(expected).max() > 0
     np.testing.assert_allclose(seen, expected, atol=1e-9 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("keeps", [True, False])
+def test_modes_see_diffuse_emission_that_is_added(keeps: bool) -> None:
+    """Whether or not there is room to keep what is seen of its harmonics; twice, with another sky the second time."""
+    setup = with_basis(BASES["real"])
+    block, effect, diffuse = small_block(setup), BasisTruncation(), Diffuse(2)
+    functions = effect.beam_functions(setup)
+    x = effect.draw(setup, generator(2, "truncation"), 1.0)
+
+    def larger(za: FloatArray, az: FloatArray) -> FloatArray:
+        return functions.synthesize(x, za, az)
+
+    memo: dict | None = {} if keeps else None
+    for seed in (1, 2):
+        sky = diffuse.draw(setup, generator(seed, "diffuse"), 1.0)
+        changed = replace(block, sky_effects=[(diffuse, sky)], memo=memo, integrals={})
+        seen = effect.added(changed, x) - effect.added(replace(block, integrals={}), x)
+        expected = np.zeros((len(block.times), len(block.groups)), dtype=complex)
+        for t, itime in enumerate(block.times.tolist()):
+            za, az, flux = diffuse.extra_sky(block, itime, sky)
+            directions = enu(za, az)
+            waves = np.exp(2j * np.pi * block.freq / C_M_PER_S * (block.vectors @ directions))
+            expected[t] = 0.5 * waves @ (flux * larger(za, az))
+        np.testing.assert_allclose(seen, block.spread(expected), atol=1e-9 * np.abs(expected).max())
 
 
 def test_more_modes_at_once_begin_with_the_same() -> None:
