@@ -90,14 +90,14 @@ def infer_each(grid: ProcessGrid, problems: Sequence[Problem], clock: Clock) -> 
     with clock.time("read"):
         train, test = read_shares_of_each(grid, problems)
     mixed = problems[0].job.solver.precision == "mixed"
-    solved = _infer_rows(grid, problems, train, clock, np.float32 if mixed else np.float64)
+    solved = infer_rows(grid, problems, train, clock, np.float32 if mixed else np.float64)
     shifts = [one.rounding_shift for one in solved]
     if again := [p for p, shift in enumerate(shifts) if shift > MOST_SHIFT]:
         told = (
             f"single precision would move the posterior mean by up to {max(shifts):.1e} std; all is computed in double"
         )
         say(told, grid.is_world_root)
-        anew = _infer_rows(grid, [problems[p] for p in again], [train[p] for p in again], clock, np.float64)
+        anew = infer_rows(grid, [problems[p] for p in again], [train[p] for p in again], clock, np.float64)
         for p, one in zip(again, anew, strict=True):
             solved[p] = one
     with clock.time("heldout"):
@@ -120,7 +120,7 @@ def sum_channels(grid: ProcessGrid, problem: Problem, clock: Clock) -> tuple[lis
 
 
 @dataclass(frozen=True)
-class _Solved:
+class Solved:
     """What follows from the training rows of one polarisation; see `ChannelResult`."""
 
     normals: list[NormalEquations]
@@ -140,9 +140,9 @@ class _Solved:
         return [replace(one, coupled=told) for one, told in zip(results, self.coupled, strict=True)]
 
 
-def _infer_rows(
+def infer_rows(
     grid: ProcessGrid, problems: Sequence[Problem], train: Sequence[Rows], clock: Clock, precision: Precision
-) -> list[_Solved]:
+) -> list[Solved]:
     """Infer from the rank's training rows, and tell how far rounding may have moved the mean, in std, of any channel.
 
     Collective: all ranks of `grid.world`.
@@ -156,7 +156,7 @@ def _infer_rows(
         return [_solve(grid, *one) for one in of_each]
 
 
-def _solve(grid: ProcessGrid, problem: Problem, normals: list[NormalEquations], rounding: Rounding | None) -> _Solved:
+def _solve(grid: ProcessGrid, problem: Problem, normals: list[NormalEquations], rounding: Rounding | None) -> Solved:
     """Solve for one polarisation. Collective: all ranks of `grid.world`."""
     posteriors, solution = solve_channels(grid, problem, normals, n_draws=problem.job.output.draws)
     coupled = solution.channels if solution else []
@@ -169,7 +169,7 @@ def _solve(grid: ProcessGrid, problem: Problem, normals: list[NormalEquations], 
     if rounding is not None:
         worst[0] = rounding.shifts(grid, posteriors).max(initial=0.0)
         allreduce_max(grid.world, worst)
-    return _Solved(normals, posteriors, coupled, float(worst[0]))
+    return Solved(normals, posteriors, coupled, float(worst[0]))
 
 
 def _sum_normals(

@@ -313,7 +313,7 @@ def test_circular_feeds_are_refused(write: Callable[..., Path]) -> None:
         uv.telescope.feed_array = np.array([["r", "l"]] * uv.telescope.Nants)
 
     with pytest.raises(
-        InputError, match=r"made.uvh5: polarization_array: only the polarisations rr, ll, .*; give data"
+        InputError, match=r"made.uvh5: polarization_array: only the polarisations rr, ll, .*; give the data"
     ):
         job_from_data([write(make_circular)])
 

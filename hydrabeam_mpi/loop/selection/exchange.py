@@ -14,6 +14,7 @@ from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refits import rise
+from hydrabeam_mpi.loop.selection.refusal import rise_of_rms
 from hydrabeam_mpi.loop.selection.trials import round_of, try_effects
 from hydrabeam_mpi.terminal.progress import say
 
@@ -30,7 +31,7 @@ def exchange(
     While something else is missing, an effect with many parameters may take up a part of that and so come before the
     right one. So each effect that is not the newest is left out, and those that had come near are weighed and fitted
     beside all the others, as in any round. The best of them is taken if it has more evidence, with the held-out data's
-    density, than the effect that it replaces.
+    density, than the effect that it replaces, and their rms does not rise.
 
     Collective: all ranks of the grid.
 
@@ -89,7 +90,7 @@ def _better_than(
     present = replace(found, candidate=replace(found.candidate, log_bayes_factor=evidence), before=without, after=last)
     ranking = list(map(Candidate.of, attribute(context, without.fitted, near)))
     best = try_effects(context, without, ranking, tried, present)
-    if best is None or best is present:
+    if best is None or best is present or rise_of_rms(last, best.after) is not None:
         return None
     told = f"{title}: taken back, as {best.candidate.title} explain more in its place beside what was found since"
     say(f"  {told}", context.grid.is_world_root)
