@@ -155,11 +155,7 @@ class RowModel:
         """Return the design of each of an effect's skies that do not turn, (K, 2, Ngroups, n_columns); made once."""
         key = channel, effect.kind, json.dumps(effect.describe())
         if key not in self._skies:
-            total: Any = 0.0
-            for za, az, flux in effect.standing_skies(block):
-                freqs = np.full(len(flux), block.freq)
-                total = total + self.model.engine.design(self.problem.basis, za, az, flux, freqs)
-            self._skies[key] = total
+            self._skies[key] = block.standing_design(self.model.engine, effect, self.problem.basis)
         return self._skies[key]
 
     def block(self, channel: int, span: slice, beam: Beam, values: Values, **data: Any) -> RowBlock:

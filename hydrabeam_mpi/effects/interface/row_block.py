@@ -267,7 +267,8 @@ class RowBlock:
                     out[t] += np.tensordot(numbers, self._seen_standing(name, effect, basis), axes=1)
                     continue
                 za, az, flux = effect.extra_sky(self, itime, x)
-                out[t] += self._seen(basis, za, az, flux[np.newaxis])[0]
+                design = self.engine.design(basis, za, az, flux[np.newaxis], np.array([self.freq]))
+                out[t] += _by_modes(basis, design)[0]
         return out
 
     def _seen_standing(self, name: str, effect: Any, basis: LinearBasis) -> ComplexArray:
@@ -275,13 +276,15 @@ class RowBlock:
         assert self.memo is not None
         kept, _ = self.memo.setdefault((self.channel, f"{name} {effect.kind} {effect.describe()}"), ({}, {}))
         if AT_ALL_TIMES not in kept:
-            kept[AT_ALL_TIMES] = np.sum([self._seen(basis, *sky) for sky in effect.standing_skies(self)], axis=0)
+            kept[AT_ALL_TIMES] = _by_modes(basis, self.standing_design(self.engine, effect, basis))
         return kept[AT_ALL_TIMES]
 
-    def _seen(self, basis: LinearBasis, za: FloatArray, az: FloatArray, flux: FloatArray) -> ComplexArray:
-        """Return the design of skies of the same sources, fluxes (K, Nsrc), by a real basis, (K, Ngroups, n_modes)."""
-        parts = self.engine.design(basis, za, az, flux, np.full(len(flux), self.freq))
-        return np.asarray(basis.mix(parts[:, 0]) + 1j * basis.mix(parts[:, 1]))
+    def standing_design(self, engine: Engine, effect: Any, basis: LinearBasis) -> FloatArray:
+        """Return the design of each of an effect's skies that do not turn, (K, 2, N, n_columns), on N vectors."""
+        total: Any = 0.0
+        for za, az, flux in effect.standing_skies(self):
+            total = total + engine.design(basis, za, az, flux, np.full(len(flux), self.freq))
+        return np.asarray(total)
 
     def integral(self, effect: Any) -> ComplexArray:
         """Return what an effect needs integrated over the sky, (Ntimes, Ngroups, K); see `Effect.sky_columns`."""
@@ -305,6 +308,11 @@ class RowBlock:
         integrals = self.integrate(columns, flux="within columns")
         for kind, span in zip(sizes, spans(sizes.values()), strict=True):
             self.integrals[kind] = integrals[..., span]
+
+
+def _by_modes(basis: LinearBasis, design: FloatArray) -> ComplexArray:
+    """Return what a real basis's functions see, (K, N, n_modes), of a design by its columns, (K, 2, N, n_columns)."""
+    return np.asarray(basis.mix(design[:, 0]) + 1j * basis.mix(design[:, 1]))
 
 
 class GivenColumns:
