@@ -193,7 +193,13 @@ class Prior(Section):
         "fraction", "independent coefficients, none, or 'file', which it is where one is given"
     )
     fraction: float = key(1.0, "standard deviation over the amplitude of the fitted coefficient", FRACTION, gt=0)
-    floor: float = key(0.0, "least amplitude taken for that, relative to the largest", FRACTION, ge=0, le=1 / RESOLVED)
+    floor: float = key(
+        0.0,
+        "least amplitude taken for that, relative to the largest; 0: guessed where the model has none",
+        FRACTION,
+        ge=0,
+        le=1 / RESOLVED,
+    )
     file: File | None = key(None, "mean and covariance, or a result's folder: what other data have told is known")
     frequency: OverFrequency = OverFrequency()
 

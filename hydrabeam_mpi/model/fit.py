@@ -16,7 +16,7 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.model.bases.base import LinearBasis, Selection
+from hydrabeam_mpi.model.bases.base import NEGLIGIBLE, LinearBasis, Selection
 from hydrabeam_mpi.model.bases.ring_fit import RCOND
 from hydrabeam_mpi.model.bases.rings import Pixels, RingGrid, degree_grid
 
@@ -85,9 +85,11 @@ def fit_beam(beam: Evaluable | Pixels, basis: LinearBasis | Selection) -> Fitted
         )
         pixels = Pixels(*degree_grid(), beam(*degree_grid()))
     coeffs, _ = _solve(full, pixels)
+    n_modes = min(basis.n_modes or full.n_modes, full.n_modes)
     amplitudes = full.amplitudes(coeffs)
-    lasting = int(np.count_nonzero(amplitudes > basis.least * amplitudes.max()))
-    return fit_basis(full.largest(coeffs, min(basis.n_modes or full.n_modes, lasting)), pixels)
+    if np.count_nonzero(amplitudes > NEGLIGIBLE * amplitudes.max()) < n_modes:
+        amplitudes = full.expected(amplitudes)
+    return fit_basis(full.largest(amplitudes, n_modes), pixels)
 
 
 def beam_pixels(beam: Evaluable) -> Pixels:

@@ -18,7 +18,7 @@ from hydrabeam_mpi.io.beamfits import SAME_FREQ, BeamFile
 from hydrabeam_mpi.io.prior_file import read_prior
 from hydrabeam_mpi.io.reading import check_file
 from hydrabeam_mpi.model.bases import basis_from_settings
-from hydrabeam_mpi.model.bases.base import NEGLIGIBLE, LinearBasis, Selection
+from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.beam import Beam, BeamInfo, analytic_beam, of_formula
 from hydrabeam_mpi.model.fit import FittedBeam, fit_beam
 from hydrabeam_mpi.model.perturb import PerturbedBeam
@@ -153,16 +153,10 @@ def perturb(job: Job, beam: Beam, settings: Perturbation) -> Beam:
 def fit_model_beams(
     job: Job, beams: Sequence[Beam], known: LinearBasis | None = None
 ) -> tuple[LinearBasis, list[FittedBeam]]:
-    """Fit the model beam of every channel in a basis that is ``known``, or in one that is chosen at the middle channel.
-
-    Modes that the model beam lacks altogether stay out where the prior would give them no width: the data could not
-    move them, and the basis would not have them among its next ones.
-    """
+    """Fit the model beam of every channel in a basis that is ``known``, or in one that is chosen at the middle one."""
     if known is not None:
         return known, [fit_beam(beam, known) for beam in beams]
     middle, basis = len(beams) // 2, basis_from_settings(job.basis.model_dump())
-    if isinstance(basis, Selection) and job.prior.kind == "fraction" and job.prior.floor < NEGLIGIBLE:
-        basis = replace(basis, least=NEGLIGIBLE)
     chosen = fit_beam(beams[middle], basis)
     fits = [chosen if f == middle else fit_beam(beam, chosen.basis) for f, beam in enumerate(beams)]
     return chosen.basis, fits
@@ -183,7 +177,9 @@ def make_prior(job: Job, fit: FittedBeam) -> Prior:
         assert settings.file is not None
         return read_prior(settings.file, fit.basis)
     amplitudes = fit.basis.amplitudes(fit.coeffs)
-    # A mode that the model beam lacks altogether still needs a width, if only one above rounding.
+    if not settings.floor:
+        amplitudes = fit.basis.expected(amplitudes)
+    # Every mode needs a width, if only one above rounding.
     floor = max(settings.floor, 1e-12) * amplitudes.max()
     return DiagonalPrior(fit.coeffs, settings.fraction * np.maximum(amplitudes, floor))
 

@@ -10,9 +10,9 @@ from astropy.time import Time
 
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.data.observation import Observation
-from hydrabeam_mpi.model.bases import basis_from_settings
-from hydrabeam_mpi.model.bases.base import LinearBasis, Selection
+from hydrabeam_mpi.model.bases.base import NEGLIGIBLE
 from hydrabeam_mpi.model.earth_orientation import beyond_table
+from hydrabeam_mpi.model.fit import FittedBeam
 from hydrabeam_mpi.setup.skies import are_apparent
 
 # Seconds that a clock and a sidereal clock may differ by: UT1 - UTC, up to 0.9 s, and the equation of the equinoxes,
@@ -32,20 +32,16 @@ def cautions_of_times(job: Job, observation: Observation) -> tuple[str, ...]:
     return (beyond,) if beyond else ()
 
 
-def cautions_of_basis(job: Job, basis: LinearBasis) -> tuple[str, ...]:
-    """Say that the beam has far fewer functions than asked for, as the model beam has no part in the others."""
-    asked = basis_from_settings(job.basis.model_dump())
-    if not isinstance(asked, Selection):
-        return ()
-    n_asked = min(asked.basis.n_modes, asked.n_modes or asked.basis.n_modes)
-    # Where sines and cosines come in pairs one may be left over.
-    if basis.n_modes >= n_asked - 1:
+def cautions_of_basis(job: Job, model: FittedBeam) -> tuple[str, ...]:
+    """Say that widths of the prior do not follow from the model beam, where it has no part in some functions."""
+    amplitudes = model.basis.amplitudes(model.coeffs)
+    n_lacking = int(np.count_nonzero(amplitudes <= NEGLIGIBLE * amplitudes.max()))
+    if job.prior.kind != "fraction" or job.prior.floor or not n_lacking:
         return ()
     return (
-        f"The model beam is made of {basis.n_modes} of the {n_asked} functions asked for, and has no part in the "
-        "others, as a round beam has none in those that vary with azimuth. Prior widths that are a fraction of the "
-        "model's coefficients leave them out: the inferred beam cannot have them. With [prior] floor, such as 1e-3, it "
-        "can.",
+        f"The model beam has no part in {n_lacking} of the {model.basis.n_modes} functions, as a round beam has none "
+        "in those that vary with azimuth. How large these may be is guessed from the functions next to them in order "
+        "and from simulated beams. A model beam that is nearer to the true one tells it better, or [prior] floor.",
     )
 
 

@@ -224,12 +224,16 @@ def _known_of_beams(
         priors: tuple[Prior, ...] = beam_priors(earlier)
     else:
         priors = given_priors(given.priors, fits) if given.priors else tuple(make_prior(job, fit) for fit in fits)
+    is_made = earlier is None and not given.priors
     return {
         "basis": basis,
         "beams": beams,
         "priors": priors,
         "fit_rms": tuple(fit.rms_residual for fit in fits),
-        "cautions": (*cautions_of_data(job, observation), *(() if earlier else cautions_of_basis(job, basis))),
+        "cautions": (
+            *cautions_of_data(job, observation),
+            *(cautions_of_basis(job, fits[len(fits) // 2]) if is_made else ()),
+        ),
         "coupling": couple(job.prior.frequency, observation.freqs, priors),
     }
 

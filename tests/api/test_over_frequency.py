@@ -25,13 +25,13 @@ JOB: dict[str, Any] = {
             "array": {"hex": [2, 3]},
             "n_times": 8,
             "freqs": FREQS,
-            "nsamples": 0.01,
+            "nsamples": 0.003,
             "perturb": {"stretch": [1.02, 1.01], "sidelobe": 0.0},
         }
     },
     "sky": {"n_sources": 120},
     "beam": {"source": "airy", "diameter": 14.0},
-    "basis": {"n_modes": 60, "k_max": 40, "m_max": 2},
+    "basis": {"n_modes": 40, "k_max": 40, "m_max": 0},
     "output": {"draws": N_DRAWS},
 }
 PROCESS = {"kind": "gaussian-process", "kernel": "matern-5/2"}

@@ -28,7 +28,9 @@ def small_setup(
     settings = Simulate(array=Array(hex=(2, 3)), n_times=n_times, nights=nights, freqs=freqs)
     observation = mock_observation(settings, pol)
     sky = mock_sky(3, observation.freqs, n_sources=n_sources)
-    spec = FourierBessel.selection(n_modes=60, form="real", k_max=20, m_max=8, edge=np.deg2rad(92), boundary="neumann")
+    spec = FourierBessel.selection(
+        n_modes=None, form="real", k_max=20, m_max=1, edge=np.deg2rad(92), boundary="neumann"
+    )
     fits = [fit_beam(analytic_beam("airy", float(freq), pol, diameter=14.0), spec) for freq in freqs[:1]]
     fits += [fit_beam(analytic_beam("airy", float(freq), pol, diameter=14.0), fits[0].basis) for freq in freqs[1:]]
     return ObservingSetup(

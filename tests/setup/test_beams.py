@@ -23,12 +23,26 @@ def modes_and_widths(prior):
     return basis.modes, make_prior(job, fit).std()
 
 
-def test_modes_that_the_model_beam_lacks_stay_among_those_that_come_next():
-    """Their prior would have no width: in the basis they could not move, nor be offered as what it lacks."""
+def test_modes_that_the_model_beam_lacks_are_there_with_a_width():
+    """A round model does not say that the beam is round: the prior lets it vary with azimuth, less at high orders."""
     modes, widths = modes_and_widths({})
-    assert {m for _, m in modes} == {0}
-    assert len(modes) <= 30
-    assert (widths > 0).all()
+    assert len(modes) >= 199
+    width = dict(zip(modes, widths, strict=True))
+    assert width[1, 0] > width[1, 2] > width[1, 4] > width[1, 3] > 1e-6 * widths.max()
+    assert width[1, 2] == width[1, -2]
+
+
+def test_a_model_that_has_all_modes_is_taken_as_it_is():
+    """As in the paper: widths are a fraction of its own coefficients."""
+    job = Job.model_validate(
+        {
+            "data": {"simulate": {"freqs": ("131 MHz",)}},
+            "basis": {"n_modes": 200, "k_max": 30, "m_max": 8},
+            "prior": {"fraction": 0.3},
+        }
+    )
+    basis, (fit,) = fit_model_beams(job, load_beams(job, np.array([FREQ]), "ee"))
+    np.testing.assert_array_equal(make_prior(job, fit).std(), 0.3 * basis.amplitudes(fit.coeffs))
 
 
 @pytest.mark.parametrize("prior", [{"floor": 1e-4}, {"kind": "flat"}])

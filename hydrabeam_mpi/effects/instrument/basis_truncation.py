@@ -63,12 +63,15 @@ class BasisTruncation(Effect):
     def parameters(self, setup: ObservingSetup) -> Parameters:
         """Return the coefficients of the next modes, in units of how large the model beam leads one to expect them.
 
-        Each so many of them may be as large again as they like: those at the edge are not what the model beam expects.
+        Each so many of them may be as large again as they like, or all those of one azimuthal order: a model beam may
+        be nearer to the true one in some than in others, as a round one is.
         """
         batches = [one.modes for one in self._next(setup)]
         names = [f"coefficient of mode {mode}" for modes in batches for mode in modes]
         element = np.repeat(np.arange(len(batches)), list(map(len, batches)))
-        return replace(Parameters.of(names, "", self.next_modes(setup).expected, element), nested=True)
+        orders, across = np.unique([abs(m) for modes in batches for _, m in modes], return_inverse=True)
+        parameters = Parameters.of(names, "", self.next_modes(setup).expected, element)
+        return replace(parameters, nested=True, across=across, across_trials=len(orders))
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return the visibilities of the modes; ``x`` is (n_params,)."""

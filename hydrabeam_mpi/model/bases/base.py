@@ -33,13 +33,10 @@ class Selection:
         All modes that there are to choose from.
     n_modes : int or None
         Number of modes kept, those whose coefficients are largest; None keeps all.
-    least : float
-        Modes whose amplitude is this part of the largest one, or less, are not kept; negative to keep any.
     """
 
     basis: LinearBasis
     n_modes: int | None
-    least: float = -1.0
 
 
 @dataclass(frozen=True)
@@ -162,12 +159,20 @@ class LinearBasis(Protocol):
         """Return how large each coefficient is, for a prior width that is a fraction of it, (n_modes,)."""
         return np.abs(coeffs)
 
-    def largest(self, coeffs: Array, n_modes: int) -> LinearBasis:
+    def expected(self, amplitudes: FloatArray) -> FloatArray:
+        """Return how large coefficients may be by those of a model beam, (n_modes,), ``amplitudes`` and result alike.
+
+        A model is never so exact that what it has no part in is zero: a round one says nothing of how a beam varies
+        with azimuth. A basis that knows which functions are near each other tells what to expect of those from others.
+        """
+        return amplitudes
+
+    def largest(self, amplitudes: FloatArray, n_modes: int) -> LinearBasis:
         """Return the basis of the modes with the largest coefficients; all of them where these go together.
 
         Parameters
         ----------
-        coeffs : ndarray, (n_modes of this basis,)
+        amplitudes : ndarray, (n_modes of this basis,)
         n_modes : int
             Most modes to keep.
         """

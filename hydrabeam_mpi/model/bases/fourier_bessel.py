@@ -25,7 +25,7 @@ from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases.base import LinearBasis, NextModes, Selection
 from hydrabeam_mpi.model.bases.bessel import Boundary, radial_rows, radial_zeros
 from hydrabeam_mpi.model.bases.disc import EDGE, azimuthal_rows, check_edge
-from hydrabeam_mpi.model.bases.expected import next_expected
+from hydrabeam_mpi.model.bases.expected import expected_of_all, next_expected
 from hydrabeam_mpi.model.bases.joined import Joined
 from hydrabeam_mpi.model.bases.plans import complex_columns, plan_mixing, plan_products
 from hydrabeam_mpi.model.bases.polar_table import n_nodes, radii
@@ -127,16 +127,18 @@ class FourierBessel(LinearBasis):
         """Restore a basis from its description."""
         return cls(description["modes"], **{name: description[name] for name in _SETTINGS})
 
-    def largest(self, coeffs: Array, n_modes: int) -> FourierBessel:
-        """Return the basis of the modes with the largest coefficients, sorted by amplitude |a_km|.
+    def expected(self, amplitudes: FloatArray) -> FloatArray:
+        """Return ``amplitudes``, (n_modes,), and by those that are near what to expect of modes that have none."""
+        return expected_of_all(self.modes, amplitudes)
 
-        ``coeffs`` is (n_modes,).
+    def largest(self, amplitudes: FloatArray, n_modes: int) -> FourierBessel:
+        """Return the basis of the modes with the largest coefficients, sorted by amplitude |a_km|, (n_modes,).
 
         The modes +-m of a real beam, which have equal amplitude, are kept or dropped together, in either form:
         one of them alone would make the beam complex. Where only one place is left for a pair, the next mode with
         m = 0 takes it.
         """
-        amplitude = dict(zip(self.modes, self.amplitudes(coeffs).tolist(), strict=True))
+        amplitude = dict(zip(self.modes, amplitudes.tolist(), strict=True))
         ranked = sorted(self.modes, key=lambda mode: -amplitude[mode])
         if any(amplitude[k, m] != amplitude.get((k, -m)) for k, m in ranked):
             return self.with_modes(ranked[:n_modes])

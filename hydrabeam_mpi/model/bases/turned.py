@@ -45,6 +45,10 @@ class Turned(LinearBasis):
         """Return how large each coefficient is, (n_modes,)."""
         return self.basis.amplitudes(coeffs)
 
+    def expected(self, amplitudes: FloatArray) -> FloatArray:
+        """Return how large coefficients may be by those of a model beam, (n_modes,)."""
+        return self.basis.expected(amplitudes)
+
     def next_modes(self, amplitudes: FloatArray, n_before: int, most: int) -> NextModes | None:
         """Return the functions that the basis would have next, turned alike."""
         found = self.basis.next_modes(amplitudes, n_before, most)

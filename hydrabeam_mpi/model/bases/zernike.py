@@ -17,7 +17,7 @@ from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases.base import LinearBasis, NextModes
 from hydrabeam_mpi.model.bases.disc import EDGE, azimuthal_rows, check_edge
-from hydrabeam_mpi.model.bases.expected import smallest
+from hydrabeam_mpi.model.bases.expected import expected_of_all, smallest
 from hydrabeam_mpi.model.bases.joined import Joined
 
 
@@ -76,6 +76,10 @@ class Zernike(LinearBasis):
     def from_description(cls, description: Mapping[str, Any]) -> Zernike:
         """Restore a basis from its description."""
         return cls(description["degree"], description["edge"])
+
+    def expected(self, amplitudes: FloatArray) -> FloatArray:
+        """Return ``amplitudes``, (n_modes,), and what to expect, by those that are near, of those that are none."""
+        return expected_of_all([((n - abs(m)) // 2 + 1, m) for n, m in self.modes], amplitudes)
 
     def next_modes(self, amplitudes: FloatArray, n_before: int, most: int) -> NextModes:
         """Return those of the next whole degrees, one or more, whatever the ``amplitudes``, (n_modes,)."""

@@ -40,7 +40,7 @@ def test_next_modes_are_the_largest_that_are_missing() -> None:
     full = FourierBessel.full(40, 20, edge=EDGE, boundary="neumann")
     pixels = beam_pixels(embedded_beam())
     coeffs = fit_basis(full, pixels).coeffs
-    basis = full.largest(coeffs, 60)
+    basis = full.largest(full.amplitudes(coeffs), 60)
     power = dict(zip(full.modes, coeffs**2, strict=True))
     missing = [mode for mode in full.modes if mode not in set(basis.modes)]
     best = sum(sorted((power[mode] for mode in missing), reverse=True)[:60])
@@ -70,7 +70,7 @@ def test_there_is_always_more() -> None:
 def test_later_modes_go_on_where_earlier_ones_end(boundary, n_modes) -> None:
     """No mode comes twice, and none of a pair m, -m is left out, whatever is cut off a call's end."""
     full = FourierBessel.full(20, 8, edge=EDGE, boundary=boundary)
-    basis = full.largest(fit_beam(embedded_beam(), full).coeffs, n_modes)
+    basis = full.largest(full.amplitudes(fit_beam(embedded_beam(), full).coeffs), n_modes)
     every = list(basis.modes)
     for _ in range(4):
         following = basis.next_modes(amplitudes_in(basis), len(every) - basis.n_modes, basis.n_modes)
