@@ -13,7 +13,7 @@ MARGIN = 4
 """Orders beyond those of a basis that has all of its own; enough for as many modes again."""
 
 ODD = 3.0
-"""ln of how much smaller modes of odd m are beside those of even m: most feeds look alike when turned by half a turn."""
+"""ln of how much smaller modes of odd m are than those of even m: most feeds look alike when turned by half a turn."""
 
 FINE, FINE_K, FINE_M = 5e-3, 10.0, 5.0
 """The fine structure of beams that no formula has: amplitudes FINE (1 + k / FINE_K)^-3/2 e^(-|m| / FINE_M), relative to
