@@ -21,7 +21,8 @@ from scipy.special import lpmv
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
-from hydrabeam_mpi.effects.interface.row_block import GivenColumns, RowBlock
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.interface.sky_block import GivenColumns
 from hydrabeam_mpi.effects.interface.sources import power_of
 from hydrabeam_mpi.model.engines import make_engine
 from hydrabeam_mpi.model.engines.fringes import C_M_PER_S, enu
