@@ -1,0 +1,290 @@
+"""What groups of redundant baselines see of the sky at some times, with the current model of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.partition import spans
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.place import Place
+from hydrabeam_mpi.effects.interface.sources import Sources
+from hydrabeam_mpi.model.bases.base import LinearBasis
+from hydrabeam_mpi.model.engines import make_engine
+from hydrabeam_mpi.model.engines.base import Engine, amplitude
+from hydrabeam_mpi.model.positions import SourcePositions
+from hydrabeam_mpi.model.rime import Beam
+
+AT_ALL_TIMES = -1
+"""In place of a time, where something is the same at all."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SkyBlock:
+    """Some redundant groups of one channel at some times, and the sky that they see.
+
+    Attributes
+    ----------
+    setup : ObservingSetup
+    channel : int
+        Index into the setup's channels.
+    times : ndarray of int, (Ntimes,)
+        Indices into the observation's times.
+    groups : ndarray of int, (Ngroups,)
+        Indices of the redundant groups.
+    positions : SourcePositions
+    beam : callable
+        The current beam of this channel.
+    engine_kind : str
+        As in the job.
+    integrals : dict of str to ndarray of complex, (Ntimes, Ngroups, K)
+        By kind of effect; see `Effect.sky_columns`.
+    places : dict, optional
+        Keeps what ``positions`` says of each time, for blocks to share where there is room for it.
+    keeps_waves : bool
+        Whether there is room in ``places`` for the fringes of the groups, too.
+    sky_effects : sequence of (Effect, ndarray)
+        Effects in the model that change the sky, with their parameters.
+    memo : dict, optional
+        Keeps what `fixed_integral` has found, for blocks to share where there is room for it.
+    """
+
+    setup: ObservingSetup
+    channel: int
+    times: IntArray
+    groups: IntArray
+    positions: SourcePositions
+    beam: Beam
+    engine_kind: str = "gemm"
+    integrals: dict[str, ComplexArray] = field(default_factory=dict)
+    places: dict[int, Place] | None = None
+    keeps_waves: bool = False
+    sky_effects: Sequence[tuple[Any, FloatArray]] = ()
+    memo: dict[tuple[int, str], tuple[dict[int, ComplexArray], dict[int, tuple[bytes, ComplexArray]]]] | None = None
+    _sources: dict[int, Sources] = field(default_factory=dict, init=False)
+
+    @property
+    def freq(self) -> float:
+        """Hz."""
+        return float(self.setup.observation.freqs[self.channel])
+
+    @property
+    def vectors(self) -> FloatArray:
+        """Baseline vectors of the groups, (Ngroups, 3), metres ENU."""
+        return self.setup.redundant.vectors[self.groups]
+
+    @cached_property
+    def engine(self) -> Engine:
+        """The job's engine on the groups' vectors."""
+        return make_engine(self.engine_kind, self.vectors)
+
+    def sources(self, itime: int) -> Sources:
+        """Return the sources above the horizon at an observation's time."""
+        if itime in self._sources:
+            return self._sources[itime]
+        setup, place = self.setup, self._place(itime)
+        known = place.seen(self.channel, self.beam, self.sky_effects)
+        if known is not None:
+            return known
+        flux = setup.sky.flux[self.channel, place.index]
+        sources = Sources(place.index, place.za, place.az, flux, self.beam, freq=self.freq, itime=itime)
+        # A cached property that is known already.
+        vars(sources)["enu"] = place.enu
+        for effect, x in self.sky_effects:
+            change = effect.sky_factor(setup, sources, x) - 1
+            # Two of a kind add up, as more parameters of one do.
+            sources.factors[effect.kind] = sources.factors.get(effect.kind, 1.0) + change
+        place.keep(self.channel, self.beam, self.sky_effects, sources)
+        return sources
+
+    def further_sources(self, itime: int) -> Sources | None:
+        """Return the point sources that effects add to the sky at a time; None where there are none.
+
+        What stands for diffuse emission is not among them: it is too faint for what effects change of it to matter.
+        """
+        added = [
+            more
+            for effect, x in self.sky_effects
+            if effect.standing_numbers(self, itime, x) is None
+            and (more := effect.extra_sky(self, itime, x)) is not None
+        ]
+        if not added:
+            return None
+        za, az, flux = (np.concatenate(parts) for parts in zip(*added, strict=True))
+        return Sources(np.full(len(za), -1), za, az, flux, self.beam, freq=self.freq, itime=itime)
+
+    def _place(self, itime: int) -> Place:
+        if self.places is None:
+            return Place(*self.positions.above_horizon(itime))
+        if itime not in self.places:
+            self.places[itime] = Place(*self.positions.above_horizon(itime))
+        return self.places[itime]
+
+    def integrate(
+        self,
+        columns: Callable[[Sources], FloatArray],
+        vectors: FloatArray | None = None,
+        flux: Literal["within columns"] | None = None,
+    ) -> ComplexArray:
+        """Integrate real columns over the sky at every time of the block, with the point sources that effects add.
+
+        Parameters
+        ----------
+        columns : callable
+            From `Sources` to an array (K, Nsrc); called once for those of the sky model, and once for those added.
+        vectors : ndarray, (N, 3), optional
+            Baseline vectors, metres ENU; the groups' own by default.
+        flux : "within columns", optional
+            Where the columns hold the fluxes already.
+
+        Returns
+        -------
+        ndarray of complex, (Ntimes, N, K)
+            1/2 sum_s I_s column_k(s) exp(2 pi i nu b.s / c), Jy.
+        """
+        engine = self.engine if vectors is None else make_engine(self.engine_kind, vectors)
+        freqs = np.array([self.freq])
+        out = []
+        for itime in self.times.tolist():
+            total: Any = 0.0
+            of_model, further = self.sources(itime), self.further_sources(itime)
+            for sources in (of_model, further) if further else (of_model,):
+                weights = sources.flux_without() if flux is None else np.ones(len(sources.za))
+                values, keeps = columns(sources), self.keeps_waves and itime not in self._sources
+                if vectors is None and keeps and sources is of_model:
+                    waves = self._place(itime).waves(self.channel, engine, self.freq)
+                    design = (waves @ (amplitude(weights) * values).T).reshape(2, engine.n_vectors, -1)
+                else:
+                    design = engine.design(GivenColumns(values), sources.za, sources.az, weights[np.newaxis], freqs)[0]
+                total = total + design[0] + 1j * design[1]
+            out.append(total)
+        return np.array(out)
+
+    def fixed_integral(self, name: str, columns: Callable[[Sources], FloatArray]) -> ComplexArray:
+        """Integrate columns that do not depend on the beam: once, where there is room to keep it.
+
+        Where effects change the sky, what they change and add is integrated besides. The result is (Ntimes, N, K).
+
+        Parameters
+        ----------
+        name : str
+            Of these columns.
+        columns : callable
+            As for `integrate`.
+        """
+        if self.memo is None or not len(self.times):
+            return self.integrate(columns)
+        sky = b"".join(x.tobytes() for effect, x in self.sky_effects)
+        as_it_is, changed = self.memo.setdefault((self.channel, name), ({}, {}))
+        new = np.array([time for time in self.times.tolist() if time not in as_it_is], dtype=int)
+        if len(new):
+            integrals = replace(self, times=new, sky_effects=()).integrate(columns)
+            as_it_is.update(zip(new.tolist(), integrals, strict=True))
+        if not sky:
+            return np.array([as_it_is[time] for time in self.times.tolist()])
+        for time in self.times.tolist():
+            if changed.get(time, (b"",))[0] != sky:
+                changed[time] = sky, as_it_is[time] + self._change_of_sky(time, columns)
+        return np.array([changed[time][1] for time in self.times.tolist()])
+
+    def _change_of_sky(self, itime: int, columns: Callable[[Sources], FloatArray]) -> ComplexArray:
+        """Integrate what effects change of the fluxes, (N, K), over the sources whose fluxes they change or add."""
+        sources = self.sources(itime)
+        change = sources.flux_without() - sources.flux
+        which = np.flatnonzero(change)
+        some = Sources(sources.index[which], sources.za[which], sources.az[which], change[which], sources.beam_function)
+        one_time = replace(self, times=np.array([itime]))
+        one_time._sources[itime] = some
+        return one_time.integrate(columns)[0]
+
+    def diffuse_integral(self, name: str, basis: LinearBasis) -> ComplexArray:
+        """Return what the functions of a real basis see of the diffuse emission that effects add to the sky.
+
+        The skies of which that is made do not turn: what is seen of them is found once, where there is room to keep it.
+        The result is (Ntimes, Ngroups, n_modes).
+
+        Parameters
+        ----------
+        name : str
+            Of these functions.
+        basis : LinearBasis
+        """
+        out = np.zeros((len(self.times), len(self.groups), basis.n_modes), dtype=complex)
+        for effect, x in self.sky_effects:
+            for t, itime in enumerate(self.times.tolist()):
+                numbers = effect.standing_numbers(self, itime, x)
+                if numbers is None:
+                    break
+                if self.memo is not None:
+                    out[t] += np.tensordot(numbers, self._seen_standing(name, effect, basis), axes=1)
+                    continue
+                za, az, flux = effect.extra_sky(self, itime, x)
+                design = self.engine.design(basis, za, az, flux[np.newaxis], np.array([self.freq]))
+                out[t] += _by_modes(basis, design)[0]
+        return out
+
+    def _seen_standing(self, name: str, effect: Any, basis: LinearBasis) -> ComplexArray:
+        """Return what functions see of each of an effect's skies that do not turn, (K, Ngroups, n_modes); kept."""
+        assert self.memo is not None
+        kept, _ = self.memo.setdefault((self.channel, f"{name} {effect.kind} {effect.describe()}"), ({}, {}))
+        if AT_ALL_TIMES not in kept:
+            kept[AT_ALL_TIMES] = _by_modes(basis, self.standing_design(self.engine, effect, basis))
+        return kept[AT_ALL_TIMES]
+
+    def standing_design(self, engine: Engine, effect: Any, basis: LinearBasis) -> FloatArray:
+        """Return the design of each of an effect's skies that do not turn, (K, 2, N, n_columns), on N vectors."""
+        total: Any = 0.0
+        for za, az, flux in effect.standing_skies(self):
+            total = total + engine.design(basis, za, az, flux, np.full(len(flux), self.freq))
+        return np.asarray(total)
+
+    def integral(self, effect: Any) -> ComplexArray:
+        """Return what an effect needs integrated over the sky, (Ntimes, Ngroups, K); see `Effect.sky_columns`."""
+        self.integrate_for([effect])
+        return self.integrals[effect.kind]
+
+    def integrate_for(self, effects: Sequence[Any]) -> None:
+        """Fill ``integrals`` for those of these effects that they lack, in one pass over the sky."""
+        lacking = {effect.kind: effect for effect in effects if effect.kind not in self.integrals}
+        first = self.sources(int(self.times[0])) if lacking and len(self.times) else None
+        effects = [one for one in lacking.values() if first is not None and one.sky_columns(first) is not None]
+        if not effects:
+            return
+        sizes: dict[str, int] = {}
+
+        def columns(sources: Sources) -> FloatArray:
+            parts = {one.kind: one.sky_columns(sources) * sources.flux_without(one.kind) for one in effects}
+            sizes.update({kind: len(part) for kind, part in parts.items()})
+            return np.concatenate(list(parts.values()))
+
+        integrals = self.integrate(columns, flux="within columns")
+        for kind, span in zip(sizes, spans(sizes.values()), strict=True):
+            self.integrals[kind] = integrals[..., span]
+
+
+def _by_modes(basis: LinearBasis, design: FloatArray) -> ComplexArray:
+    """Return what a real basis's functions see, (K, N, n_modes), of a design by its columns, (K, 2, N, n_columns)."""
+    return np.asarray(basis.mix(design[:, 0]) + 1j * basis.mix(design[:, 1]))
+
+
+class GivenColumns:
+    """Columns that are known already, for an engine that asks for them run by run in the order of the sources."""
+
+    def __init__(self, values: FloatArray) -> None:
+        self.values = values
+        self.n_columns = len(values)
+        self._next = 0
+
+    def columns(self, za: FloatArray, az: FloatArray, out: FloatArray | None = None) -> FloatArray:
+        """Return the next ``len(za)`` sources' columns, (n_columns, Npoints)."""
+        part = self.values[:, self._next : self._next + len(za)]
+        self._next += len(za)
+        if out is None:
+            return part
+        out[:] = part
+        return out
