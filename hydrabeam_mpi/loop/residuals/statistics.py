@@ -207,14 +207,17 @@ def _correlations(sums: ResidualSums, freedom: Freedom) -> list[dict[str, Any]]:
 
 
 def _common_sigma(sums: ResidualSums, freedom: Freedom) -> float:
-    """Return the significance of redundant baselines having more in common than their scatter explains."""
+    """Return the significance of redundant baselines having more in common than their scatter explains.
+
+    They have less in common where predictions are wider than they need be, which is nothing missing.
+    """
     cells, common, n, power = sums.common.tolist()
     rest = n - cells
     if not power > common:
         return 0.0
     ratio = (common / cells) / ((power - common) / rest)
     ratio /= float(np.clip(ratio, 1 - freedom.share, 1 + freedom.share * n / cells))
-    return f_sigma(ratio, (2 * cells / freedom.scale, 2 * rest / freedom.scale))
+    return max(f_sigma(ratio, (2 * cells / freedom.scale, 2 * rest / freedom.scale)), 0.0)
 
 
 def _kurtosis(sums: ResidualSums, freedom: Freedom) -> tuple[float, float]:
