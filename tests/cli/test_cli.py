@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -24,6 +25,7 @@ from hydrabeam_mpi.cli import main
 from hydrabeam_mpi.config import load_job
 from hydrabeam_mpi.io.posterior_file import read_posterior
 from tests.cli.conftest import OnRoot, Workspace
+from tests.ended import passed_on
 
 Runner = Callable[..., CompletedProcess[str]]
 PROGRAM = (sys.executable, "-m", "hydrabeam_mpi")
@@ -206,7 +208,12 @@ def test_overwrite_replaces_only_by_a_whole_result(
 
 @pytest.mark.parametrize(
     ("how", "ranks"),
-    [(signal.SIGINT, 1), (signal.SIGINT, 2), (signal.SIGTERM, 2), (signal.SIGKILL, 1)],
+    [
+        (signal.SIGINT, 1),
+        pytest.param(signal.SIGINT, 2, marks=passed_on),
+        pytest.param(signal.SIGTERM, 2, marks=passed_on),
+        (signal.SIGKILL, 1),
+    ],
     ids=["Ctrl-C", "Ctrl-C on 2 ranks", "SIGTERM on 2 ranks", "SIGKILL"],
 )
 def test_a_run_that_is_ended_keeps_the_earlier_result(
@@ -217,7 +224,9 @@ def test_a_run_that_is_ended_keeps_the_earlier_result(
     before = (out / "provenance.json").read_bytes()
     job = workspace.simulation({"data.simulate.n_times": 20000, "sky.n_sources": 20000}, "long.toml")
     command = [*(["mpiexec", "-n", str(ranks)] if ranks > 1 else []), *PROGRAM, "infer", job, "-o", out, "--overwrite"]
-    with subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+    # os.environ, not the C library's environment, to which MPI_Init may add what is this process's.
+    given = {"stdin": subprocess.DEVNULL, "stderr": subprocess.PIPE, "env": dict(os.environ)}
+    with subprocess.Popen(command, text=True, **given) as process:
         wait_for(lambda: any(".result.partial-" in path.name for path in workspace.folder.iterdir()))
         time.sleep(0.5)
         process.send_signal(how)

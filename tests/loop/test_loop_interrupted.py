@@ -17,6 +17,7 @@ from mpi4py import MPI
 from hydrabeam_mpi.cli import main
 from hydrabeam_mpi.io.kept_rounds import latest_round
 from tests.cli.conftest import refusal
+from tests.ended import passed_on
 from tests.loop.mock import mock_job, write_job
 from tests.loop.test_loop_command import GAIN, SHIFT, TWO, channels_of, record_of
 from tests.loop.test_loop_ranks import assert_alike
@@ -164,6 +165,7 @@ def test_a_damaged_round_is_told(interrupted: Path, comm: MPI.Comm, capfd: pytes
     assert sorted(interrupted.rglob("*")) == before
 
 
+@passed_on
 @pytest.mark.parametrize(("number", "then_on"), [(signal.SIGINT, 3), (signal.SIGTERM, 1)])
 def test_signals_to_the_launcher(
     number: signal.Signals, then_on: int, whole: Path, tmp_path: Path, mpiexec: Any
