@@ -77,6 +77,10 @@ def summarise_coefficients(posterior: Posterior, prior: Prior) -> dict[str, floa
     }
 
 
+BEYOND_ERRORS = 3.0
+"""Standard deviations by which a beam is negative beyond its errors; by noise alone a thousandth of the sky is."""
+
+
 def summarise_maps(maps: SkyMaps) -> dict[str, float]:
     """Return the image-space numbers of ``summary.json`` (HDBI II, section 4.2).
 
@@ -91,6 +95,7 @@ def summarise_maps(maps: SkyMaps) -> dict[str, float]:
     if not crossed:
         numbers["imag_max"] = float(np.abs(maps.mean.imag).max())
         numbers["negative_fraction"] = float(np.mean(maps.mean.real < 0))
+        numbers["negative_beyond_errors"] = float(np.mean(maps.mean.real < -BEYOND_ERRORS * maps.std))
     for name, values in {"": maps.mean, "_model": maps.model}.items():
         beam = np.abs(values) if crossed else values.real
         numbers[f"beam_peak{name}"] = float(beam.max())

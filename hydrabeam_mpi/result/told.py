@@ -34,9 +34,10 @@ def _say_channel(channel: Mapping[str, Any]) -> str:
 def warnings_of(channels: list[dict[str, Any]]) -> list[str]:
     """Say in plain words what a user should not overlook in the channels' summaries."""
     said = _warnings_of_heldout([channel for channel in channels if "heldout_chi2_predictive" in channel])
-    negative = max(channel.get("negative_fraction", 0.0) for channel in channels)
+    negative = max(channel.get("negative_beyond_errors", 0.0) for channel in channels)
     if negative > 0.01:
-        said.append(f"The inferred power beam is negative on up to {negative:.1%} of the sky, which no power beam is.")
+        where = f"on up to {negative:.1%} of the sky by more than three standard deviations"
+        said.append(f"The inferred power beam is negative {where}, which no power beam is.")
     imaginary = max(channel.get("imag_max", 0.0) for channel in channels)
     if imaginary > 1e-3:
         said.append(f"The inferred beam has imaginary parts up to {imaginary:.1e}, which no co-polarised beam has.")

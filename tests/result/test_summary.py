@@ -48,7 +48,7 @@ GOOD = {
     "heldout_chi2_noise_only": 1.2,
     "heldout_chi2_unperturbed_scaled": 9.0,
     "heldout_amplitude_unperturbed": 1.01,
-    "negative_fraction": 0.0,
+    "negative_beyond_errors": 0.0,
     "imag_max": 0.0,
 }
 
@@ -60,7 +60,7 @@ GOOD = {
         ({"heldout_chi2_predictive": 4.0}, "too small by a factor of up to 2 "),
         ({"heldout_chi2_noise_only": 10.0}, "At 150 MHz the model beam with one free amplitude"),
         ({"heldout_amplitude_unperturbed": 1.7}, "when it is 1.01 to 1.7 times as large"),
-        ({"negative_fraction": 0.2}, "negative on up to 20.0% of the sky"),
+        ({"negative_beyond_errors": 0.2}, "negative on up to 20.0% of the sky"),
         ({"imag_max": 0.01}, "imaginary parts up to 1.0e-02"),
     ],
 )
@@ -76,4 +76,4 @@ def test_a_good_result_and_one_without_heldout_data_need_no_warning():
     assert warnings_of([GOOD]) == []
     # The data leave the beam so uncertain that the noise is little beside it; the posterior says so itself.
     assert warnings_of([GOOD | {"heldout_chi2_noise_only": 676.0, "heldout_chi2_unperturbed_scaled": 9000.0}]) == []
-    assert warnings_of([{"negative_fraction": 0.0, "imag_max": 0.0}]) == []
+    assert warnings_of([{"negative_beyond_errors": 0.0, "imag_max": 0.0}]) == []

@@ -63,9 +63,12 @@ def leave_out_unphysical(context: FitContext, fitted: Fitted, n_before: int) -> 
         beyond = one.effect.beyond(context.setup, one.x, std) if place >= n_before and one.size else np.zeros(0)
         gone = is_unphysical(beyond, context.problem.job.loop.min_log_bayes_factor)
         if gone.any():
-            names = one.effect.parameters(context.setup).names
+            known = one.effect.parameters(context.setup)
             which = np.flatnonzero(gone)[np.argsort(-beyond[gone], kind="stable")]
-            each = [f"{names[i]} {one.x[:, i].mean():.4g} +- {std[:, i].mean():.2g}" for i in which[:MOST_NAMED]]
+            each = [
+                f"{known.names[i]} {one.x[:, i].mean():.4g} +- {std[:, i].mean():.2g} {known.units[i]}".rstrip()
+                for i in which[:MOST_NAMED]
+            ]
             each += [f"and {len(which) - MOST_NAMED} more"] if len(which) > MOST_NAMED else []
             told.append(f"{one.effect.title}: left out what would have {one.effect.unphysical}: {', '.join(each)}")
             left = _rest(context, one, gone)

@@ -135,8 +135,7 @@ def _told(context: FitContext, active: Active, revision: Revision) -> str:
         return f"{active.effect.title}: taken back, as the model is better without it"
     if revision.unchanging is not None:
         return f"{active.effect.title}: {revision.unchanging[0].title}, as the model is better without what changes"
-    names = active.effect.parameters(context.setup).names
-    used = np.flatnonzero(revision.new.prior_var)
-    gone = [names[i] for i in active.used if i not in set(used.tolist())]
-    width = "its prior is re-estimated" if not gone else f"{len(used)} of {len(active.used)} parameters stay"
+    stay = np.intersect1d(active.used, np.flatnonzero(revision.new.prior_var))
+    n_used = len(active.used)
+    width = "its prior is re-estimated" if len(stay) == n_used else f"{len(stay)} of {n_used} parameters stay"
     return f"{active.effect.title}: {width}"

@@ -136,11 +136,15 @@ def run_rounds(
     speaks = context.grid.is_world_root
     effects = next_of(context, effects, checked.fitted.values)
     known: Weighed | None = None
+    told: Checked | None = None
     while True:
         number = len(history.rounds)
         if not history.rounds:
             _keep(clock, keep, history)
-        say(f"round {number + 1}: {say_heldout(checked.score.chi2, checked.numbers.of_all)}; weighing effects", speaks)
+        if checked is not told:
+            heldout = say_heldout(checked.score.chi2, checked.numbers.of_all)
+            say(f"round {number + 1}: {heldout}; weighing effects", speaks)
+        told = checked
         rest, history.rest = history.rest if number < most else None, None
         if rest is not None:
             known = Weighed.next_of(rest)

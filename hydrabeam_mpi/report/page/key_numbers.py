@@ -57,6 +57,7 @@ GROUPS: dict[str, tuple[KeyNumber, ...]] = {
         KeyNumber("beam_fwhm_ns_deg_model", "FWHM North-South, model beam, degrees"),
         KeyNumber("imag_max", "largest imaginary part", paper="≲1e-5", incomplete="≲1e-3"),
         KeyNumber("negative_fraction", "pixels with a negative real part", "percent", incomplete="some"),
+        KeyNumber("negative_beyond_errors", "pixels negative by more than three standard deviations", "percent"),
     ),
     "Held-out visibilities": (
         KeyNumber("ppd_z_std", "std of z, inferred beam", paper="nearly 1"),
