@@ -128,7 +128,7 @@ class FourierBessel(LinearBasis):
         return cls(description["modes"], **{name: description[name] for name in _SETTINGS})
 
     def expected(self, amplitudes: FloatArray) -> FloatArray:
-        """Return ``amplitudes``, (n_modes,), and by those that are near what to expect of modes that have none."""
+        """Return how large coefficients may be by those of a model beam, (n_modes,); see `expected_of_all`."""
         return expected_of_all(self.modes, amplitudes)
 
     def largest(self, amplitudes: FloatArray, n_modes: int) -> FourierBessel:

@@ -78,7 +78,7 @@ class Zernike(LinearBasis):
         return cls(description["degree"], description["edge"])
 
     def expected(self, amplitudes: FloatArray) -> FloatArray:
-        """Return ``amplitudes``, (n_modes,), and what to expect, by those that are near, of those that are none."""
+        """Return how large coefficients may be by those of a model beam, (n_modes,); see `expected_of_all`."""
         return expected_of_all([((n - abs(m)) // 2 + 1, m) for n, m in self.modes], amplitudes)
 
     def next_modes(self, amplitudes: FloatArray, n_before: int, most: int) -> NextModes:
