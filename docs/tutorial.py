@@ -46,11 +46,12 @@ result = hb.infer(hb.Setup(uvd, basis=basis, holdout={"kind": "times", "every": 
 maps = result.beam.maps
 truth = mock.beams[0](*np.deg2rad(np.indices((91, 360)).reshape(2, -1))).reshape(91, 360)
 error, model_error = (np.abs(maps[name].real - truth) for name in ("mean", "model"))
+rms, model_rms = (np.sqrt(np.mean(one**2)) for one in (error, model_error))
 std = maps["std"]
 heldout = float(result.heldout["chi2_predictive"][0])
 print(f"held-out reduced chi^2: {heldout:.2f}")
 print(f"beam: median error {np.median(error):.1e}, median posterior std {np.median(std):.1e}")
-print(f"rms error: {np.sqrt(np.mean(error**2)):.1e}; that of the model beam was {np.sqrt(np.mean(model_error**2)):.1e}")
+print(f"rms error: {rms:.1e}; that of the model beam was {model_rms:.1e}")
 
 # %% [markdown]
 # Draws are other beams that the data allow, and `to_uvbeam` is the best one for any other program.

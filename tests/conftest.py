@@ -14,6 +14,7 @@ import pytest
 from mpi4py import MPI
 
 from tests.agreement import RankAgreement
+from tests.launched import environment
 
 REPOSITORY = Path(__file__).parents[1]
 
@@ -74,16 +75,15 @@ def data_dir() -> Path:
 
 @pytest.fixture(scope="session")
 def mpiexec() -> Callable[..., subprocess.CompletedProcess[str]]:
-    """``mpiexec(n, *command, timeout=300, **environment)`` runs a command on a number of ranks."""
+    """``mpiexec(n, *command, timeout=300, **changes)`` runs a command on a number of ranks."""
     if MPI.COMM_WORLD.size > 1:
         pytest.skip("starts ranks of its own, so runs serially")
     launcher = shutil.which("mpiexec")
     if launcher is None:
         pytest.skip("no mpiexec on PATH")
 
-    def run(n: int, *command: str | Path, timeout: float = 300, **environment: str) -> subprocess.CompletedProcess[str]:
+    def run(n: int, *command: str | Path, timeout: float = 300, **changes: str) -> subprocess.CompletedProcess[str]:
         words = [launcher, "-n", str(n), *map(str, command)]
-        # os.environ, not the C library's environment, to which MPI_Init may add what is this process's.
         with subprocess.Popen(
             words,
             stdin=subprocess.DEVNULL,
@@ -91,7 +91,7 @@ def mpiexec() -> Callable[..., subprocess.CompletedProcess[str]]:
             stderr=subprocess.PIPE,
             text=True,
             start_new_session=True,
-            env={**os.environ, "OMP_NUM_THREADS": "1", **environment},
+            env=environment(**{"OMP_NUM_THREADS": "1", **changes}),
         ) as process:
             try:
                 out, err = process.communicate(timeout=timeout)

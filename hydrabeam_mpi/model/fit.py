@@ -16,7 +16,7 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.model.bases.base import NEGLIGIBLE, LinearBasis, Selection
+from hydrabeam_mpi.model.bases.base import LinearBasis, Selection, has_part
 from hydrabeam_mpi.model.bases.ring_fit import RCOND
 from hydrabeam_mpi.model.bases.rings import Pixels, RingGrid, degree_grid
 
@@ -87,7 +87,7 @@ def fit_beam(beam: Evaluable | Pixels, basis: LinearBasis | Selection) -> Fitted
     coeffs, _ = _solve(full, pixels)
     n_modes = min(basis.n_modes or full.n_modes, full.n_modes)
     amplitudes = full.amplitudes(coeffs)
-    if np.count_nonzero(amplitudes > NEGLIGIBLE * amplitudes.max()) < n_modes:
+    if np.count_nonzero(has_part(amplitudes)) < n_modes:
         amplitudes = full.expected(amplitudes)
     return fit_basis(full.largest(amplitudes, n_modes), pixels)
 

@@ -10,7 +10,7 @@ from astropy.time import Time
 
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.data.observation import Observation
-from hydrabeam_mpi.model.bases.base import NEGLIGIBLE
+from hydrabeam_mpi.model.bases.base import has_part
 from hydrabeam_mpi.model.earth_orientation import beyond_table
 from hydrabeam_mpi.model.fit import FittedBeam
 from hydrabeam_mpi.setup.skies import are_apparent
@@ -34,8 +34,7 @@ def cautions_of_times(job: Job, observation: Observation) -> tuple[str, ...]:
 
 def cautions_of_basis(job: Job, model: FittedBeam) -> tuple[str, ...]:
     """Say that widths of the prior do not follow from the model beam, where it has no part in some functions."""
-    amplitudes = model.basis.amplitudes(model.coeffs)
-    n_lacking = int(np.count_nonzero(amplitudes <= NEGLIGIBLE * amplitudes.max()))
+    n_lacking = int(np.count_nonzero(~has_part(model.basis.amplitudes(model.coeffs))))
     if job.prior.kind != "fraction" or job.prior.floor or not n_lacking:
         return ()
     return (

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import signal
 import subprocess
@@ -25,7 +24,7 @@ from hydrabeam_mpi.cli import main
 from hydrabeam_mpi.config import load_job
 from hydrabeam_mpi.io.posterior_file import read_posterior
 from tests.cli.conftest import OnRoot, Workspace
-from tests.ended import passed_on
+from tests.launched import environment, passed_on
 
 Runner = Callable[..., CompletedProcess[str]]
 PROGRAM = (sys.executable, "-m", "hydrabeam_mpi")
@@ -224,8 +223,7 @@ def test_a_run_that_is_ended_keeps_the_earlier_result(
     before = (out / "provenance.json").read_bytes()
     job = workspace.simulation({"data.simulate.n_times": 20000, "sky.n_sources": 20000}, "long.toml")
     command = [*(["mpiexec", "-n", str(ranks)] if ranks > 1 else []), *PROGRAM, "infer", job, "-o", out, "--overwrite"]
-    # os.environ, not the C library's environment, to which MPI_Init may add what is this process's.
-    given = {"stdin": subprocess.DEVNULL, "stderr": subprocess.PIPE, "env": dict(os.environ)}
+    given = {"stdin": subprocess.DEVNULL, "stderr": subprocess.PIPE, "env": environment()}
     with subprocess.Popen(command, text=True, **given) as process:
         wait_for(lambda: any(".result.partial-" in path.name for path in workspace.folder.iterdir()))
         time.sleep(0.5)

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from hydrabeam_mpi.terminal.interrupt import interruptible, leaving, unbroken
-from tests.ended import passed_on
+from tests.launched import environment, passed_on
 
 SIGNALS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 
@@ -122,8 +122,7 @@ with interruptible(None if world.rank else lambda: end_interrupted(world)), leav
 def test_rank_0_leaves_though_it_waits_for_another(number: signal.Signals, mpiexec: Any, tmp_path: Path) -> None:
     """In MPI, where no exception reaches it; and the other, which has got one, does not end it before."""
     words = ["mpiexec", "-n", "2", sys.executable, "-c", WAITS, tmp_path / "left"]
-    # os.environ, not the C library's environment, to which MPI_Init may add what is this process's.
-    given = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "env": dict(os.environ)}
+    given = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "env": environment()}
     with subprocess.Popen(words, text=True, start_new_session=True, **given) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "ready\n"

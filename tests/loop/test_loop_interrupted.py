@@ -17,7 +17,7 @@ from mpi4py import MPI
 from hydrabeam_mpi.cli import main
 from hydrabeam_mpi.io.kept_rounds import latest_round
 from tests.cli.conftest import refusal
-from tests.ended import passed_on
+from tests.launched import environment, passed_on
 from tests.loop.mock import mock_job, write_job
 from tests.loop.test_loop_command import GAIN, SHIFT, TWO, channels_of, record_of
 from tests.loop.test_loop_ranks import assert_alike
@@ -61,8 +61,8 @@ def end(
     """Run a loop and end it, in its second round or elsewhere; return the exit status and what it has said since."""
     launcher = ["mpiexec", "-n", str(n_ranks)] if n_ranks > 1 else []
     words = [*launcher, sys.executable, "-c", HELD, "loop", folder / "job.toml", "-o", folder / "result"]
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "HELD_AT": held_at}
-    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True, start_new_session=True, env=environment) as process:
+    given = environment(OMP_NUM_THREADS="1", HELD_AT=held_at)
+    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True, start_new_session=True, env=given) as process:
         assert process.stderr is not None
         for line in process.stderr:
             if line.startswith(held_at):

@@ -81,7 +81,7 @@ def revise(context: FitContext, last: Round, n_given: int) -> tuple[Round, dict[
     gain = sum(one.gain for one in revisions) + rise(context, fitted, again)
     if not (gain >= 0 and again.diagnostics.converged):
         return last, same
-    told = [_told(context, active[one.place], one) for one in revisions]
+    told = [_told(active[one.place], one) for one in revisions]
     for line in told:
         say(f"  {line} (ln evidence rises by {gain:.4g})", context.grid.is_world_root)
     after: Checked = check(context, again)
@@ -129,7 +129,7 @@ def _revised(context: FitContext, active: Active, revision: Revision | None) -> 
     return restarted(context, active, prior_var)
 
 
-def _told(context: FitContext, active: Active, revision: Revision) -> str:
+def _told(active: Active, revision: Revision) -> str:
     """Say what becomes of an effect."""
     if revision.new is None:
         return f"{active.effect.title}: taken back, as the model is better without it"

@@ -148,9 +148,7 @@ def run_rounds(
         number = len(history.rounds)
         if not history.rounds:
             _keep(clock, keep, history)
-        if checked is not told:
-            heldout = say_heldout(checked.score.chi2, checked.numbers.of_all)
-            say(f"round {number + 1}: {heldout}; weighing effects", speaks)
+        say(f"round {number + 1}: {_heldout(checked)}; weighing effects", speaks and checked is not told)
         told = checked
         rest, history.rest = history.rest if number < most else None, None
         if rest is not None:
@@ -264,10 +262,11 @@ def _asked(
     return replace(one, taken_back=taken_back, constancy=asked.get(one.place, one.constancy))
 
 
-def say_heldout(chi2: float, now: dict[str, float]) -> str:
+def _heldout(checked: Checked) -> str:
     """Tell in a line how well held-out data are predicted, beside the model beam, zero and the noise."""
+    now = checked.numbers.of_all
     return (
-        f"held-out chi^2 {chi2:.4g} (over the noise alone {now['noise_only_chi2']:.4g}), ln density "
+        f"held-out chi^2 {checked.score.chi2:.4g} (over the noise alone {now['noise_only_chi2']:.4g}), ln density "
         f"{now['log_density']:.6g}, rms {now['rms']:.4g} Jy ({now['explained']:.4%} explained; model beam "
         f"{now['rms_model']:.4g}, with its best scale {now['rms_model_scaled']:.4g}, zero {now['rms_zero']:.4g}, noise "
         f"{now['rms_noise']:.4g} Jy)"

@@ -15,12 +15,17 @@ from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import Array, FloatArray
+from hydrabeam_mpi.data.observation import Array, BoolArray, FloatArray
 from hydrabeam_mpi.model.bases.polar_table import PolarTable
 from hydrabeam_mpi.model.bases.rings import RingGrid
 
 NEGLIGIBLE = 1e-9
 """Coefficients below this fraction of the largest are rounding errors."""
+
+
+def has_part(amplitudes: FloatArray) -> BoolArray:
+    """Return in which functions a beam of these amplitudes has a part, more than rounding errors, both (n_modes,)."""
+    return np.asarray(amplitudes > NEGLIGIBLE * amplitudes.max())
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from collections.abc import Container, Sequence
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
-from hydrabeam_mpi.model.bases.base import NEGLIGIBLE
+from hydrabeam_mpi.model.bases.base import NEGLIGIBLE, has_part
 
 MARGIN = 4
 """Orders beyond those of a basis that has all of its own; enough for as many modes again."""
@@ -65,7 +65,7 @@ def expected_amplitudes(modes: Sequence[tuple[int, int]], amplitudes: FloatArray
 
 def is_idealised(amplitudes: FloatArray) -> bool:
     """Whether a model beam of these amplitudes, (n_modes,), has no part in some functions, but for rounding errors."""
-    return bool(np.any(amplitudes <= NEGLIGIBLE * amplitudes.max()))
+    return not has_part(amplitudes).all()
 
 
 def expected_of_all(modes: Sequence[tuple[int, int]], amplitudes: FloatArray) -> FloatArray:
@@ -132,5 +132,5 @@ def next_expected(
 
 def smallest(amplitudes: FloatArray, n: int) -> float:
     """Return the median of the ``n`` smallest of the amplitudes, (n_modes,), that are not rounding errors."""
-    told = np.sort(amplitudes[amplitudes > NEGLIGIBLE * amplitudes.max()])
+    told = np.sort(amplitudes[has_part(amplitudes)])
     return float(np.median(told[:n]))
