@@ -44,7 +44,9 @@ EFFECTS: Registry[Effect] = Registry(
 )
 """Effects that change what the data are expected to be."""
 
-REWEIGHTINGS: Registry[Reweighting] = Registry("hydrabeam_mpi.effects", "noise.noise_level", "noise.outliers")
+REWEIGHTINGS: Registry[Reweighting] = Registry(
+    "hydrabeam_mpi.effects", "noise.noise_level", "noise.outliers", "noise.bad_integrations"
+)
 """Changes of how much the data weigh."""
 
 SEPARATE: Registry[CrossPolarised] = Registry("hydrabeam_mpi.effects", "instrument.leakage")

@@ -115,12 +115,12 @@ def price_of_left_out(context: FitContext, share: RankData, values: Values, kept
     changes = [one for one in values.reweighted if one.change.leaves_out]
     if not changes:
         return price
-    left_out = np.sum((share.rows.inv_noise_var > 0) & ~kept, axis=1)
-    for one in changes:
-        price += [
-            float(count @ one.change.price(number, share.rows.tile.bls, one.x[number]))
-            for number, count in zip(context.channels, left_out, strict=True)
-        ]
+    tile = share.rows.tile
+    left_out = (share.rows.inv_noise_var > 0) & ~kept
+    for channel, number in enumerate(context.channels):
+        # What several would leave out costs what the cheapest of them asks.
+        asked = [one.change.price(context.setup, number, tile.times, tile.bls, one.x[number]) for one in changes]
+        price[channel] = float(np.min(asked, axis=0)[left_out[channel]].sum())
     allreduce_sum(context.grid.group, price)
     return price
 

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import Array, BoolArray, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 
@@ -64,6 +64,8 @@ class Reweighting(ABC):
     """Whether it leaves out rows, of which is told where they are."""
     follows_residuals: ClassVar[bool] = False
     """Whether weights of all rows change with their residuals, so that likelihoods do not compare."""
+    weighs_heldout: ClassVar[bool] = False
+    """Whether its evidence is of fitted and held-out rows together; see `heldout_sums`."""
     times_refitted: ClassVar[int] = 0
     """How often it is fitted again to the residuals of a fit that has it."""
 
@@ -84,6 +86,10 @@ class Reweighting(ABC):
     def describe(self) -> dict[str, Any]:
         """Return the settings with which it can be made again."""
         return {}
+
+    def is_told(self, x: FloatArray) -> BoolArray:
+        """Return which parameters of ``x``, (Nfreqs, n_params), say something, (n_params,): by default all."""
+        return np.ones(x.shape[1], dtype=bool)
 
     def scales_antennas(self, x: FloatArray) -> bool:
         """Whether parameters, (Nfreqs, n_params), scale the noise of single antennas."""
@@ -117,6 +123,18 @@ class Reweighting(ABC):
             Residuals times the square roots of the weights.
         """
 
+    def heldout_sums(self, setup: ObservingSetup, times: IntArray, z: ComplexArray) -> FloatArray:
+        """Return what `fit` needs of held-out rows where these count, (n_sums,): additive as well.
+
+        Parameters
+        ----------
+        setup : ObservingSetup
+        times : ndarray of int, (Ntimes,)
+        z : ndarray of complex, (Ntimes, Nbls)
+            Residuals over the errors of their prediction, E|z|^2 = 1; zero where there are none.
+        """
+        return np.zeros(self.n_sums(setup))
+
     @abstractmethod
     def fit(self, setup: ObservingSetup, sums: FloatArray, effective_parameters: FloatArray) -> ReweightingFit:
         """Weigh the evidence.
@@ -145,13 +163,13 @@ class Reweighting(ABC):
             Of the block's channel.
         """
 
-    def price(self, channel: int, bls: IntArray, x: FloatArray) -> FloatArray:
-        """Return what it costs in ln likelihood to leave out a row of some baselines, (Nbls,): by default nothing.
+    def price(self, setup: ObservingSetup, channel: int, times: IntArray, bls: IntArray, x: FloatArray) -> FloatArray:
+        """Return what it costs in ln likelihood to leave out a row, (Ntimes, Nbls): by default nothing.
 
-        That is |z|^2 where a row is just left out, so that the likelihood has no jump where rows come and go in a fit.
-        ``x``, (n_params,), is the channel's.
+        That is |z|^2 where a row is just left out, so that the likelihood has no jump where rows come and go in a fit;
+        infinite for rows that it does not leave out whatever their residual. ``x``, (n_params,), is the channel's.
         """
-        return np.zeros(len(bls))
+        return np.zeros((len(times), len(bls)))
 
     @abstractmethod
     def draw(self, setup: ObservingSetup, rng: np.random.Generator, strength: float) -> FloatArray:

@@ -151,9 +151,9 @@ class Outliers(Reweighting):
         beyond = used & (np.abs(block.residual) ** 2 * block.weights > x[0] * self._level(block.channel, block.bls))
         return np.where(beyond | mostly(beyond.sum(axis=1), used.sum(axis=1))[:, np.newaxis], 0.0, 1.0)
 
-    def price(self, channel: int, bls: IntArray, x: FloatArray) -> FloatArray:
-        """Return the threshold of each baseline, (Nbls,); see `Reweighting.price`."""
-        return x[0] * self._level(channel, bls)
+    def price(self, setup: ObservingSetup, channel: int, times: IntArray, bls: IntArray, x: FloatArray) -> FloatArray:
+        """Return the threshold of each baseline, (Ntimes, Nbls); see `Reweighting.price`."""
+        return np.broadcast_to(x[0] * self._level(channel, bls), (len(times), len(bls)))
 
     def _level(self, channel: int, bls: IntArray) -> FloatArray:
         """Return the variance of most of the whitened residuals of some baselines, (Nbls,)."""

@@ -14,6 +14,7 @@ from hydrabeam_mpi.effects.interface.reweighting import Reweighting, Reweighting
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
+from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.state import Fitted, Reweighted
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.mpi import allreduce_sum, bcast_object, together
@@ -132,6 +133,8 @@ def _fit_all(
                 z = block.residual * np.sqrt(block.weights)
                 for change, total in zip(changes, sums, strict=True):
                     total[number] += change.sums(block, z)
+    if any(change.weighs_heldout for change in changes):
+        _add_heldout(context, fitted, changes, sums)
     for total in sums:
         allreduce_sum(context.grid.world, total)
     fits = None
@@ -140,3 +143,15 @@ def _fit_all(
             fits = [change.fit(context.setup, total, effective) for change, total in zip(changes, sums, strict=True)]
     told: list[ReweightingFit] = bcast_object(context.grid.world, fits)
     return [WeightsFound(change, fit, fitted) for change, fit in zip(changes, told, strict=True)]
+
+
+def _add_heldout(
+    context: FitContext, fitted: Fitted, changes: Sequence[Reweighting], sums: Sequence[FloatArray]
+) -> None:
+    """Add this rank's held-out rows to the sums of changes for which they count. Collective: all ranks of the grid."""
+    whitened = whiten(context, fitted)
+    with together(context.grid.world):
+        for channel, number in enumerate(context.channels):
+            z = np.where(whitened.used[channel], whitened.z[channel], 0.0) / np.sqrt(2)
+            for change, total in zip(changes, sums, strict=True):
+                total[number] += change.heldout_sums(context.setup, context.test.rows.tile.times, z)

@@ -36,7 +36,8 @@ def parameters_of(
     if one.candidate.weights is not None:
         fit, shared = one.candidate.weights.fit, False
         told = Told(fit.names, fit.units, fit.x, fit.std, np.zeros(len(fit.names), dtype=bool))
-        used, is_told = np.arange(len(fit.names)), np.ones(fit.std.shape, dtype=bool)
+        used = np.flatnonzero(one.candidate.weights.change.is_told(fit.x))
+        is_told = np.ones((len(fit.x), len(used)), dtype=bool)
     else:
         active, std = _at_last(one, last)
         std = scale.of(active, std)

@@ -55,6 +55,11 @@ class Candidate:
         return self.kind, self.law
 
     @property
+    def is_of_integrations(self) -> bool:
+        """Whether it weighs whole integrations, held-out ones too."""
+        return self.weights is not None and self.weights.change.weighs_heldout
+
+    @property
     def is_control(self) -> bool:
         """Whether it is a control model: compared with the effects, but never claimed."""
         return self.finding is not None and self.finding.effect.is_control_model
@@ -106,13 +111,27 @@ class Round:
         return self.given_up or (self.candidate.finding is not None and self.place is None)
 
     @property
+    def evidence_of_all(self) -> float:
+        """Its log Bayes factor of all data; see `evidence_of_all`."""
+        return evidence_of_all(self.candidate, self.before, self.after)
+
+    @property
     def predicts(self) -> bool:
         """Whether its effect is in the model though it is not claimed, for prediction."""
         return self.given_up and self.place is not None
 
 
+def evidence_of_all(fitted: Candidate, before: Checked, after: Checked) -> float:
+    """Return the log Bayes factor of all data: of the fitted ones, and the predictive density of the held-out ones."""
+    if fitted.is_of_integrations:
+        return fitted.log_bayes_factor
+    return fitted.log_bayes_factor + after.score.log_density - before.score.log_density
+
+
 def in_order(wanted: Sequence[Candidate], most: int, first: Candidate | None = None) -> list[Candidate]:
     """Order candidates for trial: by evidence, but a change of the weights after all effects that come near it.
+
+    Bad integrations are first where they have the most: what an effect explains it explains better than they do.
 
     The ``first`` of those that explain the residual together is the first of the effects.
 
@@ -127,6 +146,8 @@ def in_order(wanted: Sequence[Candidate], most: int, first: Candidate | None = N
     def place(one: Candidate) -> int:
         if one is first:
             return -1
+        if one.is_of_integrations and one.log_bayes_factor >= top:
+            return -2
         if one.finding is None:
             return 2
         if one.log_bayes_factor < RULES.near * top:
@@ -138,13 +159,8 @@ def in_order(wanted: Sequence[Candidate], most: int, first: Candidate | None = N
 
 
 def is_better(fitted: Candidate, after: Checked, best: Round) -> bool:
-    """Whether a fitted effect is better than the best so far.
-
-    Compares the evidence of the fitted data plus the predictive density of the held-out ones: together the evidence of
-    all data.
-    """
-    ahead = fitted.log_bayes_factor - best.candidate.log_bayes_factor
-    return ahead + after.score.log_density - best.after.score.log_density > 0
+    """Whether a fitted effect is better than the best so far; see `evidence_of_all`."""
+    return evidence_of_all(fitted, best.before, after) > best.evidence_of_all
 
 
 def may_be_better(candidate: Candidate, best: Round, enough: bool) -> bool:
@@ -153,10 +169,10 @@ def may_be_better(candidate: Candidate, best: Round, enough: bool) -> bool:
     Most effects are only roughly linear, so that what comes near is fitted too. Where the best one leaves nothing
     (``enough``) another with no more evidence can only be simpler, as may be what needs several elements until places
     or delays are refined.
-    A structure that was found is no noise.
+    A structure that was found is no noise, but few integrations with something else in them may have looked like one.
     """
     if candidate.finding is None:
-        return False
+        return candidate.is_of_integrations and candidate.log_bayes_factor > best.evidence_of_all
     near = RULES.near_if_linear if candidate.finding.effect.linear else RULES.near
     if candidate.log_bayes_factor < near * best.candidate.log_bayes_factor:
         return False

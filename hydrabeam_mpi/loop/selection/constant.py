@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
+from hydrabeam_mpi.effects.interface.reweighting import ReweightingFit
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Fitted, Reweighted
 from hydrabeam_mpi.loop.attribution.constancy import Constancy
@@ -99,13 +102,19 @@ def beside_noise(context: FitContext, last: Round, n_given: int) -> tuple[Round,
         if not one.change.at_own_level:
             continue
         fit = refit_reweighting(context, fitted, one.change)
-        if fit.log_bayes_factor >= least:
+        if fit.log_bayes_factor >= least and not _is_same(one, fit):
             found[one.change.kind] = WeightsFound(one.change.beside_noise, fit, Fitted())
             reweighted[place] = Reweighted(one.change.beside_noise, fit.x, fit.std)
     if found:
         values = replace(fitted.values, reweighted=tuple(reweighted))
         last = replace(last, after=check(context, fit_patiently(context, values, fitted)))
     return last, found
+
+
+def _is_same(one: Reweighted, fit: ReweightingFit) -> bool:
+    """Whether a change is told beside noise already, and does the same as it has been fitted now."""
+    is_beside_noise = one.change.describe() == one.change.beside_noise.describe()
+    return is_beside_noise and np.array_equal(one.change.is_told(one.x), one.change.is_told(fit.x))
 
 
 def take_back_weights(context: FitContext, last: Round, n_given: int) -> tuple[Round, frozenset[str]]:

@@ -87,16 +87,9 @@ class History:
 
 
 def begin(context: FitContext, values: Values, clock: Clock) -> History:
-    """Fit what is known before the first round, and say which integrations are off then.
-
-    Such as those with interference: effects can stand for them, round after round, and few explain them.
-
-    Collective: all ranks of the grid.
-    """
+    """Fit what is known before the first round. Collective: all ranks of the grid."""
     with clock.time("fit"):
         checked = check(context, refit(context, values))
-    for one in checked.remains.odd:
-        say(one.line, context.grid.is_world_root and bool(one.times))
     return History(checked, checked)
 
 

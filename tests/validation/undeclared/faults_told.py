@@ -12,6 +12,8 @@ from tests.validation.undeclared.cases import FAULTS, UNKNOWN
 SCALE_WITHIN = 0.2
 """Relative: the model beam's visibilities, to which data are compared, are not right to better than that."""
 SCALED = ("wrong_scale", "convention: halved", "convention: doubled")
+NEAR = 1e-6
+"""Days within which a Julian date is that of an integration, told as it is to six digits."""
 NOISY = ("noise_level", "drifting_noise", "correlated_noise", "outliers", "bad_integrations")
 
 
@@ -24,7 +26,14 @@ def remedies(loop: dict[str, Any], key: str) -> list[Any]:
 def bad_times(loop: dict[str, Any], answer: dict[str, Any]) -> list[int]:
     """Return the indices of integrations that the loop leaves out."""
     spans = [span for spans in remedies(loop, "exclude_times") for span in spans]
+    spans += [(jd - NEAR, jd + NEAR) for jd in _left_out(loop)]
     return [i for i, time in enumerate(answer["times"]) if any(low <= time <= high for low, high in spans)]
+
+
+def _left_out(loop: dict[str, Any]) -> list[float]:
+    """Return the Julian dates of integrations that a round says are bad: "JD ... noise scale"."""
+    told = [one for one in loop["rounds"] if one["effect"] == "bad_integrations" and not one.get("revoked")]
+    return [float(known["name"].split()[1]) for one in told for known in one["parameters"]]
 
 
 def bad_antennas(loop: dict[str, Any]) -> list[int]:

@@ -191,6 +191,16 @@ def test_faults_must_be_told_in_full(case, truth, remedy, right):
     assert not names_fault(given["effects"][0], loop(), given)
 
 
+@pytest.mark.parametrize(("times", "right"), [([1], True), ([1, 2], False), ([2], False)])
+def test_bad_integrations_that_a_round_leaves_out(times, right):
+    given = answer("bad_integrations", where={"times": [1]})
+    left_out = [(f"JD {given['times'][k]:.6f} noise scale", 30.0, 1.0) for k in times]
+    found = loop(a_round("bad_integrations", left_out))
+    assert names_fault(given["effects"][0], found, given) is right
+    wrong = [f"bad integration: {k}" for k in times if k != 1]
+    assert faults_not_so(given, found) == wrong
+
+
 @pytest.mark.parametrize(
     ("case", "where", "remedy", "wrong"),
     [
