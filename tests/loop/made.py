@@ -10,6 +10,7 @@ import numpy as np
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.reweighting import ReweightingFit
+from hydrabeam_mpi.effects.noise.bad_integrations import BadIntegrations
 from hydrabeam_mpi.effects.noise.noise_level import NoiseLevel
 from hydrabeam_mpi.fit.state import Diagnostics, Fitted
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
@@ -44,6 +45,13 @@ def weights_candidate(log_bayes_factor: float = 100.0, reason: str | None = None
     change = NoiseLevel()
     x, std = np.full((n_freqs, 1), 1.5), np.full((n_freqs, 1), 0.02)
     fit = ReweightingFit(log_bayes_factor, x, std, ("noise scale",), ("",), 210.0, 1, reason)
+    return Candidate(change.kind, change.title, log_bayes_factor, weights=WeightsFound(change, fit, Fitted()))
+
+
+def integrations_candidate(log_bayes_factor: float = 100.0) -> Candidate:
+    """The second of three integrations is bad."""
+    change, x = BadIntegrations(), np.array([[1.0, 20.0, 1.0]])
+    fit = ReweightingFit(log_bayes_factor, x, 0.1 * (x > 1), ("a", "b", "c"), ("",) * 3, 210.0, 1)
     return Candidate(change.kind, change.title, log_bayes_factor, weights=WeightsFound(change, fit, Fitted()))
 
 

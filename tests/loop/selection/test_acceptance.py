@@ -29,7 +29,15 @@ from hydrabeam_mpi.loop.selection.acceptance import (
     why_unexplained,
 )
 from hydrabeam_mpi.loop.selection.heldout_score import fall_significance
-from tests.loop.made import N_DATA, blocks, checked, effect_candidate, round_of, weights_candidate
+from tests.loop.made import (
+    N_DATA,
+    blocks,
+    checked,
+    effect_candidate,
+    integrations_candidate,
+    round_of,
+    weights_candidate,
+)
 
 LOOP = Loop()
 
@@ -46,6 +54,8 @@ ORDERS: list[tuple[str, dict[str, float], int, list[str]]] = [
     ("noise alone where no effect comes near", {"noise": 100, "gains": 9}, 6, ["noise", "gains"]),
     ("linear ones that come near first", {"places": 60, "delays": 50, "gains": 42}, 6, ["gains", "places", "delays"]),
     ("others that are linear later", {"places": 61, "gains": 42}, 6, ["places", "gains"]),
+    ("bad integrations first where they have the most", {"bad": 100, "gains": 50}, 6, ["bad", "gains"]),
+    ("bad integrations later where they have not", {"bad": 100, "gains": 101}, 6, ["gains", "bad"]),
     ("only so many effects, and noise besides", {"gains": 50, "noise": 45, "delays": 40}, 1, ["gains", "noise"]),
 ]  # fmt: skip
 NAMED = {"gains": AntennaGains(), "delays": AntennaDelays(), "places": AntennaPositions()}
@@ -53,8 +63,9 @@ NAMED = {"gains": AntennaGains(), "delays": AntennaDelays(), "places": AntennaPo
 
 @pytest.mark.parametrize(("wanted", "most", "order"), [case[1:] for case in ORDERS], ids=ids(ORDERS))
 def test_the_order_of_trials(wanted: dict[str, float], most: int, order: list[str]) -> None:
+    weights = {"noise": weights_candidate, "bad": integrations_candidate}
     made = {
-        name: effect_candidate(NAMED[name], evidence) if name in NAMED else weights_candidate(evidence)
+        name: effect_candidate(NAMED[name], evidence) if name in NAMED else weights[name](evidence)
         for name, evidence in wanted.items()
     }
     assert in_order(list(made.values()), most) == [made[name] for name in order]
@@ -75,6 +86,16 @@ def test_better_is_by_the_evidence_of_all_data(log_bayes_factor: float, log_spre
     best = round_of(effect_candidate(AntennaGains(), 100.0), checked(2.0), checked(1.2))
     fitted = effect_candidate(AntennaDelays(), log_bayes_factor)
     assert is_better(fitted, checked(1.2, log_spread), best) == better
+
+
+def test_evidence_of_bad_integrations_is_of_all_data_already() -> None:
+    """So that what an effect predicts of the held-out data counts beside it."""
+    best = round_of(effect_candidate(AntennaGains(), 100.0), checked(2.0), checked(2.0, -50.0))
+    assert best.evidence_of_all == pytest.approx(150)
+    for evidence, better in ((149.0, False), (151.0, True)):
+        bad = integrations_candidate(evidence)
+        assert may_be_better(bad, best, enough=False) == better
+        assert is_better(bad, checked(1.0, -1e4), best) == better
 
 
 MAY_BE = [
