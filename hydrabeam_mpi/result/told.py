@@ -9,6 +9,9 @@ import numpy as np
 
 from hydrabeam_mpi.inference.predictive_checks import LARGEST_PREDICTIVE
 
+FAR = 2.0
+"""Times as far from the model as its prior expects, from which on errors of what the data leave open are half of what
+they should be."""
 MOST_CHANNELS = 4
 """More channels than these are not told one by one, but the one that is predicted worst."""
 
@@ -41,6 +44,14 @@ def warnings_of(channels: list[dict[str, Any]]) -> list[str]:
     imaginary = max(channel.get("imag_max", 0.0) for channel in channels)
     if imaginary > 1e-3:
         said.append(f"The inferred beam has imaginary parts up to {imaginary:.1e}, which no co-polarised beam has.")
+    far = max(channels, key=lambda channel: channel.get("prior_departure", 1.0))
+    if far.get("prior_departure", 1.0) > FAR:
+        departure, gain = far["prior_departure"], far["prior_departure_log_evidence"]
+        said.append(
+            f"The inferred beam is up to {departure:.2g} times as far from the model as its prior expects. "
+            f"Widths as much larger have more evidence, by about {gain:.3g} in ln "
+            "(`fraction` in [prior] as many times as large); or the beam takes up an effect that the model lacks."
+        )
     return said
 
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 
 from hydrabeam_mpi.inference.posterior import Posterior
+from hydrabeam_mpi.inference.prior import CovariancePrior, DiagonalPrior, FlatPrior
 from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
-from hydrabeam_mpi.result.summary import GRID_AZ, GRID_ZA, eigenbeams, full_width
+from hydrabeam_mpi.random import complex_normal, generator
+from hydrabeam_mpi.result.summary import GRID_AZ, GRID_ZA, departure_from_prior, eigenbeams, full_width
 from hydrabeam_mpi.result.told import warnings_of
 
 ZA = np.arange(91.0)
@@ -61,6 +65,8 @@ GOOD = {
         ({"heldout_chi2_noise_only": 10.0}, "At 150 MHz the model beam with one free amplitude"),
         ({"heldout_amplitude_unperturbed": 1.7}, "when it is 1.01 to 1.7 times as large"),
         ({"negative_beyond_errors": 0.2}, "negative on up to 20.0% of the sky"),
+        ({"prior_departure": 3.14, "prior_departure_log_evidence": 233.3}, "up to 3.1 times as far from the model"),
+        ({"prior_departure": 3.14, "prior_departure_log_evidence": 233.3}, "more evidence, by about 233 in ln"),
         ({"imag_max": 0.01}, "imaginary parts up to 1.0e-02"),
     ],
 )
@@ -77,3 +83,46 @@ def test_a_good_result_and_one_without_heldout_data_need_no_warning():
     # The data leave the beam so uncertain that the noise is little beside it; the posterior says so itself.
     assert warnings_of([GOOD | {"heldout_chi2_noise_only": 676.0, "heldout_chi2_unperturbed_scaled": 9000.0}]) == []
     assert warnings_of([{"negative_beyond_errors": 0.0, "imag_max": 0.0}]) == []
+
+
+@pytest.mark.parametrize("kind", ["diagonal", "covariance"])
+@pytest.mark.parametrize("scale", [0.5, 1.0, 4.0])
+@pytest.mark.parametrize("is_complex", [False, True])
+def test_widths_of_the_prior_that_have_the_most_evidence(kind, scale, is_complex):
+    """Coefficients are drawn ``scale`` times as far from the prior's mean as it says; beside some no data say anything.
+
+    The gain is compared with the evidence of both priors as it is defined, ln N(d; F m0, F Sigma F^H + N).
+    """
+    rng = generator(3, kind, str(scale), str(is_complex))
+    n, n_data, noise = 60, 200, 1e-3
+    normal = partial(complex_normal, rng) if is_complex else rng.standard_normal
+    design = normal((n_data, n))
+    design[:, 50:] = 0  # seen by no data
+    root = np.tril(normal((n, n))) / 8 + np.eye(n) if kind == "covariance" else np.diag(rng.uniform(0.5, 2, n))
+    centre, sigma = normal((n,)), root @ root.conj().T
+    data = design @ (centre + scale * root @ normal((n,))) + noise * normal((n_data,))
+
+    def prior_of(widths: float):
+        if kind == "diagonal":
+            return DiagonalPrior(centre, widths * np.sqrt(np.diag(sigma).real))
+        return CovariancePrior(centre, widths**2 * sigma)
+
+    def log_evidence(widths: float) -> float:
+        covariance = widths**2 * design @ sigma @ design.conj().T + noise**2 * np.eye(n_data)
+        left = data - design @ centre
+        loss = np.vdot(left, np.linalg.solve(covariance, left)).real + np.linalg.slogdet(covariance)[1]
+        return -loss * (1 if is_complex else 0.5)
+
+    precision = design.conj().T @ design / noise**2
+    source = design.conj().T @ data / noise**2 + prior_of(1).precision_times(centre)
+    prior_of(1).add_precision(precision)
+    posterior = Posterior(np.linalg.solve(precision, source), np.linalg.cholesky(precision))
+    departure, gain = departure_from_prior(posterior, prior_of(1))
+    assert departure == pytest.approx(scale, rel=0.35)
+    assert gain == pytest.approx(log_evidence(departure) - log_evidence(1), abs=0.01)
+    for other in (0.8 * departure, 1.25 * departure):
+        assert log_evidence(other) < log_evidence(departure)
+
+
+def test_nothing_departs_from_a_flat_prior():
+    assert departure_from_prior(Posterior(np.ones(3), np.eye(3)), FlatPrior(np.zeros(3))) == (1.0, 0.0)

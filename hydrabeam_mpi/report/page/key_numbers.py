@@ -37,6 +37,7 @@ GROUPS: dict[str, tuple[KeyNumber, ...]] = {
         KeyNumber("correlation_below_0.1", "pairs correlated by less than 0.1", "percent", "96.5%"),
         KeyNumber("correlation_max_real", "largest correlation, real part", paper="~0.4"),
         KeyNumber("z_update_above_10", "modes updated by more than 10σ", "count", "first hundred or so"),
+        KeyNumber("prior_departure", "departure from the model beam over what its prior expects"),
         KeyNumber("fit_rms", "rms error of the model beam's fit"),
     ),
     "Beam on the one-degree grid": (
