@@ -38,6 +38,7 @@ GROUPS: dict[str, tuple[KeyNumber, ...]] = {
         KeyNumber("correlation_max_real", "largest correlation, real part", paper="~0.4"),
         KeyNumber("z_update_above_10", "modes updated by more than 10σ", "count", "first hundred or so"),
         KeyNumber("prior_departure", "departure from the model beam over what its prior expects"),
+        KeyNumber("prior_departure_log_evidence", "rise of ln evidence with widths as much larger"),
         KeyNumber("fit_rms", "rms error of the model beam's fit"),
     ),
     "Beam on the one-degree grid": (
