@@ -37,6 +37,11 @@ def known_median(values: FloatArray) -> float:
     return float(np.median(known)) if known.size else np.nan
 
 
+def beside_median(values: FloatArray) -> FloatArray:
+    """Return values of several kinds, (Nkinds, N), less the median of their kind; NaN where nothing is known."""
+    return np.asarray(values - np.array([[known_median(one)] for one in values]))
+
+
 def outliers(values: FloatArray, error: ArrayLike = 0.0, spread: float = POWER_SPREAD) -> FloatArray:
     """Return how many standard deviations each value is from the median, zero where that is nothing absurd.
 

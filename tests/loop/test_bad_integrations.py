@@ -13,6 +13,7 @@ from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
 from hydrabeam_mpi.effects.noise.bad_integrations import BadIntegrations
 from hydrabeam_mpi.effects.noise.outliers import Outliers
 from hydrabeam_mpi.fit.clock import Clock
+from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Values
 from hydrabeam_mpi.loop.output.record import make_record
 from hydrabeam_mpi.loop.selection.again import search
@@ -23,7 +24,7 @@ GAIN = {"kind": "antenna_gains", "parameters": {"antenna 2 ln amplitude": 0.02, 
 BAD = {"kind": "bad_integrations", "strength": 100.0}
 
 
-def search_of(comm: MPI.Comm, folder: Path, *injected: dict[str, object]) -> tuple[object, History]:
+def search_of(comm: MPI.Comm, folder: Path, *injected: dict[str, object]) -> tuple[FitContext, History]:
     context = context_of(mock_job(*injected, n_times=40), folder, comm)
     history = begin(context, Values(), Clock())
     effects, changes = [AntennaGains(), CrossCoupling()], [Outliers(), BadIntegrations()]

@@ -15,6 +15,7 @@ import numpy as np
 from hydrabeam_mpi.data.observation import Array, BoolArray, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.random import complex_normal
 
 
 @dataclass(frozen=True)
@@ -184,6 +185,13 @@ class Reweighting(ABC):
         data : ndarray of complex, (Ntimes, Nbls)
             With the noise that ``block.weights`` stand for.
         """
+
+
+def with_more_noise(data: ComplexArray, block: RowBlock, more: FloatArray, rng: np.random.Generator) -> ComplexArray:
+    """Return data, (Ntimes, Nbls), with noise of ``more`` times the variance that the weights stand for added."""
+    used = block.weights > 0
+    variance = np.where(used, np.maximum(more, 0.0) / np.where(used, block.weights, 1.0), 0.0)
+    return data + np.sqrt(variance) * complex_normal(rng, block.shape)
 
 
 def fitted_counts(counts: FloatArray, effective_parameters: Array) -> FloatArray:

@@ -18,11 +18,10 @@ from scipy.sparse import csr_array
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
-from hydrabeam_mpi.effects.interface.reweighting import Reweighting, ReweightingFit, fitted_counts
+from hydrabeam_mpi.effects.interface.reweighting import Reweighting, ReweightingFit, fitted_counts, with_more_noise
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.shared.whiteness import Structure, structure_of, whiteness_sums
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.random import complex_normal
 
 # Candidate widths of the prior on ln(scale); the evidence chooses among them.
 WIDTHS: FloatArray = np.geomspace(0.003, 3.0, 13)
@@ -136,9 +135,7 @@ class NoiseLevel(Reweighting):
         more = _variance(block.setup, x)[block.bls] - 1
         if np.any(more < -1e-12):
             raise InputError("noise cannot be taken away", field=self.kind, remedy="give scales of 1 or more")
-        used = block.weights > 0
-        variance = np.where(used, np.maximum(more, 0.0) / np.where(used, block.weights, 1.0), 0.0)
-        return data + np.sqrt(variance) * complex_normal(rng, block.shape)
+        return with_more_noise(data, block, more, rng)
 
 
 def _variance(setup: ObservingSetup, x: FloatArray) -> FloatArray:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray, Observation
-from hydrabeam_mpi.inference.robust import LOG_MEAN, LOG_STD, MOST_EXCEPTIONS, known_median, outliers
+from hydrabeam_mpi.inference.robust import LOG_MEAN, LOG_STD, MOST_EXCEPTIONS, beside_median, known_median, outliers
 from hydrabeam_mpi.mpi import Comm, allreduce_sum
 from hydrabeam_mpi.setup.findings import Finding, antenna_words, baseline_words, integration_words
 
@@ -101,7 +101,7 @@ def _of_antennas(logs: FloatArray, n: FloatArray, ends: IntArray) -> tuple[Float
 def _stand_out(logs: FloatArray, n: FloatArray) -> list[tuple[int, str]]:
     """Return what is off among all, and by how much: mean logs and their numbers, (2, N)."""
     # Beside the median of their role, so that there is one scatter, known as well as can be.
-    beside = logs - np.array([[known_median(one)] for one in logs])
+    beside = beside_median(logs)
     error = LOG_STD / np.sqrt(np.maximum(n, 1))
     sigma = outliers(beside.ravel(), error.ravel(), spread=0.0).reshape(beside.shape)
     odd = np.flatnonzero((sigma > 0).any(axis=0)).tolist()
