@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from hydrabeam_mpi.fit.grown import grown_problem
 from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.joint import channel_results, fit_with_effects, read_context
 from hydrabeam_mpi.fit.memory import inference_bytes, loop_bytes
+from hydrabeam_mpi.fit.prior_widths import as_stated
 from hydrabeam_mpi.fit.rounding import MOST_SHIFT
 from hydrabeam_mpi.loop.checks.health import told
 from hydrabeam_mpi.loop.output.amendment import effects_found
@@ -77,9 +78,10 @@ def run_inference(setup: Setup, folder: Path | None, threads: int, waiting: Path
         Folder in which covariances wait to be written.
     """
     clock = Clock()
-    needed = loop_bytes if setup.job.effects else inference_bytes
+    needed = loop_bytes if setup.job.effects or setup.job.prior.widths == "evidence" else inference_bytes
     grid, problems = prepare_checked_each(setup, folder, clock, told, needed)
-    if setup.job.effects or (problems[0].earlier and problems[0].earlier.entries):
+    adapts = setup.job.prior.widths == "evidence"
+    if adapts or setup.job.effects or (problems[0].earlier and problems[0].earlier.entries):
         (problem,) = problems
         fits = [_with_effects(setup, grid, problem, clock)]
     else:
@@ -115,6 +117,8 @@ class _Fit:
         Of the result that is the prior.
     gains : tuple
         What `gains_told` takes of effects: setup and values.
+    prior : dict
+        What the summary says of a prior that was adapted.
     """
 
     problem: Problem
@@ -123,6 +127,7 @@ class _Fit:
     effects: dict[str, Any] | None = None
     carried: CarriedOver | None = None
     gains: tuple[Any, ...] = ()
+    prior: dict[str, Any] = field(default_factory=dict)
 
 
 def _with_effects(setup: Setup, grid: ProcessGrid, problem: Problem, clock: Clock) -> _Fit:
@@ -134,7 +139,9 @@ def _with_effects(setup: Setup, grid: ProcessGrid, problem: Problem, clock: Cloc
         numbers = heldout_numbers(context, whiten(context, fitted))
     problem = grown_problem(problem, context.setup, fitted.values, context.learned)
     found, gains = effects_found(setup.job, fitted, context.setup), (context.setup, fitted.values)
-    return _Fit(problem, results, numbers, found, context.carried, gains)
+    widths = fitted.values.prior_widths
+    prior = {} if widths is None else {"prior_adapted": as_stated(widths)}
+    return _Fit(problem, results, numbers, found, context.carried, gains, prior)
 
 
 def _result(setup: Setup, grid: ProcessGrid, fit: _Fit, threads: int, clock: Clock, waiting: Path | None) -> Result:
@@ -157,6 +164,7 @@ def _result(setup: Setup, grid: ProcessGrid, fit: _Fit, threads: int, clock: Clo
                 **_rounding_told(fit.results),
                 **prior_told(setup, fit.carried),
                 **gains_told(problem, records, *fit.gains),
+                **fit.prior,
             }
             origin = origin_of(setup, problem, threads)
             run |= over_frequency_told(fit.results)

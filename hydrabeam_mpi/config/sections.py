@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, ValidationInfo, model_validator
+from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
 from hydrabeam_mpi.config.base import Section, key, refuse_unused
 from hydrabeam_mpi.config.frequency import OverFrequency
@@ -184,6 +184,20 @@ class Basis(Section):
 FRACTION = ("kind", "fraction")
 RESOLVED = 2.0**-52
 """Relative spacing of doubles."""
+MOST_DECAY = 5.0
+"""With more each order has less than a hundredth of the one before, and only the lowest are free."""
+Decay = Annotated[float, Field(ge=0, le=MOST_DECAY)]
+
+
+class Smooth(Section):
+    """A part of the prior's widths that does not follow the model's coefficients; the squares of both are added."""
+
+    amplitude: float = key(
+        0.0, "standard deviation at the lowest orders, over the largest coefficient", ge=0, le=LARGEST
+    )
+    decay: Annotated[tuple[Decay, Decay], Field(strict=False)] = key(
+        (0.0, 0.0), "ln of how much less it is for each radial and each azimuthal order"
+    )
 
 
 class Prior(Section):
@@ -199,6 +213,10 @@ class Prior(Section):
         FRACTION,
         ge=0,
         le=1 / RESOLVED,
+    )
+    smooth: Smooth = Smooth()
+    widths: Literal["stated", "evidence"] | None = key(
+        None, "whether the data adapt fraction and smooth; by default 'stated' in infer, 'evidence' in the loop"
     )
     file: File | None = key(None, "mean and covariance, or a result's folder: what other data have told is known")
     frequency: OverFrequency = OverFrequency()
@@ -219,6 +237,13 @@ class Prior(Section):
             )
         if self.fraction > 1 / RESOLVED:
             raise ValueError(f"fraction = {self.fraction:.3g} is no prior; set kind = 'flat' to have none")
+        if self.smooth.amplitude and self.kind != "fraction":
+            refuse_unused(self, "smooth", "kind = 'fraction'", f"'{self.kind}'")
+        if self.widths == "evidence" and (self.kind != "fraction" or self.frequency.couples):
+            raise ValueError(
+                "widths = 'evidence' is for independent coefficients of independent channels; set widths = 'stated'"
+                ", or kind = 'fraction' and [prior.frequency] kind = 'independent'"
+            )
         if self.frequency.couples and self.kind != "fraction":
             raise ValueError(
                 f"channels hang together by widths of independent coefficients, which kind = '{self.kind}' has not"

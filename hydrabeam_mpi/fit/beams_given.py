@@ -93,7 +93,8 @@ def sum_for_beams(context: FitContext, at: Estimate) -> BeamSums:
     with together(grid.world):
         rows, added = share.calibrated(at) if at.beams else (share.rows, np.zeros_like(share.rows.data))
     # Effects move the mean of the beams' prior at most.
-    key = Key(rows.inv_noise_var, share.key_of_sky(at.values), (context.problem, context.learned))
+    prior = context.problem, context.learned
+    key = Key(rows.inv_noise_var, share.key_of_sky(at.values), prior, at.values.prior_widths)
     known = share.known.find(grid.group, key)
     with together(grid.world):
         designs = share.designs(at.values, show=grid.world.rank == 0 and not at.beams)

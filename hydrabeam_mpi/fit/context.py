@@ -70,9 +70,9 @@ class FitContext:
         return replace(self, problem=problem, train=self.test, test=test)
 
     def given(self, values: Values) -> Problem:
-        """Return the problem of this rank group with the beams' priors given the effects."""
+        """Return the problem of this rank group with the beams' priors given the effects, as wide as the values say."""
         if self.learned is None:
-            return self.problem
+            return self.problem.with_prior_widths(values.prior_widths)
         priors = tuple(self.learned.beam_prior(channel, values) for channel in self.channels)
         return replace(self.problem, priors=priors)
 

@@ -59,7 +59,7 @@ def grown_beam(
 
 
 def grown_problem(problem: Problem, setup: ObservingSetup, values: Values, learned: Learned | None = None) -> Problem:
-    """Return the problem whose beam has the functions that effects add to its basis, with their priors.
+    """Return the problem whose beam has the functions that effects add to its basis, with the priors as they are there.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def grown_problem(problem: Problem, setup: ObservingSetup, values: Values, learn
     learned : Learned, optional
         What is known of the first effects beforehand.
     """
-    growth = growth_of(setup, values)
+    growth, problem = growth_of(setup, values), problem.with_prior_widths(values.prior_widths)
     if not growth:
         return problem
 

@@ -13,6 +13,7 @@ import numpy as np
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.inference.posterior import Posterior
+from hydrabeam_mpi.inference.prior import PriorWidths
 from hydrabeam_mpi.mpi import Comm
 
 
@@ -27,15 +28,19 @@ class Key:
         Key of the effects that change the sky; see `RowModel.key_of_sky`.
     prior : tuple
         Where the beams' prior has its precision from.
+    prior_widths : PriorWidths, optional
+        Where they are not the stated ones.
     """
 
     weights: FloatArray
     sky: bytes
     prior: tuple[object, ...]
+    prior_widths: PriorWidths | None
 
     def is_same(self, other: Key) -> bool:
         """Whether both have the same weights, the same sky and the same prior."""
         same_prior = all(one is two for one, two in zip(self.prior, other.prior, strict=True))
+        same_prior = same_prior and self.prior_widths == other.prior_widths
         return same_prior and self.sky == other.sky and np.array_equal(self.weights, other.weights)
 
 

@@ -138,7 +138,9 @@ def loop_bytes(share: Share, root: bool) -> int:
     of_rows = 4 * kept + (4 * waves if waves <= KEPT_BYTES / 4 else 0)
     # Of beams that hang together, how they follow effects: columns of their matrix, twice solved for.
     following = 3 * share.item * share.unknowns * min(share.unknowns, MAX_PARAMETERS)
-    return inference_bytes(share, root) + of_rows + following
+    # While widths are adapted: what the data say of the beams of its channels, a matrix, its factor and its inverse.
+    adapting = (share.channels + 3) * share.matrix if root else 0
+    return inference_bytes(share, root) + of_rows + max(following, adapting)
 
 
 def check_room(grid: ProcessGrid, problems: Sequence[Problem], needed: Callable[[Share, bool], int]) -> None:

@@ -18,7 +18,7 @@ from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.blocks import effect_columns
 from hydrabeam_mpi.fit.columns import Columns, RowSet
 from hydrabeam_mpi.inference.posterior import Posterior
-from hydrabeam_mpi.inference.prior import ChannelPrior, DiagonalPrior, precision_of
+from hydrabeam_mpi.inference.prior import ChannelPrior, DiagonalPrior, PriorWidths, precision_of
 
 
 @dataclass(frozen=True)
@@ -125,16 +125,19 @@ class Reweighted:
 
 @dataclass(frozen=True)
 class Values:
-    """The effects and the changes of the weights that are part of the model: all channels, the same on all ranks.
+    """What is part of the model beside the beams: all channels, the same on all ranks.
 
     Attributes
     ----------
     active : tuple of Active
     reweighted : tuple of Reweighted
+    prior_widths : PriorWidths, optional
+        Of the beams' prior, where they are not those that the job states.
     """
 
     active: tuple[Active, ...] = ()
     reweighted: tuple[Reweighted, ...] = ()
+    prior_widths: PriorWidths | None = None
 
     def extended(self, active: Active) -> Values:
         """Return these and one more effect."""

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_triangular
 
-from hydrabeam_mpi.data.observation import Array, FloatArray
+from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray
 from hydrabeam_mpi.data.partition import spans
 from hydrabeam_mpi.errors import InputError
 
@@ -59,11 +59,65 @@ class FlatPrior:
 
 
 @dataclass(frozen=True)
+class PriorWidths:
+    """How wide a prior of independent coefficients is: in proportion to those of the model, and a smooth part beside.
+
+    The smooth part is what a beam may have where its model has little: largest at the lowest orders, by which it falls.
+
+    Attributes
+    ----------
+    fraction : float
+        Standard deviation over the amplitude of the model's coefficient.
+    amplitude : float
+        Standard deviation of the smooth part at the lowest orders, over the largest amplitude of the model.
+    decay : (float, float)
+        ln of how much less the smooth part is for each radial and each azimuthal order.
+    """
+
+    fraction: float = 1.0
+    amplitude: float = 0.0
+    decay: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class ModeSizes:
+    """What the widths of coefficients follow from.
+
+    Attributes
+    ----------
+    amplitudes : ndarray, (n,)
+        Of the model's coefficients.
+    orders : ndarray of int, (n, 2)
+        Radial and azimuthal ones, from zero on.
+    largest : float
+        Amplitude of the model.
+    """
+
+    amplitudes: FloatArray
+    orders: IntArray
+    largest: float
+
+    def widths(self, by: PriorWidths) -> tuple[FloatArray, FloatArray]:
+        """Return the two parts of the standard deviations, of which the squares are added, (n,) each."""
+        smooth = by.amplitude * self.largest * np.exp(-self.orders @ np.array(by.decay))
+        return by.fraction * self.amplitudes, np.asarray(smooth)
+
+
+@dataclass(frozen=True)
 class DiagonalPrior:
-    """Independent coefficients with standard deviations ``sigma`` (E|x - mean|^2 = sigma^2)."""
+    """Independent coefficients with standard deviations ``sigma`` (E|x - mean|^2 = sigma^2).
+
+    ``sizes`` are what these may be adapted by; None where they are as they are.
+    """
 
     mean: Array
     sigma: FloatArray
+    sizes: ModeSizes | None = None
+
+    @classmethod
+    def of(cls, mean: Array, sizes: ModeSizes, widths: PriorWidths) -> DiagonalPrior:
+        """Return the prior about a mean, (n,), whose widths follow from sizes."""
+        return cls(mean, np.hypot(*sizes.widths(widths)), sizes)
 
     @property
     def log_det_precision(self) -> float | None:
@@ -81,6 +135,18 @@ class DiagonalPrior:
     def std(self) -> FloatArray:
         """Return ``sigma``, (n,)."""
         return self.sigma
+
+    def adapted(self, widths: PriorWidths) -> DiagonalPrior:
+        """Return the same with other widths.
+
+        Raises
+        ------
+        ValueError
+            If there is nothing from which they follow.
+        """
+        if self.sizes is None:
+            raise ValueError("the widths of this prior cannot be adapted")
+        return self.of(self.mean, self.sizes, widths)
 
 
 class CovariancePrior:

@@ -50,7 +50,8 @@ def warnings_of(channels: list[dict[str, Any]]) -> list[str]:
         said.append(
             f"The inferred beam is up to {departure:.2g} times as far from the model as its prior expects. "
             f"Widths as much larger have more evidence, by about {gain:.3g} in ln "
-            "(`fraction` in [prior] as many times as large); or the beam takes up an effect that the model lacks."
+            "(`fraction` in [prior] as many times as large, or widths = 'evidence'); or the beam takes up an effect "
+            "that the model lacks."
         )
     return said
 

@@ -13,7 +13,7 @@ from pyuvdata import BeamInterface, UVBeam
 from hydrabeam_mpi.config import ANALYTIC_BEAMS, BUILT_IN_BEAMS, EMBEDDED_BEAM, Job, Perturbation
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.inference.prior import DiagonalPrior, FlatPrior, Prior
+from hydrabeam_mpi.inference.prior import DiagonalPrior, FlatPrior, ModeSizes, Prior, PriorWidths
 from hydrabeam_mpi.io.beamfits import SAME_FREQ, BeamFile
 from hydrabeam_mpi.io.prior_file import read_prior
 from hydrabeam_mpi.io.reading import check_file
@@ -176,12 +176,20 @@ def make_prior(job: Job, fit: FittedBeam) -> Prior:
     if settings.kind == "file":
         assert settings.file is not None
         return read_prior(settings.file, fit.basis)
-    amplitudes = fit.basis.amplitudes(fit.coeffs)
+    amplitudes, orders = fit.basis.amplitudes(fit.coeffs), fit.basis.orders
+    largest = float(amplitudes.max())
     if not settings.floor:
         amplitudes = fit.basis.expected(amplitudes)
     # Every mode needs a width, if only one above rounding.
     floor = max(settings.floor, 1e-12) * amplitudes.max()
-    return DiagonalPrior(fit.coeffs, settings.fraction * np.maximum(amplitudes, floor))
+    sizes = ModeSizes(np.maximum(amplitudes, floor), orders, largest)
+    return DiagonalPrior.of(fit.coeffs, sizes, stated_widths(job))
+
+
+def stated_widths(job: Job) -> PriorWidths:
+    """Return the widths of the beam's prior that a job states."""
+    settings = job.prior
+    return PriorWidths(settings.fraction, settings.smooth.amplitude, settings.smooth.decay)
 
 
 def given_priors(priors: Sequence[Prior], fits: Sequence[FittedBeam]) -> tuple[Prior, ...]:

@@ -38,6 +38,7 @@ def check_can_be_together(job: Job, given: Given) -> None:
     of_one = {
         "effects ([[effects]])": bool(job.effects),
         "a prior from a file ([prior] file)": job.prior.kind == "file",
+        "a prior that is adapted ([prior] widths)": job.prior.widths == "evidence",
         "a prior of its own": given.priors is not None or given.earlier is not None,
     }
     if found := next((what for what, is_there in of_one.items() if is_there), None):

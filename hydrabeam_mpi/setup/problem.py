@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from hydrabeam_mpi.config.named import expand
 from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.partition import Tile, make_tiles
 from hydrabeam_mpi.data.redundancy import RedundantGroups
-from hydrabeam_mpi.inference.prior import Prior
+from hydrabeam_mpi.inference.prior import DiagonalPrior, Prior, PriorWidths
 from hydrabeam_mpi.io.inferred import Inferred
 from hydrabeam_mpi.io.noise import amid, difference_variance
 from hydrabeam_mpi.io.uvsource import Data
@@ -139,6 +139,12 @@ class Problem:
             noise_variance=None if self.noise_variance is None else self.noise_variance[index],
             channel_numbers=self.channel_numbers[index],
         )
+
+    def with_prior_widths(self, widths: PriorWidths | None) -> Problem:
+        """Return the same with other widths of the beams' priors, which have to be adaptable; None: as they are."""
+        if widths is None:
+            return self
+        return replace(self, priors=tuple(cast(DiagonalPrior, prior).adapted(widths) for prior in self.priors))
 
     def tile_of(self, rows: Tile, rank: int, size: int, whole_times: bool = False) -> Tile:
         """Return a rank's share of some rows, among ``size`` ranks; ``whole_times`` keeps those of a time together."""

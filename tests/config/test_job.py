@@ -183,6 +183,8 @@ boundary = "dirichlet"
 [prior]
 fraction = 0.5
 floor = 1e-5
+smooth = { amplitude = 1e-3, decay = [0.1, 0.5] }
+widths = "evidence"
 
 [solver]
 precision = "mixed"
@@ -301,7 +303,7 @@ def test_every_key_has_a_meaning() -> None:
                 assert field.description, f"{section.__name__}.{name}"
                 assert not field.is_required() or (section in (Effect, Injected, SampledEffect) and name == "kind")
         assert section.__doc__
-    assert tables == 19
+    assert tables == 20
 
 
 def test_sections_do_not_change(tmp_path: Path) -> None:

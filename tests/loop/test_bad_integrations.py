@@ -17,7 +17,8 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Values
 from hydrabeam_mpi.loop.output.record import make_record
 from hydrabeam_mpi.loop.selection.again import search
-from hydrabeam_mpi.loop.selection.rounds import History, begin
+from hydrabeam_mpi.loop.selection.history import History
+from hydrabeam_mpi.loop.selection.rounds import begin
 from tests.loop.mock import context_of, mock_job, truth_of
 
 GAIN = {"kind": "antenna_gains", "parameters": {"antenna 2 ln amplitude": 0.02, "antenna 2 phase": -0.02}}

@@ -8,15 +8,18 @@ import numpy as np
 
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.effects import Effect as EffectEntry
+from hydrabeam_mpi.config.sections import Prior
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.fit.error_scale import ErrorScale
+from hydrabeam_mpi.fit.prior_widths import as_stated
 from hydrabeam_mpi.fit.state import Active, Fitted
 
 
 def amended_job(job: Job, fitted: Fitted, setup: ObservingSetup, scale: ErrorScale | None = None) -> Job:
     """Return the job with the fitted effects and their priors, from which `infer` comes to the same fit.
 
+    The beam's prior is as it was adapted.
     The errors that it tells are larger than those by the noise alone by ``scale``, where it is given.
     """
     entries = []
@@ -39,7 +42,10 @@ def amended_job(job: Job, fitted: Fitted, setup: ObservingSetup, scale: ErrorSca
         settings = change.change.describe()
         entry = EffectEntry.model_construct(kind=kind, settings=settings, values=_rows(change.x), std=_rows(change.std))
         entries.append(entry)
-    return job.model_copy(update={"effects": tuple(entries)})
+    prior = job.prior
+    if (widths := fitted.values.prior_widths) is not None:
+        prior = Prior.model_validate(prior.model_dump() | as_stated(widths) | {"widths": "stated"})
+    return job.model_copy(update={"effects": tuple(entries), "prior": prior})
 
 
 def effects_found(job: Job, fitted: Fitted, setup: ObservingSetup) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.io.disk import writing
 from hydrabeam_mpi.io.kept_rounds import new_round, read_object, write_object
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
-from hydrabeam_mpi.loop.selection.rounds import History
+from hydrabeam_mpi.loop.selection.history import History
 from hydrabeam_mpi.mpi import bcast_object, gather_by_channel, together
 from hydrabeam_mpi.terminal.interrupt import unbroken
 
@@ -124,7 +124,11 @@ def _lightened(context: FitContext, history: History) -> History:
     tried = [(_light(candidate), reason) for candidate, reason in history.tried]
     control = history.control and _light_round(context, history.control, before)
     ranking = tuple(map(_light, history.ranking))
-    return History(first, before, rounds, tried, ranking, control, history.control_since, history.rest)
+    adapted = [
+        replace(one, before=_light_check(context, one.before), after=_light_check(context, one.after))
+        for one in history.adapted
+    ]
+    return History(first, before, rounds, tried, ranking, control, history.control_since, history.rest, adapted=adapted)
 
 
 def _light_round(context: FitContext, one: Round, before: Checked) -> Round:

@@ -10,11 +10,12 @@ import numpy as np
 
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.error_scale import ErrorScale, error_scale
+from hydrabeam_mpi.fit.prior_widths import as_stated
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.io.formats import FORMAT, LOOP_FORMAT
 from hydrabeam_mpi.loop.output.heldout_change import heldout_change
 from hydrabeam_mpi.loop.output.parameters import counted, parameters_of, widened
-from hydrabeam_mpi.loop.output.sentences import say_predicting, say_round, say_verdict, still_there
+from hydrabeam_mpi.loop.output.sentences import say_adapted, say_predicting, say_round, say_verdict, still_there
 from hydrabeam_mpi.loop.residuals.left_out import rows_left_out
 from hydrabeam_mpi.loop.residuals.remains import Remains
 from hydrabeam_mpi.loop.selection.acceptance import (
@@ -26,7 +27,9 @@ from hydrabeam_mpi.loop.selection.acceptance import (
     why_unexplained,
 )
 from hydrabeam_mpi.loop.selection.again import given_up
-from hydrabeam_mpi.loop.selection.rounds import History
+from hydrabeam_mpi.loop.selection.history import History
+from hydrabeam_mpi.loop.selection.prior_widths import Adapted, describe
+from hydrabeam_mpi.setup.beams import stated_widths
 
 UNDECIDABLE = (
     ("common flux scale", "all fluxes times a number are the same as the beam times that number"),
@@ -101,6 +104,7 @@ def make_record(
         "why": why_unexplained(claimed, history.control) if unexplained else None,
         "foreign": control,
         **found,
+        "prior_widths": [_adapted(context, one) for one in history.adapted],
         "not_yet_asked": [one["effect"] for one in found["rounds"] if not one.get("asked", True)],
         "last_ranking": [_ranked(one) for one in known_effects(history.ranking)],
         "health": [one.record() for one in (*context.problem.findings, *odd)],
@@ -111,7 +115,7 @@ def make_record(
     }
     record["sentence"] = say_verdict(record)
     record["said"] = [
-        *(one["sentence"] for one in found["rounds"]),
+        *(one["sentence"] for one in (*record["prior_widths"], *found["rounds"])),
         record["sentence"],
         *(one.line for one in odd),
     ]
@@ -154,6 +158,20 @@ def _found(
         "skipped": reasons,
         "undecidable": [{"what": what, "why": why} for what, why in undecidable],
     }
+
+
+def _adapted(context: FitContext, one: Adapted) -> dict[str, Any]:
+    """Tell how the widths of the beam's prior were adapted."""
+    told = {
+        "words": describe(one.widths),
+        "log_bayes_factor": one.log_bayes_factor,
+        "n_rounds": one.n_rounds,
+        **as_stated(one.widths or stated_widths(context.problem.job)),
+        "wider": one.wider,
+        **heldout_change(one.before, one.after, context.setup.observation.freqs),
+    }
+    del told["heldout_channels"]
+    return {"sentence": say_adapted(told), **told}
 
 
 def _foreign(history: History) -> dict[str, Any] | None:

@@ -23,7 +23,7 @@ from hydrabeam_mpi.io.leftovers import find_abandoned
 from hydrabeam_mpi.loop.output.amendment import amended_job
 from hydrabeam_mpi.loop.output.checkpoint import keep_round, restore_round
 from hydrabeam_mpi.loop.output.record import make_record
-from hydrabeam_mpi.loop.selection.rounds import History
+from hydrabeam_mpi.loop.selection.history import History
 from hydrabeam_mpi.mpi import together
 from hydrabeam_mpi.terminal.progress import say
 

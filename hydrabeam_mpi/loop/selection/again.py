@@ -9,7 +9,9 @@ from hydrabeam_mpi.effects.interface.reweighting import Reweighting
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.loop.selection.for_prediction import keep_for_prediction
-from hydrabeam_mpi.loop.selection.rounds import History, run_rounds
+from hydrabeam_mpi.loop.selection.history import History
+from hydrabeam_mpi.loop.selection.prior_widths import adapt
+from hydrabeam_mpi.loop.selection.rounds import run_rounds
 from hydrabeam_mpi.terminal.progress import say
 
 
@@ -27,10 +29,28 @@ def search(
     that it is not offered any more; what is taken back at the second end stays so. All rounds together are as many as
     the job allows. A history that was kept goes on in the search that it was kept in.
 
-    What is not claimed at the very end, but predicts, stays in the model: see `keep_for_prediction`.
+    What is not claimed at the very end, but predicts, stays in the model: see `keep_for_prediction`. The last fit has
+    the widths of the beam's prior that the data want; what is claimed is that of the one before.
 
     Collective: all ranks of the grid. Parameters as of `run_rounds`.
     """
+    _search(context, history, effects, changes, clock, keep)
+    with clock.time("prior"):
+        found = adapt(context, history.last, len(history.rounds), wider=False)
+    if found is not None:
+        history.claimed = history.claimed or history.last
+        history.adapt(found)
+
+
+def _search(
+    context: FitContext,
+    history: History,
+    effects: Sequence[Effect],
+    changes: Sequence[Reweighting],
+    clock: Clock,
+    keep: Callable[[History], None],
+) -> None:
+    """Do what `search` does with the beam as free as is stated, or freer. Collective: all ranks of the grid."""
     if not given_up(history):
         run_rounds(context, history, effects, changes, clock, keep)
         if not given_up(history):

@@ -13,10 +13,10 @@ from dataclasses import replace
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.loop.selection.acceptance import verdict_of
 from hydrabeam_mpi.loop.selection.folds import compared
+from hydrabeam_mpi.loop.selection.history import History
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refits import fit_patiently
 from hydrabeam_mpi.loop.selection.refusal import refusal_by_heldout, refusal_by_parts
-from hydrabeam_mpi.loop.selection.rounds import History
 from hydrabeam_mpi.terminal.progress import say
 
 

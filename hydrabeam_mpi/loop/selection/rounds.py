@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.reweighting import Reweighting
@@ -13,77 +13,16 @@ from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.settle import refined, settle
 from hydrabeam_mpi.fit.state import Fitted, Values
 from hydrabeam_mpi.loop.attribution.constancy import Constancy
-from hydrabeam_mpi.loop.attribution.score_noise import WeightsFound
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
 from hydrabeam_mpi.loop.selection.constant import beside_noise, take_back, take_back_unphysical, take_back_weights
 from hydrabeam_mpi.loop.selection.exchange import exchange
+from hydrabeam_mpi.loop.selection.history import History
 from hydrabeam_mpi.loop.selection.predictions import check
+from hydrabeam_mpi.loop.selection.prior_widths import adapt
 from hydrabeam_mpi.loop.selection.revision import revise
 from hydrabeam_mpi.loop.selection.trials import try_control, try_effects
-from hydrabeam_mpi.loop.selection.weighing import Outlook, Together, Weighed, next_of, weigh
+from hydrabeam_mpi.loop.selection.weighing import Outlook, Weighed, next_of, weigh
 from hydrabeam_mpi.terminal.progress import say
-
-
-@dataclass
-class History:
-    """How the loop went.
-
-    Attributes
-    ----------
-    first, last : Checked
-        Before the first and after the last round.
-    rounds : list of Round
-    tried : list of (Candidate, str)
-        Candidates that had the evidence but were refused by the held-out data, with the reason.
-    ranking : tuple of Candidate
-        Of the last search, in which nothing more was found.
-    control : Round, optional
-        Control model that explains the data better than all that was found since; not added.
-    control_since : int
-        How many rounds there were before it.
-    rest : Together, optional
-        What is still to be tried of effects that explain the residual together.
-    claimed : Checked, optional
-        Fit of what is claimed alone, where the last one has more for prediction; see `selection.for_prediction`.
-    """
-
-    first: Checked
-    last: Checked
-    rounds: list[Round] = field(default_factory=list)
-    tried: list[tuple[Candidate, str]] = field(default_factory=list)
-    ranking: tuple[Candidate, ...] = ()
-    control: Round | None = None
-    control_since: int = 0
-    rest: Together | None = None
-    claimed: Checked | None = None
-
-    def add(self, found: Round, places: Mapping[int, int | None]) -> None:
-        """Add a round, by which effects are at other ``places`` of the model than before, or taken back (None)."""
-        self.rounds = [
-            one if one.place is None else replace(one, place=places[one.place]) for one in (*self.rounds, found)
-        ]
-        self.rounds = [_as_in_model(one, found.after.fitted) for one in self.rounds]
-        self.last = found.after
-
-    def tell_again(self, found: Mapping[str, WeightsFound]) -> None:
-        """Tell changes of the weights, by kind, as they have been ``found`` since."""
-        for number, one in enumerate(self.rounds):
-            if one.candidate.kind in found and one.candidate.weights is not None:
-                weights = found[one.candidate.kind]
-                candidate = replace(one.candidate, weights=weights, log_bayes_factor=weights.fit.log_bayes_factor)
-                self.rounds[number] = replace(one, candidate=candidate)
-
-    def compare(self, control: Round | None) -> None:
-        """Take note of a control model of the last search, or leave out one that all that was found since surpasses."""
-        if control is not None and self.control is None:
-            self.control, self.control_since = control, len(self.rounds) - (control.before is not self.last)
-        if self.control is None:
-            return
-        since = self.rounds[self.control_since :]
-        evidence = sum(one.candidate.log_bayes_factor for one in since if not one.revoked)
-        ahead = self.control.candidate.log_bayes_factor - evidence
-        if not ahead + self.control.after.score.log_density - self.last.score.log_density > 0:
-            self.control = None
 
 
 def begin(context: FitContext, values: Values, clock: Clock) -> History:
@@ -127,56 +66,107 @@ def run_rounds(
     effects, changes
         To look for.
     clock : Clock
-        Receives the phases "attribution", "trials" and "keep".
+        Receives the phases "attribution", "prior", "trials" and "keep".
     keep : callable
         Gets the history before the first round, once more when all has been weighed in it, and after each round that
         has found something.
     """
-    most, checked = context.problem.job.loop.max_rounds, history.last
-    speaks = context.grid.is_world_root
-    effects = next_of(context, effects, checked.fitted.values)
+    search = _Search(context, history, next_of(context, effects, history.last.fitted.values), changes, clock, keep)
+    while search.goes_on():
+        pass
+    with clock.time("trials"):
+        _take_back(context, history)
+    search.adapt()
+
+
+@dataclass
+class _Search:
+    """Rounds that follow each other; attributes as of `run_rounds`, with the effects that come next.
+
+    ``known`` is what is weighed already before the next round, ``told`` the last fit that was told of, and ``as_wide``
+    the last that was asked in vain for wider widths of the beam's prior without rivals to these.
+    """
+
+    context: FitContext
+    history: History
+    effects: Sequence[Effect]
+    changes: Sequence[Reweighting]
+    clock: Clock
+    keep: Callable[[History], None]
     known: Weighed | None = None
     told: Checked | None = None
-    while True:
-        number = len(history.rounds)
-        if not history.rounds:
-            _keep(clock, keep, history)
-        say(f"round {number + 1}: {_heldout(checked)}; weighing effects", speaks and checked is not told)
-        told = checked
-        rest, history.rest = history.rest if number < most else None, None
-        if rest is not None:
-            known = Weighed.next_of(rest)
-        with clock.time("attribution"):
-            weighed = known or weigh(context, checked.fitted, effects, changes, most - number)
-        outlook, known = Outlook(context, effects, changes, most - number, weighed), None
-        history.ranking = weighed.ranking
-        if not history.rounds:
-            _keep(clock, keep, history)
-        if number >= most:
-            break
-        tried: list[tuple[Candidate, str]] = []
-        with clock.time("trials"):
-            added = try_effects(context, checked, weighed.ranking, tried, outlook=outlook)
-            if rest is not None and (added is None or not weighed.is_of_use(added.candidate)):
-                say("    all effects are weighed again: those that were to come next are not what was expected", speaks)
-                continue  # what was weighed beside others is weighed again with these in the model
+    as_wide: Checked | None = None
+
+    def goes_on(self) -> bool:
+        """Weigh all effects and add the best; whether there is more to look for. Collective: all ranks of the grid."""
+        context, history = self.context, self.history
+        left = context.problem.job.loop.max_rounds - len(history.rounds)
+        weighed, is_rest = self._weighed(left)
+        if left <= 0:
+            return False
+        if not is_rest and self.adapt(weighed.ranking):
+            return True
+        outlook, tried = Outlook(context, self.effects, self.changes, left, weighed), list[tuple[Candidate, str]]()
+        with self.clock.time("trials"):
+            added = try_effects(context, history.last, weighed.ranking, tried, outlook=outlook)
+            if is_rest and (added is None or not weighed.is_of_use(added.candidate)):
+                again = "    all effects are weighed again: those that were to come next are not what was expected"
+                say(again, context.grid.is_world_root)
+                return True  # what was weighed beside others is weighed again with these in the model
             history.tried += tried
-            control = try_control(context, checked, weighed.ranking, added)
+            control = try_control(context, history.last, weighed.ranking, added)
             if added is None:
-                added = _exchanged(context, history, effects)
+                added = _exchanged(context, history, self.effects)
             else:
                 added = replace(added, together=weighed.together.members)
                 history.rest = weighed.after(added.candidate)
             if added is not None:
                 added = _accept(context, history, added)
-            checked = history.last
         history.compare(control)
         if added is None:
-            break
-        effects, known = next_of(context, effects, added.after.fitted.values), outlook.after(added.after.fitted)
-        _keep(clock, keep, history)
-    with clock.time("trials"):
-        _take_back(context, history)
+            return self.adapt()
+        fitted = added.after.fitted
+        self.effects, self.known = next_of(context, self.effects, fitted.values), outlook.after(fitted)
+        self._keep()
+        return True
+
+    def _weighed(self, left: int) -> tuple[Weighed, bool]:
+        """Weigh what may be tried where ``left`` effects may still be added; return whether it is the rest of a set."""
+        context, history = self.context, self.history
+        if not history.rounds:
+            self._keep()
+        speaks = context.grid.is_world_root and history.last is not self.told
+        say(f"round {len(history.rounds) + 1}: {_heldout(history.last)}; weighing effects", speaks)
+        self.told = history.last
+        rest, history.rest = history.rest if left > 0 else None, None
+        if rest is not None:
+            self.known = Weighed.next_of(rest)
+        elif history.last.remains.consistent and self.adapt():
+            # Beside nothing significant there are no rivals, which would have to be weighed again.
+            self.known = None
+        with self.clock.time("attribution"):
+            known = self.known or weigh(context, history.last.fitted, self.effects, self.changes, left)
+        self.known, history.ranking = None, known.ranking
+        if not history.rounds:
+            self._keep()
+        return known, rest is not None
+
+    def adapt(self, rivals: Sequence[Candidate] = ()) -> bool:
+        """Widen the beam's prior where `adapt` wants it; whether it does. Collective: all ranks of the grid."""
+        history = self.history
+        if self.as_wide is history.last or (history.adapted and history.adapted[-1].after is history.last):
+            return False
+        with self.clock.time("prior"):
+            found = adapt(self.context, history.last, len(history.rounds), True, rivals)
+        if found is not None:
+            history.adapt(found)
+        elif not rivals:
+            self.as_wide = history.last
+        return found is not None
+
+    def _keep(self) -> None:
+        with self.clock.time("keep"):
+            self.keep(self.history)
 
 
 def _accept(context: FitContext, history: History, added: Round) -> Round:
@@ -198,11 +188,6 @@ def _exchanged(context: FitContext, history: History, effects: Sequence[Effect])
     history.rounds = [_asked(one, history.last.fitted, places, {}) for one in history.rounds]
     history.add(added, places)
     return history.rounds.pop()
-
-
-def _keep(clock: Clock, keep: Callable[[History], None], history: History) -> None:
-    with clock.time("keep"):
-        keep(history)
 
 
 def _take_back(context: FitContext, history: History) -> None:
@@ -232,17 +217,6 @@ def _take_back(context: FitContext, history: History) -> None:
         replace(one, given_up=one.given_up or (was and one.revoked))
         for was, one in zip(there, history.rounds, strict=True)
     ]
-
-
-def _as_in_model(one: Round, last: Fitted) -> Round:
-    """Return a round with its effect as that is in the model now: sources that varied may have been found constant."""
-    if one.place is None or one.candidate.finding is None:
-        return one
-    effect = last.values.active[one.place].effect
-    if effect.law == one.candidate.law:
-        return one
-    found = replace(one.candidate.finding, effect=effect)
-    return replace(one, candidate=replace(one.candidate, title=effect.title, finding=found))
 
 
 def _asked(

@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import Array, BoolArray, FloatArray
+from hydrabeam_mpi.data.observation import Array, BoolArray, FloatArray, IntArray
 from hydrabeam_mpi.model.bases.polar_table import PolarTable
 from hydrabeam_mpi.model.bases.rings import RingGrid
 
@@ -171,6 +171,11 @@ class LinearBasis(Protocol):
         with azimuth. A basis that knows which functions are near each other tells what to expect of those from others.
         """
         return amplitudes
+
+    @property
+    def orders(self) -> IntArray:
+        """Radial and azimuthal order of each function from zero on, (n_modes, 2); zero where nothing is known."""
+        return np.zeros((self.n_modes, 2), dtype=int)
 
     def largest(self, amplitudes: FloatArray, n_modes: int) -> LinearBasis:
         """Return the basis of the modes with the largest coefficients; all of them where these go together.

@@ -20,7 +20,7 @@ from typing import Any, ClassVar, Literal, get_args
 import numpy as np
 from scipy.special import j0
 
-from hydrabeam_mpi.data.observation import Array, FloatArray
+from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases.base import LinearBasis, NextModes, Selection
 from hydrabeam_mpi.model.bases.bessel import Boundary, radial_rows, radial_zeros
@@ -130,6 +130,12 @@ class FourierBessel(LinearBasis):
     def expected(self, amplitudes: FloatArray) -> FloatArray:
         """Return how large coefficients may be by those of a model beam, (n_modes,); see `expected_of_all`."""
         return expected_of_all(self.modes, amplitudes)
+
+    @property
+    def orders(self) -> IntArray:
+        """Return k - 1 and abs(m) of each mode, (n_modes, 2)."""
+        k, m = np.array(self.modes).T
+        return np.stack([k - 1, abs(m)], axis=1)
 
     def largest(self, amplitudes: FloatArray, n_modes: int) -> FourierBessel:
         """Return the basis of the modes with the largest coefficients, sorted by amplitude |a_km|, (n_modes,).

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import Array, FloatArray
+from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray
 from hydrabeam_mpi.data.partition import spans
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases.base import LinearBasis
@@ -48,6 +48,11 @@ class Joined(LinearBasis):
         self.is_complex = any(part.is_complex for part in self.parts)
         self._columns = spans(part.n_columns for part in self.parts)
         self._functions = spans(part.n_modes for part in self.parts)
+
+    @property
+    def orders(self) -> IntArray:
+        """Radial and azimuthal order of each function, (n_modes, 2)."""
+        return np.concatenate([part.orders for part in self.parts])[self.kept]
 
     def columns(self, za: FloatArray, az: FloatArray, out: FloatArray | None = None) -> FloatArray:
         """Evaluate the columns of all parts, (n_columns, Npoints); see :meth:`LinearBasis.columns`."""

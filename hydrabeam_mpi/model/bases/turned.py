@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import Array, FloatArray
+from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases.base import LinearBasis, NextModes
 
@@ -48,6 +48,11 @@ class Turned(LinearBasis):
     def expected(self, amplitudes: FloatArray) -> FloatArray:
         """Return how large coefficients may be by those of a model beam, (n_modes,)."""
         return self.basis.expected(amplitudes)
+
+    @property
+    def orders(self) -> IntArray:
+        """Radial and azimuthal order of each function, (n_modes, 2)."""
+        return self.basis.orders
 
     def next_modes(self, amplitudes: FloatArray, n_before: int, most: int) -> NextModes | None:
         """Return the functions that the basis would have next, turned alike."""

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases.base import LinearBasis, NextModes
 from hydrabeam_mpi.model.bases.disc import EDGE, azimuthal_rows, check_edge
@@ -79,7 +79,13 @@ class Zernike(LinearBasis):
 
     def expected(self, amplitudes: FloatArray) -> FloatArray:
         """Return how large coefficients may be by those of a model beam, (n_modes,); see `expected_of_all`."""
-        return expected_of_all([((n - abs(m)) // 2 + 1, m) for n, m in self.modes], amplitudes)
+        return expected_of_all([(k + 1, m) for k, m in self.orders.tolist()], amplitudes)
+
+    @property
+    def orders(self) -> IntArray:
+        """Return (n - abs(m)) / 2 and abs(m) of each polynomial, (n_modes, 2)."""
+        n, m = np.array(self.modes).T
+        return np.stack([(n - abs(m)) // 2, abs(m)], axis=1)
 
     def next_modes(self, amplitudes: FloatArray, n_before: int, most: int) -> NextModes:
         """Return those of the next whole degrees, one or more, whatever the ``amplitudes``, (n_modes,)."""

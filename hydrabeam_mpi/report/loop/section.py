@@ -64,6 +64,7 @@ def loop_sections(loop: Entry, place: Place) -> list[Section]:
     lacked = together(
         rounds_table(loop),
         heldout_table(loop),
+        under("The beam's prior", bullets([str(one["sentence"]) for one in entries(loop, "prior_widths")])),
         _placed(place, draw_fall(loop), draw_ranking(loop)),
         under("What was added", _parameters(loop, place)),
     )

@@ -13,8 +13,8 @@ def verdict_words(loop: Entry) -> str:
 
 
 def further_words(loop: Entry) -> list[str]:
-    """Return the loop's own sentences except the verdict and those in the table of rounds."""
-    told = {str(entry.get("sentence")) for entry in (loop, *entries(loop, "rounds"))}
+    """Return the loop's own sentences except the verdict and those of rounds and of the beam's prior."""
+    told = {str(entry.get("sentence")) for entry in (loop, *entries(loop, "rounds"), *entries(loop, "prior_widths"))}
     return [str(line) for line in loop.get("said") or [] if line not in told]
 
 

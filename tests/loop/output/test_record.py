@@ -23,7 +23,7 @@ from hydrabeam_mpi.loop.output.amendment import amended_job
 from hydrabeam_mpi.loop.output.parameters import parameters_of
 from hydrabeam_mpi.loop.output.record import known_effects, make_record
 from hydrabeam_mpi.loop.selection.acceptance import Candidate
-from hydrabeam_mpi.loop.selection.rounds import History
+from hydrabeam_mpi.loop.selection.history import History
 from hydrabeam_mpi.setup.findings import Finding
 from tests.loop.made import checked, effect_candidate, numbers, round_of, weights_candidate
 from tests.loop.mock import FREQ, context_of, mock_job

@@ -19,8 +19,8 @@ from hydrabeam_mpi.fit.state import Active, Reweighted, Values
 from hydrabeam_mpi.loop.attribution.score_noise import fit_reweightings
 from hydrabeam_mpi.loop.selection.again import given_up, search
 from hydrabeam_mpi.loop.selection.constant import take_back_weights
+from hydrabeam_mpi.loop.selection.history import History
 from hydrabeam_mpi.loop.selection.predictions import check
-from hydrabeam_mpi.loop.selection.rounds import History
 from tests.loop.made import effect_candidate, round_of, weights_candidate
 from tests.loop.mock import context_of, mock_job
 

@@ -1,0 +1,287 @@
+"""How wide the prior of the beams is, by the evidence (MacKay 1992, Neural Computation 4, 415).
+
+With the data's information H on the coefficients, effects marginalised, and their pull g from the prior's mean, a prior
+with the standard deviations sigma_n has the evidence
+
+    ln p(d | sigma) = kappa / 2 [ -ln |W| + y^H W^-1 y ] + const,        W = 1 + sigma H sigma,        y = sigma g,
+
+where kappa is 1 for real coefficients and 2 for complex ones. With z = W^-1 y its gradient in ln sigma_n is
+
+    kappa [ |z_n|^2 + (W^-1)_nn - 1 ].
+
+The widths follow from four numbers, which all channels share (`PriorWidths`): which fraction of the model's
+coefficients they are, and a part beside that is smooth on the sky.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any, cast
+
+import numpy as np
+from scipy.optimize import minimize
+
+from hydrabeam_mpi.config.sections import MOST_DECAY
+from hydrabeam_mpi.data.observation import Array, FloatArray
+from hydrabeam_mpi.fit.beams_given import sum_for_beams
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.equations import BEAM
+from hydrabeam_mpi.fit.gauss_newton import refit
+from hydrabeam_mpi.fit.state import Fitted
+from hydrabeam_mpi.fit.whitening import root_of
+from hydrabeam_mpi.inference.posterior import Posterior
+from hydrabeam_mpi.inference.prior import DiagonalPrior, ModeSizes, PriorWidths
+from hydrabeam_mpi.mpi import bcast_object, together
+from hydrabeam_mpi.setup.beams import stated_widths
+
+TYPICAL = PriorWidths(0.1, 1e-3)
+"""Coefficients of models are right within a tenth, and what models lack is a thousandth of the largest ..."""
+SPREAD = 2 * float(np.log(10.0))
+"""... both within a factor of a hundred: ln of them is Gaussian. Evidence alone would give a beam that the data do not
+tell from its model no width at all, and errors of zero."""
+DECAY = 1.0
+"""Scale of the prior of decays, half a Gaussian: a factor e for each order is as fast as feeds with one lobe have."""
+LEAST, MOST = 1e-9, 1e3
+"""Of fraction and amplitude; the smooth part is left out where it is least."""
+BEGIN = tuple(product((1e-3, 1e-2, 0.1, 1.0), (1e-4, 1e-2), ((0.03, 0.03), (0.3, 0.3), (0.1, 1.0))))
+"""Fractions, amplitudes and decays where the best ones are looked for first. There are several places where the
+evidence is larger than near by, in which the one or the other part has most of the width."""
+TOLERANCE = 1e-7
+"""Relative rise of ln evidence, beyond that of the widths before, below which no better ones are looked for."""
+MOST_TIMES = 3
+"""That widths and fit are adapted to each other; without effects the first is exact."""
+
+
+@dataclass(frozen=True)
+class WidthsFound:
+    """The widths that data want, None for the stated ones, and the log Bayes factor beside these.
+
+    ``gain`` is the rise of ln evidence from the widths of the fit to these.
+    """
+
+    widths: PriorWidths | None
+    log_bayes_factor: float
+    gain: float
+
+
+def is_adaptable(context: FitContext) -> bool:
+    """Whether the beams' prior is of independent coefficients whose widths the job states."""
+    problem = context.problem
+    known = [isinstance(prior, DiagonalPrior) and prior.sizes is not None for prior in problem.priors]
+    return all(known) and problem.coupling is None and context.learned is None
+
+
+def as_stated(widths: PriorWidths) -> dict[str, Any]:
+    """Return the keys of ``[prior]`` by which a job states these widths."""
+    return {"fraction": widths.fraction, "smooth": {"amplitude": widths.amplitude, "decay": list(widths.decay)}}
+
+
+def widths_by_evidence(context: FitContext, fitted: Fitted, wider: bool = False) -> WidthsFound:
+    """Return the widths with the most evidence, or the stated ones where theirs is not less by what the job asks for.
+
+    Collective: all ranks of the grid. Effects are linearised where they have been fitted. Each of the four numbers
+    costs ln(n) / 2 for n coefficients that tell it (Schwarz 1978).
+
+    Parameters
+    ----------
+    context : FitContext
+    fitted : Fitted
+    wider : bool
+        Whether no width may be less than the stated one.
+    """
+    job, now = context.problem.job, fitted.values.prior_widths
+    stated = stated_widths(job)
+    evidence = _Evidence(context, fitted, stated)
+    best = evidence.largest(wider)
+    price = 0.5 * len(best) * np.log(context.setup.observation.Nfreqs * context.problem.basis.n_modes)
+    at_stated, at_best = evidence.of_data(_numbers(stated))[0], evidence.at(best)[0] - price
+    here = at_stated if now is None else evidence.at(_numbers(now))[0] - price
+    if at_best - at_stated < job.loop.min_log_bayes_factor:
+        return WidthsFound(None, float(at_best - at_stated), float(at_stated - here))
+    return WidthsFound(_rounded(_widths(best)), float(at_best - at_stated), float(at_best - here))
+
+
+def adapted(
+    context: FitContext, fitted: Fitted, fit: Callable[..., Fitted] = refit, wider: bool = False
+) -> tuple[Fitted, WidthsFound]:
+    """Return a fit with the widths that have the most evidence, and what is said of them in the end.
+
+    Collective: all ranks of the grid. ``fit`` takes what `refit` does; ``wider`` as of `widths_by_evidence`.
+    """
+    found = widths_by_evidence(context, fitted, wider)
+    for _ in range(MOST_TIMES):
+        if found.gain < context.problem.job.loop.min_log_bayes_factor:
+            break
+        fitted = fit(context, replace(fitted.values, prior_widths=found.widths), fitted)
+        # Without effects nothing was linearised.
+        found = widths_by_evidence(context, fitted, wider) if fitted.values.active else replace(found, gain=0.0)
+    return fitted, found
+
+
+class _Evidence:
+    """ln evidence as a function of the four numbers: fraction and smooth amplitude by their logarithms, and decays.
+
+    All ranks of the grid take part in what is collective.
+    """
+
+    def __init__(self, context: FitContext, fitted: Fitted, stated: PriorWidths) -> None:
+        self._world, self._stated = context.grid.world, stated
+        self._channels: list[_Channel] = []
+        normals = sum_for_beams(context, fitted.estimate).normals
+        with together(self._world):
+            if context.grid.is_group_root:
+                problem, fit = context.given(fitted.values), fitted.fit
+                for f, (beam, prior) in enumerate(zip(fit.posteriors, problem.priors, strict=True)):
+                    known = 1.0 if beam.is_complex else 2.0
+                    spread = fit.beam_response[f] @ root_of(fit.covariances[f]) if fit.covariances else None
+                    own = known * normals[f].own(BEAM)
+                    self._channels.append(_Channel.of(own, beam, cast(DiagonalPrior, prior), spread))
+
+    def of_data(self, numbers: FloatArray) -> FloatArray:
+        """Return ln evidence and its gradient, side by side. Collective."""
+        return self._added_up(self._channels, numbers)
+
+    def at(self, numbers: FloatArray) -> FloatArray:
+        """Return ln(evidence x prior of the numbers) and its gradient, side by side. Collective."""
+        return self.of_data(numbers) + _log_prior(numbers)
+
+    def largest(self, wider: bool) -> FloatArray:
+        """Return the numbers of the largest evidence, of which rank 0 asks all ranks. Collective.
+
+        It is looked for as if each coefficient were told by itself, which takes no time, and from there as it is.
+        """
+        alone, bounds = [one.alone for one in self._channels], np.array(self._bounds(wider)).T
+        least, found = np.inf, None
+        for fraction, amplitude, decay in BEGIN:
+            begin = np.clip(_numbers(PriorWidths(fraction, amplitude, decay)), *bounds)
+            there, value = self._descend(alone, begin, bounds)
+            if value < least:
+                least, found = value, there
+        assert found is not None
+        return self._descend(self._channels, found, bounds)[0]
+
+    def _added_up(self, channels: Sequence[_Channel], numbers: FloatArray) -> FloatArray:
+        total = np.zeros(1 + len(numbers))
+        with together(self._world):
+            for channel in channels:
+                total += channel.at(numbers)
+        return np.asarray(np.sum(self._world.allgather(total), axis=0))
+
+    def _descend(self, channels: Sequence[_Channel], begin: FloatArray, bounds: FloatArray) -> tuple[FloatArray, float]:
+        """Return where -ln(evidence x prior) is least, starting from ``begin``, and its value there. Collective."""
+        found = None
+        if self._world.rank == 0:
+
+            def cost(numbers: FloatArray) -> tuple[float, FloatArray]:
+                told = self._added_up(channels, self._world.bcast(numbers)) + _log_prior(numbers)
+                value, *gradient = (-told).tolist()
+                return value - at_begin, np.array(gradient)
+
+            at_begin = 0.0
+            at_begin = cost(begin)[0]
+            options = {"ftol": TOLERANCE}
+            best = minimize(cost, begin, jac=True, method="L-BFGS-B", bounds=bounds.T, options=options)
+            self._world.bcast(None)
+            found = best.x, float(best.fun) + at_begin
+        else:
+            while (numbers := self._world.bcast(None)) is not None:
+                self._added_up(channels, numbers)
+        there: tuple[FloatArray, float] = bcast_object(self._world, found)
+        return there
+
+    def _bounds(self, wider: bool) -> list[tuple[float, float]]:
+        fraction, amplitude, *decays = _numbers(self._stated).tolist()
+        least, most = np.log((LEAST, MOST))
+        highest = [one if wider and self._stated.amplitude else MOST_DECAY for one in decays]
+        return [
+            (fraction if wider else least, most),
+            (amplitude if wider else least, most),
+            *((0.0, one) for one in highest),
+        ]
+
+
+@dataclass(frozen=True)
+class _Channel:
+    """What the data say of one channel's beam, effects marginalised: H, (n, n), and g, (n,); and the model's sizes.
+
+    ``mean`` is the posterior's less the prior's, ``variance`` that of each coefficient, both with the prior's
+    ``sigma``.
+    """
+
+    information: Array
+    pull: Array
+    sizes: ModeSizes
+    mean: Array
+    variance: FloatArray
+    sigma: FloatArray
+
+    @classmethod
+    def of(cls, own: Array, beam: Posterior, prior: DiagonalPrior, spread: Array | None) -> _Channel:
+        """Take the prior out of a posterior given effects, of which ``own`` is the data's part of the precision.
+
+        By effects the beam moves by ``spread``, (n, k), times unknowns of variance one.
+        """
+        assert prior.sizes is not None
+        away, variance = beam.mean - prior.mean, np.diag(beam.covariance).real
+        pull = beam.factor @ (beam.factor.conj().T @ away)
+        if spread is not None:
+            across = beam.factor @ (beam.factor.conj().T @ spread)
+            inner = np.eye(spread.shape[1]) + spread.conj().T @ across
+            taken = across @ np.linalg.solve(inner, across.conj().T)
+            own, pull = own - taken, pull - taken @ away
+            variance = variance + np.sum(np.abs(spread) ** 2, axis=1)
+        return cls(own, pull, prior.sizes, away, variance, prior.sigma)
+
+    @property
+    def alone(self) -> _Channel:
+        """What they would say were each coefficient told by itself, as its mean and variance are: H is (n,)."""
+        told = np.maximum(1 / self.variance - self.sigma**-2.0, 0.0)
+        return replace(self, information=told, pull=self.mean / self.variance)
+
+    def at(self, numbers: FloatArray) -> FloatArray:
+        """Return ln evidence and its gradient in the numbers, side by side."""
+        parts = self.sizes.widths(_widths(numbers))
+        sigma = np.hypot(*parts)
+        pull = sigma * self.pull
+        if self.information.ndim == 1:
+            weights = 1 + sigma**2 * self.information
+            moved, variance, log_det = pull / weights, 1 / weights, np.sum(np.log(weights))
+        else:
+            matrix = sigma[:, np.newaxis] * self.information * sigma
+            matrix[np.diag_indices_from(matrix)] += 1
+            given = Posterior(np.zeros_like(pull), np.linalg.cholesky(matrix))
+            moved, variance = given.covariance @ pull, np.diag(given.covariance).real
+            log_det = 2 * np.sum(np.log(np.diag(given.factor).real))
+        kappa = 2.0 if np.iscomplexobj(pull) else 1.0
+        slope = kappa * (np.abs(moved) ** 2 + variance - 1)
+        proportional, smooth = (slope * (part / sigma) ** 2 for part in parts)
+        gradient = [proportional.sum(), smooth.sum(), *(-smooth @ self.sizes.orders)]
+        return np.array([kappa / 2 * (np.vdot(pull, moved).real - log_det), *gradient])
+
+
+def _numbers(widths: PriorWidths) -> FloatArray:
+    return np.array([np.log(widths.fraction), np.log(max(widths.amplitude, LEAST)), *widths.decay])
+
+
+def _widths(numbers: FloatArray) -> PriorWidths:
+    fraction, amplitude = np.exp(numbers[:2]).tolist()
+    if not amplitude > 1.001 * LEAST:
+        return PriorWidths(fraction)
+    return PriorWidths(fraction, amplitude, (float(numbers[2]), float(numbers[3])))
+
+
+def _rounded(widths: PriorWidths) -> PriorWidths:
+    """Return three digits, which say all that the data do, and are the same however sums over ranks are rounded."""
+    fraction, amplitude, *decay = (float(f"{one:.3g}") for one in (widths.fraction, widths.amplitude, *widths.decay))
+    return PriorWidths(fraction, amplitude, (decay[0], decay[1]))
+
+
+def _log_prior(numbers: FloatArray) -> FloatArray:
+    """Return ln of the prior of the numbers, less that of the likeliest ones, and its gradient."""
+    scales = np.array([SPREAD, SPREAD, DECAY, DECAY])
+    away = (numbers - _numbers(TYPICAL)) / scales
+    if not _widths(numbers).amplitude:
+        away[1:] = 0.0
+    return np.array([-0.5 * away @ away, *(-away / scales)])

@@ -1,0 +1,79 @@
+"""How wide the beam's prior is, is no finding, but the data decide it as they decide what is one: by the evidence.
+
+What is claimed must hold with the beam as free as the job states, or freer where the data want that: while effects are
+looked for no width gets less than the stated one. What predicts is another question: in the end the prior has the
+widths that the data want, where held-out data agree.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.prior_widths import adapted, is_adaptable, widths_by_evidence
+from hydrabeam_mpi.inference.prior import PriorWidths
+from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked
+from hydrabeam_mpi.loop.selection.folds import compared
+from hydrabeam_mpi.loop.selection.heldout_score import gain_of
+from hydrabeam_mpi.loop.selection.predictions import check
+from hydrabeam_mpi.loop.selection.refits import fit_patiently
+from hydrabeam_mpi.terminal.progress import say
+
+
+@dataclass(frozen=True)
+class Adapted:
+    """Fits before and after the widths of the beam's prior were adapted.
+
+    ``log_bayes_factor`` is that of the new ones beside the stated ones, ``n_rounds`` how many rounds there were before.
+    ``wider`` says that none could get less than the stated one.
+    """
+
+    before: Checked
+    after: Checked
+    log_bayes_factor: float
+    n_rounds: int
+    wider: bool
+
+    @property
+    def widths(self) -> PriorWidths | None:
+        """The new ones; None where they are the stated ones."""
+        return self.after.fitted.values.prior_widths
+
+
+def adapt(
+    context: FitContext, checked: Checked, n_rounds: int, wider: bool, rivals: Sequence[Candidate] = ()
+) -> Adapted | None:
+    """Give the beam's prior the widths that have the most evidence; None where it has them, or where a rival has more.
+
+    A beam that is further from its model than was stated is told from an effect that it takes up as effects are told
+    from each other. Held-out data must not be predicted worse. Collective: all ranks of the grid.
+    """
+    job, speaks = context.problem.job, context.grid.is_world_root
+    if job.prior.widths == "stated" or not is_adaptable(context):
+        return None
+    found = widths_by_evidence(context, checked.fitted, wider)
+    others = [one.log_bayes_factor for one in rivals if not one.is_control]
+    if found.gain < max(job.loop.min_log_bayes_factor, *others, 0.0):
+        return None
+    say(f"  the beam's prior: {describe(found.widths)} (ln BF {found.log_bayes_factor:.4g})", speaks)
+    fitted, found = adapted(context, checked.fitted, fit_patiently, wider)
+    after = check(context, fitted)
+    one, two = compared(context, checked, after)
+    gain = gain_of(one.score, two.score)
+    numbers = f"held-out chi^2 {after.score.chi2:.4g}, rms {after.numbers.of_all['rms']:.4g} Jy, ln density"
+    told = f"{numbers} changes by {gain:.4g}"
+    say(f"    {f'refused: {told}' if gain < 0 else told}", speaks)
+    return None if gain < 0 else Adapted(checked, after, found.log_bayes_factor, n_rounds, wider)
+
+
+def describe(widths: PriorWidths | None) -> str:
+    """Say in words how wide a prior is."""
+    if widths is None:
+        return "as wide as stated"
+    radial, azimuthal = widths.decay
+    smooth = (
+        f", and beside that {widths.amplitude:.3g} of the largest at the lowest orders, e^-{radial:.3g} of it for each "
+        f"radial and e^-{azimuthal:.3g} for each azimuthal one"
+    )
+    return f"{widths.fraction:.3g} of the model's coefficients{smooth if widths.amplitude else ''}"

@@ -1,0 +1,143 @@
+"""The widths of the beam's prior are those that have the most evidence."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hydrabeam_mpi.data.observation import Array, FloatArray
+from hydrabeam_mpi.fit.gauss_newton import refit
+from hydrabeam_mpi.fit.prior_widths import _Channel, _numbers, adapted, as_stated, widths_by_evidence
+from hydrabeam_mpi.fit.state import Values
+from hydrabeam_mpi.inference.posterior import Posterior
+from hydrabeam_mpi.inference.prior import DiagonalPrior, ModeSizes, PriorWidths
+from hydrabeam_mpi.random import complex_normal
+from tests.loop.mock import context_of, mock_job
+
+ORDERS = np.array([(k, m) for k in range(20) for m in range(6)])
+SIZES = ModeSizes(np.exp(-np.random.default_rng(2).uniform(0, 8, len(ORDERS))), ORDERS, 1.0)
+STATED = PriorWidths(0.1)
+TRUE = PriorWidths(0.02, 0.01, (0.1, 0.4))
+
+
+def normal(rng: np.random.Generator, shape: tuple[int, ...], is_complex: bool) -> Array:
+    return complex_normal(rng, shape) if is_complex else rng.standard_normal(shape)
+
+
+def linear_data(true: PriorWidths, is_complex: bool, spread: float = 0.0, seed: int = 5) -> dict[str, Any]:
+    """Return a design and data of unit noise, whose coefficients have widths ``true``, and three nuisances beside."""
+    rng = np.random.default_rng(seed)
+    design = 300 * normal(rng, (150, len(ORDERS)), is_complex)
+    others = spread * normal(rng, (150, 3), is_complex)
+    mean = normal(rng, (len(ORDERS),), is_complex)
+    prior = DiagonalPrior.of(mean, SIZES, true)
+    b = mean + prior.sigma * normal(rng, mean.shape, is_complex)
+    data = design @ b + others @ normal(rng, (3,), is_complex) + normal(rng, (150,), is_complex)
+    return {"design": design, "others": others, "data": data, "mean": mean}
+
+
+def log_density(made: dict[str, Any], widths: PriorWidths) -> float:
+    """Return ln of the density of the data, as a Gaussian with all unknowns integrated over."""
+    design, others = made["design"], made["others"]
+    signal = design * DiagonalPrior.of(made["mean"], SIZES, widths).sigma
+    covariance = np.eye(len(design)) + signal @ signal.conj().T + others @ others.conj().T
+    away = made["data"] - design @ made["mean"]
+    quadratic = np.vdot(away, np.linalg.solve(covariance, away)).real
+    return float(-(quadratic + np.linalg.slogdet(covariance)[1]) * (1.0 if np.iscomplexobj(design) else 0.5))
+
+
+def channel_of(made: dict[str, Any], widths: PriorWidths) -> _Channel:
+    """Return what a posterior with these widths tells, the beam given the nuisances and what it does with these."""
+    design, others = made["design"], made["others"]
+    prior = DiagonalPrior.of(made["mean"], SIZES, widths)
+    whole = np.hstack([design, others])
+    precision = whole.conj().T @ whole
+    precision[np.diag_indices_from(precision)] += np.concatenate([prior.sigma**-2.0, np.ones(3)])
+    n = len(prior.sigma)
+    source = whole.conj().T @ made["data"] + np.concatenate([prior.mean / prior.sigma**2, np.zeros(3)])
+    mean = np.linalg.solve(precision, source)[:n]
+    response = -np.linalg.solve(precision[:n, :n], precision[:n, n:])
+    spread = response @ np.linalg.cholesky(np.linalg.inv(precision)[n:, n:])
+    beam = Posterior(mean, np.linalg.cholesky(precision[:n, :n]))
+    return _Channel.of(design.conj().T @ design, beam, prior, spread)
+
+
+@pytest.mark.parametrize("is_complex", [False, True])
+@pytest.mark.parametrize("spread", [0.0, 200.0])
+def test_evidence_is_that_of_the_data(is_complex: bool, spread: float) -> None:
+    """Against the density of the data themselves, whatever widths the posterior had."""
+    made = linear_data(TRUE, is_complex, spread)
+    expected = log_density(made, TRUE) - log_density(made, STATED)
+    assert expected > 50
+    for at in (STATED, TRUE, PriorWidths(1.0, 1e-5, (0.0, 2.0))):
+        channel = channel_of(made, at)
+        one, two = (channel.at(_numbers(widths))[0] for widths in (TRUE, STATED))
+        assert one - two == pytest.approx(expected, abs=1e-5)
+
+
+@pytest.mark.parametrize("is_complex", [False, True])
+def test_gradient_is_that_of_the_evidence(is_complex: bool) -> None:
+    channel, numbers = channel_of(linear_data(TRUE, is_complex, 200.0), STATED), _numbers(TRUE)
+    step = 1e-5 * np.eye(4)
+    slopes = [(channel.at(numbers + one)[0] - channel.at(numbers - one)[0]) / 2e-5 for one in step]
+    np.testing.assert_allclose(channel.at(numbers)[1:], slopes, rtol=1e-4, atol=1e-3)
+
+
+def beam_job(**changes: Any) -> dict[str, Any]:
+    job = mock_job(n_times=24, basis={"n_modes": 120, "k_max": 24, "m_max": 4}, **changes)
+    job["data"]["simulate"] |= {"nsamples": 100.0}
+    return job
+
+
+def widths_of(job: dict[str, Any], folder: Path, wider: bool = False) -> tuple[Any, Any]:
+    folder.mkdir()
+    context = context_of(job, folder)
+    return context, adapted(context, refit(context, Values()), wider=wider)
+
+
+@pytest.mark.parametrize("stated", [0.003, 3.0])
+def test_stated_widths_that_are_far_off_are_found_to_be(stated: float, tmp_path: Path) -> None:
+    """Whichever they are, the same are found, and the log Bayes factor is the rise of what infer calls evidence."""
+    context, (fitted, found) = widths_of(beam_job(prior={"fraction": stated}), tmp_path / "one")
+    (prior,) = context.given(fitted.values).priors
+    first = refit(context, Values()).fit.posteriors[0].log_evidence
+    assert found.widths is not None
+    assert found.log_bayes_factor > 20
+    assert fitted.fit.posteriors[0].log_evidence - first > found.log_bayes_factor
+    _, (other, _) = widths_of(beam_job(prior={"fraction": 1.0}), tmp_path / "two")
+    sizes: list[FloatArray] = [one.fit.posteriors[0].std for one in (fitted, other)]
+    assert abs(np.log(np.median(sizes[0] / sizes[1]))) < 0.2
+    assert np.all(prior.std() > 0)
+
+
+def test_adapted_widths_are_adapted_no_more_and_can_be_stated(tmp_path: Path) -> None:
+    job = beam_job(prior={"fraction": 3.0})
+    context, (fitted, found) = widths_of(job, tmp_path / "one")
+    assert found.gain < 5.0
+    again = context_of(beam_job(prior=as_stated(fitted.values.prior_widths)), tmp_path)
+    np.testing.assert_array_equal(again.problem.priors[0].std(), context.given(fitted.values).priors[0].std())
+    assert widths_by_evidence(again, refit(again, Values())).widths is None
+
+
+def test_widths_that_may_only_grow_do_not_shrink(tmp_path: Path) -> None:
+    context, (fitted, _) = widths_of(beam_job(prior={"fraction": 3.0}), tmp_path / "wide", wider=True)
+    assert fitted.values.prior_widths is None
+    context, (fitted, _) = widths_of(beam_job(prior={"fraction": 0.001}), tmp_path / "narrow", wider=True)
+    assert fitted.values.prior_widths is not None
+    assert np.all(context.given(fitted.values).priors[0].std() >= context.problem.priors[0].std())
+
+
+def test_a_beam_that_is_its_model_keeps_a_width(tmp_path: Path) -> None:
+    """The evidence is the same for all widths below what data can tell; the prior of the fraction decides."""
+    job = beam_job(prior={"fraction": 1.0})
+    del job["data"]["simulate"]["perturb"]
+    context, (fitted, found) = widths_of(job, tmp_path / "exact")
+    assert found.log_bayes_factor > 20
+    (prior,) = context.given(fitted.values).priors
+    assert np.all(prior.std() > 0)
+    assert np.all(prior.std() < context.problem.priors[0].std())
+    assert replace(fitted.values, prior_widths=None) == Values()

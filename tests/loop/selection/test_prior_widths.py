@@ -1,0 +1,108 @@
+"""The loop gives the beam's prior the widths that the data want: wider while it looks for effects, any in the end."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hydrabeam_mpi import load_posterior
+from hydrabeam_mpi.cli import main
+from hydrabeam_mpi.inference.prior import PriorWidths
+from hydrabeam_mpi.loop.selection.prior_widths import describe
+from tests.loop.mock import mock_job, write_job
+
+GAIN = {
+    "kind": "antenna_gains",
+    "settings": {"law": "constant"},
+    "parameters": {"antenna 3 ln amplitude": 0.04},
+}
+
+
+def loop_over(folder: Path, *injected: dict[str, Any], **prior: Any) -> dict[str, Any]:
+    job = mock_job(*injected, n_times=24, prior=prior, loop={"effects": ["antenna_gains", "missing_sources"]})
+    assert main(["loop", str(write_job(job, folder)), "-o", str(folder / "out")]) == 0
+    told: dict[str, Any] = json.loads((folder / "out" / "loop.json").read_text())
+    return told
+
+
+@pytest.fixture(scope="module")
+def narrow(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of a loop whose beam is much further from its model than is stated."""
+    folder = tmp_path_factory.mktemp("narrow")
+    loop_over(folder, fraction=1e-4)
+    return folder
+
+
+def told_of(folder: Path) -> dict[str, Any]:
+    told: dict[str, Any] = json.loads((folder / "out" / "loop.json").read_text())
+    return told
+
+
+def test_a_prior_that_is_too_narrow_gets_wider_and_nothing_is_claimed(narrow: Path, tmp_path: Path) -> None:
+    loop, stated = told_of(narrow), loop_over(tmp_path, fraction=1e-4, widths="stated")
+    assert stated["prior_widths"] == []
+    assert stated["rounds"] or stated["verdict"] == "unexplained"
+    assert loop["verdict"] == "consistent"
+    assert loop["rounds"] == []
+    first = loop["prior_widths"][0]
+    assert first["wider"]
+    assert first["fraction"] >= 1e-4
+    assert first["log_bayes_factor"] > 100
+    assert first["rms_after"] < 0.5 * first["rms_before"]
+    assert first["sentence"] in loop["said"]
+    assert loop["error_after"] < stated["error_before"]
+
+
+def test_the_amended_job_states_what_was_found(narrow: Path, tmp_path: Path) -> None:
+    amended = tomllib.loads((narrow / "out" / "amended.toml").read_text())
+    last = told_of(narrow)["prior_widths"][-1]
+    assert amended["prior"]["fraction"] == last["fraction"]
+    assert amended["prior"]["smooth"] == last["smooth"]
+    assert amended["prior"]["widths"] == "stated"
+    summary = json.loads((narrow / "out" / "summary.json").read_text())
+    assert summary["prior_adapted"] == {"fraction": last["fraction"], "smooth": last["smooth"]}
+    assert main(["infer", str(narrow / "out" / "amended.toml"), "-o", str(tmp_path / "again")]) == 0
+    one, two = (load_posterior(folder / "posterior.h5") for folder in (narrow / "out", tmp_path / "again"))
+    assert np.max(np.abs(one.mean - two.mean) / one.std) < 1e-6
+
+
+def test_infer_comes_to_the_same(narrow: Path, tmp_path: Path) -> None:
+    """Where nothing is found the loop's last beam is the one that infer gives with widths = "evidence"."""
+    job = tomllib.loads((narrow / "job.toml").read_text())
+    job["prior"]["widths"] = "evidence"
+    assert main(["infer", str(write_job(job, tmp_path)), "-o", str(tmp_path / "out")]) == 0
+    one, two = (load_posterior(folder / "out" / "posterior.h5") for folder in (narrow, tmp_path))
+    assert np.max(np.abs(one.mean - two.mean) / one.std) < 0.1
+
+
+def test_an_effect_comes_before_wider_widths_where_it_explains_more(tmp_path: Path) -> None:
+    loop = loop_over(tmp_path, GAIN, fraction=0.1)
+    (found,) = loop["rounds"]
+    assert found["effect"] == "antenna_gains"
+    assert loop["verdict"] == "explained"
+    (gain,) = [one for one in found["parameters"] if one["name"] == "antenna 3 ln amplitude"]
+    assert gain["value"] == pytest.approx(0.04, abs=4 * gain["std"])
+
+
+def test_a_prior_that_is_too_wide_gets_narrower_in_the_end(tmp_path: Path) -> None:
+    loop = loop_over(tmp_path, fraction=1000.0)
+    assert loop["verdict"] == "consistent"
+    (last,) = loop["prior_widths"]
+    assert not last["wider"]
+    assert last["log_density_after"] > last["log_density_before"]
+    assert loop["error_after"] == last["predictive_chi2_after"]
+    assert loop["error_claimed"] == last["predictive_chi2_before"]
+
+
+def test_widths_are_told_in_words() -> None:
+    assert describe(None) == "as wide as stated"
+    assert describe(PriorWidths(0.25)) == "0.25 of the model's coefficients"
+    assert describe(PriorWidths(0.25, 1e-3, (0.1, 0.5))) == (
+        "0.25 of the model's coefficients, and beside that 0.001 of the largest at the lowest orders, e^-0.1 of it for "
+        "each radial and e^-0.5 for each azimuthal one"
+    )
