@@ -100,7 +100,8 @@ def widths_by_evidence(context: FitContext, fitted: Fitted, wider: bool = False)
     here = at_stated if now is None else evidence.at(_numbers(now))[0] - price
     if at_best - at_stated < job.loop.min_log_bayes_factor:
         return WidthsFound(None, float(at_best - at_stated), float(at_stated - here))
-    return WidthsFound(_rounded(_widths(best)), float(at_best - at_stated), float(at_best - here))
+    widths = _rounded(_widths(best), stated if wider else None)
+    return WidthsFound(widths, float(at_best - at_stated), float(at_best - here))
 
 
 def adapted(
@@ -272,9 +273,14 @@ def _widths(numbers: FloatArray) -> PriorWidths:
     return PriorWidths(fraction, amplitude, (float(numbers[2]), float(numbers[3])))
 
 
-def _rounded(widths: PriorWidths) -> PriorWidths:
-    """Return three digits, which say all that the data do, and are the same however sums over ranks are rounded."""
+def _rounded(widths: PriorWidths, least: PriorWidths | None) -> PriorWidths:
+    """Return three digits, which say all that the data do, and are the same however sums over ranks are rounded.
+
+    None of the two parts gets less than in ``least`` by that.
+    """
     fraction, amplitude, *decay = (float(f"{one:.3g}") for one in (widths.fraction, widths.amplitude, *widths.decay))
+    if least is not None:
+        fraction, amplitude = max(fraction, least.fraction), max(amplitude, least.amplitude)
     return PriorWidths(fraction, amplitude, (decay[0], decay[1]))
 
 

@@ -10,14 +10,13 @@ import numpy as np
 
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.error_scale import ErrorScale, error_scale
-from hydrabeam_mpi.fit.prior_widths import as_stated
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.io.formats import FORMAT, LOOP_FORMAT
+from hydrabeam_mpi.loop.output.adapted_prior import adapted_told, rounds_alone
 from hydrabeam_mpi.loop.output.heldout_change import heldout_change
 from hydrabeam_mpi.loop.output.parameters import counted, parameters_of, widened
-from hydrabeam_mpi.loop.output.sentences import say_adapted, say_predicting, say_round, say_verdict, still_there
+from hydrabeam_mpi.loop.output.sentences import say_predicting, say_round, say_verdict, still_there
 from hydrabeam_mpi.loop.residuals.left_out import rows_left_out
-from hydrabeam_mpi.loop.residuals.remains import Remains
 from hydrabeam_mpi.loop.selection.acceptance import (
     Candidate,
     Checked,
@@ -28,8 +27,6 @@ from hydrabeam_mpi.loop.selection.acceptance import (
 )
 from hydrabeam_mpi.loop.selection.again import given_up
 from hydrabeam_mpi.loop.selection.history import History
-from hydrabeam_mpi.loop.selection.prior_widths import Adapted, describe
-from hydrabeam_mpi.setup.beams import stated_widths
 
 UNDECIDABLE = (
     ("common flux scale", "all fluxes times a number are the same as the beam times that number"),
@@ -104,7 +101,7 @@ def make_record(
         "why": why_unexplained(claimed, history.control) if unexplained else None,
         "foreign": control,
         **found,
-        "prior_widths": [_adapted(context, one) for one in history.adapted],
+        "prior_widths": [adapted_told(context, one) for one in history.adapted],
         "not_yet_asked": [one["effect"] for one in found["rounds"] if not one.get("asked", True)],
         "last_ranking": [_ranked(one) for one in known_effects(history.ranking)],
         "health": [one.record() for one in (*context.problem.findings, *odd)],
@@ -134,11 +131,9 @@ def _found(
     interrupted: bool,
 ) -> dict[str, Any]:
     """Tell what was found, tried in vain, not looked for, or cannot be decided. Collective: all ranks of the grid."""
-    checks = [history.first, *(one.after for one in history.rounds)]
-    chi2 = [_train_chi2(context, checked) for checked in checks]
     last = history.last.fitted
     at_last = _AtLast(last, error_scale(context, last), rows_left_out(context, last), asked=not interrupted)
-    rounds = [_round(context, one, chi2[i : i + 2], checks[i].remains, at_last) for i, one in enumerate(history.rounds)]
+    rounds = [_round(context, one, at_last) for one in rounds_alone(history)]
     tried = [
         {"effect": one.kind, "law": one.law, "log_bayes_factor": one.log_bayes_factor, "reason": reason}
         for one, reason in history.tried
@@ -158,20 +153,6 @@ def _found(
         "skipped": reasons,
         "undecidable": [{"what": what, "why": why} for what, why in undecidable],
     }
-
-
-def _adapted(context: FitContext, one: Adapted) -> dict[str, Any]:
-    """Tell how the widths of the beam's prior were adapted."""
-    told = {
-        "words": describe(one.widths),
-        "log_bayes_factor": one.log_bayes_factor,
-        "n_rounds": one.n_rounds,
-        **as_stated(one.widths or stated_widths(context.problem.job)),
-        "wider": one.wider,
-        **heldout_change(one.before, one.after, context.setup.observation.freqs),
-    }
-    del told["heldout_channels"]
-    return {"sentence": say_adapted(told), **told}
 
 
 def _foreign(history: History) -> dict[str, Any] | None:
@@ -227,8 +208,8 @@ def _train_chi2(context: FitContext, checked: Checked) -> float:
     return float(np.mean(np.concatenate(context.grid.world.allgather(mine))))
 
 
-def _round(context: FitContext, one: Round, chi2: list[float], before: Remains, at_last: _AtLast) -> dict[str, Any]:
-    """Tell one round."""
+def _round(context: FitContext, one: Round, at_last: _AtLast) -> dict[str, Any]:
+    """Tell one round. Collective: all ranks of the grid."""
     setup, candidate = context.setup, one.candidate
     ranking = known_effects(one.ranking)
     others = [other for other in ranking if other.name != candidate.name]
@@ -245,8 +226,8 @@ def _round(context: FitContext, one: Round, chi2: list[float], before: Remains, 
         "left_out": at_last.left_out if leaves_out else None,
         "log_bayes_factor": candidate.log_bayes_factor,
         "absorbed_by_beam": candidate.finding.evidence.absorbed if candidate.finding else 0.0,
-        "chi2_before": chi2[0],
-        "chi2_after": chi2[1],
+        "chi2_before": _train_chi2(context, one.before),
+        "chi2_after": _train_chi2(context, one.after),
         "heldout_before": one.before.score.chi2,
         "heldout_after": one.after.score.chi2,
         "heldout_sigma": one.sigma,
@@ -270,7 +251,7 @@ def _round(context: FitContext, one: Round, chi2: list[float], before: Remains, 
         **_size(candidate),
         **(counted(one, at_last.fitted) if candidate.finding else {}),
         "ranking": [_ranked(other) for other in ranking],
-        "residual": before.statistics,
+        "residual": one.before.remains.statistics,
     }
     return {"sentence": say_round(told), **told}
 

@@ -35,10 +35,10 @@ def say_round(told: dict[str, Any]) -> str:
 def say_adapted(told: dict[str, Any]) -> str:
     """Tell in a sentence how the beam's prior was adapted, and what that changed."""
     when = f" after round {told['n_rounds']}" if told["n_rounds"] else ""
-    sure = f"log Bayes factor {told['log_bayes_factor']:,.0f} beside the stated one"
+    sure = f"log Bayes factor {told['log_bayes_factor']:,.0f} beside the stated ones"
     error = f"Held-out reduced chi^2 {told['predictive_chi2_before']:.3g} -> {told['predictive_chi2_after']:.3g}"
     rms = f"rms {told['rms_before']:.3g} -> {told['rms_after']:.3g} Jy (noise {told['rms_noise']:.3g} Jy)"
-    return f"By the data the beam's prior is{when} {told['words']} ({sure}). {error}; {rms}."
+    return f"Widths of the beam's prior that the data want{when}: {told['words']} ({sure}). {error}; {rms}."
 
 
 def _say_left_out(told: dict[str, Any]) -> str:

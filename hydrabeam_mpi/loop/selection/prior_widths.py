@@ -56,7 +56,7 @@ def adapt(
     others = [one.log_bayes_factor for one in rivals if not one.is_control]
     if found.gain < max(job.loop.min_log_bayes_factor, *others, 0.0):
         return None
-    say(f"  the beam's prior: {describe(found.widths)} (ln BF {found.log_bayes_factor:.4g})", speaks)
+    say(f"  widths of the beam's prior: {describe(found.widths)} (ln BF {found.log_bayes_factor:.4g})", speaks)
     fitted, found = adapted(context, checked.fitted, fit_patiently, wider)
     after = check(context, fitted)
     one, two = compared(context, checked, after)
@@ -68,9 +68,9 @@ def adapt(
 
 
 def describe(widths: PriorWidths | None) -> str:
-    """Say in words how wide a prior is."""
+    """Say in words which widths a prior has."""
     if widths is None:
-        return "as wide as stated"
+        return "those that are stated"
     radial, azimuthal = widths.decay
     smooth = (
         f", and beside that {widths.amplitude:.3g} of the largest at the lowest orders, e^-{radial:.3g} of it for each "

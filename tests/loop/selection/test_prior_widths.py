@@ -100,7 +100,7 @@ def test_a_prior_that_is_too_wide_gets_narrower_in_the_end(tmp_path: Path) -> No
 
 
 def test_widths_are_told_in_words() -> None:
-    assert describe(None) == "as wide as stated"
+    assert describe(None) == "those that are stated"
     assert describe(PriorWidths(0.25)) == "0.25 of the model's coefficients"
     assert describe(PriorWidths(0.25, 1e-3, (0.1, 0.5))) == (
         "0.25 of the model's coefficients, and beside that 0.001 of the largest at the lowest orders, e^-0.1 of it for "
