@@ -48,7 +48,7 @@ LEAST, MOST = 1e-9, 1e3
 BEGIN = tuple(product((1e-3, 1e-2, 0.1, 1.0), (1e-4, 1e-2), ((0.03, 0.03), (0.3, 0.3), (0.1, 1.0))))
 """Fractions, amplitudes and decays where the best ones are looked for first. There are several places where the
 evidence is larger than near by, in which the one or the other part has most of the width."""
-TOLERANCE = 1e-7
+TOLERANCE = 1e-5
 """Relative rise of ln evidence, beyond that of the widths before, below which no better ones are looked for."""
 MOST_TIMES = 3
 """That widths and fit are adapted to each other; without effects the first is exact."""
@@ -78,57 +78,35 @@ def as_stated(widths: PriorWidths) -> dict[str, Any]:
     return {"fraction": widths.fraction, "smooth": {"amplitude": widths.amplitude, "decay": list(widths.decay)}}
 
 
-def widths_by_evidence(context: FitContext, fitted: Fitted, wider: bool = False) -> WidthsFound:
-    """Return the widths with the most evidence, or the stated ones where theirs is not less by what the job asks for.
-
-    Collective: all ranks of the grid. Effects are linearised where they have been fitted. Each of the four numbers
-    costs ln(n) / 2 for n coefficients that tell it (Schwarz 1978).
-
-    Parameters
-    ----------
-    context : FitContext
-    fitted : Fitted
-    wider : bool
-        Whether no width may be less than the stated one.
-    """
-    job, now = context.problem.job, fitted.values.prior_widths
-    stated = stated_widths(job)
-    evidence = _Evidence(context, fitted, stated)
-    best = evidence.largest(wider)
-    price = 0.5 * len(best) * np.log(context.setup.observation.Nfreqs * context.problem.basis.n_modes)
-    at_stated, at_best = evidence.of_data(_numbers(stated))[0], evidence.at(best)[0] - price
-    here = at_stated if now is None else evidence.at(_numbers(now))[0] - price
-    if at_best - at_stated < job.loop.min_log_bayes_factor:
-        return WidthsFound(None, float(at_best - at_stated), float(at_stated - here))
-    widths = _rounded(_widths(best), stated if wider else None)
-    return WidthsFound(widths, float(at_best - at_stated), float(at_best - here))
-
-
 def adapted(
-    context: FitContext, fitted: Fitted, fit: Callable[..., Fitted] = refit, wider: bool = False
+    context: FitContext, fitted: Fitted, found: WidthsFound, fit: Callable[..., Fitted] = refit, wider: bool = False
 ) -> tuple[Fitted, WidthsFound]:
-    """Return a fit with the widths that have the most evidence, and what is said of them in the end.
+    """Return a fit with the widths that were found, or better ones, and what is said of them in the end.
 
-    Collective: all ranks of the grid. ``fit`` takes what `refit` does; ``wider`` as of `widths_by_evidence`.
+    Collective: all ranks of the grid. ``fit`` takes what `refit` does; ``wider`` as of `WidthsEvidence.best`.
     """
-    found = widths_by_evidence(context, fitted, wider)
     for _ in range(MOST_TIMES):
         if found.gain < context.problem.job.loop.min_log_bayes_factor:
             break
         fitted = fit(context, replace(fitted.values, prior_widths=found.widths), fitted)
-        # Without effects nothing was linearised.
-        found = widths_by_evidence(context, fitted, wider) if fitted.values.active else replace(found, gain=0.0)
+        if not fitted.values.active:  # nothing was linearised
+            return fitted, replace(found, gain=0.0)
+        found = WidthsEvidence(context, fitted).best(wider)
     return fitted, found
 
 
-class _Evidence:
-    """ln evidence as a function of the four numbers: fraction and smooth amplitude by their logarithms, and decays.
+class WidthsEvidence:
+    """What a fit tells of the widths of the beam's prior, effects linearised where they have been fitted.
 
-    All ranks of the grid take part in what is collective.
+    It is told as a function of four numbers: fraction and smooth amplitude by their logarithms, and decays. Each costs
+    ln(n) / 2 for n coefficients that tell it (Schwarz 1978). All ranks of the grid take part in all that is asked.
     """
 
-    def __init__(self, context: FitContext, fitted: Fitted, stated: PriorWidths) -> None:
-        self._world, self._stated = context.grid.world, stated
+    def __init__(self, context: FitContext, fitted: Fitted) -> None:
+        self._world, self._least = context.grid.world, context.problem.job.loop.min_log_bayes_factor
+        self._stated, self._now = stated_widths(context.problem.job), fitted.values.prior_widths
+        n_told = context.setup.observation.Nfreqs * context.problem.basis.n_modes
+        self._price = 0.5 * len(_numbers(self._stated)) * np.log(n_told)
         self._channels: list[_Channel] = []
         normals = sum_for_beams(context, fitted.estimate).normals
         with together(self._world):
@@ -139,45 +117,59 @@ class _Evidence:
                     spread = fit.beam_response[f] @ root_of(fit.covariances[f]) if fit.covariances else None
                     own = known * normals[f].own(BEAM)
                     self._channels.append(_Channel.of(own, beam, cast(DiagonalPrior, prior), spread))
+        self._alone = [one.alone for one in self._channels]
 
-    def of_data(self, numbers: FloatArray) -> FloatArray:
-        """Return ln evidence and its gradient, side by side. Collective."""
-        return self._added_up(self._channels, numbers)
+    def best(self, wider: bool = False) -> WidthsFound:
+        """Return the widths with the most evidence, or the stated ones where theirs is not less by what the job asks.
 
-    def at(self, numbers: FloatArray) -> FloatArray:
-        """Return ln(evidence x prior of the numbers) and its gradient, side by side. Collective."""
-        return self.of_data(numbers) + _log_prior(numbers)
-
-    def largest(self, wider: bool) -> FloatArray:
-        """Return the numbers of the largest evidence, of which rank 0 asks all ranks. Collective.
-
-        It is looked for as if each coefficient were told by itself, which takes no time, and from there as it is.
+        With ``wider`` no width may be less than the stated one.
         """
-        alone, bounds = [one.alone for one in self._channels], np.array(self._bounds(wider)).T
-        least, found = np.inf, None
-        for fraction, amplitude, decay in BEGIN:
-            begin = np.clip(_numbers(PriorWidths(fraction, amplitude, decay)), *bounds)
-            there, value = self._descend(alone, begin, bounds)
-            if value < least:
-                least, found = value, there
-        assert found is not None
-        return self._descend(self._channels, found, bounds)[0]
+        begin = self._promising(wider) if self._now is None else _numbers(self._now)
+        best = self._descend(self._channels, begin, wider)[0]
+        at_stated = self._added_up(self._channels, _numbers(self._stated))[0]
+        at_best = self._weight(self._channels, best)[0] - self._price
+        here = at_stated
+        if self._now is not None:
+            here = self._weight(self._channels, _numbers(self._now))[0] - self._price
+        if at_best - at_stated < self._least:
+            return WidthsFound(None, float(at_best - at_stated), float(at_stated - here))
+        widths = _rounded(_widths(best), self._stated if wider else None)
+        return WidthsFound(widths, float(at_best - at_stated), float(at_best - here))
+
+    def promises(self, wider: bool) -> float:
+        """Return about what the best widths gain, as if each coefficient were told by itself; it takes no time."""
+        now = self._weight(self._alone, _numbers(self._now or self._stated))[0]
+        return float(self._weight(self._alone, self._promising(wider))[0] - now)
+
+    def _promising(self, wider: bool) -> FloatArray:
+        """Return the numbers that are best as if each coefficient were told by itself."""
+        begins = [_numbers(PriorWidths(*one)) for one in BEGIN]
+        found = [self._descend(self._alone, begin, wider) for begin in begins]
+        return min(found, key=lambda one: one[1])[0]
+
+    def _weight(self, channels: Sequence[_Channel], numbers: FloatArray) -> FloatArray:
+        """Return ln(evidence x prior of the numbers) and its gradient, side by side."""
+        return self._added_up(channels, numbers) + _log_prior(numbers)
 
     def _added_up(self, channels: Sequence[_Channel], numbers: FloatArray) -> FloatArray:
+        """Return ln evidence of all channels and its gradient, side by side."""
         total = np.zeros(1 + len(numbers))
         with together(self._world):
             for channel in channels:
                 total += channel.at(numbers)
         return np.asarray(np.sum(self._world.allgather(total), axis=0))
 
-    def _descend(self, channels: Sequence[_Channel], begin: FloatArray, bounds: FloatArray) -> tuple[FloatArray, float]:
-        """Return where -ln(evidence x prior) is least, starting from ``begin``, and its value there. Collective."""
-        found = None
+    def _descend(self, channels: Sequence[_Channel], begin: FloatArray, wider: bool) -> tuple[FloatArray, float]:
+        """Return where -ln(evidence x prior) is least, starting from ``begin``, and its value there.
+
+        Rank 0 asks all ranks for it.
+        """
+        bounds, found = np.array(self._bounds(wider)).T, None
+        begin = np.clip(begin, *bounds)
         if self._world.rank == 0:
 
             def cost(numbers: FloatArray) -> tuple[float, FloatArray]:
-                told = self._added_up(channels, self._world.bcast(numbers)) + _log_prior(numbers)
-                value, *gradient = (-told).tolist()
+                value, *gradient = (-self._weight(channels, self._world.bcast(numbers))).tolist()
                 return value - at_begin, np.array(gradient)
 
             at_begin = 0.0

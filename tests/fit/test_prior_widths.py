@@ -11,7 +11,7 @@ import pytest
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.fit.gauss_newton import refit
-from hydrabeam_mpi.fit.prior_widths import _Channel, _numbers, adapted, as_stated, widths_by_evidence
+from hydrabeam_mpi.fit.prior_widths import WidthsEvidence, _Channel, _numbers, adapted, as_stated
 from hydrabeam_mpi.fit.state import Values
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.prior import DiagonalPrior, ModeSizes, PriorWidths
@@ -96,7 +96,8 @@ def beam_job(**changes: Any) -> dict[str, Any]:
 def widths_of(job: dict[str, Any], folder: Path, wider: bool = False) -> tuple[Any, Any]:
     folder.mkdir()
     context = context_of(job, folder)
-    return context, adapted(context, refit(context, Values()), wider=wider)
+    fitted = refit(context, Values())
+    return context, adapted(context, fitted, WidthsEvidence(context, fitted).best(wider), wider=wider)
 
 
 @pytest.mark.parametrize("stated", [0.003, 3.0])
@@ -120,7 +121,7 @@ def test_adapted_widths_are_adapted_no_more_and_can_be_stated(tmp_path: Path) ->
     assert found.gain < 5.0
     again = context_of(beam_job(prior=as_stated(fitted.values.prior_widths)), tmp_path)
     np.testing.assert_array_equal(again.problem.priors[0].std(), context.given(fitted.values).priors[0].std())
-    assert widths_by_evidence(again, refit(again, Values())).widths is None
+    assert WidthsEvidence(again, refit(again, Values())).best().widths is None
 
 
 def test_widths_that_may_only_grow_do_not_shrink(tmp_path: Path) -> None:

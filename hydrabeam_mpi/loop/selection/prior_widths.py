@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.prior_widths import adapted, is_adaptable, widths_by_evidence
+from hydrabeam_mpi.fit.prior_widths import WidthsEvidence, adapted, is_adaptable
 from hydrabeam_mpi.inference.prior import PriorWidths
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked
 from hydrabeam_mpi.loop.selection.folds import compared
@@ -52,12 +52,15 @@ def adapt(
     job, speaks = context.problem.job, context.grid.is_world_root
     if job.prior.widths == "stated" or not is_adaptable(context):
         return None
-    found = widths_by_evidence(context, checked.fitted, wider)
-    others = [one.log_bayes_factor for one in rivals if not one.is_control]
-    if found.gain < max(job.loop.min_log_bayes_factor, *others, 0.0):
+    least = max([job.loop.min_log_bayes_factor, *(one.log_bayes_factor for one in rivals if not one.is_control)])
+    evidence = WidthsEvidence(context, checked.fitted)
+    if rivals and evidence.promises(wider) < least:
+        return None
+    found = evidence.best(wider)
+    if found.gain < least:
         return None
     say(f"  widths of the beam's prior: {describe(found.widths)} (ln BF {found.log_bayes_factor:.4g})", speaks)
-    fitted, found = adapted(context, checked.fitted, fit_patiently, wider)
+    fitted, found = adapted(context, checked.fitted, found, fit_patiently, wider)
     after = check(context, fitted)
     one, two = compared(context, checked, after)
     gain = gain_of(one.score, two.score)
