@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.prior_widths import WidthsEvidence, adapted, is_adaptable
 from hydrabeam_mpi.inference.prior import PriorWidths
@@ -74,9 +76,9 @@ def describe(widths: PriorWidths | None) -> str:
     """Say in words which widths a prior has."""
     if widths is None:
         return "those that are stated"
-    radial, azimuthal = widths.decay
+    radial, azimuthal = np.exp(widths.decay)
     smooth = (
-        f", and beside that {widths.amplitude:.3g} of the largest at the lowest orders, e^-{radial:.3g} of it for each "
-        f"radial and e^-{azimuthal:.3g} for each azimuthal one"
+        f", and beside that {widths.amplitude:.3g} of the largest at the lowest orders, less by a factor of "
+        f"{radial:.3g} for each radial and {azimuthal:.3g} for each azimuthal order"
     )
     return f"{widths.fraction:.3g} of the model's coefficients{smooth if widths.amplitude else ''}"

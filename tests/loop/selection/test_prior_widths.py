@@ -103,6 +103,6 @@ def test_widths_are_told_in_words() -> None:
     assert describe(None) == "those that are stated"
     assert describe(PriorWidths(0.25)) == "0.25 of the model's coefficients"
     assert describe(PriorWidths(0.25, 1e-3, (0.1, 0.5))) == (
-        "0.25 of the model's coefficients, and beside that 0.001 of the largest at the lowest orders, e^-0.1 of it for "
-        "each radial and e^-0.5 for each azimuthal one"
+        "0.25 of the model's coefficients, and beside that 0.001 of the largest at the lowest orders, less by a factor "
+        "of 1.11 for each radial and 1.65 for each azimuthal order"
     )
