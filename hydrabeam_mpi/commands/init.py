@@ -16,7 +16,7 @@ from hydrabeam_mpi.config.data import Data
 from hydrabeam_mpi.config.effects import Loop
 from hydrabeam_mpi.config.frequency import OverFrequency
 from hydrabeam_mpi.config.sample import Sample
-from hydrabeam_mpi.config.sections import Basis, Beam, Holdout, Noise, Output, Prior, Sky, SkyColumns, Solver
+from hydrabeam_mpi.config.sections import Basis, Beam, Holdout, Noise, Output, Prior, Sky, SkyColumns, Smooth, Solver
 from hydrabeam_mpi.config.text import frequency_text, keys_text, table_text
 from hydrabeam_mpi.data.observation import Array, BoolArray, FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.redundancy import find_redundant_groups
@@ -106,6 +106,7 @@ def write_job(text: str, path: Path, overwrite: bool) -> None:
 _OTHERS: dict[str, type[Section]] = {
     "basis": Basis,
     "prior": Prior,
+    "prior.smooth": Smooth,
     "prior.frequency": OverFrequency,
     "solver": Solver,
     "output": Output,

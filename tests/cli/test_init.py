@@ -19,7 +19,7 @@ from hydrabeam_mpi.config.data import Data
 from hydrabeam_mpi.config.effects import Loop
 from hydrabeam_mpi.config.frequency import OverFrequency
 from hydrabeam_mpi.config.named import expand
-from hydrabeam_mpi.config.sections import Basis, Beam, Holdout, Noise, Output, Prior, Sky, SkyColumns, Solver
+from hydrabeam_mpi.config.sections import Basis, Beam, Holdout, Noise, Output, Prior, Sky, SkyColumns, Smooth, Solver
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.posterior_file import read_posterior
 from tests.cli.conftest import Workspace
@@ -119,7 +119,7 @@ def test_job_is_written_where_asked(workspace: Workspace, capfd: pytest.CaptureF
     assert load_job(job).name == "data"
 
 
-SECTIONS = (Data, Noise, Holdout, Sky, SkyColumns, Beam, Basis, Prior, OverFrequency, Solver, Output, Loop)
+SECTIONS = (Data, Noise, Holdout, Sky, SkyColumns, Beam, Basis, Prior, Smooth, OverFrequency, Solver, Output, Loop)
 
 
 def test_keys_in_comments_are_at_their_defaults(write: Callable[..., Path], tmp_path: Path) -> None:
@@ -138,7 +138,7 @@ def test_every_key_is_printed_with_its_meaning(write: Callable[..., Path]) -> No
     for section in SECTIONS:
         for name, field in section.model_fields.items():
             if field.description is None:
-                assert name in ("simulate", "columns", "frequency")
+                assert name in ("simulate", "columns", "smooth", "frequency")
                 continue
             found = [i for i, line in enumerate(lines) if re.match(rf"(# )?{name} = ", line)]
             assert found, name
