@@ -1,7 +1,7 @@
 """How wide the prior of the beams is, by the evidence (MacKay 1992, Neural Computation 4, 415).
 
-With the data's information H on the coefficients, effects marginalised, and their pull g from the prior's mean, a prior
-with the standard deviations sigma_n has the evidence
+With the data's information H on the coefficients and their pull g from the prior's mean, the effects as they have been
+fitted, a prior with the standard deviations sigma_n has the evidence
 
     ln p(d | sigma) = kappa / 2 [ -ln |W| + y^H W^-1 y ] + const,        W = 1 + sigma H sigma,        y = sigma g,
 
@@ -30,7 +30,6 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.equations import BEAM
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Fitted
-from hydrabeam_mpi.fit.whitening import root_of
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.prior import DiagonalPrior, ModeSizes, PriorWidths
 from hydrabeam_mpi.mpi import bcast_object, together
@@ -51,7 +50,7 @@ evidence is larger than near by, in which the one or the other part has most of 
 TOLERANCE = 1e-5
 """Relative rise of ln evidence, beyond that of the widths before, below which no better ones are looked for."""
 MOST_TIMES = 3
-"""That widths and fit are adapted to each other; without effects the first is exact."""
+"""That widths and effects are adapted to each other; without effects the first is exact."""
 
 
 @dataclass(frozen=True)
@@ -89,14 +88,14 @@ def adapted(
         if found.gain < context.problem.job.loop.min_log_bayes_factor:
             break
         fitted = fit(context, replace(fitted.values, prior_widths=found.widths), fitted)
-        if not fitted.values.active:  # nothing was linearised
+        if not fitted.values.active:  # which would have followed
             return fitted, replace(found, gain=0.0)
         found = WidthsEvidence(context, fitted).best(wider)
     return fitted, found
 
 
 class WidthsEvidence:
-    """What a fit tells of the widths of the beam's prior, effects linearised where they have been fitted.
+    """What a fit tells of the widths of the beam's prior, with the effects as they have been fitted.
 
     It is told as a function of four numbers: fraction and smooth amplitude by their logarithms, and decays. Each costs
     ln(n) / 2 for n coefficients that tell it (Schwarz 1978). All ranks of the grid take part in all that is asked.
@@ -111,12 +110,10 @@ class WidthsEvidence:
         normals = sum_for_beams(context, fitted.estimate).normals
         with together(self._world):
             if context.grid.is_group_root:
-                problem, fit = context.given(fitted.values), fitted.fit
-                for f, (beam, prior) in enumerate(zip(fit.posteriors, problem.priors, strict=True)):
-                    known = 1.0 if beam.is_complex else 2.0
-                    spread = fit.beam_response[f] @ root_of(fit.covariances[f]) if fit.covariances else None
-                    own = known * normals[f].own(BEAM)
-                    self._channels.append(_Channel.of(own, beam, cast(DiagonalPrior, prior), spread))
+                priors = context.given(fitted.values).priors
+                for normal, beam, prior in zip(normals, fitted.fit.posteriors, priors, strict=True):
+                    own = (1.0 if beam.is_complex else 2.0) * normal.own(BEAM)
+                    self._channels.append(_Channel.of(own, beam, cast(DiagonalPrior, prior)))
         self._alone = [one.alone for one in self._channels]
 
     def best(self, wider: bool = False) -> WidthsFound:
@@ -197,7 +194,7 @@ class WidthsEvidence:
 
 @dataclass(frozen=True)
 class _Channel:
-    """What the data say of one channel's beam, effects marginalised: H, (n, n), and g, (n,); and the model's sizes.
+    """What the data say of one channel's beam, H, (n, n), and g, (n,), and the model's sizes.
 
     ``mean`` is the posterior's less the prior's, ``variance`` that of each coefficient, both with the prior's
     ``sigma``.
@@ -211,20 +208,11 @@ class _Channel:
     sigma: FloatArray
 
     @classmethod
-    def of(cls, own: Array, beam: Posterior, prior: DiagonalPrior, spread: Array | None) -> _Channel:
-        """Take the prior out of a posterior given effects, of which ``own`` is the data's part of the precision.
-
-        By effects the beam moves by ``spread``, (n, k), times unknowns of variance one.
-        """
+    def of(cls, own: Array, beam: Posterior, prior: DiagonalPrior) -> _Channel:
+        """Take the prior out of a posterior, of which ``own`` is the data's part of the precision."""
         assert prior.sizes is not None
         away, variance = beam.mean - prior.mean, np.diag(beam.covariance).real
         pull = beam.factor @ (beam.factor.conj().T @ away)
-        if spread is not None:
-            across = beam.factor @ (beam.factor.conj().T @ spread)
-            inner = np.eye(spread.shape[1]) + spread.conj().T @ across
-            taken = across @ np.linalg.solve(inner, across.conj().T)
-            own, pull = own - taken, pull - taken @ away
-            variance = variance + np.sum(np.abs(spread) ** 2, axis=1)
         return cls(own, pull, prior.sizes, away, variance, prior.sigma)
 
     @property
