@@ -166,13 +166,17 @@ def find(sky: Sky, sources: Sequence[tuple[float, float]]) -> IntArray:
 @lru_cache(maxsize=1)
 def _find(sky: Sky, sources: tuple[tuple[float, float], ...]) -> list[int]:
     index = []
+    order = np.argsort(sky.dec)
+    declinations = sky.dec[order]
     for ra, dec in zip(*in_radians(sources), strict=True):
-        distance = separation(sky.ra, sky.dec, ra, dec)
+        # Those on the same ring of declination, ascending: an angle to all sources would be most of the time of a scan.
+        near = np.sort(order[slice(*np.searchsorted(declinations, [dec - 2 * SAME, dec + 2 * SAME]))])
+        distance = separation(sky.ra[near], sky.dec[near], ra, dec)
         if not np.min(distance, initial=np.inf) <= SAME:
             raise InputError(
                 f"the catalogue has no source at {place(*np.rad2deg([ra, dec]))}",
                 field="catalogue_flux",
                 remedy="use the catalogue and the flux cut with which the effect was found",
             )
-        index.append(int(np.argmin(distance)))
+        index.append(int(near[np.argmin(distance)]))
     return index
