@@ -211,11 +211,15 @@ class InTime(ScannedEffect):
 
     def scan(self, block: RowBlock) -> tuple[FloatArray, FloatArray]:
         """Return the sums for every candidate, each (n_hypotheses, p): s phi_k is correlated as s is."""
-        functions = self._candidates(block.setup).functions(block.setup.observation.times)[block.times]
+        functions = self.scanned_functions(block)
         if isinstance(self.effect, ScannedEffect):
             return self.effect.scan_in_time(block, functions)
         told, power = self._sums_of_times(block)
         return functions.T @ told, functions.T**2 @ power
+
+    def scanned_functions(self, block: RowBlock) -> FloatArray:
+        """Return the functions that are scanned, (Ntimes, k)."""
+        return self._candidates(block.setup).functions(block.setup.observation.times)[block.times]
 
     def at(self, setup: ObservingSetup, hypotheses: IntArray) -> InTime:
         """Return the effect with the best candidates; ``hypotheses`` is (Nchosen,)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -9,6 +10,8 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Effect, ScannedEffect
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.shared.in_time import InTime
 from hydrabeam_mpi.fit.blocks import CandidateBlock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Fitted
@@ -84,9 +87,41 @@ def _scan(context: FitContext, cached: CachedRowBlocks, effects: Sequence[Scanne
     with together(context.grid.world):
         for channel in range(len(context.channels)):
             for block in cached.row_blocks(channel):
-                for effect, by_channel in zip(effects, sums, strict=True):
-                    by_channel[channel] = by_channel[channel] + np.stack(effect.scan(block))
+                for by_channel, found in zip(sums, _scan_block(block, effects), strict=True):
+                    by_channel[channel] = by_channel[channel] + found
     return [_drops(context, effect, np.array(by_channel)) for effect, by_channel in zip(effects, sums, strict=True)]
+
+
+def _scan_block(block: RowBlock, effects: Sequence[ScannedEffect]) -> list[FloatArray]:
+    """Return the sums of each effect over a block, (2, n_hypotheses, p).
+
+    Effects with the same candidates, which go on in time in one way or another, are scanned in one pass.
+    """
+    groups: dict[object, list[int]] = {}
+    for number, effect in enumerate(effects):
+        own = _scanned(effect)
+        groups.setdefault((own.kind, own.law, json.dumps(own.describe())), []).append(number)
+    found: dict[int, FloatArray] = {}
+    for first, *others in groups.values():
+        if not others:
+            found[first] = np.stack(effects[first].scan(block))
+            continue
+        functions = [_functions(effects[number], block) for number in (first, *others)]
+        edges = np.cumsum([one.shape[1] for one in functions])
+        sums = np.stack(_scanned(effects[first]).scan_in_time(block, np.concatenate(functions, axis=1)))
+        n_each = sums.shape[-1] // edges[-1]
+        found.update(zip((first, *others), np.split(sums, n_each * edges[:-1], axis=-1), strict=True))
+    return [found[number] for number in range(len(effects))]
+
+
+def _scanned(effect: ScannedEffect) -> ScannedEffect:
+    """Return the effect that the candidates are of."""
+    return effect.effect if isinstance(effect, InTime) and isinstance(effect.effect, ScannedEffect) else effect
+
+
+def _functions(effect: ScannedEffect, block: RowBlock) -> FloatArray:
+    """Return the functions of time that the candidates are scanned with, (Ntimes, k)."""
+    return effect.scanned_functions(block) if isinstance(effect, InTime) else np.ones((len(block.times), 1))
 
 
 def _drops(context: FitContext, effect: ScannedEffect, found: FloatArray) -> FloatArray:
