@@ -87,7 +87,8 @@ def _beside_others(scaled: Sequence[Scaled], members: IntArray, widths: FloatArr
     With C the posterior covariance of all and T that of an element's prior these are C_e^-1 - T^-1 and C_e^-1 x_e.
     """
     used = members[members >= 0]
-    stated = np.repeat(widths**-2.0, np.sum(members >= 0, axis=1))
+    sizes = np.sum(members >= 0, axis=1)
+    stated = np.repeat(widths**-2.0, sizes)
     local = np.full(members.shape, -1)
     local[members >= 0] = np.arange(len(used))
     found = []
@@ -96,10 +97,12 @@ def _beside_others(scaled: Sequence[Scaled], members: IntArray, widths: FloatArr
         precision = np.maximum(stated, RANK_RTOL * float(np.max(np.diag(information), initial=0.0)))
         covariance = np.linalg.inv(information[np.ix_(used, used)] + np.diag(precision))
         x, beside, own = covariance @ score[used], np.zeros_like(covariance), np.zeros(len(used))
-        for row in local:
-            one = row[row >= 0]
-            inverse = np.linalg.inv(covariance[np.ix_(one, one)])
-            beside[np.ix_(one, one)], own[one] = inverse - np.diag(precision[one]), inverse @ x[one]
+        for size in np.unique(sizes):  # elements of a size at once
+            one = local[sizes == size, :size]
+            corner = one[:, :, np.newaxis], one[:, np.newaxis, :]
+            inverse = np.linalg.inv(covariance[corner])
+            beside[corner] = inverse - precision[one][:, :, np.newaxis] * np.eye(size)
+            own[one] = (inverse @ x[one][:, :, np.newaxis])[..., 0]
         found.append((beside, own))
     return found, local
 
