@@ -19,7 +19,7 @@ from hydrabeam_mpi.inference.posterior import Posterior
 
 
 def whiten_time(
-    rows: ComplexArray, weights: FloatArray, member: IntArray, design: Array, posterior: Posterior
+    rows: ComplexArray, weights: FloatArray, member: IntArray, of_model: FloatArray
 ) -> tuple[ComplexArray, FloatArray, float, FloatArray]:
     """Whiten the rows of one time.
 
@@ -31,10 +31,8 @@ def whiten_time(
         Inverse variance of all that is each row's own, Jy^-2; zero for rows that do not count.
     member : ndarray of int, (Nbls,)
         Which design row belongs to each.
-    design : ndarray
-        (2, Ngroups, n) real and imaginary parts for real coefficients, or (Ngroups, n) for complex ones.
-    posterior : Posterior
-        Of the coefficients.
+    of_model : ndarray, (2 Ngroups, 2 Ngroups)
+        Covariance of the predictions; see `model_variance`.
 
     Returns
     -------
@@ -47,7 +45,7 @@ def whiten_time(
     variance : ndarray, (Nbls,)
         The model's own, Jy^2; zero where nothing of a group counts.
     """
-    n_groups = design.shape[-2]
+    n_groups = len(of_model) // 2
     group_weights = np.bincount(member, weights, n_groups)
     used = np.flatnonzero(group_weights)
     if not len(used):  # a time that is wholly flagged
@@ -58,7 +56,8 @@ def whiten_time(
     gather = csr_array((own, (member, np.arange(len(member)))), shape=(n_groups, len(member)))
     plain = np.sqrt(2 * weights)[:, np.newaxis] * rows
     common = (gather @ plain)[used]
-    of_model = _model_variance(posterior, design, used)
+    both = np.concatenate([used, n_groups + used])
+    of_model = of_model[np.ix_(both, both)]
     values, vectors = np.linalg.eigh(root[:, np.newaxis] * of_model * root)
     values = np.maximum(values, 0.0)
     parts = np.concatenate([common.real, common.imag])
@@ -126,12 +125,19 @@ class SharedErrors:
         return 0.5 * float(np.log1p(np.maximum(np.linalg.eigvalsh(self.gram), 0.0)).sum())
 
 
-def _model_variance(posterior: Posterior, design: Array, used: IntArray) -> FloatArray:
-    """Return the covariance of the predictions' parts, real parts of all groups before imaginary ones, (2N, 2N)."""
-    rows = design[..., used, :]
-    if not posterior.is_complex:
-        half = solve_triangular(posterior.factor, rows.reshape(2 * len(used), -1).T, lower=True, check_finite=False)
-        return np.asarray(half.T @ half)
+def model_variance(posterior: Posterior, design: Array) -> FloatArray:
+    """Return the covariance of the parts of a time's predictions, all real parts first, (2 Ngroups, 2 Ngroups).
+
+    Parameters
+    ----------
+    posterior : Posterior
+        Of the coefficients.
+    design : ndarray
+        (2, Ngroups, n) real and imaginary parts for real coefficients, or (Ngroups, n) for complex ones.
+    """
+    rows = design.reshape(-1, design.shape[-1])
     half = solve_triangular(posterior.factor, rows.conj().T, lower=True, check_finite=False)
+    if not posterior.is_complex:
+        return np.asarray(half.T @ half)
     circular = half.conj().T @ half
     return 0.5 * np.block([[circular.real, -circular.imag], [circular.imag, circular.real]])
