@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.reweighting import ReweightingFit
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Worth, refit, stepped
@@ -17,7 +19,7 @@ from hydrabeam_mpi.loop.attribution.score_noise import refit_reweighting
 from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked
 from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical, may_be_unphysical, price_of_limits
-from hydrabeam_mpi.loop.selection.predictions import check
+from hydrabeam_mpi.loop.selection.predictions import check, score_of
 from hydrabeam_mpi.loop.selection.refits import fit_patiently, is_same_prior, restarted, rise
 from hydrabeam_mpi.terminal.progress import say
 
@@ -60,13 +62,25 @@ def _by_heldout(context: FitContext, checked: Checked) -> Checked:
     Such is a jump between two fitted times: it may be before or after those that lie between. Collective: all ranks of
     the grid.
     """
-    *others, last = checked.fitted.values.active
-    after = [checked]
-    for effect in last.effect.alternatives(context.setup, last.used):
-        values = replace(checked.fitted.values, active=(*others, replace(last, effect=effect)))
-        after.append(check(context, replace(checked.fitted, values=values)))
-    best = max(after, key=lambda one: one.score.log_density)
-    return checked if best is checked else _by_heldout(context, best)
+    fitted, (*others, last) = checked.fitted, checked.fitted.values.active
+    best, known = last.effect, {_told(last.effect): checked.score.log_density}
+
+    def with_effect(effect: Effect) -> Fitted:
+        return replace(fitted, values=replace(fitted.values, active=(*others, replace(last, effect=effect))))
+
+    while True:
+        choice = [best, *best.alternatives(context.setup, last.used)]
+        for effect in choice:
+            if _told(effect) not in known:
+                known[_told(effect)] = score_of(context, with_effect(effect)).log_density
+        found = max(choice, key=lambda one: known[_told(one)])
+        if found is best:
+            return checked if best is last.effect else check(context, with_effect(best))
+        best = found
+
+
+def _told(effect: Effect) -> str:
+    return json.dumps(effect.describe())
 
 
 def _fit_effect(

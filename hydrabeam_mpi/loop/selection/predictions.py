@@ -8,7 +8,7 @@ from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.loop.residuals.remains import remains_of
 from hydrabeam_mpi.loop.selection.acceptance import Checked
 from hydrabeam_mpi.loop.selection.heldout_numbers import heldout_numbers
-from hydrabeam_mpi.loop.selection.heldout_score import heldout_score
+from hydrabeam_mpi.loop.selection.heldout_score import HeldoutScore, heldout_score
 
 
 def check(context: FitContext, fitted: Fitted) -> Checked:
@@ -17,3 +17,8 @@ def check(context: FitContext, fitted: Fitted) -> Checked:
     remains = remains_of(context, fitted, whitened)
     score = heldout_score(context, whitened, fitted.values)
     return Checked(fitted, score, remains, heldout_numbers(context, whitened))
+
+
+def score_of(context: FitContext, fitted: Fitted) -> HeldoutScore:
+    """Predict the held-out rows, and tell no more of it than how well. Collective: all ranks of the grid."""
+    return heldout_score(context, whiten(context, fitted), fitted.values)
