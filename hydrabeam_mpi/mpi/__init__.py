@@ -20,6 +20,7 @@ from hydrabeam_mpi.mpi.collectives import (
     bcast_object,
     gather_objects,
     recv_object,
+    scatter_objects,
     send_object,
 )
 from hydrabeam_mpi.mpi.failure import together
@@ -58,6 +59,7 @@ __all__ = [
     "recv_object",
     "refuse",
     "roots_of",
+    "scatter_objects",
     "send_object",
     "share_by_channel",
     "together",

@@ -7,7 +7,7 @@ sent from where they are.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -129,6 +129,22 @@ def gather_objects(comm: MPI.Comm, obj: Any) -> list[Any] | None:
         send_object(comm, obj, dest=0)
         return None
     return [obj, *(recv_object(comm, source) for source in range(1, comm.size))]
+
+
+def scatter_objects(comm: MPI.Comm, objects: Sequence[Any] | None) -> Any:
+    """Return on each rank its own of the picklable objects that rank 0 has. Collective: all ranks of `comm`.
+
+    Parameters
+    ----------
+    comm : mpi4py.MPI.Comm
+    objects : sequence, or None
+        One for each rank, on rank 0.
+    """
+    if objects is None:
+        return recv_object(comm, 0)
+    for dest in range(1, comm.size):
+        send_object(comm, objects[dest], dest)
+    return objects[0]
 
 
 def send_object(comm: MPI.Comm, obj: Any, dest: int) -> None:

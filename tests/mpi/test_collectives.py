@@ -14,6 +14,7 @@ from hydrabeam_mpi.mpi import (
     bcast_object,
     gather_objects,
     recv_object,
+    scatter_objects,
     send_object,
 )
 from hydrabeam_mpi.random import generator
@@ -106,6 +107,13 @@ def test_objects_are_gathered_in_order_of_ranks(comm: MPI.Comm) -> None:
     assert [one["rank"] for one in found] == list(range(comm.size))
     for rank, one in enumerate(found):
         np.testing.assert_array_equal(one["array"], np.full((2, 3), rank), strict=True)
+
+
+def test_objects_are_dealt_out(comm: MPI.Comm) -> None:
+    objects = [{"rank": rank, "array": np.full((2, 3), rank)} for rank in range(comm.size)]
+    mine = scatter_objects(comm, None if comm.rank else objects)
+    assert mine["rank"] == comm.rank
+    np.testing.assert_array_equal(mine["array"], np.full((2, 3), comm.rank), strict=True)
 
 
 def test_objects_in_a_ring(comm: MPI.Comm) -> None:

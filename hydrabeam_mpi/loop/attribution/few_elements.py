@@ -131,7 +131,7 @@ def _element_gains(working: Sequence[Scaled], members: np.ndarray, price: FloatA
     for information, score in working:
         corner = information[members[:, :, np.newaxis], members[:, np.newaxis, :]]
         corner = np.where(present[:, :, np.newaxis] & present[:, np.newaxis, :], corner, 0.0)
-        values, vectors = np.linalg.eigh(corner)
+        values, vectors = np.linalg.eigh(corner) if corner.shape[1] > 1 else (corner[..., 0], np.ones(corner.shape))
         projections = np.einsum("epi,ep->ei", vectors, np.where(present, score[members], 0.0))
         largest = np.maximum(values[:, -1:], 0.0)
         told = values > np.maximum(RANK_RTOL * largest, 1e-12 * max(float(largest.max(initial=0.0)), 1e-300))

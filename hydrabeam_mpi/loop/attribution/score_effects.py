@@ -19,7 +19,7 @@ from hydrabeam_mpi.loop.attribution.evidence import Evidence, evidence_of, find_
 from hydrabeam_mpi.loop.attribution.limits import Limits
 from hydrabeam_mpi.loop.attribution.others import beside_model
 from hydrabeam_mpi.loop.attribution.scan import pick
-from hydrabeam_mpi.mpi import bcast_object, together
+from hydrabeam_mpi.mpi import bcast_object, gather_objects, scatter_objects, together
 
 
 @dataclass(frozen=True)
@@ -68,17 +68,40 @@ def attribute(
         for number, effect in enumerate(picked)
     }
     by_name = likelihoods(context, fitted, cached, candidates)
-    limits = Limits.of(context, fitted)
+    told = None if by_name is None else list(by_name.values())
+    evidence = _weigh_all(context, values, picked, told, Limits.of(context, fitted))
     findings = None
-    with together(context.grid.world):
-        if by_name is not None:
-            findings = [
-                Finding(effect, weigh(context, values, effect, by_name[name], limits=limits))
-                for name, effect in zip(candidates, picked, strict=True)
-            ]
-            findings.sort(key=lambda finding: -finding.evidence.log_bayes_factor)
+    if evidence is not None:
+        findings = [Finding(effect, one) for effect, one in zip(picked, evidence, strict=True)]
+        findings.sort(key=lambda finding: -finding.evidence.log_bayes_factor)
     result: list[Finding] = bcast_object(context.grid.world, findings)
     return result
+
+
+def _weigh_all(
+    context: FitContext,
+    values: Values,
+    effects: Sequence[Effect],
+    likelihoods_of: Sequence[list[Likelihood]] | None,
+    limits: Limits,
+) -> list[Evidence] | None:
+    """Weigh effects, shared out among the ranks, from what channels say of each, which is known on rank 0.
+
+    On rank 0 alone. Collective: all ranks of the grid.
+    """
+    world, shares = context.grid.world, None
+    if likelihoods_of is not None:
+        # Those with the most parameters, which take longest, first.
+        order = sorted(enumerate(likelihoods_of), key=lambda one: -len(one[1][0].score))
+        shares = [order[rank :: world.size] for rank in range(world.size)]
+    mine: list[tuple[int, list[Likelihood]]] = scatter_objects(world, shares)
+    with together(world):
+        weighed = [(number, weigh(context, values, effects[number], told, limits=limits)) for number, told in mine]
+    gathered = gather_objects(world, weighed)
+    if gathered is None:
+        return None
+    by_number = dict(pair for part in gathered for pair in part)
+    return [by_number[number] for number in range(len(effects))]
 
 
 def taken(values: Values, effect: Effect) -> IntArray:
