@@ -71,14 +71,15 @@ class PolarTable:
             row, column = along.astype(np.intp), across.astype(np.intp)
             by_row, by_column = _weights(along - row, slopes), _weights(across - column, slopes)
             first = row * stride + column
+            near, product = np.empty((2, len(first)))
             for p in range(ORDER + 1):
                 # For either set of weights of the columns, the sum over the nodes of a row.
                 around = np.zeros((len(by_column), len(first)))
                 for q in range(ORDER + 1):
                     # All are within the table; to clip is several times as fast as to check.
-                    near = coeffs.take(first + (p * stride + q), mode="clip")
+                    coeffs[p * stride + q :].take(first, mode="clip", out=near)
                     for total, weights in zip(around, by_column, strict=True):
-                        total += weights[q] * near
+                        total += np.multiply(weights[q], near, out=product)
                 out[0, part] += by_row[0, p] * around[0]
                 if slopes:
                     out[1, part] += by_row[1, p] * around[0]
