@@ -13,7 +13,7 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.shared.antenna_beams import added_by_beams
-from hydrabeam_mpi.effects.shared.displaced import TILTS, need_real_beam, rotate, rotation_rate, seen_at, torque
+from hydrabeam_mpi.effects.shared.displaced import TILTS, need_real_beam, rotate, rotation_rate, seen_at
 from hydrabeam_mpi.effects.shared.per_antenna import antenna_parameters, common_values, row_antennas, row_parameters
 
 DEGREE = np.pi / 180
@@ -43,7 +43,7 @@ class AntennaPointing(Effect):
 
     def sky_columns(self, sources: Sources) -> FloatArray:
         """Return how the beam changes as it is tilted towards East and North, (2, Nsrc) per radian."""
-        return -TILTS.T @ torque(sources)
+        return -TILTS.T @ sources.torque
 
     def degenerate_directions(self, setup: ObservingSetup) -> FloatArray:
         """Return the tilts that all antennas have in common, (n_directions, n_params)."""
@@ -93,4 +93,4 @@ def _rotations(x: FloatArray) -> FloatArray:
 def _rates(sources: Sources, rotation: FloatArray) -> FloatArray:
     """Return how the beam of a tilted antenna changes as it is tilted further, (2, Nsrc) per radian."""
     tilted = seen_at(sources, rotate(sources.enu, -rotation))
-    return -(rotation_rate(-rotation) @ TILTS).T @ torque(tilted)
+    return -(rotation_rate(-rotation) @ TILTS).T @ tilted.torque

@@ -70,25 +70,47 @@ class Sources:
         return np.asarray(self.beam_function(self.za, self.az)).real
 
     @cached_property
-    def slope(self) -> FloatArray:
-        """Gradient of the beam on the sphere as a vector tangent to it, (3, Nsrc), per radian.
-
-        A source displaced by a small tangent vector ``v`` has its beam changed by ``slope . v``. From the beam's table,
-        or where it has none by central differences.
-        """
-        cos_za, cos_az, sin_az = self.enu[2], np.cos(self.az), np.sin(self.az)
-        sin_za = np.hypot(self.enu[0], self.enu[1])
+    def tangents(self) -> tuple[FloatArray, FloatArray]:
+        """Unit vectors tangent to the sphere, away from the zenith and around it, (3, Nsrc) each."""
+        east, north, cos_za = self.enu
+        sin_za = np.hypot(east, north)
+        # Azimuths are known by their sine and cosine but at the zenith itself.
+        given = (east / sin_za, north / sin_za) if sin_za.all() else (np.cos(self.az), np.sin(self.az))
+        cos_az, sin_az = given
         down = np.stack([cos_za * cos_az, cos_za * sin_az, -sin_za])
-        around = np.stack([-sin_az, cos_az, np.zeros_like(sin_az)])
+        return down, np.stack([-sin_az, cos_az, np.zeros_like(sin_az)])
+
+    @cached_property
+    def by_tangents(self) -> tuple[FloatArray, FloatArray]:
+        """Derivatives of the beam along `tangents`, (Nsrc,) each, per radian.
+
+        From the beam's table, or where it has none by central differences.
+        """
         table = table_of(self.beam_function)
         if table is not None:
             by_za, by_az = table.slopes(np.minimum(self.za, np.pi / 2), self.az)
-            return down * np.where(self.za <= np.pi / 2, by_za, 0.0) + around * (by_az / np.maximum(sin_za, STEP))
-        gradient = np.zeros((3, len(self.za)))
-        for direction in (down, around):
-            ahead, behind = (self._beam_at(self.enu + sign * STEP * direction) for sign in (1, -1))
-            gradient += direction * (ahead - behind) / (2 * STEP)
-        return gradient
+            sin_za = np.hypot(self.enu[0], self.enu[1])
+            return np.where(self.za <= np.pi / 2, by_za, 0.0), by_az / np.maximum(sin_za, STEP)
+        down, around = (
+            (self._beam_at(self.enu + STEP * tangent) - self._beam_at(self.enu - STEP * tangent)) / (2 * STEP)
+            for tangent in self.tangents
+        )
+        return down, around
+
+    @property
+    def slope(self) -> FloatArray:
+        """Gradient of the beam on the sphere as a vector tangent to it, (3, Nsrc), per radian.
+
+        A source displaced by a small tangent vector ``v`` has its beam changed by ``slope . v``.
+        """
+        (down, around), (by_down, by_around) = self.tangents, self.by_tangents
+        return down * by_down + around * by_around
+
+    @property
+    def torque(self) -> FloatArray:
+        """s x grad B, (3, Nsrc): sources turned by a small rotation w see the beam change by w . torque."""
+        (down, around), (by_down, by_around) = self.tangents, self.by_tangents
+        return around * by_down - down * by_around
 
     def _beam_at(self, vectors: FloatArray) -> FloatArray:
         za = np.arctan2(np.hypot(vectors[0], vectors[1]), vectors[2])

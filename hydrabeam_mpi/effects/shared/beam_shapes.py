@@ -45,11 +45,10 @@ def stretches(sources: Sources) -> FloatArray:
     towards North-East by c and the other by -c.
     """
     cos_az, sin_az = np.cos(sources.az), np.sin(sources.az)
-    down = np.stack([np.cos(sources.za) * cos_az, np.cos(sources.za) * sin_az, -np.sin(sources.za)])
-    around = np.stack([-sin_az, cos_az, np.zeros_like(cos_az)])
+    by_down, by_around = sources.by_tangents
     # By relative radius and by azimuth: d za = tan(0.9 za)/0.9 d ln(radius).
-    by_radius = np.tan(NEARLY * sources.za) / NEARLY * (sources.slope * down).sum(axis=0)
-    by_azimuth = np.sin(sources.za) * (sources.slope * around).sum(axis=0)
+    by_radius = np.tan(NEARLY * sources.za) / NEARLY * by_down
+    by_azimuth = np.sin(sources.za) * by_around
     shear = cos_az * sin_az
     return np.stack(
         [

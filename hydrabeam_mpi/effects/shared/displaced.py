@@ -78,12 +78,10 @@ class BeamToHorizon:
 def seen_at(sources: Sources, vectors: FloatArray) -> Sources:
     """Return the sources as seen in other directions, (3, Nsrc)."""
     za, az = angles(vectors)
-    return replace(sources, za=za, az=az, beam_function=BeamToHorizon(sources.beam_function))
-
-
-def torque(sources: Sources) -> FloatArray:
-    """Return s x grad B, (3, Nsrc): sources turned by a small rotation w see the beam change by w . torque."""
-    return np.asarray(np.cross(sources.enu, sources.slope, axis=0), dtype=float)
+    seen = replace(sources, za=za, az=az, beam_function=BeamToHorizon(sources.beam_function))
+    # A cached property that is known already.
+    vars(seen)["enu"] = vectors
+    return seen
 
 
 @dataclass(frozen=True)
@@ -151,7 +149,7 @@ class TurningSky(Effect):
     def sky_columns(self, sources: Sources) -> FloatArray:
         """Return the beam, the beam times the unit vector, and the torque of the beam's slope, (7, Nsrc)."""
         beam = sources.exact_beam[np.newaxis]
-        return np.concatenate([beam, beam * sources.enu, torque(sources)])
+        return np.concatenate([beam, beam * sources.enu, sources.torque])
 
     def rates(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return how visibilities change as the sky, turned by ``x``, turns further about east, north and up.

@@ -14,7 +14,7 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.shared.beam_shapes import MODES, sidelobes, stretches
-from hydrabeam_mpi.effects.shared.displaced import TILTS, need_real_beam, torque
+from hydrabeam_mpi.effects.shared.displaced import TILTS, need_real_beam
 
 MOST_MODES = 64
 LEAST_TIMES = 4
@@ -77,7 +77,7 @@ class ShapeDrift(BeamDrift):
 
     def sky_columns(self, sources: Sources) -> FloatArray:
         """Return how the beam changes with tilts, widths and sidelobes, (8, Nsrc)."""
-        tilts = -TILTS.T @ torque(sources)
+        tilts = -TILTS.T @ sources.torque
         return np.concatenate([tilts, stretches(sources), sidelobes(sources)])
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
