@@ -108,7 +108,7 @@ class Sources:
 
     @property
     def torque(self) -> FloatArray:
-        """s x grad B, (3, Nsrc): sources turned by a small rotation w see the beam change by w . torque."""
+        """The torque s x grad B, (3, Nsrc): sources turned by a small rotation w see the beam change by w . torque."""
         (down, around), (by_down, by_around) = self.tangents, self.by_tangents
         return around * by_down - down * by_around
 
