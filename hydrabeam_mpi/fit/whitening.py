@@ -10,6 +10,8 @@ can.
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.sparse import csr_array
@@ -93,36 +95,43 @@ class SharedErrors:
 
     def __init__(self, covariance: FloatArray) -> None:
         self._root = root_of(covariance)
+        # Of the columns as they are: those in units of their errors would be a product of large matrices each time.
         self.gram = np.zeros((len(covariance), len(covariance)))
         self.projection = np.zeros(len(covariance))
         self._kept: list[FloatArray] = []
 
     def add(self, z: ComplexArray, columns: ComplexArray) -> None:
         """Take the rows of one time, (Nbls,) and (Nbls, q), whitened by all else."""
-        scaled = np.concatenate([columns.real, columns.imag]) @ self._root
-        self._kept.append(scaled)
-        self.gram += scaled.T @ scaled
-        self.projection += scaled.T @ np.concatenate([z.real, z.imag])
+        parts = np.concatenate([columns.real, columns.imag])
+        self._kept.append(parts)
+        self.gram += parts.T @ parts
+        self.projection += parts.T @ np.concatenate([z.real, z.imag])
+
+    @cached_property
+    def _spectrum(self) -> tuple[FloatArray, FloatArray]:
+        """Eigenvalues, none negative, and eigenvectors of B^T B, once the sums are complete."""
+        values, vectors = np.linalg.eigh(self._root.T @ self.gram @ self._root)
+        return np.maximum(values, 0.0), vectors
 
     def changes(self) -> list[ComplexArray]:
         """Return what is to be added to the rows of each time, (Nbls,), once the sums are complete."""
-        values, vectors = np.linalg.eigh(self.gram)
+        values, vectors = self._spectrum
         values = np.maximum(values, 1e-12 * max(float(values.max(initial=0.0)), 1e-300))
         factor = (1 / np.sqrt(1 + values) - 1) / values
-        coefficients = vectors @ (factor * (vectors.T @ self.projection))
-        parts = [(scaled @ coefficients).reshape(2, -1) for scaled in self._kept]
+        coefficients = self._root @ (vectors @ (factor * (vectors.T @ (self._root.T @ self.projection))))
+        parts = [(columns @ coefficients).reshape(2, -1) for columns in self._kept]
         return [real + 1j * imag for real, imag in parts]
 
     @property
     def n_shared(self) -> float:
         """How many parameters the predictions feel."""
-        values = np.maximum(np.linalg.eigvalsh(self.gram), 0.0)
+        values, _ = self._spectrum
         return float(np.sum(values / (1 + values)))
 
     @property
     def log_spread(self) -> float:
         """Half of the logarithm of the covariance's determinant."""
-        return 0.5 * float(np.log1p(np.maximum(np.linalg.eigvalsh(self.gram), 0.0)).sum())
+        return 0.5 * float(np.log1p(self._spectrum[0]).sum())
 
 
 def model_variance(posterior: Posterior, design: Array) -> FloatArray:
