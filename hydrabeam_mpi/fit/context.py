@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -18,6 +20,8 @@ from hydrabeam_mpi.fit.state import Values
 from hydrabeam_mpi.inference.prior import ChannelPrior
 from hydrabeam_mpi.mpi import ProcessGrid
 from hydrabeam_mpi.setup.problem import Problem
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -75,6 +79,20 @@ class FitContext:
             return self.problem.with_prior_widths(values.prior_widths)
         priors = tuple(self.learned.beam_prior(channel, values) for channel in self.channels)
         return replace(self.problem, priors=priors)
+
+    @cached_property
+    def _latest(self) -> dict[str, tuple[object, Any]]:
+        return {}
+
+    def of_latest(self, name: str, fitted: object, make: Callable[[], T]) -> T:
+        """Return what ``make`` works out of a fit, by ``name``.
+
+        That of the latest one is kept, as it is asked for to judge a fit and again once it has been chosen.
+        """
+        if name not in self._latest or self._latest[name][0] is not fitted:
+            self._latest[name] = fitted, make()
+        found: T = self._latest[name][1]
+        return found
 
     def over_channels(self, values: FloatArray) -> float:
         """Add up what each group has of its channels, (Nlocal,). Collective: all ranks of the grid."""

@@ -72,13 +72,8 @@ def whiten(context: FitContext, fitted: Fitted) -> Whitened:
 
     Parameters that belong to single times or baselines are not told by the fitted rows where those times or baselines
     are held out. Then they are fitted on one half of the held-out rows and the other half is predicted, either way.
-    What the latest fit predicts is kept, as more than one asks for it.
     """
-    known = context.test.predicted
-    if not (known and known[0][0] is fitted):
-        known[:] = [(fitted, _with_total(context, _predict(context, fitted)))]
-    whitened: Whitened = known[0][1]
-    return whitened
+    return context.of_latest("held-out rows", fitted, lambda: _with_total(context, _predict(context, fitted)))
 
 
 def _predict(context: FitContext, fitted: Fitted) -> Whitened:

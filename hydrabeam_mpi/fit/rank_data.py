@@ -35,11 +35,6 @@ class RankData(RowModel):
         return []
 
     @cached_property
-    def predicted(self) -> list[tuple[Any, Any]]:
-        """The latest fit, and what it predicts of these rows; see `heldout.whiten`."""
-        return []
-
-    @cached_property
     def _variances(self) -> dict[int, tuple[Array, bytes, dict[int, FloatArray]]]:
         return {}
 
@@ -50,7 +45,6 @@ class RankData(RowModel):
         """
         _ = self.model, self._plain, self._changed, self.known, self._beams, self._latest
         other = copy(self)
-        vars(other).pop("predicted", None)
         other.rows = replace(self.rows, inv_noise_var=self.rows.inv_noise_var * factor)
         return other
 

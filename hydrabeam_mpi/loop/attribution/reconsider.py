@@ -38,10 +38,15 @@ class Known:
     def of(cls, context: FitContext, fitted: Fitted, beside: Finding | None = None) -> Known:
         """Go through the rows once. Collective: all ranks of the grid."""
         active = fitted.values.active
-        if beside is not None:
-            evidence = beside.evidence
-            more = Active.start(beside.effect, context.setup, evidence.prior_var, np.zeros_like(evidence.x))
-            active = (*active, more)
+        if beside is None:
+            return context.of_latest("effects", fitted, lambda: cls._of(context, fitted, active))
+        evidence = beside.evidence
+        more = Active.start(beside.effect, context.setup, evidence.prior_var, np.zeros_like(evidence.x))
+        return cls._of(context, fitted, (*active, more))
+
+    @classmethod
+    def _of(cls, context: FitContext, fitted: Fitted, active: tuple[Active, ...]) -> Known:
+        """Go through the rows once. Collective: all ranks of the grid."""
         with together(context.grid.world):
             rows, added = context.train.calibrated(fitted.estimate)
         found = []
