@@ -214,9 +214,12 @@ class Prior(Section):
         ge=0,
         le=1 / RESOLVED,
     )
+    neighbours: bool = key(
+        False, "that amplitude is the largest of those at this and the adjacent radial orders, azimuthal order the same"
+    )
     smooth: Smooth = Smooth()
     widths: Literal["stated", "evidence"] | None = key(
-        None, "whether the data adapt fraction and smooth; by default 'stated' in infer, 'evidence' in the loop"
+        None, "whether the data adapt the widths; by default 'stated' in infer, 'evidence' in the loop"
     )
     file: File | None = key(None, "mean and covariance, or a result's folder: what other data have told is known")
     frequency: OverFrequency = OverFrequency()
@@ -237,6 +240,8 @@ class Prior(Section):
             )
         if self.fraction > 1 / RESOLVED:
             raise ValueError(f"fraction = {self.fraction:.3g} is no prior; set kind = 'flat' to have none")
+        if self.neighbours and self.kind != "fraction":
+            refuse_unused(self, "neighbours", "kind = 'fraction'", f"'{self.kind}'")
         if self.smooth.amplitude and self.kind != "fraction":
             refuse_unused(self, "smooth", "kind = 'fraction'", f"'{self.kind}'")
         if self.widths == "evidence" and (self.kind != "fraction" or self.frequency.couples):

@@ -12,8 +12,8 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
+from hydrabeam_mpi.inference.mode_widths import PriorWidths
 from hydrabeam_mpi.inference.posterior import Posterior
-from hydrabeam_mpi.inference.prior import PriorWidths
 from hydrabeam_mpi.mpi import Comm
 
 

@@ -17,8 +17,9 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.blocks import effect_columns
 from hydrabeam_mpi.fit.columns import Columns, RowSet
+from hydrabeam_mpi.inference.mode_widths import PriorWidths
 from hydrabeam_mpi.inference.posterior import Posterior
-from hydrabeam_mpi.inference.prior import ChannelPrior, DiagonalPrior, PriorWidths, precision_of
+from hydrabeam_mpi.inference.prior import ChannelPrior, DiagonalPrior, precision_of
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,10 @@ from typing import Protocol
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_triangular
 
-from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.data.partition import spans
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.inference.mode_widths import ModeSizes, PriorWidths
 
 
 class Prior(Protocol):
@@ -56,51 +57,6 @@ class FlatPrior:
     def std(self) -> FloatArray:
         """Return infinities, (n,)."""
         return np.full(len(self.mean), np.inf)
-
-
-@dataclass(frozen=True)
-class PriorWidths:
-    """How wide a prior of independent coefficients is: in proportion to those of the model, and a smooth part beside.
-
-    The smooth part is what a beam may have where its model has little: largest at the lowest orders, by which it falls.
-
-    Attributes
-    ----------
-    fraction : float
-        Standard deviation over the amplitude of the model's coefficient.
-    amplitude : float
-        Standard deviation of the smooth part at the lowest orders, over the largest amplitude of the model.
-    decay : (float, float)
-        ln of how much less the smooth part is for each radial and each azimuthal order.
-    """
-
-    fraction: float = 1.0
-    amplitude: float = 0.0
-    decay: tuple[float, float] = (0.0, 0.0)
-
-
-@dataclass(frozen=True)
-class ModeSizes:
-    """What the widths of coefficients follow from.
-
-    Attributes
-    ----------
-    amplitudes : ndarray, (n,)
-        Of the model's coefficients.
-    orders : ndarray of int, (n, 2)
-        Radial and azimuthal ones, from zero on.
-    largest : float
-        Amplitude of the model.
-    """
-
-    amplitudes: FloatArray
-    orders: IntArray
-    largest: float
-
-    def widths(self, by: PriorWidths) -> tuple[FloatArray, FloatArray]:
-        """Return the two parts of the standard deviations, of which the squares are added, (n,) each."""
-        smooth = by.amplitude * self.largest * np.exp(-self.orders @ np.array(by.decay))
-        return by.fraction * self.amplitudes, np.asarray(smooth)
 
 
 @dataclass(frozen=True)

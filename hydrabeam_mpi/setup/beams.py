@@ -13,7 +13,8 @@ from pyuvdata import BeamInterface, UVBeam
 from hydrabeam_mpi.config import ANALYTIC_BEAMS, BUILT_IN_BEAMS, EMBEDDED_BEAM, Job, Perturbation
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.inference.prior import DiagonalPrior, FlatPrior, ModeSizes, Prior, PriorWidths
+from hydrabeam_mpi.inference.mode_widths import ModeSizes, PriorWidths
+from hydrabeam_mpi.inference.prior import DiagonalPrior, FlatPrior, Prior
 from hydrabeam_mpi.io.beamfits import SAME_FREQ, BeamFile
 from hydrabeam_mpi.io.prior_file import read_prior
 from hydrabeam_mpi.io.reading import check_file
@@ -189,7 +190,7 @@ def make_prior(job: Job, fit: FittedBeam) -> Prior:
 def stated_widths(job: Job) -> PriorWidths:
     """Return the widths of the beam's prior that a job states."""
     settings = job.prior
-    return PriorWidths(settings.fraction, settings.smooth.amplitude, settings.smooth.decay)
+    return PriorWidths(settings.fraction, settings.smooth.amplitude, settings.smooth.decay, settings.neighbours)
 
 
 def given_priors(priors: Sequence[Prior], fits: Sequence[FittedBeam]) -> tuple[Prior, ...]:

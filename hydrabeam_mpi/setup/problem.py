@@ -14,7 +14,8 @@ from hydrabeam_mpi.config.named import expand
 from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.partition import Tile, make_tiles
 from hydrabeam_mpi.data.redundancy import RedundantGroups
-from hydrabeam_mpi.inference.prior import DiagonalPrior, Prior, PriorWidths
+from hydrabeam_mpi.inference.mode_widths import PriorWidths
+from hydrabeam_mpi.inference.prior import DiagonalPrior, Prior
 from hydrabeam_mpi.io.inferred import Inferred
 from hydrabeam_mpi.io.noise import amid, difference_variance
 from hydrabeam_mpi.io.uvsource import Data

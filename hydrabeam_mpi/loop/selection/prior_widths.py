@@ -14,7 +14,7 @@ import numpy as np
 
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.prior_widths import WidthsEvidence, adapted, is_adaptable
-from hydrabeam_mpi.inference.prior import PriorWidths
+from hydrabeam_mpi.inference.mode_widths import PriorWidths
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked
 from hydrabeam_mpi.loop.selection.folds import compared
 from hydrabeam_mpi.loop.selection.heldout_score import gain_of
@@ -81,4 +81,5 @@ def describe(widths: PriorWidths | None) -> str:
         f", and beside that {widths.amplitude:.3g} of the largest at the lowest orders, less by a factor of "
         f"{radial:.3g} for each radial and {azimuthal:.3g} for each azimuthal order"
     )
-    return f"{widths.fraction:.3g} of the model's coefficients{smooth if widths.amplitude else ''}"
+    beside = " (of the largest of each and those at adjacent radial orders)" if widths.neighbours else ""
+    return f"{widths.fraction:.3g} of the model's coefficients{beside}{smooth if widths.amplitude else ''}"

@@ -12,7 +12,7 @@ import pytest
 
 from hydrabeam_mpi import load_posterior
 from hydrabeam_mpi.cli import main
-from hydrabeam_mpi.inference.prior import PriorWidths
+from hydrabeam_mpi.inference.mode_widths import PriorWidths
 from hydrabeam_mpi.loop.selection.prior_widths import describe
 from tests.loop.mock import mock_job, write_job
 
@@ -65,7 +65,7 @@ def test_the_amended_job_states_what_was_found(narrow: Path, tmp_path: Path) -> 
     assert amended["prior"]["smooth"] == last["smooth"]
     assert amended["prior"]["widths"] == "stated"
     summary = json.loads((narrow / "out" / "summary.json").read_text())
-    assert summary["prior_adapted"] == {"fraction": last["fraction"], "smooth": last["smooth"]}
+    assert summary["prior_adapted"] == {name: last[name] for name in ("fraction", "neighbours", "smooth")}
     assert main(["infer", str(narrow / "out" / "amended.toml"), "-o", str(tmp_path / "again")]) == 0
     one, two = (load_posterior(folder / "posterior.h5") for folder in (narrow / "out", tmp_path / "again"))
     assert np.max(np.abs(one.mean - two.mean) / one.std) < 1e-6
