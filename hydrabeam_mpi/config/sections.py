@@ -187,6 +187,7 @@ RESOLVED = 2.0**-52
 MOST_DECAY = 5.0
 """With more each order has less than a hundredth of the one before, and only the lowest are free."""
 Decay = Annotated[float, Field(ge=0, le=MOST_DECAY)]
+Factor = Annotated[float, Field(ge=1e-9, le=LARGEST)]
 
 
 class Smooth(Section):
@@ -217,6 +218,9 @@ class Prior(Section):
     neighbours: bool = key(
         False, "that amplitude is the largest of those at this and the adjacent radial orders, azimuthal order the same"
     )
+    azimuthal: Annotated[tuple[Factor, ...], Field(strict=False)] = key(
+        (), "factors of the widths at azimuthal orders 0, 1, 2 and so on; 1 beyond"
+    )
     smooth: Smooth = Smooth()
     widths: Literal["stated", "evidence"] | None = key(
         None, "whether the data adapt the widths; by default 'stated' in infer, 'evidence' in the loop"
@@ -240,10 +244,13 @@ class Prior(Section):
             )
         if self.fraction > 1 / RESOLVED:
             raise ValueError(f"fraction = {self.fraction:.3g} is no prior; set kind = 'flat' to have none")
-        if self.neighbours and self.kind != "fraction":
-            refuse_unused(self, "neighbours", "kind = 'fraction'", f"'{self.kind}'")
-        if self.smooth.amplitude and self.kind != "fraction":
-            refuse_unused(self, "smooth", "kind = 'fraction'", f"'{self.kind}'")
+        for name, is_given in (
+            ("neighbours", self.neighbours),
+            ("azimuthal", self.azimuthal),
+            ("smooth", self.smooth.amplitude),
+        ):
+            if is_given and self.kind != "fraction":
+                refuse_unused(self, name, "kind = 'fraction'", f"'{self.kind}'")
         if self.widths == "evidence" and (self.kind != "fraction" or self.frequency.couples):
             raise ValueError(
                 "widths = 'evidence' is for independent coefficients of independent channels; set widths = 'stated'"

@@ -9,10 +9,11 @@ where kappa is 1 for real coefficients and 2 for complex ones. With z = W^-1 y i
 
     kappa [ |z_n|^2 + (W^-1)_nn - 1 ].
 
-The widths follow from four numbers, which all channels share (`PriorWidths`): which fraction of the model's
-coefficients they are, each taken as large as those beside it, and a part beside that is smooth on the sky. By their own
-amplitudes, coefficients that happen to be near zero would hardly be free: in the paper's case ln evidence is less
-by 420, and the largest coefficient is 8.6 of its widths, where it is 4.0 with the neighbours.
+The widths follow from numbers that all channels share (`PriorWidths`): which fraction of the model's coefficients they
+are, each taken as large as those beside it, a part beside that is smooth on the sky, and, where that pays, a factor for
+each azimuthal order. By their own amplitudes, coefficients that happen to be near zero would hardly be free: in the
+paper's case ln evidence is less by 420, and the largest coefficient is 8.6 of its widths, where it is 4.0 with the
+neighbours.
 """
 
 from __future__ import annotations
@@ -25,28 +26,19 @@ from typing import Any, cast
 import numpy as np
 from scipy.optimize import minimize
 
-from hydrabeam_mpi.config.sections import MOST_DECAY
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.fit.beams_given import sum_for_beams
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.equations import BEAM
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Fitted
+from hydrabeam_mpi.fit.width_numbers import N_SHARED, WidthNumbers
 from hydrabeam_mpi.inference.mode_widths import ModeSizes, PriorWidths
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.prior import DiagonalPrior
 from hydrabeam_mpi.mpi import bcast_object, together
 from hydrabeam_mpi.setup.beams import stated_widths
 
-TYPICAL = PriorWidths(0.1, 1e-3)
-"""Coefficients of models are right within a tenth, and what models lack is a thousandth of the largest ..."""
-SPREAD = 2 * float(np.log(10.0))
-"""... both within a factor of a hundred: ln of them is Gaussian. Evidence alone would give a beam that the data do not
-tell from its model no width at all, and errors of zero."""
-DECAY = 1.0
-"""Scale of the prior of decays, half a Gaussian: a factor e for each order is as fast as feeds with one lobe have."""
-LEAST, MOST = 1e-9, 1e3
-"""Of fraction and amplitude; the smooth part is left out where it is least."""
 BEGIN = tuple(product((1e-3, 1e-2, 0.1, 1.0), (1e-4, 1e-2), ((0.03, 0.03), (0.3, 0.3), (0.1, 1.0))))
 """Fractions, amplitudes and decays where the best ones are looked for first. There are several places where the
 evidence is larger than near by, in which the one or the other part has most of the width."""
@@ -80,7 +72,8 @@ def is_adaptable(context: FitContext) -> bool:
 def as_stated(widths: PriorWidths) -> dict[str, Any]:
     """Return the keys of ``[prior]`` by which a job states these widths."""
     smooth = {"amplitude": widths.amplitude, "decay": list(widths.decay)}
-    return {"fraction": widths.fraction, "neighbours": widths.neighbours, "smooth": smooth}
+    azimuthal = list(widths.azimuthal)
+    return {"fraction": widths.fraction, "neighbours": widths.neighbours, "azimuthal": azimuthal, "smooth": smooth}
 
 
 def adapted(
@@ -103,18 +96,14 @@ def adapted(
 class WidthsEvidence:
     """What a fit tells of the widths of the beam's prior, with the effects as they have been fitted.
 
-    It is told as a function of four numbers: fraction and smooth amplitude by their logarithms, and decays. Each costs
-    ln(n) / 2 for n coefficients that tell it (Schwarz 1978). All ranks of the grid take part in all that is asked.
+    It is told as a function of `WidthNumbers`, at their price. All ranks of the grid take part in all that is asked.
     """
 
     def __init__(self, context: FitContext, fitted: Fitted) -> None:
         self._world, self._least = context.grid.world, context.problem.job.loop.min_log_bayes_factor
         self._stated, self._now = stated_widths(context.problem.job), fitted.values.prior_widths
-        n_told = context.setup.observation.Nfreqs * context.problem.basis.n_modes
-        self._price = 0.5 * len(_numbers(self._stated)) * np.log(n_told)
         self._channels: list[_Channel] = []
         self._alone: list[_Channel] = []
-        self._promised: dict[bool, tuple[FloatArray, float]] = {}
         normals = sum_for_beams(context, fitted.estimate).normals
         with together(self._world):
             if context.grid.is_group_root:
@@ -124,55 +113,74 @@ class WidthsEvidence:
                     self._channels.append(_Channel.of(own, beam, cast(DiagonalPrior, prior)))
                     self._alone.append(_Channel.alone(beam, cast(DiagonalPrior, prior)))
 
+        azimuthal = [one.sizes.orders[:, 1] for one in self._channels]
+        n_orders = max(self._world.allgather(max((1 + int(one.max()) for one in azimuthal), default=0)))
+        counts = sum((np.bincount(one, minlength=n_orders) for one in azimuthal), np.zeros(n_orders, dtype=int))
+        self._numbers = WidthNumbers(np.sum(self._world.allgather(counts), axis=0))
+
     def best(self, wider: bool = False) -> WidthsFound:
         """Return the widths with the most evidence, or the stated ones where theirs is not less by what the job asks.
 
         With ``wider`` no width may be less than the stated one.
         """
-        begin = self._promising(wider)[0] if self._now is None else _numbers(self._now)
-        best = self._descend(self._channels, begin, wider)[0]
-        at_stated = self._added_up(self._channels, self._stated)[0]
-        at_best = self._weight(self._channels, best)[0] - self._price
-        here = at_stated
-        if self._now is not None:
-            here = self._weight(self._channels, _numbers(self._now))[0] - self._price
+        begin = self._promising(wider) if self._now is None else self._numbers.of(self._now)
+        best, at_best = self._ascend(self._channels, begin, wider)
+        at_stated, here = self._at_stated(self._channels), self._here(self._channels)
         if at_best - at_stated < self._least:
-            return WidthsFound(None, float(at_best - at_stated), float(at_stated - here))
-        widths = _rounded(_widths(best), self._stated if wider else None)
-        return WidthsFound(widths, float(at_best - at_stated), float(at_best - here))
+            return WidthsFound(None, at_best - at_stated, at_stated - here)
+        widths = self._numbers.rounded(best, self._stated if wider else None)
+        return WidthsFound(widths, at_best - at_stated, at_best - here)
 
     def promises(self, wider: bool) -> float:
         """Return about what the best widths gain, as if each coefficient were told by itself; it takes no time."""
-        now = self._added_up(self._alone, self._stated)[0]
-        if self._now is not None:
-            now = self._weight(self._alone, _numbers(self._now))[0] - self._price
-        return self._promising(wider)[1] - self._price - float(now)
+        return self._ascend(self._alone, self._promising(wider), wider)[1] - self._here(self._alone)
 
-    def _promising(self, wider: bool) -> tuple[FloatArray, float]:
-        """Return the numbers that are best as if each coefficient were told by itself, and ln of their weight."""
-        if wider not in self._promised:
-            found = [self._descend(self._alone, _numbers(PriorWidths(*one)), wider) for one in BEGIN]
-            self._promised[wider] = max(found, key=lambda one: one[1])
-        return self._promised[wider]
+    def _promising(self, wider: bool) -> FloatArray:
+        """Return numbers that are best as if each coefficient were told by itself, all azimuthal orders alike."""
+        bounds = self._numbers.bounds(self._stated, wider, uneven=False)
+        begins = [self._numbers.of(PriorWidths(*one)) for one in BEGIN]
+        found = [self._highest(self._alone, begin, bounds) for begin in begins]
+        return max(found, key=lambda one: one[1])[0]
+
+    def _at_stated(self, channels: Sequence[_Channel]) -> float:
+        """Return ln evidence with the stated widths, which have no price."""
+        return float(self._added_up(channels, self._stated)[0])
+
+    def _here(self, channels: Sequence[_Channel]) -> float:
+        """Return ln evidence with the widths of the fit, less the price of these."""
+        if self._now is None:
+            return self._at_stated(channels)
+        numbers = self._numbers.of(self._now)
+        return float(self._weight(channels, numbers)[0]) - self._numbers.price(numbers)
+
+    def _ascend(self, channels: Sequence[_Channel], begin: FloatArray, wider: bool) -> tuple[FloatArray, float]:
+        """Return the numbers of the most evidence less their price, and this; azimuthal orders differ if that pays."""
+        found = []
+        for uneven in (False, True):
+            bounds = self._numbers.bounds(self._stated, wider, uneven)
+            begin, value = self._highest(channels, begin, bounds)
+            found.append((begin, value - self._numbers.price(begin)))
+        return max(found, key=lambda one: one[1])
 
     def _weight(self, channels: Sequence[_Channel], numbers: FloatArray) -> FloatArray:
         """Return ln(evidence x prior of the numbers) and its gradient, side by side."""
-        return self._added_up(channels, _widths(numbers)) + _log_prior(numbers)
+        return self._added_up(channels, self._numbers.widths(numbers)) + self._numbers.log_prior(numbers)
 
     def _added_up(self, channels: Sequence[_Channel], widths: PriorWidths) -> FloatArray:
-        """Return ln evidence of all channels and its gradient in the four numbers, side by side."""
-        total = np.zeros(1 + len(_numbers(widths)))
+        """Return ln evidence of all channels and its gradient in the numbers, side by side."""
+        total = np.zeros(1 + N_SHARED + len(self._numbers.counts))
         with together(self._world):
             for channel in channels:
-                total += channel.at(widths)
+                value = channel.at(widths)
+                total[: len(value)] += value
         return np.asarray(np.sum(self._world.allgather(total), axis=0))
 
-    def _descend(self, channels: Sequence[_Channel], begin: FloatArray, wider: bool) -> tuple[FloatArray, float]:
+    def _highest(self, channels: Sequence[_Channel], begin: FloatArray, bounds: FloatArray) -> tuple[FloatArray, float]:
         """Return where ln(evidence x prior) is largest, starting from ``begin``, and its value there.
 
         Rank 0 asks all ranks for it.
         """
-        bounds, found = np.array(self._bounds(wider)).T, None
+        found = None
         if self._world.rank == 0:
 
             def cost(numbers: FloatArray) -> tuple[float, FloatArray]:
@@ -188,19 +196,9 @@ class WidthsEvidence:
             found = best, -level
         else:
             while (numbers := self._world.bcast(None)) is not None:
-                self._added_up(channels, _widths(numbers))
+                self._added_up(channels, self._numbers.widths(numbers))
         ended: tuple[FloatArray, float] = bcast_object(self._world, found)
         return ended
-
-    def _bounds(self, wider: bool) -> list[tuple[float, float]]:
-        fraction, amplitude, *decays = _numbers(self._stated).tolist()
-        least, most = np.log((LEAST, MOST))
-        highest = [one if wider and self._stated.amplitude else MOST_DECAY for one in decays]
-        return [
-            (fraction if wider else least, most),
-            (amplitude if wider else least, most),
-            *((0.0, one) for one in highest),
-        ]
 
 
 @dataclass(frozen=True)
@@ -226,7 +224,7 @@ class _Channel:
         return cls(told, (beam.mean - prior.mean) / variance, prior.sizes)
 
     def at(self, widths: PriorWidths) -> FloatArray:
-        """Return ln evidence and its gradient in the four numbers, side by side."""
+        """Return ln evidence and its gradient in the numbers, side by side."""
         parts = self.sizes.widths(widths)
         sigma = np.hypot(*parts)
         pull = sigma * self.pull
@@ -242,36 +240,6 @@ class _Channel:
         kappa = 2.0 if np.iscomplexobj(pull) else 1.0
         slope = kappa * (np.abs(moved) ** 2 + variance - 1)
         proportional, smooth = (slope * (part / sigma) ** 2 for part in parts)
-        gradient = [proportional.sum(), smooth.sum(), *(-smooth @ self.sizes.orders)]
+        of_orders = np.bincount(self.sizes.orders[:, 1], slope)
+        gradient = [proportional.sum(), smooth.sum(), *(-smooth @ self.sizes.orders), *of_orders]
         return np.array([kappa / 2 * (np.vdot(pull, moved).real - log_det), *gradient])
-
-
-def _numbers(widths: PriorWidths) -> FloatArray:
-    return np.array([np.log(widths.fraction), np.log(max(widths.amplitude, LEAST)), *widths.decay])
-
-
-def _widths(numbers: FloatArray) -> PriorWidths:
-    fraction, amplitude = np.exp(numbers[:2]).tolist()
-    if not amplitude > 1.001 * LEAST:
-        return PriorWidths(fraction, neighbours=True)
-    return PriorWidths(fraction, amplitude, (float(numbers[2]), float(numbers[3])), neighbours=True)
-
-
-def _rounded(widths: PriorWidths, least: PriorWidths | None) -> PriorWidths:
-    """Return three digits, which say all that the data do, and are the same however sums over ranks are rounded.
-
-    None of the two parts gets less than in ``least`` by that.
-    """
-    fraction, amplitude, *decay = (float(f"{one:.3g}") for one in (widths.fraction, widths.amplitude, *widths.decay))
-    if least is not None:
-        fraction, amplitude = max(fraction, least.fraction), max(amplitude, least.amplitude)
-    return replace(widths, fraction=fraction, amplitude=amplitude, decay=(decay[0], decay[1]))
-
-
-def _log_prior(numbers: FloatArray) -> FloatArray:
-    """Return ln of the prior of the numbers, less that of the likeliest ones, and its gradient."""
-    scales = np.array([SPREAD, SPREAD, DECAY, DECAY])
-    away = (numbers - _numbers(TYPICAL)) / scales
-    if not _widths(numbers).amplitude:
-        away[1:] = 0.0
-    return np.array([-0.5 * away @ away, *(-away / scales)])

@@ -26,12 +26,15 @@ class PriorWidths:
         ln of how much less the smooth part is for each radial and each azimuthal order.
     neighbours : bool
         Whether the amplitude is the largest of the coefficient and of those beside it, see `ModeSizes.envelope`.
+    azimuthal : tuple of float
+        Factors of the widths at azimuthal orders 0, 1, 2 and so on; beyond these widths are as they are.
     """
 
     fraction: float = 1.0
     amplitude: float = 0.0
     decay: tuple[float, float] = (0.0, 0.0)
     neighbours: bool = False
+    azimuthal: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -54,8 +57,12 @@ class ModeSizes:
 
     def widths(self, by: PriorWidths) -> tuple[FloatArray, FloatArray]:
         """Return the two parts of the standard deviations, of which the squares are added, (n,) each."""
+        azimuthal = self.orders[:, 1]
+        factors = np.ones(1 + max(len(by.azimuthal), int(azimuthal.max())))
+        factors[: len(by.azimuthal)] = by.azimuthal
+        of_all = factors[azimuthal]
         smooth = by.amplitude * self.largest * np.exp(-self.orders @ np.array(by.decay))
-        return by.fraction * (self.envelope if by.neighbours else self.amplitudes), np.asarray(smooth)
+        return by.fraction * of_all * (self.envelope if by.neighbours else self.amplitudes), of_all * smooth
 
     @cached_property
     def envelope(self) -> FloatArray:

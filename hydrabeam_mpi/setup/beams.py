@@ -190,7 +190,8 @@ def make_prior(job: Job, fit: FittedBeam) -> Prior:
 def stated_widths(job: Job) -> PriorWidths:
     """Return the widths of the beam's prior that a job states."""
     settings = job.prior
-    return PriorWidths(settings.fraction, settings.smooth.amplitude, settings.smooth.decay, settings.neighbours)
+    smooth = settings.smooth
+    return PriorWidths(settings.fraction, smooth.amplitude, smooth.decay, settings.neighbours, settings.azimuthal)
 
 
 def given_priors(priors: Sequence[Prior], fits: Sequence[FittedBeam]) -> tuple[Prior, ...]:

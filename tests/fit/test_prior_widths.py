@@ -11,8 +11,9 @@ import pytest
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.fit.gauss_newton import refit
-from hydrabeam_mpi.fit.prior_widths import WidthsEvidence, _Channel, _numbers, _widths, adapted, as_stated
+from hydrabeam_mpi.fit.prior_widths import WidthsEvidence, _Channel, adapted, as_stated
 from hydrabeam_mpi.fit.state import Values
+from hydrabeam_mpi.fit.width_numbers import WidthNumbers
 from hydrabeam_mpi.inference.mode_widths import ModeSizes, PriorWidths
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.prior import DiagonalPrior
@@ -22,7 +23,8 @@ from tests.loop.mock import context_of, mock_job
 ORDERS = np.array([(k, m) for k in range(20) for m in range(6)])
 SIZES = ModeSizes(np.exp(-np.random.default_rng(2).uniform(0, 8, len(ORDERS))), ORDERS, 1.0)
 STATED = PriorWidths(0.1)
-TRUE = PriorWidths(0.02, 0.01, (0.1, 0.4), neighbours=True)
+TRUE = PriorWidths(0.02, 0.01, (0.1, 0.4), True, (1.0, 0.3, 5.0, 1.0, 2.0, 0.5))
+NUMBERS = WidthNumbers(np.bincount(ORDERS[:, 1]))
 
 
 def normal(rng: np.random.Generator, shape: tuple[int, ...], is_complex: bool) -> Array:
@@ -71,10 +73,14 @@ def test_evidence_is_that_of_the_data(is_complex: bool) -> None:
 
 @pytest.mark.parametrize("is_complex", [False, True])
 def test_gradient_is_that_of_the_evidence(is_complex: bool) -> None:
-    channel, numbers = channel_of(linear_data(TRUE, is_complex), STATED), _numbers(TRUE)
-    step = 1e-5 * np.eye(4)
-    slopes = [(channel.at(_widths(numbers + one))[0] - channel.at(_widths(numbers - one))[0]) / 2e-5 for one in step]
-    np.testing.assert_allclose(channel.at(_widths(numbers))[1:], slopes, rtol=1e-4, atol=1e-3)
+    channel, numbers = channel_of(linear_data(TRUE, is_complex), STATED), NUMBERS.of(TRUE)
+    step = 1e-5 * np.eye(len(numbers))
+
+    def at(numbers: FloatArray) -> FloatArray:
+        return channel.at(NUMBERS.widths(numbers))
+
+    slopes = [(at(numbers + one)[0] - at(numbers - one)[0]) / 2e-5 for one in step]
+    np.testing.assert_allclose(at(numbers)[1:], slopes, rtol=1e-4, atol=1e-3)
 
 
 def beam_job(**changes: Any) -> dict[str, Any]:

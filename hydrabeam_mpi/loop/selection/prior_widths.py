@@ -82,4 +82,8 @@ def describe(widths: PriorWidths | None) -> str:
         f"{radial:.3g} for each radial and {azimuthal:.3g} for each azimuthal order"
     )
     beside = " (of the largest of each and those at adjacent radial orders)" if widths.neighbours else ""
-    return f"{widths.fraction:.3g} of the model's coefficients{beside}{smooth if widths.amplitude else ''}"
+    factors = f", times {min(widths.azimuthal):.3g} to {max(widths.azimuthal):.3g} by azimuthal order"
+    return (
+        f"{widths.fraction:.3g} of the model's coefficients{beside}{smooth if widths.amplitude else ''}"
+        f"{factors if widths.azimuthal else ''}"
+    )
