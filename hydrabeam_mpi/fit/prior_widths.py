@@ -5,9 +5,10 @@ fitted, a prior with the standard deviations sigma_n has the evidence
 
     ln p(d | sigma) = kappa / 2 [ -ln |W| + y^H W^-1 y ] + const,        W = 1 + sigma H sigma,        y = sigma g,
 
-where kappa is 1 for real coefficients and 2 for complex ones. With z = W^-1 y its gradient in ln sigma_n is
+where kappa is 1 for real coefficients and 2 for complex ones. With z = W^-1 y its gradient in ln sigma_n, and what the
+data tell of ln sigma if it is right (Fisher's information), are
 
-    kappa [ |z_n|^2 + (W^-1)_nn - 1 ].
+    kappa [ |z_n|^2 + (W^-1)_nn - 1 ]        and        2 kappa |1 - W^-1|^2_nm.
 
 The widths follow from numbers that all channels share (`PriorWidths`): which fraction of the model's coefficients they
 are, each taken as large as those beside it, a part beside that is smooth on the sky, and, where that pays, a factor for
@@ -20,17 +21,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 from typing import Any, cast
 
 import numpy as np
-from scipy.optimize import minimize
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.fit.beams_given import sum_for_beams
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.equations import BEAM
 from hydrabeam_mpi.fit.gauss_newton import refit
+from hydrabeam_mpi.fit.scoring import Told, highest
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.fit.width_numbers import N_SHARED, WidthNumbers
 from hydrabeam_mpi.inference.mode_widths import ModeSizes, PriorWidths
@@ -42,10 +44,6 @@ from hydrabeam_mpi.setup.beams import stated_widths
 BEGIN = tuple(product((1e-3, 1e-2, 0.1, 1.0), (1e-4, 1e-2), ((0.03, 0.03), (0.3, 0.3), (0.1, 1.0))))
 """Fractions, amplitudes and decays where the best ones are looked for first. There are several places where the
 evidence is larger than near by, in which the one or the other part has most of the width."""
-TOLERANCE = 1e-3
-"""Share of the rise of ln evidence below which a step is the last. Where widths were far off that is many nats ..."""
-ENOUGH = 0.1
-"""... so that one begins anew where the last one ended, until all steps together bring less than this, in nats."""
 MOST_TIMES = 3
 """That widths and effects are adapted to each other; without effects the first is exact."""
 
@@ -144,14 +142,14 @@ class WidthsEvidence:
 
     def _at_stated(self, channels: Sequence[_Channel]) -> float:
         """Return ln evidence with the stated widths, which have no price."""
-        return float(self._added_up(channels, self._stated)[0])
+        return self._added_up(channels, self._stated).value
 
     def _here(self, channels: Sequence[_Channel]) -> float:
         """Return ln evidence with the widths of the fit, less the price of these."""
         if self._now is None:
             return self._at_stated(channels)
         numbers = self._numbers.of(self._now)
-        return float(self._weight(channels, numbers)[0]) - self._numbers.price(numbers)
+        return self._weight(channels, numbers).value - self._numbers.price(numbers)
 
     def _ascend(self, channels: Sequence[_Channel], begin: FloatArray, wider: bool) -> tuple[FloatArray, float]:
         """Return the numbers of the most evidence less their price, and this; azimuthal orders differ if that pays."""
@@ -162,43 +160,24 @@ class WidthsEvidence:
             found.append((begin, value - self._numbers.price(begin)))
         return max(found, key=lambda one: one[1])
 
-    def _weight(self, channels: Sequence[_Channel], numbers: FloatArray) -> FloatArray:
-        """Return ln(evidence x prior of the numbers) and its gradient, side by side."""
-        return self._added_up(channels, self._numbers.widths(numbers)) + self._numbers.log_prior(numbers)
+    def _weight(self, channels: Sequence[_Channel], numbers: FloatArray) -> Told:
+        """Return what data and the prior of the numbers tell of these."""
+        return self._added_up(channels, self._numbers.widths(numbers)) + self._numbers.told_before(numbers)
 
-    def _added_up(self, channels: Sequence[_Channel], widths: PriorWidths) -> FloatArray:
-        """Return ln evidence of all channels and its gradient in the numbers, side by side."""
-        total = np.zeros(1 + N_SHARED + len(self._numbers.counts))
+    def _added_up(self, channels: Sequence[_Channel], widths: PriorWidths) -> Told:
+        """Return what the data of all channels tell of the numbers of widths."""
+        n = N_SHARED + len(self._numbers.counts)
+        told = Told(0.0, np.zeros(n), np.zeros((n, n)))
         with together(self._world):
             for channel in channels:
-                value = channel.at(widths)
-                total[: len(value)] += value
-        return np.asarray(np.sum(self._world.allgather(total), axis=0))
+                told += channel.at(widths, n)
+        all_told = self._world.gather(told)
+        # All ranks go the same way, whatever their processors make of a sum.
+        return cast(Told, bcast_object(self._world, sum(all_told[1:], all_told[0]) if all_told else None))
 
     def _highest(self, channels: Sequence[_Channel], begin: FloatArray, bounds: FloatArray) -> tuple[FloatArray, float]:
-        """Return where ln(evidence x prior) is largest, starting from ``begin``, and its value there.
-
-        Rank 0 asks all ranks for it.
-        """
-        found = None
-        if self._world.rank == 0:
-
-            def cost(numbers: FloatArray) -> tuple[float, FloatArray]:
-                value, *gradient = (-self._weight(channels, self._world.bcast(numbers))).tolist()
-                return value - level, np.array(gradient)
-
-            best, rise, level = np.clip(begin, *bounds), np.inf, 0.0
-            level = cost(best)[0]
-            while rise > ENOUGH:
-                there = minimize(cost, best, jac=True, method="L-BFGS-B", bounds=bounds.T, options={"ftol": TOLERANCE})
-                best, rise, level = there.x, -float(there.fun), level + float(there.fun)
-            self._world.bcast(None)
-            found = best, -level
-        else:
-            while (numbers := self._world.bcast(None)) is not None:
-                self._added_up(channels, self._numbers.widths(numbers))
-        ended: tuple[FloatArray, float] = bcast_object(self._world, found)
-        return ended
+        """Return where ln(evidence x prior) is largest, starting from ``begin``, and its value there."""
+        return highest(partial(self._weight, channels), begin, bounds)
 
 
 @dataclass(frozen=True)
@@ -223,23 +202,30 @@ class _Channel:
         told = np.maximum(1 / variance - prior.sigma**-2.0, 0.0)
         return cls(told, (beam.mean - prior.mean) / variance, prior.sizes)
 
-    def at(self, widths: PriorWidths) -> FloatArray:
-        """Return ln evidence and its gradient in the numbers, side by side."""
+    def at(self, widths: PriorWidths, n: int) -> Told:
+        """Return what is told of the numbers of widths, (n,)."""
         parts = self.sizes.widths(widths)
         sigma = np.hypot(*parts)
         pull = sigma * self.pull
+        kappa = 2.0 if np.iscomplexobj(pull) else 1.0
+        slopes = self._slopes(*parts, n)
         if self.information.ndim == 1:
             weights = 1 + sigma**2 * self.information
-            moved, variance, log_det = pull / weights, 1 / weights, np.sum(np.log(weights))
+            moved, left, log_det = pull / weights, 1 / weights, np.sum(np.log(weights))
+            expected = (slopes * (1 - left) ** 2) @ slopes.T
         else:
             matrix = sigma[:, np.newaxis] * self.information * sigma
             matrix[np.diag_indices_from(matrix)] += 1
             given = Posterior(np.zeros_like(pull), np.linalg.cholesky(matrix))
-            moved, variance = given.covariance @ pull, np.diag(given.covariance).real
+            moved, left = given.covariance @ pull, np.diag(given.covariance).real
             log_det = 2 * np.sum(np.log(np.diag(given.factor).real))
-        kappa = 2.0 if np.iscomplexobj(pull) else 1.0
-        slope = kappa * (np.abs(moved) ** 2 + variance - 1)
-        proportional, smooth = (slope * (part / sigma) ** 2 for part in parts)
-        of_orders = np.bincount(self.sizes.orders[:, 1], slope)
-        gradient = [proportional.sum(), smooth.sum(), *(-smooth @ self.sizes.orders), *of_orders]
-        return np.array([kappa / 2 * (np.vdot(pull, moved).real - log_det), *gradient])
+            expected = slopes @ np.abs(np.eye(len(sigma)) - given.covariance) ** 2 @ slopes.T
+        slope = slopes @ (kappa * (np.abs(moved) ** 2 + left - 1))
+        return Told(kappa / 2 * float(np.vdot(pull, moved).real - log_det), slope, 2 * kappa * expected)
+
+    def _slopes(self, proportional: FloatArray, smooth: FloatArray, n: int) -> FloatArray:
+        """Return the derivatives of ln sigma by each number, (n, n_modes), for the two parts of sigma."""
+        shares = np.square([proportional, smooth]) / (proportional**2 + smooth**2)
+        orders = self.sizes.orders.T
+        of_orders = np.arange(n - N_SHARED)[:, np.newaxis] == orders[1]
+        return np.vstack([shares, -orders * shares[1], of_orders])

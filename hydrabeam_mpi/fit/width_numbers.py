@@ -8,6 +8,7 @@ import numpy as np
 
 from hydrabeam_mpi.config.sections import MOST_DECAY
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.fit.scoring import Told
 from hydrabeam_mpi.inference.mode_widths import PriorWidths
 
 TYPICAL = PriorWidths(0.1, 1e-3)
@@ -78,13 +79,13 @@ class WidthNumbers:
         shared = N_SHARED * np.log(self.counts.sum())
         return float(0.5 * (shared + np.sum(np.log(self.counts[numbers[N_SHARED:] != 0]))))
 
-    def log_prior(self, numbers: FloatArray) -> FloatArray:
-        """Return ln of the prior of the numbers, less that of the likeliest ones, and its gradient, side by side."""
+    def told_before(self, numbers: FloatArray) -> Told:
+        """Return what is known of the numbers beforehand, ln of which is zero at the likeliest ones."""
         scales = np.array([SPREAD, SPREAD, DECAY, DECAY, *np.full(len(self.counts), UNEVEN)])
         away = (numbers - self.of(TYPICAL)) / scales
         if not self.widths(numbers).amplitude:
             away[1:N_SHARED] = 0.0
-        return np.array([-0.5 * away @ away, *(-away / scales)])
+        return Told(-0.5 * float(away @ away), -away / scales, np.diag(scales**-2))
 
     def rounded(self, numbers: FloatArray, least: PriorWidths | None) -> PriorWidths:
         """Return widths of three digits, which say all that data do, and are the same however sums are rounded.

@@ -12,6 +12,7 @@ import pytest
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.prior_widths import WidthsEvidence, _Channel, adapted, as_stated
+from hydrabeam_mpi.fit.scoring import Told
 from hydrabeam_mpi.fit.state import Values
 from hydrabeam_mpi.fit.width_numbers import WidthNumbers
 from hydrabeam_mpi.inference.mode_widths import ModeSizes, PriorWidths
@@ -67,7 +68,7 @@ def test_evidence_is_that_of_the_data(is_complex: bool) -> None:
     assert expected > 50
     for at in (STATED, TRUE, PriorWidths(1.0, 1e-5, (0.0, 2.0))):
         channel = channel_of(made, at)
-        one, two = (channel.at(widths)[0] for widths in (TRUE, STATED))
+        one, two = (channel.at(widths, len(NUMBERS.of(widths))).value for widths in (TRUE, STATED))
         assert one - two == pytest.approx(expected, abs=1e-5)
 
 
@@ -76,11 +77,21 @@ def test_gradient_is_that_of_the_evidence(is_complex: bool) -> None:
     channel, numbers = channel_of(linear_data(TRUE, is_complex), STATED), NUMBERS.of(TRUE)
     step = 1e-5 * np.eye(len(numbers))
 
-    def at(numbers: FloatArray) -> FloatArray:
-        return channel.at(NUMBERS.widths(numbers))
+    def at(numbers: FloatArray) -> Told:
+        return channel.at(NUMBERS.widths(numbers), len(numbers))
 
-    slopes = [(at(numbers + one)[0] - at(numbers - one)[0]) / 2e-5 for one in step]
-    np.testing.assert_allclose(at(numbers)[1:], slopes, rtol=1e-4, atol=1e-3)
+    slopes = [(at(numbers + one).value - at(numbers - one).value) / 2e-5 for one in step]
+    np.testing.assert_allclose(at(numbers).slope, slopes, rtol=1e-4, atol=1e-3)
+
+
+@pytest.mark.parametrize("is_complex", [False, True])
+def test_information_is_the_variance_of_the_gradient(is_complex: bool) -> None:
+    """Over data whose coefficients have these widths."""
+    numbers, n_data = NUMBERS.of(TRUE), 400
+    told = [channel_of(linear_data(TRUE, is_complex, seed), TRUE).at(TRUE, len(numbers)) for seed in range(n_data)]
+    slopes, expected = np.array([one.slope for one in told]), np.mean([one.information for one in told], axis=0)
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    np.testing.assert_allclose(slopes.T @ slopes / n_data / scale, expected / scale, atol=5 / np.sqrt(n_data))
 
 
 def beam_job(**changes: Any) -> dict[str, Any]:

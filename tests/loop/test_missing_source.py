@@ -65,9 +65,7 @@ def test_one_that_varies_is_told_with_its_law(law: str, tmp_path: Path) -> None:
         "settings": {"law": law, **settings, "sources": [list(PLACE)]},
         "parameters": {NAME + name: flux for name, flux in fluxes.items()},
     }
-    # With the widths that the data want of so few coefficients three fluxes are off by more than their errors.
-    stated = {"widths": "stated"}
-    job = mock_job(source, n_times=12, loop={"effects": ["missing_sources"]}, holdout={"every": 2}, prior=stated)
+    job = mock_job(source, n_times=12, loop={"effects": ["missing_sources"]}, holdout={"every": 2})
     job["data"]["simulate"] |= {
         "lst_range": ["0.5 h", "3.5 h"],
         "nights": len(settings["orders"]) if law == "nightly" else 1,
