@@ -18,14 +18,12 @@ from hydrabeam_mpi.api.shared import (
     over_frequency_told,
     prior_told,
 )
-from hydrabeam_mpi.fit.carried_over import CarriedOver
 from hydrabeam_mpi.fit.channels import ChannelResult, infer_each
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.grown import grown_problem
 from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.joint import channel_results, fit_with_effects, read_context
 from hydrabeam_mpi.fit.memory import inference_bytes, loop_bytes
-from hydrabeam_mpi.fit.prior_widths import as_stated
 from hydrabeam_mpi.fit.rounding import MOST_SHIFT
 from hydrabeam_mpi.loop.checks.health import told
 from hydrabeam_mpi.loop.output.amendment import effects_found
@@ -78,10 +76,9 @@ def run_inference(setup: Setup, folder: Path | None, threads: int, waiting: Path
         Folder in which covariances wait to be written.
     """
     clock = Clock()
-    needed = loop_bytes if setup.job.effects or setup.job.prior.widths == "evidence" else inference_bytes
-    grid, problems = prepare_checked_each(setup, folder, clock, told, needed)
-    adapts = setup.job.prior.widths == "evidence"
-    if adapts or setup.job.effects or (problems[0].earlier and problems[0].earlier.entries):
+    is_joint = bool(setup.job.effects) or setup.job.prior.widths == "evidence"
+    grid, problems = prepare_checked_each(setup, folder, clock, told, loop_bytes if is_joint else inference_bytes)
+    if is_joint or (problems[0].earlier and problems[0].earlier.entries):
         (problem,) = problems
         fits = [_with_effects(setup, grid, problem, clock)]
     else:
@@ -113,19 +110,16 @@ class _Fit:
         Where effects are in the model.
     effects : dict, optional
         See `effects_found`.
-    carried : CarriedOver, optional
-        Of the result that is the prior.
     gains : tuple
         What `gains_told` takes of effects: setup and values.
     prior : dict
-        What the summary says of a prior that was adapted.
+        See `prior_told`.
     """
 
     problem: Problem
     results: list[ChannelResult]
     numbers: HeldoutNumbers | None = None
     effects: dict[str, Any] | None = None
-    carried: CarriedOver | None = None
     gains: tuple[Any, ...] = ()
     prior: dict[str, Any] = field(default_factory=dict)
 
@@ -139,9 +133,8 @@ def _with_effects(setup: Setup, grid: ProcessGrid, problem: Problem, clock: Cloc
         numbers = heldout_numbers(context, whiten(context, fitted))
     problem = grown_problem(problem, context.setup, fitted.values, context.learned)
     found, gains = effects_found(setup.job, fitted, context.setup), (context.setup, fitted.values)
-    widths = fitted.values.prior_widths
-    prior = {} if widths is None else {"prior_adapted": as_stated(widths)}
-    return _Fit(problem, results, numbers, found, context.carried, gains, prior)
+    told = prior_told(setup, context.carried, fitted.values)
+    return _Fit(problem, results, numbers, found, gains, told)
 
 
 def _result(setup: Setup, grid: ProcessGrid, fit: _Fit, threads: int, clock: Clock, waiting: Path | None) -> Result:
@@ -162,7 +155,6 @@ def _result(setup: Setup, grid: ProcessGrid, fit: _Fit, threads: int, clock: Clo
                 "phases_s": dict(clock.seconds),
                 "peak_rss_mb": memory,
                 **_rounding_told(fit.results),
-                **prior_told(setup, fit.carried),
                 **gains_told(problem, records, *fit.gains),
                 **fit.prior,
             }

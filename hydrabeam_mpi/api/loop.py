@@ -26,7 +26,6 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.error_scale import error_scale
 from hydrabeam_mpi.fit.grown import grown_problem
 from hydrabeam_mpi.fit.joint import channel_results, read_context, restore
-from hydrabeam_mpi.fit.prior_widths import as_stated
 from hydrabeam_mpi.loop.attribution.control_models import control_models
 from hydrabeam_mpi.loop.checks.conventions import check_conventions
 from hydrabeam_mpi.loop.checks.health import mended
@@ -34,10 +33,10 @@ from hydrabeam_mpi.loop.checks.leakage import check_leakage
 from hydrabeam_mpi.loop.output.amendment import amended_job, effects_found
 from hydrabeam_mpi.loop.output.record import make_record
 from hydrabeam_mpi.loop.output.resume import Keeper
-from hydrabeam_mpi.loop.selection.again import search
+from hydrabeam_mpi.loop.selection.again import run_search
 from hydrabeam_mpi.loop.selection.choice import choose
 from hydrabeam_mpi.loop.selection.history import History
-from hydrabeam_mpi.loop.selection.rounds import begin, settle_last
+from hydrabeam_mpi.loop.selection.rounds import Search, begin, settle_last
 from hydrabeam_mpi.mpi import peak_rss_mb, together
 from hydrabeam_mpi.result.gains import gains_told
 from hydrabeam_mpi.setup.earlier import integrations_of
@@ -118,7 +117,7 @@ def run_loop(
         keeper = Keeper(context, folder, choice.skipped, conventions, clock, origin)
         history, keep = keeper.go_on(earlier, out, overwrite), keeper
     history = history or begin(context, values, clock)
-    search(context, history, *wanted, clock, keep)
+    run_search(Search(context, history, *wanted, clock, keep))
     with clock.time("settle"):
         settle_last(context, history)
     with clock.time("leakage"):
@@ -151,10 +150,8 @@ def _found(
     with together(world):
         if world.rank == 0:
             gains = gains_told(problem, records, known, fitted.values)
-            run = {"phases_s": clock.seconds, "peak_rss_mb": memory, **prior_told(setup, context.carried), **gains}
-            if fitted.values.prior_widths is not None:
-                run["prior_adapted"] = as_stated(fitted.values.prior_widths)
-            run |= over_frequency_told(results)
+            run = {"phases_s": clock.seconds, "peak_rss_mb": memory, **gains}
+            run |= prior_told(setup, context.carried, fitted.values) | over_frequency_told(results)
             effects = effects_found(problem.job, fitted, known)
             result = make_result(setup, problem, records, integrations, origin(), run, record["warnings"], effects)
             told = {**record, "warnings": result.summary["warnings"], "seconds": clock.seconds}

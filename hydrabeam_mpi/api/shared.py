@@ -14,6 +14,8 @@ from hydrabeam_mpi.api.setup import Setup
 from hydrabeam_mpi.config.sizes import check_sizes
 from hydrabeam_mpi.fit.carried_over import CarriedOver
 from hydrabeam_mpi.fit.channels import ChannelResult
+from hydrabeam_mpi.fit.prior_widths import as_stated
+from hydrabeam_mpi.fit.state import Values
 from hydrabeam_mpi.io.posterior_file import ChannelRecord, PosteriorFile
 from hydrabeam_mpi.io.provenance import provenance
 from hydrabeam_mpi.io.stored import store
@@ -74,9 +76,14 @@ def origin_of(setup: Setup, problem: Problem, threads: int) -> dict[str, Any]:
     return about if problem.earlier is None else {**about, "sha256_before": problem.earlier.made_from}
 
 
-def prior_told(setup: Setup, carried: CarriedOver | None) -> dict[str, Any]:
-    """Return what a summary says of effects of the result that is the prior."""
-    return {"prior": {"result": str(setup.job.prior.file), **carried.summary}} if carried else {}
+def prior_told(setup: Setup, carried: CarriedOver | None, values: Values) -> dict[str, Any]:
+    """Return what a summary says of effects of the result that is the prior, and of widths that were adapted."""
+    told: dict[str, Any] = {}
+    if carried:
+        told["prior"] = {"result": str(setup.job.prior.file), **carried.summary}
+    if values.prior_widths is not None:
+        told["prior_adapted"] = as_stated(values.prior_widths)
+    return told
 
 
 def over_frequency_told(results: Sequence[ChannelResult]) -> dict[str, Any]:

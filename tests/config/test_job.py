@@ -183,6 +183,8 @@ boundary = "dirichlet"
 [prior]
 fraction = 0.5
 floor = 1e-5
+neighbours = true
+azimuthal = [0.5, 2.0]
 smooth = { amplitude = 1e-3, decay = [0.1, 0.5] }
 widths = "evidence"
 

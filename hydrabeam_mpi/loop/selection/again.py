@@ -2,27 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from dataclasses import replace
 
-from hydrabeam_mpi.effects.interface.effect import Effect
-from hydrabeam_mpi.effects.interface.reweighting import Reweighting
-from hydrabeam_mpi.fit.clock import Clock
-from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.loop.selection.for_prediction import keep_for_prediction
 from hydrabeam_mpi.loop.selection.history import History
 from hydrabeam_mpi.loop.selection.prior_widths import adapt
-from hydrabeam_mpi.loop.selection.rounds import run_rounds
+from hydrabeam_mpi.loop.selection.rounds import Search, run_rounds
 from hydrabeam_mpi.terminal.progress import say
 
 
-def search(
-    context: FitContext,
-    history: History,
-    effects: Sequence[Effect],
-    changes: Sequence[Reweighting],
-    clock: Clock,
-    keep: Callable[[History], None],
-) -> None:
+def run_search(search: Search) -> None:
     """Do as `run_rounds`, and once more without the effects that are taken back at its end.
 
     What was not so had stood for something, which others may explain now that it is gone. It would be found again, so
@@ -32,37 +21,31 @@ def search(
     What is not claimed at the very end, but predicts, stays in the model: see `keep_for_prediction`. The last fit has
     the widths of the beam's prior that the data want; what is claimed is that of the one before.
 
-    Collective: all ranks of the grid. Parameters as of `run_rounds`.
+    Collective: all ranks of the grid.
     """
-    _search(context, history, effects, changes, clock, keep)
-    with clock.time("prior"):
-        found = adapt(context, history.last, len(history.rounds), wider=False)
+    _run_twice(search)
+    history = search.history
+    with search.clock.time("prior"):
+        found = adapt(search.context, history.last, len(history.rounds), wider=False)
     if found is not None:
         history.claimed = history.claimed or history.last
         history.adapt(found)
 
 
-def _search(
-    context: FitContext,
-    history: History,
-    effects: Sequence[Effect],
-    changes: Sequence[Reweighting],
-    clock: Clock,
-    keep: Callable[[History], None],
-) -> None:
-    """Do what `search` does with the beam as free as is stated, or freer. Collective: all ranks of the grid."""
-    if not given_up(history):
-        run_rounds(context, history, effects, changes, clock, keep)
-        if not given_up(history):
+def _run_twice(search: Search) -> None:
+    """Do what `run_search` does with the beam as free as is stated, or freer. Collective: all ranks of the grid."""
+    if not given_up(search.history):
+        run_rounds(search)
+        if not given_up(search.history):
             return
-        with clock.time("keep"):
-            keep(history)
-    say("once more, without what was taken back", context.grid.is_world_root)
-    gone = given_up(history)
-    effects = [one for one in effects if (one.kind, one.law) not in gone]
-    run_rounds(context, history, effects, [one for one in changes if (one.kind, None) not in gone], clock, keep)
-    with clock.time("trials"):
-        keep_for_prediction(context, history)
+        search.save()
+    say("once more, without what was taken back", search.context.grid.is_world_root)
+    gone = given_up(search.history)
+    effects = [one for one in search.effects if (one.kind, one.law) not in gone]
+    changes = [one for one in search.changes if (one.kind, None) not in gone]
+    run_rounds(replace(search, effects=effects, changes=changes))
+    with search.clock.time("trials"):
+        keep_for_prediction(search.context, search.history)
 
 
 def given_up(history: History) -> list[tuple[str, str | None]]:

@@ -76,14 +76,21 @@ def describe(widths: PriorWidths | None) -> str:
     """Say in words which widths a prior has."""
     if widths is None:
         return "those that are stated"
+    beside = " (of the largest of each and those at adjacent radial orders)" if widths.neighbours else ""
+    return f"{widths.fraction:.3g} of the model's coefficients{beside}{_smooth_part(widths)}{_by_order(widths)}"
+
+
+def _smooth_part(widths: PriorWidths) -> str:
     radial, azimuthal = np.exp(widths.decay)
-    smooth = (
+    if not widths.amplitude:
+        return ""
+    return (
         f", and beside that {widths.amplitude:.3g} of the largest at the lowest orders, less by a factor of "
         f"{radial:.3g} for each radial and {azimuthal:.3g} for each azimuthal order"
     )
-    beside = " (of the largest of each and those at adjacent radial orders)" if widths.neighbours else ""
-    factors = f", times {min(widths.azimuthal):.3g} to {max(widths.azimuthal):.3g} by azimuthal order"
-    return (
-        f"{widths.fraction:.3g} of the model's coefficients{beside}{smooth if widths.amplitude else ''}"
-        f"{factors if widths.azimuthal else ''}"
-    )
+
+
+def _by_order(widths: PriorWidths) -> str:
+    if not widths.azimuthal:
+        return ""
+    return f", times factors of {min(widths.azimuthal):.3g} to {max(widths.azimuthal):.3g} by azimuthal order"

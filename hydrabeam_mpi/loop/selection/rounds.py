@@ -46,19 +46,11 @@ def settle_last(context: FitContext, history: History) -> None:
         history.first = last
 
 
-def run_rounds(
-    context: FitContext,
-    history: History,
-    effects: Sequence[Effect],
-    changes: Sequence[Reweighting],
-    clock: Clock,
-    keep: Callable[[History], None],
-) -> None:
-    """Look for effects until no further one improves the model.
+@dataclass(frozen=True)
+class Search:
+    """What is looked for, and where it is kept.
 
-    Collective: all ranks of the grid.
-
-    Parameters
+    Attributes
     ----------
     context : FitContext
     history : History
@@ -71,21 +63,6 @@ def run_rounds(
         Gets the history before the first round, once more when all has been weighed in it, and after each round that
         has found something.
     """
-    search = _Search(context, history, next_of(context, effects, history.last.fitted.values), changes, clock, keep)
-    while search.goes_on():
-        pass
-    with clock.time("trials"):
-        _take_back(context, history)
-    search.adapt()
-
-
-@dataclass
-class _Search:
-    """Rounds that follow each other; attributes as of `run_rounds`, with the effects that come next.
-
-    ``known`` is what is weighed already before the next round, ``told`` the last fit that was told of, and ``as_wide``
-    the last that was asked in vain for wider widths of the beam's prior without rivals to these.
-    """
 
     context: FitContext
     history: History
@@ -93,21 +70,53 @@ class _Search:
     changes: Sequence[Reweighting]
     clock: Clock
     keep: Callable[[History], None]
+
+    def save(self) -> None:
+        """Keep the history as it is. Collective: all ranks of the grid."""
+        with self.clock.time("keep"):
+            self.keep(self.history)
+
+
+def run_rounds(search: Search) -> None:
+    """Look for effects until no further one improves the model. Collective: all ranks of the grid."""
+    context, history = search.context, search.history
+    rounds = _Rounds(search, next_of(context, search.effects, history.last.fitted.values))
+    while rounds.go_on():
+        pass
+    with search.clock.time("trials"):
+        _take_back(context, history)
+    rounds.adapt()
+
+
+@dataclass
+class _Rounds:
+    """Rounds that follow each other.
+
+    ``effects`` come next, ``known`` is what is weighed already before the next round, ``told`` the last fit that was
+    told of, and ``as_wide`` the last that was asked in vain for wider widths of the beam's prior without rivals to
+    these.
+    """
+
+    search: Search
+    effects: Sequence[Effect]
     known: Weighed | None = None
     told: Checked | None = None
     as_wide: Checked | None = None
 
-    def goes_on(self) -> bool:
+    def go_on(self) -> bool:
         """Weigh all effects and add the best; whether there is more to look for. Collective: all ranks of the grid."""
-        context, history = self.context, self.history
+        context, history = self.search.context, self.search.history
         left = context.problem.job.loop.max_rounds - len(history.rounds)
         weighed, is_rest = self._weighed(left)
         if left <= 0:
             return False
         if not is_rest and self.adapt(weighed.ranking):
             return True
-        outlook, tried = Outlook(context, self.effects, self.changes, left, weighed), list[tuple[Candidate, str]]()
-        with self.clock.time("trials"):
+        outlook, tried = (
+            Outlook(context, self.effects, self.search.changes, left, weighed),
+            list[tuple[Candidate, str]](),
+        )
+        with self.search.clock.time("trials"):
             added = try_effects(context, history.last, weighed.ranking, tried, outlook=outlook)
             if is_rest and (added is None or not weighed.is_of_use(added.candidate)):
                 again = "    all effects are weighed again: those that were to come next are not what was expected"
@@ -127,14 +136,14 @@ class _Search:
             return self.adapt()
         fitted = added.after.fitted
         self.effects, self.known = next_of(context, self.effects, fitted.values), outlook.after(fitted)
-        self._keep()
+        self.search.save()
         return True
 
     def _weighed(self, left: int) -> tuple[Weighed, bool]:
         """Weigh what may be tried where ``left`` effects may still be added; return whether it is the rest of a set."""
-        context, history = self.context, self.history
+        context, history = self.search.context, self.search.history
         if not history.rounds:
-            self._keep()
+            self.search.save()
         speaks = context.grid.is_world_root and history.last is not self.told
         say(f"round {len(history.rounds) + 1}: {_heldout(history.last)}; weighing effects", speaks)
         self.told = history.last
@@ -144,29 +153,25 @@ class _Search:
         elif history.last.remains.consistent and self.adapt():
             # Beside nothing significant there are no rivals, which would have to be weighed again.
             self.known = None
-        with self.clock.time("attribution"):
-            known = self.known or weigh(context, history.last.fitted, self.effects, self.changes, left)
+        with self.search.clock.time("attribution"):
+            known = self.known or weigh(context, history.last.fitted, self.effects, self.search.changes, left)
         self.known, history.ranking = None, known.ranking
         if not history.rounds:
-            self._keep()
+            self.search.save()
         return known, rest is not None
 
     def adapt(self, rivals: Sequence[Candidate] = ()) -> bool:
         """Widen the beam's prior where `adapt` wants it; whether it does. Collective: all ranks of the grid."""
-        history = self.history
+        history = self.search.history
         if self.as_wide is history.last or (history.adapted and history.adapted[-1].after is history.last):
             return False
-        with self.clock.time("prior"):
-            found = adapt(self.context, history.last, len(history.rounds), True, rivals)
+        with self.search.clock.time("prior"):
+            found = adapt(self.search.context, history.last, len(history.rounds), wider=True, rivals=rivals)
         if found is not None:
             history.adapt(found)
         elif not rivals:
             self.as_wide = history.last
         return found is not None
-
-    def _keep(self) -> None:
-        with self.clock.time("keep"):
-            self.keep(self.history)
 
 
 def _accept(context: FitContext, history: History, added: Round) -> Round:

@@ -106,3 +106,7 @@ def test_widths_are_told_in_words() -> None:
         "0.25 of the model's coefficients, and beside that 0.001 of the largest at the lowest orders, less by a factor "
         "of 1.11 for each radial and 1.65 for each azimuthal order"
     )
+    assert describe(PriorWidths(0.25, neighbours=True, azimuthal=(0.5, 3.0, 1.0))) == (
+        "0.25 of the model's coefficients (of the largest of each and those at adjacent radial orders), times factors "
+        "of 0.5 to 3 by azimuthal order"
+    )
