@@ -86,7 +86,7 @@ def test_what_is_wrong_is_named_and_added(explained: Path) -> None:
     (told,) = record["rounds"]
     assert told["effect"] == "antenna_gains"
     assert told["heldout_before"] == record["error_before"]
-    assert told["heldout_after"] == record["error_after"]
+    assert told["heldout_after"] == record["error_claimed"]
     assert told["chi2_before"] > 10
     assert told["chi2_after"] == pytest.approx(1.0, abs=0.3)
     assert told["log_bayes_factor"] > 1000
