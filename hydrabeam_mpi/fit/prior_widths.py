@@ -91,6 +91,18 @@ def adapted(
     return fitted, found
 
 
+def with_adapted_prior(context: FitContext, fitted: Fitted) -> tuple[FitContext, Fitted]:
+    """Return context and fit whose prior has the widths that the data want, where the job asks for these.
+
+    Collective: all ranks of the grid.
+    """
+    if context.problem.job.prior.widths != "evidence":
+        return context, fitted
+    fitted, _ = adapted(context, fitted, WidthsEvidence(context, fitted).best())
+    context = replace(context, problem=context.problem.with_prior_widths(fitted.values.prior_widths))
+    return context, refit(context, replace(fitted.values, prior_widths=None), fitted)
+
+
 class WidthsEvidence:
     """What a fit tells of the widths of the beam's prior, with the effects as they have been fitted.
 

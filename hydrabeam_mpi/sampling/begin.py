@@ -20,6 +20,7 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.coupled_step import marginal_together
 from hydrabeam_mpi.fit.gauss_newton import linearised, refit, sums_at
 from hydrabeam_mpi.fit.joint import restore
+from hydrabeam_mpi.fit.prior_widths import with_adapted_prior
 from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.settle import settle
 from hydrabeam_mpi.fit.state import Active, Estimate, Fitted, Values
@@ -56,7 +57,7 @@ def begin(context: FitContext) -> Walk:
         group_of = _groups(context, wanted)
         _check_together(context, wanted)
         positive = nowhere_negative(context.problem, wanted.positive_beam) if wanted.positive_beam else None
-    fitted = refit(context, values)
+    context, fitted = with_adapted_prior(context, refit(context, values))
     context, fitted = _with_fixed_weights(context, settle(context, fitted))
     with together(context.grid.world):
         for share in (context.train, context.test) if wanted.heldout else (context.train,):

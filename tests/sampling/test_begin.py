@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.fit.clock import Clock
+from hydrabeam_mpi.fit.joint import fit_with_effects
 from hydrabeam_mpi.sampling.begin import begin, first_state
 from hydrabeam_mpi.sampling.state import Chance
 from hydrabeam_mpi.sampling.sweep import sweep
@@ -55,6 +57,27 @@ def test_what_a_loop_has_found_is_drawn(tmp_path: Path) -> None:
     assert set(accepted) == {"effects", "beam"}
     np.testing.assert_array_equal(after.values.active[1].x, some.unknowns.values.active[1].x)
     assert np.any(after.beams[0] != before.beams[0])
+
+
+def test_beams_are_drawn_with_the_widths_that_the_data_want(tmp_path: Path) -> None:
+    """Where the job asks for them; they are those of `infer`."""
+    job = small_job(n_modes=12, blocks=())
+    job["prior"] = {"fraction": 300.0, "widths": "evidence"}
+    context = context_of(job, tmp_path)
+    walk = begin(context)
+    wanted = fit_with_effects(context, Clock())
+    assert wanted.values.prior_widths is not None
+    (prior,), (stated,) = context.given(wanted.values).priors, context.problem.priors
+    np.testing.assert_array_equal(walk.context.problem.priors[0].std(), prior.std())
+    assert np.all(prior.std() < stated.std())
+    state = first_state(walk, 1, 0)
+    (beam,) = walk.beams_given(state).posteriors
+    precision = beam.factor @ beam.factor.conj().T
+    job["prior"]["widths"] = "stated"
+    (wide,) = begin(context_of(job, tmp_path / "stated")).beams_given(state).posteriors
+    added = np.diag(precision - wide.factor @ wide.factor.conj().T).real
+    rounding = 1e-12 * float(np.diag(precision).real.max())
+    np.testing.assert_allclose(added, prior.std() ** -2.0 - stated.std() ** -2.0, rtol=0, atol=rounding)
 
 
 def test_a_state_comes_back_from_what_is_stored(tmp_path: Path) -> None:
