@@ -88,12 +88,12 @@ class WidthNumbers:
         return Told(-0.5 * float(away @ away), -away / scales, np.diag(scales**-2))
 
     def rounded(self, numbers: FloatArray, least: PriorWidths | None) -> PriorWidths:
-        """Return widths of three digits, which say all that data do, and are the same however sums are rounded.
+        """Return widths of three digits and decays to a thousandth, the same however sums over ranks are rounded.
 
-        None of them gets less than in ``least`` by that.
+        That says all that data do. None of the widths gets less than in ``least`` by it.
         """
         widths = self.widths(numbers)
-        fraction, amplitude, *decay = (_rounded(one) for one in (widths.fraction, widths.amplitude, *widths.decay))
+        fraction, amplitude = _rounded(widths.fraction), _rounded(widths.amplitude)
         azimuthal = np.array([_rounded(one) for one in widths.azimuthal])
         if least is not None:
             fraction, amplitude = max(fraction, least.fraction), max(amplitude, least.amplitude)
@@ -102,7 +102,7 @@ class WidthNumbers:
             widths,
             fraction=fraction,
             amplitude=amplitude,
-            decay=(decay[0], decay[1]),
+            decay=(round(widths.decay[0], 3), round(widths.decay[1], 3)),
             azimuthal=tuple(azimuthal.tolist()),
         )
 
