@@ -70,5 +70,5 @@ def _step(here: Told, low: FloatArray, high: FloatArray) -> FloatArray:
     free, step = high > low, np.zeros_like(low)
     factor = np.linalg.cholesky(here.information[np.ix_(free, free)])
     pull = np.linalg.solve(factor, here.slope[free])
-    step[free] = lsq_linear(factor.T, pull, (low[free], high[free])).x
+    step[free] = lsq_linear(factor.T, pull, (low[free], high[free]), method="bvls").x
     return np.clip(step, low, high)
