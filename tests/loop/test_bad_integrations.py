@@ -16,9 +16,9 @@ from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Values
 from hydrabeam_mpi.loop.output.record import make_record
-from hydrabeam_mpi.loop.selection.again import search
+from hydrabeam_mpi.loop.selection.again import run_search
 from hydrabeam_mpi.loop.selection.history import History
-from hydrabeam_mpi.loop.selection.rounds import begin
+from hydrabeam_mpi.loop.selection.rounds import Search, begin
 from tests.loop.mock import context_of, mock_job, truth_of
 
 GAIN = {"kind": "antenna_gains", "parameters": {"antenna 2 ln amplitude": 0.02, "antenna 2 phase": -0.02}}
@@ -29,7 +29,7 @@ def search_of(comm: MPI.Comm, folder: Path, *injected: dict[str, object]) -> tup
     context = context_of(mock_job(*injected, n_times=40), folder, comm)
     history = begin(context, Values(), Clock())
     effects, changes = [AntennaGains(), CrossCoupling()], [Outliers(), BadIntegrations()]
-    search(context, history, effects, changes, Clock(), lambda _: None)
+    run_search(Search(context, history, effects, changes, Clock(), lambda _: None))
     return context, history
 
 

@@ -20,7 +20,7 @@ from hydrabeam_mpi.loop.attribution.score_noise import WeightsFound
 from hydrabeam_mpi.loop.selection.acceptance import Candidate
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refusal import refusal_of
-from hydrabeam_mpi.loop.selection.rounds import begin, run_rounds
+from hydrabeam_mpi.loop.selection.rounds import Search, begin, run_rounds
 from tests.loop.mock import context_of, mock_job
 
 GAIN = {"kind": "antenna_gains", "parameters": {"antenna 2 ln amplitude": 0.1, "antenna 2 phase": -0.1}}
@@ -31,7 +31,7 @@ BURSTS = {"kind": "outliers", "parameters": {"fraction of rows hit": 0.01, "scal
 def test_bursts_and_a_gain(comm: MPI.Comm, common_tmp_path: Path) -> None:
     context = context_of(mock_job(GAIN, BURSTS, n_times=30), common_tmp_path, comm)
     history = begin(context, Values(), Clock())
-    run_rounds(context, history, [AntennaGains(), CrossCoupling()], [Outliers()], Clock(), lambda _: None)
+    run_rounds(Search(context, history, [AntennaGains(), CrossCoupling()], [Outliers()], Clock(), lambda _: None))
     assert {one.candidate.kind for one in history.rounds if not one.revoked} == {"antenna_gains", "outliers"}
     (gains,) = history.last.fitted.values.active
     used = [name for name, _ in gains.labels(context.setup)]

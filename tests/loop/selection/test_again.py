@@ -17,10 +17,11 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Active, Reweighted, Values
 from hydrabeam_mpi.loop.attribution.score_noise import fit_reweightings
-from hydrabeam_mpi.loop.selection.again import given_up, search
+from hydrabeam_mpi.loop.selection.again import given_up, run_search
 from hydrabeam_mpi.loop.selection.constant import take_back_weights
 from hydrabeam_mpi.loop.selection.history import History
 from hydrabeam_mpi.loop.selection.predictions import check
+from hydrabeam_mpi.loop.selection.rounds import Search
 from tests.loop.made import effect_candidate, round_of, weights_candidate
 from tests.loop.mock import context_of, mock_job
 
@@ -44,7 +45,7 @@ def with_positions(context: FitContext) -> History:
 
 def test_what_was_taken_back_is_not_offered_again(context: FitContext) -> None:
     history, kept = with_positions(context), []
-    search(context, history, [POSITIONS], [], Clock(), lambda now: kept.append(copy(now)))
+    run_search(Search(context, history, [POSITIONS], [], Clock(), lambda now: kept.append(copy(now))))
     assert given_up(history) == GIVEN_UP
     assert history.rounds[0].revoked
     assert history.ranking == ()
@@ -57,18 +58,19 @@ def test_what_was_taken_back_is_not_offered_again(context: FitContext) -> None:
     assert history.claimed is last.last
     assert [one.kind for one in history.last.fitted.values.active] == ["antenna_positions"]
     assert history.last.score.log_density > last.last.score.log_density
-    search(context, last, [POSITIONS, GAINS], [], Clock(), lambda now: None)
+    run_search(Search(context, last, [POSITIONS, GAINS], [], Clock(), lambda now: None))
     assert [one.kind for one in last.last.fitted.values.active] == ["antenna_gains"]
     assert {one.kind for one in last.ranking} == {"antenna_gains"}
     assert last.last.remains.consistent
-    assert last.claimed is None
+    # What stood for something is no more in the model: all of it is claimed, before the prior's widths are adapted.
+    assert last.claimed is last.adapted[-1].before
 
 
 def test_nothing_is_searched_again_where_all_stays(context: FitContext) -> None:
     first = check(context, refit(context, Values()))
     history, clock = History(first, first), Clock()
     said: list[int] = []
-    search(context, history, [GAINS], [], clock, lambda now: said.append(len(now.rounds)))
+    run_search(Search(context, history, [GAINS], [], clock, lambda now: said.append(len(now.rounds))))
     assert given_up(history) == []
     assert [one.candidate.kind for one in history.rounds] == ["antenna_gains"]
     assert said == [0, 0, 1]
@@ -88,7 +90,7 @@ def with_noise(context: FitContext) -> History:
 
 def test_noise_that_something_else_explains_is_taken_back(context: FitContext) -> None:
     history = with_noise(context)
-    search(context, history, [], [NOISE], Clock(), lambda now: None)
+    run_search(Search(context, history, [], [NOISE], Clock(), lambda now: None))
     assert given_up(history) == [("noise_level", None)]
     assert [one.revoked for one in history.rounds] == [True, False]
     assert history.last.fitted.values.reweighted == ()
