@@ -122,7 +122,10 @@ def log_chance(lost: FloatArray, n: FloatArray) -> FloatArray:
     # Of others that have lost none nobody knows more than that one in so many would be no surprise.
     rate = np.minimum(np.maximum(others_lost, 1.0) / np.maximum(others, 1.0), 1.0)
     some = (lost > 0) & (others > 0)
-    log_p: FloatArray = np.where(some, binom.logsf(lost - 1, np.maximum(n, 1.0), rate), 0.0)
+    had = np.maximum(n, 1.0)
+    # The tail is zero in doubles where a whole integration is lost and no other row is; its first term is not.
+    tail = np.maximum(binom.logsf(lost - 1, had, rate), binom.logpmf(lost, had, rate))
+    log_p: FloatArray = np.where(some, tail, 0.0)
     return log_p + math.log(max(int(np.count_nonzero(n)), 1))
 
 

@@ -15,7 +15,7 @@ from hydrabeam_mpi.effects.noise.outliers import Outliers
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Fitted, Reweighted, Values
-from hydrabeam_mpi.loop.residuals.left_out import log_chance, rows_left_out
+from hydrabeam_mpi.loop.residuals.left_out import _most_improbable, log_chance, rows_left_out
 from hydrabeam_mpi.random import generator
 from tests.loop.mock import FREQ, context_of, mock_job
 
@@ -101,3 +101,15 @@ def test_chance() -> None:
     assert log_chance(np.array([1.0, 0.0]), np.full(2, 100.0))[0] > np.log(0.5)
     assert np.all(log_chance(np.zeros(3), np.full(3, 100.0)) >= 0)
     assert np.all(log_chance(np.array([3.0, 0.0]), np.array([3.0, 0.0])) >= 0)
+
+
+@pytest.mark.parametrize("n_bls", [21, 171, 60_000])
+def test_one_integration_that_is_lost_is_named_in_arrays_of_any_size(n_bls: int) -> None:
+    """Its chance is no double from a hundred baselines on; ln of it is."""
+    lost, had = np.zeros(24), np.full(24, float(n_bls))
+    lost[7] = n_bls
+    chance = log_chance(lost, had)
+    assert chance[7] == pytest.approx(-n_bls * np.log(23.0 * n_bls) + np.log(24))
+    found = _most_improbable([np.array([lost, had])])
+    assert found is not None
+    np.testing.assert_array_equal(np.flatnonzero(found[1]), [7])
