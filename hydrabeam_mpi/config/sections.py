@@ -187,7 +187,9 @@ RESOLVED = 2.0**-52
 MOST_DECAY = 5.0
 """With more each order has less than a hundredth of the one before, and only the lowest are free."""
 Decay = Annotated[float, Field(ge=0, le=MOST_DECAY)]
-Factor = Annotated[float, Field(ge=1e-9, le=LARGEST)]
+LEAST_WIDTH = 1e-9
+"""Of what the model's coefficients are multiplied by: no data tell a beam to so little of itself."""
+Factor = Annotated[float, Field(ge=LEAST_WIDTH, le=LARGEST)]
 
 
 class Smooth(Section):

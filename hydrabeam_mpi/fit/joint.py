@@ -25,7 +25,7 @@ from hydrabeam_mpi.fit.grown import beams_alone, marginal_beams
 from hydrabeam_mpi.fit.heldout import variance_by_effects
 from hydrabeam_mpi.fit.heldout_sample import heldout_sample
 from hydrabeam_mpi.fit.learned import Learned
-from hydrabeam_mpi.fit.prior_widths import WidthsEvidence, adapted
+from hydrabeam_mpi.fit.prior_widths import adapted_if_asked
 from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.settle import settle
 from hydrabeam_mpi.fit.shares import read_shares
@@ -180,10 +180,7 @@ def fit_with_effects(context: FitContext, clock: Clock) -> Fitted:
     with together(context.grid.world):
         values = restore(context.problem.job, context.setup, context.learned)
     with clock.time("design"):
-        fitted = refit(context, values)
-        if context.problem.job.prior.widths == "evidence":
-            fitted, _ = adapted(context, fitted, WidthsEvidence(context, fitted).best())
-        fitted = settle(context, fitted)
+        fitted = settle(context, adapted_if_asked(context, refit(context, values)))
     with clock.time("solve"):
         pass
     return fitted

@@ -17,6 +17,7 @@ from hydrabeam_mpi.fit.state import Estimate, Fitted, Values
 from hydrabeam_mpi.mpi import allreduce_sum, together
 
 LOCAL_STEPS = 4
+"""Newton steps, each of which about squares what the one before has left: all else stays as it is."""
 
 
 def untold(context: FitContext, values: Values) -> str | None:

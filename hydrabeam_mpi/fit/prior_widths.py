@@ -91,14 +91,21 @@ def adapted(
     return fitted, found
 
 
+def adapted_if_asked(context: FitContext, fitted: Fitted) -> Fitted:
+    """Return a fit with the widths that the data want, where the job asks for these. Collective: all ranks."""
+    if context.problem.job.prior.widths == "evidence":
+        fitted, _ = adapted(context, fitted, WidthsEvidence(context, fitted).best())
+    return fitted
+
+
 def with_adapted_prior(context: FitContext, fitted: Fitted) -> tuple[FitContext, Fitted]:
-    """Return context and fit whose prior has the widths that the data want, where the job asks for these.
+    """Return context and fit of a problem that states the widths which `adapted_if_asked` finds.
 
     Collective: all ranks of the grid.
     """
-    if context.problem.job.prior.widths != "evidence":
+    fitted = adapted_if_asked(context, fitted)
+    if fitted.values.prior_widths is None:
         return context, fitted
-    fitted, _ = adapted(context, fitted, WidthsEvidence(context, fitted).best())
     context = replace(context, problem=context.problem.with_prior_widths(fitted.values.prior_widths))
     return context, refit(context, replace(fitted.values, prior_widths=None), fitted)
 

@@ -17,7 +17,7 @@ LONGEST, SHORTEST = 2.0, 1e-3
 at which steps that were too long are not shortened any more."""
 POOR, GOOD = 0.25, 0.75
 """Shares of its promise: a step that keeps less than the one is followed by a shorter one, more than the other by a
-longer one ..."""
+longer one (Conn, Gould and Toint 2000, Trust-Region Methods) ..."""
 LONGER, SHORTER = 2.0, 0.25
 """... by these factors."""
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hydrabeam_mpi.config.sections import MOST_DECAY
+from hydrabeam_mpi.config.sections import LEAST_WIDTH, MOST_DECAY
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.fit.scoring import Told
 from hydrabeam_mpi.inference.mode_widths import PriorWidths
@@ -20,7 +20,7 @@ DECAY = 1.0
 """Scale of the prior of decays, half a Gaussian: a factor e for each order is as fast as feeds with one lobe have."""
 UNEVEN = float(np.log(10.0))
 """Azimuthal orders differ by a factor of ten: a dish that is out of round has the second one and no other."""
-LEAST, MOST = 1e-9, 1e3
+LEAST, MOST = LEAST_WIDTH, 1e3
 """Of fraction, amplitude and factors; the smooth part is left out where it is least."""
 N_SHARED = 4
 """Fraction, amplitude and two decays come first; they are shared by all azimuthal orders."""

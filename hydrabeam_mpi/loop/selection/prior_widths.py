@@ -81,9 +81,9 @@ def describe(widths: PriorWidths | None) -> str:
 
 
 def _smooth_part(widths: PriorWidths) -> str:
-    radial, azimuthal = np.exp(widths.decay)
     if not widths.amplitude:
         return ""
+    radial, azimuthal = np.exp(widths.decay)
     return (
         f", and beside that {widths.amplitude:.3g} of the largest at the lowest orders, less by a factor of "
         f"{radial:.3g} for each radial and {azimuthal:.3g} for each azimuthal order"

@@ -112,10 +112,8 @@ class _Rounds:
             return False
         if not is_rest and self.adapt(weighed.ranking):
             return True
-        outlook, tried = (
-            Outlook(context, self.effects, self.search.changes, left, weighed),
-            list[tuple[Candidate, str]](),
-        )
+        outlook = Outlook(context, self.effects, self.search.changes, left, weighed)
+        tried: list[tuple[Candidate, str]] = []
         with self.search.clock.time("trials"):
             added = try_effects(context, history.last, weighed.ranking, tried, outlook=outlook)
             if is_rest and (added is None or not weighed.is_of_use(added.candidate)):
