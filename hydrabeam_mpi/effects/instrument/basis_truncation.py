@@ -97,6 +97,11 @@ class BasisTruncation(Effect):
         has_more = len(more.next_modes(setup).modes) > len(self.next_modes(setup).modes)
         return more if has_more and more.n_modes <= MOST_MODES else None
 
+    def beyond_basis(self, setup: ObservingSetup) -> BasisTruncation | None:
+        """Return the functions that are not zero at the edge, where all of the basis are."""
+        n_beyond = sum(one.n_beyond for one in self._next(setup))
+        return BasisTruncation(self.n_before, n_beyond) if n_beyond else None
+
     def beam_functions(self, setup: ObservingSetup) -> LinearBasis:
         """Return the modes."""
         return self.next_modes(setup).basis

@@ -238,6 +238,10 @@ class Effect(InOtherData, HasLimits, MayChange, Cause):
         """Return the effect with these parameters and more of their sort, where it may need them all at once."""
         return None
 
+    def beyond_basis(self, setup: ObservingSetup) -> Effect | None:
+        """Return the part that no beam in the basis can follow, however free its coefficients are; None without one."""
+        return None
+
     def beam_functions(self, setup: ObservingSetup) -> LinearBasis | None:
         """Return the functions of the beam, one a parameter, by which the effect makes the beam's basis larger.
 

@@ -8,6 +8,7 @@ from hydrabeam_mpi.loop.selection.for_prediction import keep_for_prediction
 from hydrabeam_mpi.loop.selection.history import History
 from hydrabeam_mpi.loop.selection.prior_widths import adapt
 from hydrabeam_mpi.loop.selection.rounds import Search, run_rounds
+from hydrabeam_mpi.loop.selection.weighing import next_of
 from hydrabeam_mpi.terminal.progress import say
 
 
@@ -18,22 +19,27 @@ def run_search(search: Search) -> None:
     that it is not offered any more; what is taken back at the second end stays so. All rounds together are as many as
     the job allows. A history that was kept goes on in the search that it was kept in.
 
-    What is not claimed at the very end, but predicts, stays in the model: see `keep_for_prediction`. The last fit has
-    the widths of the beam's prior that the data want; what is claimed is that of the one before.
+    All of that is done with a beam as free as the job states, or freer, and then once more with the widths of its prior
+    that the data want: a beam that is freer than need be takes up what is faint. What is not claimed at the very end,
+    but predicts, stays in the model: see `keep_for_prediction`.
 
     Collective: all ranks of the grid.
     """
     _run_twice(search)
-    history = search.history
+    context, history = search.context, search.history
     with search.clock.time("prior"):
-        found = adapt(search.context, history.last, len(history.rounds), wider=False)
+        beyond = next_of(context, search.effects, history.last.fitted.values)
+        found = adapt(context, history.last, len(history.rounds), wider=False, beyond=beyond)
     if found is not None:
-        history.claimed = history.claimed or history.last
         history.adapt(found)
+        _run_twice(search)
+    if given_up(history):
+        with search.clock.time("trials"):
+            keep_for_prediction(context, history)
 
 
 def _run_twice(search: Search) -> None:
-    """Do what `run_search` does with the beam as free as is stated, or freer. Collective: all ranks of the grid."""
+    """Run rounds, and once more without what they take back. Collective: all ranks of the grid."""
     if not given_up(search.history):
         run_rounds(search)
         if not given_up(search.history):
@@ -44,8 +50,6 @@ def _run_twice(search: Search) -> None:
     effects = [one for one in search.effects if (one.kind, one.law) not in gone]
     changes = [one for one in search.changes if (one.kind, None) not in gone]
     run_rounds(replace(search, effects=effects, changes=changes))
-    with search.clock.time("trials"):
-        keep_for_prediction(search.context, search.history)
 
 
 def given_up(history: History) -> list[tuple[str, str | None]]:

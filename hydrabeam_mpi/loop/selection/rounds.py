@@ -159,12 +159,16 @@ class _Rounds:
         return known, rest is not None
 
     def adapt(self, rivals: Sequence[Candidate] = ()) -> bool:
-        """Widen the beam's prior where `adapt` wants it; whether it does. Collective: all ranks of the grid."""
+        """Adapt the beam's prior where `adapt` wants it; whether it does. Collective: all ranks of the grid.
+
+        No width gets less than the stated one unless the prior has been given the widths that the data want before.
+        """
         history = self.search.history
         if self.as_wide is history.last or (history.adapted and history.adapted[-1].after is history.last):
             return False
         with self.search.clock.time("prior"):
-            found = adapt(self.search.context, history.last, len(history.rounds), wider=True, rivals=rivals)
+            wider = all(one.wider for one in history.adapted)
+            found = adapt(self.search.context, history.last, len(history.rounds), wider, rivals)
         if found is not None:
             history.adapt(found)
         elif not rivals:

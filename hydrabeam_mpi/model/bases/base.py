@@ -56,11 +56,14 @@ class NextModes:
         How large their coefficients are expected to be, by those of the model beam.
     make : callable
         Makes the basis of these functions.
+    n_beyond : int
+        How many of them, the first, are beyond what any number of functions of the basis's own kind can follow.
     """
 
     modes: tuple[tuple[int, int], ...]
     expected: FloatArray
     make: Callable[[], LinearBasis]
+    n_beyond: int = 0
 
     @cached_property
     def basis(self) -> LinearBasis:

@@ -164,7 +164,8 @@ class FourierBessel(LinearBasis):
         signed = [m for order in range(self._m_max + 1) for m in dict.fromkeys([order, -order])]
         at_edge = [(AT_EDGE, m) for m in signed] if self.boundary == "dirichlet" else []
         new, sizes = next_expected(self.modes, amplitudes, at_edge, n_before, most)
-        return NextModes(tuple(new), sizes, lambda: self._real(new))
+        n_beyond = sum(k == AT_EDGE for k, _ in new)
+        return NextModes(tuple(new), sizes, lambda: self._real(new), n_beyond)
 
     def _real(self, modes: list[tuple[int, int]]) -> LinearBasis:
         """Return these functions, the constant ones first; only the Neumann condition has such a one."""
