@@ -19,9 +19,13 @@ from scipy.sparse import csr_array
 from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.inference.posterior import Posterior
 
+LEAST_LEFT = 1e-9
+"""Of the variance of a fitted row, that rounding errors leave: less is left of what only this time and the prior tell.
+"""
+
 
 def whiten_time(
-    rows: ComplexArray, weights: FloatArray, member: IntArray, of_model: FloatArray
+    rows: ComplexArray, weights: FloatArray, member: IntArray, of_model: FloatArray, fitted: bool = False
 ) -> tuple[ComplexArray, FloatArray, float, FloatArray]:
     """Whiten the rows of one time.
 
@@ -35,6 +39,10 @@ def whiten_time(
         Which design row belongs to each.
     of_model : ndarray, (2 Ngroups, 2 Ngroups)
         Covariance of the predictions; see `model_variance`.
+    fitted : bool, optional
+        Whether these rows are among those that the model was fitted to. They are then whitened as the residuals of the
+        model that all other times alone predict: with u the whitened residuals and R the root of the weights, these
+        are (1 - R C R)^-1/2 u, where rows that are not fitted have (1 + R C R)^-1/2 u.
 
     Returns
     -------
@@ -62,8 +70,12 @@ def whiten_time(
     of_model = of_model[np.ix_(both, both)]
     values, vectors = np.linalg.eigh(root[:, np.newaxis] * of_model * root)
     values = np.maximum(values, 0.0)
+    scales = 1 / np.sqrt(1 + values)
+    if fitted:
+        left = np.maximum(1 - values, LEAST_LEFT)
+        values, scales = values / left, 1 / np.sqrt(left)
     parts = np.concatenate([common.real, common.imag])
-    whitened = vectors @ ((vectors.T @ parts) / np.sqrt(1 + values)[:, np.newaxis])
+    whitened = vectors @ (scales[:, np.newaxis] * (vectors.T @ parts))
     change = np.zeros((n_groups, rows.shape[1]), dtype=complex)
     change[used] = whitened[: len(used)] + 1j * whitened[len(used) :] - common
     shared = np.zeros(n_groups)

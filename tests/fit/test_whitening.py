@@ -123,6 +123,34 @@ def test_draws_from_the_predictive_distribution_become_white(is_complex: bool) -
     np.testing.assert_allclose(white @ white.T / 20000, np.eye(len(white)), rtol=0, atol=0.05)
 
 
+@pytest.mark.parametrize("is_complex", [False, True], ids=["real coefficients", "complex coefficients"])
+@pytest.mark.parametrize("n_modes", [2, 12], ids=["fewer modes than rows", "more modes than rows"])
+def test_a_fitted_time_is_whitened_as_the_others_predict_it(n_modes: int, is_complex: bool) -> None:
+    """The same as by a fit to the other times alone."""
+    rng = generator(4, "others", int(is_complex), n_modes)
+    times = [time_of(is_complex, n_modes, np.array([1, 4]), 1.0) for _ in range(3)]
+    rows = [(2.5 - k) * (one.rows + 0.3 * complex_normal(rng, one.rows.shape)) for k, one in enumerate(times)]
+    data = [complex_normal(rng, (len(MEMBER),)) for _ in times]
+
+    def fit(which: list[int]) -> tuple[Posterior, ComplexArray]:
+        weights = np.concatenate([times[k].weights for k in which])
+        matrix, values = np.concatenate([rows[k][MEMBER] for k in which]), np.concatenate([data[k] for k in which])
+        precision, pull = (matrix.conj().T * weights) @ matrix, (matrix.conj().T * weights) @ values
+        if not is_complex:
+            precision, pull = 2 * precision.real, 2 * pull.real
+        posterior = Posterior(pull, np.linalg.cholesky(precision + np.eye(n_modes)))
+        return posterior, posterior.covariance @ pull
+
+    def whitened(posterior: Posterior, mean: ComplexArray, fitted: bool) -> ComplexArray:
+        design = rows[0] if is_complex else np.stack([rows[0].real, rows[0].imag])
+        residual = (data[0] - (rows[0] @ mean)[MEMBER])[:, np.newaxis]
+        return whiten_time(residual, times[0].weights, MEMBER, model_variance(posterior, design), fitted)[0]
+
+    beside, of_all = whitened(*fit([1, 2]), False), whitened(*fit([0, 1, 2]), True)
+    np.testing.assert_allclose(of_all, beside, rtol=0, atol=1e-9)
+    assert np.abs(of_all - whitened(*fit([0, 1, 2]), False)).max() > 0.1
+
+
 COLUMNS = {
     "fewer parameters than rows": (3, 3),
     "more parameters than rows": (40, 40),

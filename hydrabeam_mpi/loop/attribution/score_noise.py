@@ -9,13 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.effects.interface.reweighting import Reweighting, ReweightingFit
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.heldout import whiten
+from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Fitted, Reweighted
+from hydrabeam_mpi.fit.whitening import whiten_time
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.mpi import allreduce_sum, bcast_object, together
 
@@ -100,7 +102,7 @@ def refit_reweighting(context: FitContext, fitted: Fitted, change: Reweighting) 
                 effective[number, block.bls] += 2 * np.sum(block.weights * variance[:, block.member], axis=0)
     allreduce_sum(context.grid.world, effective)
     others = tuple(one for one in fitted.values.reweighted if one.change is not change)
-    return _fit_all(context, _reweighted(fitted, others), [change.beside_noise], effective)[0].fit
+    return _fit_all(context, _reweighted(fitted, others), [change.beside_noise], effective, fitted)[0].fit
 
 
 def _reweighted(fitted: Fitted, by: tuple[Reweighted, ...]) -> Fitted:
@@ -116,9 +118,16 @@ def _variance(posterior: Posterior, design: NDArray[Any]) -> FloatArray:
 
 
 def _fit_all(
-    context: FitContext, fitted: Fitted, changes: Sequence[Reweighting], effective: FloatArray | None = None
+    context: FitContext,
+    fitted: Fitted,
+    changes: Sequence[Reweighting],
+    effective: FloatArray | None = None,
+    weighted: Fitted | None = None,
 ) -> list[WeightsFound]:
-    """Fit changes of the weights to the residuals of a fit. Collective: all ranks of the grid."""
+    """Fit changes of the weights to the residuals of a fit.
+
+    ``weighted`` has the weights with which it was made, where these are others. Collective: all ranks of the grid.
+    """
     n_freqs = context.setup.observation.Nfreqs
     if effective is None:
         effective = np.zeros(n_freqs)
@@ -126,14 +135,17 @@ def _fit_all(
             effective[context.channels] = fitted.diagnostics.effective_parameters
         allreduce_sum(context.grid.world, effective)
     sums = [np.zeros((n_freqs, change.n_sums(context.setup))) for change in changes]
+    weighs_heldout = any(change.weighs_heldout for change in changes)
     with together(context.grid.world):
         rows, added = context.train.calibrated(fitted.estimate)
+        seen = context.train.calibrated(weighted.estimate)[0] if weighted is not None else rows
         for channel, number in enumerate(context.channels):
-            for _, block, _ in context.train.row_blocks(channel, fitted.estimate, added[channel], rows):
+            for span, block, design in context.train.row_blocks(channel, fitted.estimate, added[channel], rows):
                 z = block.residual * np.sqrt(block.weights)
+                of_others = _beside_others(context, channel, span, block, design, fitted, seen) if weighs_heldout else z
                 for change, total in zip(changes, sums, strict=True):
-                    total[number] += change.sums(block, z)
-    if any(change.weighs_heldout for change in changes):
+                    total[number] += change.sums(block, of_others if change.weighs_heldout else z)
+    if weighs_heldout:
         _add_heldout(context, fitted, changes, sums)
     for total in sums:
         allreduce_sum(context.grid.world, total)
@@ -143,6 +155,23 @@ def _fit_all(
             fits = [change.fit(context.setup, total, effective) for change, total in zip(changes, sums, strict=True)]
     told: list[ReweightingFit] = bcast_object(context.grid.world, fits)
     return [WeightsFound(change, fit, fitted) for change, fit in zip(changes, told, strict=True)]
+
+
+def _beside_others(
+    context: FitContext, channel: int, span: slice, block: RowBlock, design: NDArray[Any], fitted: Fitted, seen: Rows
+) -> ComplexArray:
+    """Return a block's residuals over the errors of their prediction by all other times, (Ntimes, Nbls), E|z|^2 = 1.
+
+    A beam that is told by few times follows one that is bad, and leaves of it what is left of a good one. ``seen`` are
+    the rows with the weights of the fit, which has no part in times that have none.
+    """
+    z = np.zeros(block.shape, dtype=complex)
+    for t, row in enumerate(range(span.start, span.stop)):
+        by_beam = context.train.model_variance(channel, row, fitted.estimate, design[t])
+        in_fit = bool(seen.inv_noise_var[channel, row].any())
+        white, *_ = whiten_time(block.residual[t][:, np.newaxis], block.weights[t], block.member, by_beam, in_fit)
+        z[t] = white[:, 0] / np.sqrt(2)
+    return z
 
 
 def _add_heldout(
