@@ -23,6 +23,8 @@ def adapted_told(context: FitContext, one: Adapted) -> dict[str, Any]:
         "n_rounds": one.n_rounds,
         **as_stated(one.widths or stated_widths(context.problem.job)),
         "wider": one.wider,
+        "n_beyond": one.beyond.n,
+        "log_bayes_factor_beyond": one.beyond.log_bayes_factor,
         **heldout_change(one.before, one.after, context.setup.observation.freqs),
     }
     del told["heldout_channels"]

@@ -38,7 +38,9 @@ def say_adapted(told: dict[str, Any]) -> str:
     sure = f"log Bayes factor {told['log_bayes_factor']:,.0f} beside the stated ones"
     error = f"Held-out reduced chi^2 {told['predictive_chi2_before']:.3g} -> {told['predictive_chi2_after']:.3g}"
     rms = f"rms {told['rms_before']:.3g} -> {told['rms_after']:.3g} Jy (noise {told['rms_noise']:.3g} Jy)"
-    return f"Widths of the beam's prior that the data want{when}: {told['words']} ({sure}). {error}; {rms}."
+    beyond = f" Functions that its basis cannot follow became part of the beam: {told['n_beyond']}, log Bayes factor "
+    beyond = f"{beyond}{told['log_bayes_factor_beyond']:,.0f}." if told["n_beyond"] else ""
+    return f"Widths of the beam's prior that the data want{when}: {told['words']} ({sure}).{beyond} {error}; {rms}."
 
 
 def _say_left_out(told: dict[str, Any]) -> str:

@@ -28,8 +28,8 @@ def run_search(search: Search) -> None:
     _run_twice(search)
     context, history = search.context, search.history
     with search.clock.time("prior"):
-        beyond = next_of(context, search.effects, history.last.fitted.values)
-        found = adapt(context, history.last, len(history.rounds), wider=False, beyond=beyond)
+        effects = next_of(context, search.effects, history.last.fitted.values)
+        found = adapt(context, history.last, len(history.rounds), wider=False, effects=effects)
     if found is not None:
         history.adapt(found)
         _run_twice(search)

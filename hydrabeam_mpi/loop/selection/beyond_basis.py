@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Active
 from hydrabeam_mpi.loop.attribution.candidate_rows import CachedRowBlocks
 from hydrabeam_mpi.loop.attribution.score_effects import attribute
-from hydrabeam_mpi.loop.selection.acceptance import Checked
+from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked
 from hydrabeam_mpi.loop.selection.folds import compared
 from hydrabeam_mpi.loop.selection.heldout_score import gain_of
 from hydrabeam_mpi.loop.selection.predictions import check
@@ -18,18 +19,35 @@ from hydrabeam_mpi.mpi import together
 from hydrabeam_mpi.terminal.progress import say
 
 
-def with_functions_beyond(context: FitContext, checked: Checked, effects: Sequence[Effect]) -> tuple[Checked, int]:
-    """Give the beam the functions beyond its basis that have the evidence; return the fit, and how many they are.
+class Beyond(NamedTuple):
+    """How many functions beyond its basis a beam got, and their log Bayes factor."""
+
+    n: int
+    log_bayes_factor: float
+
+
+NONE_BEYOND = Beyond(0, 0.0)
+
+
+def with_functions_beyond(
+    context: FitContext, checked: Checked, effects: Sequence[Effect], rivals: Sequence[Candidate]
+) -> tuple[Checked, Beyond]:
+    """Give the beam the functions beyond its basis that have the evidence, and more than any rival; return the fit.
 
     Functions that all vanish at the edge, as the paper's do, make up for a beam that does not by large coefficients of
-    high orders, which a prior that is as narrow as the data want does not let them have. Held-out data must not be
-    predicted worse. ``effects`` are those that are looked for, see `Effect.beyond_basis`. Collective: all ranks of the
-    grid.
+    high orders, which no prior by the model's coefficients lets them have. That is known of the basis before there are
+    data, and says nothing of the instrument. Held-out data must not be predicted worse. ``effects`` are those that are
+    looked for, see `Effect.beyond_basis`. Collective: all ranks of the grid.
     """
-    setup, least = context.setup, context.problem.job.loop.min_log_bayes_factor
+    setup = context.setup
     beyond = [part for part in (effect.beyond_basis(setup) for effect in effects) if part is not None]
     if not beyond:
-        return checked, 0
+        return checked, NONE_BEYOND
+    of_beam = [one for one in rivals if one.finding is not None and one.finding.effect.is_about_the_beam]
+    others = [one.log_bayes_factor for one in rivals if one not in of_beam]
+    least = max([context.problem.job.loop.min_log_bayes_factor, *others])
+    if rivals and not any(one.log_bayes_factor >= least for one in of_beam):
+        return checked, NONE_BEYOND
     with together(context.grid.world):
         cached = CachedRowBlocks.of(context, checked.fitted.estimate)
     for found in attribute(context, checked.fitted, beyond, cached):
@@ -40,9 +58,9 @@ def with_functions_beyond(context: FitContext, checked: Checked, effects: Sequen
         after = check(context, fit_patiently(context, checked.fitted.values.extended(start), checked.fitted))
         one, two = compared(context, checked, after)
         gain = gain_of(one.score, two.score)
-        told = f"{start.size} functions that the basis cannot follow belong to the beam"
         numbers = f"ln BF {evidence.log_bayes_factor:.4g}, held-out ln density changes by {gain:.4g}"
-        say(f"    {told} ({numbers}{'; refused' if gain < 0 else ''})", context.grid.is_world_root)
+        told = f"the beam gets {start.size} functions that its basis cannot follow ({numbers})"
+        say(f"  {told}", context.grid.is_world_root)
         if gain >= 0:
-            return after, start.size
-    return checked, 0
+            return after, Beyond(start.size, evidence.log_bayes_factor)
+    return checked, NONE_BEYOND

@@ -17,7 +17,7 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.prior_widths import WidthsEvidence, adapted, is_adaptable
 from hydrabeam_mpi.inference.mode_widths import PriorWidths
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked
-from hydrabeam_mpi.loop.selection.beyond_basis import with_functions_beyond
+from hydrabeam_mpi.loop.selection.beyond_basis import NONE_BEYOND, Beyond, with_functions_beyond
 from hydrabeam_mpi.loop.selection.folds import compared
 from hydrabeam_mpi.loop.selection.heldout_score import gain_of
 from hydrabeam_mpi.loop.selection.predictions import check
@@ -27,11 +27,19 @@ from hydrabeam_mpi.terminal.progress import say
 
 @dataclass(frozen=True)
 class Adapted:
-    """Fits before and after the widths of the beam's prior were adapted.
+    """Fits before and after the beam's prior was adapted.
 
-    ``log_bayes_factor`` is that of the new ones beside the stated ones, ``n_rounds`` how many rounds there were before.
-    ``wider`` says that none could get less than the stated one; ``n_beyond`` is how many functions beyond its basis the
-    beam got as well.
+    Attributes
+    ----------
+    before, after : Checked
+    log_bayes_factor : float
+        Of the widths beside the stated ones.
+    n_rounds : int
+        How many rounds there were before.
+    wider : bool
+        Whether no width could get less than the stated one.
+    beyond : Beyond
+        The functions beyond its basis that the beam got.
     """
 
     before: Checked
@@ -39,7 +47,7 @@ class Adapted:
     log_bayes_factor: float
     n_rounds: int
     wider: bool
-    n_beyond: int = 0
+    beyond: Beyond = NONE_BEYOND
 
     @property
     def widths(self) -> PriorWidths | None:
@@ -52,26 +60,37 @@ def adapt(
     checked: Checked,
     n_rounds: int,
     wider: bool,
+    effects: Sequence[Effect] = (),
     rivals: Sequence[Candidate] = (),
-    beyond: Sequence[Effect] = (),
 ) -> Adapted | None:
-    """Give the beam's prior the widths that have the most evidence; None where it has them, or where a rival has more.
+    """Give the beam's prior what has the most evidence; None where it has that, or where a rival has more.
 
-    A beam that is further from its model than was stated is told from an effect that it takes up as effects are told
-    from each other. Held-out data must not be predicted worse. With ``wider`` no width gets less than the stated one.
-    What of the effects ``beyond`` no beam in the basis can follow is added to it then. Collective: all ranks of the
-    grid.
+    That is its widths, and functions beyond its basis: what of the ``effects`` no beam in it can follow. A beam that is
+    further from its model than was stated is told from an effect that it takes up as effects are told from each other.
+    Held-out data must not be predicted worse. With ``wider`` no width gets less than the stated one. Collective: all
+    ranks of the grid.
     """
-    job, speaks = context.problem.job, context.grid.is_world_root
+    job = context.problem.job
     if job.prior.widths == "stated" or not is_adaptable(context):
         return None
-    least = max([job.loop.min_log_bayes_factor, *(one.log_bayes_factor for one in rivals if not one.is_control)])
+    rivals = [one for one in rivals if not one.is_control]
+    widened, log_bayes_factor = _with_widths(context, checked, wider, rivals)
+    after, beyond = with_functions_beyond(context, widened, effects, rivals)
+    return None if after is checked else Adapted(checked, after, log_bayes_factor, n_rounds, wider, beyond)
+
+
+def _with_widths(
+    context: FitContext, checked: Checked, wider: bool, rivals: Sequence[Candidate]
+) -> tuple[Checked, float]:
+    """Return the fit with the widths that `adapt` wants, and their log Bayes factor."""
+    speaks = context.grid.is_world_root
+    least = max([context.problem.job.loop.min_log_bayes_factor, *(one.log_bayes_factor for one in rivals)])
     evidence = WidthsEvidence(context, checked.fitted)
     if rivals and evidence.promises(wider) < least:
-        return None
+        return checked, 0.0
     found = evidence.best(wider)
     if found.gain < least:
-        return None
+        return checked, 0.0
     say(f"  widths of the beam's prior: {describe(found.widths)} (ln BF {found.log_bayes_factor:.4g})", speaks)
     fitted, found = adapted(context, checked.fitted, found, fit_patiently, wider)
     after = check(context, fitted)
@@ -80,10 +99,7 @@ def adapt(
     numbers = f"held-out chi^2 {after.score.chi2:.4g}, rms {after.numbers.of_all['rms']:.4g} Jy, ln density"
     told = f"{numbers} changes by {gain:.4g}"
     say(f"    {f'refused: {told}' if gain < 0 else told}", speaks)
-    if gain < 0:
-        return None
-    after, n_beyond = with_functions_beyond(context, after, beyond)
-    return Adapted(checked, after, found.log_bayes_factor, n_rounds, wider, n_beyond)
+    return (checked, 0.0) if gain < 0 else (after, found.log_bayes_factor)
 
 
 def describe(widths: PriorWidths | None) -> str:

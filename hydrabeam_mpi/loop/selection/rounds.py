@@ -163,14 +163,15 @@ class _Rounds:
 
         No width gets less than the stated one unless the prior has been given the widths that the data want before.
         """
-        history = self.search.history
+        context, history = self.search.context, self.search.history
         if self.as_wide is history.last or (history.adapted and history.adapted[-1].after is history.last):
             return False
         with self.search.clock.time("prior"):
             wider = all(one.wider for one in history.adapted)
-            found = adapt(self.search.context, history.last, len(history.rounds), wider, rivals)
+            found = adapt(context, history.last, len(history.rounds), wider, self.effects, rivals)
         if found is not None:
             history.adapt(found)
+            self.effects = next_of(context, self.effects, history.last.fitted.values)
         elif not rivals:
             self.as_wide = history.last
         return found is not None
