@@ -60,6 +60,11 @@ class Candidate:
         return self.weights is not None and self.weights.change.weighs_heldout
 
     @property
+    def is_about_the_beam(self) -> bool:
+        """Whether it is a fault of the beam's model itself."""
+        return self.finding is not None and self.finding.effect.is_about_the_beam
+
+    @property
     def is_control(self) -> bool:
         """Whether it is a control model: compared with the effects, but never claimed."""
         return self.finding is not None and self.finding.effect.is_control_model

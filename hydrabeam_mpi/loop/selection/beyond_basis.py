@@ -43,10 +43,9 @@ def with_functions_beyond(
     beyond = [part for part in (effect.beyond_basis(setup) for effect in effects) if part is not None]
     if not beyond:
         return checked, NONE_BEYOND
-    of_beam = [one for one in rivals if one.finding is not None and one.finding.effect.is_about_the_beam]
-    others = [one.log_bayes_factor for one in rivals if one not in of_beam]
+    others = [one.log_bayes_factor for one in rivals if not one.is_about_the_beam]
     least = max([context.problem.job.loop.min_log_bayes_factor, *others])
-    if rivals and not any(one.log_bayes_factor >= least for one in of_beam):
+    if rivals and not any(one.log_bayes_factor >= least for one in rivals if one.is_about_the_beam):
         return checked, NONE_BEYOND
     with together(context.grid.world):
         cached = CachedRowBlocks.of(context, checked.fitted.estimate)

@@ -69,7 +69,7 @@ def rivals_of(candidate: Candidate, ranking: Sequence[Candidate], settings: Loop
 
 
 def _is_fault_of_beam(candidate: Candidate) -> bool:
-    return candidate.finding is not None and (candidate.is_control or candidate.finding.effect.is_about_the_beam)
+    return candidate.is_control or candidate.is_about_the_beam
 
 
 def refusal_beside(rival: Candidate, left: float, settings: LoopSettings) -> str | None:
