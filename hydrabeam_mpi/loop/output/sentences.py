@@ -33,14 +33,17 @@ def say_round(told: dict[str, Any]) -> str:
 
 
 def say_adapted(told: dict[str, Any]) -> str:
-    """Tell in a sentence how the beam's prior was adapted, and what that changed."""
+    """Tell in a sentence or two how the beam's prior was adapted, and what that changed."""
     when = f" after round {told['n_rounds']}" if told["n_rounds"] else ""
-    sure = f"log Bayes factor {told['log_bayes_factor']:,.0f} beside the stated ones"
+    sure, beyond = told["log_bayes_factor"], told["n_beyond"]
+    widths = f"Widths of the beam's prior that the data want{when}: {told['words']}"
+    said = f"{widths} (log Bayes factor {sure:,.0f} beside the stated ones). " if sure else ""
+    if beyond:
+        what = f"{beyond} function{'s' if beyond > 1 else ''} that none in its basis can follow"
+        said += f"The beam got {what}{when} (log Bayes factor {told['log_bayes_factor_beyond']:,.0f}). "
     error = f"Held-out reduced chi^2 {told['predictive_chi2_before']:.3g} -> {told['predictive_chi2_after']:.3g}"
     rms = f"rms {told['rms_before']:.3g} -> {told['rms_after']:.3g} Jy (noise {told['rms_noise']:.3g} Jy)"
-    beyond = f" Functions that its basis cannot follow became part of the beam: {told['n_beyond']}, log Bayes factor "
-    beyond = f"{beyond}{told['log_bayes_factor_beyond']:,.0f}." if told["n_beyond"] else ""
-    return f"Widths of the beam's prior that the data want{when}: {told['words']} ({sure}).{beyond} {error}; {rms}."
+    return f"{said}{error}; {rms}."
 
 
 def _say_left_out(told: dict[str, Any]) -> str:

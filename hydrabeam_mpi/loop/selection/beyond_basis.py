@@ -43,7 +43,9 @@ def with_functions_beyond(
     beyond = [part for part in (effect.beyond_basis(setup) for effect in effects) if part is not None]
     if not beyond:
         return checked, NONE_BEYOND
-    others = [one.log_bayes_factor for one in rivals if not one.is_about_the_beam]
+    # A residual with structure is not noise, but a higher noise level seems to explain any residual.
+    told = [one for one in rivals if one.finding is not None or one.is_of_integrations]
+    others = [one.log_bayes_factor for one in told if not one.is_about_the_beam]
     least = max([context.problem.job.loop.min_log_bayes_factor, *others])
     if rivals and not any(one.log_bayes_factor >= least for one in rivals if one.is_about_the_beam):
         return checked, NONE_BEYOND
@@ -58,8 +60,8 @@ def with_functions_beyond(
         one, two = compared(context, checked, after)
         gain = gain_of(one.score, two.score)
         numbers = f"ln BF {evidence.log_bayes_factor:.4g}, held-out ln density changes by {gain:.4g}"
-        told = f"the beam gets {start.size} functions that its basis cannot follow ({numbers})"
-        say(f"  {told}", context.grid.is_world_root)
+        gets = f"the beam gets {start.size} function{'s' if start.size > 1 else ''} that its basis cannot follow"
+        say(f"  {gets} ({numbers})", context.grid.is_world_root)
         if gain >= 0:
             return after, Beyond(start.size, evidence.log_bayes_factor)
     return checked, NONE_BEYOND

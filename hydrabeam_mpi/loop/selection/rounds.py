@@ -110,7 +110,8 @@ class _Rounds:
         weighed, is_rest = self._weighed(left)
         if left <= 0:
             return False
-        if not is_rest and self.adapt(weighed.ranking):
+        is_of_beam = weighed.first is not None and weighed.first.is_about_the_beam
+        if (is_of_beam or not is_rest) and self.adapt(weighed.ranking):
             return True
         outlook = Outlook(context, self.effects, self.search.changes, left, weighed)
         tried: list[tuple[Candidate, str]] = []

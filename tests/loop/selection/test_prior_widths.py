@@ -100,6 +100,50 @@ def test_a_prior_that_is_too_wide_gets_narrower_in_the_end(tmp_path: Path) -> No
     assert last["n_beyond"] == 0
 
 
+WIDE = {
+    "basis": {"n_modes": 24, "k_max": 24, "m_max": 0, "boundary": "dirichlet"},
+    "beam": {"source": "airy", "diameter": "4 m"},
+    "loop": {"effects": ["antenna_gains", "missing_sources", "basis_truncation"]},
+}
+"""A beam that is not zero at the edge, where all functions of its basis are."""
+
+
+def loop_of_wide(folder: Path, *injected: dict[str, Any], **prior: Any) -> dict[str, Any]:
+    job = mock_job(*injected, n_times=24, prior=prior, **WIDE)
+    assert main(["loop", str(write_job(job, folder)), "-o", str(folder / "out")]) == 0
+    return told_of(folder)
+
+
+def test_what_no_beam_in_the_basis_can_follow_is_no_finding(tmp_path: Path) -> None:
+    loop = loop_of_wide(tmp_path)
+    assert loop["verdict"] == "consistent"
+    assert loop["rounds"] == []
+    first = loop["prior_widths"][0]
+    assert first["n_beyond"] == 1
+    assert first["log_bayes_factor_beyond"] > 1000
+    assert first["rms_after"] < 0.5 * first["rms_before"]
+    assert "The beam got 1 function that none in its basis can follow" in first["sentence"]
+    # The beam that is written has it.
+    assert main(["infer", str(tmp_path / "out" / "amended.toml"), "-o", str(tmp_path / "again")]) == 0
+    one, two = (load_posterior(folder / "posterior.h5") for folder in (tmp_path / "out", tmp_path / "again"))
+    assert one.mean.shape[-1] == 25
+    assert np.max(np.abs(one.mean - two.mean) / one.std) < 1e-6
+
+
+def test_a_prior_that_stays_as_stated_leaves_it_to_be_found(tmp_path: Path) -> None:
+    loop = loop_of_wide(tmp_path, widths="stated")
+    assert [one["effect"] for one in loop["rounds"]] == ["basis_truncation"]
+
+
+def test_a_gain_is_found_beside_what_the_basis_cannot_follow(tmp_path: Path) -> None:
+    loop = loop_of_wide(tmp_path, GAIN)
+    (found,) = loop["rounds"]
+    assert found["effect"] == "antenna_gains"
+    assert sum(one["n_beyond"] for one in loop["prior_widths"]) == 1
+    (gain,) = [one for one in found["parameters"] if one["name"] == "antenna 3 ln amplitude"]
+    assert gain["value"] == pytest.approx(0.04, abs=4 * gain["std"])
+
+
 def test_widths_are_told_in_words() -> None:
     assert describe(None) == "those that are stated"
     assert describe(PriorWidths(0.25)) == "0.25 of the model's coefficients"
