@@ -16,7 +16,7 @@ from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.prior_widths import WidthsEvidence, adapted, is_adaptable
 from hydrabeam_mpi.inference.mode_widths import PriorWidths
-from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked
+from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
 from hydrabeam_mpi.loop.selection.beyond_basis import NONE_BEYOND, Beyond, with_functions_beyond
 from hydrabeam_mpi.loop.selection.folds import compared
 from hydrabeam_mpi.loop.selection.heldout_score import gain_of
@@ -77,6 +77,18 @@ def adapt(
     widened, log_bayes_factor = _with_widths(context, checked, wider, rivals)
     after, beyond = with_functions_beyond(context, widened, effects, rivals)
     return None if after is checked else Adapted(checked, after, log_bayes_factor, n_rounds, wider, beyond)
+
+
+def as_adapted(context: FitContext, found: Round, n_rounds: int, wider: bool) -> Adapted | None:
+    """Tell a round that gives the beam nothing but functions beyond its basis as what it is; None for any other."""
+    finding = found.candidate.finding
+    part = None if finding is None else finding.effect.beyond_basis(context.setup)
+    given = found.after.fitted.values.active
+    is_beyond = part is not None and given[-1].used.max() < len(part.parameters(context.setup))
+    if not is_beyond or context.problem.job.prior.widths == "stated":
+        return None
+    beyond = Beyond(given[-1].size, found.candidate.log_bayes_factor)
+    return Adapted(found.before, found.after, 0.0, n_rounds, wider, beyond)
 
 
 def _with_widths(

@@ -18,7 +18,7 @@ from hydrabeam_mpi.loop.selection.constant import beside_noise, take_back, take_
 from hydrabeam_mpi.loop.selection.exchange import exchange
 from hydrabeam_mpi.loop.selection.history import History
 from hydrabeam_mpi.loop.selection.predictions import check
-from hydrabeam_mpi.loop.selection.prior_widths import adapt
+from hydrabeam_mpi.loop.selection.prior_widths import Adapted, adapt, as_adapted
 from hydrabeam_mpi.loop.selection.revision import revise
 from hydrabeam_mpi.loop.selection.trials import try_control, try_effects
 from hydrabeam_mpi.loop.selection.weighing import Outlook, Weighed, next_of, weigh
@@ -128,6 +128,8 @@ class _Rounds:
             else:
                 added = replace(added, together=weighed.together.members)
                 history.rest = weighed.after(added.candidate)
+            if added is not None and (of_beam := as_adapted(context, added, len(history.rounds), self.is_wider)):
+                return self._go_on_from(of_beam)
             if added is not None:
                 added = _accept(context, history, added)
         history.compare(control)
@@ -168,14 +170,24 @@ class _Rounds:
         if self.as_wide is history.last or (history.adapted and history.adapted[-1].after is history.last):
             return False
         with self.search.clock.time("prior"):
-            wider = all(one.wider for one in history.adapted)
-            found = adapt(context, history.last, len(history.rounds), wider, self.effects, rivals)
+            found = adapt(context, history.last, len(history.rounds), self.is_wider, self.effects, rivals)
         if found is not None:
-            history.adapt(found)
-            self.effects = next_of(context, self.effects, history.last.fitted.values)
-        elif not rivals:
+            return self._go_on_from(found)
+        if not rivals:
             self.as_wide = history.last
-        return found is not None
+        return False
+
+    @property
+    def is_wider(self) -> bool:
+        """Whether no width of the beam's prior may get less than the stated one."""
+        return all(one.wider for one in self.search.history.adapted)
+
+    def _go_on_from(self, adapted: Adapted) -> bool:
+        """Go on with another prior of the beam."""
+        history = self.search.history
+        history.adapt(adapted)
+        self.effects = next_of(self.search.context, self.effects, history.last.fitted.values)
+        return True
 
 
 def _accept(context: FitContext, history: History, added: Round) -> Round:
