@@ -25,10 +25,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.optimize import minimize_scalar
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.inference.likelihood import RANK_RTOL, Likelihood
+from hydrabeam_mpi.inference.matrices import cholesky_lower
 
 SPREADS: FloatArray = np.exp(np.arange(np.log(1e-5), np.log(1e3)))
 """Spreads tried, in units of the prior's width: from far below what data tell to far above the parameters. The best is
@@ -100,13 +102,16 @@ class Spectrum:
 
     def common_part(self, spread: float) -> FloatArray:
         """Return the posterior mean of the common part, (q,)."""
-        precision, score = self._of_common(spread)
-        return np.asarray(np.linalg.solve(precision, score))
+        factor, shrunk = self._of_common(spread)
+        white = solve_triangular(factor, shrunk @ self.scores, lower=True)
+        return np.asarray(solve_triangular(factor, white, lower=True, trans="T"))
 
     def _of_common(self, spread: float) -> tuple[FloatArray, FloatArray]:
-        """Return the posterior precision of the common part and its score."""
-        shrunk = (self.common / (1 + spread**2 * self.values)[:, np.newaxis]).T
-        return np.eye(len(shrunk)) + (shrunk * self.values) @ self.common, shrunk @ self.scores
+        """Return the factor of the posterior precision of the common part, and what makes its score of the scores."""
+        grown = 1 + spread**2 * self.values
+        root = np.sqrt(self.values / grown)[:, np.newaxis] * self.common
+        # A product with itself takes half as long as another one.
+        return cholesky_lower(np.eye(root.shape[1]) + root.T @ root), self.common.T / grown
 
     def without_common(self, spread: float) -> float:
         """Return ln evidence without a common part, over that of no effect."""
@@ -115,12 +120,12 @@ class Spectrum:
 
     def with_common(self, spread: float) -> float:
         """Return ln evidence with a common part, over that of no effect."""
-        precision, score = self._of_common(spread)
-        quadratic = float(score @ np.linalg.solve(precision, score))
+        factor, shrunk = self._of_common(spread)
+        told = (shrunk @ self.scores)[:, np.newaxis]
         if self.noise.any():
-            shrunk = (self.common / (1 + spread**2 * self.values)[:, np.newaxis]).T
-            quadratic += float(np.trace(np.linalg.solve(precision, (shrunk * self.noise) @ shrunk.T)))
-        return self.without_common(spread) + 0.5 * (quadratic - float(np.linalg.slogdet(precision)[1]))
+            told = np.hstack([told, shrunk * np.sqrt(self.noise)])
+        quadratic = float(np.sum(solve_triangular(factor, told, lower=True) ** 2))
+        return self.without_common(spread) + 0.5 * quadratic - float(np.sum(np.log(np.diag(factor))))
 
 
 def compare(
