@@ -35,6 +35,7 @@ from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.scoring import Told, highest
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.fit.width_numbers import N_SHARED, WidthNumbers
+from hydrabeam_mpi.inference.matrices import cholesky_lower
 from hydrabeam_mpi.inference.mode_widths import ModeSizes, PriorWidths
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.prior import DiagonalPrior
@@ -121,6 +122,7 @@ class WidthsEvidence:
         self._stated, self._now = stated_widths(context.problem.job), fitted.values.prior_widths
         self._channels: list[_Channel] = []
         self._alone: list[_Channel] = []
+        self._told: dict[tuple[bool, PriorWidths], Told] = {}
         normals = sum_for_beams(context, fitted.estimate).normals
         with together(self._world):
             if context.grid.is_group_root:
@@ -184,7 +186,14 @@ class WidthsEvidence:
         return self._added_up(channels, self._numbers.widths(numbers)) + self._numbers.told_before(numbers)
 
     def _added_up(self, channels: Sequence[_Channel], widths: PriorWidths) -> Told:
-        """Return what the data of all channels tell of the numbers of widths."""
+        """Return what the data of all channels tell of the numbers of widths; that of the same ones is kept."""
+        key = channels is self._alone, widths
+        if key not in self._told:
+            self._told[key] = self._told_by(channels, widths)
+        return self._told[key]
+
+    def _told_by(self, channels: Sequence[_Channel], widths: PriorWidths) -> Told:
+        """Work that out."""
         n = N_SHARED + len(self._numbers.counts)
         told = Told(0.0, np.zeros(n), np.zeros((n, n)))
         with together(self._world):
@@ -235,10 +244,12 @@ class _Channel:
         else:
             matrix = sigma[:, np.newaxis] * self.information * sigma
             matrix[np.diag_indices_from(matrix)] += 1
-            given = Posterior(np.zeros_like(pull), np.linalg.cholesky(matrix))
+            given = Posterior(np.zeros_like(pull), cholesky_lower(matrix))
             moved, left = given.covariance @ pull, np.diag(given.covariance).real
             log_det = 2 * np.sum(np.log(np.diag(given.factor).real))
-            expected = slopes @ np.abs(np.eye(len(sigma)) - given.covariance) ** 2 @ slopes.T
+            squares = given.covariance.real**2 + given.covariance.imag**2
+            squares[np.diag_indices_from(squares)] = (1 - left) ** 2
+            expected = slopes @ squares @ slopes.T
         slope = slopes @ (kappa * (np.abs(moved) ** 2 + left - 1))
         return Told(kappa / 2 * float(np.vdot(pull, moved).real - log_det), slope, 2 * kappa * expected)
 
