@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.linalg import eigh, solve_triangular
+from scipy.linalg.blas import dtrmm, ztrmm
 from scipy.linalg.lapack import dpotri, zpotri
 from scipy.sparse.linalg import ArpackNoConvergence, eigsh
 
@@ -72,13 +73,18 @@ class Posterior:
         complete_hermitian(lower.T)
         return np.asarray(lower)
 
+    @cached_property
+    def precision(self) -> Array:
+        """P, (n, n)."""
+        multiply = ztrmm if self.is_complex else dtrmm
+        return np.asarray(multiply(1.0, self.factor, self.factor.conj().T, lower=1))
+
     def largest(self, k: int) -> tuple[FloatArray, Array]:
         """Return the ``k`` largest eigenvalues of the precision, descending, (k,), and their eigenvectors, (n, k).
 
         In the covariance the best-determined ones are beside the largest as small as rounding errors.
         """
-        precision = self.factor @ self.factor.conj().T
-        values, vectors = _largest(precision, k)
+        values, vectors = _largest(self.precision, k)
         # Eigenvectors have any phase; here their largest component is positive.
         top = vectors[np.argmax(np.abs(vectors), axis=0), np.arange(k)]
         return values, vectors * (np.abs(top) / top)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.inference.posterior import Posterior
@@ -16,6 +17,8 @@ from hydrabeam_mpi.mpi import Comm
 # The one-degree grid of HDBI II: zenith angle 0..90, azimuth 0..359.
 GRID_ZA: FloatArray = np.deg2rad(np.arange(91.0))
 GRID_AZ: FloatArray = np.deg2rad(np.arange(360.0))
+ROUNDING = 1e-14
+"""Harmonics smaller than this fraction of the largest are zero but for rounding."""
 
 
 @dataclass(frozen=True)
@@ -55,12 +58,26 @@ def map_posterior(comm: Comm, posterior: Posterior, basis: LinearBasis) -> tuple
     rings = {}
     for ring in mine.tolist():
         columns = basis.evaluate(np.full(len(GRID_AZ), GRID_ZA[ring]), GRID_AZ).T
-        rings[ring] = columns @ posterior.mean, np.sqrt(posterior.predictive_variance(columns))
+        rings[ring] = columns @ posterior.mean, np.sqrt(_ring_variance(posterior, columns))
     merged: dict[int, tuple[Array, FloatArray]] = {}
     for part in comm.allgather(rings):
         merged |= part
     mean, std = zip(*(merged[ring] for ring in range(len(GRID_ZA))), strict=True)
     return np.array(mean), np.array(std)
+
+
+def _ring_variance(posterior: Posterior, rows: Array) -> FloatArray:
+    """Return E|a(x - mean)|^2 for the values ``a`` of the functions at each azimuth, rows of (Naz, n); (Naz,).
+
+    The azimuths divide the turn evenly. Of functions that are smooth in azimuth few harmonics are not zero, and their
+    covariance is quickly found.
+    """
+    harmonics = np.fft.fft(rows, axis=0, norm="forward")
+    size = np.abs(harmonics).max(axis=1)
+    orders = np.flatnonzero(size > ROUNDING * size.max())
+    half = solve_triangular(posterior.factor, harmonics[orders].conj().T, lower=True, check_finite=False)
+    waves = np.exp(-2j * np.pi / len(rows) * np.outer(orders, np.arange(len(rows))))
+    return np.sum(waves.conj() * ((half.conj().T @ half) @ waves), axis=0).real
 
 
 def departure_from_prior(posterior: Posterior, prior: Prior) -> tuple[float, float]:
