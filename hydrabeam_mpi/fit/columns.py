@@ -113,12 +113,16 @@ class Columns:
             product = _product(real, two.real) + _product(imag, two.imag)
             return product + 1j * (_product(real, two.imag) - _product(imag, two.real)) if is_complex else product
         if self.by_group:
-            product = _adjoint_product(self.values, other.group_weighted)
+            one, two = self.values, other.group_weighted
         elif other.by_group:
-            product = _adjoint_product(self.group_weighted, other.values)
+            one, two = self.group_weighted, other.values
         else:
-            product = _adjoint_product(self.values, other.weighted)
-        return product if is_complex else product.real
+            one, two = self.values, other.weighted
+        if is_complex or issparse(one) or issparse(two):
+            product = _adjoint_product(one, two)
+            return product if is_complex else product.real
+        # Half of the work.
+        return np.asarray(one.real.T @ two.real + one.imag.T @ two.imag)
 
 
 def _adjoint_product(one: Matrix, two: Matrix) -> Array:
