@@ -25,6 +25,7 @@ from hydrabeam_mpi.loop.selection.acceptance import (
 )
 from hydrabeam_mpi.loop.selection.candidate_fits import as_large_as_wanted, fit_candidate
 from hydrabeam_mpi.loop.selection.folds import compared
+from hydrabeam_mpi.loop.selection.freer_beam import refusal_by_freer_beam
 from hydrabeam_mpi.loop.selection.refits import log_joint
 from hydrabeam_mpi.loop.selection.refusal import refusal_beside, refusal_of, rivals_of
 from hydrabeam_mpi.loop.selection.weighing import Outlook
@@ -90,7 +91,8 @@ def _refusal(context: FitContext, before: Checked, after: Checked, fitted: Candi
     """Say why a fitted candidate is not kept; None where it is. Collective: all ranks of the grid."""
     settings = context.problem.job.loop
     if fitted.finding is not None and fitted.log_bayes_factor >= settings.min_log_bayes_factor:
-        before, after = compared(context, before, after)
+        one, two = compared(context, before, after)
+        return refusal_of(one, two, fitted, settings) or refusal_by_freer_beam(context, before.fitted, after.fitted)
     return refusal_of(before, after, fitted, settings)
 
 
