@@ -131,9 +131,9 @@ def draw_fall(loop: Entry) -> Drawing | None:
     return Drawing(
         "loop_heldout",
         "The error on data that no fit has seen",
-        "Reduced χ² of the held-out visibilities under the posterior predictive, at first and after each "
-        "effect that was added. Noise alone gives 1.",
-        f"A line from {written(float(values[0]))} to {written(float(values[-1]))} over {len(values) - 1} rounds.",
+        "Reduced χ² of the held-out visibilities under the posterior predictive, at first, after each effect that was "
+        "added, and where the beam's prior was adapted since. Noise alone gives 1.",
+        f"A line from {written(float(values[0]))} to {written(float(values[-1]))} in {len(values) - 1} steps.",
         figure,
     )
 
@@ -148,5 +148,11 @@ def _stages(loop: Entry) -> Iterator[tuple[str, float]]:
     for count, entry in enumerate(rounds, 1):
         after = number(entry, "heldout_after")
         if math.isfinite(after):
-            name = title_of(entry)
-            yield "\n".join(textwrap.wrap(f"{count}: + {name}", 18)), after
+            yield _stage(f"{count}: + {title_of(entry)}"), after
+        # What was adapted before the first round is part of the model that it begins with.
+        for adapted in (one for one in entries(loop, "prior_widths") if one.get("n_rounds") == count):
+            yield _stage("the beam's prior adapted"), number(adapted, "predictive_chi2_after")
+
+
+def _stage(name: str) -> str:
+    return "\n".join(textwrap.wrap(name, 18))
