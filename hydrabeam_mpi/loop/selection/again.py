@@ -19,23 +19,38 @@ def run_search(search: Search) -> None:
     that it is not offered any more; what is taken back at the second end stays so. All rounds together are as many as
     the job allows. A history that was kept goes on in the search that it was kept in.
 
-    All of that is done with a beam as free as the job states, or freer, and then once more with the widths of its prior
-    that the data want: a beam that is freer than need be takes up what is faint. What is not claimed at the very end,
-    but predicts, stays in the model: see `keep_for_prediction`.
+    All of that is done with a beam as free as the job states, or freer, and with one channel once more with the widths
+    of its prior that the data want: a beam that is freer than need be takes up what is faint. The beams of several
+    channels may be off alike, by a tilt say, which a prior of independent ones takes for as many coincidences. The
+    narrower that is, the more an effect seems to explain that all channels share, so that with several channels these
+    widths are for prediction alone: what is claimed, and the verdict, are of the fit before.
+
+    What is not claimed at the very end, but predicts, stays in the model: see `keep_for_prediction`.
 
     Collective: all ranks of the grid.
     """
-    _run_twice(search)
     context, history = search.context, search.history
-    with search.clock.time("prior"):
-        effects = next_of(context, search.effects, history.last.fitted.values)
-        found = adapt(context, history.last, len(history.rounds), wider=False, effects=effects)
-    if found is not None:
-        history.adapt(found)
+    is_one = context.setup.observation.Nfreqs == 1
+    _run_twice(search)
+    if is_one and _adapted(search):
         _run_twice(search)
     if given_up(history):
         with search.clock.time("trials"):
             keep_for_prediction(context, history)
+    claimed = history.claimed or history.last
+    if not is_one and _adapted(search):
+        history.claimed = claimed
+
+
+def _adapted(search: Search) -> bool:
+    """Give the beam's prior the widths that the data want; whether these are new. Collective: all ranks of the grid."""
+    context, history = search.context, search.history
+    effects = next_of(context, search.effects, history.last.fitted.values)
+    with search.clock.time("prior"):
+        found = adapt(context, history.last, len(history.rounds), wider=False, effects=effects)
+    if found is not None:
+        history.adapt(found)
+    return found is not None
 
 
 def _run_twice(search: Search) -> None:

@@ -15,11 +15,12 @@ from hydrabeam_mpi.mpi import together
 def refusal_by_freer_beam(context: FitContext, before: Fitted, after: Fitted) -> str | None:
     """Say that an effect, as it was fitted, speaks against the data where the beam is as free as the job states.
 
-    A prior that is as narrow as the data want finds what a freer beam takes up. It is also wrong in detail: the beams
-    of all channels may be tilted alike, for which it has no number, and an effect that all channels share costs less
-    than as many beams. So the evidence with the stated widths is asked which is likelier, the effect as it was fitted
-    or none. Where the beam takes up nearly all of it that says little, but it says on which side of half the effect the
-    data are: of what is so mostly on its side, of what is not as often on the other, the more often the larger it is.
+    A prior that is as narrow as the data want finds what a freer beam takes up. It may also be wrong in detail, which
+    an effect then seems to explain. So the evidence with the stated widths is asked which is likelier, the effect as it
+    was fitted or none. Where the beam takes up nearly all of it that says little, but it says on which side of half the
+    effect the data are: of what is so mostly on its side, of what is not as often on the other, the more often the
+    larger it is.
+
     None where it says nothing against the effect, or the beam has no widths less than the stated ones. Collective: all
     ranks of the grid.
     """

@@ -1,8 +1,8 @@
 """How wide the beam's prior is, is no finding, but the data decide it as they decide what is one: by the evidence.
 
-Effects are looked for twice. At first the beam is as free as the job states, or freer where the data want that: no
-width gets less than the stated one. Then the prior has the widths that the data want, where held-out data agree, and
-what a beam that was too free had taken up may be found.
+While effects are looked for first the beam is as free as the job states, or freer where the data want that: no width
+gets less than the stated one. Then the prior has the widths that the data want, where held-out data agree: for
+prediction, and with one channel to look for what a beam that was too free had taken up; see `selection.again`.
 """
 
 from __future__ import annotations
