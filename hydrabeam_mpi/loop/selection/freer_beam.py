@@ -13,7 +13,7 @@ from hydrabeam_mpi.mpi import together
 
 
 def refusal_by_freer_beam(context: FitContext, before: Fitted, after: Fitted) -> str | None:
-    """Say that an effect, as it was fitted, speaks against the data where the beam is as free as the job states.
+    """Say that the data speak against an effect, as it was fitted, where the beam is as free as the job states.
 
     A prior that is as narrow as the data want finds what a freer beam takes up. It may also be wrong in detail, which
     an effect then seems to explain. So the evidence with the stated widths is asked which is likelier, the effect as it
