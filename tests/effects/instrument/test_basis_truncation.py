@@ -142,3 +142,23 @@ def test_a_setup_that_has_been_of_use_goes_to_other_ranks() -> None:
     names = BasisTruncation().parameters(setup).names
     again = pickle.loads(pickle.dumps(setup))
     assert BasisTruncation().parameters(again).names == names
+
+
+def test_what_is_beyond_a_basis_is_what_does_not_vanish_where_all_of_it_does() -> None:
+    setup = with_basis(BASES["complex"])
+    beyond = BasisTruncation().beyond_basis(setup)
+    assert beyond is not None
+    modes = beyond.next_modes(setup).modes
+    assert sorted(modes) == [(0, m) for m in range(-3, 4)]
+    at_edge = beyond.beam_functions(setup).evaluate(np.array([EDGE]), np.array([0.3]))
+    own = setup.basis.evaluate(np.array([EDGE]), np.array([0.3]))
+    assert np.all(np.abs(at_edge) > 1e-3)
+    np.testing.assert_allclose(own, 0, atol=1e-12)
+    # Once the beam has them nothing else is beyond it.
+    after = BasisTruncation().next_after(setup, beyond)
+    assert after.beyond_basis(setup) is None
+
+
+@pytest.mark.parametrize("name", ["real", "zernike"])
+def test_nothing_is_beyond_a_basis_that_is_free_at_the_edge(name: str) -> None:
+    assert BasisTruncation().beyond_basis(with_basis(BASES[name])) is None

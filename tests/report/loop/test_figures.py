@@ -87,6 +87,15 @@ def test_the_fall() -> None:
     assert draw_fall(loops.consistent()) is None
 
 
+def test_the_fall_goes_on_where_the_prior_was_adapted() -> None:
+    loop = loops.explained()
+    adapted = [{"n_rounds": number, "predictive_chi2_after": chi2} for number, chi2 in ((0, 11.4), (1, 1.9), (2, 1.01))]
+    drawing = draw_fall(loop | {"prior_widths": adapted})
+    assert drawing is not None
+    _, curve = drawing.figure.axes[0].lines
+    np.testing.assert_array_equal(curve.get_ydata(), [11.4, 2.31, 1.9, 1.03, 1.01])
+
+
 def test_parameters_over_antennas() -> None:
     drawing = draw_parameters(loops.gains_round(), 1)
     assert drawing is not None
