@@ -127,7 +127,7 @@ def _whiten(context: FitContext, fitted: Fitted) -> Whitened:
                             widened = 1 + 2 * weights * _variances(columns, own, own_root).mean(axis=0)
                             weights = weights / widened
                             log_spread[number] += float(np.log(widened).sum())
-                    by_beam = share.model_variance(channel, row, fitted.estimate, design[t])
+                    by_beam = share.model_root(channel, row, fitted.estimate, design[t])
                     found = whiten_time(stack, weights, block.member, by_beam)
                     white, share_of_model[channel, row], spread, variance = found
                     log_spread[number] += spread

@@ -17,7 +17,7 @@ from hydrabeam_mpi.fit.grown import grown_beam
 from hydrabeam_mpi.fit.row_model import RowModel
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Active, Estimate
-from hydrabeam_mpi.fit.whitening import model_variance
+from hydrabeam_mpi.fit.whitening import model_root
 from hydrabeam_mpi.model.beam import BeamInfo, CoefficientBeam
 
 ROWS_AT_ONCE = 60_000
@@ -35,7 +35,7 @@ class RankData(RowModel):
         return []
 
     @cached_property
-    def _variances(self) -> dict[int, tuple[Array, bytes, dict[int, FloatArray]]]:
+    def _roots(self) -> dict[int, tuple[Array, bytes, dict[int, FloatArray]]]:
         return {}
 
     def weighed(self, factor: FloatArray) -> RankData:
@@ -98,20 +98,20 @@ class RankData(RowModel):
             )
             yield span, block, rows_of_design
 
-    def model_variance(self, channel: int, t: int, at: Estimate, design: Array) -> FloatArray:
-        """Return the covariance of predictions of the rank's time number ``t``, as the function of this name does.
+    def model_root(self, channel: int, t: int, at: Estimate, design: Array) -> FloatArray:
+        """Return the root of the covariance of predictions of the rank's time number ``t``; see `whitening.model_root`.
 
         Fits that differ in nothing but what effects add have it in common. It is kept where it takes no more room than
         the design, (Ngroups, n_modes) or its parts.
         """
         posterior, sky = at.beams[channel], self.key_of_sky(at.values)
         if not self.keeps_designs or 2 * len(self.rows.groups) > design.shape[-1]:
-            return model_variance(posterior, design)
-        kept = self._variances.get(channel)
+            return model_root(posterior, design)
+        kept = self._roots.get(channel)
         if kept is None or kept[0] is not posterior.factor or kept[1] != sky:
-            kept = self._variances[channel] = posterior.factor, sky, {}
+            kept = self._roots[channel] = posterior.factor, sky, {}
         if t not in kept[2]:
-            kept[2][t] = model_variance(posterior, design)
+            kept[2][t] = model_root(posterior, design)
         return kept[2][t]
 
     def _beam(self, channel: int, at: Estimate) -> CoefficientBeam:

@@ -22,10 +22,12 @@ from hydrabeam_mpi.inference.posterior import Posterior
 LEAST_LEFT = 1e-9
 """Of the variance of a fitted row, that rounding errors leave: less is left of what only this time and the prior tell.
 """
+ZERO_RTOL = 1e-12
+"""Eigenvalues below this part of the largest count as zero: rounding errors of a thousand sums are no larger."""
 
 
 def whiten_time(
-    rows: ComplexArray, weights: FloatArray, member: IntArray, of_model: FloatArray, fitted: bool = False
+    rows: ComplexArray, weights: FloatArray, member: IntArray, model_root: FloatArray, fitted: bool = False
 ) -> tuple[ComplexArray, FloatArray, float, FloatArray]:
     """Whiten the rows of one time.
 
@@ -37,12 +39,12 @@ def whiten_time(
         Inverse variance of all that is each row's own, Jy^-2; zero for rows that do not count.
     member : ndarray of int, (Nbls,)
         Which design row belongs to each.
-    of_model : ndarray, (2 Ngroups, 2 Ngroups)
-        Covariance of the predictions; see `model_variance`.
+    model_root : ndarray, (r, 2 Ngroups)
+        R with R^T R the covariance of the predictions; see `model_root`.
     fitted : bool, optional
         Whether these rows are among those that the model was fitted to. They are then whitened as the residuals of the
-        model that all other times alone predict: with u the whitened residuals and R the root of the weights, these
-        are (1 - R C R)^-1/2 u, where rows that are not fitted have (1 + R C R)^-1/2 u.
+        model that all other times alone predict: with u the residuals over the noise and M the covariance of the
+        predictions over that of the noise these are (1 - M)^-1/2 u, where rows that are not fitted have (1 + M)^-1/2 u.
 
     Returns
     -------
@@ -55,7 +57,7 @@ def whiten_time(
     variance : ndarray, (Nbls,)
         The model's own, Jy^2; zero where nothing of a group counts.
     """
-    n_groups = len(of_model) // 2
+    n_groups = model_root.shape[1] // 2
     group_weights = np.bincount(member, weights, n_groups)
     used = np.flatnonzero(group_weights)
     if not len(used):  # a time that is wholly flagged
@@ -66,25 +68,36 @@ def whiten_time(
     gather = csr_array((own, (member, np.arange(len(member)))), shape=(n_groups, len(member)))
     plain = np.sqrt(2 * weights)[:, np.newaxis] * rows
     common = (gather @ plain)[used]
-    both = np.concatenate([used, n_groups + used])
-    of_model = of_model[np.ix_(both, both)]
-    values, vectors = np.linalg.eigh(root[:, np.newaxis] * of_model * root)
-    values = np.maximum(values, 0.0)
+    model_root = model_root[:, np.concatenate([used, n_groups + used])]
+    values, vectors = _spectrum(model_root * root)
     scales = 1 / np.sqrt(1 + values)
     if fitted:
         left = np.maximum(1 - values, LEAST_LEFT)
         values, scales = values / left, 1 / np.sqrt(left)
     parts = np.concatenate([common.real, common.imag])
-    whitened = vectors @ (scales[:, np.newaxis] * (vectors.T @ parts))
+    changed = vectors @ ((scales - 1)[:, np.newaxis] * (vectors.T @ parts))
     change = np.zeros((n_groups, rows.shape[1]), dtype=complex)
-    change[used] = whitened[: len(used)] + 1j * whitened[len(used) :] - common
+    change[used] = changed[: len(used)] + 1j * changed[len(used) :]
     shared = np.zeros(n_groups)
     by_part = np.square(vectors) @ (values / (1 + values))
     shared[used] = 0.5 * (by_part[: len(used)] + by_part[len(used) :])
     variance = np.zeros(n_groups)
-    variance[used] = np.diag(of_model).reshape(2, -1).sum(axis=0)
+    variance[used] = np.sum(model_root**2, axis=0).reshape(2, -1).sum(axis=0)
     log_spread = 0.5 * float(np.log1p(values).sum())
     return plain + gather.T @ change, own**2 * shared[member], log_spread, variance[member]
+
+
+def _spectrum(root: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the eigenvalues of R^T R, none negative, and its eigenvectors; those of eigenvalue zero may be left out.
+
+    With fewer rows than columns R R^T has the others, and is the smaller matrix.
+    """
+    if len(root) >= root.shape[1]:
+        values, vectors = np.linalg.eigh(root.T @ root)
+        return np.maximum(values, 0.0), vectors
+    values, vectors = np.linalg.eigh(root @ root.T)
+    told = values > ZERO_RTOL * values.max(initial=0.0)
+    return values[told], root.T @ (vectors[:, told] / np.sqrt(values[told]))
 
 
 def root_of(covariance: FloatArray) -> FloatArray:
@@ -146,8 +159,11 @@ class SharedErrors:
         return 0.5 * float(np.log1p(self._spectrum[0]).sum())
 
 
-def model_variance(posterior: Posterior, design: Array) -> FloatArray:
-    """Return the covariance of the parts of a time's predictions, all real parts first, (2 Ngroups, 2 Ngroups).
+def model_root(posterior: Posterior, design: Array) -> FloatArray:
+    """Return R, (r, 2 Ngroups), with R^T R the covariance of a time's predictions, all real parts first.
+
+    It has as many rows as there are parts of coefficients, or of predictions if these are fewer: of all of HERA the
+    covariance itself would be one of 16,000 numbers with each other.
 
     Parameters
     ----------
@@ -157,8 +173,7 @@ def model_variance(posterior: Posterior, design: Array) -> FloatArray:
         (2, Ngroups, n) real and imaginary parts for real coefficients, or (Ngroups, n) for complex ones.
     """
     rows = design.reshape(-1, design.shape[-1])
-    half = solve_triangular(posterior.factor, rows.conj().T, lower=True, check_finite=False)
-    if not posterior.is_complex:
-        return np.asarray(half.T @ half)
-    circular = half.conj().T @ half
-    return 0.5 * np.block([[circular.real, -circular.imag], [circular.imag, circular.real]])
+    root = solve_triangular(posterior.factor, rows.conj().T, lower=True, check_finite=False)
+    if posterior.is_complex:
+        root = np.sqrt(0.5) * np.block([[root.real, -root.imag], [root.imag, root.real]])
+    return np.asarray(root if len(root) <= root.shape[1] else np.linalg.qr(root, mode="r"))

@@ -9,7 +9,7 @@ import pytest
 from mpi4py import MPI
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
-from hydrabeam_mpi.fit.whitening import SharedErrors, model_variance, root_of, whiten_time
+from hydrabeam_mpi.fit.whitening import SharedErrors, model_root, root_of, whiten_time
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.mpi import allreduce_sum
 from hydrabeam_mpi.random import complex_normal, generator
@@ -38,9 +38,9 @@ class Time:
     posterior: Posterior
 
     @property
-    def of_model(self) -> FloatArray:
-        """The covariance of the groups' predictions, as the package has it."""
-        return model_variance(self.posterior, self.design)
+    def root(self) -> FloatArray:
+        """Of the covariance of the groups' predictions, as the package has it."""
+        return model_root(self.posterior, self.design)
 
     def covariance(self) -> FloatArray:
         """Of the predictions' parts over the noise, by the parts of the coefficients."""
@@ -86,7 +86,7 @@ def test_a_time_is_whitened_by_the_symmetric_root(
 ) -> None:
     time = time_of(is_complex, n_modes, flagged, strength)
     residuals = complex_normal(generator(2, "residuals"), (len(MEMBER), 3))
-    z, share, log_spread, variance = whiten_time(residuals, time.weights, MEMBER, time.of_model)
+    z, share, log_spread, variance = whiten_time(residuals, time.weights, MEMBER, time.root)
     covariance = time.covariance()
     expected = symmetric_root(covariance) @ (np.tile(np.sqrt(2 * time.weights), 2)[:, np.newaxis] * parts(residuals))
     np.testing.assert_allclose(parts(z), expected, rtol=0, atol=1e-7)
@@ -101,7 +101,7 @@ def test_a_time_is_whitened_by_the_symmetric_root(
 def test_a_time_that_is_wholly_flagged_says_nothing() -> None:
     time = time_of(False, 3, np.arange(8), 1.0)
     ones = np.ones((8, 2), complex)
-    z, share, log_spread, variance = whiten_time(ones, time.weights, MEMBER, time.of_model)
+    z, share, log_spread, variance = whiten_time(ones, time.weights, MEMBER, time.root)
     assert not z.any()
     assert not share.any()
     assert not variance.any()
@@ -117,7 +117,7 @@ def test_draws_from_the_predictive_distribution_become_white(is_complex: bool) -
     used = time.weights > 0
     sigma = np.where(used, 1 / np.sqrt(np.where(used, time.weights, 1.0)), 0.0)
     rows = time.rows[MEMBER] @ errors + sigma[:, np.newaxis] * complex_normal(rng, (8, 20000))
-    z, _, _, _ = whiten_time(rows, time.weights, MEMBER, time.of_model)
+    z, _, _, _ = whiten_time(rows, time.weights, MEMBER, time.root)
     white = parts(z[used])
     # The errors of 20000 draws: 0.007 of covariances, 0.01 of variances.
     np.testing.assert_allclose(white @ white.T / 20000, np.eye(len(white)), rtol=0, atol=0.05)
@@ -144,7 +144,7 @@ def test_a_fitted_time_is_whitened_as_the_others_predict_it(n_modes: int, is_com
     def whitened(posterior: Posterior, mean: ComplexArray, fitted: bool) -> ComplexArray:
         design = rows[0] if is_complex else np.stack([rows[0].real, rows[0].imag])
         residual = (data[0] - (rows[0] @ mean)[MEMBER])[:, np.newaxis]
-        return whiten_time(residual, times[0].weights, MEMBER, model_variance(posterior, design), fitted)[0]
+        return whiten_time(residual, times[0].weights, MEMBER, model_root(posterior, design), fitted)[0]
 
     beside, of_all = whitened(*fit([1, 2]), False), whitened(*fit([0, 1, 2]), True)
     np.testing.assert_allclose(of_all, beside, rtol=0, atol=1e-9)

@@ -167,7 +167,7 @@ def _beside_others(
     """
     z = np.zeros(block.shape, dtype=complex)
     for t, row in enumerate(range(span.start, span.stop)):
-        by_beam = context.train.model_variance(channel, row, fitted.estimate, design[t])
+        by_beam = context.train.model_root(channel, row, fitted.estimate, design[t])
         in_fit = bool(seen.inv_noise_var[channel, row].any())
         white, *_ = whiten_time(block.residual[t][:, np.newaxis], block.weights[t], block.member, by_beam, in_fit)
         z[t] = white[:, 0] / np.sqrt(2)
