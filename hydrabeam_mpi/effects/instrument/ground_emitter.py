@@ -20,6 +20,8 @@ from hydrabeam_mpi.model.engines.fringes import C_M_PER_S
 SPACING = 0.2  # of candidates, in resolutions: fine, as a scan along one line costs little
 AT_MOST = 10
 """Emitters that are weighed together; where there are more, the next come a round later."""
+AT_ONCE = 256
+"""Candidates that are looked at together: of all of HERA's baselines 33 MB."""
 DEGREE = np.pi / 180
 
 
@@ -100,12 +102,11 @@ class GroundEmitter(ScannedEffect):
     def scan(self, block: RowBlock) -> tuple[FloatArray, FloatArray]:
         """Correlate what is left, summed over time, with an emitter in every direction, each (n_hypotheses, p)."""
         n = self.n_hypotheses(block.setup)
-        every = GroundEmitter(_azimuths(n, np.arange(n)))
         residual = np.zeros(len(block.groups), dtype=complex)
         np.add.at(residual, block.member, np.sum(block.weights * block.residual, axis=0))
-        fringes, _ = every._fringes(block, np.zeros(2 * n))
-        power = np.full((n, 1), float(block.weights.sum()))
-        return (fringes.conj().T @ residual).real[:, np.newaxis], power
+        some = (np.arange(start, min(start + AT_ONCE, n)) for start in range(0, n, AT_ONCE))
+        told = [_fringes_from(block, np.deg2rad(_azimuths(n, which))).conj().T @ residual for which in some]
+        return np.concatenate(told).real[:, np.newaxis], np.full((n, 1), float(block.weights.sum()))
 
     def at(self, setup: ObservingSetup, hypotheses: IntArray) -> GroundEmitter:
         """Take these azimuths, the best first, leaving out those within a resolution of better ones.
@@ -132,9 +133,15 @@ class GroundEmitter(ScannedEffect):
     def _fringes(self, block: RowBlock, x: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         """Return exp(2 pi i nu b.s/c) of every group and emitter, and its derivative by azimuth, (Ngroups, n)."""
         azimuth = np.asarray(self.azimuths) * DEGREE + x[1::2] * DEGREE
+        fringes = _fringes_from(block, azimuth)
         wave = 2j * np.pi * block.freq / C_M_PER_S
-        fringes = np.exp(wave * (block.vectors[:, :2] @ np.stack([np.cos(azimuth), np.sin(azimuth)])))
         return fringes, wave * (block.vectors[:, :2] @ np.stack([-np.sin(azimuth), np.cos(azimuth)])) * fringes
+
+
+def _fringes_from(block: RowBlock, azimuth: FloatArray) -> ComplexArray:
+    """Return exp(2 pi i nu b.s/c) of every group and azimuth, rad, (Ngroups, n)."""
+    wave = 2j * np.pi * block.freq / C_M_PER_S
+    return np.exp(wave * (block.vectors[:, :2] @ np.stack([np.cos(azimuth), np.sin(azimuth)])))
 
 
 def _azimuths(n: int, hypotheses: IntArray) -> list[float]:
