@@ -16,7 +16,7 @@ QUARTER = 0.25
 
 @dataclass(frozen=True)
 class Finding:
-    """Something about the data that no effect describes.
+    """Something about the data that no effect describes, or that nothing is known of.
 
     Attributes
     ----------
@@ -30,6 +30,8 @@ class Finding:
         To take as flagged, Julian dates from and to.
     flux_scale : tuple of float
         To multiply the data by: once, or of each channel.
+    is_fault : bool
+        Whether something is wrong; if not, it is only that this could not be looked for.
     """
 
     what: str
@@ -40,6 +42,7 @@ class Finding:
     baselines: tuple[tuple[int, int], ...] = ()
     times: tuple[tuple[float, float], ...] = ()
     flux_scale: tuple[float, ...] = (1.0,)
+    is_fault: bool = True
 
     @property
     def line(self) -> str:

@@ -84,7 +84,7 @@ def _not_looked_for(excess: Excess, partners: Excess) -> list[Finding]:
         return []
     why = "times lie too far apart to be compared and no two baselines are redundant, so that only gross ones are found"
     remedy = "after a fit `hydrabeam loop` looks for them again"
-    return [Finding("bad integrations cannot be looked for", "before a fit", why, remedy)]
+    return [Finding("bad integrations cannot be looked for", "before a fit", why, remedy, is_fault=False)]
 
 
 def _without(problem: Problem, found: Sequence[Finding]) -> Kept:
@@ -105,11 +105,12 @@ def told(grid: ProcessGrid, problem: Problem) -> Problem:
 
     Collective: all ranks of the grid.
     """
-    findings = tuple(check_health(grid, problem))
+    findings = check_health(grid, problem)
     lines = tuple(one.line for one in findings)
     if grid.is_world_root:
         warn(lines)
-    return replace(problem, findings=findings, cautions=(*problem.cautions, *lines))
+    faults = tuple(one for one in findings if one.is_fault)
+    return replace(problem, findings=faults, cautions=(*problem.cautions, *lines))
 
 
 def mended(grid: ProcessGrid, problem: Problem) -> Problem:

@@ -255,6 +255,7 @@ def test_without_redundancy_it_is_said_that_integrations_minutes_apart_cannot_be
     job = made(tmp_path, close=False)
     (one,) = found(job, tmp_path, exclude_antennas=[1, 4, 5, 6])
     assert one.line.startswith("Bad integrations cannot be looked for (before a fit)")
+    assert not one.is_fault
 
 
 def test_a_noisy_baseline(job: dict[str, Any], folder: Path) -> None:
