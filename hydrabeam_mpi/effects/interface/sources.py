@@ -92,7 +92,7 @@ class Sources:
             sin_za = np.hypot(self.enu[0], self.enu[1])
             return np.where(self.za <= np.pi / 2, by_za, 0.0), by_az / np.maximum(sin_za, STEP)
         down, around = (
-            (self._beam_at(self.enu + STEP * tangent) - self._beam_at(self.enu - STEP * tangent)) / (2 * STEP)
+            (self.beam_at(self.enu + STEP * tangent) - self.beam_at(self.enu - STEP * tangent)) / (2 * STEP)
             for tangent in self.tangents
         )
         return down, around
@@ -112,10 +112,11 @@ class Sources:
         (down, around), (by_down, by_around) = self.tangents, self.by_tangents
         return around * by_down - down * by_around
 
-    def _beam_at(self, vectors: FloatArray) -> FloatArray:
+    def beam_at(self, vectors: FloatArray) -> FloatArray:
+        """Return the real part of the power beam in other directions, (3, N) of any length; (N,)."""
         za = np.arctan2(np.hypot(vectors[0], vectors[1]), vectors[2])
         az = np.arctan2(vectors[1], vectors[0]) % (2 * np.pi)
-        return np.asarray(self.beam_function(np.minimum(za, np.pi / 2), az)).real
+        return power_of(self.beam_function, np.minimum(za, np.pi / 2), az)
 
 
 def power_of(beam: Beam, za: FloatArray, az: FloatArray) -> FloatArray:

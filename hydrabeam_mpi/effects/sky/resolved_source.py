@@ -1,7 +1,13 @@
-"""Catalogue sources that are wide: a circular Gaussian's visibilities are exp(-2 pi^2 sigma^2 |u|^2) those of a point.
+"""Catalogue sources that are wide: circular Gaussians on the sky, with the beam and the fringes over them.
 
-|u| is the length of the baseline in wavelengths as seen from the source, sigma the dispersion. Over the source the beam
-counts as the same.
+With delta the place in the plane that touches the sky at the centre, q the baseline's part in that plane and w that
+towards the centre, in wavelengths, and sigma the dispersion, a direction's phase is 2 pi (w + q.delta - w delta^2 / 2),
+as the sky is curved. The beam is B + g.delta + delta.H.delta / 2. So of the point's fringe there is left
+
+    G [B + v (2 pi i q.g + tr H / 2) - 2 pi^2 v^2 q.H.q],    G = exp(-2 pi^2 v q^2) / c,    v = sigma^2 / c
+
+with c = 1 + 2 pi i w sigma^2. For a source of a degree in the main lobe of a 14 m dish what has g, the beam's slope, is a
+sixth of B on a baseline of 100 m at 150 MHz.
 """
 
 from __future__ import annotations
@@ -18,14 +24,16 @@ from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.interface.told import Told
 from hydrabeam_mpi.effects.shared.point_sources import in_degrees, in_radians
-from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
-from hydrabeam_mpi.model.engines.fringes import C_M_PER_S, enu
+from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux, find
+from hydrabeam_mpi.model.engines.fringes import C_M_PER_S
 from hydrabeam_mpi.model.sky import Sky
 
-FADING = (np.pi * np.deg2rad(1 / 60)) ** 2 / (4 * np.log(2))
-"""2 pi^2 sigma^2 of a full width at half maximum of one arcmin."""
+VARIANCE = np.deg2rad(1 / 60) ** 2 / (8 * np.log(2))
+"""sigma^2 of a full width at half maximum of one arcmin."""
 LARGEST_LN = np.log(1e3)
 """Of a visibility over that of a point, from where a fit may start but does not stay."""
+STEP = 1e-3
+"""rad, of second derivatives of beams: with it a table's 1e-10 and the beam's fourth derivatives matter as little."""
 
 
 class ResolvedSource(CatalogueFlux):
@@ -60,13 +68,12 @@ class ResolvedSource(CatalogueFlux):
         return np.ones(len(sources.za))
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
-        """Return what the sources lose as they become wider; ``x`` is (n_params,)."""
-        fading = self._fading(block)
-        return Columns(-self.seen(block) * fading * _fraction(fading, x), len(x), by_group=True)
+        """Return how the sources' visibilities change as they become wider; ``x`` is (n_params,)."""
+        return Columns(self._seen_wide(block, x)[1], len(x), by_group=True)
 
     def added(self, block: RowBlock, x: FloatArray) -> ComplexArray:
-        """Return what the sources have less than if they were points, (Ntimes, Nbls)."""
-        return block.spread(np.sum(self.seen(block) * (_fraction(self._fading(block), x) - 1), axis=-1))
+        """Return what the sources have more than if they were points, (Ntimes, Nbls)."""
+        return block.spread(np.sum(self._seen_wide(block, x)[0], axis=-1))
 
     def beyond(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> FloatArray:
         """Refuse what is narrower than a point; see `Effect.beyond`."""
@@ -87,19 +94,53 @@ class ResolvedSource(CatalogueFlux):
         """Make all as wide, (n_params,)."""
         return strength * self.parameters(setup).scale
 
-    def _fading(self, block: RowBlock) -> FloatArray:
-        """Return 2 pi^2 sigma^2 |u|^2 of a width of one arcmin, (Ntimes, Ngroups, n); zero below the horizon."""
-        ra, dec = in_radians(self.sources)
-        positions = block.positions.follow(Sky(ra, dec, np.ones((1, len(ra)))))
-        vectors = block.vectors * (block.freq / C_M_PER_S)
-        out = np.zeros((len(block.times), len(vectors), len(ra)))
+    def _seen_wide(self, block: RowBlock, x: FloatArray) -> ComplexArray:
+        """Return what the sources have more than if they were points, and its derivatives by their squared widths.
+
+        The result is (2, Ntimes, Ngroups, n), zero below the horizon.
+        """
+        sky, (ra, dec) = block.setup.sky, in_radians(self.sources)
+        index, positions = find(sky, self.sources), block.positions.follow(Sky(ra, dec, np.ones((1, len(ra)))))
+        out = np.zeros((2, len(block.times), len(block.groups), len(ra)), dtype=complex)
         for t, itime in enumerate(block.times.tolist()):
-            index, za, az = positions.above_horizon(itime)
-            length = np.sum(vectors**2, axis=1)[:, np.newaxis] - np.square(vectors @ enu(za, az))
-            out[t][:, index] = FADING * np.maximum(length, 0.0)
+            every, flux = block.sources(itime), np.zeros(sky.Nsrc)
+            flux[every.index] = every.flux_without(self.kind)
+            which, za, az = positions.above_horizon(itime)
+            sources = Sources(which, za, az, flux[index[which]], block.beam)
+            point = block.engine.responses(sources.enu, sources.flux, block.freq)
+            out[:, t][..., which] = point * _of_point(sources, block.vectors * (block.freq / C_M_PER_S), x[which])
         return out
 
 
-def _fraction(fading: FloatArray, x: FloatArray) -> FloatArray:
-    """Return the visibilities over those of points, of one shape with ``fading``."""
-    return np.exp(-np.maximum(fading * x, -LARGEST_LN))
+def _of_point(sources: Sources, vectors: FloatArray, x: FloatArray) -> ComplexArray:
+    """Return what is to be multiplied with the fringes of points, (2, Ngroups, Nsrc), as `_seen_wide`.
+
+    ``vectors``, (Ngroups, 3), are in wavelengths; ``x``, (Nsrc,), are squared widths.
+    """
+    down, around = sources.tangents
+    toward, one, two = vectors @ sources.enu, vectors @ down, vectors @ around
+    beam, slope, curvature = _around(sources)
+    bent = 1 + 2j * np.pi * toward * (VARIANCE * x)
+    variance, square = VARIANCE * x / bent, one**2 + two**2
+    exponent = -2 * np.pi**2 * variance * square
+    fading = np.exp(np.where(exponent.real > LARGEST_LN, LARGEST_LN, exponent)) / bent
+    first = 2j * np.pi * (one * slope[0] + two * slope[1]) + 0.5 * (curvature[0] + curvature[2])
+    second = 2 * np.pi**2 * (one**2 * curvature[0] + 2 * one * two * curvature[1] + two**2 * curvature[2])
+    seen = beam + variance * first - variance**2 * second
+    fades = -(2j * np.pi * toward + 2 * np.pi**2 * square / bent) / bent
+    return np.stack(
+        [fading * seen - beam, fading * (fades * seen + (first - 2 * variance * second) / bent**2) * VARIANCE]
+    )
+
+
+def _around(sources: Sources) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the beam, (Nsrc,), its slopes, (2, Nsrc), and second derivatives, (3, Nsrc), along the tangents."""
+    down, around = sources.tangents
+
+    def at(one: int, two: int) -> FloatArray:
+        return sources.beam_at(sources.enu + STEP * (one * down + two * around))
+
+    here, low, high, left, right = sources.beam, at(-1, 0), at(1, 0), at(0, -1), at(0, 1)
+    across = at(1, 1) - at(1, -1) - at(-1, 1) + at(-1, -1)
+    slope = np.stack([high - low, right - left]) / (2 * STEP)
+    return here, slope, np.stack([high - 2 * here + low, 0.25 * across, right - 2 * here + left]) / STEP**2
