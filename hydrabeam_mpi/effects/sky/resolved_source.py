@@ -6,8 +6,8 @@ as the sky is curved. The beam is B + g.delta + delta.H.delta / 2. So of the poi
 
     G [B + v (2 pi i q.g + tr H / 2) - 2 pi^2 v^2 q.H.q],    G = exp(-2 pi^2 v q^2) / c,    v = sigma^2 / c
 
-with c = 1 + 2 pi i w sigma^2. For a source of a degree in the main lobe of a 14 m dish what has g, the beam's slope, is a
-sixth of B on a baseline of 100 m at 150 MHz.
+with c = 1 + 2 pi i w sigma^2. For a source of a degree in the main lobe of a 14 m dish the slope's part is a sixth of B
+on a baseline of 100 m at 150 MHz.
 """
 
 from __future__ import annotations
