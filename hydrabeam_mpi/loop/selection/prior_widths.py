@@ -1,8 +1,9 @@
 """How wide the beam's prior is, is no finding, but the data decide it as they decide what is one: by the evidence.
 
 While effects are looked for first the beam is as free as the job states, or freer where the data want that: no width
-gets less than the stated one. Then the prior has the widths that the data want, where held-out data agree: for
-prediction, and with one channel to look for what a beam that was too free had taken up; see `selection.again`.
+gets less than the stated one, unless with one channel that has more evidence than any effect. Then the prior has the
+widths that the data want, where held-out data agree: for prediction, and with one channel to look for what a beam that
+was too free had taken up; see `selection.again`.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.prior_widths import WidthsEvidence, adapted, is_adaptable
 from hydrabeam_mpi.inference.mode_widths import PriorWidths
+from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
 from hydrabeam_mpi.loop.selection.beyond_basis import NONE_BEYOND, Beyond, with_functions_beyond
 from hydrabeam_mpi.loop.selection.folds import compared
@@ -67,14 +69,15 @@ def adapt(
 
     That is its widths, and functions beyond its basis: what of the ``effects`` no beam in it can follow. A beam that is
     further from its model than was stated is told from an effect that it takes up as effects are told from each other.
-    Held-out data must not be predicted worse. With ``wider`` no width gets less than the stated one. Collective: all
-    ranks of the grid.
+    Held-out data must not be predicted worse. With ``wider`` no width gets less than the stated one, with one channel
+    unless that has more evidence than any rival: what is off may be how freedom is shared out among coefficients.
+    Collective: all ranks of the grid.
     """
     job = context.problem.job
     if job.prior.widths == "stated" or not is_adaptable(context):
         return None
     rivals = [one for one in rivals if not one.is_control]
-    widened, log_bayes_factor = _with_widths(context, checked, wider, rivals)
+    widened, log_bayes_factor, wider = _with_widths(context, checked, wider, rivals)
     after, beyond = with_functions_beyond(context, widened, effects, rivals)
     return None if after is checked else Adapted(checked, after, log_bayes_factor, n_rounds, wider, beyond)
 
@@ -93,25 +96,28 @@ def as_adapted(context: FitContext, found: Round, n_rounds: int, wider: bool) ->
 
 def _with_widths(
     context: FitContext, checked: Checked, wider: bool, rivals: Sequence[Candidate]
-) -> tuple[Checked, float]:
-    """Return the fit with the widths that `adapt` wants, and their log Bayes factor."""
-    speaks = context.grid.is_world_root
+) -> tuple[Checked, float, bool]:
+    """Return the fit with the widths that `adapt` wants, their log Bayes factor, and whether none could get less."""
+    speaks, is_one = context.grid.is_world_root, context.setup.observation.Nfreqs == 1
     least = max([context.problem.job.loop.min_log_bayes_factor, *(one.log_bayes_factor for one in rivals)])
     evidence = WidthsEvidence(context, checked.fitted)
-    if rivals and evidence.promises(wider) < least:
-        return checked, 0.0
-    found = evidence.best(wider)
-    if found.gain < least:
-        return checked, 0.0
-    say(f"  widths of the beam's prior: {describe(found.widths)} (ln BF {found.log_bayes_factor:.4g})", speaks)
-    fitted, found = adapted(context, checked.fitted, found, fit_patiently, wider)
-    after = check(context, fitted)
-    one, two = compared(context, checked, after)
-    gain = gain_of(one.score, two.score)
-    numbers = f"held-out chi^2 {after.score.chi2:.4g}, rms {after.numbers.of_all['rms']:.4g} Jy, ln density"
-    told = f"{numbers} changes by {gain:.4g}"
-    say(f"    {f'refused: {told}' if gain < 0 else told}", speaks)
-    return (checked, 0.0) if gain < 0 else (after, found.log_bayes_factor)
+    for none_less in (True, False) if wider and rivals and is_one else (wider,):
+        if rivals and evidence.promises(none_less) < RULES.near * least:
+            continue
+        found = evidence.best(none_less)
+        if found.gain < least:
+            continue
+        say(f"  widths of the beam's prior: {describe(found.widths)} (ln BF {found.log_bayes_factor:.4g})", speaks)
+        fitted, found = adapted(context, checked.fitted, found, fit_patiently, none_less)
+        after = check(context, fitted)
+        one, two = compared(context, checked, after)
+        gain = gain_of(one.score, two.score)
+        numbers = f"held-out chi^2 {after.score.chi2:.4g}, rms {after.numbers.of_all['rms']:.4g} Jy, ln density"
+        told = f"{numbers} changes by {gain:.4g}"
+        say(f"    {f'refused: {told}' if gain < 0 else told}", speaks)
+        if gain >= 0:
+            return after, found.log_bayes_factor, none_less
+    return checked, 0.0, wider
 
 
 def describe(widths: PriorWidths | None) -> str:
