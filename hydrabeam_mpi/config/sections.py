@@ -42,7 +42,7 @@ class Noise(Section):
     kind: Literal["autocorrelations", "constant", "file", "time-differences", "frequency-differences"] = key(
         "autocorrelations", "where sigma comes from"
     )
-    sigma: Jansky | None = key(None, "Jy of V = I B / 2, kind = 'constant'", gt=0, le=LARGEST)
+    sigma: Jansky | None = key(None, "Jy of V = I B / 2, root of the mean |n|^2; kind = 'constant'", gt=0, le=LARGEST)
     file: File | None = key(None, "kind = 'file': uvh5 of sigmas, or HDF5 or npz with freqs and sigma")
 
     @model_validator(mode="after")
@@ -136,7 +136,7 @@ class Beam(Section):
     east_feed: Literal["x", "y"] | None = key(None, "feed that points East, instead of what the file says")
     diameter: Metres | None = key(None, "m, of 'gaussian' or 'airy'", gt=0, le=EARTH_DIAMETER)
     frequency: Literal["match", "interpolate", "scale"] = key(
-        "match", "where the file lacks a channel: an error, interpolate, or scale with the wavelength"
+        "match", "where the file lacks a channel: an error, interpolate, or scale za with the wavelength"
     )
 
     @model_validator(mode="after")

@@ -11,18 +11,27 @@ from astropy.time import Time
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.data.observation import Observation
 from hydrabeam_mpi.model.bases.base import has_part
-from hydrabeam_mpi.model.earth_orientation import beyond_table
+from hydrabeam_mpi.model.earth_orientation import EARTH_RATE, beyond_table
+from hydrabeam_mpi.model.engines.fringes import C_M_PER_S
 from hydrabeam_mpi.model.fit import FittedBeam
 from hydrabeam_mpi.setup.skies import are_apparent
 
 # Seconds that a clock and a sidereal clock may differ by: UT1 - UTC, up to 0.9 s, and the equation of the equinoxes,
 # up to 1.2 s, either of which a file's sidereal times may lack.
 SIDEREAL_TOLERANCE = 2.1
+# Of a source's visibility, lost in the mean over an integration and a channel: of which little is known any better.
+SMEARED = 0.01
 
 
 def cautions_of_data(job: Job, observation: Observation) -> tuple[str, ...]:
     """Say what is doubtful about the data by their metadata."""
-    said = [_of_units(job, observation), *cautions_of_times(job, observation), _of_sidereal_times(observation)]
+    smearing = None if job.data.simulate else _of_smearing(observation)
+    said = [
+        _of_units(job, observation),
+        *cautions_of_times(job, observation),
+        _of_sidereal_times(observation),
+        smearing,
+    ]
     return tuple(caution for caution in (*observation.doubts, *said) if caution)
 
 
@@ -87,4 +96,26 @@ def _of_sidereal_times(observation: Observation) -> str | None:
     return (
         f"The files' sidereal times (lst_array) are up to {seconds:.0f} s off those of their times and place: times, "
         "sidereal times or the telescope's longitude are wrong. UVData.set_lsts_from_time_array() recomputes them."
+    )
+
+
+def _of_smearing(observation: Observation) -> str | None:
+    """Say how much means over an integration and a channel lose at most, which the model does not."""
+    numbers = observation.antenna_numbers
+    order = np.argsort(numbers)
+    first, second = order[np.searchsorted(numbers, observation.antpairs, sorter=order)].T
+    vectors = observation.antpos[second] - observation.antpos[first]
+    pole = np.array([0.0, np.cos(observation.latitude), np.sin(observation.latitude)])
+    # Turns of the fringe of the source that turns fastest, and of one on the horizon in the baseline's direction.
+    fastest = np.linalg.norm(np.cross(vectors, pole), axis=1).max(initial=0.0) * EARTH_RATE / C_M_PER_S
+    in_time = fastest * observation.freqs.max() * observation.integration_time.max()
+    in_channel = np.linalg.norm(vectors, axis=1).max(initial=0.0) / C_M_PER_S * observation.channel_width.max()
+    by_time, by_channel = (1 - np.sinc(min(turns, 1.0)) for turns in (in_time, in_channel))
+    if max(by_time, by_channel) < SMEARED:
+        return None
+    seconds, khz = observation.integration_time.max(), observation.channel_width.max() / 1e3
+    return (
+        f"Of a source on the longest baselines a mean over {seconds:.4g} s loses up to {by_time:.0%}, and one over "
+        f"{khz:.4g} kHz up to {by_channel:.0%}. The model takes data as of one instant and one frequency. If yours are "
+        "such means: shorter integrations, narrower channels, or [data] max_bl_length."
     )

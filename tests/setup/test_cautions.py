@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from hydrabeam_mpi.setup.cautions import cautions_of_flags
+from hydrabeam_mpi.setup.cautions import cautions_of_data, cautions_of_flags
 from tests.loop.mock import context_of, mock_job
 
 GOOD = {"freq_hz": 131e6, "n_data": 42, "heldout_n": 40.0}
@@ -49,3 +51,31 @@ def test_functions_that_the_model_beam_lacks_are_told(changes: dict[str, Any], s
         n_round = sum(m == 0 for _, m in problem.basis.modes)
         assert f" {n_modes - n_round} of the {n_modes} functions" in told[0]
         assert "[prior] floor" in told[0]
+
+
+@pytest.mark.parametrize(("seconds", "khz"), [(200.0, 100.0), (1.0, 5000.0), (1.0, 100.0)])
+def test_what_means_over_integrations_and_channels_lose_is_told(seconds: float, khz: float, tmp_path: Path) -> None:
+    """As by adding up the fringe of the fastest source, and that of one on the horizon."""
+    problem = context_of(mock_job(), tmp_path).problem
+    observation = replace(
+        problem.observation,
+        integration_time=np.full(problem.observation.Ntimes, seconds),
+        channel_width=np.full(problem.observation.Nfreqs, 1e3 * khz),
+    )
+    places = dict(zip(observation.antenna_numbers.tolist(), observation.antpos, strict=True))
+    vectors = np.array([places[two] - places[one] for one, two in observation.antpairs.tolist()]) / 299792458.0
+    pole = np.array([0.0, np.cos(observation.latitude), np.sin(observation.latitude)])
+    spread = np.linspace(-0.5, 0.5, 20001)
+    rates = np.linalg.norm(np.cross(vectors, pole), axis=1) * 2 * np.pi / 86164.1 * observation.freqs[0]
+    lost = [
+        1 - abs(np.exp(2j * np.pi * spread * turns).mean())
+        for turns in (rates.max() * seconds, np.linalg.norm(vectors, axis=1).max() * khz * 1e3)
+    ]
+    job = problem.job
+    assert not any("a mean over" in one for one in cautions_of_data(job, observation))  # simulated: of one instant
+    measured = job.model_copy(update={"data": job.data.model_copy(update={"simulate": None})})
+    said = [one for one in cautions_of_data(measured, observation) if "a mean over" in one]
+    assert len(said) == (max(lost) >= 0.01)
+    for one in said:
+        assert f"a mean over {seconds:g} s loses up to {lost[0]:.0%}" in one
+        assert f"{khz:g} kHz up to {lost[1]:.0%}" in one
