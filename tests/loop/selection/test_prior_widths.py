@@ -100,6 +100,20 @@ def test_a_prior_that_is_too_wide_gets_narrower_in_the_end(tmp_path: Path) -> No
     assert last["n_beyond"] == 0
 
 
+def test_widths_that_explain_more_than_any_effect_come_first_even_if_narrower(tmp_path: Path) -> None:
+    """A gain of 0.25% in data that tell a far too free prior from a good one better than that."""
+    faint = {**GAIN, "parameters": {"antenna 3 ln amplitude": 0.0025}}
+    loop = loop_over(tmp_path, faint, fraction=1000.0)
+    first = loop["prior_widths"][0]
+    assert not first["wider"]
+    assert first["n_rounds"] == 0
+    (found,) = loop["rounds"]
+    assert found["effect"] == "antenna_gains"
+    assert first["log_bayes_factor"] > found["log_bayes_factor"]
+    (gain,) = [one for one in found["parameters"] if one["name"] == "antenna 3 ln amplitude"]
+    assert gain["value"] == pytest.approx(0.0025, abs=4 * gain["std"])
+
+
 WIDE = {
     "basis": {"n_modes": 24, "k_max": 24, "m_max": 0, "boundary": "dirichlet"},
     "beam": {"source": "airy", "diameter": "4 m"},
