@@ -38,7 +38,7 @@ def loop_answer(loop: Entry, picture: Markup, warnings: list[str]) -> Answer:
     picture : Markup
         The beam of the amended model.
     warnings : list of str
-        What is said of its posterior; what is wrong with the data themselves is put before it.
+        What is said of its posterior; what is wrong with the data themselves is put before it, and said once.
     """
     rows = []
     for what, key in ERRORS.items():
@@ -46,8 +46,9 @@ def loop_answer(loop: Entry, picture: Markup, warnings: list[str]) -> Answer:
         if all(map(math.isfinite, values)):
             rows.append((what, *map(written, values)))
     table = set_table(("", "before", "after"), rows, (1, 2)) if rows else Markup()
-    health = [f"Of the data themselves: {Finding.of_record(one).line}" for one in entries(loop, "health")]
-    return Answer(verdict_words(loop), table, picture, health + warnings)
+    health = [Finding.of_record(one).line for one in entries(loop, "health")]
+    told = [f"Of the data themselves: {line}" for line in health]
+    return Answer(verdict_words(loop), table, picture, [*told, *(one for one in warnings if one not in health)])
 
 
 def loop_sections(loop: Entry, place: Place) -> list[Section]:

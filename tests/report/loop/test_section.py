@@ -21,6 +21,7 @@ from hydrabeam_mpi.report.loop.section import loop_answer, loop_sections
 from hydrabeam_mpi.report.loop.words import round_words
 from hydrabeam_mpi.report.page.parts import set_page
 from hydrabeam_mpi.report.page.style import STYLE, Drawing, render
+from hydrabeam_mpi.setup.findings import Finding
 from tests.report import loops
 from tests.report.conftest import BULK, Edit, drop_arrays
 from tests.report.test_document import Page
@@ -268,3 +269,6 @@ def test_what_is_wrong_with_the_data_is_told_with_its_remedy() -> None:
     line = "A bad integration (JD 2459866.2, held out): it is &lt;wild&gt;. Remedy: exclude_times = "
     assert f"<li>Of the data themselves: {line}[[2459866.1, 2459866.3]] in [data].</li>" in told
     assert "Of the data themselves" not in whole(loops.explained())
+    line = Finding.of_record(finding).line
+    answer = loop_answer(loops.explained() | {"health": [finding]}, Markup(), [line, "The beam is negative."])
+    assert answer.warnings == [f"Of the data themselves: {line}", "The beam is negative."]
