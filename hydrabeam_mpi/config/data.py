@@ -55,6 +55,7 @@ class Data(Section):
     freqs: Freqs | None = key(None, "Hz, the nearest channels")
     channels: tuple[Annotated[int, Field(ge=0)], ...] | None = key(None, "by number, from 0")
     channel_width: Bandwidth | None = key(None, "Hz, where the files are wrong about it")
+    smearing: bool = key(False, "whether data are means over their integrations and channels, or of an instant each")
     min_bl_length: Metres = key(0.0, "m, shorter baselines are left out", ge=0)
     max_bl_length: Metres | None = key(None, "m, longer ones are left out", gt=0)
     redundancy_tol: Metres = key(1e-7, "m, within which baselines are the same", gt=0)

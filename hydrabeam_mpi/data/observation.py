@@ -29,6 +29,8 @@ BoolArray = NDArray[np.bool_]
 
 SIDEREAL_DAY = 0.99726956632908
 """Days of UT1: a turn of the Earth against the stars."""
+EARTH_RATE = 7.292115e-5
+"""Rotation of the Earth, rad/s."""
 
 
 def are_copolar(pols: Iterable[str]) -> bool:
@@ -65,6 +67,8 @@ class Observation:
         Of files that do not state it: V = 1/2 I B (also where this is None), or V = I B.
     uncalibrated : bool
         Whether any of the files says that its visibilities are not calibrated.
+    is_smeared : bool
+        Whether visibilities are means over their integrations and channels, rather than of one instant and frequency.
     doubts : tuple of str
         What is odd about the files together.
     exclude_times : tuple of (float, float)
@@ -87,6 +91,7 @@ class Observation:
     pols: tuple[str, ...]
     pol_convention: str | None = None
     uncalibrated: bool = False
+    is_smeared: bool = False
     doubts: tuple[str, ...] = ()
     exclude_times: tuple[tuple[float, float], ...] = ()
     exclude_baselines: tuple[tuple[int, int], ...] = ()

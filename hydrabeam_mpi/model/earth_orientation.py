@@ -8,8 +8,6 @@ from astropy.utils import iers
 
 from hydrabeam_mpi.data.observation import FloatArray
 
-EARTH_RATE = 7.292115e-5
-"""Rotation of the Earth, rad/s."""
 # The sky turns by so much in a second of UT1.
 ARCSEC_PER_SECOND = 15.04
 

@@ -9,9 +9,9 @@ import numpy as np
 from astropy.time import Time
 
 from hydrabeam_mpi.config import Job
-from hydrabeam_mpi.data.observation import Observation
+from hydrabeam_mpi.data.observation import EARTH_RATE, Observation
 from hydrabeam_mpi.model.bases.base import has_part
-from hydrabeam_mpi.model.earth_orientation import EARTH_RATE, beyond_table
+from hydrabeam_mpi.model.earth_orientation import beyond_table
 from hydrabeam_mpi.model.engines.fringes import C_M_PER_S
 from hydrabeam_mpi.model.fit import FittedBeam
 from hydrabeam_mpi.setup.skies import are_apparent
@@ -25,7 +25,7 @@ SMEARED = 0.01
 
 def cautions_of_data(job: Job, observation: Observation) -> tuple[str, ...]:
     """Say what is doubtful about the data by their metadata."""
-    smearing = None if job.data.simulate else _of_smearing(observation)
+    smearing = None if job.data.simulate or job.data.smearing else _of_smearing(observation)
     said = [
         _of_units(job, observation),
         *cautions_of_times(job, observation),
@@ -117,5 +117,5 @@ def _of_smearing(observation: Observation) -> str | None:
     return (
         f"Of a source on the longest baselines a mean over {seconds:.4g} s loses up to {by_time:.0%}, and one over "
         f"{khz:.4g} kHz up to {by_channel:.0%}. The model takes data as of one instant and one frequency. If yours are "
-        "such means: shorter integrations, narrower channels, or [data] max_bl_length."
+        "such means: [data] smearing = true."
     )

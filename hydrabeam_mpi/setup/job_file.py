@@ -35,7 +35,7 @@ def load(
             job = load_job(path)
             try:
                 check_sizes(job, memory)
-                check_engine(job.solver.engine)
+                check_engine(job.solver.engine, job.data.smearing)
                 _ = takes_several or job.data.pol
             except InputError as error:
                 error.locate(path)

@@ -23,6 +23,7 @@ from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.beam import Beam
 from hydrabeam_mpi.model.engines import make_engine
 from hydrabeam_mpi.model.engines.base import Precision
+from hydrabeam_mpi.model.engines.smearing import smearing_of
 from hydrabeam_mpi.model.rime import ForwardModel
 from hydrabeam_mpi.model.sky import Sky
 from hydrabeam_mpi.mpi import Comm, together
@@ -162,9 +163,10 @@ class Problem:
     def forward_model(self, groups: IntArray, precision: Precision = np.float64) -> ForwardModel:
         """Return the forward model of some redundant ``groups``, (Ngroups,)."""
         job = self.job
-        engine = make_engine(job.solver.engine, self.redundant.vectors[groups], self.observation.antpos)
-        positions = source_positions(job, self.sky, self.observation)
-        return ForwardModel(positions, self.sky.flux, self.observation.freqs, engine, precision)
+        observation, vectors = self.observation, self.redundant.vectors[groups]
+        engine = make_engine(job.solver.engine, vectors, observation.antpos, smearing_of(observation))
+        positions = source_positions(job, self.sky, observation)
+        return ForwardModel(positions, self.sky.flux, observation.freqs, engine, precision)
 
 
 def prepare(

@@ -14,6 +14,7 @@ from hydrabeam_mpi.data.selection import HoldoutRule, Selection, split_holdout
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.uvmeta import read_observation
 from hydrabeam_mpi.io.uvsource import Data
+from hydrabeam_mpi.model.engines.smearing import smearing_of
 
 
 def select(job: Job) -> Selection:
@@ -49,13 +50,16 @@ def observe(job: Job, files: tuple[Data, ...]) -> Observation:
         raise InputError(f"antenna {listed} is not in the data", field=field, remedy="remove it from the list")
     _check_scale(job, observation)
     width = job.data.channel_width
-    return replace(
+    observation = replace(
         observation,
         pol_convention=job.data.pol_convention,
+        is_smeared=job.data.smearing,
         exclude_times=job.data.exclude_times,
         exclude_baselines=job.data.exclude_baselines,
         channel_width=observation.channel_width if width is None else np.full(observation.Nfreqs, width),
     )
+    smearing_of(observation)
+    return observation
 
 
 def _check_scale(job: Job, observation: Observation) -> None:

@@ -28,6 +28,7 @@ from hydrabeam_mpi.io.uvdata import feeds_of
 from hydrabeam_mpi.io.uvwrite import write_uvh5
 from hydrabeam_mpi.model.beam import Beam
 from hydrabeam_mpi.model.engines import make_engine
+from hydrabeam_mpi.model.engines.smearing import smearing_of
 from hydrabeam_mpi.model.rime import ForwardModel
 from hydrabeam_mpi.model.sky import Sky
 from hydrabeam_mpi.mpi import Comm, bcast_object, memory_per_rank, together
@@ -83,7 +84,7 @@ def simulate_to(world: Comm, job: Job, folder: Path) -> Scene:
         )
         check_tolerance(observation, redundant, job.data.redundancy_tol)
         vectors = np.concatenate([redundant.vectors, np.zeros((1, 3))])
-        engine = make_engine(job.solver.engine, vectors, observation.antpos)
+        engine = make_engine(job.solver.engine, vectors, observation.antpos, smearing_of(observation))
         model = ForwardModel(source_positions(job, sky, observation), sky.flux, observation.freqs, engine)
         alone = np.zeros(1, dtype=int)
         costs = count_sources(sky, observation)
@@ -106,7 +107,11 @@ def _set_scene(job: Job, settings: Simulate, memory: int) -> Scene:
         raise InputError(told, field="[data] polarization", remedy=remedy)
     # Noise is that of the autocorrelations of both feeds, which have beams of their own.
     autos = [2 * feed for pol in pols if not are_copolar([pol]) for feed in pol]
-    observation = replace(mock_observation(settings, pols[0]), pols=tuple(dict.fromkeys([*pols, *autos])))
+    observation = replace(
+        mock_observation(settings, pols[0]),
+        pols=tuple(dict.fromkeys([*pols, *autos])),
+        is_smeared=job.data.smearing,
+    )
     needed = simulated_bytes(observation.Nants, observation.Ntimes, observation.Nfreqs)
     check_fits("[data.simulate]", needed, memory)
     check_apart(observation, job.data.redundancy_tol)

@@ -30,6 +30,7 @@ from hydrabeam_mpi.data.observation import Observation
 from hydrabeam_mpi.io.beamfits import write_power_beam
 from hydrabeam_mpi.io.uvwrite import write_uvh5
 from hydrabeam_mpi.model.engines import make_engine
+from hydrabeam_mpi.model.engines.smearing import smearing_of
 from hydrabeam_mpi.model.positions import ApparentPositions
 from hydrabeam_mpi.model.rime import ForwardModel
 from hydrabeam_mpi.model.sky import Sky
@@ -107,7 +108,7 @@ def ours(observation, sky=SKY, beam=lopsided, engine="gemm"):
         ApparentPositions(sky, observation),
         sky.flux,
         observation.freqs,
-        make_engine(engine, observation.bl_vectors),
+        make_engine(engine, observation.bl_vectors, smearing=smearing_of(observation)),
     )
     return model.visibilities([beam] * observation.Nfreqs, np.arange(observation.Ntimes))
 
@@ -221,6 +222,34 @@ def test_mistakes_would_be_seen(mistake):
     observation = observe(ARRAYS["irregular"])
     wrong = ours(replace(observation, antpos=change(observation.antpos)), beam=beam)
     assert difference(wrong, simulated("irregular", "matvis")) > 0.1
+
+
+@pytest.mark.parametrize("array", ARRAYS)
+def test_means_over_integrations_and_channels(array):
+    """Those of a minute and a megahertz on baselines ten times as long, against matvis at instants and frequencies."""
+    observation = observe(10 * ARRAYS[array])
+    near = ApparentPositions(SKY, observation).above_horizon
+    index, za, _ = near(0)
+    high = index[za < np.deg2rad(80)]
+    sky = Sky(SKY.ra[high], SKY.dec[high], SKY.flux[:, high])
+    # All are above the horizon at all the instants.
+    observation = replace(
+        observation,
+        times=observation.times[:1],
+        lsts=observation.lsts[:1],
+        integration_time=np.full(1, 60.0),
+        channel_width=np.full(2, 1e6),
+    )
+    steps, weights = np.polynomial.legendre.leggauss(4)
+    mean = 0.0
+    for step, of_time in zip(steps, weights, strict=True):
+        days = 0.5 * step * 60.0 / 86400
+        for shift, of_freq in zip(steps, weights, strict=True):
+            instant = replace(observation, times=observation.times + days, freqs=observation.freqs + 0.5 * shift * 1e6)
+            mean = mean + 0.25 * of_time * of_freq * by_matvis(instant, sky)
+    lost = difference(ours(observation, sky), mean)
+    assert lost > 0.05
+    assert difference(ours(replace(observation, is_smeared=True), sky), mean) < 0.005 * lost
 
 
 @pytest.mark.parametrize("simulator", SIMULATORS)

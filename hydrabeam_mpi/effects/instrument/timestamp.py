@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.data.observation import EARTH_RATE, FloatArray
 from hydrabeam_mpi.effects.interface.effect import Columns, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.shared.displaced import TurningSky
-from hydrabeam_mpi.model.earth_orientation import EARTH_RATE
 
 
 class Timestamp(TurningSky):

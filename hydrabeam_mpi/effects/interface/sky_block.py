@@ -17,6 +17,7 @@ from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.engines import make_engine
 from hydrabeam_mpi.model.engines.base import Engine, amplitude
+from hydrabeam_mpi.model.engines.smearing import smearing_of
 from hydrabeam_mpi.model.positions import SourcePositions
 from hydrabeam_mpi.model.rime import Beam
 
@@ -81,7 +82,11 @@ class SkyBlock:
     @cached_property
     def engine(self) -> Engine:
         """The job's engine on the groups' vectors."""
-        return make_engine(self.engine_kind, self.vectors)
+        return self.engine_on(self.vectors)
+
+    def engine_on(self, vectors: FloatArray) -> Engine:
+        """Return the job's engine on other baseline vectors, (N, 3), metres ENU."""
+        return make_engine(self.engine_kind, vectors, smearing=smearing_of(self.setup.observation))
 
     def sources(self, itime: int) -> Sources:
         """Return the sources above the horizon at an observation's time."""
@@ -147,7 +152,7 @@ class SkyBlock:
         ndarray of complex, (Ntimes, N, K)
             1/2 sum_s I_s column_k(s) exp(2 pi i nu b.s / c), Jy.
         """
-        engine = self.engine if vectors is None else make_engine(self.engine_kind, vectors)
+        engine = self.engine if vectors is None else self.engine_on(vectors)
         freqs = np.array([self.freq])
         out = []
         for itime in self.times.tolist():

@@ -24,7 +24,6 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sky_block import GivenColumns
 from hydrabeam_mpi.effects.interface.sources import power_of
-from hydrabeam_mpi.model.engines import make_engine
 from hydrabeam_mpi.model.engines.fringes import C_M_PER_S, enu
 from hydrabeam_mpi.model.sky import Sky
 
@@ -118,7 +117,7 @@ class Diffuse(Effect):
         """Return the visibilities of harmonics of (90 deg - za, az), (len(groups), n)."""
         vectors = block.vectors[groups]
         up, az, area = _hemisphere(block, vectors)
-        engine = make_engine(block.engine_kind, vectors)
+        engine = block.engine_on(vectors)
         out = np.zeros((2, len(groups), (self.l_max + 1) ** 2))
         freqs, step = np.array([block.freq]), max(1, POINTS_AT_ONCE // az.size)
         for lo in range(0, len(up), step):

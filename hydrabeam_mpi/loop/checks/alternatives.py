@@ -21,6 +21,7 @@ from hydrabeam_mpi.data.redundancy import find_redundant_groups
 from hydrabeam_mpi.effects.interface.sources import from_table
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.model.engines import make_engine
+from hydrabeam_mpi.model.engines.smearing import smearing_of
 from hydrabeam_mpi.model.rime import ForwardModel
 from hydrabeam_mpi.setup.beams import TurnedBeam, other_feed
 from hydrabeam_mpi.setup.problem import Problem
@@ -216,6 +217,6 @@ def _view(problem: Problem, rows: Rows, alternative: Alternative, times: IntArra
         of_rows = sign * replace(observation, antpos=alternative.antpos).bl_vectors[rows.tile.bls]
         found = find_redundant_groups(of_rows, job.data.redundancy_tol, either_sign=observation.is_copolar)
         vectors, index, flipped = found.vectors, found.group, found.flipped
-    engine = make_engine(job.solver.engine, vectors)
+    engine = make_engine(job.solver.engine, vectors, smearing=smearing_of(observation))
     positions = source_positions(job, problem.sky, moments)
     return _View(ForwardModel(positions, problem.sky.flux, observation.freqs, engine), index, flipped)

@@ -37,7 +37,7 @@ class AutoEngine(Engine):
     @cached_property
     def _gemm(self) -> GemmEngine:
         engine = GemmEngine(self.vectors, self.tol)
-        engine.points = self.points
+        engine.points, engine.smearing = self.points, self.smearing
         return engine
 
     @cached_property
@@ -47,7 +47,8 @@ class AutoEngine(Engine):
     def choose(self, n_sources: int, n_columns: int, precision: Precision = np.float64) -> Engine:
         """Return the engine for so many sources and columns."""
         products, transforms = self.expected(n_sources, n_columns)
-        return self._gemm if products < transforms or precision == np.float32 else self._nufft
+        no_transforms = precision == np.float32 or self.smearing is not None
+        return self._gemm if products < transforms or no_transforms else self._nufft
 
     def expected(self, n_sources: int, n_columns: int) -> tuple[float, float]:
         """Return the seconds that matrix products and FFTs are expected to take; the latter for ever off a lattice."""

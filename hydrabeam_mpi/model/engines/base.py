@@ -17,6 +17,7 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.model.engines.fringes import Fringes, plane_waves
+from hydrabeam_mpi.model.engines.smearing import Smearing
 
 Precision = type[np.float64] | type[np.float32]
 
@@ -70,9 +71,12 @@ class Engine(ABC):
     ----------
     points : ndarray, (Npoints, 3), optional
         Where antennas stand, of which vectors may be differences; see `Fringes`.
+    smearing : Smearing, optional
+        Over what all that the vectors see are means.
     """
 
     points: FloatArray | None = None
+    smearing: Smearing | None = None
 
     def __init__(self, vectors: FloatArray, tol: float = 1e-7) -> None:
         self.vectors = np.ascontiguousarray(vectors, dtype=float)
@@ -86,7 +90,7 @@ class Engine(ABC):
     @cached_property
     def fringes(self) -> Fringes:
         """The vectors' fringes, source by source."""
-        return Fringes(self.vectors, self.tol, self.points)
+        return Fringes(self.vectors, self.tol, self.points, self.smearing)
 
     @abstractmethod
     def design(
@@ -138,7 +142,10 @@ class Engine(ABC):
         ndarray of complex, (Nvectors, Nsrc)
             1/2 I_s B(s) exp(+2 pi i nu b_u.s / c_light), Jy.
         """
-        return amplitude(flux) * plane_waves(self.vectors, directions, freq)
+        waves = plane_waves(self.vectors, directions, freq)
+        if self.smearing is not None:
+            waves *= self.smearing.left(self.vectors, directions, freq)
+        return amplitude(flux) * waves
 
     def adjoint(self, visibilities: ComplexArray, directions: FloatArray, flux: FloatArray, freq: float) -> FloatArray:
         """Correlate visibilities with the `responses` of single sources, of which only a few are held at a time.

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from astropy.constants import c as speed_of_light
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.model.engines.antenna_pairs import AntennaPairs, find_pairs
+
+if TYPE_CHECKING:
+    from hydrabeam_mpi.model.engines.smearing import Smearing
 
 C_M_PER_S: float = speed_of_light.value
 
@@ -93,12 +97,21 @@ class Fringes:
         Distance in metres within which vectors count as lying on a lattice.
     points : ndarray, (Npoints, 3)
         Where antennas stand, metres ENU.
+    smearing : Smearing, optional
+        Over what the fringes are means.
     """
 
-    def __init__(self, vectors: FloatArray, tol: float = 1e-7, points: FloatArray | None = None) -> None:
+    def __init__(
+        self,
+        vectors: FloatArray,
+        tol: float = 1e-7,
+        points: FloatArray | None = None,
+        smearing: Smearing | None = None,
+    ) -> None:
         self.vectors = np.ascontiguousarray(vectors, dtype=float)
         self.lattice = find_lattice(self.vectors, tol)
         self.pairs = find_pairs(self.vectors, points) if points is not None and self.lattice is None else None
+        self.smearing = smearing
 
     def fill(self, out: FloatArray, directions: FloatArray, weights: FloatArray, freq: float) -> None:
         """Write ``weights_s exp(+2 pi i freq b.s/c)`` into ``out``.
@@ -115,6 +128,12 @@ class Fringes:
         freq : float
             Hz.
         """
+        self._fill_sharp(out, directions, weights, freq)
+        if self.smearing is not None:
+            out *= self.smearing.left(self.vectors, directions, freq).astype(out.dtype, copy=False)
+
+    def _fill_sharp(self, out: FloatArray, directions: FloatArray, weights: FloatArray, freq: float) -> None:
+        """Do as `fill` for one instant and frequency."""
         wavenumber = 2 * np.pi * freq / C_M_PER_S
         if self.pairs is not None:
             self._fill_pairs(self.pairs, out, directions, weights, freq)
@@ -138,7 +157,7 @@ class Fringes:
     def _fill_pairs(
         self, pairs: AntennaPairs, out: FloatArray, directions: FloatArray, weights: FloatArray, freq: float
     ) -> None:
-        """Do as `fill` by the phases of antennas, and by exponentials for what is no difference of theirs."""
+        """Do as `_fill_sharp` by the phases of antennas, and by exponentials for what is no difference of theirs."""
         phase = (2 * np.pi * freq / C_M_PER_S * self.vectors[pairs.rest]) @ directions
         out[0, pairs.rest] = weights * np.cos(phase)
         out[1, pairs.rest] = weights * np.sin(phase)

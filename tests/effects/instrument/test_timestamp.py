@@ -2,9 +2,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from hydrabeam_mpi.data.observation import EARTH_RATE
 from hydrabeam_mpi.effects.instrument.timestamp import Timestamp
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.model.earth_orientation import EARTH_RATE
 from hydrabeam_mpi.model.positions import ApparentPositions, RotatedPositions
 from tests.effects.direct import assert_same, visibilities
 from tests.effects.small import small_block, small_setup, with_effect

@@ -1,0 +1,74 @@
+"""What visibilities lose as they are means: over an integration, in which the sky turns, and over a channel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import EARTH_RATE, FloatArray, Observation
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.model.engines.fringes import C_M_PER_S
+
+ALIKE = 0.01
+"""Relative, within which integrations or channels are equally long: what is lost, twice that, is small itself."""
+
+
+@dataclass(frozen=True)
+class Smearing:
+    """Means over time and frequency of the fringes, of which the middle is what an instant and a frequency have.
+
+    While a fringe turns by x, in turns, evenly, its mean is sin(pi x) / (pi x) times what it is in the middle. That the
+    rate changes within an integration of T is left out: a phase of up to 0.04 (Omega T)^2 of the baseline in turns.
+
+    Attributes
+    ----------
+    turn : tuple of float
+        Rotation vector of the sky in an integration, ENU, radians.
+    bandwidth : float
+        Hz.
+    """
+
+    turn: tuple[float, float, float]
+    bandwidth: float
+
+    def left(self, vectors: FloatArray, directions: FloatArray, freq: float) -> FloatArray:
+        """Return the factor that is left of every fringe, (Nvectors, Nsrc).
+
+        Parameters
+        ----------
+        vectors : ndarray, (Nvectors, 3)
+            Metres ENU.
+        directions : ndarray, (3, Nsrc)
+            Unit vectors towards the sources, ENU.
+        freq : float
+            Hz.
+        """
+        # A source at s moves by r x s in an integration, and b.(r x s) = (b x r).s
+        in_time = (freq / C_M_PER_S * np.cross(vectors, self.turn)) @ directions
+        in_channel = (self.bandwidth / C_M_PER_S * vectors) @ directions
+        return np.asarray(np.sinc(in_time) * np.sinc(in_channel))
+
+
+def smearing_of(observation: Observation) -> Smearing | None:
+    """Return over what the visibilities of an observation are means; None where they are taken as of one instant.
+
+    Raises
+    ------
+    InputError
+        If its integrations, or its channels, differ in length.
+    """
+    if not observation.is_smeared:
+        return None
+    lengths = {"integrations": observation.integration_time, "channels": observation.channel_width}
+    for name, of_each in lengths.items():
+        if np.ptp(of_each) > ALIKE * of_each.max():
+            raise InputError(
+                f"{name} differ in length, from {of_each.min():.6g} to {of_each.max():.6g}",
+                field="[data] smearing",
+                remedy="select such as are alike, or leave it out",
+            )
+    latitude = observation.latitude
+    pole = np.array([0.0, np.cos(latitude), np.sin(latitude)])
+    east, north, up = (-EARTH_RATE * float(observation.integration_time.mean()) * pole).tolist()
+    return Smearing((east, north, up), float(observation.channel_width.mean()))
