@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from astropy.constants import c as speed_of_light
 from astropy.coordinates import EarthLocation
 from astropy.utils import iers
 from numpy.typing import NDArray
@@ -27,6 +28,7 @@ ComplexArray = NDArray[np.complex128]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
+C_M_PER_S: float = speed_of_light.value
 SIDEREAL_DAY = 0.99726956632908
 """Days of UT1: a turn of the Earth against the stars."""
 EARTH_RATE = 7.292115e-5

@@ -36,6 +36,7 @@ EFFECTS: Registry[Effect] = Registry(
     "sky.diffuse",
     "instrument.antenna_positions",
     "instrument.timestamp",
+    "instrument.smearing",
     "instrument.antenna_pointing",
     "instrument.nonredundant_beams",
     "instrument.basis_truncation",

@@ -9,10 +9,9 @@ import numpy as np
 from astropy.time import Time
 
 from hydrabeam_mpi.config import Job
-from hydrabeam_mpi.data.observation import EARTH_RATE, Observation
+from hydrabeam_mpi.data.observation import C_M_PER_S, EARTH_RATE, Observation
 from hydrabeam_mpi.model.bases.base import has_part
 from hydrabeam_mpi.model.earth_orientation import beyond_table
-from hydrabeam_mpi.model.engines.fringes import C_M_PER_S
 from hydrabeam_mpi.model.fit import FittedBeam
 from hydrabeam_mpi.setup.skies import are_apparent
 

@@ -15,7 +15,16 @@ from astropy.time import Time
 from hydrabeam_mpi.config import Job, Simulate
 from hydrabeam_mpi.config.sizes import check_fits, simulated_bytes
 from hydrabeam_mpi.data.limits import LARGEST
-from hydrabeam_mpi.data.observation import SIDEREAL_DAY, ComplexArray, FloatArray, Observation, are_copolar
+from hydrabeam_mpi.data.observation import (
+    C_M_PER_S,
+    EARTH_RATE,
+    SIDEREAL_DAY,
+    ComplexArray,
+    FloatArray,
+    IntArray,
+    Observation,
+    are_copolar,
+)
 from hydrabeam_mpi.data.partition import make_tiles
 from hydrabeam_mpi.data.redundancy import RedundantGroups, check_apart, check_tolerance, find_redundant_groups
 from hydrabeam_mpi.effects.interface.observing_setup import FEEDS
@@ -28,7 +37,7 @@ from hydrabeam_mpi.io.uvdata import feeds_of
 from hydrabeam_mpi.io.uvwrite import write_uvh5
 from hydrabeam_mpi.model.beam import Beam
 from hydrabeam_mpi.model.engines import make_engine
-from hydrabeam_mpi.model.engines.smearing import smearing_of
+from hydrabeam_mpi.model.engines.smearing import mean_steps, smearing_of
 from hydrabeam_mpi.model.rime import ForwardModel
 from hydrabeam_mpi.model.sky import Sky
 from hydrabeam_mpi.mpi import Comm, bcast_object, memory_per_rank, together
@@ -84,12 +93,11 @@ def simulate_to(world: Comm, job: Job, folder: Path) -> Scene:
         )
         check_tolerance(observation, redundant, job.data.redundancy_tol)
         vectors = np.concatenate([redundant.vectors, np.zeros((1, 3))])
-        engine = make_engine(job.solver.engine, vectors, observation.antpos, smearing_of(observation))
-        model = ForwardModel(source_positions(job, sky, observation), sky.flux, observation.freqs, engine)
         alone = np.zeros(1, dtype=int)
         costs = count_sources(sky, observation)
         tiles = make_tiles(np.arange(observation.Ntimes), costs, alone, alone, world.size)
-        part = {pol: model.visibilities(own, tiles[world.rank].times) for pol, own in beams.items()}
+        times = tiles[world.rank].times
+        part = {pol: _visibilities(job, scene, vectors, own, times) for pol, own in beams.items()}
     parts = world.gather(part)
     with together(world):
         if parts is not None:
@@ -97,6 +105,28 @@ def simulate_to(world: Comm, job: Job, folder: Path) -> Scene:
             with writing(folder):
                 _write(folder, job, observation, redundant, sky, beams, unique)
     return scene
+
+
+def _visibilities(
+    job: Job, scene: Scene, vectors: FloatArray, beams: tuple[Beam, ...], times: IntArray
+) -> ComplexArray:
+    """Simulate the visibilities of some times, (Nfreqs, len(times), Nvectors), Jy; means over integrations if asked."""
+    observation, sky = scene.observation, scene.sky
+    smearing = smearing_of(observation)
+    steps = [(0.0, 1.0)]
+    if smearing is not None:
+        turns = float(np.linalg.norm(smearing.turn) * observation.freqs.max()) / C_M_PER_S
+        steps, smearing = mean_steps(vectors, turns), replace(smearing, turn=(0.0, 0.0, 0.0))
+    engine = make_engine(job.solver.engine, vectors, observation.antpos, smearing)
+    mean = np.zeros((observation.Nfreqs, len(times), len(vectors)), dtype=complex)
+    for step, weight in steps:
+        later = step * observation.integration_time
+        instants = replace(
+            observation, times=observation.times + later / 86400, lsts=observation.lsts + EARTH_RATE * later
+        )
+        model = ForwardModel(source_positions(job, sky, instants), sky.flux, observation.freqs, engine)
+        mean += weight * model.visibilities(beams, times)
+    return mean
 
 
 def _set_scene(job: Job, settings: Simulate, memory: int) -> Scene:

@@ -140,6 +140,8 @@ CASES = [
     Case("truncated file", ("bad.uvh5", "truncated file", "write it again"), BAD_UVH5, truncate),
     Case("text file", ("text.txt", "not a uvh5", "give a uvh5"), {"data.files": ["text.txt"]}, write_text),
     Case("another HDF5 file", ("other.h5", "not a uvh5", "give a uvh5"), {"data.files": ["other.h5"]}, write_hdf5),
+    Case("means by transforms", ("job.toml", "[solver] engine", "smearing", "'gemm' or 'auto'"),
+         {"data.smearing": True, "solver.engine": "nufft"}),
     Case("folder", ("sub: ", "no visibilities", "give a uvh5"), {"data.files": ["sub"]}, lambda w: mkdir(w, "sub")),
     Case("NaN", ("bad.uvh5", "data_array", "NaN", "flag them"), BAD_UVH5, edited(set_visibility(np.nan))),
     Case("NaN on another rank", ("bad.uvh5", "data_array", "NaN", "flag them"), BAD_UVH5,

@@ -41,6 +41,7 @@ channel_width = "97.65625 kHz"
 min_bl_length = "10 m"
 max_bl_length = "100 m"
 redundancy_tol = "5 cm"
+smearing = true
 
 [noise]
 kind = "constant"

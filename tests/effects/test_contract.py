@@ -242,6 +242,7 @@ REFUSED = {
     ("antenna_pointing", "unlike feeds"): "'en'",
     ("nonredundant_beams", "unlike feeds"): "'en'",
     ("basis_truncation", "unlike feeds"): "'en'",
+    ("smearing", "unlike feeds"): "'en'",
     ("timestamp", "unlike feeds"): "'en'",
     ("ionosphere", "unlike feeds"): "'en'",
 }

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import C_M_PER_S, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
+from hydrabeam_mpi.effects.shared.beam_visibilities import integrate_on
 from hydrabeam_mpi.effects.shared.displaced import need_real_beam
 from hydrabeam_mpi.effects.shared.per_antenna import antenna_parameters, common_values, row_antennas, row_parameters
-from hydrabeam_mpi.model.engines.fringes import C_M_PER_S
-
-_VECTORS_AT_ONCE = 2048
 
 
 class AntennaPositions(Effect):
@@ -55,7 +51,7 @@ class AntennaPositions(Effect):
         moments = block.spread(block.integral(self)[..., 1:])
         moved, vectors = self._moved(block, x)
         if len(moved):
-            moments[:, moved] = _integrate(block, lambda sources: sources.beam * sources.enu, vectors)
+            moments[:, moved] = integrate_on(block, lambda sources: sources.beam * sources.enu, vectors)
         wavenumber = 2 * np.pi * block.freq / C_M_PER_S
         values = 1j * wavenumber * np.concatenate([-moments, moments], axis=-1)
         return Columns(values, 3 * len(block.setup.antennas_in_use), row_parameters(block, 3))
@@ -65,7 +61,7 @@ class AntennaPositions(Effect):
         moved, vectors = self._moved(block, x)
         change = np.zeros(block.shape, dtype=complex)
         if len(moved):
-            after = _integrate(block, lambda sources: sources.beam[np.newaxis], vectors)[..., 0]
+            after = integrate_on(block, lambda sources: sources.beam[np.newaxis], vectors)[..., 0]
             change[:, moved] = after - block.integral(self)[:, block.member[moved], 0]
         return change
 
@@ -77,10 +73,3 @@ class AntennaPositions(Effect):
         change = shifts[second] - shifts[first]
         moved = np.flatnonzero(change.any(axis=1))
         return moved, block.vectors[block.member[moved]] + change[moved]
-
-
-def _integrate(block: RowBlock, columns: Callable[[Sources], FloatArray], vectors: FloatArray) -> ComplexArray:
-    """Integrate over the sky for many vectors, of which no two are the same, in parts that fit in memory."""
-    n_parts = -(-len(vectors) // _VECTORS_AT_ONCE)
-    parts = [block.integrate(columns, part) for part in np.array_split(vectors, n_parts)]
-    return np.concatenate(parts, axis=1)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import C_M_PER_S, BoolArray, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Columns, Parameters, ScannedEffect
 from hydrabeam_mpi.effects.interface.limits import sigmas
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
@@ -15,7 +15,6 @@ from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.told import Told
 from hydrabeam_mpi.effects.shared.point_sources import resolution
 from hydrabeam_mpi.effects.shared.settings import Azimuth
-from hydrabeam_mpi.model.engines.fringes import C_M_PER_S
 
 SPACING = 0.2  # of candidates, in resolutions: fine, as a scan along one line costs little
 AT_MOST = 10

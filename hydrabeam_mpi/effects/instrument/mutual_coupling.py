@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.data.observation import C_M_PER_S, FloatArray, IntArray
 from hydrabeam_mpi.data.redundancy import RedundantGroups, find_redundant_groups
 from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
@@ -16,7 +16,6 @@ from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.shared.beam_visibilities import beam_visibilities
 from hydrabeam_mpi.effects.shared.per_antenna import row_antennas
 from hydrabeam_mpi.effects.shared.settings import Count
-from hydrabeam_mpi.model.engines.fringes import C_M_PER_S
 
 SHELL_WIDTH = 0.02
 """Distances up to this fraction above the shortest of a shell belong to it."""

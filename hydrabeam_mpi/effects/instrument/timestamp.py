@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import EARTH_RATE, FloatArray
+from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.effect import Columns, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.effects.shared.displaced import TurningSky
+from hydrabeam_mpi.effects.shared.displaced import TurningSky, turn_per_second
 
 
 class Timestamp(TurningSky):
@@ -28,15 +28,9 @@ class Timestamp(TurningSky):
 
     def rotations(self, block: RowBlock, x: FloatArray) -> FloatArray:
         """Return the same rotation for every time, (Ntimes, 3)."""
-        return np.tile(x[0] * self._per_second(block), (len(block.times), 1))
+        return np.tile(x[0] * turn_per_second(block), (len(block.times), 1))
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return what turning on about the pole does; the axis does not depend on ``x``, (n_params,)."""
-        values = self.rates(block, x) @ self._per_second(block)
+        values = self.rates(block, x) @ turn_per_second(block)
         return Columns(values[..., np.newaxis], 1, by_group=True)
-
-    @staticmethod
-    def _per_second(block: RowBlock) -> FloatArray:
-        """Return the rotation vector of one second: about the celestial pole, opposite to the Earth."""
-        latitude = block.setup.observation.latitude
-        return -EARTH_RATE * np.array([0.0, np.cos(latitude), np.sin(latitude)])

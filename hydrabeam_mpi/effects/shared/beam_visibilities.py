@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.model.engines.base import amplitude
 from hydrabeam_mpi.model.rime import Beam
+
+VECTORS_AT_ONCE = 2048
+"""Whose fringes are held together."""
 
 
 def beam_visibilities(block: RowBlock, vectors: FloatArray) -> ComplexArray:
@@ -40,6 +46,16 @@ def beam_visibilities(block: RowBlock, vectors: FloatArray) -> ComplexArray:
     values = integrals.reshape(len(block.times), len(vectors)).astype(complex)
     kept[key] = block.beam, block.times, values
     return values
+
+
+def integrate_on(block: RowBlock, columns: Callable[[Sources], FloatArray], vectors: FloatArray) -> ComplexArray:
+    """Integrate columns, (K, Nsrc), over the sky for many vectors, (N, 3), no two the same, in parts that fit.
+
+    The result is (Ntimes, N, K); see `RowBlock.integrate`.
+    """
+    n_parts = -(-len(vectors) // VECTORS_AT_ONCE)
+    parts = [block.integrate(columns, part) for part in np.array_split(vectors, n_parts)]
+    return np.concatenate(parts, axis=1)
 
 
 def _total_power(block: RowBlock, itime: int) -> float:

@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import C_M_PER_S, EARTH_RATE, Array, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources, table_of
 from hydrabeam_mpi.model.bases.polar_table import PolarTable
-from hydrabeam_mpi.model.engines.fringes import C_M_PER_S, enu
+from hydrabeam_mpi.model.engines.fringes import enu
 from hydrabeam_mpi.model.positions import SourcePositions
 from hydrabeam_mpi.model.rime import Beam
 from hydrabeam_mpi.model.sky import Sky
@@ -126,6 +126,29 @@ def turned_sky(block: RowBlock, rotations: FloatArray) -> RowBlock:
     return replace(block, times=times, positions=positions, places=None, keeps_waves=False)
 
 
+def turn_per_second(block: RowBlock) -> FloatArray:
+    """Return the rotation vector of the sky in a second: about the celestial pole, opposite to the Earth, (3,)."""
+    latitude = block.setup.observation.latitude
+    return -EARTH_RATE * np.array([0.0, np.cos(latitude), np.sin(latitude)])
+
+
+def turning_columns(sources: Sources) -> FloatArray:
+    """Return the beam, the beam times the unit vector, and the torque of the beam's slope, (7, Nsrc)."""
+    beam = sources.exact_beam[np.newaxis]
+    return np.concatenate([beam, beam * sources.enu, sources.torque])
+
+
+def turning_rates(block: RowBlock, moments: ComplexArray) -> ComplexArray:
+    """Return how visibilities change as the sky turns about east, north and up, Jy per radian.
+
+    Both the integrals of `turning_columns`, (Ntimes, Ngroups, 7), and what is returned, (Ntimes, Ngroups, 3), are of
+    the block's groups.
+    """
+    # The phase k b.s changes by k b.(w x s) = k w.(s x b).
+    wavenumber = 2 * np.pi * block.freq / C_M_PER_S
+    return np.asarray(moments[..., 4:] + 1j * wavenumber * np.cross(moments[..., 1:4], block.vectors))
+
+
 def need_real_beam(setup: ObservingSetup) -> str | None:
     """Say why an effect that needs a real power beam cannot be used; None where it can."""
     if setup.observation.is_copolar:
@@ -147,9 +170,8 @@ class TurningSky(Effect):
         return need_real_beam(setup)
 
     def sky_columns(self, sources: Sources) -> FloatArray:
-        """Return the beam, the beam times the unit vector, and the torque of the beam's slope, (7, Nsrc)."""
-        beam = sources.exact_beam[np.newaxis]
-        return np.concatenate([beam, beam * sources.enu, sources.torque])
+        """Return the `turning_columns`, (7, Nsrc)."""
+        return turning_columns(sources)
 
     def rates(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return how visibilities change as the sky, turned by ``x``, turns further about east, north and up.
@@ -165,9 +187,7 @@ class TurningSky(Effect):
         if turned.any():
             moments = moments.copy()
             moments[turned] = turned_sky(block, rotations).integrate(self.sky_columns)
-        # The phase k b.s changes by k b.(w x s) = k w.(s x b).
-        wavenumber = 2 * np.pi * block.freq / C_M_PER_S
-        return np.asarray(moments[..., 4:] + 1j * wavenumber * np.cross(moments[..., 1:4], block.vectors))
+        return turning_rates(block, moments)
 
     def added(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return the visibilities of the turned sky minus those of the sky as it is, (Ntimes, Nbls)."""

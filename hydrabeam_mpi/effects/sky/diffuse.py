@@ -18,13 +18,13 @@ import numpy as np
 from pydantic import Field
 from scipy.special import lpmv
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import C_M_PER_S, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sky_block import GivenColumns
 from hydrabeam_mpi.effects.interface.sources import power_of
-from hydrabeam_mpi.model.engines.fringes import C_M_PER_S, enu
+from hydrabeam_mpi.model.engines.fringes import enu
 from hydrabeam_mpi.model.sky import Sky
 
 MAX_LENGTH = 100.0  # wavelengths

@@ -17,7 +17,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.data.observation import C_M_PER_S, ComplexArray, FloatArray
 from hydrabeam_mpi.effects.interface.effect import Columns, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
@@ -25,7 +25,6 @@ from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.interface.told import Told
 from hydrabeam_mpi.effects.shared.point_sources import in_degrees, in_radians
 from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux, find
-from hydrabeam_mpi.model.engines.fringes import C_M_PER_S
 from hydrabeam_mpi.model.sky import Sky
 
 VARIANCE = np.deg2rad(1 / 60) ** 2 / (8 * np.log(2))

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import EARTH_RATE
+from hydrabeam_mpi.data.observation import C_M_PER_S, EARTH_RATE
 from hydrabeam_mpi.inference.significance import (
     chi2_sigma,
     correlation_sigma,
@@ -22,7 +22,6 @@ from hydrabeam_mpi.loop.residuals.axes import Axis, Freedom, all_axes
 from hydrabeam_mpi.loop.residuals.coherent import Coherence
 from hydrabeam_mpi.loop.residuals.cube import Layout
 from hydrabeam_mpi.loop.residuals.sums import ResidualSums
-from hydrabeam_mpi.model.engines.fringes import C_M_PER_S
 
 MOST_LISTED = 64
 LISTED_OF_MORE = 32

@@ -18,10 +18,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import C_M_PER_S, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.inference.significance import log_p_of_looks, log_p_two_sided
 from hydrabeam_mpi.loop.residuals.coherent import SPOTS, WANDERING_SPOTS, Coherence
-from hydrabeam_mpi.model.engines.fringes import C_M_PER_S
 from hydrabeam_mpi.mpi import Comm, allreduce_sum
 
 MOST_DIRECTIONS = 16384

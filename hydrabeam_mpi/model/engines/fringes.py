@@ -4,18 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-from astropy.constants import c as speed_of_light
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import C_M_PER_S, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.model.engines.antenna_pairs import AntennaPairs, find_pairs
-
-if TYPE_CHECKING:
-    from hydrabeam_mpi.model.engines.smearing import Smearing
-
-C_M_PER_S: float = speed_of_light.value
+from hydrabeam_mpi.model.engines.smearing import Smearing
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,9 @@ import finufft
 import numpy as np
 from threadpoolctl import threadpool_info
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.data.observation import C_M_PER_S, ComplexArray, FloatArray
 from hydrabeam_mpi.model.engines.base import Columns, Engine, Precision, amplitude
-from hydrabeam_mpi.model.engines.fringes import C_M_PER_S, enu
+from hydrabeam_mpi.model.engines.fringes import enu
 
 
 class NufftEngine(Engine):

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import EARTH_RATE, FloatArray, Observation
+from hydrabeam_mpi.data.observation import C_M_PER_S, EARTH_RATE, FloatArray, Observation
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.model.engines.fringes import C_M_PER_S
 
 ALIKE = 0.01
 """Relative, within which integrations or channels are equally long: what is lost, twice that, is small itself."""
@@ -48,6 +47,23 @@ class Smearing:
         in_time = (freq / C_M_PER_S * np.cross(vectors, self.turn)) @ directions
         in_channel = (self.bandwidth / C_M_PER_S * vectors) @ directions
         return np.asarray(np.sinc(in_time) * np.sinc(in_channel))
+
+
+def mean_steps(vectors: FloatArray, turns_per_metre: float) -> list[tuple[float, float]]:
+    """Return steps from the middle of a mean, in lengths of it, with their weights: of Gauss and Legendre.
+
+    With three and two more for every turn of the fastest fringe the mean is right to 2e-5 of what has turned.
+
+    Parameters
+    ----------
+    vectors : ndarray, (Nvectors, 3)
+        Metres ENU.
+    turns_per_metre : float
+        By how much the fringe of the fastest source turns in a mean, a metre of baseline.
+    """
+    longest = float(np.linalg.norm(vectors, axis=1).max(initial=0.0))
+    nodes, weights = np.polynomial.legendre.leggauss(3 + int(np.ceil(2 * longest * turns_per_metre)))
+    return list(zip((0.5 * nodes).tolist(), (0.5 * weights).tolist(), strict=True))
 
 
 def smearing_of(observation: Observation) -> Smearing | None:

@@ -4,14 +4,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.data.observation import C_M_PER_S, FloatArray
 from hydrabeam_mpi.effects.instrument.basis_truncation import MOST_MODES, BasisTruncation
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.sky.diffuse import Diffuse
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
 from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
 from hydrabeam_mpi.model.bases.zernike import Zernike
-from hydrabeam_mpi.model.engines.fringes import C_M_PER_S, enu
+from hydrabeam_mpi.model.engines.fringes import enu
 from hydrabeam_mpi.model.fit import fit_beam
 from hydrabeam_mpi.random import generator
 from hydrabeam_mpi.tables import embedded_beam

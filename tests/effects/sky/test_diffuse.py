@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 from scipy.special import sph_harm_y
 
-from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.data.observation import C_M_PER_S, FloatArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.sky import diffuse
 from hydrabeam_mpi.effects.sky.diffuse import Diffuse, harmonics
-from hydrabeam_mpi.model.engines.fringes import C_M_PER_S
 from hydrabeam_mpi.model.positions import ApparentPositions, RotatedPositions
 from hydrabeam_mpi.model.sky import Sky
 from hydrabeam_mpi.random import generator

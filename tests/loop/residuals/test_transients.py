@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from mpi4py import MPI
 
+from hydrabeam_mpi.data.observation import C_M_PER_S
 from hydrabeam_mpi.loop.residuals.coherent import SPOTS, WANDERING_SPOTS, Coherence
 from hydrabeam_mpi.loop.residuals.localise import where
 from hydrabeam_mpi.loop.residuals.transients import MOST_DIRECTIONS, TransientSums, transients
-from hydrabeam_mpi.model.engines.fringes import C_M_PER_S
 from hydrabeam_mpi.random import complex_normal, generator
 from tests.loop.white import make_layout, noise, sums_of
 

@@ -1,0 +1,164 @@
+"""Smearing: visibilities that are means over an integration, in which the sky turns, and over a channel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import C_M_PER_S, EARTH_RATE, BoolArray, ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
+from hydrabeam_mpi.effects.interface.limits import sigmas
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.interface.sources import Sources
+from hydrabeam_mpi.effects.interface.told import Told
+from hydrabeam_mpi.effects.shared.beam_visibilities import integrate_on
+from hydrabeam_mpi.effects.shared.displaced import (
+    need_real_beam,
+    turn_per_second,
+    turned_sky,
+    turning_columns,
+    turning_rates,
+)
+from hydrabeam_mpi.model.engines.smearing import mean_steps
+
+Axis = Literal["time", "frequency"]
+MEANS: dict[Axis, tuple[str, str, str]] = {
+    "time": ("square of the integrations' length", "integrations are means over", "s"),
+    "frequency": ("square of the channels' width", "channels are means over", "MHz"),
+}
+"""What its parameter is called, what people are told, and in which unit its root is."""
+HZ = 1e6  # in the unit of the parameter
+SHORT = 0.1
+"""Of what the data state: the length in place of zero where slopes are asked for, which are those at zero to 1e-4 as
+long as what is stated loses a few percent."""
+
+
+@dataclass(frozen=True)
+class Smearing(Effect):
+    """Means over time and over frequency, each of one length for all data, where the model has instants.
+
+    Sources are lost the more the faster a baseline's fringe turns across them. A mean over T loses in proportion to T^2
+    at first, so that this is the parameter. Over an integration the whole sky turns, through the beam and the horizon.
+
+    Attributes
+    ----------
+    over : tuple of {"time", "frequency"}
+        What the means are over.
+    """
+
+    over: tuple[Axis, ...] = ("time", "frequency")
+
+    kind = "smearing"
+    title = "smearing by integrations and channels"
+    of_both_feeds = True
+    shared = True
+    unphysical = "negative length"
+
+    def describe(self) -> dict[str, Any]:
+        """Return what the means are over."""
+        return {"over": list(self.over)}
+
+    def not_applicable(self, setup: ObservingSetup) -> str | None:
+        """Refuse complex beams, and data whose means the model has already."""
+        if setup.observation.is_smeared:
+            return "[data] smearing has the model's visibilities as such means already"
+        return need_real_beam(setup)
+
+    def parameters(self, setup: ObservingSetup) -> Parameters:
+        """Return the squares of the lengths, each an element; the scales are those that the data state."""
+        observation = setup.observation
+        stated = {"time": observation.integration_time.mean(), "frequency": observation.channel_width.mean() / HZ}
+        return Parameters.of(
+            [MEANS[axis][0] for axis in self.over],
+            [f"{MEANS[axis][2]}^2" for axis in self.over],
+            np.array([stated[axis] ** 2 for axis in self.over]),
+            np.arange(len(self.over)),
+        )
+
+    def draw(self, setup: ObservingSetup, rng: np.random.Generator, strength: float) -> FloatArray:
+        """Draw squares, which are positive, (n_params,)."""
+        return np.abs(super().draw(setup, rng, strength))
+
+    def sky_columns(self, sources: Sources) -> FloatArray:
+        """Return the beam, (1, Nsrc)."""
+        return _beam(sources)
+
+    def columns(self, block: RowBlock, x: FloatArray) -> Columns:
+        """Return the derivatives by the squares, of which E is taken as an odd function; ``x`` is (n_params,)."""
+        lengths = np.maximum(np.sqrt(np.abs(x)), SHORT * np.sqrt(self.parameters(block.setup).scale))
+        values = [_slope(block, axis, length) for axis, length in zip(self.over, lengths.tolist(), strict=True)]
+        return Columns(np.stack(values, axis=-1), len(x), by_group=True)
+
+    def added(self, block: RowBlock, x: FloatArray) -> ComplexArray:
+        """Return the means minus what instants and frequencies have, (Ntimes, Nbls); each mean by itself."""
+        change = np.zeros((len(block.times), len(block.groups)), dtype=complex)
+        for axis, square in zip(self.over, x.tolist(), strict=True):
+            if square:
+                mean = _mean(block, axis, float(np.sqrt(abs(square))))
+                change += np.sign(square) * (mean - block.integral(self)[..., 0])
+        return block.spread(change)
+
+    def told(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> Told:
+        """Return the lengths themselves."""
+        length = np.sign(x) * np.sqrt(np.abs(x))
+        # The error of a root; of what is zero within its error, the root of that.
+        error = 0.5 * np.divide(std, np.sqrt(np.maximum(np.abs(x), std / 4)), out=np.zeros_like(std), where=std > 0)
+        names, units = (tuple(MEANS[axis][n] for axis in self.over) for n in (1, 2))
+        return Told(names, units, length, error, np.ones(len(self.over), dtype=bool))
+
+    def beyond(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> FloatArray:
+        """Return by how many standard errors squares are below zero, (n_params,)."""
+        return sigmas(-x, std).max(axis=0)
+
+    def without(self, gone: BoolArray) -> tuple[Smearing, IntArray]:
+        """Return the other mean, if one is left."""
+        left = np.flatnonzero(~gone)
+        return Smearing(tuple(self.over[number] for number in left.tolist())), left
+
+
+def _steps(block: RowBlock, axis: Axis, length: float) -> list[tuple[float, float]]:
+    """Return steps from the middle of a mean, in lengths of it, with their weights."""
+    turns = length * (EARTH_RATE * block.freq if axis == "time" else HZ) / C_M_PER_S
+    return mean_steps(block.vectors, turns)
+
+
+def _later(block: RowBlock, seconds: float) -> RowBlock:
+    """Return the block with the sky as it is some seconds later."""
+    if not seconds:
+        return block
+    return turned_sky(block, np.tile(seconds * turn_per_second(block), (len(block.times), 1)))
+
+
+def _mean(block: RowBlock, axis: Axis, length: float) -> ComplexArray:
+    """Return the visibilities as means over a length, (Ntimes, Ngroups)."""
+    total: Any = 0.0
+    for step, weight in _steps(block, axis, length):
+        if axis == "time":
+            seen = _later(block, step * length).integrate(_beam)
+        else:
+            seen = integrate_on(block, _beam, block.vectors * (1 + step * length * HZ / block.freq))
+        total = total + weight * seen[..., 0]
+    return np.asarray(total)
+
+
+def _slope(block: RowBlock, axis: Axis, length: float) -> ComplexArray:
+    """Return the derivative of `_mean` by the square of the length, (Ntimes, Ngroups)."""
+    total: Any = 0.0
+    for step, weight in _steps(block, axis, length):
+        if axis == "time":
+            rates = turning_rates(block, _later(block, step * length).integrate(turning_columns))
+            rate = rates @ turn_per_second(block)
+        else:
+            vectors = block.vectors * (1 + step * length * HZ / block.freq)
+            moments = integrate_on(block, lambda sources: sources.exact_beam * sources.enu, vectors)
+            rate = 2j * np.pi * HZ / C_M_PER_S * np.einsum("tgk,gk->tg", moments, block.vectors)
+        total = total + weight * step * rate
+    return np.asarray(total / (2 * length))
+
+
+def _beam(sources: Sources) -> FloatArray:
+    """Return the beam as a column, (1, Nsrc)."""
+    return sources.exact_beam[np.newaxis]
