@@ -17,6 +17,7 @@ from hydrabeam_mpi.effects.interface.told import Told
 from hydrabeam_mpi.effects.shared.beam_visibilities import integrate_on
 from hydrabeam_mpi.effects.shared.displaced import (
     need_real_beam,
+    rotate,
     turn_per_second,
     turned_sky,
     turning_columns,
@@ -32,8 +33,10 @@ MEANS: dict[Axis, tuple[str, str, str]] = {
 """What its parameter is called, what people are told, and in which unit its root is."""
 HZ = 1e6  # in the unit of the parameter
 SHORT = 0.1
-"""Of what the data state: the length in place of zero where slopes are asked for, which are those at zero to 1e-4 as
+"""Of what the data state: shorter means lose in proportion to the square of their length, to 1e-4 of what is lost as
 long as what is stated loses a few percent."""
+STEP = 3e-4
+"""Radians, of numerical second derivatives of beams."""
 
 
 @dataclass(frozen=True)
@@ -88,8 +91,13 @@ class Smearing(Effect):
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return the derivatives by the squares, of which E is taken as an odd function; ``x`` is (n_params,)."""
-        lengths = np.maximum(np.sqrt(np.abs(x)), SHORT * np.sqrt(self.parameters(block.setup).scale))
-        values = [_slope(block, axis, length) for axis, length in zip(self.over, lengths.tolist(), strict=True)]
+        lengths = np.sqrt(np.abs(x))
+        is_short = lengths < SHORT * np.sqrt(self.parameters(block.setup).scale)
+        at_zero = dict(zip(MEANS, _slopes_at_zero(block), strict=True)) if is_short.any() else {}
+        values = [
+            at_zero[axis] if short else _slope(block, axis, length)
+            for axis, short, length in zip(self.over, is_short.tolist(), lengths.tolist(), strict=True)
+        ]
         return Columns(np.stack(values, axis=-1), len(x), by_group=True)
 
     def added(self, block: RowBlock, x: FloatArray) -> ComplexArray:
@@ -157,6 +165,35 @@ def _slope(block: RowBlock, axis: Axis, length: float) -> ComplexArray:
             rate = 2j * np.pi * HZ / C_M_PER_S * np.einsum("tgk,gk->tg", moments, block.vectors)
         total = total + weight * step * rate
     return np.asarray(total / (2 * length))
+
+
+def _slopes_at_zero(block: RowBlock) -> tuple[ComplexArray, ComplexArray]:
+    """Return the derivatives by the squares of lengths that are zero, over time and frequency, (Ntimes, Ngroups) each.
+
+    That is a 24th of the second derivatives of what is seen at an instant and a frequency.
+    """
+    turn = turn_per_second(block)
+    one, two = np.triu_indices(3)
+
+    def columns(sources: Sources) -> FloatArray:
+        """Return what goes with no, one and two baseline vectors by time, and with two by frequency, (16, Nsrc)."""
+        s, beam = sources.enu, sources.exact_beam
+        angle = STEP / np.linalg.norm(turn)
+        before, after = (sources.beam_at(rotate(s, sign * angle * turn)) for sign in (-1, 1))
+        slope, bend = (after - before) / (2 * angle), (after - 2 * sources.beam + before) / angle**2
+        moved = np.cross(turn, s, axis=0)
+        moved_on = np.cross(turn, moved, axis=0)
+        parts = (bend[np.newaxis], 2 * slope * moved + beam * moved_on, beam * moved[one] * moved[two])
+        return np.concatenate([*parts, beam * s[one] * s[two]])
+
+    moments = block.integrate(columns)
+    wavenumber = 2 * np.pi * block.freq / C_M_PER_S
+    vectors = wavenumber * block.vectors
+    products = vectors[:, one] * vectors[:, two] * np.where(one == two, 1.0, 2.0)
+    by_one = np.einsum("tgk,gk->tg", moments[..., 1:4], vectors)
+    by_two, in_channel = (np.einsum("tgk,gk->tg", moments[..., part], products) for part in (np.s_[4:10], np.s_[10:]))
+    in_time = moments[..., 0] + 1j * by_one - by_two
+    return np.asarray(in_time / 24), np.asarray(-in_channel * (HZ / block.freq) ** 2 / 24)
 
 
 def _beam(sources: Sources) -> FloatArray:
