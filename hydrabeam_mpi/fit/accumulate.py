@@ -52,14 +52,27 @@ class Accumulator:
     ----------
     rows, basis, grams
         As of `accumulate_designs`.
+    about : sequence of ndarray, (n_modes,), optional
+        Coefficients of each channel from which the beam is counted; see `NormalEquations`.
     """
 
-    def __init__(self, rows: Rows, basis: LinearBasis, grams: Sequence[Array] | None = None) -> None:
+    def __init__(
+        self,
+        rows: Rows,
+        basis: LinearBasis,
+        grams: Sequence[Array] | None = None,
+        about: Sequence[Array] | None = None,
+    ) -> None:
         block = Block(BEAM, basis.n_modes, basis.is_complex)
-        if grams is None:
-            self._normals = [NormalEquations([block]) for _ in rows.data]
-        else:
-            self._normals = [NormalEquations([block], known={(BEAM, BEAM): gram}) for gram in grams]
+        self._about = about
+        self._normals = [
+            NormalEquations(
+                [block],
+                known=None if grams is None else {(BEAM, BEAM): grams[f]},
+                about=None if about is None else {BEAM: about[f]},
+            )
+            for f in range(len(rows.data))
+        ]
         self._buffers = [RowBuffer(normal, BEAM) for normal in self._normals]
         self._weighted, self._weights = rows.compressed()
         for f, normal in enumerate(self._normals):
@@ -68,7 +81,13 @@ class Accumulator:
     def add(self, t: int, design: Array) -> None:
         """Add the rank's time number ``t`` with its design, (Nfreqs, ..., Nlocal, n_modes)."""
         for f, buffer in enumerate(self._buffers):
-            buffer.add(design[f], self._weighted[f, t], self._weights[f, t])
+            weighted, weights = self._weighted[f, t], self._weights[f, t]
+            if self._about is not None:
+                seen = seen_by(design[f], self._about[f])
+                left = weighted - weights * seen
+                self._normals[f].scalars[0] -= np.vdot(seen, weighted + left).real
+                weighted = left
+            buffer.add(design[f], weighted, weights)
 
     def finish(self) -> list[NormalEquations]:
         """Return what all times give."""

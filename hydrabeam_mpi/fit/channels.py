@@ -19,9 +19,10 @@ from hydrabeam_mpi.fit.heldout_sample import heldout_sample
 from hydrabeam_mpi.fit.rounding import MOST_SHIFT, Rounding
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.shared_design import SharedDesign
-from hydrabeam_mpi.fit.shares import read_shares, read_shares_of_each
+from hydrabeam_mpi.fit.shares import read_shares_of_each
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.predictive_checks import HeldoutStatistics
+from hydrabeam_mpi.inference.prior import Prior
 from hydrabeam_mpi.io.finite import INFERENCE, check_finite
 from hydrabeam_mpi.model.engines.base import Precision
 from hydrabeam_mpi.mpi import ProcessGrid, allreduce_max, allreduce_sum, bcast_array, together
@@ -108,17 +109,6 @@ def infer_each(grid: ProcessGrid, problems: Sequence[Problem], clock: Clock) -> 
     ]
 
 
-def sum_channels(grid: ProcessGrid, problem: Problem, clock: Clock) -> tuple[list[NormalEquations], Rows]:
-    """Return the sums over all training rows of each of the group's channels, and the rank's held-out rows.
-
-    Collective: all ranks of `grid.world`. ``clock`` receives the phases "read" and "design".
-    """
-    with clock.time("read"):
-        train, test = read_shares(grid, problem)
-    with clock.time("design"):
-        return _sum_normals(grid, [problem], [train], np.float64)[0], test
-
-
 @dataclass(frozen=True)
 class Solved:
     """What follows from the training rows of one polarisation; see `ChannelResult`."""
@@ -182,7 +172,9 @@ def _sum_normals(
     """Accumulate the rank's rows and sum over the group."""
     with together(grid.world):
         design = SharedDesign(problems, rows, precision)
-        takers = [Accumulator(one, problem.basis) for one, problem in zip(rows, problems, strict=True)]
+        takers = [
+            Accumulator(one, problem.basis, about=_start(problem)) for one, problem in zip(rows, problems, strict=True)
+        ]
         for t, of_each in design.by_time("design matrix", show=grid.is_world_root):
             for rounding, own in zip(roundings, of_each, strict=bool(roundings)):
                 rounding.watch(t, own)
@@ -192,6 +184,15 @@ def _sum_normals(
     for normal in chain(*normals):
         normal.reduce(grid.group)
     return normals
+
+
+def _start(problem: Problem) -> list[Array] | None:
+    """Return the coefficients of each channel, (n_modes,), from which beams are counted: those of the prior's mean.
+
+    What rounding makes of the sums is then in proportion to how far the beam is from these. None where channels hang
+    together, for which beams are counted from zero.
+    """
+    return None if problem.coupling is not None else [prior.mean for prior in problem.priors]
 
 
 def solve_channels(
@@ -231,7 +232,7 @@ def solve_channels(
         if grid.is_group_root:
             if problem.coupling is None:
                 parts = zip(normals, problem.priors, factors or len(normals) * (None,), strict=True)
-                solved = [normal.gaussian({BEAM: prior}).solve(True, factor) for normal, prior, factor in parts]
+                solved = [_posterior(*part) for part in parts]
             for number, posterior in zip(problem.channel_numbers.tolist(), solved, strict=True):
                 numbers = {"posterior mean": posterior.mean, "posterior precision": np.diag(posterior.factor)}
                 check_finite(f"channel {number}", numbers, INFERENCE)
@@ -242,6 +243,12 @@ def solve_channels(
         if not root:
             solved.append(Posterior(mean, factor))
     return solved, coupled
+
+
+def _posterior(normal: NormalEquations, prior: Prior, factor: Array | None) -> Posterior:
+    """Return the posterior of one channel's coefficients."""
+    found = normal.gaussian({BEAM: prior}).solve(True, factor)
+    return replace(found, mean=found.mean + normal.about.get(BEAM, 0.0))
 
 
 def _sum_heldout(

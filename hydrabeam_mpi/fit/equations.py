@@ -46,6 +46,9 @@ class NormalEquations:
         default but those that are known.
     known : mapping of (str, str) to ndarray, optional
         Products of pairs of blocks that are complete already, over the rows of all ranks.
+    about : mapping of str to ndarray, (size,), optional
+        Values from which the unknowns of some blocks are counted, zero by default: the data are d minus what is seen
+        at these. Sums are the more exact the nearer these are to the solution.
 
     Attributes
     ----------
@@ -62,6 +65,7 @@ class NormalEquations:
         blocks: Sequence[Block],
         pairs: Iterable[tuple[str, str]] | None = None,
         known: Mapping[tuple[str, str], Array] | None = None,
+        about: Mapping[str, Array] | None = None,
     ) -> None:
         self.blocks = {one.name: one for one in blocks}
         names = list(self.blocks)
@@ -70,6 +74,7 @@ class NormalEquations:
         if pairs is None:
             pairs = [(one, two) for i, one in enumerate(names) for two in names[i:]]
         self._known = dict(known or {})
+        self.about = dict(about or {})
         pairs = [pair for pair in pairs if pair not in self._known]
         self.gram = {(one, two): self._zeros(one, two) for one, two in pairs}
         self.projection = {name: self._zeros(name) for name in names}
@@ -170,6 +175,7 @@ class NormalEquations:
 
     def misfit(self, name: str, x: Array) -> float:
         """Return chi^2 of the data with a block at ``x``, (n,), and all others at zero, |d - A x|^2 over the noise."""
+        x = x - self.about.get(name, 0.0)
         quadratic = np.vdot(x, self.own(name) @ x).real - 2 * np.vdot(x, self.projection[name]).real
         return float(self.data_norm + quadratic)
 
@@ -206,6 +212,8 @@ class NormalEquations:
     def gaussian(self, priors: Mapping[str, Prior]) -> Gaussian:
         """Return likelihood times prior of some blocks, those that ``priors`` names, with all others at zero.
 
+        Unknowns are counted from where the sums have them (``about``), their priors are not.
+
         Raises
         ------
         InputError
@@ -225,7 +233,9 @@ class NormalEquations:
                 pair = _matrix_in_parts(pair, one.is_complex, two.is_complex) if mixed else pair
                 np.multiply(kappa, pair, out=precision[span, spans[two.name]])
             # Densities of complex unknowns are exp(-q), those of real ones exp(-q/2).
-            pull = kappa * self.projection[one.name] + (1 + in_parts) * prior.precision_times(prior.mean)
+            pull = kappa * self.projection[one.name] + (1 + in_parts) * prior.precision_times(
+                self._mean(one.name, prior)
+            )
             source[span] = np.concatenate([pull.real, pull.imag]) if in_parts else pull
             own = np.zeros(2 * [one.size], dtype=np.complex128) if in_parts else precision[span, span]
             prior.add_precision(own)
@@ -234,16 +244,21 @@ class NormalEquations:
         return Gaussian(blocks, precision, source, self._log_scale(blocks, priors))
 
     def _log_scale(self, blocks: Sequence[Block], priors: Mapping[str, Prior]) -> float | None:
-        """Return ln of likelihood times prior where all unknowns are zero; None with a flat prior."""
+        """Return ln of likelihood times prior where unknowns are zero as they are counted; None with a flat prior."""
         log_scale = self.log_det_inv_noise - self.n_data * np.log(np.pi) - self.data_norm
         for one in blocks:
             prior = priors[one.name]
             if prior.log_det_precision is None:
                 return None
             kappa = 1.0 if one.is_complex else 2.0
-            quadratic = float(np.vdot(prior.mean, prior.precision_times(prior.mean)).real)
+            mean = self._mean(one.name, prior)
+            quadratic = float(np.vdot(mean, prior.precision_times(mean)).real)
             log_scale += (prior.log_det_precision - quadratic - one.size * np.log(kappa * np.pi)) / kappa
         return float(log_scale)
+
+    def _mean(self, name: str, prior: Prior) -> Array:
+        """Return a prior's mean as unknowns are counted, (size,)."""
+        return np.asarray(prior.mean - self.about.get(name, 0.0))
 
     def _check_determined(self, name: str, prior: Prior) -> None:
         block = self.blocks[name]
