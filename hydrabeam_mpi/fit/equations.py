@@ -184,7 +184,7 @@ class NormalEquations:
         names = list(self.blocks)
         pairs = [(one, two) for i, one in enumerate(names) for two in names[i:]]
         known = {(one, two): self._pair(one, two) / scale for one, two in pairs}
-        scaled = NormalEquations(list(self.blocks.values()), known=known)
+        scaled = NormalEquations(list(self.blocks.values()), known=known, about=self.about)
         scaled.projection = {name: one / scale for name, one in self.projection.items()}
         scaled.scalars = np.array(
             [self.scalars[0] / scale, self.scalars[1] - self.scalars[2] * np.log(scale), self.scalars[2]]

@@ -26,8 +26,8 @@ def problem(is_complex, seed=1):
     return design, weights, data, mean, root @ root.conj().T
 
 
-def accumulate(design, weights, data, is_complex, capacity):
-    normal = NormalEquations([Block(BEAM, N, is_complex)])
+def accumulate(design, weights, data, is_complex, capacity, about=None):
+    normal = NormalEquations([Block(BEAM, N, is_complex)], about=about)
     buffer = RowBuffer(normal, BEAM, capacity)
     for part in np.array_split(np.arange(len(data)), 5):
         rows = design[part] if is_complex else np.stack([design[part].real, design[part].imag])
@@ -191,6 +191,20 @@ def test_sums_with_louder_noise_are_those_of_smaller_weights(is_complex):
     x = prior.mean
     direct = float(np.sum(weights / scale * np.abs(data - design @ x) ** 2))
     assert scaled.misfit("beam", x) == pytest.approx(direct, rel=1e-10)
+
+
+@pytest.mark.parametrize("is_complex", [True, False])
+def test_unknowns_may_be_counted_from_anywhere(is_complex):
+    design, weights, data, mean, covariance = problem(is_complex)
+    start, prior = 3 * mean + 1, CovariancePrior(mean, covariance)
+    plain = accumulate(design, weights, data, is_complex, 7)
+    shifted = accumulate(design, weights, data - design @ start, is_complex, 7, {BEAM: start})
+    for one, two in ((plain, shifted), (plain.with_noise(2.5), shifted.with_noise(2.5))):
+        expected, found = solve_posterior(one, prior), solve_posterior(two, prior)
+        np.testing.assert_allclose(found.mean + start, expected.mean, rtol=1e-9)
+        np.testing.assert_allclose(found.covariance, expected.covariance, rtol=1e-10)
+        assert found.log_evidence == pytest.approx(expected.log_evidence, rel=1e-12)
+        assert two.misfit(BEAM, mean) == pytest.approx(one.misfit(BEAM, mean), rel=1e-10)
 
 
 def test_generators_depend_on_the_key_alone():

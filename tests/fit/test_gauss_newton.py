@@ -171,15 +171,17 @@ def test_a_missing_source_is_found_where_it_is(freqs: tuple[float, ...], tmp_pat
 
 
 def test_without_effects_it_is_plain_inference(tmp_path: Path) -> None:
+    """To rounding: there coefficients are counted from the prior's mean."""
     context = context_of(mock_job(freqs=TWO), tmp_path)
     fitted = refit(context, Values())
     plain = infer_channels(context.grid, context.problem, Clock())
     for f, (posterior, one, result) in enumerate(
         zip(fitted.fit.posteriors, plain, channel_results(context, fitted), strict=True)
     ):
-        np.testing.assert_array_equal(posterior.mean, one.posterior.mean)
+        assert np.all(np.abs(posterior.mean - one.posterior.mean) < 1e-8 * posterior.std)
         np.testing.assert_array_equal(posterior.factor, one.posterior.factor)
-        assert result.heldout.summary() == one.heldout.summary()
+        assert posterior.log_evidence == pytest.approx(one.posterior.log_evidence, abs=1e-3)
+        assert result.heldout.summary() == pytest.approx(one.heldout.summary(), rel=1e-9)
         assert fitted.diagnostics.train_chi2[f] > 0.7
 
 
