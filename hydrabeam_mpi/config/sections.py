@@ -165,6 +165,9 @@ class Basis(Section):
     n_modes: int = key(2048, "fourier-bessel: coefficients kept, the largest of the model beam", FOURIER_BESSEL, ge=1)
     k_max: int = key(80, "fourier-bessel: radial orders 1 to k_max", FOURIER_BESSEL, ge=1, le=MOST_ZEROS)
     m_max: int = key(45, "fourier-bessel: azimuthal orders -m_max to m_max", FOURIER_BESSEL, ge=0, le=MOST_ORDERS)
+    rest: bool = key(
+        False, "fourier-bessel: with all that the model beam has beyond these as one more function", FOURIER_BESSEL
+    )
     edge: Degrees = key(92.0, "deg of zenith angle where the functions end", ge=90, le=180)
     boundary: Literal["dirichlet", "neumann"] = key(
         "neumann", "fourier-bessel: zero at the edge, or flat", FOURIER_BESSEL

@@ -9,16 +9,17 @@ hardly sampled. A basis whose functions separate on rings of samples fits these 
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.model.bases.base import LinearBasis, Selection, has_part
+from hydrabeam_mpi.model.bases.base import NEGLIGIBLE, LinearBasis, Selection, has_part
 from hydrabeam_mpi.model.bases.ring_fit import RCOND
 from hydrabeam_mpi.model.bases.rings import Pixels, RingGrid, degree_grid
+from hydrabeam_mpi.model.bases.with_rest import WithRest, rest_nodes
 
 _POINTS_AT_ONCE = 4096
 
@@ -89,7 +90,10 @@ def fit_beam(beam: Evaluable | Pixels, basis: LinearBasis | Selection) -> Fitted
     amplitudes = full.amplitudes(coeffs)
     if np.count_nonzero(has_part(amplitudes)) < n_modes:
         amplitudes = full.expected(amplitudes)
-    return fit_basis(full.largest(amplitudes, n_modes), pixels)
+    chosen = full.largest(amplitudes, n_modes)
+    if not basis.rest or isinstance(beam, Pixels) or np.iscomplexobj(pixels.values):
+        return fit_basis(chosen, pixels)
+    return fit_basis(_with_rest(chosen, beam, pixels), pixels)
 
 
 def beam_pixels(beam: Evaluable) -> Pixels:
@@ -109,8 +113,34 @@ def fit_basis(basis: LinearBasis, pixels: Pixels) -> FittedBeam:
     return FittedBeam(basis, coeffs, rms, float(residual.max()), len(residual), n_cut)
 
 
+def _with_rest(chosen: LinearBasis, beam: Evaluable, pixels: Pixels) -> LinearBasis:
+    """Return a basis with one more function, what it leaves of the beam; without it where it leaves nothing."""
+    coeffs, _ = _solve(chosen, pixels)
+    left = _left_of(pixels, chosen, coeffs)
+    if np.abs(left.values).max() <= NEGLIGIBLE * np.abs(pixels.values).max():
+        return chosen
+    # Of the size that the others have, on average over a part of the samples, so that coefficients compare.
+    some = slice(None, None, max(1, len(left.za) // _POINTS_AT_ONCE))
+    size = float(np.sqrt(np.mean(np.abs(chosen.evaluate(left.za[some], left.az[some])) ** 2)))
+    scale = size / float(np.sqrt(np.mean(left.values**2)))
+    za, az = rest_nodes()
+    nodes = Pixels(za, az, np.asarray(beam(za, az)))
+    return WithRest(chosen, scale * _left_of(nodes, chosen, coeffs).values)
+
+
+def _left_of(pixels: Pixels, basis: LinearBasis, coeffs: Array) -> Pixels:
+    """Return what a fit leaves of samples, of which it is the real part where they are real."""
+    fitted = basis.synthesize(coeffs, pixels.za, pixels.az)
+    return replace(pixels, values=pixels.values - (fitted if np.iscomplexobj(pixels.values) else fitted.real))
+
+
 def _solve(basis: LinearBasis, pixels: Pixels) -> tuple[Array, int]:
     """Return the coefficients and the number of directions cut."""
+    if isinstance(basis, WithRest):
+        # The rest is what the others leave, and is fitted to that.
+        coeffs, n_cut = _solve(basis.basis, pixels)
+        left, rest = _left_of(pixels, basis.basis, coeffs).values, basis.rest(pixels.za, pixels.az)
+        return np.append(coeffs, (rest @ left) / (rest @ rest)), n_cut
     if np.iscomplexobj(pixels.values) and not basis.is_complex:
         raise InputError("a complex beam needs complex coefficients", field="form", remedy='use form = "complex"')
     if len(pixels.values) < basis.n_modes:

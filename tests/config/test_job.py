@@ -179,6 +179,7 @@ form = "complex"
 n_modes = 12
 k_max = 7
 m_max = 6
+rest = true
 boundary = "dirichlet"
 
 [prior]

@@ -11,9 +11,10 @@ from hydrabeam_mpi.registry import Registry
 if TYPE_CHECKING:
     from hydrabeam_mpi.model.bases.base import LinearBasis, Selection
 
-BASES: Registry[LinearBasis] = Registry("hydrabeam_mpi.model.bases", "fourier_bessel", "zernike", "joined", "turned")
+MADE_OF_OTHERS = ("joined", "turned", "with_rest")
+BASES: Registry[LinearBasis] = Registry("hydrabeam_mpi.model.bases", "fourier_bessel", "zernike", *MADE_OF_OTHERS)
 
-JOB_NAMES = {kind.replace("_", "-"): kind for kind in BASES if kind not in ("joined", "turned")}
+JOB_NAMES = {kind.replace("_", "-"): kind for kind in BASES if kind not in MADE_OF_OTHERS}
 """What jobs call those that they may ask for."""
 
 

@@ -38,10 +38,13 @@ class Selection:
         All modes that there are to choose from.
     n_modes : int or None
         Number of modes kept, those whose coefficients are largest; None keeps all.
+    rest : bool
+        Whether all that a real beam has beyond these is kept as one more function.
     """
 
     basis: LinearBasis
     n_modes: int | None
+    rest: bool = False
 
 
 @dataclass(frozen=True)

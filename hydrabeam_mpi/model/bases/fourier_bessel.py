@@ -102,15 +102,21 @@ class FourierBessel(LinearBasis):
 
     @classmethod
     def selection(
-        cls, n_modes: int | None = 1024, form: Form = "real", k_max: int = 80, m_max: int = 45, **settings: Any
+        cls,
+        n_modes: int | None = 1024,
+        form: Form = "real",
+        k_max: int = 80,
+        m_max: int = 45,
+        rest: bool = False,
+        **settings: Any,
     ) -> Selection:
-        """Select so many modes, None for all, of those of `full`."""
-        return Selection(cls.full(k_max, m_max, form=form, **settings), n_modes)
+        """Select so many modes, None for all, of those of `full`; with the ``rest``, all that a beam has beyond."""
+        return Selection(cls.full(k_max, m_max, form=form, **settings), n_modes, rest)
 
     @classmethod
     def from_settings(cls, settings: Mapping[str, Any]) -> Selection:
         """Select the largest of a job's ``n_modes`` from all up to its orders; see :class:`LinearBasis`."""
-        same = {name: settings[name] for name in ("n_modes", "form", "k_max", "m_max", "boundary")}
+        same = {name: settings[name] for name in ("n_modes", "form", "k_max", "m_max", "boundary", "rest")}
         return cls.selection(edge=np.deg2rad(settings["edge"]), **same)
 
     def with_modes(self, modes: Iterable[tuple[int, int]], form: Form | None = None) -> FourierBessel:

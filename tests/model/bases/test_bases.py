@@ -13,6 +13,7 @@ from hydrabeam_mpi.model.bases.base import LinearBasis, Selection
 from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
 from hydrabeam_mpi.model.bases.joined import Joined
 from hydrabeam_mpi.model.bases.turned import Turned
+from hydrabeam_mpi.model.bases.with_rest import WithRest, rest_nodes
 from hydrabeam_mpi.model.bases.zernike import Zernike
 from hydrabeam_mpi.random import generator
 
@@ -41,6 +42,10 @@ def scrambled(form, **settings):
     return FourierBessel([modes[n] for n in order], form=form, **settings)
 
 
+def ripple(za, az):
+    return np.sin(za) ** 2 * np.cos(2 * az) + np.cos(9 * za)
+
+
 BASES = {
     "real": FourierBessel.full(12, 7, form="real"),
     "complex": FourierBessel.full(12, 7, form="complex"),
@@ -58,6 +63,8 @@ BASES = {
     "turned": Turned(FourierBessel.full(7, 3, form="real"), 0.7),
     "turned, complex": Turned(scrambled("complex"), -np.pi / 2),
     "turned and joined": Joined([Turned(Zernike(3), 1.0), Turned(Zernike(4), 1.0)], [20, 0, 3]),
+    "with rest": WithRest(FourierBessel.full(7, 3, form="real"), ripple(*rest_nodes())),
+    "with rest, complex": WithRest(scrambled("complex"), ripple(*rest_nodes())),
     "plugged in": Cosines(),
 }
 
@@ -224,6 +231,8 @@ ZERNIKE = {"kind": "zernike", "degree": 1, "edge": 1.6}
         ({"kind": "joined", "parts": [ZERNIKE], "kept": [3]}, "do not have"),
         ({"kind": "joined", "parts": [ZERNIKE], "kept": [1, 1]}, "do not have"),
         ({"kind": "joined", "parts": [ZERNIKE], "kept": []}, "do not have"),
+        ({"kind": "with_rest", "parts": [ZERNIKE], "values": "AAAA"}, "buffer size"),
+        ({"kind": "with_rest", "parts": [ZERNIKE], "values": "AAAAAA=="}, "each node"),
         ({"kind": "joined", "parts": [3], "kept": [0]}, "incomplete"),
         ({"kind": "joined", "parts": [], "kept": [0]}, "do not have"),
     ],
