@@ -69,3 +69,30 @@ def _slopes(setup: ObservingSetup, channel: int) -> FloatArray:
 def _phases(setup: ObservingSetup, channel: int, x: FloatArray) -> FloatArray:
     """Return the phase of every antenna in a channel, (Nused,)."""
     return x.reshape(-1, 2) @ _slopes(setup, channel)
+
+
+def delays_of(setup: ObservingSetup, phases: FloatArray) -> FloatArray:
+    """Return delay and phase of each antenna that come nearest to its phases in all channels, whole turns apart.
+
+    Parameters
+    ----------
+    setup : ObservingSetup
+    phases : ndarray, (Nfreqs, Nants)
+        Radians.
+
+    Returns
+    -------
+    ndarray, (2 Nants,)
+        In ns and radians, as the parameters of `AntennaDelays`. Of delays that channels cannot tell apart the smallest.
+    """
+    offsets = setup.observation.freqs - setup.reference_freq
+    span, spacing = np.ptp(offsets), np.diff(np.unique(offsets)).min()
+    # Steps of an eighth of what the band resolves: from one to the next the phases at its ends change by 0.4 rad.
+    n = int(np.ceil(4 * span / spacing))
+    delays = np.arange(-n, n + 1) / (8 * span)
+    turned = np.exp(-2j * np.pi * np.outer(delays, offsets)) @ np.exp(1j * phases)
+    best = np.argmax(np.abs(turned) * (1 - 1e-9 * np.abs(np.arange(-n, n + 1)))[:, np.newaxis], axis=0)
+    at_center = np.angle(turned[best, np.arange(phases.shape[1])])
+    left = np.angle(np.exp(1j * (phases - at_center - 2 * np.pi * np.outer(offsets, delays[best]))))
+    slopes, mean = np.polynomial.polynomial.polyfit(offsets / span, left, 1)[::-1]
+    return np.stack([(delays[best] + slopes / (2 * np.pi * span)) / NS, at_center + mean], axis=-1).ravel()

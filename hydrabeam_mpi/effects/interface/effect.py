@@ -218,6 +218,14 @@ class Effect(InOtherData, HasLimits, MayChange, Cause):
         """
         return None
 
+    def over_frequency(self, setup: ObservingSetup, x: FloatArray) -> tuple[Effect, FloatArray] | None:
+        """Return the effect that has a law in frequency in the place of values of each channel, where one is known.
+
+        With it comes where on that law the fitted parameters ``x``, (Nfreqs, n_params), are about, (n_params of the
+        law,).
+        """
+        return None
+
     def told(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> Told:
         """Return fitted parameters and their errors, (Nfreqs, n_params) each, as they are told: one for each."""
         parameters = self.parameters(setup)

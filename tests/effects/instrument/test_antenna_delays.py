@@ -1,6 +1,7 @@
 import numpy as np
+import pytest
 
-from hydrabeam_mpi.effects.instrument.antenna_delays import AntennaDelays
+from hydrabeam_mpi.effects.instrument.antenna_delays import AntennaDelays, delays_of
 from hydrabeam_mpi.random import complex_normal, generator
 from tests.effects.small import matrix_at, small_block, small_setup, with_effect
 
@@ -47,3 +48,18 @@ def test_one_law_for_all_channels() -> None:
     error -= error.mean(axis=0)
     assert np.sqrt(error.ravel() @ fisher @ error.ravel() / (n - 2)) < 2.5
     assert np.abs(error).max() < 0.3
+
+
+@pytest.mark.parametrize("freqs", [140e6 + 2e6 * np.arange(6.0), 1e6 * np.array([120.0, 121.0, 124.0, 131.0, 150.0])])
+def test_delays_of_phases_that_are_known_but_for_turns(freqs: np.ndarray) -> None:
+    """Up to what channels tell apart; of an antenna that has none they are zero, exactly."""
+    setup = small_setup(tuple(freqs), n_times=1)
+    n, most = len(setup.antennas_in_use), 0.45e9 / np.diff(freqs).min()
+    rng = np.random.default_rng(5)
+    delays, at_center = rng.uniform(-most, most, n), rng.uniform(-3, 3, n)
+    delays[:3], at_center[:3] = [0.0, 3.0, -7.0], [0.0, 2.7, 3.1]
+    phases = 2e-9 * np.pi * np.outer(freqs - setup.reference_freq, delays) + at_center
+    found = delays_of(setup, np.angle(np.exp(1j * phases)))
+    np.testing.assert_allclose(found[0::2], delays, atol=1e-9 * most)
+    np.testing.assert_allclose(np.exp(1j * found[1::2]), np.exp(1j * at_center), atol=1e-9)
+    assert not found[:2].any()
