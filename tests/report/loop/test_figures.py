@@ -12,7 +12,7 @@ import pytest
 from matplotlib.colors import to_hex
 from matplotlib.text import Text
 
-from hydrabeam_mpi.report.loop.figures import draw_fall, draw_ranking
+from hydrabeam_mpi.report.loop.figures import SHOWN, draw_fall, draw_ranking
 from hydrabeam_mpi.report.loop.parameters import draw_parameters
 from hydrabeam_mpi.report.loop.residuals import draw_residuals
 from hydrabeam_mpi.report.loop.structures import draw_singular_values, draw_structures
@@ -42,7 +42,9 @@ def test_bars_of_the_ranking() -> None:
     assert names[:3] == ["antenna gains", "antenna positions", "missing sources"]
     for axes, entries in zip(panels, [one["ranking"] for one in loops.explained()["rounds"]], strict=False):
         widths = {names[round(bar.get_y() + 0.36)]: bar.get_width() for bar in axes.patches}
-        assert widths == {one["effect"].replace("_", " "): one["log_bayes_factor"] for one in entries}
+        scores = {one["effect"].replace("_", " "): one["log_bayes_factor"] for one in entries}
+        assert widths == {name: scores[name] for name in names}
+    assert len(names) == SHOWN < len(scores)
     assert all(axes.get_xscale() == "symlog" for axes in panels)
 
 

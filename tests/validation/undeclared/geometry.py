@@ -24,6 +24,12 @@ def antenna_positions(truth: Truth, rng: np.random.Generator, strength: float) -
     return Drawn(parameters, Where(antennas=numbers(truth, chosen)), 3 * len(chosen))
 
 
+def smearing(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
+    """The data are means over ``strength`` seconds, in which the sky turns."""
+    truth.integration = strength
+    return Drawn([Parameter("integrations", "length", "s", strength)], n_params=1)
+
+
 def timestamp(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
     """The data were taken ``strength`` seconds later than they say, or earlier."""
     truth.clock = float(strength * rng.choice([-1, 1]))

@@ -221,6 +221,14 @@ def read_clock(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], fl
     return {("clock", "later"): pairs[0]} if pairs else {}
 
 
+def read_lengths(
+    parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]
+) -> Found:
+    """Read over how many seconds the data are means."""
+    pairs = [pair for name, pair in averaged(parameters).items() if name.startswith("integrations")]
+    return {("integrations", "length"): pairs[0]} if pairs else {}
+
+
 def read_compression(
     parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]
 ) -> Found:
@@ -290,6 +298,7 @@ READERS: dict[str, Callable[[list[dict[str, Any]], dict[tuple[str, str], float],
     "spectral_index": read_fluxes,
     "resolved_source": read_fluxes,
     "timestamp": read_clock,
+    "smearing": read_lengths,
     "ground_emitter": read_emitter,
     "compression": read_compression,
     "ionosphere": read_shifts,

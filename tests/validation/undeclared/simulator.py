@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import matvis
 import numpy as np
 from astropy.time import Time
@@ -10,12 +12,19 @@ from tests.validation.undeclared.beams import Shape, pyuvdata_beam
 from tests.validation.undeclared.setting import LOCATION, Catalogue
 from tests.validation.undeclared.truth import ComplexArray, Truth
 
+INSTANTS = 15
+"""In an integration. A mean over T of so many, each in the middle of its part, is shorter than T by a 450th."""
+
 
 def correlations(truth: Truth) -> ComplexArray:
     """Return what all pairs of antennas would measure without corruption and noise, (Nfreqs, Ntimes, Nants, Nants).
 
     V_jk = 1/2 sum_s I_s a_j(s) a_k(s) exp(2 pi i nu (x_k - x_j).s/c), with a the fields.
     """
+    if truth.integration:
+        steps = (np.arange(INSTANTS) + 0.5) / INSTANTS - 0.5
+        instants = (replace(truth, integration=0.0, clock=truth.clock + step * truth.integration) for step in steps)
+        return np.asarray(sum(map(correlations, instants)) / INSTANTS)
     setting = truth.setting
     times = setting.times + truth.clock / 86400
     n_freqs, n_times, _ = setting.shape

@@ -29,6 +29,8 @@ class Truth:
         Where the antennas stand, metres ENU.
     clock : float
         Seconds by which the data were taken later than the file says.
+    integration : float
+        Seconds over which they are means; zero for instants.
     catalogue : Catalogue
     sky_of : list of callable
         (channel, time index, catalogue) -> catalogue, for skies that change.
@@ -53,6 +55,7 @@ class Truth:
     antpos: FloatArray
     catalogue: Catalogue
     clock: float = 0.0
+    integration: float = 0.0
     sky_of: list[Callable[[int, int, Catalogue], Catalogue]] = field(default_factory=list)
     shape_of: Callable[[int, int, Shape], Shape] | None = None
     shape_of_antenna: dict[int, Callable[[int, int, Shape], Shape]] = field(default_factory=dict)
