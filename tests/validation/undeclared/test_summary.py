@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from tests.validation.undeclared.cases import CONVENTIONS, FAULTS, IN_TIME, STRONG, UNKNOWN
-from tests.validation.undeclared.study import schedule
+from tests.validation.undeclared.cases import CONVENTIONS, EFFECTS, FAULTS, IN_TIME, STRONG, UNKNOWN
+from tests.validation.undeclared.study import A_PASS, schedule
 from tests.validation.undeclared.summary import KEYS, confusion, summarise, table
 
 
@@ -105,9 +105,10 @@ def test_the_table_names_what_went_wrong():
 
 
 def test_a_pass_has_every_effect_and_seeds_differ():
-    draws = schedule(180, 1000)
-    assert len(draws) == 180
-    assert len({seed for _, seed in draws}) == 180
+    n = 4 * (len(EFFECTS) + sum(A_PASS.values()))
+    draws = schedule(n, 1000)
+    assert len(draws) == n
+    assert len({seed for _, seed in draws}) == n
     counts = np.unique([case for case, _ in draws], return_counts=True)
     counts = dict(zip(*counts, strict=True))
     assert counts["leakage"] == 4
