@@ -33,6 +33,8 @@ SIDEREAL_DAY = 0.99726956632908
 """Days of UT1: a turn of the Earth against the stars."""
 EARTH_RATE = 7.292115e-5
 """Rotation of the Earth, rad/s."""
+EARTH_RADIUS = 6.371e6
+"""Mean, m."""
 
 
 def are_copolar(pols: Iterable[str]) -> bool:

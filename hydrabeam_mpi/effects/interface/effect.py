@@ -242,6 +242,10 @@ class Effect(InOtherData, HasLimits, MayChange, Cause):
         """
         return self
 
+    def variants(self) -> list[Effect]:
+        """Return other forms of the effect with the same parameters, of which the fit tells which is the likeliest."""
+        return []
+
     def larger(self, setup: ObservingSetup) -> Effect | None:
         """Return the effect with these parameters and more of their sort, where it may need them all at once."""
         return None

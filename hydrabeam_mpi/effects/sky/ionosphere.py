@@ -2,29 +2,63 @@
 
 from __future__ import annotations
 
+from typing import Any, Literal, get_args
+
 import numpy as np
 
-from hydrabeam_mpi.data.observation import FloatArray, IntArray
-from hydrabeam_mpi.effects.interface.effect import Columns, Parameters
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.shared.displaced import TILTS, TurningSky, rotation_rate
+from hydrabeam_mpi.effects.shared.shifted import (
+    Path,
+    flat_path,
+    shell_path,
+    shifted_sky,
+    shifting_columns,
+    shifting_rates,
+)
 
 ARCMIN = np.pi / 180 / 60
+Away = Literal["turn", "flat", "shell"]
+PATHS: dict[str, Path] = {"flat": flat_path, "shell": shell_path}
 
 
 class Ionosphere(TurningSky):
     """At each time, all sources are seen shifted towards East and North, by angles that go as lambda^2.
 
-    The shift is a rotation about a horizontal axis, so that sources at the zenith move by the whole of it. A wedge of
-    electrons over the array shifts everything that is high in the sky alike; what it does near the horizon, and what
-    changes over the sky, is not described.
+    Sources at the zenith move by the whole of it. What it is away from there depends on what does it, and the fit tells
+    which explains the data best: the sky turns as a whole ("turn"), as for a clock or a pole that are wrong; direction
+    cosines shift alike ("flat"), as by a gradient of phase over the array; or by as much more as the path is longer
+    through a thin shell with a gradient of its electrons ("shell").
+
+    Parameters
+    ----------
+    away : {"turn", "flat", "shell"}
+        Away from the zenith.
     """
 
     kind = "ionosphere"
     title = "ionospheric refraction"
     local = "times"
     of_the_sky = True
+
+    def __init__(self, away: Away = "turn") -> None:
+        self.away = away
+
+    def describe(self) -> dict[str, Any]:
+        """Return what the shift is away from the zenith."""
+        return {"away": self.away}
+
+    def variants(self) -> list[Effect]:
+        """Return the other ways that shifts go away from the zenith."""
+        return [Ionosphere(away) for away in get_args(Away) if away != self.away]
+
+    def next_after(self, setup: ObservingSetup, newest: Effect) -> Effect:
+        """Return the same as is in the model."""
+        return newest if isinstance(newest, Ionosphere) and newest.away != self.away else self
 
     def parameters(self, setup: ObservingSetup) -> Parameters:
         """Return the shifts towards East and North at the reference frequency, for each time in use."""
@@ -33,17 +67,42 @@ class Ionosphere(TurningSky):
         names = [f"shift towards {where} at JD {jd:.5f}" for jd in jds for where in ("East", "North")]
         return Parameters.of(names, "arcmin", 1.0, np.repeat(np.arange(n_times), 2))
 
+    def sky_columns(self, sources: Sources) -> FloatArray:
+        """Return what is needed of the sky to turn it, (7, Nsrc), or to shift it, (6, Nsrc)."""
+        return super().sky_columns(sources) if self.away == "turn" else shifting_columns(sources, PATHS[self.away])
+
     def rotations(self, block: RowBlock, x: FloatArray) -> FloatArray:
         """Return the rotation of each time at the block's frequency, (Ntimes, 3)."""
-        shifts = x.reshape(-1, 2)[scene_times(block)]
-        return np.asarray(self._per_arcmin(block) * shifts @ TILTS.T)
+        return np.asarray(self._shifts(block, x) @ TILTS.T)
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return what small further shifts of a time do to it; ``x`` is (n_params,)."""
-        turns = np.array([rotation_rate(rotation) @ TILTS for rotation in self.rotations(block, x)])
-        values = self._per_arcmin(block) * (self.rates(block, x) @ turns)
+        if self.away == "turn":
+            turns = np.array([rotation_rate(rotation) @ TILTS for rotation in self.rotations(block, x)])
+            rates = self.rates(block, x) @ turns
+        else:
+            moments, shifts = block.integral(self), self._shifts(block, x)
+            if (moved := shifts.any(axis=1)).any():
+                moments = moments.copy()
+                moments[moved] = shifted_sky(block, shifts, PATHS[self.away]).integrate(self.sky_columns)
+            rates = shifting_rates(block, moments)
         index = 2 * scene_times(block)[:, np.newaxis, np.newaxis] + np.arange(2)
-        return Columns(values, 2 * len(block.setup.times), index, by_group=True)
+        return Columns(self._per_arcmin(block) * rates, 2 * len(block.setup.times), index, by_group=True)
+
+    def added(self, block: RowBlock, x: FloatArray) -> ComplexArray:
+        """Return the visibilities of the shifted sky minus those of the sky as it is, (Ntimes, Nbls)."""
+        if self.away == "turn":
+            return super().added(block, x)
+        shifts = self._shifts(block, x)
+        moved, change = shifts.any(axis=1), np.zeros((len(block.times), len(block.groups)), dtype=complex)
+        if moved.any():
+            after = shifted_sky(block, shifts, PATHS[self.away]).integrate(lambda one: one.exact_beam[np.newaxis])
+            change[moved] = after[..., 0] - block.integral(self)[moved, :, 0]
+        return block.spread(change)
+
+    def _shifts(self, block: RowBlock, x: FloatArray) -> FloatArray:
+        """Return the shifts of each time at the block's frequency, radians at the zenith, (Ntimes, 2)."""
+        return np.asarray(self._per_arcmin(block) * x.reshape(-1, 2)[scene_times(block)])
 
     @staticmethod
     def _per_arcmin(block: RowBlock) -> float:

@@ -128,7 +128,7 @@ def _lightened(context: FitContext, history: History) -> History:
         replace(one, before=_light_check(context, one.before), after=_light_check(context, one.after))
         for one in history.adapted
     ]
-    return History(first, before, rounds, tried, ranking, control, history.control_since, history.rest, adapted=adapted)
+    return History(first, before, rounds, tried, ranking, control, history.control_since, adapted=adapted)
 
 
 def _light_round(context: FitContext, one: Round, before: Checked) -> Round:

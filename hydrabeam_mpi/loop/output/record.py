@@ -212,8 +212,10 @@ def _round(context: FitContext, one: Round, at_last: _AtLast) -> dict[str, Any]:
     """Tell one round. Collective: all ranks of the grid."""
     setup, candidate = context.setup, one.candidate
     ranking = known_effects(one.ranking)
-    others = [other for other in ranking if other.name != candidate.name]
-    as_good = indistinguishable(candidate, ranking, context.problem.job.loop)
+    # What explains the data together with it is no rival.
+    of_set = {candidate.name, *(other.name for other in one.together)}
+    others = [other for other in ranking if other.name not in of_set]
+    as_good = indistinguishable(candidate, others, context.problem.job.loop, one.evidence_of_rest)
     parameters, not_told = parameters_of(setup, one, at_last.fitted, at_last.scale)
     leaves_out = candidate.weights is not None and candidate.weights.change.leaves_out
     told = {

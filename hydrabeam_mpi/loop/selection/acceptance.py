@@ -116,6 +116,16 @@ class Round:
         return self.given_up or (self.candidate.finding is not None and self.place is None)
 
     @property
+    def evidence_of_rest(self) -> float:
+        """What the others of the set add to its log Bayes factor, where it is the first; its ranking has none of them.
+
+        As expected when the set was chosen, each beside the others.
+        """
+        if not self.together or self.together[0].name != self.candidate.name:
+            return 0.0
+        return sum(one.log_bayes_factor for one in self.together[1:])
+
+    @property
     def evidence_of_all(self) -> float:
         """Its log Bayes factor of all data; see `evidence_of_all`."""
         return evidence_of_all(self.candidate, self.before, self.after)
@@ -238,7 +248,12 @@ def verdict_of(last: Checked, control: Round | None, added: bool) -> str:
     return "unexplained"
 
 
-def indistinguishable(candidate: Candidate, ranking: Sequence[Candidate], settings: LoopSettings) -> list[Candidate]:
-    """Return what explains the residual as well as the candidate: by less than the evidence asked for."""
-    near = candidate.log_bayes_factor - settings.min_log_bayes_factor
+def indistinguishable(
+    candidate: Candidate, ranking: Sequence[Candidate], settings: LoopSettings, of_rest: float = 0.0
+) -> list[Candidate]:
+    """Return what explains the residual as well as the candidate: by less than the evidence asked for.
+
+    ``of_rest`` is the evidence of what explains, beside the candidate, what those in the ranking have to explain too.
+    """
+    near = candidate.log_bayes_factor + of_rest - settings.min_log_bayes_factor
     return [one for one in ranking if one.name != candidate.name and one.log_bayes_factor > near]

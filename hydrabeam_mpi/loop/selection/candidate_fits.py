@@ -21,7 +21,7 @@ from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked
 from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical, may_be_unphysical, price_of_limits
 from hydrabeam_mpi.loop.selection.predictions import check, score_of
-from hydrabeam_mpi.loop.selection.refits import fit_patiently, is_same_prior, restarted, rise
+from hydrabeam_mpi.loop.selection.refits import fit_patiently, is_same_prior, restarted, rise, with_best_variant
 from hydrabeam_mpi.mpi import together
 from hydrabeam_mpi.terminal.progress import say
 
@@ -53,7 +53,7 @@ def fit_candidate(
     found, fitted = fit(context, checked.fitted, candidate, worth)
     after = check(context, fitted)
     if found.finding is not None:
-        after = _by_heldout(context, after)
+        after = by_heldout(context, after)
         effect = after.fitted.values.active[-1].effect
         found = replace(found, finding=replace(found.finding, effect=effect))
     told = f"held-out chi^2 {after.score.chi2:.4g}, rms {after.numbers.of_all['rms']:.4g} Jy"
@@ -61,26 +61,28 @@ def fit_candidate(
     return found, after
 
 
-def _by_heldout(context: FitContext, checked: Checked) -> Checked:
-    """Let the held-out rows say what of the last effect the fitted ones cannot, as they are the same with either.
+def by_heldout(context: FitContext, checked: Checked, place: int = -1) -> Checked:
+    """Let the held-out rows say what of an effect the fitted ones cannot, as they are the same with either.
 
-    Such is a jump between two fitted times: it may be before or after those that lie between. Collective: all ranks of
-    the grid.
+    Such is a jump between two fitted times: it may be before or after those that lie between. It is the last of the
+    active effects, or the one at ``place``. Collective: all ranks of the grid.
     """
-    fitted, (*others, last) = checked.fitted, checked.fitted.values.active
-    best, known = last.effect, {_told(last.effect): checked.score.log_density}
+    fitted, active = checked.fitted, checked.fitted.values.active
+    one = active[place]
+    best, known = one.effect, {_told(one.effect): checked.score.log_density}
 
     def with_effect(effect: Effect) -> Fitted:
-        return replace(fitted, values=replace(fitted.values, active=(*others, replace(last, effect=effect))))
+        others = tuple(replace(other, effect=effect) if other is one else other for other in active)
+        return replace(fitted, values=replace(fitted.values, active=others))
 
     while True:
-        choice = [best, *best.alternatives(context.setup, last.used)]
+        choice = [best, *best.alternatives(context.setup, one.used)]
         for effect in choice:
             if _told(effect) not in known:
                 known[_told(effect)] = score_of(context, with_effect(effect)).log_density
-        found = max(choice, key=lambda one: known[_told(one)])
+        found = max(choice, key=lambda effect: known[_told(effect)])
         if found is best:
-            return checked if best is last.effect else check(context, with_effect(best))
+            return checked if best is one.effect else check(context, with_effect(best))
         best = found
 
 
@@ -100,6 +102,7 @@ def _fit_effect(
     if fitted is None:
         start = _started(context, candidate.finding, candidate.finding.evidence.prior_var)
         fitted = _fit_physically(context, before.values.extended(start), before, worth)
+    fitted = with_best_variant(context, fitted)
     again = reconsider(context, fitted)
     for _ in range(RULES.most_refits):
         last = fitted.values.active[-1]
@@ -120,20 +123,30 @@ def _started(context: FitContext, finding: Finding, prior_var: FloatArray) -> Ac
     return Active.start(effect, context.setup, prior_var, effect.begun(context.setup, x))
 
 
-def _fit_foremost(context: FitContext, before: Fitted, finding: Finding) -> Fitted | None:
-    """Fit the one element that matters most, such as a source; None where that says nothing of the others.
+def foremost_started(context: FitContext, finding: Finding) -> Active:
+    """Return an effect where its fit begins: with the one element that matters most, where it has to be found.
 
-    Where candidates lie on a grid a bright source beside its place is made up for by several, which are hardly told
-    from each other, so that a fit of all may go anywhere. Once the first is where it belongs the others are weighed
-    again. Collective: all ranks of the grid.
+    Such is a source. Where candidates lie on a grid a bright source beside its place is made up for by several, which
+    are hardly told from each other, so that a fit of all may go anywhere. Once the first is where it belongs the others
+    are weighed again.
     """
     effect, evidence = finding.effect, finding.evidence
-    element = effect.parameters(context.setup).element
-    several = len(np.unique(element[evidence.prior_var > 0])) > 1
-    if not (effect.gets_simpler_when_fitted and several and len(evidence.alone)):
+    element, prior_var = effect.parameters(context.setup).element, evidence.prior_var
+    several = len(np.unique(element[prior_var > 0])) > 1
+    if effect.gets_simpler_when_fitted and several and len(evidence.alone):
+        foremost = element[np.where(prior_var > 0, evidence.alone, -np.inf).argmax()]
+        prior_var = np.where(element == foremost, prior_var, 0.0)
+    return _started(context, finding, prior_var)
+
+
+def _fit_foremost(context: FitContext, before: Fitted, finding: Finding) -> Fitted | None:
+    """Fit the one element that matters most, see `foremost_started`; None where that says nothing of the others.
+
+    Collective: all ranks of the grid.
+    """
+    start = foremost_started(context, finding)
+    if start.size == np.count_nonzero(finding.evidence.prior_var):
         return None
-    foremost = element[np.where(evidence.prior_var > 0, evidence.alone, -np.inf).argmax()]
-    start = _started(context, finding, np.where(element == foremost, evidence.prior_var, 0.0))
     try:
         fitted = fit_patiently(context, before.values.extended(start), before)
     except BrokenOff:

@@ -80,6 +80,8 @@ def _near(found: Round, effects: Sequence[Effect]) -> list[Effect]:
     least = RULES.near_if_linear * chosen.log_bayes_factor
     names = {one.name for one in found.ranking if one.finding is not None and one.log_bayes_factor > least}
     names -= {one for one in names if one == own.name or (one[0] == own.kind and own.law == Effect.law)}
+    # What explains the data together with it was weighed beside it.
+    names -= {one.name for one in found.together}
     return [one for one in effects if (one.kind, one.law) in names]
 
 

@@ -9,7 +9,6 @@ from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.loop.attribution.score_noise import WeightsFound
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
 from hydrabeam_mpi.loop.selection.prior_widths import Adapted
-from hydrabeam_mpi.loop.selection.weighing import Together
 
 
 @dataclass
@@ -29,8 +28,6 @@ class History:
         Control model that explains the data better than all that was found since; not added.
     control_since : int
         How many rounds there were before it.
-    rest : Together, optional
-        What is still to be tried of effects that explain the residual together.
     claimed : Checked, optional
         Fit of what is claimed alone, where the last one has more for prediction; see `selection.for_prediction`.
     adapted : list of Adapted
@@ -44,7 +41,6 @@ class History:
     ranking: tuple[Candidate, ...] = ()
     control: Round | None = None
     control_since: int = 0
-    rest: Together | None = None
     claimed: Checked | None = None
     adapted: list[Adapted] = field(default_factory=list)
 

@@ -9,7 +9,7 @@ import numpy as np
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.fit.beams_given import total_log_joint
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.gauss_newton import Worth, refit
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Worth, refit
 from hydrabeam_mpi.fit.state import Active, Fitted, Values
 from hydrabeam_mpi.loop.attribution.score_noise import heavy_tails
 from hydrabeam_mpi.loop.rules import RULES
@@ -50,6 +50,26 @@ def fit_anew(context: FitContext, values: Values, before: Fitted) -> Fitted:
         robust = refit(context, replace(values, reweighted=(*others, heavy_tails(context))), before)
         values, before = replace(robust.values, reweighted=values.reweighted), robust
     return fit_patiently(context, values, before)
+
+
+def with_best_variant(context: FitContext, fitted: Fitted, place: int = -1) -> Fitted:
+    """Fit the last effect, or the one at ``place``, in its other forms; return the likeliest; see `Effect.variants`.
+
+    Collective: all ranks of the grid.
+    """
+    best, active = fitted, fitted.values.active
+    one = active[place]
+    for effect in one.effect.variants():
+        other = Active.start(effect, context.setup, one.prior_var(context.setup), one.x)
+        values = replace(fitted.values, active=tuple(other if each is one else each for each in active))
+        try:
+            again = fit_patiently(context, values, fitted)
+        except BrokenOff:
+            continue
+        best = max(best, again, key=lambda each: log_joint(context, each))
+    # Another form may begin far from where it ends.
+    again = best if best.diagnostics.converged else fit_patiently(context, best.values, best)
+    return max(best, again, key=lambda each: log_joint(context, each))
 
 
 def rise(context: FitContext, before: Fitted, after: Fitted, of_nonlinear: bool = False) -> float:

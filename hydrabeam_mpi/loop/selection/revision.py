@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Active, Fitted
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.attribution.reconsider import Known, compare_priors
-from hydrabeam_mpi.loop.selection.acceptance import Checked, Round
+from hydrabeam_mpi.loop.selection.acceptance import Round
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refits import fit_anew, is_same_prior, restarted, rise
 from hydrabeam_mpi.terminal.progress import say
@@ -40,11 +41,56 @@ class Revision:
     unchanging: tuple[Effect, IntArray] | None = None
 
 
-def revise(context: FitContext, last: Round, n_given: int) -> tuple[Round, dict[int, int | None]]:
-    """Weigh all effects found so far again, each given the others, and refit where another prior is better.
+@dataclass(frozen=True)
+class Reweighed:
+    """A model of which effects were weighed anew.
 
-    Collective: all ranks of the grid. Groups of parameters (an antenna, a source) and whole effects without which the
-    evidence is higher are left out. The refit is kept if the evidence of all together does not fall.
+    Attributes
+    ----------
+    fitted : Fitted
+    places : dict
+        Where each active effect is now, by where it was; None where it was left out.
+    told : tuple of str
+        What became of those that changed.
+    is_constant : bool
+        Whether something that seemed to vary is constant now.
+    """
+
+    fitted: Fitted
+    places: dict[int, int | None]
+    told: tuple[str, ...]
+    is_constant: bool
+
+
+def reweigh(context: FitContext, fitted: Fitted, places: Sequence[int], newest: int | None = None) -> Reweighed | None:
+    """Weigh effects of the model again, each given the others, and refit where another prior is better.
+
+    Groups of parameters (an antenna, a source) and whole effects without which the evidence is higher are left out, but
+    for the ``newest``, which has just been found to raise it. None where nothing changes, or the evidence of all
+    together would fall. Collective: all ranks of the grid.
+    """
+    active, known = fitted.values.active, Known.of(context, fitted)
+    weighed = [_weigh_again(context, fitted, known, place, place == newest) for place in places]
+    revisions = [one for one in weighed if one is not None]
+    if not revisions:
+        return None
+    by_place = {one.place: one for one in revisions}
+    kept = [place for place in range(len(active)) if place not in by_place or by_place[place].new is not None]
+    values = replace(fitted.values, active=tuple(_revised(context, active[i], by_place.get(i)) for i in kept))
+    again = fit_anew(context, values, fitted)
+    gain = sum(one.gain for one in revisions) + rise(context, fitted, again)
+    if not (gain >= 0 and again.diagnostics.converged):
+        return None
+    told = tuple(_told(active[one.place], one) for one in revisions)
+    for line in told:
+        say(f"  {line} (ln evidence rises by {gain:.4g})", context.grid.is_world_root)
+    moved: dict[int, int | None] = dict.fromkeys(range(len(active)))
+    moved |= {old: new for new, old in enumerate(kept)}
+    return Reweighed(again, moved, told, any(one.unchanging for one in revisions))
+
+
+def revise(context: FitContext, last: Round, n_given: int) -> tuple[Round, dict[int, int | None]]:
+    """Weigh all effects found so far again; see `reweigh`. Collective: all ranks of the grid.
 
     Parameters
     ----------
@@ -61,37 +107,21 @@ def revise(context: FitContext, last: Round, n_given: int) -> tuple[Round, dict[
     places : dict
         Where each active effect is now, by where it was; None where it was taken back.
     """
-    fitted = last.after.fitted
-    active = fitted.values.active
-    same: dict[int, int | None] = {place: place for place in range(len(active))}
+    n = len(last.after.fitted.values.active)
+    same: dict[int, int | None] = {place: place for place in range(n)}
     # A change of the weights leaves none of the effects as it was when it was found.
-    newest = active[-1] if last.candidate.finding is not None else None
-    if all(one is newest for one in active[n_given:]):
+    newest = n - 1 if last.candidate.finding is not None else None
+    if all(place == newest for place in range(n_given, n)):
         return last, same
-    known = Known.of(context, fitted)
-    places = range(n_given, len(active))
-    weighed = [_weigh_again(context, fitted, known, place, active[place] is newest) for place in places]
-    revisions = [one for one in weighed if one is not None]
-    if not revisions:
+    found = reweigh(context, last.after.fitted, range(n_given, n), newest)
+    if found is None:
         return last, same
-    by_place = {one.place: one for one in revisions}
-    kept = [place for place in same if place not in by_place or by_place[place].new is not None]
-    values = replace(fitted.values, active=tuple(_revised(context, active[i], by_place.get(i)) for i in kept))
-    again = fit_anew(context, values, fitted)
-    gain = sum(one.gain for one in revisions) + rise(context, fitted, again)
-    if not (gain >= 0 and again.diagnostics.converged):
-        return last, same
-    told = [_told(active[one.place], one) for one in revisions]
-    for line in told:
-        say(f"  {line} (ln evidence rises by {gain:.4g})", context.grid.is_world_root)
-    after: Checked = check(context, again)
-    moved = same | dict.fromkeys(same) | {old: new for new, old in enumerate(kept)}
-    last = replace(last, after=after, revised=(*last.revised, *told))
-    if not any(one.unchanging for one in revisions):
-        return last, moved
+    last = replace(last, after=check(context, found.fitted), revised=(*last.revised, *found.told))
+    if not found.is_constant:
+        return last, found.places
     # Of what was taken for variable in several places there may be fewer that are not.
     last, further = revise(context, last, n_given)
-    return last, {old: None if new is None else further[new] for old, new in moved.items()}
+    return last, {old: None if new is None else further[new] for old, new in found.places.items()}
 
 
 def _weigh_again(context: FitContext, fitted: Fitted, known: Known, place: int, is_newest: bool) -> Revision | None:

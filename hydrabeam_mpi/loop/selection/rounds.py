@@ -22,6 +22,7 @@ from hydrabeam_mpi.loop.selection.prior_widths import Adapted, adapt, as_adapted
 from hydrabeam_mpi.loop.selection.revision import revise
 from hydrabeam_mpi.loop.selection.trials import try_control, try_effects
 from hydrabeam_mpi.loop.selection.weighing import Outlook, Weighed, next_of, weigh
+from hydrabeam_mpi.loop.selection.whole_set import as_one, try_set
 from hydrabeam_mpi.terminal.progress import say
 
 
@@ -107,27 +108,27 @@ class _Rounds:
         """Weigh all effects and add the best; whether there is more to look for. Collective: all ranks of the grid."""
         context, history = self.search.context, self.search.history
         left = context.problem.job.loop.max_rounds - len(history.rounds)
-        weighed, is_rest = self._weighed(left)
+        weighed = self._weighed(left)
         if left <= 0:
             return False
-        is_of_beam = weighed.first is not None and weighed.first.is_about_the_beam
-        if (is_of_beam or not is_rest) and self.adapt(weighed.ranking):
+        if self.adapt(weighed.ranking):
             return True
         outlook = Outlook(context, self.effects, self.search.changes, left, weighed)
         tried: list[tuple[Candidate, str]] = []
         with self.search.clock.time("trials"):
-            added = try_effects(context, history.last, weighed.ranking, tried, outlook=outlook)
-            if is_rest and (added is None or not weighed.is_of_use(added.candidate)):
-                again = "    all effects are weighed again: those that were to come next are not what was expected"
-                say(again, context.grid.is_world_root)
-                return True  # what was weighed beside others is weighed again with these in the model
+            of_set = try_set(context, history.last, weighed, tried)
+            best = as_one(of_set) if of_set else None
+            added = try_effects(context, history.last, weighed.ranking, tried, best, outlook)
             history.tried += tried
             control = try_control(context, history.last, weighed.ranking, added)
             if added is None:
                 added = _exchanged(context, history, self.effects)
+            elif added is best:
+                for one in of_set[:-1]:
+                    history.add(one, {place: place for place in range(len(one.after.fitted.values.active))})
+                added = of_set[-1]
             else:
                 added = replace(added, together=weighed.together.members)
-                history.rest = weighed.after(added.candidate)
             if added is not None and (of_beam := as_adapted(context, added, len(history.rounds), self.is_wider)):
                 return self._go_on_from(of_beam)
             if added is not None:
@@ -140,18 +141,15 @@ class _Rounds:
         self.search.save()
         return True
 
-    def _weighed(self, left: int) -> tuple[Weighed, bool]:
-        """Weigh what may be tried where ``left`` effects may still be added; return whether it is the rest of a set."""
+    def _weighed(self, left: int) -> Weighed:
+        """Weigh what may be tried where ``left`` effects may still be added."""
         context, history = self.search.context, self.search.history
         if not history.rounds:
             self.search.save()
         speaks = context.grid.is_world_root and history.last is not self.told
         say(f"round {len(history.rounds) + 1}: {_heldout(history.last)}; weighing effects", speaks)
         self.told = history.last
-        rest, history.rest = history.rest if left > 0 else None, None
-        if rest is not None:
-            self.known = Weighed.next_of(rest)
-        elif history.last.remains.consistent and self.adapt():
+        if history.last.remains.consistent and self.adapt():
             # Beside nothing significant there are no rivals, which would have to be weighed again.
             self.known = None
         with self.search.clock.time("attribution"):
@@ -159,7 +157,7 @@ class _Rounds:
         self.known, history.ranking = None, known.ranking
         if not history.rounds:
             self.search.save()
-        return known, rest is not None
+        return known
 
     def adapt(self, rivals: Sequence[Candidate] = ()) -> bool:
         """Adapt the beam's prior where `adapt` wants it; whether it does. Collective: all ranks of the grid.

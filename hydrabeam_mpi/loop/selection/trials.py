@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Worth
 from hydrabeam_mpi.fit.state import Fitted
@@ -44,38 +45,49 @@ def try_effects(
     """Fit the candidates that may be the best; return the best of those that held-out data confirm.
 
     Collective: all ranks of the grid. ``tried`` receives those that they do not confirm, with the reason. Where there
-    is a ``best`` one already, others have to be better. Where an ``outlook`` is given, it says which is tried first,
-    and whether what the best so far leaves is explained by others, so that its rivals need not be tried.
+    is a ``best`` one already, which may stand for a set of effects, others have to be better. Where an ``outlook`` is
+    given, it says which is tried first, and whether what the best so far leaves is explained by others, so that its
+    rivals need not be tried.
     """
-    settings, better = context.problem.job.loop, outlook.is_better if outlook else is_better
+    settings, ranking = context.problem.job.loop, _grown(context, checked.fitted, ranking, best)
     wanted = [one for one in _wanted(context, ranking) if not one.is_control]
     for candidate in in_order(wanted, RULES.most_tries, outlook.weighed.first if outlook else None):
         if best is not None and not _may_be_better(candidate, best, outlook):
             continue
         try:
-            candidate = as_large_as_wanted(context, checked.fitted, candidate)
             fitted, after = fit_candidate(context, checked, candidate, _worth(context, checked, candidate, best))
         except BrokenOff as why:
             say(f"    refused: {why}", context.grid.is_world_root)
             tried.append((candidate, str(why)))
             continue
-        reason = _refusal(context, checked, after, fitted)
-        reason = reason or _refusal_by_rivals(context, after.fitted, rivals_of(fitted, ranking, settings))
+        reason = refusal_of_fit(context, checked, after, fitted)
+        reason = reason or refusal_by_rivals(context, after.fitted, rivals_of(fitted, ranking, settings))
         say(f"    refused: {reason}", context.grid.is_world_root and reason is not None)
         if reason is not None:
             tried.append((fitted, reason))
-        elif best is None or better(fitted, after, best):
+        elif best is None or is_better(fitted, after, best):
             best = round_of(context, checked, after, fitted, ranking)
     return best
 
 
+def _grown(
+    context: FitContext, fitted: Fitted, ranking: Sequence[Candidate], best: Round | None
+) -> tuple[Candidate, ...]:
+    """Order candidates again once those that may come first are as large as is wanted. Collective: all ranks."""
+    known = [one.log_bayes_factor for one in _wanted(context, ranking) if one.finding is not None]
+    least = RULES.near * max([*known, best.candidate.log_bayes_factor if best else 0.0], default=0.0)
+    grown = [as_large_as_wanted(context, fitted, one) if one.log_bayes_factor > least else one for one in ranking]
+    return tuple(sorted(grown, key=lambda one: -one.log_bayes_factor))
+
+
 def _may_be_better(candidate: Candidate, best: Round, outlook: Outlook | None) -> bool:
     """Whether a candidate is worth a fit beside the best so far. Collective: all ranks of the grid."""
-    leaves_nothing = best.after.remains.consistent
+    leaves_nothing, members = best.after.remains.consistent, {one.name for one in best.together}
+    # Laws in time of a constant effect are no rivals of it: they are looked for beside it, in every round.
+    if candidate.name in members or (candidate.kind, Effect.law) in members:
+        return False
     if outlook is None or leaves_nothing or not may_be_better(candidate, best, leaves_nothing):
         return may_be_better(candidate, best, leaves_nothing)
-    if outlook.comes_next(candidate, best):
-        return False
     return may_be_better(candidate, best, enough=True) or not outlook.explains_rest(best)
 
 
@@ -87,7 +99,7 @@ def _worth(context: FitContext, before: Checked, candidate: Candidate, best: Rou
     return lambda reached, gain: may_still_be_better(candidate, ahead, reached - start, gain)
 
 
-def _refusal(context: FitContext, before: Checked, after: Checked, fitted: Candidate) -> str | None:
+def refusal_of_fit(context: FitContext, before: Checked, after: Checked, fitted: Candidate) -> str | None:
     """Say why a fitted candidate is not kept; None where it is. Collective: all ranks of the grid."""
     settings = context.problem.job.loop
     if fitted.finding is not None and fitted.log_bayes_factor >= settings.min_log_bayes_factor:
@@ -96,11 +108,14 @@ def _refusal(context: FitContext, before: Checked, after: Checked, fitted: Candi
     return refusal_of(before, after, fitted, settings)
 
 
-def _refusal_by_rivals(context: FitContext, fitted: Fitted, rivals: Sequence[Candidate]) -> str | None:
-    """Say beside which rival the last effect has too little evidence; None where there is none."""
+def refusal_by_rivals(context: FitContext, fitted: Fitted, rivals: Sequence[Candidate], place: int = -1) -> str | None:
+    """Say beside which rival the last effect, or the one at ``place``, has too little evidence; None where it has.
+
+    Collective: all ranks of the grid.
+    """
     for rival in rivals:
         assert rival.finding is not None
-        left = reconsider(context, fitted, beside=rival.finding).log_bayes_factor
+        left = reconsider(context, fitted, place, rival.finding).log_bayes_factor
         reason = refusal_beside(rival, left, context.problem.job.loop)
         if reason is not None:
             return reason
@@ -118,7 +133,7 @@ def try_control(
     if not controls or (found is not None and not may_be_better(controls[0], found, found.after.remains.consistent)):
         return None
     fitted, after = fit_candidate(context, checked, controls[0])
-    reason = _refusal(context, checked, after, fitted)
+    reason = refusal_of_fit(context, checked, after, fitted)
     say(f"    refused: {reason}", context.grid.is_world_root and reason is not None)
     return None if reason is not None else round_of(context, checked, after, fitted, ranking)
 

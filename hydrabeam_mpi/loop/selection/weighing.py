@@ -8,13 +8,12 @@ from dataclasses import dataclass, field
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.reweighting import Reweighting
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.error_scale import fitted_chi2
 from hydrabeam_mpi.fit.state import Fitted, Values
 from hydrabeam_mpi.loop.attribution.candidate_rows import CachedRowBlocks
 from hydrabeam_mpi.loop.attribution.score_effects import attribute
 from hydrabeam_mpi.loop.attribution.score_noise import fit_reweightings
 from hydrabeam_mpi.loop.attribution.weigh_together import weigh_together
-from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round, is_better
+from hydrabeam_mpi.loop.selection.acceptance import Candidate, Round
 from hydrabeam_mpi.mpi import together
 
 
@@ -56,29 +55,10 @@ class Weighed:
     together: Together = field(default_factory=Together)
     explains: bool = False
 
-    @classmethod
-    def next_of(cls, rest: Together) -> Weighed:
-        """Return what to try once others of a set are part of the model."""
-        return cls(rest.beside[0], rest.members[0], rest)
-
-    def after(self, added: Candidate) -> Together | None:
-        """Return what is left of the set once its first has been added, as it was fitted; None where nothing is.
-
-        What is worth no more than the linear model was wrong by is weighed again.
-        """
-        if self.first is None or added.name != self.first.name:
-            return None
-        wrong_by = abs(added.log_bayes_factor - self.first.log_bayes_factor)
-        n = sum(one.log_bayes_factor > wrong_by for one in self.together.members[1:])
-        return Together(self.together.members[1 : 1 + n], self.together.beside[1 : 1 + n]) if n else None
-
-    def is_of_use(self, added: Candidate) -> bool:
-        """Whether a fit came to about what was expected when an effect was chosen without weighing all again.
-
-        Where it came to something else by more than that, the linear model had said nothing of it, nor of others.
-        """
-        expected = next(one for one in self.ranking if one.name == added.name)
-        return abs(added.log_bayes_factor - expected.log_bayes_factor) <= expected.log_bayes_factor
+    def beside_set(self, member: Candidate) -> tuple[Candidate, ...]:
+        """Return what could stand in the place of a member of the set, beside the others, itself among it."""
+        number = next(i for i, one in enumerate(self.together.members) if one.name == member.name)
+        return self.together.beside[number]
 
 
 @dataclass
@@ -110,33 +90,12 @@ class Outlook:
         To know that all are weighed with it in the model, as they are in the next round; once in a round.
         """
         fitted = best.after.fitted
-        if self.weighed.after(best.candidate) is not None:
-            return True
         if self.ahead is None:
             effects = next_of(self.context, self.effects, fitted.values)
-            self.ahead = fitted, weigh(self.context, fitted, effects, self.changes, self.most - 1)
+            most = self.most - max(len(best.together), 1)
+            self.ahead = fitted, weigh(self.context, fitted, effects, self.changes, most)
         at, weighed = self.ahead
         return at is fitted and weighed.explains
-
-    def is_better(self, fitted: Candidate, after: Checked, best: Round) -> bool:
-        """Whether a fitted effect is better than the best so far; see `acceptance.is_better`.
-
-        Where the best is the first of a set that leaves no more than noise, another has to come to more than the whole
-        set, with all that further effects could explain of what it leaves. Positions of all antennas may stand for a
-        clock that is wrong together with the gain of one of them. Collective: all ranks of the grid.
-        """
-        rest = self.weighed.after(best.candidate)
-        if rest is not None and self.weighed.explains:
-            left, noise = fitted_chi2(self.context, after.fitted)
-            of_set = best.candidate.log_bayes_factor + sum(one.log_bayes_factor for one in rest.members)
-            if fitted.log_bayes_factor + max(left - noise, 0.0) < of_set:
-                return False
-        return is_better(fitted, after, best)
-
-    def comes_next(self, candidate: Candidate, best: Round) -> bool:
-        """Whether a candidate explains, beside the best, what this leaves: it is no rival of it, but tried after it."""
-        rest = self.weighed.after(best.candidate)
-        return rest is not None and candidate.name in {one.name for one in rest.members}
 
     def after(self, fitted: Fitted) -> Weighed | None:
         """Return what there is to try with what has been fitted, if that is known."""

@@ -180,6 +180,17 @@ def test_what_explains_as_much_is_named() -> None:
     few = [("catalogue_flux", "constant"), ("antenna_gains", "smooth")]
     assert [one.name for one in indistinguishable(chosen, ranking, Loop(min_log_bayes_factor=1.0))] == few
     assert indistinguishable(chosen, [], LOOP) == []
+    # Others have to explain what the rest of a set explains beside it, too.
+    assert [one.name for one in indistinguishable(chosen, ranking, LOOP, of_rest=50.0)] == few[:1]
+    assert indistinguishable(chosen, ranking, LOOP, of_rest=300.0) == []
+
+
+def test_evidence_of_the_rest_counts_where_the_ranking_was_made_without_it() -> None:
+    first, second = effect_candidate(AntennaGains(), 100.0), effect_candidate(CatalogueFlux(), 60.0)
+    for one, of_rest in ((first, 60.0), (second, 0.0)):
+        found = round_of(one, checked(2.0), checked(1.2))
+        assert found.evidence_of_rest == 0.0
+        assert replace(found, together=(first, second)).evidence_of_rest == of_rest
 
 
 def test_a_beam_that_drifts_is_no_effect() -> None:

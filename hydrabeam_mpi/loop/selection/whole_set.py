@@ -1,0 +1,150 @@
+"""Effects that together explain what is left are fitted as a whole, and each has to hold beside the others.
+
+The search over all effects (`attribution.joint_search`) is linear. One of its set by itself is fitted to data in which
+the others are still missing: it takes up parts of them, with many parameters, and rivals of it that take up more come
+first. The joint fit of the set is exact, and where it holds there is nothing of that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import takewhile
+
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff, solved_at
+from hydrabeam_mpi.fit.state import Fitted
+from hydrabeam_mpi.loop.attribution.reconsider import reconsider
+from hydrabeam_mpi.loop.attribution.score_effects import Finding
+from hydrabeam_mpi.loop.rules import RULES
+from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
+from hydrabeam_mpi.loop.selection.candidate_fits import by_heldout, foremost_started
+from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical, price_of_limits
+from hydrabeam_mpi.loop.selection.predictions import check
+from hydrabeam_mpi.loop.selection.refits import fit_patiently, rise, with_best_variant
+from hydrabeam_mpi.loop.selection.refusal import rivals_of
+from hydrabeam_mpi.loop.selection.revision import reweigh
+from hydrabeam_mpi.loop.selection.trials import refusal_by_rivals, refusal_of_fit, round_of
+from hydrabeam_mpi.loop.selection.weighing import Weighed
+from hydrabeam_mpi.terminal.progress import say
+
+Tried = list[tuple[Candidate, str]]
+
+
+def try_set(context: FitContext, checked: Checked, weighed: Weighed, tried: Tried) -> tuple[Round, ...]:
+    """Fit the effects of the set as a whole; return them as rounds, those with the most evidence first.
+
+    Each has to pass what a single effect has to, in the order of the rounds, with those after it left out where the
+    joint fit has the others. One that does not is refused (``tried`` receives it), and the others are fitted again.
+    There are no rounds where the set has no two effects, would leave more than noise, or cannot be fitted so: then
+    effects are tried one by one. Collective: all ranks of the grid.
+    """
+    if not weighed.explains:
+        return ()
+    # A fault of the beam's model is told from effects once these are in the model.
+    members = list(takewhile(lambda one: not one.is_about_the_beam, weighed.together.members))
+    while len(members) > 1:
+        titles = ", ".join(f"{one.title} (ln BF {one.log_bayes_factor:.4g})" for one in members)
+        say(f"  trying together: {titles}", context.grid.is_world_root)
+        found = _fit(context, checked.fitted, members)
+        if found is None:
+            say("    their joint fit does not converge", context.grid.is_world_root)
+            break
+        rounds, refused = _one_by_one(context, checked, *found, weighed)
+        if refused is None:
+            return rounds
+        say(f"    {refused[0].title}: refused: {refused[1]}", context.grid.is_world_root)
+        tried.append(refused)
+        members = [one for one in members if one.name != refused[0].name]
+    return ()
+
+
+def as_one(rounds: Sequence[Round]) -> Round:
+    """Return rounds as one that adds all of them: what would explain all at once has to be better than the whole set.
+
+    Positions of all antennas may stand for a clock that is wrong together with the gain of one of them.
+    """
+    last, evidences = rounds[-1], [one.candidate.finding.evidence for one in rounds if one.candidate.finding]
+    evidence = replace(evidences[-1], effective_parameters=sum(one.effective_parameters for one in evidences))
+    finding = last.candidate.finding and replace(last.candidate.finding, evidence=evidence)
+    total = sum(one.candidate.log_bayes_factor for one in rounds)
+    candidate = replace(last.candidate, log_bayes_factor=total, finding=finding)
+    members = tuple(one.candidate for one in rounds)
+    return replace(last, candidate=candidate, before=rounds[0].before, together=members)
+
+
+def _fit(
+    context: FitContext, before: Fitted, members: Sequence[Candidate]
+) -> tuple[Fitted, tuple[Candidate, ...]] | None:
+    """Fit all of them jointly, each as it is wanted beside the others; return the fit and those that are.
+
+    None where no fit converges. Collective: all ranks of the grid.
+    """
+    n_before, left, values = len(before.values.active), tuple(members), before.values
+    for one in members:
+        assert one.finding is not None
+        values = values.extended(foremost_started(context, one.finding))
+
+    def kept(places: dict[int, int | None]) -> tuple[Candidate, ...]:
+        return tuple(one for number, one in enumerate(left, n_before) if places[number] is not None)
+
+    try:
+        fitted = fit_patiently(context, values, before)
+        for place in range(n_before, len(fitted.values.active)):
+            fitted = with_best_variant(context, fitted, place)
+        for _ in range(RULES.most_refits):
+            while (cut := leave_out_unphysical(context, fitted, n_before)) is not None:
+                fitted, left = fit_patiently(context, cut.values, fitted), kept(cut.places)
+            again = reweigh(context, fitted, range(n_before, len(fitted.values.active)))
+            if again is None:
+                break
+            fitted, left = again.fitted, kept(again.places)
+    except BrokenOff:
+        return None
+    return (fitted, left) if left and fitted.diagnostics.converged else None
+
+
+def _one_by_one(
+    context: FitContext, checked: Checked, fitted: Fitted, members: Sequence[Candidate], weighed: Weighed
+) -> tuple[tuple[Round, ...], tuple[Candidate, str] | None]:
+    """Add the effects of a joint fit one after the other; return the rounds, and the first that is refused, if any.
+
+    Collective: all ranks of the grid.
+    """
+    n_before, rounds, before = len(checked.fitted.values.active), list[Round](), checked
+    settings, whole = context.problem.job.loop, check(context, fitted)
+    for place in range(n_before, len(fitted.values.active)):
+        whole = by_heldout(context, whole, place)
+    fitted = whole.fitted
+    for place, member in enumerate(members, n_before):
+        after, is_last = whole, place + 1 == len(fitted.values.active)
+        if not is_last:
+            # The others stay where they are: left alone, they would make up for what is still to come.
+            values = replace(fitted.values, active=fitted.values.active[: place + 1])
+            after = check(context, solved_at(context, values, fitted))
+        candidate = _as_fitted(context, before.fitted, after.fitted, fitted, place, member)
+        told = f"held-out chi^2 {after.score.chi2:.4g}, rms {after.numbers.of_all['rms']:.4g} Jy"
+        say(f"    {member.title}: {told} (ln BF {candidate.log_bayes_factor:.4g})", context.grid.is_world_root)
+        reason = refusal_of_fit(context, before, after, candidate)
+        rivals = rivals_of(candidate, weighed.ranking, settings)
+        reason = reason or refusal_by_rivals(context, fitted, rivals, place)
+        if reason is not None:
+            return (), (candidate, reason)
+        ranking = weighed.ranking if place == n_before else weighed.beside_set(member)
+        rounds.append(replace(round_of(context, before, after, candidate, ranking), together=weighed.together.members))
+        before = after
+    return tuple(rounds), None
+
+
+def _as_fitted(
+    context: FitContext, before: Fitted, after: Fitted, joint: Fitted, place: int, member: Candidate
+) -> Candidate:
+    """Return an effect with the evidence that it has with those before it, and with the prior of the joint fit.
+
+    Those of all effects add up to that of the set. Collective: all ranks of the grid.
+    """
+    again = reconsider(context, joint, place)
+    gained = rise(context, before, after) - price_of_limits(context, after)
+    log_bayes_factor = again.log_bayes_factor - again.linear_gain + gained
+    finding = Finding(joint.values.active[place].effect, replace(again, log_bayes_factor=log_bayes_factor))
+    return replace(member, finding=finding, log_bayes_factor=log_bayes_factor)

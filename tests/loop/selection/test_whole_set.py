@@ -1,0 +1,166 @@
+"""Effects that explain the residual together are fitted as a whole."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
+from hydrabeam_mpi.effects.instrument.closure_errors import ClosureErrors
+from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.gauss_newton import refit
+from hydrabeam_mpi.fit.state import Active, Fitted, Values
+from hydrabeam_mpi.loop.selection import whole_set
+from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round, is_better
+from hydrabeam_mpi.loop.selection.predictions import check
+from hydrabeam_mpi.loop.selection.refits import rise
+from hydrabeam_mpi.loop.selection.trials import try_effects
+from hydrabeam_mpi.loop.selection.weighing import Outlook, Together, Weighed, weigh
+from hydrabeam_mpi.loop.selection.whole_set import as_one, try_set
+from tests.loop.mock import context_of, mock_job
+
+GAIN = {"kind": "antenna_gains", "parameters": {"antenna 2 ln amplitude": 0.006, "antenna 2 phase": -0.005}}
+COUPLED = {"kind": "cross_coupling", "settings": {"baselines": [[1, 4]]}, "parameters": {"baseline 1-4 real": 0.0005}}
+EFFECTS = [AntennaGains(), CrossCoupling([[0, 3], [1, 4], [2, 5]])]
+PUT_IN = {"antenna 2 ln amplitude": 0.006, "antenna 2 phase": -0.005, "baseline 1-4 real": 0.0005}
+
+
+@pytest.fixture(scope="module")
+def context(tmp_path_factory: pytest.TempPathFactory) -> FitContext:
+    return context_of(mock_job(GAIN, COUPLED), tmp_path_factory.mktemp("set"))
+
+
+@pytest.fixture(scope="module")
+def before(context: FitContext) -> Checked:
+    return check(context, refit(context, Values()))
+
+
+@pytest.fixture(scope="module")
+def factors(context: FitContext) -> ClosureErrors:
+    return ClosureErrors([pair for pair in context.setup.observation.antpairs.tolist() if 2 in pair])
+
+
+@pytest.fixture(scope="module")
+def weighed(context: FitContext, before: Checked, factors: ClosureErrors) -> Weighed:
+    return weigh(context, before.fitted, [*EFFECTS, factors], [], 6)
+
+
+@pytest.fixture(scope="module")
+def rounds(context: FitContext, before: Checked, weighed: Weighed) -> tuple[Round, ...]:
+    tried: list = []
+    found = try_set(context, before, weighed, tried)
+    assert tried == []
+    return found
+
+
+def test_all_of_a_set_are_found_at_once(context: FitContext, before: Checked, rounds: tuple[Round, ...]) -> None:
+    assert [one.candidate.kind for one in rounds] == ["antenna_gains", "cross_coupling"]
+    assert [one.place for one in rounds] == [0, 1]
+    assert rounds[0].before is before
+    assert rounds[1].before is rounds[0].after
+    assert not rounds[0].after.remains.consistent
+    last = rounds[1].after
+    assert last.remains.consistent
+    told = {}
+    for one, std in zip(last.fitted.values.active, last.fitted.fit.std, strict=True):
+        names = one.effect.parameters(context.setup).names
+        told |= {names[i]: (one.x[0, i], sigma) for i, sigma in zip(one.used, std[0][one.used], strict=True)}
+    assert set(PUT_IN) <= set(told)
+    for name, (value, sigma) in told.items():
+        assert abs(value - PUT_IN.get(name, 0.0)) < 4 * sigma
+    # As they are after the second; the first alone is not fitted to what the second explains.
+    first, both = (one.after.fitted.values.active[0].x for one in rounds)
+    np.testing.assert_array_equal(first, both)
+
+
+def test_evidences_of_the_rounds_add_up_to_that_of_the_set(
+    context: FitContext, before: Checked, rounds: tuple[Round, ...]
+) -> None:
+    whole = as_one(rounds)
+    total = sum(one.candidate.log_bayes_factor for one in rounds)
+    assert whole.candidate.log_bayes_factor == pytest.approx(total)
+    prices = 0.0
+    for one in rounds:
+        assert one.candidate.finding is not None
+        evidence = one.candidate.finding.evidence
+        of_fit = rise(context, one.before.fitted, one.after.fitted)
+        prices += one.candidate.log_bayes_factor - of_fit
+        # What a width and the choice of an element cost.
+        assert -15 * evidence.n_parameters < one.candidate.log_bayes_factor - of_fit < 0
+    assert total == pytest.approx(rise(context, before.fitted, rounds[-1].after.fitted) + prices)
+    assert whole.before is before
+    assert whole.after is rounds[-1].after
+
+
+def test_members_and_their_laws_are_no_rivals(
+    context: FitContext, before: Checked, weighed: Weighed, rounds: tuple[Round, ...]
+) -> None:
+    outlook, tried, whole = Outlook(context, EFFECTS, [], 6, weighed), [], as_one(rounds)
+    assert try_effects(context, before, weighed.ranking, tried, whole, outlook) is whole
+    assert tried == []
+    assert outlook.ahead is None
+
+
+def test_what_explains_all_has_to_beat_the_whole_set_and_not_its_first(
+    context: FitContext, rounds: tuple[Round, ...]
+) -> None:
+    """Factors of all baselines stand for the gain of one antenna and a coupling together, at more parameters."""
+    whole, all_at_once = as_one(rounds), check(context, _fit_of_truth(context))
+    better_by = all_at_once.score.log_density - whole.after.score.log_density
+    for ahead, better in ((-1.0, False), (1.0, True)):
+        rival = Candidate("closure_errors", "closure errors", whole.candidate.log_bayes_factor - better_by + ahead)
+        assert is_better(rival, all_at_once, rounds[0])
+        assert is_better(rival, all_at_once, whole) == better
+
+
+def _fit_of_truth(context: FitContext) -> Fitted:
+    """Fit what was put into the data."""
+    active = []
+    for effect in EFFECTS:
+        names = effect.parameters(context.setup).names
+        prior_var = np.array([float(name in PUT_IN) for name in names])
+        active.append(Active.start(effect, context.setup, prior_var, np.zeros((1, len(names)))))
+    return refit(context, Values(tuple(active)))
+
+
+def test_what_has_no_evidence_beside_the_others_leaves_the_set(
+    context: FitContext, before: Checked, weighed: Weighed
+) -> None:
+    """Factors of baselines with an antenna stand for its gain, and for nothing beside it."""
+    alone = next(one for one in weighed.ranking if one.kind == "closure_errors")
+    together = Together((*weighed.together.members, alone), (*weighed.together.beside, (alone,)))
+    found = try_set(context, before, replace(weighed, together=together), [])
+    assert [one.candidate.kind for one in found] == ["antenna_gains", "cross_coupling"]
+    assert len(found[-1].after.fitted.values.active) == 2
+
+
+def test_one_that_held_out_data_refuse_goes_and_the_others_stay(
+    context: FitContext, before: Checked, weighed: Weighed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refusal(context: FitContext, before: Checked, after: Checked, fitted: Candidate) -> str | None:
+        return "for a test" if fitted.kind == "antenna_gains" else None
+
+    monkeypatch.setattr(whole_set, "refusal_of_fit", refusal)
+    tried: list = []
+    assert try_set(context, before, weighed, tried) == ()
+    assert [(one.kind, reason) for one, reason in tried] == [("antenna_gains", "for a test")]
+
+
+def test_one_effect_is_no_set(context: FitContext, before: Checked, weighed: Weighed) -> None:
+    alone = Together(weighed.together.members[:1], weighed.together.beside[:1])
+    assert try_set(context, before, replace(weighed, together=alone), []) == ()
+    assert try_set(context, before, Weighed(weighed.ranking), []) == ()
+
+
+def test_a_set_whose_fit_does_not_converge_is_tried_one_by_one(
+    context: FitContext, before: Checked, weighed: Weighed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unsettled(context: FitContext, values: Values, start: Fitted) -> Fitted:
+        fitted = refit(context, values, start)
+        return replace(fitted, diagnostics=replace(fitted.diagnostics, converged=False))
+
+    monkeypatch.setattr(whole_set, "fit_patiently", unsettled)
+    assert try_set(context, before, weighed, []) == ()
