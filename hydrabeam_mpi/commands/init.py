@@ -5,8 +5,9 @@ from __future__ import annotations
 import glob
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.beamfits import SAME_FREQ, BeamFile
 from hydrabeam_mpi.io.catalogue import is_of_date, read_model
 from hydrabeam_mpi.io.disk import replacing
-from hydrabeam_mpi.io.noise import MAX_GAP, MIN_DIFFERENCES
+from hydrabeam_mpi.io.noise import amid
 from hydrabeam_mpi.io.reading import quiet
 from hydrabeam_mpi.io.uvsummary import Summary, summarise
 from hydrabeam_mpi.simulation.truth import BEAM as TRUE_BEAM
@@ -73,7 +74,7 @@ def job_from_data(paths: Sequence[Path]) -> str:
         *HEAD,
         *keys_text(Job, {"name": inputs.data[0].stem}),
         *table_text("data", Data, data, _about_data(summary, inputs, len(channels))),
-        *table_text("noise", Noise, {"kind": _noise_kind(summary)}, _about_noise(summary)),
+        *table_text("noise", Noise, *_noise(summary, channels)),
         *table_text("holdout", Holdout, {"kind": "times" if observation.Ntimes > 1 else "none"}),
         *table_text("sky", Sky, *_sky(inputs)),
         *table_text("sky.columns", SkyColumns, {}, given=False),
@@ -213,14 +214,23 @@ def _about_channels(observation: Observation) -> str:
     )
 
 
-def _noise_kind(summary: Summary) -> str:
-    """Choose where the noise is taken from."""
-    observation = summary.observation
+def _noise(summary: Summary, channels: IntArray) -> tuple[Values, list[str]]:
+    """Choose where the noise of some channels is taken from."""
     if summary.has_autos:
-        return "autocorrelations"
-    gaps = np.diff(observation.times) * 86400
-    close = np.count_nonzero(gaps <= MAX_GAP * np.median(observation.integration_time))
-    return "time-differences" if close > MIN_DIFFERENCES else "frequency-differences"
+        return {"kind": "autocorrelations"}, _about_noise(summary)
+    observation = summary.observation
+    chosen = replace(observation, freqs=observation.freqs[channels], channel_width=observation.channel_width[channels])
+    hows: tuple[Literal["time", "frequency"], ...] = ("time", "frequency")
+    for how in hows:
+        try:
+            amid(chosen, how)
+        except InputError:
+            continue
+        return {"kind": f"{how}-differences"}, _about_noise(summary)
+    asked = (
+        "CHOOSE sigma, of a visibility's noise at nsamples = 1: neither times nor channels are near enough to tell it."
+    )
+    return {"kind": "constant"}, [*_about_noise(summary), asked]
 
 
 def _about_noise(summary: Summary) -> list[str]:

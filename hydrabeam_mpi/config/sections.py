@@ -58,7 +58,7 @@ class Holdout(Section):
     """Which data are kept from the inference, to test it."""
 
     kind: Literal["times", "lst", "jd", "baselines", "none"] = key("times", "what is held out")
-    every: int = key(2, "kind = 'times': the second of every two integrations", ("kind", "times"), ge=2)
+    every: int = key(2, "kind = 'times': the last of every so many integrations", ("kind", "times"), ge=2)
     lst_ranges: tuple[LstRange, ...] = key((), "h, kind = 'lst': [[from, to], ...]")
     jd_ranges: tuple[JdRange, ...] = key((), "kind = 'jd': [[from, to], ...], such as whole nights")
     antpairs: tuple[AntennaPair, ...] = key((), "kind = 'baselines': [[ant1, ant2], ...]")

@@ -224,8 +224,7 @@ class HoldoutRule:
     ----------
     kind : {"times", "lst", "jd", "baselines", "none"}
     every : int
-        For "times": every so many integrations, counted from the first. With the default of two the
-        even-indexed ones are fitted and the odd-indexed ones held out.
+        For "times": the last of every so many integrations is held out, with the default of two every second one.
     lst_ranges : tuple of (float, float)
         For "lst": radians, each may wrap.
     jd_ranges : tuple of (float, float)

@@ -33,6 +33,7 @@ EFFECTS: Registry[Effect] = Registry(
     "sky.catalogue_flux",
     "sky.spectral_index",
     "sky.resolved_source",
+    "sky.elongated_source",
     "sky.diffuse",
     "instrument.antenna_positions",
     "instrument.timestamp",

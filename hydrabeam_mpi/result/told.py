@@ -85,4 +85,8 @@ def _warnings_of_heldout(channels: list[dict[str, Any]]) -> list[str]:
             f"The model beam fits the held-out data best when it is {span} times as large: "
             "flux scale and beam amplitude cannot be told apart, so the peak of the inferred beam need not be one."
         )
+        if any(abs(amplitude / factor - 1) < 0.05 for amplitude in amplitudes for factor in (0.5, 2.0)):
+            said.append(
+                "That is about a factor of two, as [data] pol_convention makes: 'hydrabeam loop' tests which it is."
+            )
     return said

@@ -47,8 +47,8 @@ def cautions_of_basis(job: Job, model: FittedBeam) -> tuple[str, ...]:
         return ()
     return (
         f"The model beam has no part in {n_lacking} of the {model.basis.n_modes} functions, as a round beam has none "
-        "in those that vary with azimuth. How large these may be is guessed from the functions next to them in order "
-        "and from simulated beams. A model beam that is nearer to the true one tells it better, or [prior] floor.",
+        "in those that vary with azimuth, and a symmetric one none in those of odd orders. How large these may be is "
+        "guessed from the functions next to them in order and from simulated beams; [prior] floor states it.",
     )
 
 

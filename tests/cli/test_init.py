@@ -291,6 +291,17 @@ def test_noise_without_autocorrelations(n_times: int, kind: str, write: Callable
     assert load(text, tmp_path).noise.kind == kind
 
 
+def test_noise_that_nothing_tells_is_to_be_chosen(write: Callable[..., Path], tmp_path: Path) -> None:
+    """Neither are there enough times, nor has the one channel neighbours; a job without it is refused, and says why."""
+    path = write(antpairs=CROSS, times=2459866.2 + 10 * SECOND * np.arange(6), freqs=np.array([131e6]))
+    text = job_from_data([path])
+    assert "CHOOSE sigma" in text
+    with pytest.raises(InputError, match=r"sigma"):
+        load(text, tmp_path)
+    job = load(text.replace('kind = "constant"', 'kind = "constant"\nsigma = "0.1 Jy"', 1), tmp_path)
+    assert (job.noise.kind, job.noise.sigma) == ("constant", 0.1)
+
+
 def test_one_of_many_channels_and_no_holdout_of_one_time(write: Callable[..., Path], tmp_path: Path) -> None:
     path = write(freqs=125e6 + 1e6 * np.arange(12), times=np.array([2459866.2]))
     job = load(job_from_data([path]), tmp_path)

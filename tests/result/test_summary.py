@@ -64,6 +64,7 @@ GOOD = {
         ({"heldout_chi2_predictive": 4.0}, "too small by a factor of up to 2 "),
         ({"heldout_chi2_noise_only": 10.0}, "At 150 MHz the model beam with one free amplitude"),
         ({"heldout_amplitude_unperturbed": 1.7}, "when it is 1.01 to 1.7 times as large"),
+        ({"heldout_amplitude_unperturbed": 0.506}, "what [data] pol_convention makes"),
         ({"negative_beyond_errors": 0.2}, "negative on up to 20.0% of the sky"),
         ({"prior_departure": 3.14, "prior_departure_log_evidence": 233.3}, "up to 3.1 times as far from the model"),
         ({"prior_departure": 3.14, "prior_departure_log_evidence": 233.3}, "more evidence, by about 233 in ln"),

@@ -1,38 +1,26 @@
-"""Catalogue sources that are wide: circular Gaussians on the sky, with the beam and the fringes over them.
-
-With delta the place in the plane that touches the sky at the centre, q the baseline's part in that plane and w that
-towards the centre, in wavelengths, and sigma the dispersion, a direction's phase is 2 pi (w + q.delta - w delta^2 / 2),
-as the sky is curved. The beam is B + g.delta + delta.H.delta / 2. So of the point's fringe there is left
-
-    G [B + v (2 pi i q.g + tr H / 2) - 2 pi^2 v^2 q.H.q],    G = exp(-2 pi^2 v q^2) / c,    v = sigma^2 / c
-
-with c = 1 + 2 pi i w sigma^2. For a source of a degree in the main lobe of a 14 m dish the slope's part is a sixth of B
-on a baseline of 100 m at 150 MHz.
-"""
+"""Catalogue sources that are wide: circular Gaussians on the sky; see `effects.shared.wide_sources`."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import C_M_PER_S, ComplexArray, FloatArray
-from hydrabeam_mpi.effects.interface.effect import Columns, Parameters
+from hydrabeam_mpi.data.observation import C_M_PER_S, ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.interface.told import Told
 from hydrabeam_mpi.effects.shared.point_sources import in_degrees, in_radians
+from hydrabeam_mpi.effects.shared.wide_sources import Symmetric, of_point
 from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux, find
 from hydrabeam_mpi.model.sky import Sky
 
 VARIANCE = np.deg2rad(1 / 60) ** 2 / (8 * np.log(2))
 """sigma^2 of a full width at half maximum of one arcmin."""
-LARGEST_LN = np.log(1e3)
-"""Of a visibility over that of a point, from where a fit may start but does not stay."""
-STEP = 1e-3
-"""rad, of second derivatives of beams: with it a table's 1e-10 and the beam's fourth derivatives matter as little."""
 
 
 class ResolvedSource(CatalogueFlux):
@@ -49,6 +37,26 @@ class ResolvedSource(CatalogueFlux):
     unphysical = "a width whose square is below zero"
     most: ClassVar = 200
     laws: ClassVar = {}
+    n_each: ClassVar[int] = 1
+    """Parameters of a source."""
+    _of_model: tuple[tuple[float, float], ...] = ()
+
+    def next_after(self, setup: ObservingSetup, newest: Effect) -> Effect:
+        """Return the same without the sources that the model has with widths: those are fitted there."""
+        if not isinstance(newest, ResolvedSource) or not newest.sources:
+            return self
+        following = type(self)(self.sources, self.trials)
+        following._of_model = (*self._of_model, *newest.sources)
+        return following
+
+    def brightest(self, sky: Sky) -> IntArray:
+        """Return the sources that are looked at, ascending, (n_hypotheses,)."""
+        brightest = super().brightest(sky)
+        return brightest[~np.isin(brightest, find(sky, self._of_model))]
+
+    def n_hypotheses(self, setup: ObservingSetup) -> int:
+        """Return the number of sources that are looked at."""
+        return len(self.brightest(setup.sky))
 
     def parameters(self, setup: ObservingSetup) -> Parameters:
         """Return the squared width of every source."""
@@ -67,8 +75,9 @@ class ResolvedSource(CatalogueFlux):
         return np.ones(len(sources.za))
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
-        """Return how the sources' visibilities change as they become wider; ``x`` is (n_params,)."""
-        return Columns(self._seen_wide(block, x)[1], len(x), by_group=True)
+        """Return how the sources' visibilities change with their widths; ``x`` is (n_params,)."""
+        seen = np.moveaxis(self._seen_wide(block, x)[1:], 0, -1)
+        return Columns(seen.reshape(*seen.shape[:2], len(x)), len(x), by_group=True)
 
     def added(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return what the sources have more than if they were points, (Ntimes, Nbls)."""
@@ -79,67 +88,56 @@ class ResolvedSource(CatalogueFlux):
         return self._fluxes_below_zero(0.0, x, std)
 
     def scan(self, block: RowBlock) -> tuple[FloatArray, FloatArray]:
-        """Correlate the residual with every source, each (n_hypotheses, 1), time by time."""
+        """Correlate the residual with every source, each (n_hypotheses, p), time by time."""
         sky = block.setup.sky.select(self.brightest(block.setup.sky))
-        every, sums = type(self)(in_degrees(sky.ra, sky.dec)), np.zeros((2, sky.Nsrc))
+        every, at_zero = type(self)(in_degrees(sky.ra, sky.dec)), np.zeros(sky.Nsrc * self.n_each)
+        sums = np.zeros((2, len(at_zero)))
         for t in range(len(block.times)):
             now = replace(block, times=block.times[t : t + 1])
-            seen = block.spread(every.columns(now, np.zeros(sky.Nsrc)).values)[0]
+            seen = block.spread(every.columns(now, at_zero).values)[0]
             weights = block.weights[t]
             sums += ((weights * block.residual[t]) @ seen.conj()).real, weights @ np.abs(seen) ** 2
-        return sums[0][:, np.newaxis], sums[1][:, np.newaxis]
+        scores, powers = sums.reshape(2, sky.Nsrc, self.n_each)
+        return scores, powers
 
     def draw(self, setup: ObservingSetup, rng: np.random.Generator, strength: float) -> FloatArray:
         """Make all as wide, (n_params,)."""
         return strength * self.parameters(setup).scale
 
-    def _seen_wide(self, block: RowBlock, x: FloatArray) -> ComplexArray:
-        """Return what the sources have more than if they were points, and its derivatives by their squared widths.
+    def shapes(self, north: FloatArray) -> Sequence[Symmetric]:
+        """Return what the covariance of sources changes by with each of their parameters, arcmin^2 (FWHM).
 
-        The result is (2, Ntimes, Ngroups, n), zero below the horizon.
+        ``north``, (2, Nsrc), is the direction of celestial north along the tangents.
+        """
+        one = np.ones(north.shape[1])
+        return [(one, 0 * one, one)]
+
+    def _seen_wide(self, block: RowBlock, x: FloatArray) -> ComplexArray:
+        """Return what the sources have more than if they were points, and its derivatives by each parameter of theirs.
+
+        The result is (1 + n_each, Ntimes, Ngroups, n), zero below the horizon.
         """
         sky, (ra, dec) = block.setup.sky, in_radians(self.sources)
         index, positions = find(sky, self.sources), block.positions.follow(Sky(ra, dec, np.ones((1, len(ra)))))
-        out = np.zeros((2, len(block.times), len(block.groups), len(ra)), dtype=complex)
+        out = np.zeros((1 + self.n_each, len(block.times), len(block.groups), len(ra)), dtype=complex)
         for t, itime in enumerate(block.times.tolist()):
             every, flux = block.sources(itime), np.zeros(sky.Nsrc)
             flux[every.index] = every.flux_without(self.kind)
             which, za, az = positions.above_horizon(itime)
             sources = Sources(which, za, az, flux[index[which]], block.beam)
+            # (n_each, 3, Nsrc)
+            changes = VARIANCE * np.array(self.shapes(north_of(sources, block.setup.observation.latitude)))
+            spread = np.sum(x.reshape(len(ra), self.n_each)[which].T[:, np.newaxis] * changes, axis=0)
             point = block.engine.responses(sources.enu, sources.flux, block.freq)
-            out[:, t][..., which] = point * _of_point(sources, block.vectors * (block.freq / C_M_PER_S), x[which])
+            out[:, t][..., which] = point * of_point(sources, block.vectors * (block.freq / C_M_PER_S), spread, changes)
         return out
 
 
-def _of_point(sources: Sources, vectors: FloatArray, x: FloatArray) -> ComplexArray:
-    """Return what is to be multiplied with the fringes of points, (2, Ngroups, Nsrc), as `_seen_wide`.
+def north_of(sources: Sources, latitude: float) -> FloatArray:
+    """Return the unit vector towards the celestial pole along `Sources.tangents`, (2, Nsrc); East is [n1, -n0].
 
-    ``vectors``, (Ngroups, 3), are in wavelengths; ``x``, (Nsrc,), are squared widths.
+    The pole is that of date, which is within a few arcmin of that of the catalogue.
     """
-    down, around = sources.tangents
-    toward, one, two = vectors @ sources.enu, vectors @ down, vectors @ around
-    beam, slope, curvature = _around(sources)
-    bent = 1 + 2j * np.pi * toward * (VARIANCE * x)
-    variance, square = VARIANCE * x / bent, one**2 + two**2
-    exponent = -2 * np.pi**2 * variance * square
-    fading = np.exp(np.where(exponent.real > LARGEST_LN, LARGEST_LN, exponent)) / bent
-    first = 2j * np.pi * (one * slope[0] + two * slope[1]) + 0.5 * (curvature[0] + curvature[2])
-    second = 2 * np.pi**2 * (one**2 * curvature[0] + 2 * one * two * curvature[1] + two**2 * curvature[2])
-    seen = beam + variance * first - variance**2 * second
-    fades = -(2j * np.pi * toward + 2 * np.pi**2 * square / bent) / bent
-    return np.stack(
-        [fading * seen - beam, fading * (fades * seen + (first - 2 * variance * second) / bent**2) * VARIANCE]
-    )
-
-
-def _around(sources: Sources) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the beam, (Nsrc,), its slopes, (2, Nsrc), and second derivatives, (3, Nsrc), along the tangents."""
-    down, around = sources.tangents
-
-    def at(one: int, two: int) -> FloatArray:
-        return sources.beam_at(sources.enu + STEP * (one * down + two * around))
-
-    here, low, high, left, right = sources.beam, at(-1, 0), at(1, 0), at(0, -1), at(0, 1)
-    across = at(1, 1) - at(1, -1) - at(-1, 1) + at(-1, -1)
-    slope = np.stack([high - low, right - left]) / (2 * STEP)
-    return here, slope, np.stack([high - 2 * here + low, 0.25 * across, right - 2 * here + left]) / STEP**2
+    pole = np.array([0.0, np.cos(latitude), np.sin(latitude)])
+    parts = np.stack([pole @ tangent for tangent in sources.tangents])
+    return np.asarray(parts / np.maximum(np.hypot(*parts), 1e-12))

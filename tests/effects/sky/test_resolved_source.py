@@ -5,6 +5,7 @@ import pytest
 from numpy.polynomial.hermite_e import hermegauss
 
 from hydrabeam_mpi.effects.shared.point_sources import responses
+from hydrabeam_mpi.effects.sky.elongated_source import ElongatedSource
 from hydrabeam_mpi.effects.sky.resolved_source import ResolvedSource
 from tests.effects.small import small_block, small_setup
 
@@ -49,3 +50,17 @@ def test_a_width_is_told_and_its_square_is_not_below_zero() -> None:
 def test_a_fit_may_begin_anywhere() -> None:
     with np.errstate(over="raise"):
         assert np.all(np.isfinite(of([4]).added(small_block(SETUP), np.array([-1e12]))))
+
+
+def test_sources_that_are_wide_in_the_model_are_not_looked_for_again() -> None:
+    effect = ResolvedSource()
+    for newest in (of([4, 7]), ElongatedSource(of([4, 7]).sources)):
+        following = effect.next_after(SETUP, newest)
+        assert isinstance(following, ResolvedSource)
+        assert following.n_hypotheses(SETUP) == effect.n_hypotheses(SETUP) - 2
+        assert not {4, 7} & set(following.brightest(SETUP.sky).tolist())
+        again = following.next_after(SETUP, of([1]))
+        assert isinstance(again, ResolvedSource)
+        assert not {1, 4, 7} & set(again.brightest(SETUP.sky).tolist())
+        block = small_block(SETUP)
+        assert again.scan(block)[0].shape == (again.n_hypotheses(SETUP), 1)

@@ -77,7 +77,9 @@ def history(context: FitContext, consistent: bool = True, control: bool = False,
         round_of(weights_candidate(60.0, n_freqs=2), second, third, drift),
     ][:n_rounds]
     if rounds:
-        rounds[0] = replace(rounds[0], together=(effect_candidate(AntennaGains(), 90.0), others[2]))
+        rounds[0] = replace(
+            rounds[0], together=(effect_candidate(AntennaGains(), 90.0), effect_candidate(Timestamp(), 0.5))
+        )
     made = History(
         first, rounds[-1].after if rounds else first, rounds, ranking=(drift, weights_candidate(2.0, "of times"))
     )
