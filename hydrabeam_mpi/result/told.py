@@ -87,6 +87,7 @@ def _warnings_of_heldout(channels: list[dict[str, Any]]) -> list[str]:
         )
         if any(abs(amplitude / factor - 1) < 0.05 for amplitude in amplitudes for factor in (0.5, 2.0)):
             said.append(
-                "That is about a factor of two, as [data] pol_convention makes: 'hydrabeam loop' tests which it is."
+                "A factor of about two between data and model beam is what [data] pol_convention makes; 'hydrabeam "
+                "loop' tests it."
             )
     return said
