@@ -50,8 +50,6 @@ CASES = {
     "diffuse": Case({"l_max": 3}),
     "horizon": Case(n_sources=1000, strengths=(0.3,), step=1e-2, scan=(1e-10, 0.2)),  # sources taken as orthogonal
     "ionosphere": Case(strengths=(3.0, 60.0), step=1e-2),  # up to a degree
-    "ionosphere, flat": Case({"away": "flat"}, strengths=(3.0,), step=1e-2),
-    "ionosphere, shell": Case({"away": "shell"}, strengths=(3.0,), step=1e-2),
     "missing_sources": Case(strengths=(20.0,), scan=MAPS),
     "mutual_coupling": Case({"n_shells": 2}),
     "nonredundant_beams": Case(strengths=(0.2,), exact="at zero", step=1e-3),
@@ -87,7 +85,9 @@ IN_TIME |= {
     )
 }
 """Effects with the laws by which they may change in time."""
-CASES |= IN_TIME
+VARIANTS = {f"ionosphere, {away}": Case({"away": away}, strengths=(3.0,), step=1e-2) for away in ("flat", "shell")}
+"""Effects in other forms."""
+CASES |= IN_TIME | VARIANTS
 
 
 @cache

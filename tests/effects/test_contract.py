@@ -17,7 +17,7 @@ from hydrabeam_mpi.effects.registry import EFFECTS, KINDS, REWEIGHTINGS, SEPARAT
 from hydrabeam_mpi.effects.sky.missing_sources import SPECTRAL_INDEX, MissingSources
 from hydrabeam_mpi.model.sky import Sky
 from hydrabeam_mpi.random import generator
-from tests.effects.cases import CASES, IN_TIME, Case, candidates, draw, experiment_of, places, set_up
+from tests.effects.cases import CASES, IN_TIME, VARIANTS, Case, candidates, draw, experiment_of, places, set_up
 from tests.effects.direct import C, assert_same, row_vectors, seen_by_the_beam, unit_vectors
 from tests.effects.small import (
     check_adjoint,
@@ -32,7 +32,7 @@ from tests.effects.small import (
 
 def test_no_two_have_one_name() -> None:
     assert len(set(KINDS)) == len(KINDS) == len(EFFECTS) + len(REWEIGHTINGS) + len(SEPARATE)
-    assert set(CASES) - set(IN_TIME) <= set(EFFECTS)
+    assert set(CASES) - set(IN_TIME) - set(VARIANTS) <= set(EFFECTS)
     assert set(IN_TIME) == {f"{kind}, {law}" for kind, one in EFFECTS.items() for law in one.laws}
     titles = [one.title for one in (*EFFECTS.values(), *REWEIGHTINGS.values(), *SEPARATE.values())]
     titles += [title for one in EFFECTS.values() for title in one.laws.values()]

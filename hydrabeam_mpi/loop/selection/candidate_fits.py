@@ -100,7 +100,7 @@ def _fit_effect(
     assert candidate.finding is not None
     fitted = _fit_foremost(context, before, candidate.finding)
     if fitted is None:
-        start = _started(context, candidate.finding, candidate.finding.evidence.prior_var)
+        start = started(context, candidate.finding, candidate.finding.evidence.prior_var)
         fitted = _fit_physically(context, before.values.extended(start), before, worth)
     fitted = with_best_variant(context, fitted)
     again = reconsider(context, fitted)
@@ -117,36 +117,26 @@ def _fit_effect(
     return replace(candidate, finding=finding, log_bayes_factor=log_bayes_factor), fitted
 
 
-def _started(context: FitContext, finding: Finding, prior_var: FloatArray) -> Active:
+def started(context: FitContext, finding: Finding, prior_var: FloatArray) -> Active:
     """Return an effect where its fit begins, with a prior of variances (n_params,)."""
     effect, x = finding.effect, np.where(prior_var > 0, finding.evidence.x, 0.0)
     return Active.start(effect, context.setup, prior_var, effect.begun(context.setup, x))
 
 
-def foremost_started(context: FitContext, finding: Finding) -> Active:
-    """Return an effect where its fit begins: with the one element that matters most, where it has to be found.
+def _fit_foremost(context: FitContext, before: Fitted, finding: Finding) -> Fitted | None:
+    """Fit the one element that matters most, such as a source; None where that says nothing of the others.
 
-    Such is a source. Where candidates lie on a grid a bright source beside its place is made up for by several, which
-    are hardly told from each other, so that a fit of all may go anywhere. Once the first is where it belongs the others
-    are weighed again.
+    Where candidates lie on a grid a bright source beside its place is made up for by several, which are hardly told
+    from each other, so that a fit of all may go anywhere. Once the first is where it belongs the others are weighed
+    again. Collective: all ranks of the grid.
     """
     effect, evidence = finding.effect, finding.evidence
-    element, prior_var = effect.parameters(context.setup).element, evidence.prior_var
-    several = len(np.unique(element[prior_var > 0])) > 1
-    if effect.gets_simpler_when_fitted and several and len(evidence.alone):
-        foremost = element[np.where(prior_var > 0, evidence.alone, -np.inf).argmax()]
-        prior_var = np.where(element == foremost, prior_var, 0.0)
-    return _started(context, finding, prior_var)
-
-
-def _fit_foremost(context: FitContext, before: Fitted, finding: Finding) -> Fitted | None:
-    """Fit the one element that matters most, see `foremost_started`; None where that says nothing of the others.
-
-    Collective: all ranks of the grid.
-    """
-    start = foremost_started(context, finding)
-    if start.size == np.count_nonzero(finding.evidence.prior_var):
+    element = effect.parameters(context.setup).element
+    several = len(np.unique(element[evidence.prior_var > 0])) > 1
+    if not (effect.gets_simpler_when_fitted and several and len(evidence.alone)):
         return None
+    foremost = element[np.where(evidence.prior_var > 0, evidence.alone, -np.inf).argmax()]
+    start = started(context, finding, np.where(element == foremost, evidence.prior_var, 0.0))
     try:
         fitted = fit_patiently(context, before.values.extended(start), before)
     except BrokenOff:

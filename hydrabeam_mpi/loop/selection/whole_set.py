@@ -18,7 +18,7 @@ from hydrabeam_mpi.loop.attribution.reconsider import reconsider
 from hydrabeam_mpi.loop.attribution.score_effects import Finding
 from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
-from hydrabeam_mpi.loop.selection.candidate_fits import by_heldout, foremost_started
+from hydrabeam_mpi.loop.selection.candidate_fits import by_heldout, started
 from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical, price_of_limits
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refits import fit_patiently, rise, with_best_variant
@@ -41,8 +41,7 @@ def try_set(context: FitContext, checked: Checked, weighed: Weighed, tried: Trie
     """
     if not weighed.explains:
         return ()
-    # A fault of the beam's model is told from effects once these are in the model.
-    members = list(takewhile(lambda one: not one.is_about_the_beam, weighed.together.members))
+    members = list(takewhile(_is_told_by_linear_model, weighed.together.members))
     while len(members) > 1:
         titles = ", ".join(f"{one.title} (ln BF {one.log_bayes_factor:.4g})" for one in members)
         say(f"  trying together: {titles}", context.grid.is_world_root)
@@ -57,6 +56,16 @@ def try_set(context: FitContext, checked: Checked, weighed: Weighed, tried: Trie
         tried.append(refused)
         members = [one for one in members if one.name != refused[0].name]
     return ()
+
+
+def _is_told_by_linear_model(member: Candidate) -> bool:
+    """Whether the linear model says what a member is beside the others.
+
+    It does not of what is picked from a grid: a source beside its place is made up for by several, also by some that
+    vary. A fault of the beam's model is told from effects once these are in the model.
+    """
+    on_grid = member.finding is not None and member.finding.effect.gets_simpler_when_fitted
+    return not (on_grid or member.is_about_the_beam)
 
 
 def as_one(rounds: Sequence[Round]) -> Round:
@@ -83,7 +92,7 @@ def _fit(
     n_before, left, values = len(before.values.active), tuple(members), before.values
     for one in members:
         assert one.finding is not None
-        values = values.extended(foremost_started(context, one.finding))
+        values = values.extended(started(context, one.finding, one.finding.evidence.prior_var))
 
     def kept(places: dict[int, int | None]) -> tuple[Candidate, ...]:
         return tuple(one for number, one in enumerate(left, n_before) if places[number] is not None)

@@ -10,9 +10,11 @@ import pytest
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.instrument.closure_errors import ClosureErrors
 from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
+from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Active, Fitted, Values
+from hydrabeam_mpi.loop.attribution.score_effects import Finding
 from hydrabeam_mpi.loop.selection import whole_set
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round, is_better
 from hydrabeam_mpi.loop.selection.predictions import check
@@ -164,3 +166,15 @@ def test_a_set_whose_fit_does_not_converge_is_tried_one_by_one(
 
     monkeypatch.setattr(whole_set, "fit_patiently", unsettled)
     assert try_set(context, before, weighed, []) == ()
+
+
+def test_what_is_picked_from_a_grid_is_tried_by_itself(context: FitContext, before: Checked, weighed: Weighed) -> None:
+    """Several sources that vary may make up for one beside its place, beside whatever else there is."""
+    first, second = weighed.together.members
+    source = Candidate.of(Finding(MissingSources([(50.0, -30.0)]), second.finding.evidence)) if second.finding else None
+    assert source is not None
+    assert source.finding is not None
+    assert source.finding.effect.gets_simpler_when_fitted
+    for members in ((first, source), (source, first, second)):
+        together = Together(members, tuple((one,) for one in members))
+        assert try_set(context, before, replace(weighed, together=together), []) == ()
