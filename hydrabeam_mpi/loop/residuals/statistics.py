@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import C_M_PER_S, EARTH_RATE
+from hydrabeam_mpi.data.observation import C_M_PER_S, EARTH_RATE, FloatArray
 from hydrabeam_mpi.inference.significance import (
     chi2_sigma,
     correlation_sigma,
@@ -22,6 +22,9 @@ from hydrabeam_mpi.loop.residuals.axes import Axis, Freedom, all_axes
 from hydrabeam_mpi.loop.residuals.coherent import Coherence
 from hydrabeam_mpi.loop.residuals.cube import Layout
 from hydrabeam_mpi.loop.residuals.sums import ResidualSums
+
+ALIKE = 1e-6
+"""Significances that differ by less than this part of them are the same: sums over ranks are the same to 1e-9."""
 
 MOST_LISTED = 64
 LISTED_OF_MORE = 32
@@ -110,24 +113,33 @@ def significance(looks: list[Look]) -> dict[str, Any]:
     }
 
 
+def first_largest(values: FloatArray) -> int:
+    """Return the number of the first value that is the largest but for rounding, which depends on who sums what.
+
+    Two baselines of one group, for instance, differ from what they have in common by the same.
+    """
+    largest = values.max()
+    return int(np.argmax(values >= largest - ALIKE * abs(largest)))
+
+
 def most_significant(axis: Axis, freedom: Freedom, level: float = 1.0) -> Look:
     """Return the entry of an axis that differs most from a reduced chi^2."""
     sigma = axis.sigma(freedom, level)
-    k = int(np.argmax(np.abs(sigma)))
+    k = first_largest(np.abs(sigma))
     return Look(axis.name, axis.what[k], float(sigma[k]), len(axis))
 
 
 def largest_excess(axis: Axis, freedom: Freedom, level: float = 1.0) -> Look:
     """Return the entry of an axis that exceeds a reduced chi^2 most."""
     sigma = axis.sigma(freedom, level)
-    k = int(np.argmax(sigma))
+    k = first_largest(sigma)
     return Look(axis.name, axis.what[k], max(float(sigma[k]), 0.0), len(axis))
 
 
 def coherent_look(coherence: Coherence, layout: Layout, level: float = 1.0) -> Look:
     """Return what is most coherent with the model, where noise has variance ``level``."""
     sigma = coherence.sigma(level)
-    k = int(np.argmax(sigma))
+    k = first_largest(sigma)
     return Look(coherence.name, coherence.words(k, layout.observation), max(float(sigma[k]), 0.0), len(sigma))
 
 

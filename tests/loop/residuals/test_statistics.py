@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from hydrabeam_mpi.loop.residuals.cube import Layout
-from hydrabeam_mpi.loop.residuals.statistics import statistics
+from hydrabeam_mpi.loop.residuals.statistics import first_largest, statistics
 from hydrabeam_mpi.random import complex_normal, generator
 from tests.loop.white import make_layout, noise, sums_of
 
@@ -23,6 +23,14 @@ def check_calibration(p: np.ndarray) -> None:
     assert np.sum(p < 1e-3) <= stats.binom.ppf(0.999, len(p), 1e-3)
     assert np.sum(p < 0.1) <= stats.binom.ppf(0.999, len(p), 0.1)
     assert np.sum(p < 0.5) >= len(p) * 0.1
+
+
+def test_of_two_that_are_alike_the_first_is_named_however_sums_are_rounded() -> None:
+    for rounding in (-1e-9, 0.0, 1e-9):
+        assert first_largest(np.array([1.0, 3.0, 3.0 + rounding, 2.0])) == 1
+    assert first_largest(np.array([1.0, 3.0, 3.001])) == 2
+    assert first_largest(np.array([-2.0, -1.0])) == 1
+    assert first_largest(np.zeros(3)) == 0
 
 
 @pytest.mark.parametrize("hexagon", [(2, 3), (1, 3)])
