@@ -67,8 +67,10 @@ def with_best_variant(context: FitContext, fitted: Fitted, place: int = -1) -> F
         except BrokenOff:
             continue
         best = max(best, again, key=lambda each: log_joint(context, each))
+    if best is fitted or best.diagnostics.converged:
+        return best
     # Another form may begin far from where it ends.
-    again = best if best.diagnostics.converged else fit_patiently(context, best.values, best)
+    again = fit_patiently(context, best.values, best)
     return max(best, again, key=lambda each: log_joint(context, each))
 
 
