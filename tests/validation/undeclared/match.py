@@ -205,14 +205,16 @@ def read_sources(
 def read_fluxes(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]) -> Found:
     """Read "source 17: relative flux error", how that goes on in time, the error of its spectral index, its width."""
     heads = {"relative flux error": "relative change of flux", "error of the spectral index": "change of index"}
-    heads["width (FWHM)"] = "width (FWHM)"
+    heads |= {same: same for same in ("width (FWHM)", "major axis (FWHM)", "minor axis (FWHM)", "position angle")}
     either = "|".join(map(re.escape, heads))
-    matches = {name: re.fullmatch(rf"(.*): ({either})(.*)", name) for name in averaged(parameters)}
-    return {
-        (match[1], heads[match[2]] + match[3]): averaged(parameters)[name]
-        for name, match in matches.items()
-        if match is not None
-    }
+    found = averaged(parameters)
+    matches = {name: re.fullmatch(rf"(.*): ({either})(.*)", name) for name in found}
+    out = {(match[1], heads[match[2]] + match[3]): found[name] for name, match in matches.items() if match is not None}
+    for (thing, quantity), (value, std) in out.items():
+        if quantity == "position angle":
+            turns = np.round((truth.get((thing, quantity), value) - value) / 180)
+            out[thing, quantity] = float(value + 180 * turns), std
+    return out
 
 
 def read_clock(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]) -> Found:
@@ -297,6 +299,7 @@ READERS: dict[str, Callable[[list[dict[str, Any]], dict[tuple[str, str], float],
     "catalogue_flux": read_fluxes,
     "spectral_index": read_fluxes,
     "resolved_source": read_fluxes,
+    "elongated_source": read_fluxes,
     "timestamp": read_clock,
     "smearing": read_lengths,
     "ground_emitter": read_emitter,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from astropy_healpix import HEALPix
 from numpy.typing import NDArray
@@ -14,6 +16,7 @@ from tests.validation.undeclared.truth import Truth
 
 LARGEST_DEGREE = 3
 DIFFUSE_INDEX = -2.5
+AXES = (("major axis (FWHM)", "arcmin"), ("minor axis (FWHM)", "arcmin"), ("position angle", "deg"))
 
 
 def _overhead(truth: Truth, rng: np.random.Generator) -> tuple[float, float]:
@@ -98,29 +101,53 @@ def spectral_index(truth: Truth, rng: np.random.Generator, strength: float) -> D
 
 
 def resolved_source(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
-    """One or three of the strongest sources overhead are round Gaussians of about ``strength`` arcmin (FWHM).
-
-    Each is as many points as it takes to integrate it over the fringes of short baselines.
-    """
-    catalogue, chosen = truth.catalogue, _some_bright(truth, rng)
+    """One or three of the strongest sources overhead are round Gaussians of about ``strength`` arcmin (FWHM)."""
+    chosen = _some_bright(truth, rng)
     widths = strength * rng.uniform(0.7, 1.0, len(chosen))
-    nodes, weights = np.polynomial.hermite_e.hermegauss(9)
-    share = (np.outer(weights, weights) / weights.sum() ** 2).ravel()
-    wide = catalogue.select(np.setdiff1d(np.arange(len(catalogue.ra)), chosen))
-    for source, width in zip(chosen, widths, strict=True):
-        spread = np.deg2rad(width / 60) / np.sqrt(8 * np.log(2))
-        east, north = (offset.ravel() for offset in np.meshgrid(spread * nodes, spread * nodes))
-        ra, dec = catalogue.ra[source], catalogue.dec[source]
-        away = np.cos(dec) - north * np.sin(dec)
-        placed = np.arctan2(np.sin(dec) + north * np.cos(dec), np.hypot(east, away))
-        flux, index = catalogue.flux[source] * share, np.full(len(share), catalogue.index[source])
-        wide = wide.joined(Catalogue((ra + np.arctan2(east, away)) % (2 * np.pi), placed, flux, index))
-    truth.catalogue = wide
+    truth.catalogue = _spread(truth.catalogue, chosen, widths, widths, np.zeros(len(chosen)))
     parameters = [
         Parameter(f"source {source}", "width (FWHM)", "arcmin", float(width))
         for source, width in zip(chosen, widths, strict=True)
     ]
     return Drawn(parameters, n_params=len(chosen))
+
+
+def elongated_source(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
+    """One or three of the strongest sources overhead are Gaussians whose longer axis is about ``strength`` arcmin."""
+    chosen = _some_bright(truth, rng)
+    major = strength * rng.uniform(0.7, 1.0, len(chosen))
+    minor = major * rng.uniform(0.2, 0.6, len(chosen))
+    angle = rng.uniform(0, np.pi, len(chosen))
+    truth.catalogue = _spread(truth.catalogue, chosen, major, minor, angle)
+    parameters = [
+        Parameter(f"source {source}", quantity, unit, float(value))
+        for source, *values in zip(chosen, major, minor, np.rad2deg(angle), strict=True)
+        for (quantity, unit), value in zip(AXES, values, strict=True)
+    ]
+    return Drawn(parameters, n_params=3 * len(chosen))
+
+
+def _spread(
+    catalogue: Catalogue, chosen: NDArray[np.int_], major: FloatArray, minor: FloatArray, angle: FloatArray
+) -> Catalogue:
+    """Make sources elliptical Gaussians: axes (FWHM) in arcmin, position angles, North through East, in radians.
+
+    Each is as many points as it takes to integrate it over the fringes of short baselines.
+    """
+    nodes, weights = np.polynomial.hermite_e.hermegauss(9)
+    share = (np.outer(weights, weights) / weights.sum() ** 2).ravel()
+    wide = catalogue.select(np.setdiff1d(np.arange(len(catalogue.ra)), chosen))
+    for source, *axes, turn in zip(chosen, major, minor, angle, strict=True):
+        longer, shorter = (np.deg2rad(axis / 60) / np.sqrt(8 * np.log(2)) for axis in axes)
+        along, across = (offset.ravel() for offset in np.meshgrid(longer * nodes, shorter * nodes))
+        east = along * np.sin(turn) + across * np.cos(turn)
+        north = along * np.cos(turn) - across * np.sin(turn)
+        ra, dec = catalogue.ra[source], catalogue.dec[source]
+        away = np.cos(dec) - north * np.sin(dec)
+        placed = np.arctan2(np.sin(dec) + north * np.cos(dec), np.hypot(east, away))
+        flux, index = catalogue.flux[source] * share, np.full(len(share), catalogue.index[source])
+        wide = wide.joined(Catalogue((ra + np.arctan2(east, away)) % (2 * np.pi), placed, flux, index))
+    return wide
 
 
 def diffuse(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
@@ -167,18 +194,35 @@ def turned(catalogue: Catalogue, time: float, east: float, north: float) -> Cata
     return Catalogue(ra, dec, catalogue.flux, catalogue.index)
 
 
+def shifted(catalogue: Catalogue, time: float, east: float, north: float) -> Catalogue:
+    """Shift all direction cosines alike, by ``east`` and ``north``, at one time; what leaves the sky is not seen."""
+    za, az = altaz(catalogue.ra, catalogue.dec, time)
+    cosines = np.stack([np.sin(za) * np.cos(az) + east, np.sin(za) * np.sin(az) + north])
+    seen = (za < np.pi / 2) & (np.hypot(*cosines) < 1)
+    ra, dec = icrs(np.arcsin(np.hypot(*cosines[:, seen])), np.arctan2(*cosines[::-1, seen]), time)
+    up = catalogue.select(np.flatnonzero(seen))
+    return Catalogue(ra, dec, up.flux, up.index)
+
+
 def ionosphere(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
     """The whole sky is turned by ``strength`` arcmin at the mean frequency, as lambda^2, anew at each time."""
     return refracted(truth, strength * rng.standard_normal((len(truth.setting.times), 2)) / np.sqrt(2))
 
 
-def refracted(truth: Truth, arcmin: FloatArray) -> Drawn:
-    """Turn the sky of each time towards East and North, (Ntimes, 2) at the mean frequency, as lambda^2."""
+def phase_gradient(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
+    """A gradient of phase over the array shifts all direction cosines by ``strength`` arcmin, anew at each time."""
+    return refracted(truth, strength * rng.standard_normal((len(truth.setting.times), 2)) / np.sqrt(2), shifted)
+
+
+def refracted(
+    truth: Truth, arcmin: FloatArray, move: Callable[[Catalogue, float, float, float], Catalogue] = turned
+) -> Drawn:
+    """Move the sky of each time towards East and North, (Ntimes, 2) at the mean frequency, as lambda^2."""
     shifts = np.deg2rad(arcmin / 60)
 
     def sky(channel: int, time: int, catalogue: Catalogue) -> Catalogue:
         scale = (truth.setting.freqs.mean() / truth.setting.freqs[channel]) ** 2
-        return turned(catalogue, truth.time(time), *(scale * shifts[time]))
+        return move(catalogue, truth.time(time), *(scale * shifts[time]))
 
     truth.sky_of.append(sky)
     parameters = [
