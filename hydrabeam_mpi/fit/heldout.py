@@ -16,7 +16,7 @@ from hydrabeam_mpi.fit.local_parameters import fit_local, fold_of, untold
 from hydrabeam_mpi.fit.row_model import KEPT_BYTES
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Fitted
-from hydrabeam_mpi.fit.whitening import SharedErrors, root_of, whiten_time
+from hydrabeam_mpi.fit.whitening import Felt, SharedErrors, TimeWhitener, root_of
 from hydrabeam_mpi.mpi import allreduce_sum, together
 
 MAX_FOLLOWED = 2000
@@ -118,23 +118,23 @@ def _whiten(context: FitContext, fitted: Fitted) -> Whitened:
                 power[channel, span] = noise[channel, span] * block.weights * np.abs(block.residual) ** 2
                 felt = _felt(context, fitted, channel, block, design) if has_effects else None
                 for t, row in enumerate(range(span.start, span.stop)):
-                    stack, weights = block.residual[t][:, np.newaxis], block.weights[t]
+                    weights = block.weights[t]
+                    columns = None
                     if felt is not None:
                         columns, own = next(felt)
-                        if errors is not None:
-                            stack = np.column_stack([stack, columns])
-                        else:
-                            widened = 1 + 2 * weights * _variances(columns, own, own_root).mean(axis=0)
+                        if errors is None:
+                            every = columns.columns(block.member)
+                            widened = 1 + 2 * weights * _variances(every, own, own_root).mean(axis=0)
                             weights = weights / widened
                             log_spread[number] += float(np.log(widened).sum())
                     by_beam = share.model_root(channel, row, fitted.estimate, design[t])
-                    found = whiten_time(stack, weights, block.member, by_beam)
-                    white, share_of_model[channel, row], spread, variance = found
-                    log_spread[number] += spread
-                    beam[channel, row] = noise[channel, row] * block.weights[t] * variance
-                    z[channel, row] = white[:, 0]
-                    if errors is not None:
-                        errors.add(white[:, 0], white[:, 1:])
+                    time = TimeWhitener.of(weights, block.member, by_beam)
+                    z[channel, row] = time.rows(block.residual[t][:, np.newaxis])[:, 0]
+                    share_of_model[channel, row] = time.share
+                    log_spread[number] += time.log_spread
+                    beam[channel, row] = noise[channel, row] * block.weights[t] * time.variance
+                    if errors is not None and columns is not None:
+                        errors.add(time, z[channel, row], columns)
         if errors is not None:
             allreduce_sum(context.grid.group, errors.gram)
             allreduce_sum(context.grid.group, errors.projection)
@@ -156,36 +156,40 @@ def _is_shared(context: FitContext, n_params: int) -> bool:
 
 def _felt(
     context: FitContext, fitted: Fitted, channel: int, block: RowBlock, design: Array
-) -> Iterator[tuple[ComplexArray, FloatArray]]:
+) -> Iterator[tuple[Felt, FloatArray]]:
     """Yield how predictions feel the parameters of the effects, time after time.
 
     Yields
     ------
-    felt : ndarray of complex, (Nbls, q)
-        By each parameter, where the beam follows it. Empty with too many parameters.
+    felt : Felt
+        By each parameter, where the beam follows it. Of none with too many parameters.
     own : ndarray, (Nbls,)
         With too many what each by itself adds to a row's variance, mean of that of its real and its imaginary part.
     """
     fit, active, number = fitted.fit, fitted.values.active, context.channels[channel]
     covariance = fit.covariances[channel]
     block.integrate_for([one.effect for one in active])
-    columns = [(one, one.effect.columns(block, one.x[number])) for one in active]
-    matrices = [(csr_array(made.matrix()[:, one.used]), made.by_group) for one, made in columns]
-    followed = len(covariance) <= MAX_FOLLOWED
-    for t in range(len(block.times)):
-        parts = []
-        for matrix, by_group in matrices:
-            n_rows = matrix.shape[0] // len(block.times)
-            part = matrix[t * n_rows : (t + 1) * n_rows]
-            parts.append(part[block.member] if by_group else part)
+    made = [one.effect.columns(block, one.x[number]) for one in active]
+    matrices = [csr_array(one.matrix()[:, which.used]) for one, which in zip(made, active, strict=True)]
+    by_group = [one.by_group for one in made]
+    n_times, followed = len(block.times), len(covariance) <= MAX_FOLLOWED
+    is_of_groups = np.repeat(by_group, [matrix.shape[1] for matrix in matrices])
+    for t in range(n_times):
+        rows = [matrix.shape[0] // n_times for matrix in matrices]
+        parts = [matrix[t * n : (t + 1) * n] for matrix, n in zip(matrices, rows, strict=True)]
         if not followed:
-            widths, sparse = np.diag(covariance), hstack(parts, format="csr")
-            yield np.zeros((len(block.bls), 0), dtype=complex), 0.5 * (abs(sparse).power(2) @ widths)
+            of_bls = [part[block.member] if of else part for part, of in zip(parts, by_group, strict=True)]
+            widths, sparse = np.diag(covariance), hstack(of_bls, format="csr")
+            none = np.zeros((len(block.bls), 0), dtype=complex)
+            yield Felt(none, none, np.zeros(0, dtype=bool)), 0.5 * (abs(sparse).power(2) @ widths)
             continue
-        felt = np.concatenate([part.toarray() for part in parts], axis=-1)
         beam = design[t] @ fit.beam_response[channel]
-        felt += (beam if fit.posteriors[channel].is_complex else beam[0] + 1j * beam[1])[block.member]
-        yield felt, np.zeros(len(block.bls))
+        by_beam = beam if fit.posteriors[channel].is_complex else beam[0] + 1j * beam[1]
+        own, of_groups = by_beam[:, ~is_of_groups][block.member], by_beam[:, is_of_groups]
+        for felt, wanted in ((own, False), (of_groups, True)):
+            chosen = [part.toarray() for part, of in zip(parts, by_group, strict=True) if of is wanted]
+            felt += np.concatenate(chosen, axis=-1) if chosen else 0
+        yield Felt(own, of_groups, is_of_groups), np.zeros(len(block.bls))
 
 
 def _followed_root(covariance: FloatArray) -> FloatArray:
@@ -226,5 +230,5 @@ def variance_by_effects(
         root = _followed_root(fitted.fit.covariances[channel])
         for span, block, design in context.test.row_blocks(channel, fitted.estimate, added[channel], rows):
             for t, (felt, own) in enumerate(_felt(context, fitted, channel, block, design), start=span.start):
-                variance[channel, :, t] = _variances(felt, own, root)
+                variance[channel, :, t] = _variances(felt.columns(block.member), own, root)
     return variance, with_beam

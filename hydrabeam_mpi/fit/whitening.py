@@ -10,13 +10,15 @@ can.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.sparse import csr_array
 
-from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import Array, BoolArray, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.inference.posterior import Posterior
 
 LEAST_LEFT = 1e-9
@@ -26,30 +28,25 @@ ZERO_RTOL = 1e-12
 """Eigenvalues below this part of the largest count as zero: rounding errors of a thousand sums are no larger."""
 
 
-def whiten_time(
-    rows: ComplexArray, weights: FloatArray, member: IntArray, model_root: FloatArray, fitted: bool = False
-) -> tuple[ComplexArray, FloatArray, float, FloatArray]:
-    """Whiten the rows of one time.
+@dataclass(frozen=True)
+class TimeWhitener:
+    """What whitens the rows of one time.
 
-    Parameters
+    What the members of a group have in common is whitened with that of the other groups; what else is in the rows is
+    each row's own.
+
+    Attributes
     ----------
-    rows : ndarray of complex, (Nbls, k)
-        Residuals, data minus prediction, or anything else of the rows in Jy; each column by itself.
     weights : ndarray, (Nbls,)
         Inverse variance of all that is each row's own, Jy^-2; zero for rows that do not count.
-    member : ndarray of int, (Nbls,)
-        Which design row belongs to each.
-    model_root : ndarray, (r, 2 Ngroups)
-        R with R^T R the covariance of the predictions; see `model_root`.
-    fitted : bool, optional
-        Whether these rows are among those that the model was fitted to. They are then whitened as the residuals of the
-        model that all other times alone predict: with u the residuals over the noise and M the covariance of the
-        predictions over that of the noise these are (1 - M)^-1/2 u, where rows that are not fitted have (1 + M)^-1/2 u.
-
-    Returns
-    -------
-    z : ndarray of complex, (Nbls, k)
-        Of residuals, with real and imaginary parts of variance one.
+    group_weights : ndarray, (Ngroups,)
+        Sums of these.
+    gather : sparse array, (Ngroups, Nbls)
+        Rows are unit vectors of what a group's members have in common.
+    used : ndarray of int
+        The groups of which something counts.
+    vectors, scales : ndarray, (2 Nused, r) and (r,)
+        Along these vectors of the components of used groups, all real parts first, rows are scaled.
     share : ndarray, (Nbls,)
         The model's share of the variance.
     log_spread : float
@@ -57,34 +54,85 @@ def whiten_time(
     variance : ndarray, (Nbls,)
         The model's own, Jy^2; zero where nothing of a group counts.
     """
-    n_groups = model_root.shape[1] // 2
-    group_weights = np.bincount(member, weights, n_groups)
-    used = np.flatnonzero(group_weights)
-    if not len(used):  # a time that is wholly flagged
-        return np.zeros_like(rows), np.zeros(len(member)), 0.0, np.zeros(len(member))
-    root = np.tile(np.sqrt(2 * group_weights[used]), 2)
-    # Unit vectors of what a group's members have in common, and the components along them.
-    own = np.sqrt(weights / np.where(group_weights > 0, group_weights, 1.0)[member])
-    gather = csr_array((own, (member, np.arange(len(member)))), shape=(n_groups, len(member)))
-    plain = np.sqrt(2 * weights)[:, np.newaxis] * rows
-    common = (gather @ plain)[used]
-    model_root = model_root[:, np.concatenate([used, n_groups + used])]
-    values, vectors = _spectrum(model_root * root)
-    scales = 1 / np.sqrt(1 + values)
-    if fitted:
-        left = np.maximum(1 - values, LEAST_LEFT)
-        values, scales = values / left, 1 / np.sqrt(left)
-    parts = np.concatenate([common.real, common.imag])
-    changed = vectors @ ((scales - 1)[:, np.newaxis] * (vectors.T @ parts))
-    change = np.zeros((n_groups, rows.shape[1]), dtype=complex)
-    change[used] = changed[: len(used)] + 1j * changed[len(used) :]
-    shared = np.zeros(n_groups)
-    by_part = np.square(vectors) @ (values / (1 + values))
-    shared[used] = 0.5 * (by_part[: len(used)] + by_part[len(used) :])
-    variance = np.zeros(n_groups)
-    variance[used] = np.sum(model_root**2, axis=0).reshape(2, -1).sum(axis=0)
-    log_spread = 0.5 * float(np.log1p(values).sum())
-    return plain + gather.T @ change, own**2 * shared[member], log_spread, variance[member]
+
+    weights: FloatArray
+    group_weights: FloatArray
+    gather: csr_array
+    used: IntArray
+    vectors: FloatArray
+    scales: FloatArray
+    share: FloatArray
+    log_spread: float
+    variance: FloatArray
+
+    @classmethod
+    def of(cls, weights: FloatArray, member: IntArray, model_root: FloatArray, fitted: bool = False) -> Self:
+        """Prepare to whiten rows.
+
+        Parameters
+        ----------
+        weights : ndarray, (Nbls,)
+            See above.
+        member : ndarray of int, (Nbls,)
+            Which design row belongs to each.
+        model_root : ndarray, (r, 2 Ngroups)
+            R with R^T R the covariance of the predictions; see `model_root`.
+        fitted : bool, optional
+            Whether these rows are among those that the model was fitted to. They are then whitened as the residuals of
+            the model that all other times alone predict: with u the residuals over the noise and M the covariance of
+            the predictions over that of the noise these are (1 - M)^-1/2 u, where rows that are not fitted have
+            (1 + M)^-1/2 u.
+        """
+        n_groups = model_root.shape[1] // 2
+        group_weights = np.asarray(np.bincount(member, weights, n_groups), dtype=float)
+        used = np.flatnonzero(group_weights)
+        own = np.sqrt(weights / np.where(group_weights > 0, group_weights, 1.0)[member])
+        gather = csr_array((own, (member, np.arange(len(member)))), shape=(n_groups, len(member)))
+        shared, variance = np.zeros((2, n_groups))
+        if not len(used):  # a time that is wholly flagged
+            empty = np.zeros((0, 0)), np.zeros(0)
+            return cls(weights, group_weights, gather, used, *empty, shared[member], 0.0, variance[member])
+        model_root = model_root[:, np.concatenate([used, n_groups + used])]
+        values, vectors = _spectrum(model_root * np.tile(np.sqrt(2 * group_weights[used]), 2))
+        scales = 1 / np.sqrt(1 + values)
+        if fitted:
+            left = np.maximum(1 - values, LEAST_LEFT)
+            values, scales = values / left, 1 / np.sqrt(left)
+        by_part = np.square(vectors) @ (values / (1 + values))
+        shared[used] = 0.5 * (by_part[: len(used)] + by_part[len(used) :])
+        variance[used] = np.sum(model_root**2, axis=0).reshape(2, -1).sum(axis=0)
+        share, log_spread = own**2 * shared[member], 0.5 * float(np.log1p(values).sum())
+        return cls(weights, group_weights, gather, used, vectors, scales, share, log_spread, variance[member])
+
+    def rows(self, rows: ComplexArray) -> ComplexArray:
+        """Whiten rows of baselines.
+
+        Parameters
+        ----------
+        rows : ndarray of complex, (Nbls, k)
+            Residuals, data minus prediction, or anything else of the rows in Jy; each column by itself.
+
+        Returns
+        -------
+        ndarray of complex, (Nbls, k)
+            Of residuals, with real and imaginary parts of variance one.
+        """
+        plain = np.sqrt(2 * self.weights)[:, np.newaxis] * rows
+        return plain + self.gather.T @ self._change(self.gather @ plain)
+
+    def of_groups(self, rows: ComplexArray) -> ComplexArray:
+        """Whiten what all members of a group have alike, (Ngroups, k); returned as components along `gather`'s."""
+        common = np.sqrt(2 * self.group_weights)[:, np.newaxis] * rows
+        return common + self._change(common)
+
+    def _change(self, common: ComplexArray) -> ComplexArray:
+        """Return by what the components of groups change, both (Ngroups, k)."""
+        change = np.zeros_like(common)
+        parts = np.concatenate([common.real[self.used], common.imag[self.used]])
+        changed = self.vectors @ ((self.scales - 1)[:, np.newaxis] * (self.vectors.T @ parts))
+        n = len(self.used)
+        change[self.used] = changed[:n] + 1j * changed[n:]
+        return change
 
 
 def _spectrum(root: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -106,6 +154,31 @@ def root_of(covariance: FloatArray) -> FloatArray:
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
+@dataclass(frozen=True)
+class Felt:
+    """How the predictions of one time feel some parameters.
+
+    Attributes
+    ----------
+    own : ndarray of complex, (Nbls, k)
+        By those that members of a group feel each in its own way.
+    of_groups : ndarray of complex, (Ngroups, l)
+        By those that they feel alike. There are fewer groups than baselines, and most effects of the sky are such.
+    is_of_groups : ndarray of bool, (k + l,)
+        Which of all are the latter.
+    """
+
+    own: ComplexArray
+    of_groups: ComplexArray
+    is_of_groups: BoolArray
+
+    def columns(self, member: IntArray) -> ComplexArray:
+        """Return how baselines, of groups (Nbls,), feel all parameters in their order, (Nbls, k + l)."""
+        columns = np.zeros((len(member), len(self.is_of_groups)), dtype=complex)
+        columns[:, ~self.is_of_groups], columns[:, self.is_of_groups] = self.own, self.of_groups[member]
+        return columns
+
+
 class SharedErrors:
     """Whitens rows of many times by what they share of the errors of some parameters.
 
@@ -123,14 +196,20 @@ class SharedErrors:
         # Of the columns as they are: those in units of their errors would be a product of large matrices each time.
         self.gram = np.zeros((len(covariance), len(covariance)))
         self.projection = np.zeros(len(covariance))
-        self._kept: list[FloatArray] = []
+        self._kept: list[tuple[csr_array, Felt]] = []
 
-    def add(self, z: ComplexArray, columns: ComplexArray) -> None:
-        """Take the rows of one time, (Nbls,) and (Nbls, q), whitened by all else."""
-        parts = np.concatenate([columns.real, columns.imag])
-        self._kept.append(parts)
-        self.gram += parts.T @ parts
-        self.projection += parts.T @ np.concatenate([z.real, z.imag])
+    def add(self, time: TimeWhitener, z: ComplexArray, felt: Felt) -> None:
+        """Take the residuals of one time as it whitens them, (Nbls,), and how its rows feel the parameters."""
+        felt = replace(felt, own=time.rows(felt.own), of_groups=time.of_groups(felt.of_groups))
+        self._kept.append((time.gather, felt))
+        one, two = np.flatnonzero(~felt.is_of_groups), np.flatnonzero(felt.is_of_groups)
+        mixed = _products(time.gather @ felt.own, felt.of_groups)
+        self.gram[np.ix_(one, one)] += _products(felt.own, felt.own)
+        self.gram[np.ix_(one, two)] += mixed
+        self.gram[np.ix_(two, one)] += mixed.T
+        self.gram[np.ix_(two, two)] += _products(felt.of_groups, felt.of_groups)
+        self.projection[one] += _products(felt.own, z)
+        self.projection[two] += _products(felt.of_groups, time.gather @ z)
 
     @cached_property
     def _spectrum(self) -> tuple[FloatArray, FloatArray]:
@@ -144,8 +223,10 @@ class SharedErrors:
         values = np.maximum(values, 1e-12 * max(float(values.max(initial=0.0)), 1e-300))
         factor = (1 / np.sqrt(1 + values) - 1) / values
         coefficients = self._root @ (vectors @ (factor * (vectors.T @ (self._root.T @ self.projection))))
-        parts = [(columns @ coefficients).reshape(2, -1) for columns in self._kept]
-        return [real + 1j * imag for real, imag in parts]
+        return [
+            felt.own @ coefficients[~felt.is_of_groups] + gather.T @ (felt.of_groups @ coefficients[felt.is_of_groups])
+            for gather, felt in self._kept
+        ]
 
     @property
     def n_shared(self) -> float:
@@ -157,6 +238,11 @@ class SharedErrors:
     def log_spread(self) -> float:
         """Half of the logarithm of the covariance's determinant."""
         return 0.5 * float(np.log1p(self._spectrum[0]).sum())
+
+
+def _products(one: ComplexArray, two: ComplexArray) -> FloatArray:
+    """Return the products of columns, (N, k) and (N, l) or (N,), as vectors of their real and imaginary parts."""
+    return np.asarray(one.real.T @ two.real + one.imag.T @ two.imag)
 
 
 def model_root(posterior: Posterior, design: Array) -> FloatArray:

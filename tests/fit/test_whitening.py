@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
-from hydrabeam_mpi.fit.whitening import SharedErrors, model_root, root_of, whiten_time
+from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.fit.whitening import Felt, SharedErrors, TimeWhitener, model_root, root_of
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.mpi import allreduce_sum
 from hydrabeam_mpi.random import complex_normal, generator
@@ -86,11 +86,12 @@ def test_a_time_is_whitened_by_the_symmetric_root(
 ) -> None:
     time = time_of(is_complex, n_modes, flagged, strength)
     residuals = complex_normal(generator(2, "residuals"), (len(MEMBER), 3))
-    z, share, log_spread, variance = whiten_time(residuals, time.weights, MEMBER, time.root)
+    whitener = TimeWhitener.of(time.weights, MEMBER, time.root)
+    z, share, variance = whitener.rows(residuals), whitener.share, whitener.variance
     covariance = time.covariance()
     expected = symmetric_root(covariance) @ (np.tile(np.sqrt(2 * time.weights), 2)[:, np.newaxis] * parts(residuals))
     np.testing.assert_allclose(parts(z), expected, rtol=0, atol=1e-7)
-    assert log_spread == pytest.approx(0.5 * np.linalg.slogdet(np.eye(16) + covariance)[1], rel=1e-6, abs=1e-9)
+    assert whitener.log_spread == pytest.approx(0.5 * np.linalg.slogdet(np.eye(16) + covariance)[1], rel=1e-6, abs=1e-9)
     shares = np.diag(np.linalg.solve(np.eye(16) + covariance, covariance))
     np.testing.assert_allclose(share, shares.reshape(2, -1).mean(axis=0), rtol=0, atol=1e-6)
     assert not z[flagged].any()
@@ -101,11 +102,20 @@ def test_a_time_is_whitened_by_the_symmetric_root(
 def test_a_time_that_is_wholly_flagged_says_nothing() -> None:
     time = time_of(False, 3, np.arange(8), 1.0)
     ones = np.ones((8, 2), complex)
-    z, share, log_spread, variance = whiten_time(ones, time.weights, MEMBER, time.root)
-    assert not z.any()
-    assert not share.any()
-    assert not variance.any()
-    assert log_spread == 0
+    whitener = TimeWhitener.of(time.weights, MEMBER, time.root)
+    assert not whitener.rows(ones).any()
+    assert not whitener.share.any()
+    assert not whitener.variance.any()
+    assert whitener.log_spread == 0
+
+
+@pytest.mark.parametrize("flagged", FLAGGED.values(), ids=FLAGGED)
+def test_what_groups_have_alike_is_whitened_as_rows_of_baselines_are(flagged: IntArray) -> None:
+    time = time_of(False, 12, flagged, 1.0)
+    whitener = TimeWhitener.of(time.weights, MEMBER, time.root)
+    alike = complex_normal(generator(5, "alike"), (4, 3))
+    as_rows = whitener.gather.T @ whitener.of_groups(alike)
+    np.testing.assert_allclose(as_rows, whitener.rows(alike[MEMBER]), rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("is_complex", [False, True], ids=["real coefficients", "complex coefficients"])
@@ -117,8 +127,7 @@ def test_draws_from_the_predictive_distribution_become_white(is_complex: bool) -
     used = time.weights > 0
     sigma = np.where(used, 1 / np.sqrt(np.where(used, time.weights, 1.0)), 0.0)
     rows = time.rows[MEMBER] @ errors + sigma[:, np.newaxis] * complex_normal(rng, (8, 20000))
-    z, _, _, _ = whiten_time(rows, time.weights, MEMBER, time.root)
-    white = parts(z[used])
+    white = parts(TimeWhitener.of(time.weights, MEMBER, time.root).rows(rows)[used])
     # The errors of 20000 draws: 0.007 of covariances, 0.01 of variances.
     np.testing.assert_allclose(white @ white.T / 20000, np.eye(len(white)), rtol=0, atol=0.05)
 
@@ -144,7 +153,7 @@ def test_a_fitted_time_is_whitened_as_the_others_predict_it(n_modes: int, is_com
     def whitened(posterior: Posterior, mean: ComplexArray, fitted: bool) -> ComplexArray:
         design = rows[0] if is_complex else np.stack([rows[0].real, rows[0].imag])
         residual = (data[0] - (rows[0] @ mean)[MEMBER])[:, np.newaxis]
-        return whiten_time(residual, times[0].weights, MEMBER, model_root(posterior, design), fitted)[0]
+        return TimeWhitener.of(times[0].weights, MEMBER, model_root(posterior, design), fitted).rows(residual)
 
     beside, of_all = whitened(*fit([1, 2]), False), whitened(*fit([0, 1, 2]), True)
     np.testing.assert_allclose(of_all, beside, rtol=0, atol=1e-9)
@@ -159,41 +168,55 @@ COLUMNS = {
 }
 
 
-def shared_rows(q: int, rank: int) -> tuple[list[ComplexArray], list[ComplexArray], FloatArray]:
-    """Rows of four times, their columns, and the covariance of the parameters."""
+ALONE = TimeWhitener.of(np.full(5, 0.5), np.array([0, 0, 1, 2, 2]), np.zeros((0, 6)))
+"""Rows whose noise has variance one in either part, with no beam; some of them are redundant."""
+
+
+def shared_rows(q: int, rank: int, is_of_groups: BoolArray) -> tuple[list[ComplexArray], list[Felt], FloatArray]:
+    """Rows of four times, how they feel the parameters, and the covariance of these."""
     rng = generator(4, "shared", q)
     mixed = rng.standard_normal((rank, q))
-    columns = [complex_normal(rng, (5, rank)) @ mixed for _ in range(4)]
+    felt = [
+        Felt(
+            (complex_normal(rng, (5, rank)) @ mixed)[:, ~is_of_groups],
+            (complex_normal(rng, (3, rank)) @ mixed)[:, is_of_groups],
+            is_of_groups,
+        )
+        for _ in range(4)
+    ]
     root = rng.standard_normal((q, q))
-    return [complex_normal(rng, (5,)) for _ in range(4)], columns, root @ root.T
+    return [complex_normal(rng, (5,)) for _ in range(4)], felt, root @ root.T
 
 
 @pytest.mark.mpi
+@pytest.mark.parametrize("alike", [0.0, 0.5, 1.0], ids=["no column of groups", "some", "all columns of groups"])
 @pytest.mark.parametrize(("q", "rank"), COLUMNS.values(), ids=COLUMNS)
-def test_shared_errors_are_whitened_over_all_rows(q: int, rank: int, comm: MPI.Comm) -> None:
+def test_shared_errors_are_whitened_over_all_rows(q: int, rank: int, alike: float, comm: MPI.Comm) -> None:
     """Whichever rank has which times."""
-    z, columns, covariance = shared_rows(q, rank)
+    is_of_groups = generator(6, "of groups", q).random(q) < alike
+    z, felt, covariance = shared_rows(q, rank, is_of_groups)
     errors = SharedErrors(covariance)
     mine = range(comm.rank, 4, comm.size)
     for t in mine:
-        errors.add(z[t], columns[t])
+        errors.add(ALONE, z[t], felt[t])
     allreduce_sum(comm, errors.gram)
     allreduce_sum(comm, errors.projection)
-    jacobian = parts(np.concatenate(columns))
+    jacobian = parts(np.concatenate([one.columns(np.array([0, 0, 1, 2, 2])) for one in felt]))
     whole = jacobian @ covariance @ jacobian.T
     white = symmetric_root(whole) @ parts(np.concatenate(z))
     expected = (white[:20] + 1j * white[20:]).reshape(4, 5)
     for t, change in zip(mine, errors.changes(), strict=True):
         np.testing.assert_allclose(z[t] + change, expected[t], rtol=0, atol=1e-9)
-    felt = np.trace(np.linalg.solve(np.eye(40) + whole, whole))
-    assert errors.n_shared == pytest.approx(felt, rel=1e-9)
-    assert errors.n_shared <= rank
+    n_felt = np.trace(np.linalg.solve(np.eye(40) + whole, whole))
+    assert errors.n_shared == pytest.approx(n_felt, rel=1e-9)
+    assert errors.n_shared <= (rank if alike in (0.0, 1.0) else 2 * rank)
     assert errors.log_spread == pytest.approx(0.5 * np.linalg.slogdet(np.eye(40) + whole)[1], rel=1e-9)
 
 
 def test_errors_that_nothing_feels_change_nothing() -> None:
     errors = SharedErrors(np.eye(2))
-    errors.add(np.ones(3, complex), np.zeros((3, 2), complex))
+    nothing = Felt(np.zeros((5, 1), complex), np.zeros((3, 1), complex), np.array([False, True]))
+    errors.add(ALONE, np.ones(5, complex), nothing)
     assert not errors.changes()[0].any()
     assert errors.n_shared == errors.log_spread == 0
 

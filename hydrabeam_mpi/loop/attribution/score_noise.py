@@ -17,7 +17,7 @@ from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Fitted, Reweighted
-from hydrabeam_mpi.fit.whitening import whiten_time
+from hydrabeam_mpi.fit.whitening import TimeWhitener
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.mpi import allreduce_sum, bcast_object, together
 
@@ -169,8 +169,8 @@ def _beside_others(
     for t, row in enumerate(range(span.start, span.stop)):
         by_beam = context.train.model_root(channel, row, fitted.estimate, design[t])
         in_fit = bool(seen.inv_noise_var[channel, row].any())
-        white, *_ = whiten_time(block.residual[t][:, np.newaxis], block.weights[t], block.member, by_beam, in_fit)
-        z[t] = white[:, 0] / np.sqrt(2)
+        time = TimeWhitener.of(block.weights[t], block.member, by_beam, in_fit)
+        z[t] = time.rows(block.residual[t][:, np.newaxis])[:, 0] / np.sqrt(2)
     return z
 
 

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.prior_widths import WidthsEvidence, adapted, is_adaptable
+from hydrabeam_mpi.fit.prior_widths import WidthsEvidence, WidthsFound, adapted, is_adaptable
 from hydrabeam_mpi.inference.mode_widths import PriorWidths
 from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
@@ -98,26 +99,39 @@ def _with_widths(
     context: FitContext, checked: Checked, wider: bool, rivals: Sequence[Candidate]
 ) -> tuple[Checked, float, bool]:
     """Return the fit with the widths that `adapt` wants, their log Bayes factor, and whether none could get less."""
-    speaks, is_one = context.grid.is_world_root, context.setup.observation.Nfreqs == 1
+    is_one = context.setup.observation.Nfreqs == 1
     least = max([context.problem.job.loop.min_log_bayes_factor, *(one.log_bayes_factor for one in rivals)])
-    evidence = WidthsEvidence(context, checked.fitted)
+    evidence = context.of_latest("widths", checked.fitted, lambda: WidthsEvidence(context, checked.fitted))
     for none_less in (True, False) if wider and rivals and is_one else (wider,):
         if rivals and evidence.promises(none_less) < RULES.near * least:
             continue
         found = evidence.best(none_less)
         if found.gain < least:
             continue
-        say(f"  widths of the beam's prior: {describe(found.widths)} (ln BF {found.log_bayes_factor:.4g})", speaks)
-        fitted, found = adapted(context, checked.fitted, found, fit_patiently, none_less)
-        after = check(context, fitted)
-        one, two = compared(context, checked, after)
-        gain = gain_of(one.score, two.score)
-        numbers = f"held-out chi^2 {after.score.chi2:.4g}, rms {after.numbers.of_all['rms']:.4g} Jy, ln density"
-        told = f"{numbers} changes by {gain:.4g}"
-        say(f"    {f'refused: {told}' if gain < 0 else told}", speaks)
-        if gain >= 0:
-            return after, found.log_bayes_factor, none_less
+        # Rivals may have gone since the same was asked of the same fit, but held-out data say what they said.
+        name = f"widened, none less: {none_less}"
+        after, log_bayes_factor = context.of_latest(
+            name, checked.fitted, partial(_widened, context, checked, found, none_less)
+        )
+        if after is not None:
+            return after, log_bayes_factor, none_less
     return checked, 0.0, wider
+
+
+def _widened(
+    context: FitContext, checked: Checked, found: WidthsFound, none_less: bool
+) -> tuple[Checked | None, float]:
+    """Return the fit with widths that were found and their log Bayes factor; no fit where held-out data refuse it."""
+    speaks = context.grid.is_world_root
+    say(f"  widths of the beam's prior: {describe(found.widths)} (ln BF {found.log_bayes_factor:.4g})", speaks)
+    fitted, found = adapted(context, checked.fitted, found, fit_patiently, none_less)
+    after = check(context, fitted)
+    one, two = compared(context, checked, after)
+    gain = gain_of(one.score, two.score)
+    numbers = f"held-out chi^2 {after.score.chi2:.4g}, rms {after.numbers.of_all['rms']:.4g} Jy, ln density"
+    told = f"{numbers} changes by {gain:.4g}"
+    say(f"    {f'refused: {told}' if gain < 0 else told}", speaks)
+    return after if gain >= 0 else None, found.log_bayes_factor
 
 
 def describe(widths: PriorWidths | None) -> str:

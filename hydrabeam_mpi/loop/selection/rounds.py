@@ -21,7 +21,7 @@ from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.prior_widths import Adapted, adapt, as_adapted
 from hydrabeam_mpi.loop.selection.revision import revise
 from hydrabeam_mpi.loop.selection.trials import try_control, try_effects
-from hydrabeam_mpi.loop.selection.weighing import Outlook, Weighed, next_of, weigh
+from hydrabeam_mpi.loop.selection.weighing import Outlook, Weighed, next_of, weigh, weigh_alone
 from hydrabeam_mpi.loop.selection.whole_set import as_one, try_set
 from hydrabeam_mpi.terminal.progress import say
 
@@ -139,7 +139,29 @@ class _Rounds:
         fitted = added.after.fitted
         self.effects, self.known = next_of(context, self.effects, fitted.values), outlook.after(fitted)
         self.search.save()
+        if added.candidate.is_about_the_beam:
+            self._grow_beam()
         return True
+
+    def _grow_beam(self) -> None:
+        """Add more of what the beam's model lacks, as long as the data want it. Collective: all ranks of the grid.
+
+        A fault of the beam's model that has more evidence than all effects comes in many parts: the functions that a
+        basis lacks are as many as one looks for. Effects are weighed again when the beam lacks nothing more, as what it
+        lacks may pass for any of them.
+        """
+        context, history, clock = self.search.context, self.search.history, self.search.clock
+        while len(history.rounds) < context.problem.job.loop.max_rounds:
+            fitted = history.last.fitted
+            with clock.time("attribution"):
+                ranking = weigh_alone(context, fitted, [one for one in self.effects if one.is_about_the_beam])
+            with clock.time("trials"):
+                added = try_effects(context, history.last, ranking, [])
+                if added is None:
+                    return
+                added = _accept(context, history, added)
+            self.effects, self.known = next_of(context, self.effects, added.after.fitted.values), None
+            self.search.save()
 
     def _weighed(self, left: int) -> Weighed:
         """Weigh what may be tried where ``left`` effects may still be added."""
