@@ -34,7 +34,7 @@ def coupled_channels(context: FitContext, fitted: Fitted) -> list[CoupledChannel
     if not values.active:
         return solution.channels
     step = step_together(
-        context, values, list(sums_at(context, fitted.estimate, sums.rows, sums.added)), solution.joint
+        context, values, list(sums_at(context, fitted.estimate, sums.rows, sums.added, values)), solution.joint
     )
     records: list[tuple[Array, Array]] = []
     with together(grid.world):

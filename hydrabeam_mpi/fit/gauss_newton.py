@@ -169,8 +169,12 @@ def _search(context: FitContext, at: Estimate, length: float, worth: Worth | Non
             at = replace(at, beams=solved.beams)
             continue
         misfit = 1.0 if solved is None else _misfit(context, solved)
-        reached = -np.inf if solved is None else solved.reached
-        rise = np.inf if best is None else reached - best[0]
+        rise = _rise(best, solved)
+        if best is not None and solved is not None and rise < _least_rise(best[0], at.values, misfit):
+            followed = _linear_followed(context, at, solved)
+            again = None if followed is None else _solved_or_too_far(context, followed, False)
+            if followed is not None and again is not None and _rise(best, again) > rise:
+                at, solved, rise, misfit = followed, again, _rise(best, again), _misfit(context, again)
         if best is not None and rise < _least_rise(best[0], at.values, misfit):
             if halved == MAX_HALVED:
                 break
@@ -193,6 +197,24 @@ def _search(context: FitContext, at: Estimate, length: float, worth: Worth | Non
     return best[1], best[2], False
 
 
+def _linear_followed(context: FitContext, at: Estimate, solved: Solved) -> Estimate | None:
+    """Solve for beams and linear effects together, with all others where they are; None where that changes nothing.
+
+    What a beam lacks is seen by the sky: functions of the beam and a sky that changes are factors of each other, and
+    after a long step of both neither is the best for the other. Collective: all ranks of the grid.
+    """
+    values = at.values
+    which = [place for place, one in enumerate(values.active) if one.effect.linear and one.adds]
+    if not which or len(which) == len(values.active) or context.problem.coupling is not None:
+        return None
+    linear = replace(values, active=tuple(values.active[place] for place in which))
+    step = _step_of(context, replace(at, beams=solved.beams), solved, linear)
+    active = list(values.active)
+    for place, one in zip(which, step.to.values.active, strict=True):
+        active[place] = one
+    return Estimate(replace(values, active=tuple(active)), step.to.beams)
+
+
 def _solved_or_too_far(context: FitContext, at: Estimate, first: bool) -> Solved | None:
     """Solve for the beams; None where the effects have gone so far that none can be solved for.
 
@@ -204,6 +226,11 @@ def _solved_or_too_far(context: FitContext, at: Estimate, first: bool) -> Solved
         if first:
             raise
         return None
+
+
+def _rise(best: tuple[float, Estimate, _Step] | None, solved: Solved | None) -> float:
+    """Return by how much ln(likelihood x prior) rises from the best so far."""
+    return np.inf if best is None else -np.inf if solved is None else solved.reached - best[0]
 
 
 def _misfit(context: FitContext, solved: Solved) -> float:
@@ -220,15 +247,17 @@ def _least_rise(best: float, values: Values, misfit: float) -> float:
     return -STEPS_BACK * abs(best) if incomparable else -FLAT_NATS * misfit
 
 
-def linearised(context: FitContext, at: Estimate, solved: Solved) -> tuple[list[Likelihood] | None, list[Array]]:
-    """Return what each channel says of all effects near ``at``, the beams marginalised, and how the beams follow them.
+def linearised(
+    context: FitContext, at: Estimate, solved: Solved, values: Values
+) -> tuple[list[Likelihood] | None, list[Array]]:
+    """Return what each channel says of effects near ``at``, the beams marginalised, and how the beams follow them.
 
-    The likelihoods are those of all the job's channels, on rank 0 alone; the responses, (n_modes, q), those of the rank
-    group's. Collective: all ranks of the grid.
+    Those of ``values`` are meant, which may be some of the model's. The likelihoods are of all the job's channels, on
+    rank 0 alone; the responses, (n_modes, q), of the rank group's. Collective: all ranks of the grid.
     """
     mine, response = [], []
-    names = list(at.values.blocks)
-    each = sums_at(context, at, solved.rows, solved.added)
+    names = list(values.blocks)
+    each = sums_at(context, at, solved.rows, solved.added, values)
     for channel, (sums, posterior) in enumerate(zip(each, at.beams, strict=True)):
         marginal = Marginal(sums, BEAM, posterior)
         response.append(marginal.response(names))
@@ -241,10 +270,12 @@ def linearised(context: FitContext, at: Estimate, solved: Solved) -> tuple[list[
     return [by_channel[f] for f in sorted(by_channel)], response
 
 
-def sums_at(context: FitContext, at: Estimate, rows: Rows, added: ComplexArray) -> Iterator[NormalEquations]:
-    """Yield those of beams and effects of each of the group's channels. Collective: all ranks of the grid."""
+def sums_at(
+    context: FitContext, at: Estimate, rows: Rows, added: ComplexArray, values: Values
+) -> Iterator[NormalEquations]:
+    """Yield those of beams and of some effects of each of the group's channels. Collective: all ranks of the grid."""
     for channel in range(len(at.beams)):
-        yield active_sums(context, context.train, at, channel, rows, added[channel], at.values.blocks)
+        yield active_sums(context, context.train, at, channel, rows, added[channel], values.blocks)
 
 
 def take_step(context: FitContext, at: Estimate, solved: Solved) -> _Step:
@@ -254,7 +285,12 @@ def take_step(context: FitContext, at: Estimate, solved: Solved) -> _Step:
         return _Step(at, Fit(), 0.0, 0.0)
     if context.problem.coupling is not None:
         return _take_step_together(context, at, solved)
-    likelihoods, response = linearised(context, at, solved)
+    return _step_of(context, at, solved, values)
+
+
+def _step_of(context: FitContext, at: Estimate, solved: Solved, values: Values) -> _Step:
+    """Move some effects of the model, those of ``values``; it leads to these alone. Collective: all ranks."""
+    likelihoods, response = linearised(context, at, solved, values)
     answer = None
     with together(context.grid.world):
         if likelihoods is not None:
@@ -271,7 +307,7 @@ def take_step(context: FitContext, at: Estimate, solved: Solved) -> _Step:
 def _take_step_together(context: FitContext, at: Estimate, solved: Solved) -> _Step:
     """Take a step where beams hang together over frequency. Collective: all ranks of the grid."""
     values = at.values
-    sums = list(sums_at(context, at, solved.rows, solved.added))
+    sums = list(sums_at(context, at, solved.rows, solved.added, values))
     step = step_together(context, values, sums, solved.together)
     beams, covariances, responses = share_step(context, step, solved.together, at.beams, values.x)
     x, std, *told = bcast_object(context.grid.world, (step.x, step.std, step.moved, step.gain) if step else None)

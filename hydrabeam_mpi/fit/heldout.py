@@ -169,7 +169,7 @@ def _felt(
     fit, active, number = fitted.fit, fitted.values.active, context.channels[channel]
     covariance = fit.covariances[channel]
     block.integrate_for([one.effect for one in active])
-    made = [one.effect.columns(block, one.x[number]) for one in active]
+    made = [block.columns_of(one.effect, one.x[number]) for one in active]
     matrices = [csr_array(one.matrix()[:, which.used]) for one, which in zip(made, active, strict=True)]
     by_group = [one.by_group for one in made]
     n_times, followed = len(block.times), len(covariance) <= MAX_FOLLOWED

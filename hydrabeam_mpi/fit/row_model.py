@@ -29,6 +29,9 @@ KEPT_BYTES = 2_000_000_000
 SLOPES_BYTES = KEPT_BYTES / 8
 """What the design changes by with each parameter of the sky is kept if it is smaller: adding up more than that takes
 about as long as working out the design of a sky anew."""
+SKIES_OF_A_FIT = 10
+"""How often a fit wants the design of a changed sky at least: in each step, where skies that do not turn are made once.
+"""
 
 
 @dataclass
@@ -149,7 +152,7 @@ class RowModel:
     def _keeps_skies(self, n_skies: int) -> bool:
         """Whether designs of so many skies that do not turn take less time, and room, than one at each time."""
         size = 16 * n_skies * len(self.rows.groups) * self.problem.basis.n_columns * len(self.rows.data)
-        return n_skies <= len(self.rows.tile.times) and size <= SLOPES_BYTES
+        return n_skies <= SKIES_OF_A_FIT * len(self.rows.tile.times) and size <= SLOPES_BYTES
 
     def _design_of_skies(self, effect: Effect, channel: int, block: RowBlock) -> FloatArray:
         """Return the design of each of an effect's skies that do not turn, (K, 2, Ngroups, n_columns); made once."""

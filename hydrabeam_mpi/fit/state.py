@@ -107,7 +107,7 @@ class Active:
 
     def columns(self, rows: RowSet, block: RowBlock) -> Columns:
         """Return the columns of the parameters in use."""
-        return effect_columns(rows, self.effect.columns(block, self.x[block.channel]), self.used)
+        return effect_columns(rows, block.columns_of(self.effect, self.x[block.channel]), self.used)
 
     @property
     def adds(self) -> bool:

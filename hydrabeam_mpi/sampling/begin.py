@@ -271,11 +271,11 @@ def _proposal(context: FitContext, fitted: Fitted, unknowns: Unknowns) -> Propos
     at, found = replace(at, beams=solved.beams), None
     posterior = None
     if context.problem.coupling is None:
-        told, _ = linearised(context, at, solved)
+        told, _ = linearised(context, at, solved, at.values)
         if told is not None:
             posterior = partial(unknowns.posterior, vector, told, np.ones(len(told)))
     else:
-        sums = list(sums_at(context, at, solved.rows, solved.added))
+        sums = list(sums_at(context, at, solved.rows, solved.added, at.values))
         known = marginal_together(context, at.values, sums, solved.together)
         if known is not None:
             posterior = partial(unknowns.posterior_together, vector, *known)

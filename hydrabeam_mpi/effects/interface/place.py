@@ -34,7 +34,7 @@ class Place:
     index: IntArray
     za: FloatArray
     az: FloatArray
-    _seen: dict[int, tuple[Beam, SkyEffects, Sources]] = field(default_factory=dict)
+    _seen: dict[int, list[tuple[Beam, SkyEffects, Sources]]] = field(default_factory=dict)
     _waves: dict[int, FloatArray] = field(default_factory=dict)
 
     @cached_property
@@ -51,15 +51,15 @@ class Place:
         return self._waves[channel]
 
     def seen(self, channel: int, beam: Beam, sky_effects: SkyEffects) -> Sources | None:
-        """Return the sources as they were seen last, where that was by the same beam and with the same effects."""
-        if channel not in self._seen:
-            return None
-        known_beam, known_effects, sources = self._seen[channel]
-        return sources if beam is known_beam and _are_same(known_effects, sky_effects) else None
+        """Return the sources as they were seen lately, where that was by the same beam and with the same effects."""
+        for known_beam, known_effects, sources in self._seen.get(channel, []):
+            if beam is known_beam and _are_same(known_effects, sky_effects):
+                return sources
+        return None
 
     def keep(self, channel: int, beam: Beam, sky_effects: SkyEffects, sources: Sources) -> None:
-        """Keep the sources as a beam sees them with effects."""
-        self._seen[channel] = beam, sky_effects, sources
+        """Keep the sources as a beam sees them with effects, and as the one before, which may be its other part."""
+        self._seen[channel] = [(beam, sky_effects, sources), *self._seen.get(channel, [])[:1]]
 
 
 def _are_same(one: SkyEffects, two: SkyEffects) -> bool:

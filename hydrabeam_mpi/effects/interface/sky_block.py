@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
 
@@ -53,6 +53,8 @@ class SkyBlock:
         Effects in the model that change the sky, with their parameters.
     memo : dict, optional
         Keeps what `fixed_integral` has found, for blocks to share where there is room for it.
+    imaginary_beam : callable, optional
+        The imaginary part of the current beam, where its coefficients allow one.
     """
 
     setup: ObservingSetup
@@ -67,6 +69,7 @@ class SkyBlock:
     keeps_waves: bool = False
     sky_effects: Sequence[tuple[Any, FloatArray]] = ()
     memo: dict[tuple[int, str], tuple[dict[int, ComplexArray], dict[int, tuple[bytes, ComplexArray]]]] | None = None
+    imaginary_beam: Beam | None = None
     _sources: dict[int, Sources] = field(default_factory=dict, init=False)
 
     @property
@@ -206,6 +209,24 @@ class SkyBlock:
         one_time = replace(self, times=np.array([itime]))
         one_time._sources[itime] = some
         return one_time.integrate(columns)[0]
+
+    def columns_of(self, effect: Any, x: FloatArray) -> Any:
+        """Return the columns of an effect of the model, `Columns`, as A b has them where it is part of that.
+
+        Effects see the real part of the beam, which is what a beam has. But complex coefficients give A b an imaginary
+        one too, and what changes the sky changes A: without it steps of a fit would lead astray where the data tell
+        little of that part, as of the beam on a faint sky.
+        """
+        columns = effect.columns(self, x)
+        if self.imaginary_beam is None or not effect.changes_sky:
+            return columns
+        of_imaginary = effect.columns(self._of_imaginary_beam, x)
+        return replace(columns, values=columns.values + 1j * of_imaginary.values)
+
+    @cached_property
+    def _of_imaginary_beam(self) -> Self:
+        assert self.imaginary_beam is not None
+        return replace(self, beam=self.imaginary_beam, imaginary_beam=None, integrals={})
 
     def diffuse_integral(self, name: str, basis: LinearBasis) -> ComplexArray:
         """Return what the functions of a real basis see of the diffuse emission that effects add to the sky.

@@ -78,7 +78,7 @@ class PartedBlock:
 
     def columns(self, rows: RowSet, block: RowBlock) -> Columns:
         """Return the effect's columns, each in the part of its row."""
-        made = self.active.effect.columns(block, self.active.x[block.channel])
+        made = block.columns_of(self.active.effect, self.active.x[block.channel])
         matrix = csr_array(made.matrix()[:, self.used])
         groups = block.groups if made.by_group else block.groups[block.member]
         of_kinds = []

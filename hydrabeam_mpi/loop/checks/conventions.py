@@ -12,9 +12,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy import stats
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.fit.rows import Rows
+from hydrabeam_mpi.inference.robust import STRONG
 from hydrabeam_mpi.io.uvsource import as_source
 from hydrabeam_mpi.loop.checks.alternatives import (
     Alternative,
@@ -24,6 +26,7 @@ from hydrabeam_mpi.loop.checks.alternatives import (
     predictions,
     time_alternatives,
 )
+from hydrabeam_mpi.loop.checks.scale import CALIBRATED, UNCALIBRATED
 from hydrabeam_mpi.mpi import ProcessGrid, allreduce_sum, bcast_object, together
 from hydrabeam_mpi.setup.problem import Problem
 
@@ -32,8 +35,8 @@ MIN_FALL = 1000.0  # of chi^2, by which the right convention is better at least
 LEFT = 0.25  # of the residual power, that it leaves at most
 CLOCK_LEFT = 0.5  # the same of a clock, which shifts phases by little on short baselines
 AMPLITUDE_TOLERANCE = 0.2
-FACTOR_TOLERANCE = 0.05
-FACTOR_EXPLAINED = 0.9
+FLUX_SCALES = 0.05
+"""Spread of ln flux between the scales of catalogues."""
 PROBE = 2.0  # s, on either side of a clock's offset
 
 FACTORS = {
@@ -209,14 +212,36 @@ def score_alternatives(
 
 
 def _factor(stated: Score) -> dict[str, tuple[Score, str]]:
-    """Return the factor by which all data are wrong, if there is one."""
+    """Return the factor by which all data are wrong, if there is one; see `factor_log_odds`."""
     found = {}
     for factor, (name, remedy) in FACTORS.items():
-        unscaled = stated.chi2_unscaled
-        worse = unscaled - stated.chi2 > MIN_FALL and stated.excess < LEFT * (unscaled - stated.n)
-        if abs(stated.amplitude / factor - 1) < FACTOR_TOLERANCE and worse and stated.explained > FACTOR_EXPLAINED:
+        beside_stated, beside_any = factor_log_odds(stated, factor)
+        if beside_stated >= STRONG and beside_any > 0:
             found[name] = stated, remedy
     return found
+
+
+def factor_log_odds(stated: Score, factor: float) -> tuple[float, float]:
+    """Return the log odds that data have just this factor, beside none and beside any scale.
+
+    By how much calibrated data may differ from their model in size the data tell: what is wrong with the beam or the
+    sky is not all of the model's own shape. Where one scale leaves q of the data's amplitude, it is right within
+    -ln(1 - q), beside what flux scales differ by and the error by noise. Any scale is one that `checks.scale` expects,
+    of data that are calibrated or not.
+    """
+    if not (stated.amplitude > 0 and stated.explained > 0):
+        return -np.inf, -np.inf
+    left = float(np.sqrt(1 - min(stated.explained, 1.0)))
+    noise = 1 / (stated.amplitude * np.sqrt(2 * stated.model))
+    width = float(np.hypot(np.hypot(FLUX_SCALES, np.log1p(-left)), noise))
+    value = float(np.log(stated.amplitude))
+
+    def log_density(centre: float, spread: float) -> float:
+        return float(stats.norm.logpdf(value, centre, spread))
+
+    with_factor = log_density(float(np.log(factor)), width)
+    any_scale = max(log_density(0.0, CALIBRATED), log_density(0.0, UNCALIBRATED))
+    return with_factor - log_density(0.0, width), with_factor - any_scale
 
 
 def _is_met(grid: ProcessGrid, problem: Problem, rows: Rows, clock: Alternative, score: Score) -> bool:

@@ -13,9 +13,10 @@ from pyuvdata import UVData
 
 from hydrabeam_mpi.config import Job, load_job
 from hydrabeam_mpi.fit.rows import read_rows
+from hydrabeam_mpi.inference.robust import STRONG
 from hydrabeam_mpi.io.reading import quiet
 from hydrabeam_mpi.io.uvfile import enu_axes
-from hydrabeam_mpi.loop.checks.conventions import check_conventions, sample_times
+from hydrabeam_mpi.loop.checks.conventions import Score, check_conventions, factor_log_odds, sample_times
 from hydrabeam_mpi.mpi import ProcessGrid
 from hydrabeam_mpi.setup.problem import Problem, prepare
 from hydrabeam_mpi.simulation.mock import simulate_to
@@ -197,6 +198,24 @@ def gains(uv: UVData) -> None:
 )
 def test_other_errors_are_left_to_effects(job: Job, damage: Callable[[UVData], None]) -> None:
     assert check(problem_of(job, damage))["found"] is None
+
+
+def half(amplitude: float, left: float, model: float = 1e6) -> float:
+    """Tell how surely data are halved that are so many times the model but for a part of their amplitude."""
+    power = amplitude**2 * model
+    score = Score(n=1000.0, data=power / (1 - left**2) + 1000.0, overlap=amplitude * model, model=model)
+    beside_none, beside_any = factor_log_odds(score, 0.5)
+    return min(beside_none - STRONG, beside_any)
+
+
+def test_how_near_a_factor_must_be_depends_on_how_well_the_model_follows_the_data() -> None:
+    assert half(0.5, 0.0) > half(0.53, 0.0) > 0 > half(0.62, 0.0)
+    assert half(0.58, 0.0) < 0 < half(0.58, 0.1)
+    # A sky that lacks so much, or a beam as wrong, may be half of the data as well.
+    assert half(0.5, 0.5) < 0
+    # Nor do data tell it in which there is hardly any signal.
+    assert half(0.5, 0.0, model=10.0) < 0
+    assert factor_log_odds(Score(10.0, 20.0, -5.0, 10.0), 0.5) == (-np.inf, -np.inf)
 
 
 def test_a_wrong_beam_is_no_convention(tmp_path: Path) -> None:
