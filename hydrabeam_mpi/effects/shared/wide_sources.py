@@ -51,9 +51,11 @@ def of_point(
         That, and its derivatives.
     """
     down, around = sources.tangents
-    bend = 2j * np.pi * (vectors @ sources.enu)
+    along = vectors @ sources.enu
     q = vectors @ down, vectors @ around
-    beam, g, h = _around(sources)
+    if not np.any(spread):
+        return _of_points(sources, along, q, changes)
+    bend, (beam, g, h) = 2j * np.pi * along, _around(sources)
     a, b, d = spread
     det = (1 + bend * a) * (1 + bend * d) - (bend * b) ** 2
     inverse: Symmetric = ((1 + bend * d) / det, -bend * b / det, (1 + bend * a) / det)
@@ -74,6 +76,19 @@ def of_point(
         further = 2j * np.pi * _dot(du, g) + 0.5 * _trace(curved, change) - 4 * np.pi**2 * _dot(du, hu)
         out.append(fading * (fades * seen + further))
     return np.stack(out)
+
+
+def _of_points(
+    sources: Sources, along: FloatArray, q: Sequence[FloatArray], changes: Sequence[Symmetric] | FloatArray
+) -> ComplexArray:
+    """Return the same where S is zero: all that sources have more then is what it changes by."""
+    beam, g, h = _around(sources)
+    out = np.zeros((1 + len(changes), *along.shape), dtype=complex)
+    for part, change in zip(out[1:], changes, strict=True):
+        m = _times(change, q)
+        part.real = -2 * np.pi**2 * beam * _dot(q, m) + 0.5 * _trace(h, change)
+        part.imag = 2 * np.pi * _dot(m, g) - np.pi * beam * along * (change[0] + change[2])
+    return out
 
 
 def _times(matrix: Symmetric, vector: Sequence[Array]) -> tuple[Array, Array]:
