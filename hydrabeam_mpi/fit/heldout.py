@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csr_array, hstack
 
-from hydrabeam_mpi.data.observation import Array, BoolArray, ComplexArray, FloatArray
+from hydrabeam_mpi.data.observation import Array, BoolArray, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.local_parameters import fit_local, fold_of, untold
@@ -123,8 +123,8 @@ def _whiten(context: FitContext, fitted: Fitted) -> Whitened:
                     if felt is not None:
                         columns, own = next(felt)
                         if errors is None:
-                            every = columns.columns(block.member)
-                            widened = 1 + 2 * weights * _variances(every, own, own_root).mean(axis=0)
+                            spread = _variances(columns, block.member, own, own_root)
+                            widened = 1 + 2 * weights * spread.mean(axis=0)
                             weights = weights / widened
                             log_spread[number] += float(np.log(widened).sum())
                     by_beam = share.model_root(channel, row, fitted.estimate, design[t])
@@ -170,7 +170,7 @@ def _felt(
     covariance = fit.covariances[channel]
     block.integrate_for([one.effect for one in active])
     made = [block.columns_of(one.effect, one.x[number]) for one in active]
-    matrices = [csr_array(one.matrix()[:, which.used]) for one, which in zip(made, active, strict=True)]
+    matrices = [one.matrix()[:, which.used] for one, which in zip(made, active, strict=True)]
     by_group = [one.by_group for one in made]
     n_times, followed = len(block.times), len(covariance) <= MAX_FOLLOWED
     is_of_groups = np.repeat(by_group, [matrix.shape[1] for matrix in matrices])
@@ -178,7 +178,9 @@ def _felt(
         rows = [matrix.shape[0] // n_times for matrix in matrices]
         parts = [matrix[t * n : (t + 1) * n] for matrix, n in zip(matrices, rows, strict=True)]
         if not followed:
-            of_bls = [part[block.member] if of else part for part, of in zip(parts, by_group, strict=True)]
+            of_bls = [
+                part[block.member] if of else part for part, of in zip(map(csr_array, parts), by_group, strict=True)
+            ]
             widths, sparse = np.diag(covariance), hstack(of_bls, format="csr")
             none = np.zeros((len(block.bls), 0), dtype=complex)
             yield Felt(none, none, np.zeros(0, dtype=bool)), 0.5 * (abs(sparse).power(2) @ widths)
@@ -187,9 +189,13 @@ def _felt(
         by_beam = beam if fit.posteriors[channel].is_complex else beam[0] + 1j * beam[1]
         own, of_groups = by_beam[:, ~is_of_groups][block.member], by_beam[:, is_of_groups]
         for felt, wanted in ((own, False), (of_groups, True)):
-            chosen = [part.toarray() for part, of in zip(parts, by_group, strict=True) if of is wanted]
+            chosen = [_dense(part) for part, of in zip(parts, by_group, strict=True) if of is wanted]
             felt += np.concatenate(chosen, axis=-1) if chosen else 0
         yield Felt(own, of_groups, is_of_groups), np.zeros(len(block.bls))
+
+
+def _dense(matrix: Any) -> ComplexArray:
+    return np.asarray(matrix if isinstance(matrix, np.ndarray) else matrix.toarray())
 
 
 def _followed_root(covariance: FloatArray) -> FloatArray:
@@ -197,9 +203,9 @@ def _followed_root(covariance: FloatArray) -> FloatArray:
     return root_of(covariance) if len(covariance) <= MAX_FOLLOWED else np.zeros((0, 0))
 
 
-def _variances(felt: ComplexArray, own: FloatArray, root: FloatArray) -> FloatArray:
-    """Return the variance of rows' real and imaginary parts, (2, Nbls)."""
-    half = felt @ root
+def _variances(felt: Felt, member: IntArray, own: FloatArray, root: FloatArray) -> FloatArray:
+    """Return the variance of rows' real and imaginary parts, (2, Nbls); rows are of the groups ``member``."""
+    half = felt.own @ root[~felt.is_of_groups] + (felt.of_groups @ root[felt.is_of_groups])[member]
     return own + np.stack([np.sum(part**2, axis=-1) for part in (half.real, half.imag)])
 
 
@@ -230,5 +236,5 @@ def variance_by_effects(
         root = _followed_root(fitted.fit.covariances[channel])
         for span, block, design in context.test.row_blocks(channel, fitted.estimate, added[channel], rows):
             for t, (felt, own) in enumerate(_felt(context, fitted, channel, block, design), start=span.start):
-                variance[channel, :, t] = _variances(felt.columns(block.member), own, root)
+                variance[channel, :, t] = _variances(felt, block.member, own, root)
     return variance, with_beam

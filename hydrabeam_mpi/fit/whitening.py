@@ -150,8 +150,12 @@ def _spectrum(root: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def root_of(covariance: FloatArray) -> FloatArray:
     """Return R with R R^T the covariance, (q, q), so that no variance of what is made with it is negative."""
-    values, vectors = np.linalg.eigh(covariance)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+    try:
+        return np.asarray(np.linalg.cholesky(covariance))
+    except np.linalg.LinAlgError:
+        # Parameters that are held, or know nothing beyond others, leave eigenvalues of zero.
+        values, vectors = np.linalg.eigh(covariance)
+        return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 @dataclass(frozen=True)
@@ -171,12 +175,6 @@ class Felt:
     own: ComplexArray
     of_groups: ComplexArray
     is_of_groups: BoolArray
-
-    def columns(self, member: IntArray) -> ComplexArray:
-        """Return how baselines, of groups (Nbls,), feel all parameters in their order, (Nbls, k + l)."""
-        columns = np.zeros((len(member), len(self.is_of_groups)), dtype=complex)
-        columns[:, ~self.is_of_groups], columns[:, self.is_of_groups] = self.own, self.of_groups[member]
-        return columns
 
 
 class SharedErrors:

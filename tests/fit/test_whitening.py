@@ -188,6 +188,13 @@ def shared_rows(q: int, rank: int, is_of_groups: BoolArray) -> tuple[list[Comple
     return [complex_normal(rng, (5,)) for _ in range(4)], felt, root @ root.T
 
 
+def columns(felt: Felt) -> ComplexArray:
+    """Return how each of the five rows feels all parameters, in their order."""
+    columns = np.zeros((5, len(felt.is_of_groups)), dtype=complex)
+    columns[:, ~felt.is_of_groups], columns[:, felt.is_of_groups] = felt.own, felt.of_groups[[0, 0, 1, 2, 2]]
+    return columns
+
+
 @pytest.mark.mpi
 @pytest.mark.parametrize("alike", [0.0, 0.5, 1.0], ids=["no column of groups", "some", "all columns of groups"])
 @pytest.mark.parametrize(("q", "rank"), COLUMNS.values(), ids=COLUMNS)
@@ -201,7 +208,7 @@ def test_shared_errors_are_whitened_over_all_rows(q: int, rank: int, alike: floa
         errors.add(ALONE, z[t], felt[t])
     allreduce_sum(comm, errors.gram)
     allreduce_sum(comm, errors.projection)
-    jacobian = parts(np.concatenate([one.columns(np.array([0, 0, 1, 2, 2])) for one in felt]))
+    jacobian = parts(np.concatenate(list(map(columns, felt))))
     whole = jacobian @ covariance @ jacobian.T
     white = symmetric_root(whole) @ parts(np.concatenate(z))
     expected = (white[:20] + 1j * white[20:]).reshape(4, 5)
