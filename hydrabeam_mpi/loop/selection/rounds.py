@@ -147,13 +147,11 @@ class _Rounds:
         """Add more of what the beam's model lacks, as long as the data want it. Collective: all ranks of the grid.
 
         A fault of the beam's model that has more evidence than all effects comes in many parts: the functions that a
-        basis lacks are as many as one looks for, and fewer where the prior of those that it has is as wide as the data
-        want. Effects are weighed again when the beam lacks nothing more, as what it lacks may pass for any of them.
+        basis lacks are as many as one looks for. Effects are weighed again when the beam lacks nothing more, as what it
+        lacks may pass for any of them.
         """
         context, history, clock = self.search.context, self.search.history, self.search.clock
         while len(history.rounds) < context.problem.job.loop.max_rounds:
-            if self.adapt():
-                self.known = None
             fitted = history.last.fitted
             with clock.time("attribution"):
                 ranking = weigh_alone(context, fitted, [one for one in self.effects if one.is_about_the_beam])
