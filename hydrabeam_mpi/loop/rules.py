@@ -28,13 +28,11 @@ class Rules:
     element_nats : float
         What a further element (an antenna, a source) must add to ln evidence beyond the price of picking it. Without a
         margin noise brings in one of dozens now and then; e^4 is one in fifty.
-    rise_sigmas : float
-        Standard errors of the paired difference over blocks, beyond which the rms of the held-out residual has risen.
-        One, as a true effect lowers it: chance alone refuses what is too faint to be seen in the rms.
     decided_sigmas : float
-        Standard errors by which a gain in held-out ln density, or a loss, is more than a job asks for, where one split
-        of the data has decided. Else the held-out rows predict the fitted ones as well, and the sum decides. More would
-        cost time where the answer is clear.
+        Standard errors beyond which held-out data have decided. By so much a gain in their ln density, or a loss, is
+        more than a job asks for; else the held-out rows predict the fitted ones as well, and the sum decides. And by so
+        much the rms of their residual has risen, paired over blocks. One would be a sixth of all that is neither better
+        nor worse, and refuses parts of the beam that the data want; more would cost time where the answer is clear.
     first_step : float
         Part of a step with which a fit that did not converge is begun again. Steps that succeed are doubled, so that
         an eighth costs three steps more where a whole one would do.
@@ -46,7 +44,6 @@ class Rules:
     near: float = 0.1
     near_if_linear: float = 0.7
     element_nats: float = 4.0
-    rise_sigmas: float = 1.0
     decided_sigmas: float = 2.0
     first_step: float = 0.125
 

@@ -113,10 +113,10 @@ def refusal_by_parts(constancy: Sequence[Constancy], settings: LoopSettings) -> 
 def rise_of_rms(before: Checked, after: Checked) -> str | None:
     """Say by how much the plain residual of the held-out data rises; None where it does not, beyond its error.
 
-    The error is one standard error of the paired difference over blocks. A change of the weights claims nothing of what
-    is predicted, and is not asked.
+    That is of the paired difference over blocks, see `Rules.decided_sigmas`. A change of the weights claims nothing of
+    what is predicted, and is not asked.
     """
-    if not after.numbers.rise_sigma(before.numbers) > RULES.rise_sigmas:
+    if not after.numbers.rise_sigma(before.numbers) > RULES.decided_sigmas:
         return None
     one, two = before.numbers.of_all, after.numbers.of_all
     change = f"the rms of the held-out residual rises from {one['rms']:.4g} to {two['rms']:.4g} Jy"

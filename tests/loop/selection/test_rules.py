@@ -47,8 +47,8 @@ def test_near_if_linear(near: float, may: bool, monkeypatch: pytest.MonkeyPatch)
 
 
 @pytest.mark.parametrize(("sigmas", "rises"), [(1.0, True), (1e3, False)])
-def test_rise_sigmas(sigmas: float, rises: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    with_rules(monkeypatch, refusal, rise_sigmas=sigmas)
+def test_decided_sigmas_of_a_rise(sigmas: float, rises: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    with_rules(monkeypatch, refusal, decided_sigmas=sigmas)
     assert (refusal.rise_of_rms(checked(5.0, rms=3.0), checked(1.0, rms=3.3)) is not None) == rises
 
 
