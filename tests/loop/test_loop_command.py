@@ -56,8 +56,10 @@ def explained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def two_at_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """One antenna's gain is off, and another one's place; two channels."""
-    return run_loop(mock_job(GAIN, SHIFT, freqs=TWO), tmp_path_factory.mktemp("two"))
+    """One antenna's gain is off, and another one's place; two channels, and some effects to tell them from."""
+    others = ["missing_sources", "cross_coupling", "basis_truncation", "noise_level", "outliers"]
+    job = mock_job(GAIN, SHIFT, freqs=TWO, loop={"effects": ["antenna_gains", "antenna_positions", *others]})
+    return run_loop(job, tmp_path_factory.mktemp("two"))
 
 
 def error_of_rounds(record: dict[str, Any]) -> float:

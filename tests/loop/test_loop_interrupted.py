@@ -22,7 +22,8 @@ from tests.loop.mock import mock_job, write_job
 from tests.loop.test_loop_command import GAIN, SHIFT, TWO, channels_of, record_of
 from tests.loop.test_loop_ranks import assert_alike
 
-JOB = mock_job(GAIN, SHIFT, freqs=TWO, n_times=8, loop={"effects": ["antenna_gains", "antenna_positions", "outliers"]})
+LOOP = {"effects": ["antenna_gains", "antenna_positions", "outliers"], "max_rounds": 2}
+JOB = mock_job(GAIN, SHIFT, freqs=TWO, n_times=8, loop=LOOP)
 HELD = """
 import io, os, sys, time
 from hydrabeam_mpi.cli import main

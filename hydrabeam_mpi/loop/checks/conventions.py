@@ -40,8 +40,12 @@ FLUX_SCALES = 0.05
 PROBE = 2.0  # s, on either side of a clock's offset
 
 FACTORS = {
-    2.0: ("factor 2", 'set [data] pol_convention = "avg", or halve the data: they are V = I B, not V = I B / 2'),
-    0.5: ("factor 1/2", 'set [data] pol_convention = "sum", or double the data: they are V = I B / 2'),
+    factor: (
+        f"factor {name}",
+        f"multiply data and noise by {1 / factor:g} ([data] flux_scale), or set [data] pol_convention = {sum_or_avg!r} "
+        f"where the files do not state theirs: for V = I B / 2 the data are {name} times as large as they should be",
+    )
+    for factor, name, sum_or_avg in ((2.0, "2", "avg"), (0.5, "1/2", "sum"))
 }
 
 

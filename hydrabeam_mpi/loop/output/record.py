@@ -182,9 +182,15 @@ def _convention(history: History, conventions: dict[str, Any]) -> dict[str, Any]
     stated = next(iter(tested.values()))
     right = tested.get(name, stated)
     error = history.first.score.chi2
+    why = f"The model beam's reduced chi^2 is {stated['chi2']:.4g} as stated and {right['chi2']:.4g} so."
+    if right is stated:
+        why = (
+            f"{stated['amplitude']:.4g} times as large the model beam explains {stated['explained']:.4%} of the data's "
+            "power beyond the noise."
+        )
     return {
-        "sentence": f"The data follow another convention: {name}. Nothing was fitted: {conventions['remedy']}, and run "
-        f"the loop again. The model beam's reduced chi^2 is {stated['chi2']:.4g} as stated and {right['chi2']:.4g} so.",
+        "sentence": f"The data follow another convention: {name}. Nothing was fitted to it: {conventions['remedy']}, "
+        f"and run the loop again. {why}",
         "effect": f"convention: {name}",
         "title": f"convention: {name}",
         "parameters": [],

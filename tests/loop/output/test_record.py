@@ -253,7 +253,7 @@ def test_a_broken_convention_takes_the_place_of_all_rounds(found: str, context: 
     assert one["chi2_before"] == 90.0
     assert one["chi2_after"] == (1.1 if found == "conjugated" else 90.0)
     assert one["heldout_before"] == one["heldout_after"] == pytest.approx(4.0)
-    assert f"another convention: {found}. Nothing was fitted: conjugate the data" in record["said"][0]
+    assert f"another convention: {found}. Nothing was fitted to it: conjugate the data" in record["said"][0]
 
 
 def test_numbers_that_json_does_not_know_are_null(context: FitContext) -> None:
