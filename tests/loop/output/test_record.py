@@ -237,9 +237,13 @@ def test_leakage_comes_first_where_it_belongs(
     assert {key: record[key] for key in unchanged} == {key: without[key] for key in unchanged}
 
 
-@pytest.mark.parametrize("found", ["conjugated", "of another catalogue"])
+@pytest.mark.parametrize("found", ["conjugated", "factor 1/2"])
 def test_a_broken_convention_takes_the_place_of_all_rounds(found: str, context: FitContext) -> None:
-    tested = [{"name": "as stated", "chi2": 90.0}, {"name": "conjugated", "chi2": 1.1}]
+    """A factor of the data has no convention of its own by which the model was tried: it is seen by its scale."""
+    tested = [
+        {"name": "as stated", "chi2": 90.0, "amplitude": 0.512, "explained": 0.999},
+        {"name": "conjugated", "chi2": 1.1, "amplitude": 1.0, "explained": 1.0},
+    ]
     remedy = "conjugate the data"
     record = record_of(
         context, history(context, consistent=False, n_rounds=0), None, found=found, tested=tested, remedy=remedy
@@ -254,6 +258,10 @@ def test_a_broken_convention_takes_the_place_of_all_rounds(found: str, context: 
     assert one["chi2_after"] == (1.1 if found == "conjugated" else 90.0)
     assert one["heldout_before"] == one["heldout_after"] == pytest.approx(4.0)
     assert f"another convention: {found}. Nothing was fitted to it: conjugate the data" in record["said"][0]
+    why = (
+        "90 as stated and 1.1 so" if found == "conjugated" else "0.512 times as large the model beam explains 99.9000%"
+    )
+    assert why in record["said"][0]
 
 
 def test_numbers_that_json_does_not_know_are_null(context: FitContext) -> None:
