@@ -24,10 +24,12 @@ class Marginal:
         Block to marginalise.
     posterior : Posterior
         Its posterior given the others, of which the factor counts.
+    pull : ndarray, (n,), optional
+        Towards where it is likeliest given the others, its precision times how far that is; none where it is there.
     """
 
-    def __init__(self, sums: NormalEquations, without: str, posterior: Posterior) -> None:
-        self.sums, self._without, self._posterior = sums, without, posterior
+    def __init__(self, sums: NormalEquations, without: str, posterior: Posterior, pull: Array | None = None) -> None:
+        self.sums, self._without, self._posterior, self._pull = sums, without, posterior, pull
         self._halves: dict[str, Array] = {}
         self._taken: dict[tuple[str, str], FloatArray] = {}
 
@@ -36,7 +38,12 @@ class Marginal:
         known = self.sums.likelihood_alone(names)
         lines = [np.concatenate([self._taken_of(one, two) for two in names], axis=1) for one in names]
         taken = np.concatenate(lines) if lines else known.signal
-        return Likelihood(known.signal - taken, known.score, known.signal)
+        score = known.score
+        if self._pull is not None and names:
+            half = np.concatenate([self._half(name) for name in names], axis=1)
+            white = solve_triangular(self._posterior.factor, self._pull, lower=True, check_finite=False)
+            score = score - 2 * (half.conj().T @ white).real
+        return Likelihood(known.signal - taken, score, known.signal)
 
     def response(self, names: Sequence[str]) -> Array:
         """Return by how much the best values of the block move with each unknown of others, (n, q)."""

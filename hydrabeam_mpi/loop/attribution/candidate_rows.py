@@ -28,7 +28,7 @@ def likelihoods(
     group, mine = context.grid.group, {}
     for channel, number in enumerate(context.channels):
         sums = candidate_sums(context, fitted.values, cached, channel, candidates)
-        marginal = Marginal(sums, BEAM, fitted.fit.posteriors[channel])
+        marginal = marginal_of(context, fitted, sums, channel)
         for one in list(candidates)[group.rank :: group.size]:
             mine[one, number] = marginal.likelihood([*fitted.values.blocks, one])
     gathered = gather_objects(context.grid.world, mine)
@@ -37,6 +37,20 @@ def likelihoods(
     found = {key: one for part in gathered for key, one in part.items()}
     channels = sorted({number for _, number in found})
     return {name: [found[name, number] for number in channels] for name in candidates}
+
+
+def marginal_of(context: FitContext, fitted: Fitted, sums: NormalEquations, channel: int) -> Marginal:
+    """Return a channel's sums with its beam marginalised, wherever that is; serial.
+
+    Where a fit has not converged its beam is not the likeliest given the effects. What it would take up of the residual
+    by moving there is no evidence for anything else.
+    """
+    beam, pull = fitted.fit.posteriors[channel], None
+    if not fitted.diagnostics.converged and context.problem.coupling is None:
+        prior = context.given(fitted.values).priors[channel]
+        kappa = 1.0 if beam.is_complex else 2.0
+        pull = kappa * sums.projection[BEAM] + prior.precision_times(prior.mean - beam.mean)
+    return Marginal(sums, BEAM, beam, pull)
 
 
 def candidate_sums(

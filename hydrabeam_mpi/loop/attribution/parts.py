@@ -13,12 +13,10 @@ from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.columns import Columns, RowSet
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.equations import BEAM
 from hydrabeam_mpi.fit.error_scale import ErrorScale, error_scale
-from hydrabeam_mpi.fit.marginal import Marginal
 from hydrabeam_mpi.fit.state import Active, Fitted
 from hydrabeam_mpi.inference.likelihood import Likelihood
-from hydrabeam_mpi.loop.attribution.candidate_rows import CachedRowBlocks, candidate_sums
+from hydrabeam_mpi.loop.attribution.candidate_rows import CachedRowBlocks, candidate_sums, marginal_of
 from hydrabeam_mpi.loop.attribution.constancy import Constancy, compare
 from hydrabeam_mpi.loop.attribution.others import Others
 from hydrabeam_mpi.loop.attribution.price import price_of
@@ -133,7 +131,7 @@ def likelihoods_of(
         blocks = {f"parts of {place}": block for place, block in parted.items()}
         sums = candidate_sums(context, values, cached, channel, blocks)
         if context.grid.is_group_root:
-            marginal = Marginal(sums, BEAM, fitted.fit.posteriors[channel])
+            marginal = marginal_of(context, fitted, sums, channel)
             for place, block in parted.items():
                 one = marginal.likelihood([*names[:place], *names[place + 1 :], f"parts of {place}"])
                 score = one.score + one.information[:, -block.size :] @ block.x[number]

@@ -9,11 +9,10 @@ import numpy as np
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.fit.blocks import CandidateBlock
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.equations import BEAM
 from hydrabeam_mpi.fit.gauss_newton import active_sums
-from hydrabeam_mpi.fit.marginal import Marginal
 from hydrabeam_mpi.fit.state import Active, Fitted, Values
 from hydrabeam_mpi.inference.likelihood import Likelihood
+from hydrabeam_mpi.loop.attribution.candidate_rows import marginal_of
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.attribution.score_effects import Finding, weigh
 from hydrabeam_mpi.mpi import bcast_object, gather_objects, together
@@ -55,7 +54,7 @@ class Known:
             blocks = {name: CandidateBlock(one.effect, one.x[number]) for name, one in named}
             sums = active_sums(context, context.train, fitted.estimate, channel, rows, added[channel], blocks)
             if context.grid.is_group_root:
-                marginal = Marginal(sums, BEAM, fitted.fit.posteriors[channel])
+                marginal = marginal_of(context, fitted, sums, channel)
                 found.append((number, marginal.likelihood(list(blocks))))
         gathered = gather_objects(context.grid.world, found)
         if gathered is None:

@@ -13,12 +13,10 @@ from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.parameters import Parameters
 from hydrabeam_mpi.fit.blocks import CandidateBlock, ColumnBlock
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.equations import BEAM
-from hydrabeam_mpi.fit.marginal import Marginal
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.inference.significance import SIGNIFICANT_P
-from hydrabeam_mpi.loop.attribution.candidate_rows import CachedRowBlocks, candidate_sums
+from hydrabeam_mpi.loop.attribution.candidate_rows import CachedRowBlocks, candidate_sums, marginal_of
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.attribution.joint_search import Competitor, JointLikelihood, JointSet, search
 from hydrabeam_mpi.loop.attribution.limits import Limits
@@ -160,7 +158,7 @@ def _likelihoods(
     for channel, number in enumerate(context.channels):
         sums = candidate_sums(context, values, cached, channel, blocks, by_pairs=True)
         if context.grid.is_group_root:
-            marginal = Marginal(sums, BEAM, fitted.fit.posteriors[channel])
+            marginal = marginal_of(context, fitted, sums, channel)
             found.append((number, marginal.likelihood([*values.blocks, *blocks])))
     gathered = gather_objects(context.grid.world, found)
     if gathered is None:
