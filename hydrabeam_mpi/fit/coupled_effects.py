@@ -9,8 +9,8 @@ from hydrabeam_mpi.fit.beams_given import sum_for_beams
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.coupled import CoupledChannel, solve_coupled
 from hydrabeam_mpi.fit.coupled_step import JointStep, step_together
-from hydrabeam_mpi.fit.gauss_newton import sums_at
 from hydrabeam_mpi.fit.grown import of_the_beam
+from hydrabeam_mpi.fit.linearised import sums_at
 from hydrabeam_mpi.fit.state import Fitted, Values
 from hydrabeam_mpi.fit.whitening import root_of
 from hydrabeam_mpi.inference.coupled import CoupledPosterior

@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import Array, ComplexArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.beams_given import Solved, diagnostics_of, solve_beams
-from hydrabeam_mpi.fit.blocks import EffectBlock, add_block, sums_of
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.coupled_step import share_step, step_together
-from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.joint_step import solve_jointly
-from hydrabeam_mpi.fit.marginal import Marginal
-from hydrabeam_mpi.fit.rank_data import RankData
-from hydrabeam_mpi.fit.rows import Rows
+from hydrabeam_mpi.fit.linearised import linearised, sums_at
 from hydrabeam_mpi.fit.state import Estimate, Fit, Fitted, Values
-from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.inference.posterior import Posterior
-from hydrabeam_mpi.mpi import bcast_object, gather_objects, together
+from hydrabeam_mpi.mpi import bcast_object, together
 from hydrabeam_mpi.terminal.progress import say_meanwhile
 
 MAX_STEPS = 15
@@ -168,20 +162,16 @@ def _search(context: FitContext, at: Estimate, length: float, worth: Worth | Non
             # There were no beams to see E by.
             at = replace(at, beams=solved.beams)
             continue
-        misfit = 1.0 if solved is None else _misfit(context, solved)
-        rise = _rise(best, solved)
-        if best is not None and solved is not None and rise < _least_rise(best[0], at.values, misfit):
-            followed = _linear_followed(context, at, solved)
-            again = None if followed is None else _solved_or_too_far(context, followed, False)
-            if followed is not None and again is not None and _rise(best, again) > rise:
-                at, solved, rise, misfit = followed, again, _rise(best, again), _misfit(context, again)
-        if best is not None and rise < _least_rise(best[0], at.values, misfit):
+        if solved is not None and _is_too_long(context, best, at, solved):
+            at, solved = _with_linear(context, at, solved)
+        if best is not None and _is_too_long(context, best, at, solved):
             if halved == MAX_HALVED:
                 break
             halved, length = halved + 1, 0.5 * length
             at = best[1].towards(at, 0.5)
             continue
         assert solved is not None
+        misfit, rise = _misfit(context, solved), np.inf if best is None else solved.reached - best[0]
         flat, halved = flat + 1 if rise < FLAT_NATS * misfit else 0, 0
         step = take_step(context, replace(at, beams=solved.beams), solved)
         if worth is not None and not worth(solved.reached, solved.rises + step.gain):
@@ -197,8 +187,8 @@ def _search(context: FitContext, at: Estimate, length: float, worth: Worth | Non
     return best[1], best[2], False
 
 
-def _linear_followed(context: FitContext, at: Estimate, solved: Solved) -> Estimate | None:
-    """Solve for beams and linear effects together, with all others where they are; None where that changes nothing.
+def _with_linear(context: FitContext, at: Estimate, solved: Solved) -> tuple[Estimate, Solved]:
+    """Solve for beams and linear effects together, with all others where they are, where that is likelier.
 
     What a beam lacks is seen by the sky: functions of the beam and a sky that changes are factors of each other, and
     after a long step of both neither is the best for the other. Collective: all ranks of the grid.
@@ -206,13 +196,15 @@ def _linear_followed(context: FitContext, at: Estimate, solved: Solved) -> Estim
     values = at.values
     which = [place for place, one in enumerate(values.active) if one.effect.linear and one.adds]
     if not which or len(which) == len(values.active) or context.problem.coupling is not None:
-        return None
+        return at, solved
     linear = replace(values, active=tuple(values.active[place] for place in which))
     step = _step_of(context, replace(at, beams=solved.beams), solved, linear)
     active = list(values.active)
     for place, one in zip(which, step.to.values.active, strict=True):
         active[place] = one
-    return Estimate(replace(values, active=tuple(active)), step.to.beams)
+    followed = Estimate(replace(values, active=tuple(active)), step.to.beams)
+    again = _solved_or_too_far(context, followed, first=False)
+    return (followed, again) if again is not None and again.reached > solved.reached else (at, solved)
 
 
 def _solved_or_too_far(context: FitContext, at: Estimate, first: bool) -> Solved | None:
@@ -228,9 +220,13 @@ def _solved_or_too_far(context: FitContext, at: Estimate, first: bool) -> Solved
         return None
 
 
-def _rise(best: tuple[float, Estimate, _Step] | None, solved: Solved | None) -> float:
-    """Return by how much ln(likelihood x prior) rises from the best so far."""
-    return np.inf if best is None else -np.inf if solved is None else solved.reached - best[0]
+def _is_too_long(
+    context: FitContext, best: tuple[float, Estimate, _Step] | None, at: Estimate, solved: Solved | None
+) -> bool:
+    """Tell whether a step has led lower than the best so far. Collective: all ranks of the grid."""
+    if best is None or solved is None:
+        return solved is None
+    return solved.reached - best[0] < _least_rise(best[0], at.values, _misfit(context, solved))
 
 
 def _misfit(context: FitContext, solved: Solved) -> float:
@@ -245,37 +241,6 @@ def _least_rise(best: float, values: Values, misfit: float) -> float:
     """
     incomparable = any(one.change.follows_residuals for one in values.reweighted)
     return -STEPS_BACK * abs(best) if incomparable else -FLAT_NATS * misfit
-
-
-def linearised(
-    context: FitContext, at: Estimate, solved: Solved, values: Values
-) -> tuple[list[Likelihood] | None, list[Array]]:
-    """Return what each channel says of effects near ``at``, the beams marginalised, and how the beams follow them.
-
-    Those of ``values`` are meant, which may be some of the model's. The likelihoods are of all the job's channels, on
-    rank 0 alone; the responses, (n_modes, q), of the rank group's. Collective: all ranks of the grid.
-    """
-    mine, response = [], []
-    names = list(values.blocks)
-    each = sums_at(context, at, solved.rows, solved.added, values)
-    for channel, (sums, posterior) in enumerate(zip(each, at.beams, strict=True)):
-        marginal = Marginal(sums, BEAM, posterior)
-        response.append(marginal.response(names))
-        if context.grid.is_group_root:
-            mine.append((context.channels[channel], marginal.likelihood(names)))
-    gathered = gather_objects(context.grid.world, mine)
-    if gathered is None:
-        return None, response
-    by_channel = dict(pair for part in gathered for pair in part)
-    return [by_channel[f] for f in sorted(by_channel)], response
-
-
-def sums_at(
-    context: FitContext, at: Estimate, rows: Rows, added: ComplexArray, values: Values
-) -> Iterator[NormalEquations]:
-    """Yield those of beams and of some effects of each of the group's channels. Collective: all ranks of the grid."""
-    for channel in range(len(at.beams)):
-        yield active_sums(context, context.train, at, channel, rows, added[channel], values.blocks)
 
 
 def take_step(context: FitContext, at: Estimate, solved: Solved) -> _Step:
@@ -312,31 +277,6 @@ def _take_step_together(context: FitContext, at: Estimate, solved: Solved) -> _S
     beams, covariances, responses = share_step(context, step, solved.together, at.beams, values.x)
     x, std, *told = bcast_object(context.grid.world, (step.x, step.std, step.moved, step.gain) if step else None)
     return _Step(Estimate(values.at(x), beams), Fit(beams, covariances, responses, values.by_effect(std)), *told)
-
-
-def active_sums(
-    context: FitContext,
-    share: RankData,
-    at: Estimate,
-    channel: int,
-    rows: Rows,
-    added: ComplexArray,
-    effects: Mapping[str, EffectBlock],
-) -> NormalEquations:
-    """Sum over a group's rows the columns of the beam and of ``effects``, such as those that are active.
-
-    ``added`` is E of the channel's rows, (Ntimes, Nbls). What a result says that is the prior counts as fitted rows.
-    Collective: all ranks of `grid.group`; groups may have different numbers of channels.
-    """
-    model = {BEAM: context.beam, **effects}
-    total = sums_of(model)
-    with together(context.grid.group):
-        for _, block, _ in share.row_blocks(channel, at, added, rows):
-            add_block(total, block, model)
-    total.reduce(context.grid.group)
-    if context.learned and share is context.train:
-        context.learned.add_to(total, effects, context.channels[channel], at)
-    return total
 
 
 def beam_moved(context: FitContext, before: Sequence[Posterior], after: Sequence[Posterior]) -> float:

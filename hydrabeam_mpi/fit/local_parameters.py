@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hydrabeam_mpi.data.observation import BoolArray, FloatArray
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.gauss_newton import active_sums
+from hydrabeam_mpi.fit.linearised import active_sums
 from hydrabeam_mpi.fit.state import Estimate, Fitted, Values
 from hydrabeam_mpi.mpi import allreduce_sum, together
 

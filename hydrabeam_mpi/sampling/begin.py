@@ -18,8 +18,9 @@ from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.beams_given import solve_beams
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.coupled_step import marginal_together
-from hydrabeam_mpi.fit.gauss_newton import linearised, refit, sums_at
+from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.joint import restore
+from hydrabeam_mpi.fit.linearised import linearised, sums_at
 from hydrabeam_mpi.fit.prior_widths import with_adapted_prior
 from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.settle import settle

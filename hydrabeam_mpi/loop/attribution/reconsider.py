@@ -9,7 +9,7 @@ import numpy as np
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.fit.blocks import CandidateBlock
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.gauss_newton import active_sums
+from hydrabeam_mpi.fit.linearised import active_sums
 from hydrabeam_mpi.fit.state import Active, Fitted, Values
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.loop.attribution.candidate_rows import marginal_of

@@ -14,7 +14,7 @@ from scipy.linalg import solve_triangular
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.fit.gauss_newton import active_sums
+from hydrabeam_mpi.fit.linearised import active_sums
 from hydrabeam_mpi.fit.state import Estimate
 from hydrabeam_mpi.mpi import bcast_array, bcast_object, gather_by_channel, together
 from hydrabeam_mpi.sampling.state import ChainState, Chance
