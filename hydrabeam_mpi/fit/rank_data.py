@@ -31,10 +31,6 @@ class RankData(RowModel):
         return {}
 
     @cached_property
-    def _imaginary_beams(self) -> dict[int, tuple[CoefficientBeam, CoefficientBeam]]:
-        return {}
-
-    @cached_property
     def _latest(self) -> list[tuple[Estimate, ComplexArray, ComplexArray]]:
         return []
 
@@ -47,7 +43,7 @@ class RankData(RowModel):
 
         What has been worked out of model and sky, which weights do not change, belongs to both.
         """
-        _ = self.model, self._plain, self._changed, self.known, self._beams, self._imaginary_beams, self._latest
+        _ = self.model, self._plain, self._changed, self.known, self._beams, self._latest
         other = copy(self)
         other.rows = replace(self.rows, inv_noise_var=self.rows.inv_noise_var * factor)
         return other
@@ -95,7 +91,6 @@ class RankData(RowModel):
                 span,
                 self._beam(channel, at),
                 at.values,
-                imaginary_beam=self._imaginary_beam(channel, at),
                 vis=beam_alone + added[span],
                 weights=rows.inv_noise_var[channel, span],
                 residual=rows.data[channel, span] - beam_alone,
@@ -132,17 +127,6 @@ class RankData(RowModel):
         info = BeamInfo("inferred", float(observation.freqs[channel]), observation.pols[0])
         self._beams[channel] = CoefficientBeam(basis, coeffs, info)
         return self._beams[channel]
-
-    def _imaginary_beam(self, channel: int, at: Estimate) -> CoefficientBeam | None:
-        """Return the imaginary part of `_beam`, kept as that is; None where coefficients are real."""
-        beam = self._beam(channel, at)
-        if not np.iscomplexobj(beam.coeffs):
-            return None
-        kept = self._imaginary_beams.get(channel)
-        if kept is None or kept[0] is not beam:
-            info = replace(beam.info, name="imaginary part")
-            kept = self._imaginary_beams[channel] = beam, CoefficientBeam(beam.basis, -1j * beam.coeffs, info)
-        return kept[1]
 
     def effects(self, at: Estimate) -> tuple[ComplexArray, ComplexArray]:
         """Return C and E of all rows, each (Nfreqs, Ntimes, Nbls); those of the latest estimate are kept."""

@@ -30,8 +30,8 @@ SLOPES_BYTES = KEPT_BYTES / 8
 """What the design changes by with each parameter of the sky is kept if it is smaller: adding up more than that takes
 about as long as working out the design of a sky anew."""
 SKIES_OF_A_FIT = 10
-"""How often a fit wants the design of a changed sky at least: in each step, where skies that do not turn are made once.
-"""
+"""Designs of a changed sky that a fit wants: one a step, of which it takes some and `gauss_newton.MAX_STEPS` at most.
+Skies that do not turn are made once for all of them, and for all fits that follow."""
 
 
 @dataclass

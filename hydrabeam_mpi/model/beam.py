@@ -6,7 +6,7 @@ real, a cross-polarised one complex. Angles are radians, azimuth from East throu
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -86,6 +86,15 @@ class CoefficientBeam:
     def table(self) -> PolarTable | None:
         """The real part between the nodes of a table, made once; None where the basis offers none."""
         return self.basis.table(self.coeffs)
+
+    @cached_property
+    def imaginary(self) -> CoefficientBeam | None:
+        """The beam whose real part is the imaginary part of this one; None where the coefficients are real."""
+        if not np.iscomplexobj(self.coeffs):
+            return None
+        return replace(
+            self, coeffs=-1j * self.coeffs, info=replace(self.info, name=f"{self.info.name}, imaginary part")
+        )
 
 
 @dataclass(frozen=True)

@@ -190,9 +190,9 @@ def shared_rows(q: int, rank: int, is_of_groups: BoolArray) -> tuple[list[Comple
 
 def columns(felt: Felt) -> ComplexArray:
     """Return how each of the five rows feels all parameters, in their order."""
-    columns = np.zeros((5, len(felt.is_of_groups)), dtype=complex)
-    columns[:, ~felt.is_of_groups], columns[:, felt.is_of_groups] = felt.own, felt.of_groups[[0, 0, 1, 2, 2]]
-    return columns
+    every = np.zeros((5, len(felt.is_of_groups)), dtype=complex)
+    every[:, ~felt.is_of_groups], every[:, felt.is_of_groups] = felt.own, felt.of_groups[[0, 0, 1, 2, 2]]
+    return every
 
 
 @pytest.mark.mpi

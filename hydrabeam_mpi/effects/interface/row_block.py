@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.sky_block import SkyBlock
@@ -61,3 +62,9 @@ class RowBlock(SkyBlock):
     def spread(self, by_group: Array) -> Array:
         """Give every baseline what its group has: (Ntimes, Ngroups, ...) to (Ntimes, Nbls, ...)."""
         return by_group[:, self.member]
+
+    def summed(self, by_bl: Array) -> Array:
+        """Add up what the baselines of each group have: (Ntimes, Nbls) to (Ntimes, Ngroups)."""
+        n_bls = len(self.bls)
+        members = csr_array((np.ones(n_bls), (self.member, np.arange(n_bls))), (len(self.groups), n_bls))
+        return np.asarray((members @ by_bl.T).T)

@@ -53,8 +53,6 @@ class SkyBlock:
         Effects in the model that change the sky, with their parameters.
     memo : dict, optional
         Keeps what `fixed_integral` has found, for blocks to share where there is room for it.
-    imaginary_beam : callable, optional
-        The imaginary part of the current beam, where its coefficients allow one.
     """
 
     setup: ObservingSetup
@@ -69,7 +67,6 @@ class SkyBlock:
     keeps_waves: bool = False
     sky_effects: Sequence[tuple[Any, FloatArray]] = ()
     memo: dict[tuple[int, str], tuple[dict[int, ComplexArray], dict[int, tuple[bytes, ComplexArray]]]] | None = None
-    imaginary_beam: Beam | None = None
     _sources: dict[int, Sources] = field(default_factory=dict, init=False)
 
     @property
@@ -217,16 +214,16 @@ class SkyBlock:
         one too, and what changes the sky changes A: without it steps of a fit would lead astray where the data tell
         little of that part, as of the beam on a faint sky.
         """
-        columns = effect.columns(self, x)
-        if self.imaginary_beam is None or not effect.changes_sky:
+        columns, of_imaginary = effect.columns(self, x), self._of_imaginary_beam
+        if of_imaginary is None or not effect.changes_sky:
             return columns
-        of_imaginary = effect.columns(self._of_imaginary_beam, x)
-        return replace(columns, values=columns.values + 1j * of_imaginary.values)
+        return replace(columns, values=columns.values + 1j * effect.columns(of_imaginary, x).values)
 
     @cached_property
-    def _of_imaginary_beam(self) -> Self:
-        assert self.imaginary_beam is not None
-        return replace(self, beam=self.imaginary_beam, imaginary_beam=None, integrals={})
+    def _of_imaginary_beam(self) -> Self | None:
+        """The same with the imaginary part of the beam in its place; None where that has none."""
+        imaginary: Beam | None = getattr(self.beam, "imaginary", None)
+        return None if imaginary is None else replace(self, beam=imaginary, integrals={})
 
     def diffuse_integral(self, name: str, basis: LinearBasis) -> ComplexArray:
         """Return what the functions of a real basis see of the diffuse emission that effects add to the sky.

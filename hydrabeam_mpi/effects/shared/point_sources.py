@@ -7,7 +7,6 @@ from typing import Any, Self
 
 import numpy as np
 from scipy.ndimage import map_coordinates, spline_filter
-from scipy.sparse import csr_array
 
 from hydrabeam_mpi.data.observation import C_M_PER_S, BoolArray, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import ScannedEffect
@@ -133,9 +132,7 @@ def dirty_map(block: RowBlock, sky: Sky, functions: FloatArray | None = None) ->
     """
     functions = np.ones((len(block.times), 1)) if functions is None else functions
     projection, power = (np.zeros((sky.Nsrc, functions.shape[1])) for _ in range(2))
-    n_bls = len(block.bls)
-    members = csr_array((np.ones(n_bls), (block.member, np.arange(n_bls))), (len(block.groups), n_bls))
-    summed = (members @ (block.weights * block.residual).T).T
+    summed = block.summed(block.weights * block.residual)
     weights = block.weights.sum(axis=1)
     if not weights.any():
         return projection, power

@@ -164,10 +164,7 @@ class Horizon(ScannedEffect):
 
     def scan(self, block: RowBlock) -> tuple[FloatArray, FloatArray]:
         """Correlate the residual with every wall, its sources taken as orthogonal, each (n_hypotheses, p)."""
-        n_bls = len(block.bls)
-        members = csr_array((np.ones(n_bls), (block.member, np.arange(n_bls))), (len(block.groups), n_bls))
-        residual = (members @ (block.weights * block.residual).T).T
-        weights = (members @ block.weights.T).T
+        residual, weights = block.summed(block.weights * block.residual), block.summed(block.weights)
         cells = np.zeros((2, SECTORS * HEIGHTS))
         for t in np.flatnonzero(weights.any(axis=1)).tolist():
             sources = block.sources(int(block.times[t]))

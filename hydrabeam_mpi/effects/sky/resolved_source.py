@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from hydrabeam_mpi.data.observation import C_M_PER_S, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
@@ -92,13 +91,12 @@ class ResolvedSource(CatalogueFlux):
         """Correlate the residual with every source, each (n_hypotheses, p), time by time."""
         sky = block.setup.sky.select(self.brightest(block.setup.sky))
         every, at_zero = type(self)(in_degrees(sky.ra, sky.dec)), np.zeros(sky.Nsrc * self.n_each)
-        sums, n_bls = np.zeros((2, len(at_zero))), len(block.bls)
+        sums = np.zeros((2, len(at_zero)))
         # What redundant baselines see is the same.
-        members = csr_array((np.ones(n_bls), (block.member, np.arange(n_bls))), (len(block.groups), n_bls))
-        residuals, weights = members @ (block.weights * block.residual).T, members @ block.weights.T
+        residual, weights = block.summed(block.weights * block.residual), block.summed(block.weights)
         for t in range(len(block.times)):
             seen = every.columns(replace(block, times=block.times[t : t + 1]), at_zero).values[0]
-            sums += (residuals[:, t] @ seen.conj()).real, weights[:, t] @ np.abs(seen) ** 2
+            sums += (residual[t] @ seen.conj()).real, weights[t] @ np.abs(seen) ** 2
         scores, powers = sums.reshape(2, sky.Nsrc, self.n_each)
         return scores, powers
 

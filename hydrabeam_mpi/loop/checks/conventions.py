@@ -36,7 +36,7 @@ LEFT = 0.25  # of the residual power, that it leaves at most
 CLOCK_LEFT = 0.5  # the same of a clock, which shifts phases by little on short baselines
 AMPLITUDE_TOLERANCE = 0.2
 FLUX_SCALES = 0.05
-"""Spread of ln flux between the scales of catalogues."""
+"""Spread of ln flux between the scales of catalogues, some per cent. The data of one array cannot tell it."""
 PROBE = 2.0  # s, on either side of a clock's offset
 
 FACTORS = {
@@ -77,11 +77,6 @@ class Score:
     def chi2(self) -> float:
         """With the best amplitude."""
         return self.data - self.amplitude * self.overlap
-
-    @property
-    def chi2_unscaled(self) -> float:
-        """With the amplitude one."""
-        return self.data - 2 * self.overlap + self.model
 
     @property
     def excess(self) -> float:

@@ -182,8 +182,9 @@ def _convention(history: History, conventions: dict[str, Any]) -> dict[str, Any]
     stated = next(iter(tested.values()))
     right = tested.get(name, stated)
     error = history.first.score.chi2
-    why = f"The model beam's reduced chi^2 is {stated['chi2']:.4g} as stated and {right['chi2']:.4g} so."
-    if right is stated:
+    if right is not stated:
+        why = f"The model beam's reduced chi^2 is {stated['chi2']:.4g} as stated and {right['chi2']:.4g} so."
+    else:
         why = (
             f"{stated['amplitude']:.4g} times as large the model beam explains {stated['explained']:.4%} of the data's "
             "power beyond the noise."

@@ -8,14 +8,12 @@ from typing import NamedTuple
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Active
-from hydrabeam_mpi.loop.attribution.candidate_rows import CachedRowBlocks
 from hydrabeam_mpi.loop.attribution.score_effects import attribute
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked
 from hydrabeam_mpi.loop.selection.folds import compared
 from hydrabeam_mpi.loop.selection.heldout_score import gain_of
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refits import fit_patiently
-from hydrabeam_mpi.mpi import together
 from hydrabeam_mpi.terminal.progress import say
 
 
@@ -49,9 +47,7 @@ def with_functions_beyond(
     least = max([context.problem.job.loop.min_log_bayes_factor, *others])
     if rivals and not any(one.log_bayes_factor >= least for one in rivals if one.is_about_the_beam):
         return checked, NONE_BEYOND
-    with together(context.grid.world):
-        cached = CachedRowBlocks.of(context, checked.fitted.estimate)
-    for found in attribute(context, checked.fitted, beyond, cached):
+    for found in attribute(context, checked.fitted, beyond):
         evidence = found.evidence
         if evidence.log_bayes_factor < least:
             continue

@@ -13,6 +13,7 @@ from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.settle import refined, settle
 from hydrabeam_mpi.fit.state import Fitted, Values
 from hydrabeam_mpi.loop.attribution.constancy import Constancy
+from hydrabeam_mpi.loop.attribution.score_effects import attribute
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
 from hydrabeam_mpi.loop.selection.constant import beside_noise, take_back, take_back_unphysical, take_back_weights
 from hydrabeam_mpi.loop.selection.exchange import exchange
@@ -21,7 +22,7 @@ from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.prior_widths import Adapted, adapt, as_adapted
 from hydrabeam_mpi.loop.selection.revision import revise
 from hydrabeam_mpi.loop.selection.trials import try_control, try_effects
-from hydrabeam_mpi.loop.selection.weighing import Outlook, Weighed, next_of, weigh, weigh_alone
+from hydrabeam_mpi.loop.selection.weighing import Outlook, Weighed, next_of, weigh
 from hydrabeam_mpi.loop.selection.whole_set import as_one, try_set
 from hydrabeam_mpi.terminal.progress import say
 
@@ -154,9 +155,9 @@ class _Rounds:
         while len(history.rounds) < context.problem.job.loop.max_rounds:
             fitted = history.last.fitted
             with clock.time("attribution"):
-                ranking = weigh_alone(context, fitted, [one for one in self.effects if one.is_about_the_beam])
+                of_beam = attribute(context, fitted, [one for one in self.effects if one.is_about_the_beam])
             with clock.time("trials"):
-                added = try_effects(context, history.last, ranking, [])
+                added = try_effects(context, history.last, tuple(map(Candidate.of, of_beam)), [])
                 if added is None:
                     return
                 added = _accept(context, history, added)

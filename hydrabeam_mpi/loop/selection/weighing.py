@@ -116,13 +116,6 @@ def rank(
     return weigh(context, fitted, effects, changes, 0).ranking
 
 
-def weigh_alone(context: FitContext, fitted: Fitted, effects: Sequence[Effect]) -> tuple[Candidate, ...]:
-    """Order effects by the evidence that each has by itself. Collective: all ranks of the grid."""
-    with together(context.grid.world):
-        cached = CachedRowBlocks.of(context, fitted.estimate)
-    return tuple(sorted(map(Candidate.of, attribute(context, fitted, effects, cached)), key=_best_first))
-
-
 def weigh(
     context: FitContext, fitted: Fitted, effects: Sequence[Effect], changes: Sequence[Reweighting], most: int
 ) -> Weighed:
