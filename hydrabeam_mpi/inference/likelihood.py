@@ -42,6 +42,10 @@ class Likelihood:
     def __add__(self, other: Likelihood) -> Likelihood:
         return Likelihood(self.information + other.information, self.score + other.score, self.signal + other.signal)
 
+    def first(self, n: int) -> Likelihood:
+        """Return the likelihood of the first ``n`` parameters, with the others at zero."""
+        return Likelihood(self.information[:n, :n], self.score[:n], self.signal[:n, :n])
+
     def marginalised(self, which: IntArray, precision: FloatArray) -> Likelihood:
         """Return the likelihood of the others, with some parameters marginalised that have a prior around zero.
 

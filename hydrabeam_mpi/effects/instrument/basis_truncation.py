@@ -91,11 +91,15 @@ class BasisTruncation(Effect):
             return self
         return BasisTruncation(newest.n_before + len(newest.parameters(setup)))
 
-    def larger(self, setup: ObservingSetup) -> BasisTruncation | None:
-        """Return more modes; None where there are no more, or that would be too many at once."""
-        more = BasisTruncation(self.n_before, self.n_modes + N_MODES)
-        has_more = len(more.next_modes(setup).modes) > len(self.next_modes(setup).modes)
-        return more if has_more and more.n_modes <= MOST_MODES else None
+    def larger(self, setup: ObservingSetup) -> list[BasisTruncation]:
+        """Return more modes at once, batch after batch, until there are no more or they would be too many."""
+        found = [self]
+        for n_modes in range(self.n_modes + N_MODES, MOST_MODES + 1, N_MODES):
+            more = BasisTruncation(self.n_before, n_modes)
+            if len(more.next_modes(setup).modes) == len(found[-1].next_modes(setup).modes):
+                break
+            found.append(more)
+        return found[1:]
 
     def beyond_basis(self, setup: ObservingSetup) -> BasisTruncation | None:
         """Return the functions that are not zero at the edge, where all of the basis are."""

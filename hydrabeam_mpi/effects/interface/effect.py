@@ -14,14 +14,14 @@ effect.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 from scipy.sparse import csr_array
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.changing import MayChange, ScannedInTime
 from hydrabeam_mpi.effects.interface.limits import HasLimits
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
@@ -246,9 +246,19 @@ class Effect(InOtherData, HasLimits, MayChange, Cause):
         """Return other forms of the effect with the same parameters, of which the fit tells which is the likeliest."""
         return []
 
-    def larger(self, setup: ObservingSetup) -> Effect | None:
-        """Return the effect with these parameters and more of their sort, where it may need them all at once."""
-        return None
+    def larger(self, setup: ObservingSetup) -> Sequence[Effect]:
+        """Return the effect with more parameters of its sort, where it may need them all at once.
+
+        Each has those of the one before it first.
+        """
+        return ()
+
+    def known_elements(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> list[tuple[BoolArray, Effect]]:
+        """Return the parameters, (n_params,), of elements that may be errors of what is known, each with their effect.
+
+        ``x`` and ``std``, (Nfreqs, n_params), are what has been fitted, and its standard deviations.
+        """
+        return []
 
     def beyond_basis(self, setup: ObservingSetup) -> Effect | None:
         """Return the part that no beam in the basis can follow, however free its coefficients are; None without one."""

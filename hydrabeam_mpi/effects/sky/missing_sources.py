@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
-from hydrabeam_mpi.effects.interface.effect import Columns, Parameters
+from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.told import Told
@@ -21,8 +21,9 @@ from hydrabeam_mpi.effects.shared.point_sources import (
     resolution,
     responses,
 )
+from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
 from hydrabeam_mpi.effects.sky.varying_sources import MayVary
-from hydrabeam_mpi.model.sky import Sky
+from hydrabeam_mpi.model.sky import Sky, separation
 
 SPECTRAL_INDEX = -0.7  # of a source of which nothing is known
 SPACING = 0.5  # of candidates, in resolutions
@@ -89,6 +90,29 @@ class MissingSources(MayVary):
     def beyond(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> FloatArray:
         """Refuse fluxes below zero; see `Effect.beyond`."""
         return self._fluxes_below_zero(0.0, x, std)
+
+    def known_elements(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> list[tuple[BoolArray, Effect]]:
+        """Return the sources whose place a catalogue source may have, as errors of the fluxes of these.
+
+        By the data's likelihood of a place, a Gaussian, and the prior of a place that nothing is known of: of those
+        catalogue sources at which it is larger than that.
+        """
+        sky, each = setup.sky, x.shape[1] // len(self.sources)
+        scale, found = 3 * _spacing(setup), list[tuple[BoolArray, Effect]]()
+        for number, (ra, dec) in enumerate(zip(*self._places(x[0].reshape(-1, each)), strict=True)):
+            sigma = np.deg2rad(std[0, each * number + 1 : each * number + 3])
+            if not sigma.all():
+                continue
+            east = np.cos(sky.dec) * np.sin(sky.ra - ra)
+            north = np.sin(sky.dec) * np.cos(dec) - np.cos(sky.dec) * np.sin(dec) * np.cos(sky.ra - ra)
+            distance = (east / sigma[0]) ** 2 + (north / sigma[1]) ** 2
+            near = np.flatnonzero(
+                (distance < 2 * np.log(scale**2 / sigma.prod())) & (separation(sky.ra, sky.dec, ra, dec) < scale)
+            )
+            if len(near):
+                flux = CatalogueFlux(in_degrees(sky.ra[near], sky.dec[near]), CatalogueFlux().n_hypotheses(setup))
+                found.append((np.arange(x.shape[1]) // each == number, flux))
+        return found
 
     def told(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> Told:
         """Return flux, right ascension, declination and spectral index of every source, (Nfreqs, n_params)."""

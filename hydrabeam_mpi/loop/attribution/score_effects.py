@@ -78,6 +78,24 @@ def attribute(
     return result
 
 
+def attribute_sizes(context: FitContext, fitted: Fitted, sizes: Sequence[Effect]) -> list[Finding]:
+    """Weigh an effect with more and more parameters, each with those of the one before it first.
+
+    The rows are summed once, for the largest. Collective: all ranks of the grid.
+    """
+    with together(context.grid.world):
+        cached = CachedRowBlocks.of(context, fitted.estimate)
+    n_params = [len(effect.parameters(context.setup)) for effect in sizes]
+    candidate = CandidateBlock(sizes[-1], np.zeros(n_params[-1]))
+    by_name, told = likelihoods(context, fitted, cached, {"candidate": candidate}), None
+    if by_name is not None:
+        told = [[one.first(len(one.score) - n_params[-1] + n) for one in by_name["candidate"]] for n in n_params]
+    evidence = _weigh_all(context, fitted.values, sizes, told, Limits.of(context, fitted))
+    findings = None if evidence is None else list(map(Finding, sizes, evidence))
+    result: list[Finding] = bcast_object(context.grid.world, findings)
+    return result
+
+
 def _weigh_all(
     context: FitContext,
     values: Values,

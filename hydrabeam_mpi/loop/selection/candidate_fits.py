@@ -13,32 +13,25 @@ from hydrabeam_mpi.effects.interface.reweighting import ReweightingFit
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Worth, refit, stepped
 from hydrabeam_mpi.fit.state import Active, Fitted, Reweighted, Values
-from hydrabeam_mpi.loop.attribution.candidate_rows import CachedRowBlocks
 from hydrabeam_mpi.loop.attribution.reconsider import reconsider
-from hydrabeam_mpi.loop.attribution.score_effects import Finding, attribute
+from hydrabeam_mpi.loop.attribution.score_effects import Finding, attribute_sizes
 from hydrabeam_mpi.loop.attribution.score_noise import refit_reweighting
 from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked
 from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical, may_be_unphysical, price_of_limits
 from hydrabeam_mpi.loop.selection.predictions import check, score_of
 from hydrabeam_mpi.loop.selection.refits import fit_patiently, is_same_prior, restarted, rise, with_best_variant
-from hydrabeam_mpi.mpi import together
 from hydrabeam_mpi.terminal.progress import say
 
 
 def as_large_as_wanted(context: FitContext, fitted: Fitted, candidate: Candidate) -> Candidate:
-    """Take more parameters of an effect's sort at once while that has more evidence. Collective: all ranks."""
-    finding, cached = candidate.finding, None
-    while finding is not None and (larger := finding.effect.larger(context.setup)) is not None:
-        if cached is None:
-            with together(context.grid.world):
-                cached = CachedRowBlocks.of(context, fitted.estimate)
-        (more,) = attribute(context, fitted, [larger], cached)
-        if not more.evidence.log_bayes_factor > finding.evidence.log_bayes_factor:
-            break
-        finding = more
-        candidate = replace(candidate, finding=finding, log_bayes_factor=finding.evidence.log_bayes_factor)
-    return candidate
+    """Take more parameters of an effect's sort at once where that has more evidence. Collective: all ranks."""
+    finding = candidate.finding
+    larger = finding.effect.larger(context.setup) if finding is not None else ()
+    if finding is None or not larger:
+        return candidate
+    best = max([finding, *attribute_sizes(context, fitted, larger)], key=lambda one: one.evidence.log_bayes_factor)
+    return replace(candidate, finding=best, log_bayes_factor=best.evidence.log_bayes_factor)
 
 
 def fit_candidate(

@@ -113,14 +113,14 @@ def test_more_modes_at_once_begin_with_the_same() -> None:
     """Those of a batch have one width; more come until there are no more, or they are too many."""
     setup = with_basis(FourierBessel.full(24, 12, form="real", edge=EDGE, boundary="dirichlet"))
     effect, sizes = BasisTruncation(), []
-    while (larger := effect.larger(setup)) is not None:
+    for larger in effect.larger(setup):
         modes, more = effect.next_modes(setup).modes, larger.next_modes(setup).modes
         assert more[: len(modes)] == modes
         sizes.append(len(np.unique(larger.parameters(setup).element)))
         effect = larger
     assert sizes == [2, 3]
-    assert BasisTruncation(0, MOST_MODES).larger(setup) is None
-    assert BasisTruncation().larger(with_basis(BASES["real"])) is None
+    assert not BasisTruncation(0, MOST_MODES).larger(setup)
+    assert not BasisTruncation().larger(with_basis(BASES["real"]))
 
 
 class Unknown(FourierBessel):
