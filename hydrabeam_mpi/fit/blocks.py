@@ -176,9 +176,13 @@ def _integrate(block: RowBlock, blocks: Mapping[str, ColumnBlock]) -> None:
 def row_set(block: RowBlock) -> RowSet:
     """Return the residuals of a block as rows."""
     weights = block.weights.reshape(-1)
-    n_groups = len(block.groups)
-    member = (np.arange(len(block.times))[:, np.newaxis] * n_groups + block.member).reshape(-1)
-    return RowSet(weights * block.residual.reshape(-1), weights, member, len(block.times) * n_groups)
+    n_groups = len(block.times) * len(block.groups)
+    return RowSet(weights * block.residual.reshape(-1), weights, member_of_rows(block), n_groups)
+
+
+def member_of_rows(block: RowBlock) -> IntArray:
+    """Return to which of the block's times and groups, in their order, each row belongs, (Ntimes x Nbls,)."""
+    return (np.arange(len(block.times))[:, np.newaxis] * len(block.groups) + block.member).reshape(-1)
 
 
 def beam_columns(rows: RowSet, design: Array) -> Columns:

@@ -253,10 +253,13 @@ class Effect(InOtherData, HasLimits, MayChange, Cause):
         """
         return ()
 
-    def known_elements(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> list[tuple[BoolArray, Effect]]:
-        """Return the parameters, (n_params,), of elements that may be errors of what is known, each with their effect.
+    def known_elements(
+        self, setup: ObservingSetup, x: FloatArray, std: FloatArray
+    ) -> list[tuple[BoolArray, Effect, FloatArray]]:
+        """Return elements that may be errors of what is known: their parameters, (n_params,), and the error's effect.
 
-        ``x`` and ``std``, (Nfreqs, n_params), are what has been fitted, and its standard deviations.
+        With the values, (n,), where that begins. ``x`` and ``std``, (Nfreqs, n_params), are what has been fitted, and
+        its standard deviations.
         """
         return []
 

@@ -91,27 +91,29 @@ class MissingSources(MayVary):
         """Refuse fluxes below zero; see `Effect.beyond`."""
         return self._fluxes_below_zero(0.0, x, std)
 
-    def known_elements(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> list[tuple[BoolArray, Effect]]:
+    def known_elements(
+        self, setup: ObservingSetup, x: FloatArray, std: FloatArray
+    ) -> list[tuple[BoolArray, Effect, FloatArray]]:
         """Return the sources whose place a catalogue source may have, as errors of the fluxes of these.
 
-        By the data's likelihood of a place, a Gaussian, and the prior of a place that nothing is known of: of those
-        catalogue sources at which it is larger than that.
+        By the data's likelihood of a place, a Gaussian, and the prior of a place that nothing is known of: where that
+        of the likeliest catalogue source is larger.
         """
         sky, each = setup.sky, x.shape[1] // len(self.sources)
-        scale, found = 3 * _spacing(setup), list[tuple[BoolArray, Effect]]()
+        scale, found = 3 * _spacing(setup), list[tuple[BoolArray, Effect, FloatArray]]()
         for number, (ra, dec) in enumerate(zip(*self._places(x[0].reshape(-1, each)), strict=True)):
             sigma = np.deg2rad(std[0, each * number + 1 : each * number + 3])
-            if not sigma.all():
+            near = np.flatnonzero(separation(sky.ra, sky.dec, ra, dec) < scale)
+            if not sigma.all() or not len(near):
                 continue
-            east = np.cos(sky.dec) * np.sin(sky.ra - ra)
-            north = np.sin(sky.dec) * np.cos(dec) - np.cos(sky.dec) * np.sin(dec) * np.cos(sky.ra - ra)
+            east = np.cos(sky.dec[near]) * np.sin(sky.ra[near] - ra)
+            north = np.sin(sky.dec[near] - dec) + np.sin(dec) * np.cos(sky.dec[near]) * (1 - np.cos(sky.ra[near] - ra))
             distance = (east / sigma[0]) ** 2 + (north / sigma[1]) ** 2
-            near = np.flatnonzero(
-                (distance < 2 * np.log(scale**2 / sigma.prod())) & (separation(sky.ra, sky.dec, ra, dec) < scale)
-            )
-            if len(near):
-                flux = CatalogueFlux(in_degrees(sky.ra[near], sky.dec[near]), CatalogueFlux().n_hypotheses(setup))
-                found.append((np.arange(x.shape[1]) // each == number, flux))
+            best = near[[np.argmin(distance)]]
+            if distance.min() < 2 * np.log(scale**2 / sigma.prod()):
+                flux = CatalogueFlux(in_degrees(sky.ra[best], sky.dec[best]), CatalogueFlux().n_hypotheses(setup))
+                error = x[0, each * number] / sky.flux[:, best].mean(axis=0)
+                found.append((np.arange(x.shape[1]) // each == number, flux, error))
         return found
 
     def told(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> Told:

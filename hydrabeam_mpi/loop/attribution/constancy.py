@@ -89,7 +89,7 @@ class Spectrum:
         values, vectors = np.linalg.eigh(information)
         told = values > RANK_RTOL * max(values[-1], 0.0)
         values, vectors = values[told], vectors[:, told]
-        common = vectors.reshape(-1, q, len(values)).sum(axis=0).T
+        common = vectors.reshape(len(vectors) // q, q, len(values)).sum(axis=0).T
         return cls(values, vectors.T @ score, np.zeros(len(values)), common)
 
     def at_variance(self, factor: float) -> Spectrum:

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse import csr_array, hstack
 
-from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.data.observation import BoolArray, FloatArray, IntArray, Observation
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.fit.blocks import member_of_rows
 from hydrabeam_mpi.fit.columns import Columns, RowSet
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.error_scale import ErrorScale, error_scale
@@ -20,8 +21,10 @@ from hydrabeam_mpi.loop.attribution.candidate_rows import CachedRowBlocks, candi
 from hydrabeam_mpi.loop.attribution.constancy import Constancy, compare
 from hydrabeam_mpi.loop.attribution.others import Others
 from hydrabeam_mpi.loop.attribution.price import price_of
+from hydrabeam_mpi.loop.residuals.remains import Remains
 from hydrabeam_mpi.mpi import bcast_object, gather_objects, together
 from hydrabeam_mpi.random import generator
+from hydrabeam_mpi.words import joined
 
 MOST_PARTS = 4
 """Blocks of times, and folds of redundant groups: so few that each tells the parameters by itself, and that slow
@@ -43,12 +46,15 @@ class PartedBlock:
         By kind of parts, to which the rows of a time and a redundant group belong.
     n_parts : dict of str to int
         By kind, how many there are.
+    of_baselines : str, optional
+        The kind whose parts are of baselines, (Ntimes, Nbls), whatever their group.
     """
 
     active: Active
     used: IntArray
     parts: Mapping[str, IntArray]
     n_parts: Mapping[str, int]
+    of_baselines: str | None = None
     is_complex: bool = False
 
     @property
@@ -77,19 +83,65 @@ class PartedBlock:
     def columns(self, rows: RowSet, block: RowBlock) -> Columns:
         """Return the effect's columns, each in the part of its row."""
         made = block.columns_of(self.active.effect, self.active.x[block.channel])
-        matrix = csr_array(made.matrix()[:, self.used])
-        groups = block.groups if made.by_group else block.groups[block.member]
+        matrix, by_group = csr_array(made.matrix()[:, self.used]), made.by_group
+        if by_group and self.of_baselines is not None:
+            matrix, by_group = matrix[member_of_rows(block)], False
+        groups = block.groups if by_group else block.groups[block.member]
         of_kinds = []
         for kind, n_parts in self.n_parts.items():
-            part = self.parts[kind][block.times[:, np.newaxis], groups].reshape(-1)
+            which = block.bls if kind == self.of_baselines else groups
+            part = self.parts[kind][block.times[:, np.newaxis], which].reshape(-1)
             columns = matrix.indices + len(self.used) * np.repeat(part, np.diff(matrix.indptr))
             shape = len(part), n_parts * len(self.used)
             of_kinds.append(csr_array((matrix.data, columns, matrix.indptr), shape=shape))
-        return Columns(rows, hstack(of_kinds, format="csr"), made.by_group)
+        return Columns(rows, hstack(of_kinds, format="csr"), by_group)
 
 
-def ask_constancy(context: FitContext, fitted: Fitted, places: Iterable[int]) -> dict[int, tuple[Constancy, ...]]:
+@dataclass(frozen=True)
+class Affected:
+    """The baselines on which most of what is left of the data lives, where these are few.
+
+    Attributes
+    ----------
+    name : str
+        What they and the others are called.
+    bls : ndarray of bool, (Nbls,)
+    """
+
+    name: str
+    bls: BoolArray
+
+    @classmethod
+    def of(cls, remains: Remains, observation: Observation) -> Affected | None:
+        """Return those of the antennas, or else the baselines, that carry what is left; None where it is anywhere."""
+        if remains.consistent:
+            return None
+        axes = [
+            ("antennas", observation.antenna_numbers[observation.antenna_index]),
+            ("baselines", observation.antpairs),
+        ]
+        for axis, numbers in axes:
+            told = remains.where.get(axis)
+            if told is None or told["state"] != "concentrated":
+                continue
+            carriers = [one["what"] for one in told["entries"]]
+            pairs = numbers.tolist()
+            of_antennas = axis == "antennas"
+            hit = [bool(set(pair) & set(carriers)) if of_antennas else pair in carriers for pair in pairs]
+            named = joined([str(one) if of_antennas else "-".join(map(str, one)) for one in carriers])
+            plural = "s" if len(carriers) > 1 else ""
+            which = f"baselines of antenna{plural} {named}" if of_antennas else f"baseline{plural} {named}"
+            return cls(f"the {which}, on which most of what is left lives, and the others", np.array(hit))
+        return None
+
+
+def ask_constancy(
+    context: FitContext, fitted: Fitted, places: Iterable[int], affected: Affected | None = None
+) -> dict[int, tuple[Constancy, ...]]:
     """Tell whether the active effects at some ``places`` are the same in all parts, for each kind of parts.
+
+    Where what is left of the data lives on few baselines, those that are ``affected``, these and the others are parts
+    as well: what is there on the others is no matter of what is wrong with these few.
 
     Collective: all ranks of the grid. Takes one pass over the rows. Places and the like stay where they are. Empty for
     effects that cannot be asked, as there are less than two parts.
@@ -97,7 +149,7 @@ def ask_constancy(context: FitContext, fitted: Fitted, places: Iterable[int]) ->
     active, widths, parted = fitted.values.active, {}, {}
     for place in places:
         widths[place] = active[place].prior_var(context.setup)
-        parted[place] = parted_block(context, active[place], np.flatnonzero(widths[place]))
+        parted[place] = parted_block(context, active[place], np.flatnonzero(widths[place]), affected)
     asked = {place: block for place, block in parted.items() if block.n_parts}
     likelihoods = likelihoods_of(context, fitted, asked) if asked else {}
     errors = error_scale(context, fitted)
@@ -162,7 +214,7 @@ def _compare(
     return compare(own, np.sqrt(prior_var[used]), kind, price, (errors.of_blocks(active.effect) ** 2).tolist())
 
 
-def parted_block(context: FitContext, active: Active, used: IntArray) -> PartedBlock:
+def parted_block(context: FitContext, active: Active, used: IntArray, affected: Affected | None = None) -> PartedBlock:
     """Cut the fitted rows into blocks of times, and besides into folds of groups, of which there are two at least.
 
     Times of a block follow each other; groups are dealt out at random, so that no fold has a direction of its own.
@@ -181,4 +233,8 @@ def parted_block(context: FitContext, active: Active, used: IntArray) -> PartedB
     fold[0, groups] = generator(0, "folds of groups").permutation(len(groups)) % max(of_kinds["baselines"], 1)
     shape = len(block), fold.shape[1]
     parts = {"times": np.broadcast_to(block, shape), "baselines": np.broadcast_to(fold, shape)}
-    return PartedBlock(active, used, parts, n_parts)
+    train = context.problem.train.bls
+    if affected is None or most < 2 or affected.bls[train].all() or not affected.bls[train].any():
+        return PartedBlock(active, used, parts, n_parts)
+    parts[affected.name] = np.broadcast_to(affected.bls.astype(int), (len(block), len(affected.bls)))
+    return PartedBlock(active, used, parts, n_parts | {affected.name: 2}, affected.name)

@@ -10,7 +10,7 @@ from hydrabeam_mpi.effects.interface.reweighting import ReweightingFit
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Fitted, Reweighted
 from hydrabeam_mpi.loop.attribution.constancy import Constancy
-from hydrabeam_mpi.loop.attribution.parts import ask_constancy
+from hydrabeam_mpi.loop.attribution.parts import Affected, ask_constancy
 from hydrabeam_mpi.loop.attribution.score_noise import WeightsFound, refit_reweighting
 from hydrabeam_mpi.loop.selection.acceptance import Round
 from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical
@@ -60,7 +60,8 @@ def take_back(context: FitContext, last: Round, n_given: int) -> Taken:
     """
     fitted = last.after.fitted
     active = fitted.values.active
-    asked = ask_constancy(context, fitted, range(n_given, len(active)))
+    affected = Affected.of(last.after.remains, context.setup.observation)
+    asked = ask_constancy(context, fitted, range(n_given, len(active)), affected)
     found = {place: refusal_by_parts(one, context.problem.job.loop) for place, one in asked.items()}
     gone = {place: why for place, why in found.items() if why is not None}
     kept = [place for place in range(len(active)) if place not in gone]

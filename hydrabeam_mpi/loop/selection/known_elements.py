@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from hydrabeam_mpi.data.observation import BoolArray
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import solved_at
 from hydrabeam_mpi.fit.state import Active
+from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.attribution.reconsider import reconsider
-from hydrabeam_mpi.loop.attribution.score_effects import Finding, attribute
+from hydrabeam_mpi.loop.attribution.score_effects import Finding
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
 from hydrabeam_mpi.loop.selection.physical import rest_of
 from hydrabeam_mpi.loop.selection.predictions import check
@@ -33,39 +36,47 @@ def as_known(
     place agrees with a known one, the two are fitted and compared by their evidence, with the held-out data's density,
     beside all else. Collective: all ranks of the grid. Arguments and what is returned are those of `exchange`.
     """
-    fitted = last.fitted
-    kinds = {one.kind for one in effects}
+    fitted, kinds = last.fitted, {one.kind for one in effects}
     for place in [one.place for one in rounds if one.place is not None]:
         active, std = fitted.values.active[place], fitted.fit.std[place]
-        for gone, effect in active.effect.known_elements(context.setup, active.x, std):
-            added = _instead(context, last, place, gone, effect, tried) if effect.kind in kinds else None
+        for gone, effect, x in active.effect.known_elements(context.setup, active.x, std):
+            if effect.kind not in kinds:
+                continue
+            # What it is worth only its fit tells, which begins where the other has ended.
+            size = Evidence(0.0, x**2, x[np.newaxis], 0.0, len(x), 0.0, len(x), 0.0)
+            added = _instead(context, last, place, gone, Finding(effect, size), tried)
             if added is not None:
-                n, is_all = len(fitted.values.active), rest_of(context, active, gone) is None
-                same: dict[int, int | None] = {old: old - (is_all and old > place) for old in range(n + 1)}
-                return added, same | ({place: None} if is_all else {})
+                is_all = rest_of(context, active, gone) is None
+                places: dict[int, int | None] = {
+                    old: old - (is_all and old > place) for old in range(len(fitted.values.active) + 1)
+                }
+                return added, places | ({place: None} if is_all else {})
     return None
 
 
 def _instead(
-    context: FitContext, last: Checked, place: int, gone: BoolArray, effect: Effect, tried: list[tuple[Candidate, str]]
+    context: FitContext,
+    last: Checked,
+    place: int,
+    gone: BoolArray,
+    finding: Finding,
+    tried: list[tuple[Candidate, str]],
 ) -> Round | None:
-    """Fit an effect instead of some parameters of the one at ``place``; return the round if that is better."""
+    """Fit what was found instead of some parameters of the effect at ``place``; return the round if it is better."""
     active = last.fitted.values.active
     rest, own = rest_of(context, active[place], gone), rest_of(context, active[place], ~gone)
     if own is None:
         return None
+    name = own.effect.parameters(context.setup).names[0]
+    say(f"  in the place of {name}:", context.grid.is_world_root)
     kept = (*active[:place], *([] if rest is None else [rest]), *active[place + 1 :])
     # The others stay where they are: left alone, they would make up for it.
     without = check(context, solved_at(context, replace(last.fitted.values, active=kept), last.fitted))
-    (finding,) = attribute(context, without.fitted, [effect]) or (None,)
-    if finding is None:
-        return None
-    say(f"  in the place of one of {own.effect.title}:", context.grid.is_world_root)
     present = _present(context, last, without, own)
-    best = try_effects(context, without, [Candidate.of(finding)], tried, present)
+    candidate = replace(Candidate.of(finding), log_bayes_factor=present.candidate.log_bayes_factor)
+    best = try_effects(context, without, [candidate], tried, present)
     if best is None or best is present:
         return None
-    name = own.effect.parameters(context.setup).names[0]
     told = f"{own.effect.title}: {name} taken back, as it is one of the {best.candidate.title}"
     say(f"  {told}", context.grid.is_world_root)
     added = round_of(context, last, best.after, best.candidate, best.ranking)
@@ -73,10 +84,18 @@ def _instead(
 
 
 def _present(context: FitContext, last: Checked, without: Checked, own: Active) -> Round:
-    """Tell what there is now as a round that adds it to the model ``without`` it."""
+    """Tell what there is now as a round that adds it to the model ``without`` it.
+
+    Places are weighed beside all else by the linear model of what is there, at the price of picking one of so many. How
+    much nearer the data tell them is Occam's factor, of prior over posterior width, which what has no place is spared.
+    """
     values = without.fitted.values
     now = fit_patiently(context, replace(values, active=(*values.active, own)), last.fitted)
     evidence = reconsider(context, now)
+    placed = own.effect.parameters(context.setup).nonlinear[own.used]
+    narrower = (own.prior.of(0).std() / now.fit.std[-1][0, own.used])[placed]
     risen = evidence.log_bayes_factor - evidence.linear_gain + rise(context, without.fitted, now)
-    candidate = replace(Candidate.of(Finding(own.effect, evidence)), log_bayes_factor=risen)
+    evidence = replace(evidence, effective_parameters=evidence.effective_parameters + len(narrower))
+    candidate = Candidate.of(Finding(own.effect, evidence))
+    candidate = replace(candidate, log_bayes_factor=risen - float(np.sum(np.log(narrower))))
     return round_of(context, without, last, candidate, ())

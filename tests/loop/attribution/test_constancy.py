@@ -12,13 +12,17 @@ from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.instrument.antenna_positions import AntennaPositions
 from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
+from hydrabeam_mpi.effects.sky.ionosphere import Ionosphere
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Active, Fitted, Values
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.loop.attribution import parts
 from hydrabeam_mpi.loop.attribution.constancy import Constancy, Spectrum, compare
-from hydrabeam_mpi.loop.attribution.parts import ask_constancy, likelihoods_of, parted_block
+from hydrabeam_mpi.loop.attribution.parts import Affected, ask_constancy, likelihoods_of, parted_block
+from hydrabeam_mpi.loop.attribution.score_effects import attribute
+from hydrabeam_mpi.loop.selection.acceptance import Candidate
+from hydrabeam_mpi.loop.selection.candidate_fits import fit_candidate
 from hydrabeam_mpi.loop.selection.constant import take_back
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refusal import refusal_by_parts
@@ -266,16 +270,49 @@ def test_a_place_is_not_what_a_gain_looks_like(tmp_path: Path) -> None:
     n = len(positions.parameters(context.setup))
     start = Active.start(positions, context.setup, np.full(n, 0.1**2), np.zeros((1, n)))
     fitted = refit(context, Values((start,)))
-    found = ask_constancy(context, fitted, [0])[0]
+    checked = check(context, fitted)
+    affected = Affected.of(checked.remains, context.setup.observation)
+    found = ask_constancy(context, fitted, [0], affected)[0]
     assert min(one.log_bayes_factor for one in found) < 5
     assert max(one.expected_by_noise for one in found) > 50
-    one = round_of(effect_candidate(positions), check(context, refit(context, Values())), check(context, fitted))
+    one = round_of(effect_candidate(positions), check(context, refit(context, Values())), checked)
     last, places, asked = take_back(context, one, 0)
     assert (places, asked) == ({0: None}, {0: found})
     assert last.after.fitted.values.active == ()
     assert last.after.score.chi2 == pytest.approx(one.before.score.chi2)
     assert "antenna positions: taken back, as it cannot be told from what is left beside it" in last.revised[0]
     assert take_back(context, one, 1) == (one, {0: 0}, {})
+
+
+def test_what_one_antenna_does_is_no_effect_of_the_sky(tmp_path: Path) -> None:
+    """The phase of one antenna looks like refraction on all folds of baselines, but not on those without the antenna.
+
+    An effect of the antenna itself is told by its own baselines alone, and is not asked by these parts.
+    """
+    context = context_of(mock_job({"kind": "antenna_gains", "parameters": {"antenna 2 phase": 0.3}}), tmp_path)
+    start = check(context, refit(context, Values()))
+    _, fitted = fit_candidate(context, start, Candidate.of(attribute(context, start.fitted, [Ionosphere()])[0]))
+    affected = Affected.of(fitted.remains, context.setup.observation)
+    assert affected is not None
+    antennas = context.setup.observation.antenna_numbers[context.setup.observation.antenna_index]
+    np.testing.assert_array_equal(affected.bls, (antennas == 2).any(axis=1))
+    _, folds, few = ask_constancy(context, fitted.fitted, [0], affected)[0]
+    assert folds.log_bayes_factor > 5
+    assert few.log_bayes_factor < few.expected - 5
+    said = refusal_by_parts([folds, few], context.problem.job.loop)
+    assert "between the baselines of antenna 2, on which most of what is left lives, and the others" in str(said)
+    var = np.zeros(14)
+    var[[4, 5]] = 0.05**2
+    gain = refit(context, Values((Active.start(AntennaGains(), context.setup, var, np.zeros((1, 14))),)))
+    assert refusal_by_parts(ask_constancy(context, gain, [0], affected)[0], context.problem.job.loop) is None
+    assert Affected.of(check(context, gain).remains, context.setup.observation) is None
+
+
+def test_parameters_of_which_no_data_tell_are_neither_the_same_nor_not() -> None:
+    """As of gains that jump where all has been flagged."""
+    nothing = Likelihood(np.zeros((8, 8)), np.zeros(8), np.zeros((8, 8)))
+    found = compare([nothing], STD, "times", 3.0, [1.0])
+    assert (found.log_bayes_factor, found.expected, found.expected_by_noise) == (-3.0, -3.0, -3.0)
 
 
 def test_many_parameters_have_fewer_parts(
