@@ -50,13 +50,13 @@ class AntennaDelays(Effect):
 
     def factor(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return g_j g_k*, (Ntimes, Nbls)."""
-        first, second = _phases(block.setup, block.channel, x)[row_antennas(block)].T
+        first, second = phases_of(block.setup, block.channel, x)[row_antennas(block)].T
         return np.broadcast_to(np.exp(1j * (first - second)), block.shape)
 
     def gains(self, setup: ObservingSetup, channel: int, x: FloatArray) -> ComplexArray:
         """Return exp(i (2 pi nu tau + phi)), (Nants,)."""
         gains = np.ones(setup.observation.Nants, dtype=complex)
-        gains[setup.antennas_in_use] = np.exp(1j * _phases(setup, channel, x))
+        gains[setup.antennas_in_use] = np.exp(1j * phases_of(setup, channel, x))
         return gains
 
 
@@ -66,7 +66,7 @@ def _slopes(setup: ObservingSetup, channel: int) -> FloatArray:
     return np.array([2 * np.pi * offset * NS, 1.0])
 
 
-def _phases(setup: ObservingSetup, channel: int, x: FloatArray) -> FloatArray:
+def phases_of(setup: ObservingSetup, channel: int, x: FloatArray) -> FloatArray:
     """Return the phase of every antenna in a channel, (Nused,)."""
     return x.reshape(-1, 2) @ _slopes(setup, channel)
 

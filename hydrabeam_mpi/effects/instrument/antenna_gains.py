@@ -6,8 +6,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
-from hydrabeam_mpi.effects.instrument.antenna_delays import AntennaDelays, delays_of
+from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray
+from hydrabeam_mpi.effects.instrument.gain_laws import laws_followed
 from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
@@ -65,10 +65,11 @@ class AntennaGains(Effect):
         """Return the logarithms of the gains that were found, (..., n_params)."""
         return logarithms(x)
 
-    def over_frequency(self, setup: ObservingSetup, x: FloatArray) -> tuple[Effect, FloatArray] | None:
-        """Return delays and phases, (n_params,), where phases rise with the frequency about as those of `x` do."""
-        law = AntennaDelays()
-        return None if law.not_applicable(setup) else (law, delays_of(setup, x[:, 1::2]))
+    def simpler_elements(
+        self, setup: ObservingSetup, x: FloatArray, std: FloatArray
+    ) -> list[tuple[BoolArray, Effect, FloatArray]]:
+        """Return antennas whose gains of all channels may come from a delay each, and those from an echo each."""
+        return laws_followed(setup, x, std)
 
     def factor(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return g_j g_k*, (Ntimes, Nbls)."""

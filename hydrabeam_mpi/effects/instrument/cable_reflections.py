@@ -20,6 +20,7 @@ MIN_CHANNELS = 4
 MAX_ECHOES = 16
 NO_PHASE = np.pi / np.sqrt(3)
 """Standard deviation of a phase that is anything, rad."""
+ECHO_STEPS = 6  # of Gauss and Newton from a delay that was scanned to an echo; each about squares what is left
 STEPS_APART = 2  # of the delays scanned: a resolution
 """Most candidates of one antenna that are compared together; one faulty antenna would otherwise crowd out all
 others.
@@ -219,6 +220,38 @@ def candidate_delays(setup: ObservingSetup) -> FloatArray:
     steps = np.arange(2, np.floor(limit / step + slack) + 1)
     early = steps[steps < limit / step - slack]
     return step * np.concatenate([-early[::-1], steps])
+
+
+def echoes_of(setup: ObservingSetup, gains: ComplexArray) -> tuple[FloatArray, ComplexArray, ComplexArray]:
+    """Return the echo that comes nearest to each antenna's gains in all channels, and the gains that it makes.
+
+    Parameters
+    ----------
+    setup : ObservingSetup
+    gains : ndarray of complex, (Nfreqs, Nants)
+
+    Returns
+    -------
+    delays : ndarray, (Nants,)
+        ns, each from the best of those that are scanned.
+    amplitudes : ndarray of complex, (Nants,)
+    made : ndarray of complex, (Nfreqs, Nants)
+    """
+    turns = 2j * np.pi * NS * (setup.observation.freqs - setup.reference_freq)[:, np.newaxis]
+    scanned = candidate_delays(setup)
+    projected = np.exp(-turns * scanned).T @ (gains - 1) / len(turns)
+    best = np.argmax(np.abs(projected), axis=0)
+    delays, amplitudes = scanned[best], projected[best, np.arange(gains.shape[1])]
+    for _ in range(ECHO_STEPS):
+        waves = np.exp(turns * delays)
+        for k, (wave, left) in enumerate(zip(waves.T, (gains - 1 - amplitudes * waves).T, strict=True)):
+            columns = np.stack([wave, 1j * wave, turns[:, 0] * amplitudes[k] * wave], axis=-1)
+            step = np.linalg.lstsq(
+                np.concatenate([columns.real, columns.imag]), np.concatenate([left.real, left.imag])
+            )[0]
+            amplitudes[k] += step[0] + 1j * step[1]
+            delays[k] += np.clip(step[2], -0.5 * _resolution(setup), 0.5 * _resolution(setup))
+    return delays, amplitudes, 1 + amplitudes * np.exp(turns * delays)
 
 
 def _resolution(setup: ObservingSetup) -> float:

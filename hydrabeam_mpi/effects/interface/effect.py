@@ -218,13 +218,15 @@ class Effect(InOtherData, HasLimits, MayChange, Cause):
         """
         return None
 
-    def over_frequency(self, setup: ObservingSetup, x: FloatArray) -> tuple[Effect, FloatArray] | None:
-        """Return the effect that has a law in frequency in the place of values of each channel, where one is known.
+    def simpler_elements(
+        self, setup: ObservingSetup, x: FloatArray, std: FloatArray
+    ) -> list[tuple[BoolArray, Effect, FloatArray]]:
+        """Return elements that may be something with fewer parameters: which are theirs, (n_params,), and that effect.
 
-        With it comes where on that law the fitted parameters ``x``, (Nfreqs, n_params), are about, (n_params of the
-        law,).
+        With the values, (n,), where that begins. ``x`` and ``std``, (Nfreqs, n_params), are what has been fitted, and
+        its standard deviations.
         """
-        return None
+        return []
 
     def told(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> Told:
         """Return fitted parameters and their errors, (Nfreqs, n_params) each, as they are told: one for each."""
@@ -252,16 +254,6 @@ class Effect(InOtherData, HasLimits, MayChange, Cause):
         Each has those of the one before it first.
         """
         return ()
-
-    def known_elements(
-        self, setup: ObservingSetup, x: FloatArray, std: FloatArray
-    ) -> list[tuple[BoolArray, Effect, FloatArray]]:
-        """Return elements that may be errors of what is known: their parameters, (n_params,), and the error's effect.
-
-        With the values, (n,), where that begins. ``x`` and ``std``, (Nfreqs, n_params), are what has been fitted, and
-        its standard deviations.
-        """
-        return []
 
     def beyond_basis(self, setup: ObservingSetup) -> Effect | None:
         """Return the part that no beam in the basis can follow, however free its coefficients are; None without one."""

@@ -91,7 +91,7 @@ class MissingSources(MayVary):
         """Refuse fluxes below zero; see `Effect.beyond`."""
         return self._fluxes_below_zero(0.0, x, std)
 
-    def known_elements(
+    def simpler_elements(
         self, setup: ObservingSetup, x: FloatArray, std: FloatArray
     ) -> list[tuple[BoolArray, Effect, FloatArray]]:
         """Return the sources whose place a catalogue source may have, as errors of the fluxes of these.

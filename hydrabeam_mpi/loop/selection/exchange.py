@@ -5,12 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import solved_at
-from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.attribution.reconsider import reconsider
 from hydrabeam_mpi.loop.attribution.score_effects import Finding, attribute
 from hydrabeam_mpi.loop.rules import RULES
@@ -33,10 +30,8 @@ def exchange(
 
     While something else is missing, an effect with many parameters may take up a part of that and so come before the
     right one. So each effect that is not the newest is left out, and those that had come near are weighed and fitted
-    beside all the others, as in any round. So is an effect that has a law in frequency where the one that was found
-    has values of each channel: from zero it may be too far for a linear model, as a delay of many turns is. The best of
-    them is taken if it has more evidence, with the held-out data's density, than the effect that it replaces, and, but
-    for a law, their rms does not rise.
+    beside all the others, as in any round. The best of them is taken if it has more evidence, with the held-out data's
+    density, than the effect that it replaces, and their rms does not rise.
 
     Collective: all ranks of the grid.
 
@@ -60,10 +55,8 @@ def exchange(
         if found.place is None:
             continue
         is_asked = not all(one.revoked for one in rounds[number + 1 :])
-        near, law = _near(found, effects) if is_asked else [], _over_frequency(context, last, found, effects)
-        if not near and law is None:
-            continue
-        better = _better_than(context, last, found, near, law, tried)
+        near = _near(found, effects) if is_asked else []
+        better = _better_than(context, last, found, near, tried) if near else None
         if better is not None:
             return better, _places_without(found.place, len(last.fitted.values.active))
     return None
@@ -85,30 +78,11 @@ def _near(found: Round, effects: Sequence[Effect]) -> list[Effect]:
     return [one for one in effects if (one.kind, one.law) in names]
 
 
-def _over_frequency(context: FitContext, last: Checked, found: Round, effects: Sequence[Effect]) -> Finding | None:
-    """Return what an effect with values of each channel is by its law in frequency, if that is looked for, too."""
-    assert found.place is not None
-    active = last.fitted.values.active[found.place]
-    law = active.effect.over_frequency(context.setup, active.x)
-    if law is None or law[0].kind not in {one.kind for one in effects}:
-        return None
-    effect, x = law
-    parameters = effect.parameters(context.setup)
-    is_used = x != 0
-    size = np.mean((x[is_used] / parameters.scale[is_used]) ** 2) if is_used.any() else 0.0
-    n_used = int(np.count_nonzero(is_used))
-    if not 0 < n_used < active.size * len(active.x):
-        return None
-    prior_var = np.where(is_used, size * parameters.scale**2, 0.0)
-    return Finding(effect, Evidence(0.0, prior_var, x[np.newaxis], 0.0, n_used, 0.0, n_used, 0.0))
-
-
 def _better_than(
     context: FitContext,
     last: Checked,
     found: Round,
     near: Sequence[Effect],
-    law: Finding | None,
     tried: list[tuple[Candidate, str]],
 ) -> Round | None:
     """Fit what came near an effect in its place; return the best if it is better. Collective: all ranks of the grid."""
@@ -123,15 +97,10 @@ def _better_than(
     now = replace(Candidate.of(Finding(active[found.place].effect, own)), log_bayes_factor=evidence)
     present = replace(found, candidate=now, before=without, after=last)
     ranking = list(map(Candidate.of, attribute(context, without.fitted, near)))
-    if law is not None:
-        # What it is worth only its fit tells, which begins where the other has ended.
-        ranking = [replace(Candidate.of(law), log_bayes_factor=evidence), *ranking]
     best = try_effects(context, without, ranking, tried, present)
     if best is None or best is present:
         return None
-    # A law has no freedom that the values have not: how far it predicts otherwise is in the density.
-    is_law = law is not None and best.candidate.kind == law.kind
-    if not is_law and rise_of_rms(last, best.after) is not None:
+    if rise_of_rms(last, best.after) is not None:
         return None
     told = f"{title}: taken back, as {best.candidate.title} explain more in its place beside what was found since"
     say(f"  {told}", context.grid.is_world_root)

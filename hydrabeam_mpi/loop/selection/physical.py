@@ -71,7 +71,7 @@ def leave_out_unphysical(context: FitContext, fitted: Fitted, n_before: int) -> 
             ]
             each += [f"and {len(which) - MOST_NAMED} more"] if len(which) > MOST_NAMED else []
             told.append(f"{one.effect.title}: left out what would have {one.effect.unphysical}: {', '.join(each)}")
-            left = rest_of(context, one, gone)
+            left = _rest(context, one, gone)
         places[place] = None if left is None else len(kept)
         kept += [] if left is None else [left]
     return LeftOut(replace(fitted.values, active=tuple(kept)), places, tuple(told)) if told else None
@@ -89,7 +89,7 @@ def price_of_limits(context: FitContext, fitted: Fitted) -> float:
     return float(0.5 * np.sum(beyond[np.isfinite(beyond)] ** 2))
 
 
-def rest_of(context: FitContext, one: Active, gone: BoolArray) -> Active | None:
+def _rest(context: FitContext, one: Active, gone: BoolArray) -> Active | None:
     """Return an effect without some of its parameters; None where none of those left is in use."""
     effect, left = one.effect.without(gone)
     prior_var = one.prior_var(context.setup)[left]

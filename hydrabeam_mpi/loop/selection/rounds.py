@@ -18,10 +18,10 @@ from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
 from hydrabeam_mpi.loop.selection.constant import beside_noise, take_back, take_back_unphysical, take_back_weights
 from hydrabeam_mpi.loop.selection.exchange import exchange
 from hydrabeam_mpi.loop.selection.history import History
-from hydrabeam_mpi.loop.selection.known_elements import as_known
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.prior_widths import Adapted, adapt, as_adapted
 from hydrabeam_mpi.loop.selection.revision import revise
+from hydrabeam_mpi.loop.selection.simpler import simplified
 from hydrabeam_mpi.loop.selection.trials import try_control, try_effects
 from hydrabeam_mpi.loop.selection.weighing import Outlook, Weighed, next_of, weigh
 from hydrabeam_mpi.loop.selection.whole_set import as_one, try_set
@@ -225,7 +225,7 @@ def _accept(context: FitContext, history: History, added: Round) -> Round:
 def _exchanged(context: FitContext, history: History, effects: Sequence[Effect]) -> Round | None:
     """Exchange an effect for a better one where there is one; return the round. Collective: all ranks of the grid."""
     found = exchange(context, history.last, history.rounds, effects, history.tried)
-    found = found or as_known(context, history.last, history.rounds, effects, history.tried)
+    found = found or simplified(context, history.last, history.rounds, effects, history.tried)
     if found is None:
         return None
     added, places = found

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from hydrabeam_mpi.effects.instrument.antenna_delays import AntennaDelays
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.instrument.closure_errors import ClosureErrors
 from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
@@ -101,44 +98,3 @@ def test_only_what_came_near_is_asked_and_only_once_something_was_found_since(
     tried: list = []
     assert exchange(context, so_far[-1].after, so_far, [GAINS], tried) is None
     assert tried == []
-
-
-FOUR = tuple(131e6 + 3e6 * np.arange(4.0))
-PURE = 2 * np.pi * np.mean(FOUR) * 3e-9  # rad, by which 3 ns turn the phase at the mean frequency
-
-
-def gains_of_all_channels(truth: dict[str, object], folder: Path) -> tuple[FitContext, Round]:
-    """A round that has found gains of one antenna in each of four channels, fitted from near where they are."""
-    context = context_of(mock_job(truth, freqs=FOUR), folder)
-    names = GAINS.parameters(context.setup).names
-    used = np.isin(names, ["antenna 2 ln amplitude", "antenna 2 phase"])
-    x = np.zeros((4, len(names)))
-    if truth["kind"] == "antenna_delays":
-        x[:, names.index("antenna 2 phase")] = PURE * np.array(FOUR) / np.mean(FOUR)
-    before = check(context, refit(context, Values()))
-    active = Active.start(GAINS, context.setup, np.where(used, 1.0, 0.0), x)
-    after = check(context, refit(context, Values((active,))))
-    return context, round_of(effect_candidate(GAINS), before, after)
-
-
-def test_a_delay_of_more_than_a_radian_in_the_place_of_gains_in_each_channel(tmp_path: Path) -> None:
-    """From zero no linear model finds it: the phase is of 2.6 radians."""
-    truth = {"kind": "antenna_delays", "parameters": {"antenna 2 delay": 3.0, "antenna 2 phase": PURE}}
-    context, found = gains_of_all_channels(truth, tmp_path)
-    exchanged = exchange(context, found.after, [found], [GAINS, AntennaDelays()], [])
-    assert exchanged is not None
-    added, places = exchanged
-    assert places == {0: None, 1: 0}
-    (active,) = added.after.fitted.values.active
-    assert active.kind == "antenna_delays"
-    names = AntennaDelays().parameters(context.setup).names
-    (std,) = added.after.fitted.fit.std
-    delay, phase = names.index("antenna 2 delay"), names.index("antenna 2 phase")
-    assert abs(active.x[0, delay] - 3.0) < 4 * std[0, delay]
-    assert abs(np.angle(np.exp(1j * (active.x[0, phase] - PURE)))) < 4 * std[0, phase]
-    assert exchange(context, found.after, [found], [GAINS], []) is None  # where delays are not looked for
-
-
-def test_gains_that_follow_no_law_keep_their_place(tmp_path: Path) -> None:
-    context, found = gains_of_all_channels(GAIN, tmp_path)
-    assert exchange(context, found.after, [found], [GAINS, AntennaDelays()], []) is None

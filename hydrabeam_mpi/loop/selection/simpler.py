@@ -1,4 +1,4 @@
-"""Elements found at places of their own may be errors of what is known: a source, of the catalogue's fluxes."""
+"""Elements that may be something with fewer parameters: sources of the catalogue, gains that a delay makes."""
 
 from __future__ import annotations
 
@@ -16,37 +16,39 @@ from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.attribution.reconsider import reconsider
 from hydrabeam_mpi.loop.attribution.score_effects import Finding
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
-from hydrabeam_mpi.loop.selection.physical import rest_of
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refits import fit_patiently, rise
 from hydrabeam_mpi.loop.selection.trials import round_of, try_effects
 from hydrabeam_mpi.terminal.progress import say
 
 
-def as_known(
+def simplified(
     context: FitContext,
     last: Checked,
     rounds: Sequence[Round],
     effects: Sequence[Effect],
     tried: list[tuple[Candidate, str]],
 ) -> tuple[Round, dict[int, int | None]] | None:
-    """Take an element out of its effect where it is more likely an error of what is known.
+    """Take elements out of their effect that are more likely something simpler.
 
-    A flux that is wrong in the catalogue looks like a source at that place, which has a place to fit besides. Where a
-    place agrees with a known one, the two are fitted and compared by their evidence, with the held-out data's density,
-    beside all else. Collective: all ranks of the grid. Arguments and what is returned are those of `exchange`.
+    A flux that is wrong in the catalogue looks like a source at that place, which has a place to fit besides; a delay
+    looks like gains, which every channel has for itself. From zero the simpler effect may be too far for a linear
+    model, as a delay of many turns is, so that it was not found at once. The two are fitted and compared by their
+    evidence, with the held-out data's density, beside all else. Collective: all ranks of the grid. Arguments and what
+    is returned are those of `exchange`.
     """
     fitted, kinds = last.fitted, {one.kind for one in effects}
     for place in [one.place for one in rounds if one.place is not None]:
         active, std = fitted.values.active[place], fitted.fit.std[place]
-        for gone, effect, x in active.effect.known_elements(context.setup, active.x, std):
-            if effect.kind not in kinds:
+        for gone, effect, x in active.effect.simpler_elements(context.setup, active.x, std):
+            if effect.kind not in kinds or not gone[active.used].any():
                 continue
             # What it is worth only its fit tells, which begins where the other has ended.
-            size = Evidence(0.0, x**2, x[np.newaxis], 0.0, len(x), 0.0, len(x), 0.0)
+            n_used = int(np.count_nonzero(x))
+            size = Evidence(0.0, x**2, x[np.newaxis], 0.0, n_used, 0.0, n_used, 0.0)
             added = _instead(context, last, place, gone, Finding(effect, size), tried)
             if added is not None:
-                is_all = rest_of(context, active, gone) is None
+                is_all = bool(gone[active.used].all())
                 places: dict[int, int | None] = {
                     old: old - (is_all and old > place) for old in range(len(fitted.values.active) + 1)
                 }
@@ -64,12 +66,11 @@ def _instead(
 ) -> Round | None:
     """Fit what was found instead of some parameters of the effect at ``place``; return the round if it is better."""
     active = last.fitted.values.active
-    rest, own = rest_of(context, active[place], gone), rest_of(context, active[place], ~gone)
-    if own is None:
-        return None
-    name = own.effect.parameters(context.setup).names[0]
-    say(f"  in the place of {name}:", context.grid.is_world_root)
-    kept = (*active[:place], *([] if rest is None else [rest]), *active[place + 1 :])
+    rest, own = _part(context, active[place], ~gone), _part(context, active[place], gone)
+    names = own.effect.parameters(context.setup).names
+    named = f"{names[own.used[0]]}{f' and {own.size - 1} more' if own.size > 1 else ''}"
+    say(f"  in the place of {named}:", context.grid.is_world_root)
+    kept = (*active[:place], *([rest] if rest.size else []), *active[place + 1 :])
     # The others stay where they are: left alone, they would make up for it.
     without = check(context, solved_at(context, replace(last.fitted.values, active=kept), last.fitted))
     present = _present(context, last, without, own)
@@ -77,10 +78,16 @@ def _instead(
     best = try_effects(context, without, [candidate], tried, present)
     if best is None or best is present:
         return None
-    told = f"{own.effect.title}: {name} taken back, as it is one of the {best.candidate.title}"
+    told = f"{own.effect.title}: {named} taken back, as {best.candidate.title} explain as much with less"
     say(f"  {told}", context.grid.is_world_root)
     added = round_of(context, last, best.after, best.candidate, best.ranking)
     return replace(added, revised=(told,), place=len(active))
+
+
+def _part(context: FitContext, one: Active, which: BoolArray) -> Active:
+    """Return an effect with some of its parameters in use, (n_params,)."""
+    prior_var = np.where(which, one.prior_var(context.setup), 0.0)
+    return Active.start(one.effect, context.setup, prior_var, np.where(which, one.x, 0.0))
 
 
 def _present(context: FitContext, last: Checked, without: Checked, own: Active) -> Round:

@@ -1,0 +1,101 @@
+"""Gains of single antennas in all channels that may follow a law in frequency: a delay, or an echo in the cable."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import BoolArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.instrument.antenna_delays import AntennaDelays, delays_of, phases_of
+from hydrabeam_mpi.effects.instrument.cable_reflections import CableReflections, echoes_of
+from hydrabeam_mpi.effects.interface.effect import Effect
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+
+
+@dataclass(frozen=True)
+class GainLaw:
+    """A law, and where the gains of all antennas come nearest to it.
+
+    Attributes
+    ----------
+    gains : ndarray, (Nfreqs, Nants, 2)
+        ln amplitude and phase.
+    n_each : int
+        Parameters of an antenna.
+    of : callable
+        From the positions of antennas in use, (n,), to the effect of these and its parameters, (n_params,).
+    """
+
+    gains: FloatArray
+    n_each: int
+    of: Callable[[IntArray], tuple[Effect, FloatArray]]
+
+
+def laws_followed(setup: ObservingSetup, x: FloatArray, std: FloatArray) -> list[tuple[BoolArray, Effect, FloatArray]]:
+    """Tell whose gains in all channels may come from a delay each, and whose from an echo each.
+
+    By the likelihood of the gains, a Gaussian, along either law, and by what fewer parameters gain by Occam's factor
+    with a prior as wide as the gains are large.
+
+    Parameters
+    ----------
+    setup : ObservingSetup
+    x, std : ndarray, (Nfreqs, 2 Nants)
+        ln amplitudes and phases of the antennas in use, and their standard deviations.
+
+    Returns
+    -------
+    list of (ndarray of bool, (2 Nants,), Effect, ndarray, (n_params,))
+        Which are those of the antennas, the effect of the law, and its parameters, where they are about.
+    """
+    gains, sigma = x.reshape(len(x), -1, 2), std.reshape(len(x), -1, 2)
+    told = np.flatnonzero((sigma > 0).all(axis=(0, 2)))
+    laws = [law for law in (_delays(setup, gains), _echoes(setup, gains)) if law is not None]
+    if not laws or not len(told):
+        return []
+    size = np.sqrt(np.mean(gains[:, told] ** 2))
+    narrower = np.log(np.maximum(size / sigma[:, told], 1.0)).sum(axis=(0, 2))
+    lost = []
+    for law in laws:
+        away = law.gains - gains
+        away[..., 1] = np.angle(np.exp(1j * away[..., 1]))
+        chi2 = np.sum((away[:, told] / sigma[:, told]) ** 2, axis=(0, 2))
+        lost.append(0.5 * chi2 - (1 - law.n_each / (2 * len(x))) * narrower)
+    best = np.where(np.min(lost, axis=0) < 0, np.argmin(lost, axis=0), len(laws))
+    found = []
+    for number, law in enumerate(laws):
+        antennas = told[best == number]
+        if len(antennas):
+            found.append((np.repeat(np.isin(np.arange(gains.shape[1]), antennas), 2), *law.of(antennas)))
+    return found
+
+
+def _delays(setup: ObservingSetup, gains: FloatArray) -> GainLaw | None:
+    effect = AntennaDelays()
+    if effect.not_applicable(setup) is not None:
+        return None
+    x = delays_of(setup, gains[..., 1])
+    phases = np.array([phases_of(setup, channel, x) for channel in range(len(gains))])
+
+    def of(antennas: IntArray) -> tuple[Effect, FloatArray]:
+        return effect, np.where(np.isin(np.arange(len(x)) // 2, antennas), x, 0.0)
+
+    return GainLaw(np.stack([np.zeros_like(phases), phases], axis=-1), 2, of)
+
+
+def _echoes(setup: ObservingSetup, gains: FloatArray) -> GainLaw | None:
+    if CableReflections().not_applicable(setup) is not None:
+        return None
+    delays, amplitudes, made = echoes_of(setup, np.exp(gains[..., 0] + 1j * gains[..., 1]))
+    numbers = setup.observation.antenna_numbers[setup.antennas_in_use]
+
+    def of(antennas: IntArray) -> tuple[Effect, FloatArray]:
+        z = amplitudes[antennas]
+        x = np.stack([z.real, z.imag, np.zeros(len(z))], axis=-1)
+        return CableReflections(
+            list(zip(numbers[antennas].tolist(), delays[antennas].tolist(), strict=True))
+        ), x.ravel()
+
+    return GainLaw(np.stack([np.log(np.abs(made)), np.angle(made)], axis=-1), 3, of)

@@ -1,0 +1,184 @@
+"""A source that was found where the catalogue has one is an error of that one's flux, if that is likelier."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hydrabeam_mpi.effects.instrument.antenna_delays import AntennaDelays
+from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
+from hydrabeam_mpi.effects.instrument.cable_reflections import CableReflections
+from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
+from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.gauss_newton import refit
+from hydrabeam_mpi.fit.state import Active, Values
+from hydrabeam_mpi.loop.selection.acceptance import Round
+from hydrabeam_mpi.loop.selection.predictions import check
+from hydrabeam_mpi.loop.selection.simpler import simplified
+from tests.loop.made import effect_candidate, round_of
+from tests.loop.mock import context_of, mock_job
+
+GAIN = {"kind": "antenna_gains", "parameters": {"antenna 2 ln amplitude": 0.06, "antenna 2 phase": -0.05}}
+GAINS = AntennaGains()
+TRIALS = 100
+
+
+def fitted_as_sources(context: FitContext, *sources: tuple[float, float]) -> Round:
+    """A round that has found missing sources at some places."""
+    effect = MissingSources(sources, TRIALS)
+    n = len(effect.parameters(context.setup))
+    var, x = np.zeros(n), np.zeros((1, n))
+    var[::3], x[:, ::3] = 100.0, 1.0
+    before = check(context, refit(context, Values()))
+    after = check(context, refit(context, Values((Active.start(effect, context.setup, var, x),)), before.fitted))
+    return round_of(effect_candidate(effect), before, after)
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> FitContext:
+    return context_of(mock_job(), tmp_path_factory.mktemp("plain"))
+
+
+def brightest(context: FitContext) -> tuple[float, float]:
+    """The catalogue source that the model beam sees brightest."""
+    return CatalogueFlux().foremost(context.setup, 1).sources[0]
+
+
+def with_wrong_flux(plain: FitContext, folder: Path) -> FitContext:
+    """Data in which that has 30% more than in the catalogue, and a source is missing."""
+    flux = {"kind": "catalogue_flux", "settings": {"sources": [list(brightest(plain))]}, "strength": 3.0}
+    missing = {"kind": "missing_sources", "settings": {"sources": [list(place_of_missing(plain))]}, "strength": 10.0}
+    return context_of(mock_job(flux, missing), folder)
+
+
+def place_of_missing(plain: FitContext) -> tuple[float, float]:
+    """A place as high as that of the brightest, and six degrees from it."""
+    ra, dec = brightest(plain)
+    return (ra + 6.0) % 360, dec
+
+
+def test_a_source_where_the_catalogue_has_one_is_its_flux(plain: FitContext, tmp_path: Path) -> None:
+    """And the one beside it, where the catalogue has none, stays what it is."""
+    context = with_wrong_flux(plain, tmp_path)
+    ra, dec = brightest(plain)
+    found = fitted_as_sources(context, (ra + 0.3, dec - 0.2), place_of_missing(plain))
+    assert found.after.score.chi2 == pytest.approx(1, abs=0.1)
+    added, places = simplified(context, found.after, [found], [CatalogueFlux()], []) or pytest.fail("nothing was found")
+    assert places == {0: 0, 1: 1}
+    assert "taken back, as fluxes of catalogue sources explain as much with less" in added.revised[0]
+    source, flux = added.after.fitted.values.active
+    assert isinstance(source.effect, MissingSources)
+    assert source.used.tolist() == [3, 4, 5]
+    assert isinstance(flux.effect, CatalogueFlux)
+    assert flux.effect.sources == (brightest(plain),)
+    error, std = flux.x[0, 0], added.after.fitted.fit.std[1][0, 0]
+    assert abs(abs(error) - 0.3) < 4 * std < 0.04
+    assert added.after.score.chi2 == pytest.approx(1, abs=0.1)
+    # Where it is not to be looked for it is not told so.
+    assert simplified(context, found.after, [found], [], []) is None
+
+
+def test_the_effect_is_gone_with_its_last_source(plain: FitContext, tmp_path: Path) -> None:
+    flux = {"kind": "catalogue_flux", "settings": {"sources": [list(brightest(plain))]}, "strength": 3.0}
+    context = context_of(mock_job(flux), tmp_path)
+    ra, dec = brightest(plain)
+    found = fitted_as_sources(context, (ra + 0.3, dec - 0.2))
+    added, places = simplified(context, found.after, [found], [CatalogueFlux()], []) or pytest.fail("nothing was found")
+    assert places == {0: None, 1: 0}
+    (flux_of_known,) = added.after.fitted.values.active
+    assert isinstance(flux_of_known.effect, CatalogueFlux)
+
+
+def test_a_source_near_a_known_one_stays_where_it_is(plain: FitContext, tmp_path: Path) -> None:
+    """It is told from the other by its place, which differs by many of its standard errors."""
+    ra, dec = brightest(plain)
+    beside = (ra + 2.0, dec)
+    missing = {"kind": "missing_sources", "settings": {"sources": [list(beside)]}, "strength": 10.0}
+    context = context_of(mock_job(missing), tmp_path)
+    found = fitted_as_sources(context, beside)
+    assert simplified(context, found.after, [found], [CatalogueFlux()], []) is None
+
+
+FOUR = tuple(131e6 + 3e6 * np.arange(4.0))
+PURE = 2 * np.pi * np.mean(FOUR) * 3e-9  # rad, by which 3 ns turn the phase at the mean frequency
+
+
+def gains_of_all_channels(truth: dict[str, object], folder: Path) -> tuple[FitContext, Round]:
+    """A round that has found gains of one antenna in each of four channels, fitted from near where they are."""
+    context = context_of(mock_job(truth, freqs=FOUR), folder)
+    names = GAINS.parameters(context.setup).names
+    used = np.isin(names, ["antenna 2 ln amplitude", "antenna 2 phase"])
+    x = np.zeros((4, len(names)))
+    if truth["kind"] == "antenna_delays":
+        x[:, names.index("antenna 2 phase")] = PURE * np.array(FOUR) / np.mean(FOUR)
+    before = check(context, refit(context, Values()))
+    active = Active.start(GAINS, context.setup, np.where(used, 1.0, 0.0), x)
+    after = check(context, refit(context, Values((active,))))
+    return context, round_of(effect_candidate(GAINS), before, after)
+
+
+def test_a_delay_of_more_than_a_radian_in_the_place_of_gains_in_each_channel(tmp_path: Path) -> None:
+    """From zero no linear model finds it: the phase is of 2.6 radians."""
+    truth = {"kind": "antenna_delays", "parameters": {"antenna 2 delay": 3.0, "antenna 2 phase": PURE}}
+    context, found = gains_of_all_channels(truth, tmp_path)
+    found_simpler = simplified(context, found.after, [found], [GAINS, AntennaDelays()], [])
+    assert found_simpler is not None
+    added, places = found_simpler
+    assert places == {0: None, 1: 0}
+    (active,) = added.after.fitted.values.active
+    assert active.kind == "antenna_delays"
+    names = AntennaDelays().parameters(context.setup).names
+    (std,) = added.after.fitted.fit.std
+    delay, phase = names.index("antenna 2 delay"), names.index("antenna 2 phase")
+    assert abs(active.x[0, delay] - 3.0) < 4 * std[0, delay]
+    assert abs(np.angle(np.exp(1j * (active.x[0, phase] - PURE)))) < 4 * std[0, phase]
+    assert simplified(context, found.after, [found], [GAINS], []) is None  # where delays are not looked for
+
+
+def test_gains_that_follow_no_law_keep_their_place(tmp_path: Path) -> None:
+    context, found = gains_of_all_channels(GAIN, tmp_path)
+    assert simplified(context, found.after, [found], [GAINS, AntennaDelays()], []) is None
+
+
+def test_delays_and_an_echo_in_the_place_of_gains_in_each_channel(tmp_path: Path) -> None:
+    """Antennas are told apart by the law that their gains follow; one has a constant gain and keeps it."""
+    freqs = tuple(131e6 + 1e6 * np.arange(8.0))
+    delays = {"antenna 2 delay": 3.0, "antenna 2 phase": 0.1, "antenna 5 delay": -6.0, "antenna 5 phase": -0.2}
+    echo = {"reflections": [[4, 200.0]]}
+    context = context_of(
+        mock_job(
+            {"kind": "antenna_delays", "parameters": delays},
+            {
+                "kind": "cable_reflections",
+                "settings": echo,
+                "parameters": {"antenna 4 reflection at 200.0 ns real": 0.1},
+            },
+            {"kind": "antenna_gains", "parameters": {"antenna 1 ln amplitude": 0.1}},
+            freqs=freqs,
+        ),
+        tmp_path,
+    )
+    names = GAINS.parameters(context.setup).names
+    used = np.array([any(name.startswith(f"antenna {number} ") for number in (1, 2, 4, 5)) for name in names])
+    before = check(context, refit(context, Values()))
+    active = Active.start(GAINS, context.setup, np.where(used, 0.1, 0.0), np.zeros((8, len(names))))
+    after = check(context, refit(context, Values((active,))))
+    found = round_of(effect_candidate(GAINS), before, after)
+    wanted = [GAINS, AntennaDelays(), CableReflections()]
+    added, places = simplified(context, after, [found], wanted, []) or pytest.fail("no delays were found")
+    assert places == {0: 0, 1: 1}
+    again, places = simplified(context, added.after, [found, added], wanted, []) or pytest.fail("no echo was found")
+    assert places == {0: 0, 1: 1, 2: 2}
+    gain, of_delays, of_echo = again.after.fitted.values.active
+    assert {names[i] for i in gain.used} == {"antenna 1 ln amplitude", "antenna 1 phase"}
+    known = AntennaDelays().parameters(context.setup).names
+    assert {known[i] for i in of_delays.used} == set(delays)
+    for name, value in delays.items():
+        i = known.index(name)
+        assert abs(of_delays.x[0, i] - value) < 4 * again.after.fitted.fit.std[1][0, i]
+    told = of_echo.effect.told(context.setup, of_echo.x, again.after.fitted.fit.std[2])
+    np.testing.assert_array_less(np.abs(told.values[0] - [0.1, 0.0, 200.0]), 4 * told.std[0])
+    assert simplified(context, again.after, [found, added, again], wanted, []) is None
