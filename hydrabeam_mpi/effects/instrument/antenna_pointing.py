@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
@@ -58,29 +58,29 @@ class AntennaPointing(Effect):
         """Return half of what tilting further does, for a row's first and second antenna; ``x`` is (n_params,)."""
         values: ComplexArray = np.repeat(block.spread(block.integral(self))[:, :, np.newaxis], 2, axis=2)
         rotations = _rotations(x)
-        tilted = np.flatnonzero(rotations.any(axis=1))
+        tilted, distinct, which = _tilted(rotations)
         place = np.full(len(rotations), -1)
-        place[tilted] = np.arange(len(tilted))
+        place[tilted] = which
         of_row = place[row_antennas(block)]
         rows, side = np.nonzero(of_row >= 0)
 
         def rates(sources: Sources) -> FloatArray:
-            return np.concatenate([_rates(sources, rotation) for rotation in rotations[tilted]])
+            return np.concatenate([_rates(sources, rotation) for rotation in distinct])
 
         for t in range(len(block.times) if len(tilted) else 0):
             integrals = replace(block, times=block.times[t : t + 1]).integrate(rates)[0]
-            integrals = integrals.reshape(len(block.groups), len(tilted), 2)
+            integrals = integrals.reshape(len(block.groups), len(distinct), 2)
             values[t, rows, side] = integrals[block.member[rows], of_row[rows, side]]
         values = (0.5 * DEGREE * values).reshape(*block.shape, 4)
         return Columns(values, 2 * len(rotations), row_parameters(block, 2))
 
     def added(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return what the antennas' tilts change, (Ntimes, Nbls)."""
-        rotations = _rotations(x)
-        tilted = np.flatnonzero(rotations.any(axis=1))
+        tilted, distinct, which = _tilted(_rotations(x))
 
         def beams(sources: Sources) -> FloatArray:
-            return np.array([seen_at(sources, rotate(sources.enu, -rotation)).beam for rotation in rotations[tilted]])
+            seen = [seen_at(sources, rotate(sources.enu, -rotation)).beam for rotation in distinct]
+            return np.array(seen)[which]
 
         return added_by_beams(block, tilted, beams)
 
@@ -88,6 +88,16 @@ class AntennaPointing(Effect):
 def _rotations(x: FloatArray) -> FloatArray:
     """Return the antennas' rotation vectors, (Nants, 3)."""
     return np.asarray(DEGREE * x.reshape(-1, 2) @ TILTS.T)
+
+
+def _tilted(rotations: FloatArray) -> tuple[IntArray, FloatArray, IntArray]:
+    """Return which antennas are tilted, (n,), their distinct rotations, and which of these each has, (n,).
+
+    What tilts all antennas alike takes no longer than what tilts one.
+    """
+    tilted = np.flatnonzero(rotations.any(axis=1))
+    distinct, which = np.unique(rotations[tilted], axis=0, return_inverse=True)
+    return tilted, distinct, which.reshape(-1)
 
 
 def _rates(sources: Sources, rotation: FloatArray) -> FloatArray:

@@ -21,7 +21,7 @@ MARGIN = 16
 """Nodes beyond the largest radius, where the spline does not know how the beam goes on; it forgets in a few."""
 HORIZON = np.sin(np.pi / 4)
 """The radius sin(za / 2) there."""
-_POINTS_AT_ONCE = 8192  # whose weights stay in cache
+_POINTS_AT_ONCE = 1024  # of which what is near stays in cache
 
 
 def radii(per_unit: int) -> FloatArray:
@@ -63,27 +63,22 @@ class PolarTable:
 
     def _evaluate(self, za: FloatArray, az: FloatArray, slopes: bool) -> FloatArray:
         """Return the value, and with ``slopes`` the derivatives by either number of nodes, (1 or 3, Npoints)."""
-        out = np.zeros((3 if slopes else 1, len(za)))
+        out = np.empty((3 if slopes else 1, len(za)))
         coeffs, stride = self._coeffs.reshape(-1), self._coeffs.shape[1]
+        square = (np.arange(ORDER + 1)[:, np.newaxis] * stride + np.arange(ORDER + 1))[..., np.newaxis]
         for start in range(0, len(za), _POINTS_AT_ONCE):
             part = slice(start, start + _POINTS_AT_ONCE)
             along, across = np.sin(0.5 * za[part]) * self.per_unit, az[part] * (self.n_az / (2 * np.pi))
             row, column = along.astype(np.intp), across.astype(np.intp)
             by_row, by_column = _weights(along - row, slopes), _weights(across - column, slopes)
-            first = row * stride + column
-            near, product = np.empty((2, len(first)))
-            for p in range(ORDER + 1):
-                # For either set of weights of the columns, the sum over the nodes of a row.
-                around = np.zeros((len(by_column), len(first)))
-                for q in range(ORDER + 1):
-                    # All are within the table; to clip is several times as fast as to check.
-                    coeffs[p * stride + q :].take(first, mode="clip", out=near)
-                    for total, weights in zip(around, by_column, strict=True):
-                        total += np.multiply(weights[q], near, out=product)
-                out[0, part] += by_row[0, p] * around[0]
-                if slopes:
-                    out[1, part] += by_row[1, p] * around[0]
-                    out[2, part] += by_row[0, p] * around[1]
+            # All are within the table; to clip is several times as fast as to check.
+            near = coeffs.take(square + (row * stride + column), mode="clip")
+            # For either set of weights of the columns, the sum over the nodes of a row.
+            around = [np.einsum("pqn,qn->pn", near, weights) for weights in by_column]
+            out[0, part] = np.einsum("pn,pn->n", by_row[0], around[0])
+            if slopes:
+                out[1, part] = np.einsum("pn,pn->n", by_row[1], around[0])
+                out[2, part] = np.einsum("pn,pn->n", by_row[0], around[1])
         return out
 
 
