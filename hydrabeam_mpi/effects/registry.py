@@ -30,6 +30,7 @@ EFFECTS: Registry[Effect] = Registry(
     "instrument.compression",
     "instrument.ground_emitter",
     "sky.missing_sources",
+    "sky.moving_sources",
     "sky.catalogue_flux",
     "sky.spectral_index",
     "sky.resolved_source",

@@ -51,6 +51,7 @@ CASES = {
     "horizon": Case(n_sources=1000, strengths=(0.3,), step=1e-2, scan=(1e-10, 0.2)),  # sources taken as orthogonal
     "ionosphere": Case(strengths=(3.0, 60.0), step=1e-2),  # up to a degree
     "missing_sources": Case(strengths=(20.0,), scan=MAPS),
+    "moving_sources": Case(strengths=(20.0,), scan=MAPS),
     "mutual_coupling": Case({"n_shells": 2}),
     "nonredundant_beams": Case(strengths=(0.2,), exact="at zero", step=1e-3),
     # One channel tells flux from index by no more than products.

@@ -231,6 +231,7 @@ REFUSED = {
     ("antenna_delays", "one channel"): "several channels",
     ("cable_reflections", "one channel"): "4 channels",
     ("spectral_index", "one channel"): "several channels",
+    ("moving_sources", "one time"): "3 fitted times",
     ("cross_coupling", "one time"): "several times",
     ("ground_emitter", "one time"): "several times",
     ("auto_coupling", "one time"): "several times",

@@ -276,6 +276,14 @@ class ScannedEffect(ScannedInTime, Effect):
         """Whether candidates lie on a grid, from which a fit moves on to the best values in between."""
         return not self.linear
 
+    most_again: ClassVar[int] = 350
+    """How many of the best of a scan are compared together, or looked at again beside the beam, see `every`."""
+
+    @property
+    def scanned_as(self) -> ScannedEffect:
+        """The effect that has the same candidates and is scanned in the same pass, this one where there is none."""
+        return self
+
     @abstractmethod
     def n_hypotheses(self, setup: ObservingSetup) -> int:
         """Return the number of candidates."""
@@ -291,6 +299,10 @@ class ScannedEffect(ScannedInTime, Effect):
     @abstractmethod
     def at(self, setup: ObservingSetup, hypotheses: IntArray) -> Effect:
         """Return the effect with these candidates as its elements, in this order; ``hypotheses`` is (Nchosen,)."""
+
+    def expanded(self, setup: ObservingSetup, hypotheses: IntArray) -> IntArray:
+        """Return these candidates with others that a scan cannot tell from them, to be looked at again; (Nall,)."""
+        return hypotheses
 
     def every(self, setup: ObservingSetup, hypotheses: IntArray) -> Effect | None:
         """Return the effect with all of these candidates, (Nchosen,), as its elements, whether or not they are alike.

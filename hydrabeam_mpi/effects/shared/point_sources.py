@@ -51,8 +51,12 @@ class PointSources(ScannedEffect):
     def without(self, gone: BoolArray) -> tuple[Self, IntArray]:
         """Return the other sources, and the numbers of their parameters, (n_left,); ``gone`` is (n_params,)."""
         stays = ~np.any(gone.reshape(len(self.sources), -1), axis=1)
-        left = type(self)([one for one, kept in zip(self.sources, stays, strict=True) if kept], self.trials)
+        left = self.of([one for one, kept in zip(self.sources, stays, strict=True) if kept], self.trials)
         return left, np.flatnonzero(np.repeat(stays, len(gone) // len(stays)))
+
+    def of(self, sources: Sequence[tuple[float, float]], trials: int = 1) -> Self:
+        """Return the same effect of other sources."""
+        return type(self)(sources, trials)
 
     def describe(self) -> dict[str, Any]:
         """Return which sources, and from how many they were picked."""
@@ -90,6 +94,16 @@ def in_radians(sources: Sequence[tuple[float, float]]) -> tuple[FloatArray, Floa
     return ra, dec
 
 
+def on_tangent_plane(
+    ra: FloatArray, dec: FloatArray, ra_at: FloatArray | float, dec_at: FloatArray | float
+) -> tuple[FloatArray, FloatArray]:
+    """Return how far directions lie east and north on the plane tangent at others, (N,) each, in its radii."""
+    along = np.sin(dec_at) * np.sin(dec) + np.cos(dec_at) * np.cos(dec) * np.cos(ra - ra_at)
+    east = np.cos(dec) * np.sin(ra - ra_at)
+    north = np.cos(dec_at) * np.sin(dec) - np.sin(dec_at) * np.cos(dec) * np.cos(ra - ra_at)
+    return east / along, north / along
+
+
 def place(ra: float, dec: float) -> str:
     """Tell a direction, in degrees."""
     return f"ra={ra:.3f} dec={dec:.3f}"
@@ -98,14 +112,16 @@ def place(ra: float, dec: float) -> str:
 def responses(block: RowBlock, ra: FloatArray, dec: FloatArray) -> ComplexArray:
     """Return the visibilities of sources of 1 Jy, (Ntimes, Ngroups, N); zero while below the horizon.
 
-    For few sources: all their fringes are held.
+    For few sources: all their fringes are held. Places are (N,), or (Ntimes, N) where they move.
     """
-    out = np.zeros((len(block.times), len(block.groups), len(ra)), dtype=complex)
-    if not len(ra):
+    n = ra.shape[-1]
+    out = np.zeros((len(block.times), len(block.groups), n), dtype=complex)
+    if not n:
         return out
-    positions = block.positions.follow(Sky(ra, dec, np.ones((1, len(ra)))))
+    positions = block.positions.follow(Sky(ra, dec, np.ones((1, n)))) if ra.ndim == 1 else None
     for t, itime in enumerate(block.times.tolist()):
-        index, za, az = positions.above_horizon(itime)
+        now = positions or block.positions.follow(Sky(ra[t], dec[t], np.ones((1, n))))
+        index, za, az = now.above_horizon(itime)
         beam = np.asarray(block.beam(za, az)).real
         out[t][:, index] = block.engine.responses(enu(za, az), beam, block.freq)
     return out

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from hydrabeam_mpi.effects.shared.point_sources import (
     in_degrees,
     in_radians,
     keep_apart,
+    on_tangent_plane,
     place,
     resolution,
     responses,
@@ -61,13 +62,14 @@ class MissingSources(MayVary):
 
     def parameters(self, setup: ObservingSetup) -> Parameters:
         """Return flux, offsets east and north, and the change of spectral index of every source."""
-        spacing = float(np.rad2deg(_spacing(setup)))
+        apart = float(np.rad2deg(spacing(setup)))
         each = [
             ("flux", "Jy", 1.0, False),
-            ("offset east", "deg", spacing, True),
-            ("offset north", "deg", spacing, True),
+            ("offset east", "deg", apart, True),
+            ("offset north", "deg", apart, True),
+            *self._motion(setup),
             ("change of spectral index", "", 0.5, True),
-        ][: _n_each(setup)]
+        ][: self._n_each(setup)]
         rows = [(f"source at {place(*source)}: {what}", *rest) for source in self.sources for what, *rest in each]
         names, units, scale, nonlinear = zip(*rows, strict=True) if rows else ((), (), (), ())
         element = np.repeat(np.arange(len(self.sources)), len(each))
@@ -75,17 +77,17 @@ class MissingSources(MayVary):
         made = Parameters.of(names, units, np.array(scale, dtype=float), element, nonlinear, trials)
         return replace(made, rare_above=brightest_expected(setup.sky))
 
-    def refined(self, x: FloatArray, used: IntArray) -> tuple[MissingSources, FloatArray, IntArray]:
+    def refined(self, x: FloatArray, used: IntArray) -> tuple[Self, FloatArray, IntArray]:
         """Return the sources in use where they have been found, with no offsets left, (Nfreqs, n_left)."""
         if not len(used):
-            return MissingSources((), self.trials), x[:, :0], used
+            return self.of((), self.trials), x[:, :0], used
         each = x.shape[1] // len(self.sources)
         left = np.flatnonzero(np.isin(np.arange(x.shape[1]) // each, used // each))
         part = x[:, left].reshape(len(x), -1, each)
-        kept = MissingSources([self.sources[n] for n in np.unique(used // each)], self.trials)
+        kept = self.of([self.sources[n] for n in np.unique(used // each)], self.trials)
         sources = in_degrees(*kept._places(part[0]))
         part[..., 1:3] = 0.0
-        return MissingSources([(ra % 360, dec) for ra, dec in sources], self.trials), part.reshape(len(x), -1), left
+        return self.of([(ra % 360, dec) for ra, dec in sources], self.trials), part.reshape(len(x), -1), left
 
     def beyond(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> FloatArray:
         """Refuse fluxes below zero; see `Effect.beyond`."""
@@ -100,14 +102,13 @@ class MissingSources(MayVary):
         of the likeliest catalogue source is larger.
         """
         sky, each = setup.sky, x.shape[1] // len(self.sources)
-        scale, found = 3 * _spacing(setup), list[tuple[BoolArray, Effect, FloatArray]]()
+        scale, found = 3 * spacing(setup), list[tuple[BoolArray, Effect, FloatArray]]()
         for number, (ra, dec) in enumerate(zip(*self._places(x[0].reshape(-1, each)), strict=True)):
             sigma = np.deg2rad(std[0, each * number + 1 : each * number + 3])
             near = np.flatnonzero(separation(sky.ra, sky.dec, ra, dec) < scale)
             if not sigma.all() or not len(near):
                 continue
-            east = np.cos(sky.dec[near]) * np.sin(sky.ra[near] - ra)
-            north = np.sin(sky.dec[near] - dec) + np.sin(dec) * np.cos(sky.dec[near]) * (1 - np.cos(sky.ra[near] - ra))
+            east, north = on_tangent_plane(sky.ra[near], sky.dec[near], ra, dec)
             distance = (east / sigma[0]) ** 2 + (north / sigma[1]) ** 2
             best = near[[np.argmin(distance)]]
             if distance.min() < 2 * np.log(scale**2 / sigma.prod()):
@@ -118,23 +119,25 @@ class MissingSources(MayVary):
 
     def told(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> Told:
         """Return flux, right ascension, declination and spectral index of every source, (Nfreqs, n_params)."""
-        each, units = ("flux", "right ascension", "declination", "spectral index"), ("Jy", "deg", "deg", "")
+        motion = [(what, unit) for what, unit, *_ in self._motion(setup)]
+        where = [("right ascension", "deg"), ("declination", "deg"), *motion]
+        each, units = zip(("flux", "Jy"), *where, ("spectral index", ""), strict=True)
         refined, left, _ = self.refined(x, np.arange(x.shape[1]))
         values, errors = (part.reshape(len(x), len(self.sources), -1).copy() for part in (left, std))
         n = values.shape[2]
         for number, (ra, dec) in enumerate(refined.sources):
             values[:, number, 1:3] = ra, dec
             errors[:, number, 1] /= np.cos(np.deg2rad(dec))
-        values[..., 3:] += SPECTRAL_INDEX
+        values[..., 1 + len(where) :] += SPECTRAL_INDEX
         names = tuple(f"source at {place(*source)}: {what}" for source in refined.sources for what in each[:n])
         from_zero = np.tile(np.arange(n) == 0, len(self.sources))
         return Told(names, units[:n] * len(self.sources), values.reshape(x.shape), errors.reshape(x.shape), from_zero)
 
     def extra_sky(self, block: RowBlock, itime: int, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the sources that are up, each (Nsrc,)."""
-        part = x.reshape(-1, _n_each(block.setup))
+        part = x.reshape(-1, self._n_each(block.setup))
         flux = part[:, 0] * _spectrum(part, block)
-        sky = Sky(*self._places(part), np.ones((1, len(flux))))
+        sky = Sky(*self._places(self._at_time(block.setup, part, itime)), np.ones((1, len(flux))))
         index, za, az = block.positions.follow(sky).above_horizon(itime)
         return za, az, flux[index]
 
@@ -143,35 +146,54 @@ class MissingSources(MayVary):
 
         ``x`` is (n_params,).
         """
-        each = _n_each(block.setup)
+        each = self._n_each(block.setup)
         part = x.reshape(-1, each)
-        step = STEP * resolution(block.setup)
-        shifts = step * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]], dtype=float)
-        places = [self._places(part, shift) for shift in shifts]
+        # Without a flux nothing depends on where a source is.
+        step, n_shifts = STEP * resolution(block.setup), 5 if part[:, 0].any() else 1
+        shifts = step * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]], dtype=float)[:n_shifts]
+        places = [self._tracks(block, part, shift) for shift in shifts]
         # One pass over the times serves all displacements.
-        all_seen = responses(block, *(np.concatenate(axis) for axis in zip(*places, strict=True)))
-        seen, *displaced = np.split(all_seen, len(shifts), axis=2)
-        values = np.empty((*seen.shape, each), dtype=complex)
+        all_seen = responses(block, *(np.concatenate(axis, axis=-1) for axis in zip(*places, strict=True)))
+        seen, *displaced = np.split(all_seen, n_shifts, axis=2)
+        values = np.zeros((*seen.shape, each), dtype=complex)
         values[..., 0] = seen
-        for k in (1, 2):
+        for k in (1, 2) if displaced else ():
             ahead, behind = displaced[2 * k - 2 : 2 * k]
             # Where the horizon lies between the two there is no derivative.
             both = (ahead != 0) & (behind != 0)
             values[..., k] = np.where(both, np.deg2rad(part[:, 0]) * (ahead - behind) / (2 * step), 0)
-        if each > 3:
-            values[..., 3] = part[:, 0] * np.log(block.freq / block.setup.reference_freq) * seen
+        self._add_motion(block, values)
+        if _has_index(block.setup):
+            values[..., -1] = part[:, 0] * np.log(block.freq / block.setup.reference_freq) * seen
         values *= _spectrum(part, block)[:, np.newaxis]
         return Columns(values.reshape(*seen.shape[:2], len(x)), len(x), by_group=True)
 
     def added(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return the sources' visibilities, (Ntimes, Nbls)."""
-        part = x.reshape(-1, _n_each(block.setup))
+        part = x.reshape(-1, self._n_each(block.setup))
         return block.spread(self.seen(block, x) @ part[:, 0])
 
     def seen(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return their visibilities had they 1 Jy at the mean frequency, (Ntimes, Ngroups, Nsources)."""
-        part = x.reshape(-1, _n_each(block.setup))
-        return responses(block, *self._places(part)) * _spectrum(part, block)
+        part = x.reshape(-1, self._n_each(block.setup))
+        return responses(block, *self._tracks(block, part)) * _spectrum(part, block)
+
+    def _motion(self, setup: ObservingSetup) -> list[tuple[str, str, float, bool]]:
+        """Return name, unit and natural size of what tells how a source moves, and that it is nonlinear; none here."""
+        return []
+
+    def _at_time(self, setup: ObservingSetup, part: FloatArray, itime: int) -> FloatArray:
+        """Return the parameters of the sources, (Nsources, n_each), with the offsets that they have at a time."""
+        return part
+
+    def _tracks(
+        self, block: RowBlock, part: FloatArray, shift: FloatArray | float = 0.0
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return where the sources are at all times, (Nsources,) each, or (Ntimes, Nsources) where they move."""
+        return self._places(part, shift)
+
+    def _add_motion(self, block: RowBlock, values: ComplexArray) -> None:
+        """Fill in the derivatives by how a source moves, once those by its place are there."""
 
     def _places(self, part: FloatArray, shift: FloatArray | float = 0.0) -> tuple[FloatArray, FloatArray]:
         """Return where the sources are, and ``shift`` radians east and north of there, (Nsources,) each."""
@@ -196,29 +218,33 @@ class MissingSources(MayVary):
         sky = Sky(ra, dec, np.broadcast_to(spectrum[:, np.newaxis], (len(spectrum), len(ra))))
         return dirty_map(block, sky, functions)
 
-    def at(self, setup: ObservingSetup, hypotheses: IntArray) -> MissingSources:
+    def at(self, setup: ObservingSetup, hypotheses: IntArray) -> Self:
         """Place sources at these points, the best first, leaving out those within a resolution of better ones.
 
         ``hypotheses`` is (Nchosen,).
         """
         ra, dec = candidates(setup)
-        trials = max(MIN_TRIALS, round(len(ra) * (_spacing(setup) / resolution(setup)) ** 2))
+        trials = max(MIN_TRIALS, round(len(ra) * (spacing(setup) / resolution(setup)) ** 2))
         ra, dec = ra[hypotheses], dec[hypotheses]
         kept = keep_apart(ra, dec, resolution(setup), AT_MOST)
-        return MissingSources(in_degrees(ra[kept], dec[kept]), trials)
+        return self.of(in_degrees(ra[kept], dec[kept]), trials)
 
-    def drawn(self, setup: ObservingSetup, rng: np.random.Generator) -> MissingSources:
+    def drawn(self, setup: ObservingSetup, rng: np.random.Generator) -> Self:
         """Place a source at random where it comes within 30 degrees of the zenith."""
         ra, dec = candidates(setup, HIGH)
         chosen = rng.integers(len(ra), size=1)
-        return MissingSources(in_degrees(ra[chosen], dec[chosen]))
+        return self.of(in_degrees(ra[chosen], dec[chosen]))
 
     def draw(self, setup: ObservingSetup, rng: np.random.Generator, strength: float) -> FloatArray:
         """Draw offsets within half a grid spacing and spectral indices; every flux is ``strength`` Jy, (n_params,)."""
         parameters = self.parameters(setup)
         x = parameters.scale * rng.uniform(-0.5, 0.5, len(parameters))
-        x[:: _n_each(setup)] = strength
+        x[:: self._n_each(setup)] = strength
         return x
+
+    def _n_each(self, setup: ObservingSetup) -> int:
+        """Return the number of parameters of a source: one channel has no spectral index."""
+        return 3 + len(self._motion(setup)) + _has_index(setup)
 
 
 def brightest_expected(sky: Sky) -> float:
@@ -244,7 +270,7 @@ def candidates(setup: ObservingSetup, altitude: float = MIN_ALTITUDE) -> tuple[F
 
 
 def _candidates(setup: ObservingSetup, altitude: float) -> tuple[FloatArray, FloatArray]:
-    ra, dec = _grid(_spacing(setup))
+    ra, dec = _grid(spacing(setup))
     observation = setup.observation
     zenith = observation.latitude
     # Culmination alone rules many out, and leaves the fewer to be turned.
@@ -258,7 +284,7 @@ def _candidates(setup: ObservingSetup, altitude: float) -> tuple[FloatArray, Flo
     return ra[rises], dec[rises]
 
 
-def _spacing(setup: ObservingSetup) -> float:
+def spacing(setup: ObservingSetup) -> float:
     """Return the distance of neighbouring grid points, radians."""
     return max(SPACING * resolution(setup), MIN_SPACING)
 
@@ -273,12 +299,12 @@ def _grid(spacing: float) -> tuple[FloatArray, FloatArray]:
     return 2 * np.pi * (along + 0.5 * (ring % 2)) / counts[ring], dec[ring]
 
 
-def _n_each(setup: ObservingSetup) -> int:
-    """Return the number of parameters of a source: one channel has no spectral index."""
-    return 4 if setup.observation.Nfreqs > 1 else 3
+def _has_index(setup: ObservingSetup) -> bool:
+    """Whether sources have a spectral index: not with one channel."""
+    return setup.observation.Nfreqs > 1
 
 
 def _spectrum(part: FloatArray, block: RowBlock) -> FloatArray:
     """Return (nu / nu_0) to the sources' spectral indices, (Nsources,)."""
-    index = SPECTRAL_INDEX + (part[:, 3] if part.shape[1] > 3 else np.zeros(len(part)))
+    index = SPECTRAL_INDEX + (part[:, -1] if _has_index(block.setup) else np.zeros(len(part)))
     return np.asarray((block.freq / block.setup.reference_freq) ** index)

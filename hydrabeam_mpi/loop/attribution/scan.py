@@ -20,9 +20,6 @@ from hydrabeam_mpi.loop.attribution.candidate_rows import CachedRowBlocks, likel
 from hydrabeam_mpi.loop.attribution.others import beside_model
 from hydrabeam_mpi.mpi import allreduce_sum, bcast_object, together
 
-MAX_ELEMENTS = 350
-"""How many of a scan's best candidates are compared together."""
-
 
 def pick(context: FitContext, fitted: Fitted, cached: CachedRowBlocks, effects: Sequence[Effect]) -> list[Effect]:
     """Scan where there are too many candidates, and keep the best of them. Collective: all ranks of the grid.
@@ -38,9 +35,10 @@ def pick(context: FitContext, fitted: Fitted, cached: CachedRowBlocks, effects: 
     for (number, effect), (drop, power) in zip(scanned.items(), found, strict=True):
         order, brightest = (np.argsort(-one, kind="stable") for one in (drop, power))
         both = np.stack([order, brightest], axis=1).reshape(-1)
-        first = both[np.sort(np.unique(both, return_index=True)[1])][:MAX_ELEMENTS]
+        distinct = both[np.sort(np.unique(both, return_index=True)[1])]
+        first = effect.expanded(context.setup, distinct[: effect.most_again])
         every = effect.every(context.setup, first)
-        best[number] = order[:MAX_ELEMENTS] if every is None else first
+        best[number] = order[: effect.most_again] if every is None else first
         if every is not None:
             again[number] = every
     for number, drop in _drops_beside(context, fitted, cached, again).items():
@@ -116,7 +114,9 @@ def _scan_block(block: RowBlock, effects: Sequence[ScannedEffect]) -> list[Float
 
 def _scanned(effect: ScannedEffect) -> ScannedEffect:
     """Return the effect that the candidates are of."""
-    return effect.effect if isinstance(effect, InTime) and isinstance(effect.effect, ScannedEffect) else effect
+    if isinstance(effect, InTime) and isinstance(effect.effect, ScannedEffect):
+        return effect.effect
+    return effect.scanned_as
 
 
 def _functions(effect: ScannedEffect, block: RowBlock) -> FloatArray:

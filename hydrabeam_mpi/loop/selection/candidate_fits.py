@@ -20,7 +20,14 @@ from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked
 from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical, may_be_unphysical, price_of_limits
 from hydrabeam_mpi.loop.selection.predictions import check, score_of
-from hydrabeam_mpi.loop.selection.refits import fit_patiently, is_same_prior, restarted, rise, with_best_variant
+from hydrabeam_mpi.loop.selection.refits import (
+    fit_patiently,
+    is_same_prior,
+    log_joint,
+    restarted,
+    rise,
+    with_best_variant,
+)
 from hydrabeam_mpi.terminal.progress import say
 
 
@@ -121,21 +128,49 @@ def _fit_foremost(context: FitContext, before: Fitted, finding: Finding) -> Fitt
 
     Where candidates lie on a grid a bright source beside its place is made up for by several, which are hardly told
     from each other, so that a fit of all may go anywhere. Once the first is where it belongs the others are weighed
-    again. Collective: all ranks of the grid.
+    again. Which is the first only fits tell where several come near by the linear model, as those at the grating lobes
+    of a regular array do.
+    """
+    best: Fitted | None = None
+    for prior_var in _each_foremost(context, finding):
+        values = before.values.extended(started(context, finding, prior_var))
+        try:
+            fitted = fit_patiently(context, values, before, None if best is None else _may_surpass(context, best))
+        except BrokenOff:
+            continue
+        unphysical = leave_out_unphysical(context, fitted, len(before.values.active))
+        if fitted.diagnostics.converged and unphysical is None:
+            best = fitted if best is None else max(best, fitted, key=lambda one: log_joint(context, one))
+    return best
+
+
+def _each_foremost(context: FitContext, finding: Finding) -> list[FloatArray]:
+    """Return priors, variances (n_params,), of each element that may matter most, the likeliest first.
+
+    Empty where there is only one, or where candidates do not lie on a grid.
     """
     effect, evidence = finding.effect, finding.evidence
-    element = effect.parameters(context.setup).element
-    several = len(np.unique(element[evidence.prior_var > 0])) > 1
-    if not (effect.gets_simpler_when_fitted and several and len(evidence.alone)):
-        return None
-    foremost = element[np.where(evidence.prior_var > 0, evidence.alone, -np.inf).argmax()]
-    start = started(context, finding, np.where(element == foremost, evidence.prior_var, 0.0))
-    try:
-        fitted = fit_patiently(context, before.values.extended(start), before)
-    except BrokenOff:
-        return None
-    is_told = fitted.diagnostics.converged and leave_out_unphysical(context, fitted, len(before.values.active)) is None
-    return fitted if is_told else None
+    parameters, is_wanted = effect.parameters(context.setup), evidence.prior_var > 0
+    if not (effect.gets_simpler_when_fitted and len(evidence.alone) and is_wanted.any()):
+        return []
+    element = parameters.element
+    alone = np.full(int(element.max()) + 1, -np.inf)
+    np.maximum.at(alone, element, evidence.alone)
+    order = np.argsort(-alone, kind="stable")[: RULES.most_tries]
+    near = order[alone[order] >= RULES.near * alone.max()]
+    if len(np.unique(element[is_wanted])) < 2 and len(near) < 2:
+        return []
+    # What was not chosen beside the others may be as large as what was.
+    largest = np.max(evidence.prior_var[is_wanted] / parameters.scale[is_wanted] ** 2)
+    as_large = np.where(parameters.nonlinear, 0.0, largest * parameters.scale**2)
+    prior_var = np.where(is_wanted, evidence.prior_var, as_large)
+    return [np.where(element == one, prior_var, 0.0) for one in near.tolist()]
+
+
+def _may_surpass(context: FitContext, best: Fitted) -> Worth:
+    """Return whether a fit that begins elsewhere may become likelier than the best one so far."""
+    ahead = log_joint(context, best)
+    return lambda reached, gain: reached + gain / RULES.near > ahead
 
 
 def _fit_physically(context: FitContext, values: Values, before: Fitted, worth: Worth | None) -> Fitted:

@@ -196,7 +196,8 @@ def read_sources(
             apart = np.hypot(((true_ra - found_ra + 180) % 360 - 180) * cosine, true_dec - found_dec)
             if apart < SAME_PLACE_DEG:
                 turns = 360 * np.round((true_ra - found_ra) / 360)
-                out |= {(thing, quantity): pair for quantity, pair in told.items() if is_flux(quantity)}
+                same = {quantity: pair for quantity, pair in told.items() if is_flux(quantity) or "motion" in quantity}
+                out |= {(thing, quantity): pair for quantity, pair in same.items()}
                 out[thing, "declination"] = told["declination"]
                 out[thing, "right ascension"] = found_ra + turns, ra_std
     return out
@@ -296,6 +297,7 @@ READERS: dict[str, Callable[[list[dict[str, Any]], dict[tuple[str, str], float],
     "closure_errors": read_baselines,
     "cable_reflections": read_reflections,
     "missing_sources": read_sources,
+    "moving_sources": read_sources,
     "catalogue_flux": read_fluxes,
     "spectral_index": read_fluxes,
     "resolved_source": read_fluxes,

@@ -49,6 +49,35 @@ def missing_source(truth: Truth, rng: np.random.Generator, strength: float, numb
     return Drawn(parameters, n_params=len(parameters))
 
 
+def moving_sources(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
+    """A source of ``strength`` Jy that the catalogue lacks moves along a great circle by up to four degrees."""
+    ra, dec = _overhead(truth, rng)
+    times, heading = truth.setting.times, rng.uniform(0, 2 * np.pi)
+    middle, length = 0.5 * (times[0] + times[-1]), np.deg2rad(rng.uniform(1.0, 4.0))
+    start = np.array([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
+    east, north = np.array([-np.sin(ra), np.cos(ra), 0.0]), np.array([0.0, 0.0, 1.0])
+    north = (north - start * start[2]) / np.cos(dec)
+    ahead = np.sin(heading) * east + np.cos(heading) * north
+
+    def sky(channel: int, time: int, catalogue: Catalogue) -> Catalogue:
+        angle = length * (times[time] - middle) / (times[-1] - times[0])
+        now = start * np.cos(angle) + ahead * np.sin(angle)
+        place = np.arctan2(now[1], now[0]), np.arcsin(now[2])
+        one = Catalogue(*map(np.atleast_1d, place), np.array([strength]), np.array([-0.8]))
+        return catalogue.joined(one)
+
+    truth.sky_of.append(sky)
+    rate = np.rad2deg(length) / (24 * (times[-1] - times[0]))
+    known = {
+        ("right ascension", "deg"): np.rad2deg(ra),
+        ("declination", "deg"): np.rad2deg(dec),
+        ("flux", "Jy"): strength * _mean_scale(truth),
+        ("motion east", "deg/h"): rate * np.sin(heading),
+        ("motion north", "deg/h"): rate * np.cos(heading),
+    }
+    return Drawn([Parameter("source 0", *what, float(value)) for what, value in known.items()], n_params=5)
+
+
 def _mean_scale(truth: Truth) -> float:
     """Return the flux at the mean channel over that at 150 MHz."""
     return float((truth.setting.freqs.mean() / REFERENCE_FREQ) ** -0.8)
