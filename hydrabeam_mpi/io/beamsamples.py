@@ -33,7 +33,11 @@ def read_uvbeam(path: Path, options: dict[str, Any]) -> UVBeam:
         If there is no such file, or it is no E-field or power beam.
     """
     check_file(path, field="[beam] source")
-    with reading(path, "a beam", remedy="give a file that pyuvdata reads, or write this one again"):
+    remedy = (
+        "give a file that pyuvdata reads, or write this one again; a power beam with one polarisation or all four, as "
+        "pyuvdata writes beamfits of two that it does not read"
+    )
+    with reading(path, "a beam", remedy=remedy):
         return usable_uvbeam(UVBeam.from_file(str(path), **options))
 
 

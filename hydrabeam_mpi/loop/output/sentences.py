@@ -144,7 +144,9 @@ def _reasons(told: dict[str, Any]) -> list[str]:
     """Say why data stay unexplained: a control model explains more than any effect, or predictions are off."""
     control, why = told["foreign"], told["why"]
     if control is None:
-        return [f"{capital(why)}."] if why else []
+        # Else the numbers here would contradict those of what is in the model.
+        of_claimed = "with what is claimed alone, " if any(one.get("predicts") for one in told["rounds"]) else ""
+        return [f"{capital(of_claimed + why)}."] if why else []
     return [
         f"{capital(control['title'])} would explain more than any of them (log Bayes factor "
         f"{control['log_bayes_factor']:,.0f}, held-out reduced chi^2 {control['heldout_after']:.4g})."

@@ -19,6 +19,7 @@ from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refits import fit_patiently, rise
 from hydrabeam_mpi.loop.selection.trials import round_of, try_effects
+from hydrabeam_mpi.mpi import bcast_object
 from hydrabeam_mpi.terminal.progress import say
 
 
@@ -40,7 +41,9 @@ def simplified(
     fitted, kinds = last.fitted, {one.kind for one in effects}
     for place in [one.place for one in rounds if one.place is not None]:
         active, std = fitted.values.active[place], fitted.fit.std[place]
-        for gone, effect, x in active.effect.simpler_elements(context.setup, active.x, std):
+        # All ranks go the same way, whatever their processors make of a sum.
+        found = bcast_object(context.grid.world, active.effect.simpler_elements(context.setup, active.x, std))
+        for gone, effect, x in found:
             if effect.kind not in kinds or not gone[active.used].any():
                 continue
             # What it is worth only its fit tells, which begins where the other has ended.
