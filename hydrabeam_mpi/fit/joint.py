@@ -156,11 +156,13 @@ def _restore_effect(entry: EffectEntry, setup: ObservingSetup) -> Active:
     if not_applicable is not None:
         raise InputError(not_applicable, remedy="remove it")
     parameters = effect.parameters(setup)
-    index = np.array(entry.index, dtype=int)
-    if [parameters.names[i] for i in index if i < len(parameters)] != list(entry.names):
+    index, known = np.array(entry.index, dtype=int), effect.known_as(parameters.names)
+    if [known[name][0] for name in entry.names if name in known] != index.tolist():
         raise InputError("is about other antennas, times or sources than the data have", remedy=AS_WRITTEN)
     prior_var, x = np.zeros((len(entry.prior_std), len(parameters))), np.zeros((len(entry.values), len(parameters)))
-    prior_var[:, index], x[:, index] = np.square(entry.prior_std), np.array(entry.values)
+    # A baseline may be named the other way round, as by earlier versions.
+    sign = np.array([known[name][1] for name in entry.names])
+    prior_var[:, index], x[:, index] = np.square(entry.prior_std), sign * np.array(entry.values)
     priors = [independent_prior(of_channel, effect.shared) for of_channel in prior_var]
     prior = ChannelPrior(tuple(one.of(0) for _, one in priors), effect.shared)
     return replace(Active.start(effect, setup, prior_var[0], x), used=priors[0][0], prior=prior)

@@ -72,8 +72,8 @@ def test_a_jump_is_placed_where_held_out_times_say(tmp_path: Path) -> None:
 
 
 def test_coupling_that_drifts_about_zero(tmp_path: Path) -> None:
-    settings = {"law": "smooth", "orders": [1], "baselines": [[5, 1]]}
-    names = {f"baseline 5-1 {part}, {DRIFT}": value for part, value in (("real", 1e-3), ("imaginary", -2e-3))}
+    settings = {"law": "smooth", "orders": [1], "baselines": [[1, 5]]}
+    names = {f"baseline 1-5 {part}, {DRIFT}": value for part, value in (("real", 1e-3), ("imaginary", -2e-3))}
     result = looked_for(tmp_path, kind="cross_coupling", settings=settings, parameters=names)
     told = told_of(result, "smooth", "cross_coupling")
     for name, truth in names.items():

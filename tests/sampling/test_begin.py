@@ -29,7 +29,7 @@ FOUND = [
     {
         "kind": "cross_coupling",
         "settings": {"baselines": [[0, 1]]},
-        "names": ["baseline 1-0 real", "baseline 1-0 imaginary"],
+        "names": ["baseline 0-1 real", "baseline 0-1 imaginary"],
         "index": [0, 1],
         "values": [[0.5, 0.1]],
         "prior_std": [0.3, 0.3],
@@ -143,7 +143,7 @@ def _changed(changes: dict[str, Any]) -> dict[str, Any]:
 
 def test_single_parameters_have_widths_of_their_own(tmp_path: Path) -> None:
     """By name, in their units; the others that of the effect."""
-    one = {**COUPLING, "prior_std": {"baseline 1-0 imaginary": 0.05}}
+    one = {**COUPLING, "prior_std": {"baseline 0-1 imaginary": 0.05}}
     (active,) = begin(context_of(small_job(one, n_modes=12), tmp_path)).unknowns.active
     np.testing.assert_allclose(active.prior.of(0).std(), [0.2, 0.05, 0.2, 0.2])
 

@@ -8,7 +8,7 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.shared.per_antenna import LARGEST_LN, logarithms
-from hydrabeam_mpi.effects.shared.per_baseline import PerBaseline
+from hydrabeam_mpi.effects.shared.per_baseline import PerBaseline, sense_of
 
 AT_MOST = 100
 """Baselines that are compared together, at a third of the time that all candidates of a scan take. Where more of them
@@ -39,10 +39,10 @@ class ClosureErrors(PerBaseline):
         """Return what is a gain of an antenna all of whose baselines are meant, (n_directions, n_params)."""
         pairs, every = setup.antenna_index[self._places(setup)], setup.antenna_index.ravel()
         whole = [one for one in np.unique(pairs) if np.sum(pairs == one) == np.sum(every == one)]
-        gains = np.zeros((2, len(whole), len(pairs), 2))
+        gains, sense = np.zeros((2, len(whole), len(pairs), 2)), sense_of(setup)[self._places(setup)]
         for number, antenna in enumerate(whole):
             first, second = (pairs == antenna).T.astype(float)
-            gains[0, number, :, 0], gains[1, number, :, 1] = first + second, first - second
+            gains[0, number, :, 0], gains[1, number, :, 1] = first + second, sense * (first - second)
         _, sizes, directions = np.linalg.svd(gains.reshape(2 * len(whole), 2 * len(pairs)), full_matrices=False)
         return np.asarray(directions[sizes > 1e-9])
 
@@ -57,5 +57,6 @@ class ClosureErrors(PerBaseline):
     def factor(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return f of every row, (Ntimes, Nbls)."""
         element = self.elements(block)
-        logarithm = np.append(x[0::2].clip(-LARGEST_LN, LARGEST_LN) + 1j * x[1::2], 0.0)
-        return np.broadcast_to(np.exp(logarithm[element]), block.shape)
+        ln_amplitude, phase = np.append(x[0::2].clip(-LARGEST_LN, LARGEST_LN), 0.0), np.append(x[1::2], 0.0)
+        logarithm = ln_amplitude[element] + 1j * sense_of(block.setup)[block.bls] * phase[element]
+        return np.broadcast_to(np.exp(logarithm), block.shape)

@@ -19,8 +19,8 @@ from hydrabeam_mpi.errors import InputError
 class PerBaseline(ScannedEffect):
     """A complex number x_ij of each baseline and channel that changes V_ij by x_ij p_ij(t), with p what is known.
 
-    These are those of the baseline in its group's sense, which is also that of the parameters' names; they are
-    conjugated where the data have the baseline the other way round.
+    These are those of the baseline as the data have it, in whose sense the parameters are named. Rows are in the sense
+    of their group; where that is the other one they have the conjugate.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class PerBaseline(ScannedEffect):
 
     def parameters(self, setup: ObservingSetup) -> Parameters:
         """Return both parts of every baseline's number."""
-        pairs = _group_pairs(setup)[self._places(setup)]
+        pairs = setup.observation.antpairs[self._places(setup)]
         names = [f"baseline {one}-{two} {part}" for one, two in pairs.tolist() for part in self.parts]
         element = np.repeat(np.arange(len(pairs)), 2)
         return Parameters.of(names, self.units * len(pairs), self.scale, element, trials=self.n_hypotheses(setup))
@@ -73,7 +73,8 @@ class PerBaseline(ScannedEffect):
         if not n:
             return Columns(np.zeros((*block.shape, 0), dtype=complex), 0)
         element = self.elements(block)[:, np.newaxis]
-        parts = np.where(element >= 0, np.array([1, 1j]), 0)
+        parts = np.stack([np.ones(len(element)), 1j * sense_of(block.setup)[block.bls]], axis=-1)
+        parts = np.where(element >= 0, parts, 0)
         values = self.signature(block)[..., np.newaxis] * parts
         return Columns(values, 2 * n, 2 * np.maximum(element, 0) + np.arange(2))
 
@@ -93,17 +94,17 @@ class PerBaseline(ScannedEffect):
         told: ComplexArray = np.sum(block.weights * signature.conj() * block.residual, axis=0)
         power: FloatArray = np.sum(block.weights * np.abs(signature) ** 2, axis=0)
         sums, norms = (np.zeros((self.n_hypotheses(block.setup), 2)) for _ in range(2))
-        sums[block.bls] = np.stack([told.real, told.imag], axis=-1)
+        sums[block.bls] = np.stack([told.real, sense_of(block.setup)[block.bls] * told.imag], axis=-1)
         norms[block.bls] = power[:, np.newaxis]
         return sums, norms
 
     def at(self, setup: ObservingSetup, hypotheses: IntArray) -> Self:
         """Return the effect on these baselines; ``hypotheses`` is (Nchosen,)."""
-        return type(self)(_group_pairs(setup)[hypotheses].tolist())
+        return type(self)(setup.observation.antpairs[hypotheses].tolist())
 
     def _places(self, setup: ObservingSetup) -> IntArray:
         """Return the index of each baseline; the observation must have it."""
-        pairs = np.sort(_group_pairs(setup), axis=1)
+        pairs = np.sort(setup.observation.antpairs, axis=1)
         asked = np.sort(np.array(self.baselines, dtype=int).reshape(-1, 2), axis=1)
         size = int(max(pairs.max(), asked.max(initial=0))) + 1
         known, wanted = pairs @ [size, 1], asked @ [size, 1]
@@ -120,6 +121,6 @@ class PerBaseline(ScannedEffect):
         return places
 
 
-def _group_pairs(setup: ObservingSetup) -> IntArray:
-    """Return the antenna numbers of every baseline in its group's sense, (Nbls, 2)."""
-    return setup.observation.antenna_numbers[setup.antenna_index]
+def sense_of(setup: ObservingSetup) -> FloatArray:
+    """Return 1 for baselines that the data have in the sense of their group, and -1 for others, (Nbls,)."""
+    return np.where(setup.redundant.flipped, -1.0, 1.0)

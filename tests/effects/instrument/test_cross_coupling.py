@@ -19,18 +19,18 @@ def block(setup: ObservingSetup) -> RowBlock:
 
 
 def test_known_truth(setup: ObservingSetup, block: RowBlock) -> None:
-    """What the data as measured have on a baseline that its group has the other way round is conjugated."""
+    """Parameters are those of the data as measured, whichever way round a baseline's group has it."""
     flipped = np.flatnonzero(setup.redundant.flipped)
     assert len(flipped)
     bls = np.array([flipped[0], np.flatnonzero(~setup.redundant.flipped)[0]])
     effect = CrossCoupling().at(setup, bls)
     excess = np.zeros(block.shape, dtype=complex)
     excess[:, bls[0]], excess[:, bls[1]] = 3 - 4j, 5 + 6j
-    added = effect.added(block, np.array([3.0, 4.0, 5.0, 6.0]))
+    added = effect.added(block, np.array([3.0, -4.0, 5.0, 6.0]))
     np.testing.assert_array_equal(np.where(setup.redundant.flipped, added.conj(), added), excess)
     one, two = setup.observation.antpairs[bls[0]]
     names = effect.parameters(setup).names
-    assert names[:2] == (f"baseline {two}-{one} real", f"baseline {two}-{one} imaginary")
+    assert names[:2] == (f"baseline {one}-{two} real", f"baseline {one}-{two} imaginary")
 
 
 def test_baselines_in_either_order(setup: ObservingSetup) -> None:

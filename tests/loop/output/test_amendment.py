@@ -11,6 +11,7 @@ import tomli_w
 
 from hydrabeam_mpi.config import Job, load_job
 from hydrabeam_mpi.config.data import Data
+from hydrabeam_mpi.config.effects import Effect as EffectEntry
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
@@ -102,3 +103,24 @@ def test_several_keep_their_order_and_the_rest_of_the_job_stays(tmp_path: Path) 
 
 def test_a_fit_without_anything_leaves_the_job_as_it_is() -> None:
     assert amended_job(JOB, Fitted(), LONG) == JOB
+
+
+def test_a_baseline_may_be_named_the_other_way_round() -> None:
+    """As earlier versions had those whose redundant group has them so: its number is the conjugate then."""
+    setup = LONG
+    one, two = setup.observation.antpairs[5].tolist()
+    found = []
+    for first, second, imaginary in ((one, two, 0.4), (two, one, -0.4)):
+        names = tuple(f"baseline {first}-{second} {part}" for part in ("real", "imaginary"))
+        entry = EffectEntry(
+            kind="cross_coupling",
+            settings={"baselines": [[first, second]]},
+            names=names,
+            index=(0, 1),
+            values=((0.3, imaginary),) * 4,
+            prior_std=(1.0, 1.0),
+        )
+        (active,) = restore(JOB.model_copy(update={"effects": (entry,)}), setup).active
+        found.append(active.x)
+    np.testing.assert_array_equal(found[0], [[0.3, 0.4]] * 4)
+    np.testing.assert_array_equal(found[1], found[0])
