@@ -11,8 +11,8 @@ from scipy.linalg import solve_triangular
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.sample import NOISE, PRIOR_WIDTH, Sample, SampledEffect
 from hydrabeam_mpi.data.observation import IntArray
-from hydrabeam_mpi.effects.interface.effect import ScannedEffect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.scanned import ScannedEffect
 from hydrabeam_mpi.effects.registry import EFFECTS, make_effect
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.beams_given import solve_beams

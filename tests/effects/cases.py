@@ -9,9 +9,10 @@ from typing import Any, Literal
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
-from hydrabeam_mpi.effects.interface.effect import Cause, Effect, ScannedEffect
+from hydrabeam_mpi.effects.interface.effect import Cause, Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.interface.scanned import ScannedEffect
 from hydrabeam_mpi.effects.registry import make_effect
 from hydrabeam_mpi.random import complex_normal, generator
 from tests.effects.small import small_block, small_setup

@@ -10,9 +10,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydrabeam_mpi.effects.interface.effect import Cause, Effect, ScannedEffect
+from hydrabeam_mpi.effects.interface.effect import Cause, Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.interface.scanned import ScannedEffect
 from hydrabeam_mpi.effects.registry import EFFECTS, KINDS, REWEIGHTINGS, SEPARATE, make_cause, make_effect
 from hydrabeam_mpi.effects.sky.missing_sources import SPECTRAL_INDEX, MissingSources
 from hydrabeam_mpi.model.sky import Sky

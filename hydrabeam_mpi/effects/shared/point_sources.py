@@ -9,10 +9,10 @@ import numpy as np
 from scipy.ndimage import map_coordinates, spline_filter
 
 from hydrabeam_mpi.data.observation import C_M_PER_S, BoolArray, ComplexArray, FloatArray, IntArray
-from hydrabeam_mpi.effects.interface.effect import ScannedEffect
 from hydrabeam_mpi.effects.interface.limits import sigmas
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.interface.scanned import ScannedEffect
 from hydrabeam_mpi.effects.shared.settings import Azimuth, Count, Elevation
 from hydrabeam_mpi.model.engines.base import amplitude
 from hydrabeam_mpi.model.engines.fringes import enu

@@ -8,9 +8,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray
-from hydrabeam_mpi.effects.interface.effect import Effect, ScannedEffect
+from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.interface.scanned import ScannedEffect
 from hydrabeam_mpi.effects.interface.told import Told
 from hydrabeam_mpi.effects.shared.point_sources import in_degrees, in_radians, keep_apart, on_tangent_plane, resolution
 from hydrabeam_mpi.effects.shared.settings import Azimuth, Count, Elevation
@@ -137,11 +138,32 @@ class MovingSources(MissingSources):
         each[..., 3:5] = refined.rates
         return told
 
+    def price_of_motion(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> float:
+        """Return Occam's factor of the rates, of prior over posterior width, of all sources in use."""
+        return float(np.sum(self._narrower(setup, std)))
+
     def simpler_elements(
         self, setup: ObservingSetup, x: FloatArray, std: FloatArray
     ) -> list[tuple[BoolArray, Effect, FloatArray]]:
-        """Return none: nothing of the catalogue moves."""
-        return []
+        """Return the sources whose rates may be zero, as missing sources that stay where they are.
+
+        By the data's likelihood of the rates, a Gaussian, and their prior: where it gains less than Occam's factor.
+        """
+        each, found = x.shape[1] // len(self.sources), list[tuple[BoolArray, Effect, FloatArray]]()
+        narrower, sigma = self._narrower(setup, std), std[0].reshape(-1, each)[:, 3:5]
+        rates = self.rates + x[0].reshape(-1, each)[:, 3:5]
+        for number in np.flatnonzero(narrower):
+            if np.sum((rates[number] / sigma[number]) ** 2) < 2 * narrower[number]:
+                which = np.arange(x.shape[1]) // each == number
+                stays = MissingSources([self.sources[number]], self.trials // len(WAYS))
+                found.append((which, stays, np.delete(x[0, which], [3, 4])))
+        return found
+
+    def _narrower(self, setup: ObservingSetup, std: FloatArray) -> FloatArray:
+        """Return how much narrower than their prior the rates of each source are told, nats; zero out of use."""
+        sigma = std[0].reshape(len(self.sources), -1)[:, 3:5]
+        prior = 3 * self._rate(setup)
+        return np.log(prior / np.where(sigma > 0, np.minimum(sigma, prior), prior)).sum(axis=1)
 
     def _motion(self, setup: ObservingSetup) -> list[tuple[str, str, float, bool]]:
         """Return the rates east and north, by natural size one spacing of the candidates in half of the time."""

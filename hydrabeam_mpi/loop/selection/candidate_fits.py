@@ -18,7 +18,7 @@ from hydrabeam_mpi.loop.attribution.score_effects import Finding, attribute_size
 from hydrabeam_mpi.loop.attribution.score_noise import refit_reweighting
 from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked
-from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical, may_be_unphysical, price_of_limits
+from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical, may_be_unphysical, price_of_fitted
 from hydrabeam_mpi.loop.selection.predictions import check, score_of
 from hydrabeam_mpi.loop.selection.refits import (
     fit_patiently,
@@ -112,7 +112,7 @@ def _fit_effect(
         fitted = _fit_physically(context, before.values.extended(start), fitted, worth)
         again = reconsider(context, fitted)
     gained = rise(context, before, fitted)
-    log_bayes_factor = again.log_bayes_factor - again.linear_gain + gained - price_of_limits(context, fitted)
+    log_bayes_factor = again.log_bayes_factor - again.linear_gain + gained - price_of_fitted(context, fitted)
     finding = Finding(fitted.values.active[-1].effect, replace(again, log_bayes_factor=log_bayes_factor))
     return replace(candidate, finding=finding, log_bayes_factor=log_bayes_factor), fitted
 

@@ -77,8 +77,8 @@ def leave_out_unphysical(context: FitContext, fitted: Fitted, n_before: int) -> 
     return LeftOut(replace(fitted.values, active=tuple(kept)), places, tuple(told)) if told else None
 
 
-def price_of_limits(context: FitContext, fitted: Fitted) -> float:
-    """Return the nats that it costs the last effect that parts of it are beyond their limits, if by little.
+def price_of_fitted(context: FitContext, fitted: Fitted) -> float:
+    """Return the nats that it costs the last effect that parts of it are beyond their limits, if by little, or move.
 
     A Gaussian prior knows no limits. The most probable values within them are at the limit, where ln likelihood is
     less by beyond^2 / 2 for each part. Collective: all ranks of the grid.
@@ -86,7 +86,8 @@ def price_of_limits(context: FitContext, fitted: Fitted) -> float:
     one, by_noise = fitted.values.active[-1], fitted.fit.std[-1]
     std = error_scale(context, fitted).of(one, by_noise)
     beyond = one.effect.beyond(context.setup, one.x, std)
-    return float(0.5 * np.sum(beyond[np.isfinite(beyond)] ** 2))
+    motion = one.effect.price_of_motion(context.setup, one.x, by_noise)
+    return float(0.5 * np.sum(beyond[np.isfinite(beyond)] ** 2)) + motion
 
 
 def _rest(context: FitContext, one: Active, gone: BoolArray) -> Active | None:

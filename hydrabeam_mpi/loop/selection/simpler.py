@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from hydrabeam_mpi.data.observation import BoolArray
-from hydrabeam_mpi.effects.interface.effect import Effect
+from hydrabeam_mpi.effects.interface.effect import Effect, Parameters
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import solved_at
 from hydrabeam_mpi.fit.state import Active
@@ -76,7 +76,7 @@ def _instead(
     kept = (*active[:place], *([rest] if rest.size else []), *active[place + 1 :])
     # The others stay where they are: left alone, they would make up for it.
     without = check(context, solved_at(context, replace(last.fitted.values, active=kept), last.fitted))
-    present = _present(context, last, without, own)
+    present = _present(context, last, without, own, finding.effect)
     candidate = replace(Candidate.of(finding), log_bayes_factor=present.candidate.log_bayes_factor)
     best = try_effects(context, without, [candidate], tried, present)
     if best is None or best is present:
@@ -93,19 +93,30 @@ def _part(context: FitContext, one: Active, which: BoolArray) -> Active:
     return Active.start(one.effect, context.setup, prior_var, np.where(which, one.x, 0.0))
 
 
-def _present(context: FitContext, last: Checked, without: Checked, own: Active) -> Round:
+def _present(context: FitContext, last: Checked, without: Checked, own: Active, simpler: Effect) -> Round:
     """Tell what there is now as a round that adds it to the model ``without`` it.
 
     Places are weighed beside all else by the linear model of what is there, at the price of picking one of so many. How
-    much nearer the data tell them is Occam's factor, of prior over posterior width, which what has no place is spared.
+    much nearer the data tell what the ``simpler`` effect does not have is Occam's factor, of prior over posterior
+    width, which that is spared.
     """
     values = without.fitted.values
     now = fit_patiently(context, replace(values, active=(*values.active, own)), last.fitted)
     evidence = reconsider(context, now)
-    placed = own.effect.parameters(context.setup).nonlinear[own.used]
+    parameters, spared = own.effect.parameters(context.setup), _kinds(simpler.parameters(context.setup))
+    placed = [parameters.nonlinear[i] and _kind(parameters.names[i]) not in spared for i in own.used.tolist()]
     narrower = (own.prior.of(0).std() / now.fit.std[-1][0, own.used])[placed]
     risen = evidence.log_bayes_factor - evidence.linear_gain + rise(context, without.fitted, now)
     evidence = replace(evidence, effective_parameters=evidence.effective_parameters + len(narrower))
     candidate = Candidate.of(Finding(own.effect, evidence))
     candidate = replace(candidate, log_bayes_factor=risen - float(np.sum(np.log(narrower))))
     return round_of(context, without, last, candidate, ())
+
+
+def _kinds(parameters: Parameters) -> set[str]:
+    """Return what an effect's nonlinear parameters are, whatever they are of."""
+    return {_kind(name) for name, placed in zip(parameters.names, parameters.nonlinear, strict=True) if placed}
+
+
+def _kind(name: str) -> str:
+    return name.rpartition(": ")[2]

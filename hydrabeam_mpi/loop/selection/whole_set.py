@@ -19,7 +19,7 @@ from hydrabeam_mpi.loop.attribution.score_effects import Finding
 from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
 from hydrabeam_mpi.loop.selection.candidate_fits import by_heldout, started
-from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical, price_of_limits
+from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical, price_of_fitted
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refits import fit_patiently, rise, with_best_variant
 from hydrabeam_mpi.loop.selection.refusal import rivals_of
@@ -153,7 +153,7 @@ def _as_fitted(
     Those of all effects add up to that of the set. Collective: all ranks of the grid.
     """
     again = reconsider(context, joint, place)
-    gained = rise(context, before, after) - price_of_limits(context, after)
+    gained = rise(context, before, after) - price_of_fitted(context, after)
     log_bayes_factor = again.log_bayes_factor - again.linear_gain + gained
     finding = Finding(joint.values.active[place].effect, replace(again, log_bayes_factor=log_bayes_factor))
     return replace(member, finding=finding, log_bayes_factor=log_bayes_factor)

@@ -20,7 +20,7 @@ from hydrabeam_mpi.loop.attribution.score_effects import Finding
 from hydrabeam_mpi.loop.selection import candidate_fits
 from hydrabeam_mpi.loop.selection.acceptance import Candidate
 from hydrabeam_mpi.loop.selection.constant import take_back_unphysical
-from hydrabeam_mpi.loop.selection.physical import is_unphysical, leave_out_unphysical, price_of_limits
+from hydrabeam_mpi.loop.selection.physical import is_unphysical, leave_out_unphysical, price_of_fitted
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refits import fit_patiently
 from hydrabeam_mpi.loop.selection.trials import try_effects
@@ -87,7 +87,7 @@ def test_what_is_beyond_its_limits_by_little_costs_evidence(context: FitContext)
         (active,), (std,) = fitted.values.active, fitted.fit.std
         flux, error = active.x[0, 0], std[0, 0] * error_scale(context, fitted).channels[0]
         expected = 0.5 * (min(flux, 0.0) / error) ** 2
-        assert price_of_limits(context, fitted) == pytest.approx(expected)
+        assert price_of_fitted(context, fitted) == pytest.approx(expected)
         assert (expected > 0) == (places == (FALSE,))
 
 

@@ -12,6 +12,7 @@ from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.instrument.cable_reflections import CableReflections
 from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
+from hydrabeam_mpi.effects.sky.moving_sources import MovingSources
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Active, Values
@@ -100,6 +101,28 @@ def test_a_source_near_a_known_one_stays_where_it_is(plain: FitContext, tmp_path
     context = context_of(mock_job(missing), tmp_path)
     found = fitted_as_sources(context, beside)
     assert simplified(context, found.after, [found], [CatalogueFlux()], []) is None
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_a_source_that_was_taken_for_a_moving_one(moves: bool, plain: FitContext, tmp_path: Path) -> None:
+    """It is told to stay where it does, as two numbers less are to be told then."""
+    place = list(place_of_missing(plain))
+    truth: dict[str, object] = {"kind": "missing_sources", "settings": {"sources": [place]}, "strength": 10.0}
+    if moves:
+        truth = {"kind": "moving_sources", "settings": {"sources": [place], "rates": [[0.2, -0.1]]}, "strength": 10.0}
+    context = context_of(mock_job(truth), tmp_path)
+    effect = MovingSources([place_of_missing(plain)], 9 * TRIALS).in_full(context.setup)
+    start = Active.start(effect, context.setup, np.array([100.0, 0, 0, 0, 0]), np.array([[1.0, 0, 0, 0, 0]]))
+    before = check(context, refit(context, Values()))
+    after = check(context, refit(context, Values((start,)), before.fitted))
+    assert after.score.chi2 == pytest.approx(1, abs=0.1)
+    assert effect.price_of_motion(context.setup, after.fitted.values.active[0].x, after.fitted.fit.std[0]) > 2
+    found = simplified(context, after, [round_of(effect_candidate(effect), before, after)], [MissingSources()], [])
+    assert (found is None) == moves
+    if found is not None:
+        (stays,) = found[0].after.fitted.values.active
+        assert type(stays.effect) is MissingSources
+        assert found[1] == {0: None, 1: 0}
 
 
 FOUR = tuple(131e6 + 3e6 * np.arange(4.0))
