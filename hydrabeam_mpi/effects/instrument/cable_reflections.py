@@ -19,13 +19,13 @@ from hydrabeam_mpi.errors import InputError
 
 MIN_CHANNELS = 4
 MAX_ECHOES = 16
+"""Most candidates of one antenna that are compared together; one faulty antenna would otherwise crowd out all
+others.
+"""
 NO_PHASE = np.pi / np.sqrt(3)
 """Standard deviation of a phase that is anything, rad."""
 ECHO_STEPS = 6  # of Gauss and Newton from a delay that was scanned to an echo; each about squares what is left
 STEPS_APART = 2  # of the delays scanned: a resolution
-"""Most candidates of one antenna that are compared together; one faulty antenna would otherwise crowd out all
-others.
-"""
 
 
 class CableReflections(ScannedEffect):

@@ -51,8 +51,11 @@ class PointSources(ScannedEffect):
     def without(self, gone: BoolArray) -> tuple[Self, IntArray]:
         """Return the other sources, and the numbers of their parameters, (n_left,); ``gone`` is (n_params,)."""
         stays = ~np.any(gone.reshape(len(self.sources), -1), axis=1)
-        left = self.of([one for one, kept in zip(self.sources, stays, strict=True) if kept], self.trials)
-        return left, np.flatnonzero(np.repeat(stays, len(gone) // len(stays)))
+        return self.some(np.flatnonzero(stays)), np.flatnonzero(np.repeat(stays, len(gone) // len(stays)))
+
+    def some(self, which: IntArray) -> Self:
+        """Return the effect of some of its sources, (Nleft,)."""
+        return self.of([self.sources[n] for n in which.tolist()], self.trials)
 
     def of(self, sources: Sequence[tuple[float, float]], trials: int = 1) -> Self:
         """Return the same effect of other sources."""

@@ -80,11 +80,11 @@ class MissingSources(MayVary):
     def refined(self, x: FloatArray, used: IntArray) -> tuple[Self, FloatArray, IntArray]:
         """Return the sources in use where they have been found, with no offsets left, (Nfreqs, n_left)."""
         if not len(used):
-            return self.of((), self.trials), x[:, :0], used
+            return self.some(used), x[:, :0], used
         each = x.shape[1] // len(self.sources)
         left = np.flatnonzero(np.isin(np.arange(x.shape[1]) // each, used // each))
         part = x[:, left].reshape(len(x), -1, each)
-        kept = self.of([self.sources[n] for n in np.unique(used // each)], self.trials)
+        kept = self.some(np.unique(used // each))
         sources = in_degrees(*kept._places(part[0]))
         part[..., 1:3] = 0.0
         return self.of([(ra % 360, dec) for ra, dec in sources], self.trials), part.reshape(len(x), -1), left

@@ -58,7 +58,7 @@ def exchange(
         near = _near(found, effects) if is_asked else []
         better = _better_than(context, last, found, near, tried) if near else None
         if better is not None:
-            return better, _places_without(found.place, len(last.fitted.values.active))
+            return better, places_without(found.place, len(last.fitted.values.active))
     return None
 
 
@@ -108,7 +108,7 @@ def _better_than(
     return replace(added, revised=(told,), place=len(active))
 
 
-def _places_without(gone: int, n: int) -> dict[int, int | None]:
+def places_without(gone: int, n: int) -> dict[int, int | None]:
     """Return where each of ``n`` active effects is once one is gone, and the one that comes after them."""
     places: dict[int, int | None] = {place: place - (place > gone) for place in range(n + 1)}
     return places | {gone: None}

@@ -16,6 +16,7 @@ from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.attribution.reconsider import reconsider
 from hydrabeam_mpi.loop.attribution.score_effects import Finding
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
+from hydrabeam_mpi.loop.selection.exchange import places_without
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refits import fit_patiently, rise
 from hydrabeam_mpi.loop.selection.trials import round_of, try_effects
@@ -51,11 +52,10 @@ def simplified(
             size = Evidence(0.0, x**2, x[np.newaxis], 0.0, n_used, 0.0, n_used, 0.0)
             added = _instead(context, last, place, gone, Finding(effect, size), tried)
             if added is not None:
-                is_all = bool(gone[active.used].all())
-                places: dict[int, int | None] = {
-                    old: old - (is_all and old > place) for old in range(len(fitted.values.active) + 1)
+                n = len(fitted.values.active)
+                return added, places_without(place, n) if gone[active.used].all() else {
+                    old: old for old in range(n + 1)
                 }
-                return added, places | ({place: None} if is_all else {})
     return None
 
 
