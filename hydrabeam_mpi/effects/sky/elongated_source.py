@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import FloatArray
-from hydrabeam_mpi.effects.interface.effect import Parameters
+from hydrabeam_mpi.data.observation import BoolArray, FloatArray
+from hydrabeam_mpi.effects.interface.effect import Effect, Parameters
 from hydrabeam_mpi.effects.interface.limits import sigmas
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.told import Told
@@ -40,6 +40,24 @@ class ElongatedSource(ResolvedSource):
         """Return what the covariance changes by with each of them; see `ResolvedSource.shapes`."""
         one, cosine, sine = np.ones(north.shape[1]), north[0] ** 2 - north[1] ** 2, 2 * north[0] * north[1]
         return [(one, 0 * one, one), (cosine, sine, -cosine), (sine, -cosine, -sine)]
+
+    def simpler_elements(
+        self, setup: ObservingSetup, x: FloatArray, std: FloatArray
+    ) -> list[tuple[BoolArray, Effect, FloatArray]]:
+        """Return the sources that may be round, together, as those that are resolved.
+
+        By the data's likelihood of c and s, a Gaussian, beside a prior of as much for all shapes, from a line to a
+        circle, which are those with c^2 + s^2 <= m^2: where round is likelier.
+        """
+        (mean, c, s), (_, of_c, of_s) = (np.moveaxis(one[0].reshape(-1, 3), 1, 0) for one in (x, std))
+        told = (of_c > 0) & (of_s > 0)
+        of_c, of_s = np.where(told, of_c, 1.0), np.where(told, of_s, 1.0)
+        narrower = np.log(np.maximum(mean**2 / (2 * of_c * of_s), 1.0))
+        is_round = told & (0.5 * ((c / of_c) ** 2 + (s / of_s) ** 2) < narrower)
+        if not is_round.any():
+            return []
+        resolved = ResolvedSource([self.sources[i] for i in np.flatnonzero(is_round)], self.trials)
+        return [(np.repeat(is_round, self.n_each), resolved, mean[is_round])]
 
     def told(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> Told:
         """Return axes (arcmin) and position angles (deg); their errors take those of the parameters for independent."""

@@ -70,3 +70,17 @@ def test_what_is_narrower_than_a_point_along_an_axis_is_refused() -> None:
     assert not effect.beyond(SETUP, np.array([[100.0, 60.0, 80.0]]), std).any()
     beyond = effect.beyond(SETUP, np.array([[100.0, 90.0, 120.0]]), std)
     np.testing.assert_allclose(beyond, np.full(3, 50 / np.sqrt(12)))
+
+
+def test_sources_whose_shape_may_be_round_are_told() -> None:
+    """Together; of those whose axes differ by many standard errors, or that are not in the model, nothing is said."""
+    places = [PLACE[0], *np.rad2deg([[SETUP.sky.ra[i], SETUP.sky.dec[i]] for i in (1, 2, 3)]).tolist()]
+    x = np.array([[*squares(20.0, 8.0, 40.0), *squares(20.0, 19.9, 10.0), 0.0, 0.0, 0.0, *squares(30.0, 30.1, 10.0)]])
+    std = np.array([[4.0] * 6 + [0.0] * 3 + [4.0] * 3])
+    ((which, effect, widths),) = ElongatedSource(places, 100).simpler_elements(SETUP, x, std)
+    assert which.tolist() == [False] * 3 + [True] * 3 + [False] * 3 + [True] * 3
+    assert type(effect) is ResolvedSource
+    assert effect.sources == tuple(map(tuple, (places[1], places[3])))
+    assert effect.trials == 100
+    np.testing.assert_array_equal(widths, x[0, [3, 9]])
+    assert ElongatedSource(places, 100).simpler_elements(SETUP, x, np.full((1, 12), 1e-3)) == []

@@ -1,4 +1,4 @@
-"""A source that was found where the catalogue has one is an error of that one's flux, if that is likelier."""
+"""Elements of an effect become what has fewer parameters where that is likelier, and keep their place where not."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ from hydrabeam_mpi.effects.instrument.antenna_delays import AntennaDelays
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.instrument.cable_reflections import CableReflections
 from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
+from hydrabeam_mpi.effects.sky.elongated_source import ElongatedSource
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
 from hydrabeam_mpi.effects.sky.moving_sources import MovingSources
+from hydrabeam_mpi.effects.sky.resolved_source import ResolvedSource
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Active, Values
@@ -122,6 +124,27 @@ def test_a_source_that_was_taken_for_a_moving_one(moves: bool, plain: FitContext
     if found is not None:
         (stays,) = found[0].after.fitted.values.active
         assert type(stays.effect) is MissingSources
+        assert found[1] == {0: None, 1: 0}
+
+
+@pytest.mark.parametrize("axes_differ", [True, False])
+def test_a_source_that_was_taken_for_an_elongated_one(axes_differ: bool, plain: FitContext, tmp_path: Path) -> None:
+    """It is told as round where its axes do not differ, as two numbers less are to be told then."""
+    place, squares = brightest(plain), np.array([4000.0, 1500.0 * axes_differ, 0.0])
+    effect = ElongatedSource([place], TRIALS)
+    names = effect.parameters(plain.setup).names
+    truth = {"kind": "elongated_source", "settings": {"sources": [list(place)]}}
+    context = context_of(mock_job({**truth, "parameters": dict(zip(names, squares.tolist(), strict=True))}), tmp_path)
+    start = Active.start(effect, context.setup, np.full(3, 1e7), squares[np.newaxis])
+    before = check(context, refit(context, Values()))
+    after = check(context, refit(context, Values((start,)), before.fitted))
+    assert after.score.chi2 == pytest.approx(1, abs=0.1)
+    found = simplified(context, after, [round_of(effect_candidate(effect), before, after)], [ResolvedSource()], [])
+    assert (found is None) == axes_differ
+    if found is not None:
+        (resolved,) = found[0].after.fitted.values.active
+        assert type(resolved.effect) is ResolvedSource
+        assert abs(resolved.x[0, 0] - 4000.0) < 4 * found[0].after.fitted.fit.std[0][0, 0]
         assert found[1] == {0: None, 1: 0}
 
 
