@@ -70,8 +70,11 @@ class History:
             self.first = self.last
 
     def compare(self, control: Round | None) -> None:
-        """Take note of a control model of the last search, or leave out one that all that was found since surpasses."""
-        if control is not None and self.control is None:
+        """Take note of a control model of the last search, or leave out one that all that was found since surpasses.
+
+        The last is the one that counts: an earlier one may have been fitted with other widths of the beam's prior.
+        """
+        if control is not None:
             self.control, self.control_since = control, len(self.rounds) - (control.before is not self.last)
         if self.control is None:
             return
