@@ -8,8 +8,9 @@ which takes all that is not in the model for noise of the stated size, cannot te
 
 in part k of the data, T the variances of the effect's prior and tau one unknown spread. Of the evidence with a common
 part, mu ~ N(0, T), and of that without, mu = 0, each at the spread that is the best for it, the ratio is the Bayes
-factor for a common part. Parts are blocks of times, and besides folds of groups of baselines: what varies in time alone
-is the same in all groups, and the other way round, so that either is asked by itself.
+factor for a common part. Parts are blocks of times, and besides folds of groups of baselines, and blocks of channels
+where all channels have the same parameters: what varies in time alone is the same in all groups and channels, and the
+other way round, so that each is asked by itself.
 
 Where parameters are told by one part only both hypotheses are the same, and with few or uncertain parts nearly so: then
 the data cannot decide, whatever they say. That is known beforehand, from the Bayes factor that is expected of these
@@ -46,7 +47,7 @@ class Constancy:
     Attributes
     ----------
     between : str
-        Which parts: "times" or "baselines".
+        Which parts: "times", "baselines", "channels", or the name of those that are affected and the others.
     log_bayes_factor : float
         Natural logarithm, for a common part of the parameters against none.
     expected : float

@@ -26,9 +26,11 @@ from hydrabeam_mpi.mpi import bcast_object, gather_objects, together
 from hydrabeam_mpi.random import generator
 from hydrabeam_mpi.words import joined
 
+AXES = ("channels", "times", "baselines")
+"""Of the rows, in their order."""
 MOST_PARTS = 4
-"""Blocks of times, and folds of redundant groups: so few that each tells the parameters by itself, and that slow
-changes do not look like several that agree; their spread is seen to two fifths."""
+"""Blocks of times or of channels, and folds of redundant groups: so few that each tells the parameters by itself, and
+that slow changes do not look like several that agree; their spread is seen to two fifths."""
 MOST_COLUMNS = 1000
 """Parameters times parts at most: such matrices are decomposed in a second. Effects with many parameters are compared
 in fewer parts; with too many for two parts they are not asked."""
@@ -42,12 +44,12 @@ class PartedBlock:
     ----------
     active : Active
     used : ndarray of int, (q,)
-    parts : dict of str to ndarray of int, (Ntimes, Ngroups)
-        By kind of parts, to which the rows of a time and a redundant group belong.
+    parts : dict of str to ndarray of int, (Nfreqs, Ntimes, Ngroups)
+        By kind of parts, to which the rows of a channel, a time and a redundant group belong.
     n_parts : dict of str to int
         By kind, how many there are.
     of_baselines : str, optional
-        The kind whose parts are of baselines, (Ntimes, Nbls), whatever their group.
+        The kind whose parts are of baselines, (Nfreqs, Ntimes, Nbls), whatever their group.
     """
 
     active: Active
@@ -90,7 +92,7 @@ class PartedBlock:
         of_kinds = []
         for kind, n_parts in self.n_parts.items():
             which = block.bls if kind == self.of_baselines else groups
-            part = self.parts[kind][block.times[:, np.newaxis], which].reshape(-1)
+            part = self.parts[kind][block.channel, block.times[:, np.newaxis], which].reshape(-1)
             columns = matrix.indices + len(self.used) * np.repeat(part, np.diff(matrix.indptr))
             shape = len(part), n_parts * len(self.used)
             of_kinds.append(csr_array((matrix.data, columns, matrix.indptr), shape=shape))
@@ -215,26 +217,32 @@ def _compare(
 
 
 def parted_block(context: FitContext, active: Active, used: IntArray, affected: Affected | None = None) -> PartedBlock:
-    """Cut the fitted rows into blocks of times, and besides into folds of groups, of which there are two at least.
+    """Cut the fitted rows into blocks of times, into folds of groups and into blocks of channels, two or more of each.
 
-    Times of a block follow each other; groups are dealt out at random, so that no fold has a direction of its own.
-    ``used``, (q,), are the numbers of the effect's parameters that are asked.
+    Times and channels of a block follow each other; groups are dealt out at random, so that no fold has a direction of
+    its own. What every channel has for itself is not asked between channels. ``used``, (q,), are the numbers of the
+    effect's parameters that are asked.
     """
-    times, redundant = np.sort(context.problem.train.times), context.problem.redundant
-    groups = np.unique(redundant.group[context.problem.train.bls])
+    train, redundant, observation = context.problem.train, context.problem.redundant, context.setup.observation
+    shape = observation.Nfreqs, observation.Ntimes, redundant.Ngroups
+    members = {"times": np.sort(train.times), "baselines": np.unique(redundant.group[train.bls])}
+    members |= {"channels": np.arange(observation.Nfreqs)} if active.effect.shared else {}
     most = min(MOST_PARTS, MOST_COLUMNS // max(len(used), 1)) if len(used) else 0
-    of_kinds = {"times": min(most, len(times)), "baselines": min(most, len(groups))}
-    n_parts = {kind: n for kind, n in of_kinds.items() if n > 1}
-    block, fold = (
-        np.zeros((context.setup.observation.Ntimes, 1), dtype=int),
-        np.zeros((1, redundant.Ngroups), dtype=int),
-    )
-    block[times, 0] = np.arange(len(times)) * of_kinds["times"] // len(times)
-    fold[0, groups] = generator(0, "folds of groups").permutation(len(groups)) % max(of_kinds["baselines"], 1)
-    shape = len(block), fold.shape[1]
-    parts = {"times": np.broadcast_to(block, shape), "baselines": np.broadcast_to(fold, shape)}
-    train = context.problem.train.bls
-    if affected is None or most < 2 or affected.bls[train].all() or not affected.bls[train].any():
+    n_parts = {kind: min(most, len(one)) for kind, one in members.items() if min(most, len(one)) > 1}
+    parts = {kind: _divided(kind, members[kind], n, shape) for kind, n in n_parts.items()}
+    if affected is None or most < 2 or affected.bls[train.bls].all() or not affected.bls[train.bls].any():
         return PartedBlock(active, used, parts, n_parts)
-    parts[affected.name] = np.broadcast_to(affected.bls.astype(int), (len(block), len(affected.bls)))
+    parts[affected.name] = np.broadcast_to(affected.bls.astype(int), (*shape[:2], len(affected.bls)))
     return PartedBlock(active, used, parts, n_parts | {affected.name: 2}, affected.name)
+
+
+def _divided(kind: str, members: IntArray, n_parts: int, shape: tuple[int, ...]) -> IntArray:
+    """Divide the members of an axis into parts; return that of each row as a view, (Nfreqs, Ntimes, Ngroups)."""
+    axis, number = AXES.index(kind), np.arange(len(members))
+    part, along = np.zeros(shape[axis], dtype=int), [1, 1, 1]
+    if kind == "baselines":
+        part[members] = generator(0, "folds of groups").permutation(len(members)) % n_parts
+    else:
+        part[members] = number * n_parts // len(members)
+    along[axis] = -1
+    return np.broadcast_to(part.reshape(along), shape)

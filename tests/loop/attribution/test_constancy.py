@@ -12,6 +12,7 @@ from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.instrument.antenna_positions import AntennaPositions
 from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
+from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
 from hydrabeam_mpi.effects.sky.ionosphere import Ionosphere
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
@@ -220,10 +221,10 @@ def test_all_parts_together_say_what_the_whole_says(with_gain: tuple[FitContext,
 def test_parts_are_blocks_of_times_and_folds_of_groups(with_gain: tuple[FitContext, Fitted]) -> None:
     context, fitted = with_gain
     parted = parted_block(context, fitted.values.active[0], fitted.values.active[0].used)
-    times, train = parted.parts["times"][context.problem.train.times], context.problem.train
+    times, train = parted.parts["times"][0, context.problem.train.times], context.problem.train
     assert np.all(np.diff(times[:, 0]) >= 0)
     assert set(np.bincount(times[:, 0]).tolist()) == {2}
-    folds = parted.parts["baselines"][:, np.unique(context.problem.redundant.group[train.bls])]
+    folds = parted.parts["baselines"][0, :, np.unique(context.problem.redundant.group[train.bls])].T
     assert np.all(folds == folds[0])
     assert np.ptp(np.bincount(folds[0])) <= 1
 
@@ -306,6 +307,30 @@ def test_what_one_antenna_does_is_no_effect_of_the_sky(tmp_path: Path) -> None:
     gain = refit(context, Values((Active.start(AntennaGains(), context.setup, var, np.zeros((1, 14))),)))
     assert refusal_by_parts(ask_constancy(context, gain, [0], affected)[0], context.problem.job.loop) is None
     assert Affected.of(check(context, gain).remains, context.setup.observation) is None
+
+
+@pytest.mark.parametrize("index", [0.0, 3.0])
+def test_what_all_channels_have_is_asked_between_them(index: float, tmp_path: Path) -> None:
+    """A flux that is wrong alike in all channels is the same in all; one whose spectrum is wrong is not.
+
+    What every channel has for itself, as gains, is not asked.
+    """
+    freqs = tuple(131e6 + 3e6 * np.arange(4.0))
+    plain = context_of(mock_job(freqs=freqs), tmp_path / "plain")
+    flux = CatalogueFlux().foremost(plain.setup, 1)
+    (name,) = flux.parameters(plain.setup).names
+    errors = {name: 0.05, name.replace("relative flux error", "error of the spectral index"): index}
+    spectrum = {"kind": "spectral_index", "settings": {"sources": [list(*flux.sources)]}, "parameters": errors}
+    context = context_of(mock_job(spectrum, freqs=freqs), tmp_path / "wrong")
+    fitted = refit(context, Values((Active.start(flux, context.setup, np.array([0.01]), np.zeros((4, 1))),)))
+    parted = parted_block(context, fitted.values.active[0], np.arange(1))
+    assert parted.parts["channels"][:, 0, 0].tolist() == [0, 1, 2, 3]
+    of_channels = ask_constancy(context, fitted, [0])[0][2]
+    assert of_channels.between == "channels"
+    said = refusal_by_parts([of_channels], context.problem.job.loop)
+    assert said is None if index == 0 else "differ between channels" in str(said)
+    gains = Active.start(AntennaGains(), context.setup, np.full(14, 0.01), np.zeros((4, 14)))
+    assert set(parted_block(context, gains, np.arange(14)).n_parts) == {"times", "baselines"}
 
 
 def test_parameters_of_which_no_data_tell_are_neither_the_same_nor_not() -> None:
