@@ -38,6 +38,7 @@ EFFECTS: Registry[Effect] = Registry(
     "sky.diffuse",
     "instrument.antenna_positions",
     "instrument.timestamp",
+    "instrument.orientation",
     "instrument.smearing",
     "instrument.antenna_pointing",
     "instrument.nonredundant_beams",

@@ -55,6 +55,7 @@ CASES = {
     "moving_sources": Case(strengths=(20.0,), scan=MAPS),
     "mutual_coupling": Case({"n_shells": 2}),
     "nonredundant_beams": Case(strengths=(0.2,), exact="at zero", step=1e-3),
+    "orientation": Case(strengths=(3.0, 60.0), step=1e-2),  # up to a degree
     # One channel tells flux from index by no more than products.
     "spectral_index": Case(strengths=(0.05, 2.0), scan=MAPS),
     "resolved_source": Case(strengths=(1.0, 400.0)),  # up to three degrees
@@ -88,6 +89,9 @@ IN_TIME |= {
 }
 """Effects with the laws by which they may change in time."""
 VARIANTS = {f"ionosphere, {away}": Case({"away": away}, strengths=(3.0,), step=1e-2) for away in ("flat", "shell")}
+VARIANTS |= {
+    f"orientation, {fixed}": replace(CASES["orientation"], settings={"fixed": fixed}) for fixed in ("stars", "array")
+}
 """Effects in other forms."""
 CASES |= IN_TIME | VARIANTS
 

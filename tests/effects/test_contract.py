@@ -246,6 +246,7 @@ REFUSED = {
     ("basis_truncation", "unlike feeds"): "'en'",
     ("smearing", "unlike feeds"): "'en'",
     ("timestamp", "unlike feeds"): "'en'",
+    ("orientation", "unlike feeds"): "'en'",
     ("ionosphere", "unlike feeds"): "'en'",
 }
 

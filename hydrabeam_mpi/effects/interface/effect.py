@@ -250,7 +250,7 @@ class Effect(InOtherData, HasLimits, MayChange, Cause):
         """
         return self
 
-    def variants(self) -> list[Effect]:
+    def variants(self, setup: ObservingSetup) -> list[Effect]:
         """Return other forms of the effect with the same parameters, of which the fit tells which is the likeliest."""
         return []
 

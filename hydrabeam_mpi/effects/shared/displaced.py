@@ -144,9 +144,16 @@ def turning_rates(block: RowBlock, moments: ComplexArray) -> ComplexArray:
     Both the integrals of `turning_columns`, (Ntimes, Ngroups, 7), and what is returned, (Ntimes, Ngroups, 3), are of
     the block's groups.
     """
+    return moments[..., 4:] + fringe_rates(block, moments[..., 1:4])
+
+
+def fringe_rates(block: RowBlock, moments: ComplexArray) -> ComplexArray:
+    """Return how visibilities change as sources, but not the beam on them, are turned, Jy per radian.
+
+    Both the integrals of the beam times the unit vector and what is returned are (Ntimes, Ngroups, 3).
+    """
     # The phase k b.s changes by k b.(w x s) = k w.(s x b).
-    wavenumber = 2 * np.pi * block.freq / C_M_PER_S
-    return np.asarray(moments[..., 4:] + 1j * wavenumber * np.cross(moments[..., 1:4], block.vectors))
+    return np.asarray(2j * np.pi * block.freq / C_M_PER_S * np.cross(moments, block.vectors))
 
 
 def need_real_beam(setup: ObservingSetup) -> str | None:

@@ -52,7 +52,7 @@ class Ionosphere(TurningSky):
         """Return what the shift is away from the zenith."""
         return {"away": self.away}
 
-    def variants(self) -> list[Effect]:
+    def variants(self, setup: ObservingSetup) -> list[Effect]:
         """Return the other ways that shifts go away from the zenith."""
         return [Ionosphere(away) for away in get_args(Away) if away != self.away]
 

@@ -59,7 +59,7 @@ def with_best_variant(context: FitContext, fitted: Fitted, place: int = -1) -> F
     """
     best, active = fitted, fitted.values.active
     one = active[place]
-    for effect in one.effect.variants():
+    for effect in one.effect.variants(context.setup):
         other = Active.start(effect, context.setup, one.prior_var(context.setup), one.x)
         values = replace(fitted.values, active=tuple(other if each is one else each for each in active))
         try:

@@ -74,7 +74,7 @@ def test_what_is_shifted_below_the_horizon_is_not_seen() -> None:
 
 def test_the_fit_tells_what_shifts_are_away_from_the_zenith(tmp_path: Path) -> None:
     """By the likelihood: all have the same parameters."""
-    assert [one.describe()["away"] for one in Ionosphere("flat").variants()] == ["turn", "shell"]
+    assert [one.describe()["away"] for one in Ionosphere("flat").variants(small_setup())] == ["turn", "shell"]
     refracted = {"kind": "ionosphere", "settings": {"away": "shell"}, "strength": 3.0}
     context = context_of(mock_job(refracted), tmp_path)
     before = refit(context, Values())

@@ -224,6 +224,13 @@ def read_clock(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], fl
     return {("clock", "later"): pairs[0]} if pairs else {}
 
 
+def read_turns(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]) -> Found:
+    """Read what is turned about which axes; whether beams are turned with the sky is a matter of their prior."""
+    told = {name.replace(", but not on the beam, ", " "): pair for name, pair in averaged(parameters).items()}
+    names = {name: tuple(name.split(" turned about ")) for name in told if " turned about " in name}
+    return {(thing, f"turned about {axis}"): told[name] for name, (thing, axis) in names.items()}
+
+
 def read_lengths(
     parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]
 ) -> Found:
@@ -303,6 +310,7 @@ READERS: dict[str, Callable[[list[dict[str, Any]], dict[tuple[str, str], float],
     "resolved_source": read_fluxes,
     "elongated_source": read_fluxes,
     "timestamp": read_clock,
+    "orientation": read_turns,
     "smearing": read_lengths,
     "ground_emitter": read_emitter,
     "compression": read_compression,
