@@ -73,7 +73,7 @@ def radiometer_weights(
         np.stack([power[:, :, ants[:, end], feeds.index(pol[end])] for pol in observation.pols], axis=-1)
         for end in (0, 1)
     )
-    _check_autos_stored(np.isnan(first + second) & ~flags, files, observation, tile)
+    _check_autos_stored(power, np.isnan(first + second) & ~flags, files, observation, tile)
     # What is no power is not squared: of less than that no double is left.
     usable = ~flags & (first >= 1 / LARGEST) & (second >= 1 / LARGEST)
     exposure = observation.channel_width[:, None] * observation.integration_time[tile.times]
@@ -92,15 +92,17 @@ def calibrated_autos(autos: Block, observation: Observation, times: IntArray, ga
     return np.asarray(data.real)
 
 
-def _check_autos_stored(lacking: BoolArray, files: Sequence[Data], observation: Observation, tile: Tile) -> None:
+def _check_autos_stored(
+    power: FloatArray, lacking: BoolArray, files: Sequence[Data], observation: Observation, tile: Tile
+) -> None:
     if lacking.any():
         ant_1, ant_2 = observation.antpairs[tile.bls[np.argwhere(lacking)[0, 2]]]
-        raise InputError(
-            f"no autocorrelations of antenna {ant_1} or {ant_2}",
-            file=files[0],
-            field="data_array",
-            remedy="leave the antenna out with exclude_antennas, or choose another [noise] kind",
-        )
+        what, remedy = f"no autocorrelations of antenna {ant_1} or {ant_2}", "choose another [noise] kind"
+        if np.isnan(power).all():
+            what = "no autocorrelations of any antenna"
+        else:
+            remedy = f"leave the antenna out with exclude_antennas, or {remedy}"
+        raise InputError(what, file=files[0], field="data_array", remedy=remedy)
 
 
 def odd_autocorrelations(log_power: FloatArray, dead: BoolArray) -> dict[int, str]:
@@ -139,8 +141,9 @@ def check_weights(n_unflagged: int, n_weighted: int, files: Sequence[Data]) -> N
         If either is zero.
     """
     if n_unflagged == 0:
-        remedy = "select other data, or correct the flags"
-        raise InputError("all selected data are flagged", file=files[0], field="flag_array", remedy=remedy)
+        remedy = "select other data, or correct flags and nsamples"
+        what = "all selected data are flagged, or of no samples (nsample_array)"
+        raise InputError(what, file=files[0], field="flag_array", remedy=remedy)
     if n_weighted == 0:
         remedy = "choose another [noise] kind"
         raise InputError("non-positive noise for all selected data", file=files[0], remedy=remedy)

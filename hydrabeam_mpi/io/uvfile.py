@@ -168,7 +168,8 @@ def read_uvdata(path: Path, kind: str, **select: Any) -> UVData:
     if one.needs is not None and find_spec(one.needs[0]) is None:
         raise InputError(f"{one.called}, which {one.needs[1]} reads", file=path, remedy=f"install {one.needs[1]}")
     uv = UVData()
-    options = {"run_check": False, "background_lsts": False, "remove_flex_pol": False}
+    # Of a measurement set with one channel nothing would be left.
+    options = {"run_check": False, "background_lsts": False, "remove_flex_pol": False, "ignore_single_chan": False}
     with reading(path, kind), mute() if one.is_talkative else nullcontext():
         uv.read(str(path), file_type=kind, **options, **select)
     return uv

@@ -27,7 +27,7 @@ from pyuvdata import UVData
 for path in sys.argv[2:]:
     print(path, flush=True)
     try:
-        UVData().read(path, file_type=sys.argv[1], run_check=False, background_lsts=False)
+        UVData().read(path, file_type=sys.argv[1], run_check=False, background_lsts=False, ignore_single_chan=False)
     except Exception as error:
         sys.exit(f"### Fatal Error: {error}")
 """

@@ -89,6 +89,10 @@ class TestRadiometer:
         obs, flags, nsamples, files = read(make_uvdata(antpairs=CROSS + AUTOS[:4]))
         with pytest.raises(InputError, match="no autocorrelations of antenna 3 or 41"):
             radiometer_weights(files, obs, whole(obs), flags, nsamples)
+        obs, flags, nsamples, files = read(make_uvdata(antpairs=CROSS), name="none.uvh5")
+        with pytest.raises(InputError, match="no autocorrelations of any antenna; choose another"):
+            radiometer_weights(files, obs, whole(obs), flags, nsamples)
+        obs, flags, nsamples, files = read(make_uvdata(antpairs=CROSS + AUTOS[:4]), name="again.uvh5")
         # Where nothing is observed with it, it is not missed.
         flags[:, :, (obs.antpairs == 41).any(axis=1)] = True
         assert radiometer_weights(files, obs, whole(obs), flags, nsamples).any()

@@ -90,6 +90,20 @@ def test_every_format_gives_the_same_drift_scan(tmp_path, kind, phased):
         np.testing.assert_allclose(found, uv.data_array[row], rtol=0, atol=tolerance)
 
 
+@pytest.mark.filterwarnings("ignore:UVData object contains a mix", "ignore:writing default values")
+def test_a_measurement_set_with_one_channel(tmp_path):
+    pytest.importorskip("casacore", reason="measurement sets need python-casacore")
+    uv = make_uvdata()
+    one = uv.select(freq_chans=[1], inplace=False)
+    one.phase(lon=1.3, lat=-0.6, cat_name="somewhere", phase_frame="icrs")
+    one.write_ms(str(tmp_path / "one.ms"))
+    header, rows = read_metadata(tmp_path / "one.ms")
+    np.testing.assert_allclose(header.freqs, uv.freq_array[1], rtol=0, atol=1e-3)
+    data, flags, _ = read_samples(header, np.arange(len(rows.times)), np.arange(1), np.arange(2))
+    assert data.shape == flags.shape == (uv.Nblts, 1, 2)
+    assert np.abs(data).max() > 0
+
+
 def row_keys(times, antpairs):
     steps = np.round((times - times[0]) / (10 * SECOND)).astype(int)
     return list(zip(steps.tolist(), *antpairs.T.tolist(), strict=True))

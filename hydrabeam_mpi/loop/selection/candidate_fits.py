@@ -14,7 +14,7 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Worth, refit, stepped
 from hydrabeam_mpi.fit.state import Active, Fitted, Reweighted, Values
 from hydrabeam_mpi.loop.attribution.reconsider import reconsider
-from hydrabeam_mpi.loop.attribution.score_effects import Finding, attribute_sizes
+from hydrabeam_mpi.loop.attribution.score_effects import Finding, attribute, attribute_sizes
 from hydrabeam_mpi.loop.attribution.score_noise import refit_reweighting
 from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked
@@ -98,9 +98,10 @@ def _fit_effect(
     What is unphysical there is left out; `BrokenOff` is raised where that is all of it.
     """
     assert candidate.finding is not None
-    fitted = _fit_foremost(context, before, candidate.finding)
+    finding = _likeliest_variant(context, before, candidate.finding)
+    fitted = _fit_foremost(context, before, finding)
     if fitted is None:
-        start = started(context, candidate.finding, candidate.finding.evidence.prior_var)
+        start = started(context, finding, finding.evidence.prior_var)
         fitted = _fit_physically(context, before.values.extended(start), before, worth)
     fitted = with_best_variant(context, fitted)
     again = reconsider(context, fitted)
@@ -115,6 +116,13 @@ def _fit_effect(
     log_bayes_factor = again.log_bayes_factor - again.linear_gain + gained - price_of_fitted(context, fitted)
     finding = Finding(fitted.values.active[-1].effect, replace(again, log_bayes_factor=log_bayes_factor))
     return replace(candidate, finding=finding, log_bayes_factor=log_bayes_factor), fitted
+
+
+def _likeliest_variant(context: FitContext, before: Fitted, finding: Finding) -> Finding:
+    """Return an effect in the form with the most evidence, of which it has been weighed in one alone."""
+    variants = finding.effect.variants(context.setup)
+    others = [attribute(context, before, [one])[0] for one in variants]
+    return max([finding, *others], key=lambda one: one.evidence.log_bayes_factor)
 
 
 def started(context: FitContext, finding: Finding, prior_var: FloatArray) -> Active:
