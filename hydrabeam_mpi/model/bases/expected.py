@@ -9,6 +9,9 @@ import numpy as np
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.model.bases.base import NEGLIGIBLE, has_part
 
+Mode = tuple[int, int]
+"""(k, m)."""
+
 MARGIN = 4
 """Orders beyond those of a basis that has all of its own; enough for as many modes again."""
 
@@ -79,15 +82,26 @@ def expected_of_all(modes: Sequence[tuple[int, int]], amplitudes: FloatArray) ->
     return GUESSED * expected_amplitudes(modes, amplitudes)[k - 1, abs(m)]
 
 
-def largest_lacking(expected: FloatArray, present: Container[tuple[int, int]], most: int) -> list[tuple[int, int]]:
-    """Return the modes that are expected to be largest, ``most`` or fewer, of those that are not ``present``.
+def _lacking(expected: FloatArray, present: Container[Mode]) -> list[list[Mode]]:
+    """Return the modes that are not ``present``, those first that are expected to be largest; m and -m come together.
 
-    m and -m come together. ``expected``, (Nk, Nm), is that of `expected_amplitudes`.
+    ``expected``, (Nk, Nm), is that of `expected_amplitudes`.
     """
-    chosen: list[tuple[int, int]] = []
-    for place in np.argsort(-expected, axis=None, kind="stable").tolist():
-        row, order = divmod(place, expected.shape[1])
-        pair = [mode for mode in dict.fromkeys([(row + 1, order), (row + 1, -order)]) if mode not in present]
+    places = [divmod(place, expected.shape[1]) for place in np.argsort(-expected, axis=None, kind="stable").tolist()]
+    return _without([list(dict.fromkeys([(row + 1, m), (row + 1, -m)])) for row, m in places], present)
+
+
+def _without(pairs: Sequence[list[Mode]], gone: Container[Mode]) -> list[list[Mode]]:
+    """Return what is left of modes that come together when some are ``gone``."""
+    return [left for pair in pairs if (left := [mode for mode in pair if mode not in gone])]
+
+
+def _first(pairs: Sequence[list[Mode]], most: int) -> list[Mode]:
+    """Return the first modes, ``most`` or fewer; where one place is left, the next one that is alone takes it."""
+    chosen: list[Mode] = []
+    for pair in pairs:
+        if len(chosen) == most:
+            break
         if len(chosen) + len(pair) <= most:
             chosen += pair
     return chosen
@@ -117,14 +131,15 @@ def next_expected(
         How large they are expected; those that come ``before`` the others as the smallest of the basis.
     """
     expected = expected_amplitudes(modes, amplitudes)
-    taken: list[tuple[int, int]] = []
+    first, pairs, n_taken = list(before), _lacking(expected, set(modes)), 0
     while True:
-        new = [mode for mode in before if mode not in taken][:most]
+        new = first[:most]
         n_first = len(new)
-        new += largest_lacking(expected, {*modes, *taken}, most - n_first)
-        if not new or len(taken) >= n_before:
+        new += _first(pairs, most - n_first)
+        if not new or n_taken >= n_before:
             break
-        taken += new[: n_before - len(taken)]
+        taken = new[: n_before - n_taken]
+        first, pairs, n_taken = first[len(taken) :], _without(pairs, set(taken)), n_taken + len(taken)
     least = smallest(amplitudes, len(new)) if n_first else 0.0
     sizes = [least] * n_first + [expected[k - 1, abs(m)] for k, m in new[n_first:]]
     return new, np.array(sizes, dtype=float)
