@@ -56,11 +56,14 @@ class Likelihood:
         precision : ndarray, (p, p)
             Of their prior.
         """
+        if not len(which):
+            return self
         rest = np.delete(np.arange(len(self.score)), which)
         order = np.concatenate([which, rest])
+        posterior = self.information[np.ix_(order, order)]
+        posterior[: len(which), : len(which)] += precision
         blocks = Block("which", len(which)), Block("rest", len(rest))
-        known = Gaussian(blocks, self.information[np.ix_(order, order)], self.score[order], None)
-        left = (known * Gaussian(blocks[:1], precision, np.zeros(len(which)), None)).marginalise(["which"])
+        left = Gaussian(blocks, posterior, self.score[order], None).marginalise(["which"])
         return Likelihood(left.precision, left.source, self.signal[np.ix_(rest, rest)])
 
     def freed(self, combinations: FloatArray) -> Likelihood:
