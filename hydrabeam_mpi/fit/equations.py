@@ -138,22 +138,22 @@ class NormalEquations:
                 total += everything[first].times(everything[second], is_complex=np.iscomplexobj(total))
 
     def _add_own(self, name: str, columns: Columns) -> None:
-        """Add the product of a block's columns with themselves; of dense columns by group only one triangle."""
+        """Add the product of a block's columns with themselves; of dense columns only one triangle."""
         if (name, name) not in self.gram:
             return
-        total, is_complex = self.gram[name, name], self.blocks[name].is_complex
-        if not (columns.by_group and (is_complex or columns.in_parts)) or issparse(columns.values):
+        total, is_complex, values = self.gram[name, name], self.blocks[name].is_complex, columns.values
+        if issparse(values) or (is_complex and not columns.by_group):
             total += columns.times(columns, is_complex)
             return
         self._half_filled.add(name)
-        root = np.sqrt(columns.rows.group_weights)[:, np.newaxis]
+        root = np.sqrt(columns.rows.group_weights if columns.by_group else columns.rows.weights)[:, np.newaxis]
         if is_complex:
-            scaled = columns.values.conj()
+            scaled = values.conj()
             scaled *= root
             zherk(1.0, scaled.T, beta=1.0, c=total, overwrite_c=1)
-        else:
-            scaled = (columns.values * root).reshape(-1, columns.values.shape[-1])
-            dsyrk(1.0, scaled.T, beta=1.0, c=total, overwrite_c=1)
+            return
+        for part in values if columns.in_parts else (values.real, values.imag):
+            dsyrk(1.0, (part * root).T, beta=1.0, c=total, overwrite_c=1)
 
     def reduce(self, comm: Comm) -> None:
         """Sum over ranks, in place. Collective: all ranks of `comm`."""

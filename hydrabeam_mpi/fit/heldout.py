@@ -136,6 +136,7 @@ def _whiten(context: FitContext, fitted: Fitted) -> Whitened:
                     if errors is not None and columns is not None:
                         errors.add(time, z[channel, row], columns)
         if errors is not None:
+            errors.flush()
             allreduce_sum(context.grid.group, errors.gram)
             allreduce_sum(context.grid.group, errors.projection)
             for row, change in enumerate(errors.changes()):

@@ -30,7 +30,7 @@ class Marginal:
 
     def __init__(self, sums: NormalEquations, without: str, posterior: Posterior, pull: Array | None = None) -> None:
         self.sums, self._without, self._posterior, self._pull = sums, without, posterior, pull
-        self._halves: dict[str, Array] = {}
+        self._halves: dict[str, FloatArray] = {}
         self._taken: dict[tuple[str, str], FloatArray] = {}
 
     def likelihood(self, names: Sequence[str]) -> Likelihood:
@@ -40,26 +40,29 @@ class Marginal:
         taken = np.concatenate(lines) if lines else known.signal
         score = known.score
         if self._pull is not None and names:
-            half = np.concatenate([self._half(name) for name in names], axis=1)
-            white = solve_triangular(self._posterior.factor, self._pull, lower=True, check_finite=False)
-            score = score - 2 * (half.conj().T @ white).real
+            white = in_parts(solve_triangular(self._posterior.factor, self._pull, lower=True, check_finite=False))
+            score = score - 2 * np.concatenate([self._half(name).T @ white for name in names])
         return Likelihood(known.signal - taken, score, known.signal)
 
     def response(self, names: Sequence[str]) -> Array:
         """Return by how much the best values of the block move with each unknown of others, (n, q)."""
         posterior = self._posterior
         half = np.concatenate([self._half(name) for name in names], axis=1) if names else self._across([])
+        if names and posterior.is_complex:
+            real, imag = np.split(half, 2)
+            half = real + 1j * imag
         kappa = 1.0 if posterior.is_complex else 2.0
         return np.asarray(-kappa * solve_triangular(posterior.factor, half, lower=True, trans="C", check_finite=False))
 
     def _across(self, names: Sequence[str]) -> Array:
         return self.sums.gather([self._without], names)
 
-    def _half(self, name: str) -> Array:
-        """Return L^-1 G of a block, with L the factor of the marginalised one's precision."""
+    def _half(self, name: str) -> FloatArray:
+        """Return L^-1 G of a block in parts, with L the factor of the marginalised one's precision."""
         if name not in self._halves:
             across = self._across([name])
-            self._halves[name] = solve_triangular(self._posterior.factor, across, lower=True, check_finite=False)
+            half = solve_triangular(self._posterior.factor, across, lower=True, check_finite=False)
+            self._halves[name] = in_parts(half)
         return self._halves[name]
 
     def _taken_of(self, one: str, two: str) -> FloatArray:
@@ -68,7 +71,8 @@ class Marginal:
             return self._taken[two, one].T
         if (one, two) not in self._taken:
             kappa = 2.0 if self._posterior.is_complex else 4.0
-            self._taken[one, two] = kappa * (in_parts(self._half(one)).T @ in_parts(self._half(two)))
+            # Of a matrix with itself NumPy works out one triangle.
+            self._taken[one, two] = kappa * (self._half(one).T @ self._half(two))
         return self._taken[one, two]
 
 

@@ -19,6 +19,8 @@ from scipy.linalg import solve_triangular
 from scipy.sparse import csr_array
 
 from hydrabeam_mpi.data.observation import Array, BoolArray, ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.fit.marginal import in_parts
+from hydrabeam_mpi.fit.row_buffer import CAPACITY
 from hydrabeam_mpi.inference.posterior import Posterior
 
 LEAST_LEFT = 1e-9
@@ -195,19 +197,32 @@ class SharedErrors:
         self.gram = np.zeros((len(covariance), len(covariance)))
         self.projection = np.zeros(len(covariance))
         self._kept: list[tuple[csr_array, Felt]] = []
+        self._held: list[list[FloatArray]] = []
 
     def add(self, time: TimeWhitener, z: ComplexArray, felt: Felt) -> None:
         """Take the residuals of one time as it whitens them, (Nbls,), and how its rows feel the parameters."""
         felt = replace(felt, own=time.rows(felt.own), of_groups=time.of_groups(felt.of_groups))
         self._kept.append((time.gather, felt))
-        one, two = np.flatnonzero(~felt.is_of_groups), np.flatnonzero(felt.is_of_groups)
-        mixed = _products(time.gather @ felt.own, felt.of_groups)
-        self.gram[np.ix_(one, one)] += _products(felt.own, felt.own)
+        parts = felt.own, time.gather @ felt.own, felt.of_groups, z, time.gather @ z
+        self._held.append([in_parts(one) for one in parts])
+        if sum(len(own) for own, *_ in self._held) >= CAPACITY:
+            self.flush()
+
+    def flush(self) -> None:
+        """Add the products of all rows so far to the sums: those of several times at once take less time."""
+        if not self._held:
+            return
+        of_groups = self._kept[-1][1].is_of_groups
+        one, two = np.flatnonzero(~of_groups), np.flatnonzero(of_groups)
+        own, common, groups, z, common_z = (np.concatenate(parts) for parts in zip(*self._held, strict=True))
+        self._held = []
+        mixed = common.T @ groups
+        self.gram[np.ix_(one, one)] += own.T @ own
         self.gram[np.ix_(one, two)] += mixed
         self.gram[np.ix_(two, one)] += mixed.T
-        self.gram[np.ix_(two, two)] += _products(felt.of_groups, felt.of_groups)
-        self.projection[one] += _products(felt.own, z)
-        self.projection[two] += _products(felt.of_groups, time.gather @ z)
+        self.gram[np.ix_(two, two)] += groups.T @ groups
+        self.projection[one] += own.T @ z
+        self.projection[two] += groups.T @ common_z
 
     @cached_property
     def _spectrum(self) -> tuple[FloatArray, FloatArray]:
@@ -238,11 +253,6 @@ class SharedErrors:
         return 0.5 * float(np.log1p(self._spectrum[0]).sum())
 
 
-def _products(one: ComplexArray, two: ComplexArray) -> FloatArray:
-    """Return the products of columns, (N, k) and (N, l) or (N,), as vectors of their real and imaginary parts."""
-    return np.asarray(one.real.T @ two.real + one.imag.T @ two.imag)
-
-
 def model_root(posterior: Posterior, design: Array) -> FloatArray:
     """Return R, (r, 2 Ngroups), with R^T R the covariance of a time's predictions, all real parts first.
 
@@ -258,6 +268,9 @@ def model_root(posterior: Posterior, design: Array) -> FloatArray:
     """
     rows = design.reshape(-1, design.shape[-1])
     root = solve_triangular(posterior.factor, rows.conj().T, lower=True, check_finite=False)
+    # A complex matrix has as many rows for its columns as both have in parts, which would take twice as long.
+    if len(root) > root.shape[1]:
+        root = np.asarray(np.linalg.qr(root, mode="r"))
     if posterior.is_complex:
         root = np.sqrt(0.5) * np.block([[root.real, -root.imag], [root.imag, root.real]])
-    return np.asarray(root if len(root) <= root.shape[1] else np.linalg.qr(root, mode="r"))
+    return np.asarray(root)

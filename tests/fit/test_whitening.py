@@ -206,6 +206,7 @@ def test_shared_errors_are_whitened_over_all_rows(q: int, rank: int, alike: floa
     mine = range(comm.rank, 4, comm.size)
     for t in mine:
         errors.add(ALONE, z[t], felt[t])
+    errors.flush()
     allreduce_sum(comm, errors.gram)
     allreduce_sum(comm, errors.projection)
     jacobian = parts(np.concatenate(list(map(columns, felt))))
@@ -224,6 +225,7 @@ def test_errors_that_nothing_feels_change_nothing() -> None:
     errors = SharedErrors(np.eye(2))
     nothing = Felt(np.zeros((5, 1), complex), np.zeros((3, 1), complex), np.array([False, True]))
     errors.add(ALONE, np.ones(5, complex), nothing)
+    errors.flush()
     assert not errors.changes()[0].any()
     assert errors.n_shared == errors.log_spread == 0
 
