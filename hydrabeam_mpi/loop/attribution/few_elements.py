@@ -159,5 +159,10 @@ def _condition(
 def log_bayes_factors(values: FloatArray, projections: FloatArray) -> FloatArray:
     """Return ln BF for every one of `TAUS`, (Ntaus, ...), from eigenvalues of K and u along them, (..., p)."""
     tau2 = TAUS.reshape(-1, *(1,) * values.ndim) ** 2
-    grown = 1 + tau2 * np.maximum(values, 0.0)
-    return np.sum(-0.5 * np.log(grown) + 0.5 * tau2 * projections**2 / grown, axis=-1)
+    # In place, as memory for each step would take longer than the step.
+    grown = tau2 * np.maximum(values, 0.0)
+    grown += 1
+    nats = tau2 * projections**2
+    nats /= grown
+    nats -= np.log(grown, out=grown)
+    return np.asarray(0.5 * nats.sum(axis=-1))
