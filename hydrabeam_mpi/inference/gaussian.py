@@ -23,7 +23,7 @@ from scipy.linalg import LinAlgError, solve_triangular
 
 from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.inference.matrices import cholesky_lower
+from hydrabeam_mpi.inference.matrices import cholesky_lower, inverse_hermitian
 from hydrabeam_mpi.inference.posterior import Posterior
 
 
@@ -171,7 +171,7 @@ class Gaussian:
     def moments(self) -> tuple[Array, Array]:
         """Mean (n,) and covariance (n, n), also where rounding has left the precision not quite positive."""
         matrix, unit = _in_units(self.precision)
-        covariance = unit[:, np.newaxis] * np.linalg.inv(matrix) * unit
+        covariance = unit[:, np.newaxis] * inverse_hermitian(matrix) * unit
         return covariance @ self.source, covariance
 
     def moments_given(self, others: Gaussian) -> tuple[Array, Array]:

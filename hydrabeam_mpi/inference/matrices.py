@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.linalg import LinAlgError, cholesky
+from scipy.linalg.lapack import dpotrf, dpotri, zpotrf, zpotri
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
@@ -23,6 +24,20 @@ def inverse_of_covariance(covariance: FloatArray) -> FloatArray:
     std = np.sqrt(np.diag(covariance))
     inverse: FloatArray = np.linalg.inv(covariance / std / std[:, np.newaxis]) / std / std[:, np.newaxis]
     return 0.5 * (inverse + inverse.T)
+
+
+def inverse_hermitian(matrix: Array) -> Array:
+    """Invert a Hermitian matrix, (n, n), also where rounding has left it not quite positive.
+
+    Where it is positive its Cholesky factor tells the inverse, in a third of the time that one of any sort takes.
+    """
+    factorise, invert = (zpotrf, zpotri) if np.iscomplexobj(matrix) else (dpotrf, dpotri)
+    factor, failed = factorise(matrix, lower=1) if len(matrix) else (matrix, 1)
+    if failed:
+        return np.asarray(np.linalg.inv(matrix))
+    lower, _ = invert(factor, lower=1, overwrite_c=1)
+    complete_hermitian(lower.T)
+    return np.asarray(lower)
 
 
 def cholesky_lower(matrix: Array) -> Array:

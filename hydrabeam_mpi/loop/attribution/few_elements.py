@@ -15,6 +15,7 @@ import numpy as np
 from hydrabeam_mpi.data.observation import BoolArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Parameters
 from hydrabeam_mpi.inference.likelihood import RANK_RTOL
+from hydrabeam_mpi.inference.matrices import inverse_hermitian
 from hydrabeam_mpi.loop.attribution.price import rarity
 from hydrabeam_mpi.loop.rules import RULES
 
@@ -95,7 +96,7 @@ def _beside_others(scaled: Sequence[Scaled], members: IntArray, widths: FloatArr
     for information, score in scaled:
         # What the data do not constrain are rounding errors, so that no prior is wider than these let it be.
         precision = np.maximum(stated, RANK_RTOL * float(np.max(np.diag(information), initial=0.0)))
-        covariance = np.linalg.inv(information[np.ix_(used, used)] + np.diag(precision))
+        covariance = inverse_hermitian(information[np.ix_(used, used)] + np.diag(precision))
         x, beside, own = covariance @ score[used], np.zeros_like(covariance), np.zeros(len(used))
         for size in np.unique(sizes):  # elements of a size at once
             one = local[sizes == size, :size]
