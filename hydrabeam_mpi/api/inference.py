@@ -23,7 +23,7 @@ from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.grown import grown_problem
 from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.joint import channel_results, fit_with_effects, read_context
-from hydrabeam_mpi.fit.memory import inference_bytes, loop_bytes
+from hydrabeam_mpi.fit.memory import inference_bytes, joint_bytes, of_share
 from hydrabeam_mpi.fit.rounding import MOST_SHIFT
 from hydrabeam_mpi.loop.checks.health import told
 from hydrabeam_mpi.loop.output.amendment import effects_found
@@ -77,7 +77,8 @@ def run_inference(setup: Setup, folder: Path | None, threads: int, waiting: Path
     """
     clock = Clock()
     is_joint = bool(setup.job.effects) or setup.job.prior.widths == "evidence"
-    grid, problems = prepare_checked_each(setup, folder, clock, told, loop_bytes if is_joint else inference_bytes)
+    needed = of_share(joint_bytes if is_joint else inference_bytes)
+    grid, problems = prepare_checked_each(setup, folder, clock, told, needed)
     if is_joint or (problems[0].earlier and problems[0].earlier.entries):
         (problem,) = problems
         fits = [_with_effects(setup, grid, problem, clock)]

@@ -30,6 +30,7 @@ from hydrabeam_mpi.loop.attribution.control_models import control_models
 from hydrabeam_mpi.loop.checks.conventions import check_conventions
 from hydrabeam_mpi.loop.checks.health import mended
 from hydrabeam_mpi.loop.checks.leakage import check_leakage
+from hydrabeam_mpi.loop.memory import loop_bytes
 from hydrabeam_mpi.loop.output.amendment import amended_job, effects_found
 from hydrabeam_mpi.loop.output.record import make_record
 from hydrabeam_mpi.loop.output.resume import Keeper
@@ -97,7 +98,7 @@ def run_loop(
         Whether a result in ``out`` may be replaced.
     """
     clock, world, job = Clock(), setup.comm, setup.job
-    grid, problem, mine = prepare_checked(setup, folder, clock, mended)
+    grid, problem, mine = prepare_checked(setup, folder, clock, mended, loop_bytes)
     context = read_context(grid, problem, mine, clock)
     _check_can_confirm(context)
     known = context.setup

@@ -13,11 +13,12 @@ from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.memory import own_bytes
 from hydrabeam_mpi.mpi import limit_blas_threads, together
 from hydrabeam_mpi.planning.files import measure_files
-from hydrabeam_mpi.planning.forecast import Forecast, Model
+from hydrabeam_mpi.planning.forecast import Model
 from hydrabeam_mpi.planning.measure import Bench
 from hydrabeam_mpi.planning.network import measure_network
 from hydrabeam_mpi.planning.outline import outline
 from hydrabeam_mpi.planning.table import as_table, as_text, assumptions
+from hydrabeam_mpi.planning.told import Forecast
 
 COMMANDS = ("simulate", "infer", "loop", "sample")
 
@@ -29,8 +30,8 @@ class Plan:
     Attributes
     ----------
     forecasts : tuple of Forecast
-        With ``command``, ``ranks``, ``wall_s``, ``phases_s``, ``memory_bytes``, ``sent_bytes``, ``file_bytes`` and
-        ``partition``; on rank 0, as is all else.
+        With ``command``, ``ranks``, ``wall_s``, ``phases_s``, ``memory_bytes``, ``sent_bytes``, ``file_bytes``,
+        ``partition``, and of a loop ``round_s`` and ``further_bytes``; on rank 0, as is all else.
     assumed : tuple of str
         What that rests on.
     """
@@ -68,7 +69,7 @@ def plan(
     commands : iterable of str, optional
         Of `COMMANDS`; those that the job can be given to by default.
     found : int
-        Effects that a loop finds: an assumption.
+        Effects that a loop finds: an assumption. Zero for what is certain of it.
     clock : callable
         Tells the time in seconds. `time.process_time` forecasts seconds of the processor, on one thread.
     startup_s : float

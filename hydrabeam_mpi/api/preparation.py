@@ -11,7 +11,7 @@ from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.named import expand
 from hydrabeam_mpi.data.observation import Observation
 from hydrabeam_mpi.fit.clock import Clock
-from hydrabeam_mpi.fit.memory import Share, check_room, loop_bytes
+from hydrabeam_mpi.fit.memory import Needed, check_room, joint_bytes, of_share
 from hydrabeam_mpi.io.disk import check_space
 from hydrabeam_mpi.io.uvsource import Data
 from hydrabeam_mpi.mpi import (
@@ -37,7 +37,7 @@ def prepare_checked(
     folder: Path | None,
     clock: Clock,
     check: Callable[[ProcessGrid, Problem], Problem],
-    needed: Callable[[Share, bool], int] = loop_bytes,
+    needed: Needed | None = None,
 ) -> tuple[ProcessGrid, Problem, Problem]:
     """Set up the problem and look at the health of its data.
 
@@ -52,8 +52,8 @@ def prepare_checked(
         Receives the phases "prepare" and "health".
     check : callable
         `hydrabeam_mpi.loop.checks.health.told` or ``mended``.
-    needed : callable
-        How many bytes a rank's share needs.
+    needed : callable, optional
+        How many bytes a rank's share needs; by default those of a fit with effects.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def prepare_checked(
     """
     with setup.telling():
         _ = setup.job.data.pol  # of which there is one
-    grid, (problem,) = prepare_checked_each(setup, folder, clock, check, needed)
+    grid, (problem,) = prepare_checked_each(setup, folder, clock, check, needed or of_share(joint_bytes))
     return grid, problem, problem.of_channels(grid.channels)
 
 
@@ -77,7 +77,7 @@ def prepare_checked_each(
     folder: Path | None,
     clock: Clock,
     check: Callable[[ProcessGrid, Problem], Problem],
-    needed: Callable[[Share, bool], int],
+    needed: Needed,
 ) -> tuple[ProcessGrid, list[Problem]]:
     """Set up the problem of each polarisation, of all channels, and look at the health of its data.
 

@@ -70,7 +70,8 @@ class FitContext:
         problem = replace(self.problem, train=self.problem.test, test=self.problem.train)
         mine, test = len(self.train.rows.tile.bls), self.train
         if not all(self.grid.world.allgather(mine in (0, len(problem.test.bls)))):
-            test = RankData(self.problem, self.setup, read_share(self.grid, self.problem, problem.test, True, False))
+            rows = read_share(self.grid, self.problem, problem.test, True, False)
+            test = RankData(self.problem, self.setup, rows, kept_bytes=self.train.kept_bytes)
         return replace(self, problem=problem, train=self.test, test=test)
 
     def given(self, values: Values) -> Problem:

@@ -13,7 +13,7 @@ from hydrabeam_mpi.data.observation import Array, BoolArray, ComplexArray, Float
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.local_parameters import fit_local, fold_of, untold
-from hydrabeam_mpi.fit.row_model import KEPT_BYTES
+from hydrabeam_mpi.fit.room import KEPT_BYTES
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.fit.whitening import Felt, SharedErrors, TimeWhitener, root_of

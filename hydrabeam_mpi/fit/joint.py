@@ -27,6 +27,7 @@ from hydrabeam_mpi.fit.heldout_sample import heldout_sample
 from hydrabeam_mpi.fit.learned import Learned
 from hydrabeam_mpi.fit.prior_widths import adapted_if_asked
 from hydrabeam_mpi.fit.rank_data import RankData
+from hydrabeam_mpi.fit.room import bytes_to_keep
 from hydrabeam_mpi.fit.settle import settle
 from hydrabeam_mpi.fit.shares import read_shares
 from hydrabeam_mpi.fit.state import Active, Fitted, Reweighted, Values, independent_prior
@@ -42,13 +43,18 @@ AS_WRITTEN = "use the job as 'hydrabeam loop' wrote it, with the same data, or r
 
 def find_setup(problem: Problem) -> ObservingSetup:
     """Return what effects may know before any visibility is read. Serial."""
+    return setup_of(problem, read_observation(problem.files, Selection()).pols)
+
+
+def setup_of(problem: Problem, file_pols: tuple[str, ...]) -> ObservingSetup:
+    """Return the same where it is known which polarisations the files have."""
     return ObservingSetup(
         observation=problem.observation,
         redundant=problem.redundant,
         sky=problem.sky,
         basis=problem.basis,
         prior_mean=problem.model_means,
-        file_pols=read_observation(problem.files, Selection()).pols,
+        file_pols=file_pols,
         times=np.union1d(problem.train.times, problem.test.times),
         positions=partial(source_positions, problem.job),
         fitted=problem.train.times,
@@ -86,8 +92,9 @@ def read_context(grid: ProcessGrid, problem: Problem, mine: Problem, clock: Cloc
         carried, learned = _learn(grid, problem, setup)
     with clock.time("read"):
         # Errors of the predictions of one time are whitened together.
-        train, test = read_shares(grid, mine, whole_times=True)
-    return FitContext(grid, mine, setup, RankData(mine, setup, train), RankData(mine, setup, test), carried, learned)
+        own, kept_bytes = read_shares(grid, mine, whole_times=True), bytes_to_keep(grid.world)
+    train, test = (RankData(mine, setup, rows, kept_bytes=kept_bytes) for rows in own)
+    return FitContext(grid, mine, setup, train, test, carried, learned)
 
 
 def _learn(grid: ProcessGrid, problem: Problem, setup: ObservingSetup) -> tuple[CarriedOver | None, Learned | None]:

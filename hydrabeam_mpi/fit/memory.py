@@ -14,22 +14,26 @@ from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.coupled import dense_unknowns
 from hydrabeam_mpi.fit.coupled_step import MAX_PARAMETERS
+from hydrabeam_mpi.fit.room import COMPLEX, PART_KEPT, REAL, Room
 from hydrabeam_mpi.fit.rounding import TIMES_IN_DOUBLE
 from hydrabeam_mpi.fit.row_buffer import CAPACITY
-from hydrabeam_mpi.fit.row_model import KEPT_BYTES
 from hydrabeam_mpi.memory import own_bytes
 from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.engines.base import SOURCES_AT_ONCE
 from hydrabeam_mpi.mpi import ProcessGrid, memory_per_rank, together
 from hydrabeam_mpi.setup.problem import Problem
 
-REAL, COMPLEX = 8, 16
 PER_VISIBILITY = 25
 """Bytes of a visibility that is kept, with its weight and flag."""
 READING = 3
 """Times what is kept, while it is read."""
 LOOKED_AT = 160
 """Bytes of a sample of the health check: data, model, weights, and sums of them beside each other."""
+FITTED = 150
+"""Bytes of a visibility for a fit: calibrated by effects, with what these add, and of held-out ones what is left and
+how well it is known."""
+WHITENED = 4
+"""Roots of the covariance of the predictions of one time that are there at once: as made, scaled, and its vectors."""
 DESCRIBED = 6
 """Matrices of the coefficients' size that are there at once when a channel is described, its posterior among them."""
 
@@ -51,6 +55,8 @@ class Share:
         Whose designs are kept to tell of rounding errors.
     unknowns : int
         Solved for as one matrix of all channels, on this rank.
+    kept_bytes : float
+        That a design may take, to be kept.
     """
 
     channels: int
@@ -62,15 +68,36 @@ class Share:
     basis: LinearBasis
     watched_times: int = 0
     unknowns: int = 0
+    kept_bytes: float = np.inf
 
     @classmethod
-    def of(cls, problem: Problem, channels: int, train: Tile, test: Tile) -> Share:
-        """Return the sizes of a rank's tiles in so many channels."""
+    def of(cls, problem: Problem, channels: int, train: Tile, test: Tile, memory: float) -> Share:
+        """Return the sizes of a rank's tiles in so many channels, where a rank has so much ``memory``, in bytes."""
         groups = np.unique(problem.redundant.group[np.union1d(train.bls, test.bls)])
         n_bls = max(len(train.bls), len(test.bls))
         watched = min(TIMES_IN_DOUBLE, len(train.times)) if problem.job.solver.precision == "mixed" else 0
         sizes = channels, len(train.times), len(test.times), n_bls, len(groups), problem.sky.Nsrc
-        return cls(*sizes, problem.basis, watched)
+        return cls(*sizes, problem.basis, watched, kept_bytes=PART_KEPT * memory)
+
+    def room(self, n_times: int) -> Room:
+        """Return what is kept of so many of its times."""
+        return Room.of(n_times, self.groups, self.channels, self.basis.n_modes, self.sources, self.kept_bytes)
+
+    @property
+    def visibilities(self) -> int:
+        """Number of those of its rows."""
+        return self.channels * (self.train_times + self.test_times) * self.baselines
+
+    @property
+    def kept_designs(self) -> int:
+        """Bytes of the designs that are kept of fitted and of held-out rows, of one sky."""
+        return sum(times * self.design for times in (self.train_times, self.test_times) if self.room(times).designs)
+
+    @property
+    def kept_waves(self) -> int:
+        """Bytes of the fringes of sources above the horizon, half of all, that are kept of fitted rows."""
+        each = self.sources // 2 * self.groups * 2 * REAL * self.channels
+        return each * self.train_times if self.room(self.train_times).waves else 0
 
     @property
     def item(self) -> int:
@@ -96,7 +123,7 @@ class Share:
     @property
     def kept(self) -> int:
         """Bytes of the rows."""
-        return PER_VISIBILITY * self.channels * (self.train_times + self.test_times) * self.baselines
+        return PER_VISIBILITY * self.visibilities
 
 
 def simulation_bytes(n_rows: int, n_channels: int) -> int:
@@ -109,9 +136,33 @@ def simulation_bytes(n_rows: int, n_channels: int) -> int:
 
 def inference_bytes(share: Share, root: bool) -> int:
     """Return the bytes that a rank needs for an inference; of its group's ``root`` more than of others."""
+    return max(_reading(share), share.kept + _inferring(share, root))
+
+
+def joint_bytes(share: Share, root: bool) -> int:
+    """Return the bytes that a rank needs for a fit with effects, or for chains: their designs are kept if they fit."""
+    return fit_bytes(share, root) + 2 * share.kept_designs
+
+
+def fit_bytes(share: Share, root: bool, besides: int = 0) -> int:
+    """Return the bytes that a rank needs to fit and to check a fit, or where that is more for something ``besides``."""
+    held = share.kept + FITTED * share.visibilities + share.kept_designs + share.kept_waves
+    # Of beams that hang together, how they follow effects: columns of their matrix, twice solved for.
+    following = 3 * share.item * share.unknowns * min(share.unknowns, MAX_PARAMETERS)
+    # While widths are adapted: what the data say of the beams of its channels, a matrix, its factor and its inverse.
+    adapting = (share.channels + 3) * share.matrix if root else 0
+    working = max(_inferring(share, root) + max(following, adapting), _whitening(share), besides)
+    return max(_reading(share), held + working)
+
+
+def _reading(share: Share) -> int:
+    """Return the bytes of the rows while their health is looked at, or while they are read."""
     rows = max(share.train_times, share.test_times) * share.baselines * share.channels
-    reading = share.kept + (READING - 1) * PER_VISIBILITY * rows
-    looking = LOOKED_AT * share.channels * (share.train_times + share.test_times) * share.baselines
+    return max(LOOKED_AT * share.visibilities, share.kept + (READING - 1) * PER_VISIBILITY * rows)
+
+
+def _inferring(share: Share, root: bool) -> int:
+    """Return the bytes that an inference needs besides the rows."""
     buffered = share.channels * max(CAPACITY, share.groups) * share.basis.n_modes * COMPLEX
     flushed = 2 * buffered // share.channels
     watched = share.watched_times * share.design
@@ -121,29 +172,27 @@ def inference_bytes(share: Share, root: bool) -> int:
     solving = solved + 2 * share.item * share.unknowns**2 + watched
     checking = share.making_design + 2 * share.design // share.channels + solved
     describing = solved + (share.channels + DESCRIBED) * share.matrix if root else solved
-    return max(looking, reading, share.kept + max(summing, solving, checking, describing))
+    return max(summing, solving, checking, describing)
 
 
-def loop_bytes(share: Share, root: bool) -> int:
-    """Return the bytes that a rank needs for a loop, or for chains: designs and waves of sources are kept if they fit.
-
-    Effects' columns are as many as those of the beam at most; see `RULES.most_columns`.
-    """
-    kept = sum(
-        design for times in (share.train_times, share.test_times) if 2 * (design := times * share.design) <= KEPT_BYTES
-    )
-    waves = share.sources * share.train_times * share.groups * REAL * share.channels
-    # Those of the rows and of the blocks that effects see of them, of effects' columns, and of a larger basis. Measured
-    # in the paper's case: 1.6 GB, of which this is three fifths.
-    of_rows = 4 * kept + (4 * waves if waves <= KEPT_BYTES / 4 else 0)
-    # Of beams that hang together, how they follow effects: columns of their matrix, twice solved for.
-    following = 3 * share.item * share.unknowns * min(share.unknowns, MAX_PARAMETERS)
-    # While widths are adapted: what the data say of the beams of its channels, a matrix, its factor and its inverse.
-    adapting = (share.channels + 3) * share.matrix if root else 0
-    return inference_bytes(share, root) + of_rows + max(following, adapting)
+def _whitening(share: Share) -> int:
+    """Return the bytes in which the held-out rows of one time are whitened, besides what is kept."""
+    parts, coefficients = 2 * share.groups, share.basis.n_modes * (1 + share.basis.is_complex)
+    roots = WHITENED * REAL * parts * min(parts, coefficients)
+    made = 0 if share.room(share.test_times).designs else share.making_design
+    return roots + made + 2 * share.channels * share.matrix
 
 
-def check_room(grid: ProcessGrid, problems: Sequence[Problem], needed: Callable[[Share, bool], int]) -> None:
+Needed = Callable[[Problem, Share, bool], int]
+"""Tells how many bytes a share of a problem needs on a rank, of which the last is whether it is its group's root."""
+
+
+def of_share(needed: Callable[[Share, bool], int]) -> Needed:
+    """Return what a share needs whatever the problem is otherwise."""
+    return lambda _, share, root: needed(share, root)
+
+
+def check_room(grid: ProcessGrid, problems: Sequence[Problem], needed: Needed) -> None:
     """Refuse a run that does not fit the memory, before it begins.
 
     Collective: all ranks of `grid.world`.
@@ -154,23 +203,22 @@ def check_room(grid: ProcessGrid, problems: Sequence[Problem], needed: Callable[
     problems : sequence of Problem
         Of all channels, one a polarisation. What each needs counts, though they share the design.
     needed : callable
-        `inference_bytes` or `loop_bytes`.
+        `inference_bytes` or `joint_bytes`, by `of_share`, or `loop.memory.loop_bytes`.
 
     Raises
     ------
     InputError
         On all ranks, if it needs more than a rank has, or the job's channels cannot be solved for together.
     """
-    rows, own = problems[0], own_bytes()
-    tiles = [rows.tile_of(some, grid.group.rank, grid.group.size) for some in (rows.train, rows.test)]
+    rows, own, memory = problems[0], own_bytes(), memory_per_rank(grid.world)
+    train, test = (rows.tile_of(some, grid.group.rank, grid.group.size) for some in (rows.train, rows.test))
     for problem in problems:
-        share = Share.of(problem, len(grid.channels), *tiles)
+        share = Share.of(problem, len(grid.channels), train, test, memory)
         with together(grid.world):
             unknowns = dense_unknowns(problem.coupling, problem.basis.n_modes)
             share = replace(share, unknowns=unknowns if grid.is_world_root else 0)
-        own += needed(share, grid.is_group_root)
+            own += needed(problem, share, grid.is_group_root)
     most = max(grid.world.allgather(own))
-    memory = memory_per_rank(grid.world)
     with together(grid.world):
         check_fits(most, memory, grid.world.size)
 

@@ -76,14 +76,15 @@ class RankData(RowModel):
         """
         posterior = at.beams[channel]
         times = self.rows.tile.times
-        step = max(1, ROWS_AT_ONCE // max(len(self.rows.tile.bls), 1))
+        step = times_at_once(len(self.rows.tile.bls))
         held: list[Array] = []
         for t, design in enumerate(self.designs(at.values)):
             held.append(design[channel])
             if len(held) < step and t + 1 < len(times):
                 continue
             span = slice(t + 1 - len(held), t + 1)
-            rows_of_design = np.array(held)
+            # One time, as where there are many baselines, is not copied: its design may be kept already.
+            rows_of_design = np.array(held) if len(held) > 1 else held[0][np.newaxis]
             held = []
             beam_alone = seen_by(rows_of_design, posterior.mean)[:, self.rows.member]
             block = self.block(
@@ -105,7 +106,7 @@ class RankData(RowModel):
         the design, (Ngroups, n_modes) or its parts.
         """
         posterior, sky = at.beams[channel], self.key_of_sky(at.values)
-        if not self.keeps_designs or 2 * len(self.rows.groups) > design.shape[-1]:
+        if not self.room.designs or 2 * len(self.rows.groups) > design.shape[-1]:
             return model_root(posterior, design)
         kept = self._roots.get(channel)
         if kept is None or kept[0] is not posterior.factor or kept[1] != sky:
@@ -168,6 +169,11 @@ class RankData(RowModel):
                     weights[channel, span] = block.weights
             rows = replace(rows, inv_noise_var=weights)
         return rows, added
+
+
+def times_at_once(n_bls: int) -> int:
+    """Return how many times a block of so many baselines has."""
+    return max(1, ROWS_AT_ONCE // max(n_bls, 1))
 
 
 def _same(one: Estimate, two: Estimate) -> bool:

@@ -19,13 +19,12 @@ from hydrabeam_mpi.fit.accumulate import designs
 from hydrabeam_mpi.fit.kept import Kept
 from hydrabeam_mpi.fit.known_precision import RecentlyKnown
 from hydrabeam_mpi.fit.linear_sky import LinearSky, linear_sky
+from hydrabeam_mpi.fit.room import KEPT_BYTES, Room
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Values
 from hydrabeam_mpi.model.rime import Beam, ForwardModel
 from hydrabeam_mpi.setup.problem import Problem
 
-KEPT_BYTES = 2_000_000_000
-"""The design is kept in memory if a rank's share is smaller than this, else computed anew each time."""
 SLOPES_BYTES = KEPT_BYTES / 8
 """What the design changes by with each parameter of the sky is kept if it is smaller: adding up more than that takes
 about as long as working out the design of a sky anew."""
@@ -48,15 +47,24 @@ class RowModel:
         As read.
     linear_sky : LinearSky, optional
         The design of all skies that some effects make.
+    kept_bytes : float
+        That the design may take, to be kept.
     """
 
     problem: Problem
     setup: ObservingSetup
     rows: Rows
     linear_sky: LinearSky | None = None
+    kept_bytes: float = KEPT_BYTES
     _places: dict[int, Place] = field(default_factory=dict)
     _memo: dict[tuple[int, str], Any] = field(default_factory=dict)
     _skies: dict[tuple[int, str, str], FloatArray] = field(default_factory=dict)
+
+    @cached_property
+    def room(self) -> Room:
+        """What is kept of these rows."""
+        sizes = len(self.rows.tile.times), len(self.rows.groups), len(self.rows.data)
+        return Room.of(*sizes, self.problem.basis.n_modes, self.setup.sky.Nsrc, self.kept_bytes)
 
     @cached_property
     def model(self) -> ForwardModel:
@@ -68,20 +76,13 @@ class RowModel:
         """Visibilities of the model beam with nothing fitted, (Nlocal, Ntimes, Ngroups)."""
         return self.model.visibilities(self.problem.beams, self.rows.tile.times)
 
-    @property
-    def keeps_designs(self) -> bool:
-        """Whether there is room to keep the design rows."""
-        n_rows = len(self.rows.groups) * len(self.rows.tile.times) * len(self.rows.data)
-        # Those of the sky as it is, and as it is with effects.
-        return 2 * n_rows * self.problem.basis.n_modes * 16 <= KEPT_BYTES
-
     @cached_property
     def _plain(self) -> Kept[Array]:
-        return Kept(self.keeps_designs)
+        return Kept(self.room.designs)
 
     @cached_property
     def _changed(self) -> Kept[Array]:
-        return Kept(self.keeps_designs)
+        return Kept(self.room.designs)
 
     @cached_property
     def known(self) -> RecentlyKnown:
@@ -164,10 +165,6 @@ class RowModel:
     def block(self, channel: int, span: slice, beam: Beam, values: Values, **data: Any) -> RowBlock:
         """Return the block of some of the rank's times; ``data`` are fields of `RowBlock` about its rows."""
         number = int(self.problem.channel_numbers[channel])
-        n_sources = self.setup.sky.Nsrc * len(self.rows.tile.times)
-        room = n_sources * 24 <= KEPT_BYTES / 4
-        # Of the sources half are above the horizon.
-        of_waves = n_sources * len(self.rows.groups) * 8 * len(self.rows.data)
         return RowBlock(
             setup=self.setup,
             channel=number,
@@ -178,10 +175,10 @@ class RowModel:
             positions=self.model.positions,
             beam=beam,
             engine_kind=self.problem.job.solver.engine,
-            places=self._places if room else None,
-            keeps_waves=room and of_waves <= KEPT_BYTES / 4 and self.problem.job.solver.engine == "gemm",
+            places=self._places if self.room.places else None,
+            keeps_waves=self.room.waves and self.problem.job.solver.engine == "gemm",
             sky_effects=[(one.effect, one.x[number]) for one in values.active if one.effect.changes_sky],
-            memo=self._memo if self.keeps_designs else None,
+            memo=self._memo if self.room.designs else None,
             **data,
         )
 

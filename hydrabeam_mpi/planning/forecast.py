@@ -2,56 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
 from hydrabeam_mpi.config.sample import NOISE
 from hydrabeam_mpi.data.partition import make_tiles
-from hydrabeam_mpi.fit.memory import inference_bytes, loop_bytes, simulation_bytes
+from hydrabeam_mpi.fit.memory import fit_bytes, inference_bytes, joint_bytes, simulation_bytes
+from hydrabeam_mpi.fit.room import Room
 from hydrabeam_mpi.io.posterior_file import MAP_PIXELS
+from hydrabeam_mpi.loop.checks.conventions import N_TIMES
+from hydrabeam_mpi.loop.memory import Candidates, candidates_of, further_bytes, weighing_bytes
 from hydrabeam_mpi.planning.files import Files
 from hydrabeam_mpi.planning.measure import Bench
 from hydrabeam_mpi.planning.network import Network
 from hydrabeam_mpi.planning.outline import Outline
-from hydrabeam_mpi.planning.shares import Partition, Shares
+from hydrabeam_mpi.planning.search import SearchBench
+from hydrabeam_mpi.planning.shares import Shares
+from hydrabeam_mpi.planning.told import Forecast
 from hydrabeam_mpi.result.output import least_result_bytes
 
 ON_DISK = 21
 """Bytes of a visibility in a file: complex, a flag, nsamples in single precision."""
-FITS_BESIDES = 2
-"""Effects fitted in a loop besides those that are found: rivals, and what is refused."""
-
-
-@dataclass(frozen=True)
-class Forecast:
-    """What a command takes.
-
-    Attributes
-    ----------
-    command : str
-    ranks : int
-    phases_s : dict of str to float
-        Seconds by phase.
-    memory_bytes, sent_bytes : int
-        Of the rank that needs, or sends, most.
-    file_bytes : int
-        Of what is written, simulated data included.
-    partition : Partition
-    """
-
-    command: str
-    ranks: int
-    phases_s: dict[str, float]
-    memory_bytes: int
-    sent_bytes: int
-    file_bytes: int
-    partition: Partition
-
-    @property
-    def wall_s(self) -> float:
-        """Seconds from start to end."""
-        return sum(self.phases_s.values())
+STEPS_A_ROUND = 12
+"""Sums over ranks of a round: all effects weighed, and some fits of four steps, of rivals and what is refused too."""
+ADAPTED = 2
+"""Times that the widths of the prior are adapted at the end: as wide as stated or wider, then as the data want."""
 
 
 @dataclass
@@ -78,12 +55,14 @@ class Model:
     base_bytes: int
     found: int = 1
     _shares: dict[int, Shares] = field(default_factory=dict)
+    _searches: dict[Room, SearchBench] = field(default_factory=dict)
 
     def forecast(self, command: str, ranks: int) -> Forecast:
         """Return what a command takes on so many ranks."""
         n_shared = self._sharing(command, ranks)
         shares = self._shares.setdefault(n_shared, Shares(self.bench.outline, n_shared))
         steps = Steps(self, shares, ranks)
+        is_loop = command == "loop"
         return Forecast(
             command,
             ranks,
@@ -92,7 +71,19 @@ class Model:
             steps.sent(command),
             steps.written(command),
             shares.partition,
+            steps.round_s if is_loop else 0.0,
+            further_bytes(self.candidates, shares.share) if is_loop else 0,
         )
+
+    @cached_property
+    def candidates(self) -> Candidates:
+        """What a loop weighs, in all channels."""
+        outline = self.bench.outline
+        return candidates_of(replace(outline.problem, observation=outline.observation))
+
+    def search(self, room: Room) -> SearchBench:
+        """Return what the parts of a loop cost where so much is kept."""
+        return self._searches.setdefault(room, SearchBench(self.bench, room))
 
     def _sharing(self, command: str, ranks: int) -> int:
         """Return how many ranks share the rows: those of a chain, where chains are drawn."""
@@ -206,21 +197,43 @@ class Steps:
             "write": bench.write_s + each * size / ON_DISK,
         }
 
+    @property
+    def _search(self) -> SearchBench:
+        share = self.shares.share
+        return self.model.search(share.room(share.train_times))
+
     def _loop(self) -> dict[str, float]:
-        bench, shares, found = self.model.bench, self.shares, self.model.found
-        matrix = shares.share.matrix
-        weighings, fits = found + 1, found + FITS_BESIDES
-        in_group = shares.in_group > 1
+        search, shares, found = self._search, self.shares, self.model.found
+        prior_s = search.prior_s * shares.channels if self.outline.job.prior.widths != "stated" else 0.0
         return {
-            "conventions": 2 * shares.seconds(bench.simulated),
-            "fit": shares.seconds(bench.fit),
-            "attribution": weighings * shares.seconds(bench.attribution),
-            "trials": fits * shares.seconds(bench.trial),
-            "sum": in_group * shares.channels * (weighings + 4 * fits) * self._allreduce(matrix),
-            "together": 4 * fits * self._together() + (fits + 1) * (bench.together.fit_s if bench.together else 0.0),
-            "settle": shares.seconds(bench.trial),
+            "conventions": shares.seconds(search.conventions, most=N_TIMES),
+            "fit": shares.seconds(search.fit),
+            "attribution": shares.seconds(search.attribution) + self._sums(1),
+            "prior": ADAPTED * prior_s,
+            "rounds": found * self.round_s,
+            "settle": shares.seconds(search.end)
+            + (self.model.bench.together.fit_s if self.model.bench.together else 0),
             **self._write(),
         }
+
+    @property
+    def round_s(self) -> float:
+        """Seconds of an effect that a loop finds: it is fitted beside its rivals, and all are weighed again."""
+        steps = STEPS_A_ROUND - 1
+        together = steps * self._together() + self._together_again()
+        search = self._search
+        own = self.shares.seconds(search.trials) + self.shares.seconds(search.attribution)
+        return own + self._sums(STEPS_A_ROUND) + together
+
+    def _together_again(self) -> float:
+        """Seconds of a fit with effects on rank 0, where channels hang together."""
+        known = self.model.bench.together
+        return known.fit_s if known else 0.0
+
+    def _sums(self, n: int) -> float:
+        """Seconds of ``n`` sums over ranks of matrices of the coefficients' size."""
+        several = self.shares.in_group > 1
+        return several * self.shares.channels * n * self._allreduce(self.shares.share.matrix)
 
     def _sample(self) -> dict[str, float]:
         bench, shares, settings = self.model.bench, self.shares, self.outline.job.sample
@@ -237,8 +250,12 @@ class Steps:
         simulating = simulation_bytes(self.n_simulated // self.outline.n_channels, self.outline.n_channels)
         if command == "simulate":
             return simulating
-        n_bytes = inference_bytes if command == "infer" and not self.outline.job.effects else loop_bytes
-        return max(simulating, n_bytes(self.shares.share, root=True) + self._gathered())
+        share, is_joint = self.shares.share, command == "sample" or self.outline.job.effects
+        if command == "loop":
+            needed = fit_bytes(share, True, weighing_bytes(self.model.candidates, share))
+        else:
+            needed = (joint_bytes if is_joint else inference_bytes)(share, True)
+        return max(simulating, needed + self._gathered())
 
     def _gathered(self) -> int:
         """Return the bytes of what rank 0 gathers of channels, but for covariances."""
@@ -258,7 +275,7 @@ class Steps:
         return {
             "simulate": 16 * self.n_simulated // self.ranks if self.ranks > 1 else 0,
             "infer": one_sum + to_group + result,
-            "loop": (1 + found + 4 * (found + FITS_BESIDES)) * (one_sum + to_group) + result,
+            "loop": (1 + STEPS_A_ROUND * found) * (one_sum + to_group) + result,
             "sample": chains * (settings.warm_up + settings.draws) * one_sum,
         }[command]
 

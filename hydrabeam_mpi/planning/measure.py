@@ -18,16 +18,8 @@ import numpy as np
 
 from hydrabeam_mpi.fit.accumulate import accumulate, check_heldout
 from hydrabeam_mpi.fit.channels import ChannelResult, reduced_chi2, solve_channels
-from hydrabeam_mpi.fit.clock import Clock as Phases
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.state import Values
 from hydrabeam_mpi.io.beamfits import write_power_beam
-from hydrabeam_mpi.loop.attribution.control_models import control_models
-from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked
-from hydrabeam_mpi.loop.selection.choice import choose
-from hydrabeam_mpi.loop.selection.rounds import begin as first_fit
-from hydrabeam_mpi.loop.selection.trials import try_effects
-from hydrabeam_mpi.loop.selection.weighing import weigh
 from hydrabeam_mpi.planning.coupled import SolvedTogether, solved_together
 from hydrabeam_mpi.planning.outline import Clock, Outline
 from hydrabeam_mpi.planning.probe import probe
@@ -105,11 +97,13 @@ class Bench:
 
     def cost(self, step: Callable[[FitContext], object], of_test: bool = False, repeats: int = 2) -> Cost:
         """Time a step on each of the few rows, the least of ``repeats``; those held out count with ``of_test``."""
-        sizes, seconds = [], []
-        for context in self.contexts:
-            rows = (context.test if of_test else context.train).rows
-            sizes.append((max(self.outline.times_of(rows.tile), 0.1), float(max(len(rows.groups), 1))))
-            seconds.append(min(self.timed(partial(step, context)) for _ in range(repeats)))
+        seconds = [min(self.timed(partial(step, one)) for _ in range(repeats)) for one in self.contexts]
+        return self.cost_of(self.contexts, seconds, of_test)
+
+    def cost_of(self, contexts: Sequence[FitContext], seconds: list[float], of_test: bool = False) -> Cost:
+        """Return the cost of a step that took ``seconds`` on each of the few rows."""
+        rows = [(one.test if of_test else one.train).rows for one in contexts]
+        sizes = [(max(self.outline.times_of(one.tile), 0.1), float(max(len(one.groups), 1))) for one in rows]
         return Cost.through(sizes, seconds)
 
     def timed(self, work: Callable[[], object]) -> float:
@@ -186,46 +180,6 @@ class Bench:
         with TemporaryDirectory(prefix="hydrabeam-") as folder:
             path = Path(folder) / "beam.beamfits"
             return self.timed(lambda: write_power_beam(path, beams, freqs, ["ee"], telescope_name="plan"))
-
-    @cached_property
-    def fit(self) -> Cost:
-        """A first fit, with its predictions; its design is made anew."""
-        return self.cost(lambda one: first_fit(self._anew(one), Values(), Phases()), repeats=1)
-
-    @cached_property
-    def attribution(self) -> Cost:
-        """All effects weighed once."""
-        return self.cost(self._weigh, repeats=1)
-
-    @cached_property
-    def trial(self) -> Cost:
-        """The effect that has the most evidence fitted with the beam, and held-out data predicted with it."""
-        _ = self.attribution
-        best = next((one for one in self._rankings[-1] if one.finding), None)
-        if best is None:
-            return Cost()
-        same = [[one for one in ranking if one.name == best.name] for ranking in self._rankings]
-        order = {id(context): number for number, context in enumerate(self.contexts)}
-
-        def work(one: FitContext) -> object:
-            number = order[id(one)]
-            return try_effects(one, self._first[number], same[number], [])
-
-        return self.cost(work, repeats=1)
-
-    @cached_property
-    def _first(self) -> list[Checked]:
-        return [first_fit(one, Values(), Phases()).last for one in self.contexts]
-
-    @cached_property
-    def _rankings(self) -> list[Sequence[Candidate]]:
-        return []
-
-    def _weigh(self, context: FitContext) -> None:
-        checked = self._first[len(self._rankings)]
-        choice = choose(context.problem.job, context.setup)
-        effects = [*choice.effects, *control_models(context.setup)]
-        self._rankings.append(weigh(context, checked.fitted, effects, choice.changes, 1).ranking)
 
     @staticmethod
     def _anew(context: FitContext) -> FitContext:

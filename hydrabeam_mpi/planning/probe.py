@@ -38,6 +38,8 @@ def probe(problem: Problem, n_times: int, n_groups: int) -> FitContext:
         Tile(rows.times[_spread(len(rows.times), n_times)], np.intersect1d(rows.bls, bls))
         for rows in (problem.train, problem.test)
     )
+    # Effects have the parameters that they have in the run: their number hangs on all times.
+    fitted, in_use = problem.train.times, np.union1d(problem.train.times, problem.test.times)
     problem = replace(problem, train=train, test=test)
     setup = ObservingSetup(
         observation=problem.observation,
@@ -46,9 +48,9 @@ def probe(problem: Problem, n_times: int, n_groups: int) -> FitContext:
         basis=problem.basis,
         prior_mean=problem.model_means,
         file_pols=problem.observation.pols,
-        times=np.union1d(train.times, test.times),
+        times=in_use,
         positions=partial(source_positions, problem.job),
-        fitted=train.times,
+        fitted=fitted,
     )
     own = [RankData(problem, setup, _rows(problem, tile)) for tile in (train, test)]
     return FitContext(ProcessGrid.split(alone(), 1), problem, setup, own[0], own[1])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -10,6 +11,8 @@ import numpy as np
 from hydrabeam_mpi.data.partition import Tile, make_tiles
 from hydrabeam_mpi.fit.coupled import dense_unknowns
 from hydrabeam_mpi.fit.memory import Share
+from hydrabeam_mpi.loop.checks.conventions import sample_times
+from hydrabeam_mpi.memory import machine_bytes
 from hydrabeam_mpi.mpi.grid import ranks_of_groups
 from hydrabeam_mpi.planning.measure import Cost
 from hydrabeam_mpi.planning.outline import Outline
@@ -58,9 +61,16 @@ class Shares:
         """Return how many redundant groups a tile has."""
         return len(np.unique(self.outline.problem.redundant.group[tile.bls]))
 
-    def seconds(self, cost: Cost, test: bool = False) -> float:
-        """Return the seconds of the slowest rank in which a step is done with its rows of all its channels."""
-        of_ranks = [self._seconds(cost, tile) for tile in (self.test if test else self.train)]
+    def seconds(self, cost: Cost, test: bool = False, most: int | None = None) -> float:
+        """Return the seconds of the slowest rank in which a step is done with its rows of all its channels.
+
+        It is one of held-out rows with ``test``, and one of so many times at ``most``, evenly spread over the run's.
+        """
+        tiles = self.test if test else self.train
+        if most is not None:
+            times = sample_times(self.outline.problem.train.times, most)
+            tiles = [replace(tile, times=np.intersect1d(tile.times, times)) for tile in tiles]
+        of_ranks = [self._seconds(cost, tile) for tile in tiles]
         return self.channels * (cost.fixed + max(of_ranks))
 
     def _seconds(self, cost: Cost, tile: Tile) -> float:
@@ -84,5 +94,10 @@ class Shares:
     def share(self) -> Share:
         """Sizes of the share of the rank that has most."""
         most = max(self.test, key=lambda tile: tile.size)
-        share = Share.of(self.outline.problem, self.channels, self.largest, most)
+        share = Share.of(self.outline.problem, self.channels, self.largest, most, memory_of(self.ranks))
         return replace(share, unknowns=dense_unknowns(self.outline.coupling, share.basis.n_modes))
+
+
+def memory_of(ranks: int) -> int:
+    """Return the bytes that a rank has on machines like this one, with a rank a core or fewer."""
+    return machine_bytes() // min(ranks, os.cpu_count() or 1)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from hydrabeam_mpi.planning.forecast import Forecast
 from hydrabeam_mpi.planning.network import Network
+from hydrabeam_mpi.planning.told import Forecast
 
 HEADINGS = ("command", "ranks", "wall time", "memory/rank", "sent/rank", "files", "groups x ranks", "rows of a rank")
 
@@ -16,7 +16,7 @@ def as_text(forecasts: Sequence[Forecast], assumed: Sequence[str]) -> str:
     lines = [HEADINGS, *map(_cells, forecasts)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     table = ["  ".join(map(str.ljust, line, widths)).rstrip() for line in lines]
-    return "\n".join([*table, "", *assumed]) + "\n"
+    return "\n".join([*table, "", *map(_of_loop, (one for one in forecasts if one.command == "loop")), *assumed]) + "\n"
 
 
 def as_table(forecasts: Sequence[Forecast], assumed: Sequence[str]) -> dict[str, Any]:
@@ -33,6 +33,7 @@ def as_table(forecasts: Sequence[Forecast], assumed: Sequence[str]) -> dict[str,
                 "file_bytes": one.file_bytes,
                 "partition": vars(one.partition),
             }
+            | ({"round_s": one.round_s, "further_bytes": one.further_bytes} if one.command == "loop" else {})
             for one in forecasts
         ],
         "assumed": list(assumed),
@@ -47,8 +48,20 @@ def assumptions(network: Network, found: int | None) -> list[str]:
         "steps: timed on a few rows of this job with made-up data, on this machine as busy as it is now.",
     ]
     if found is not None:
-        lines.insert(0, f"loop: finds {found} effect{'s' * (found != 1)}; all are weighed {found + 1} times.")
+        which = f"{found} effect{'s' * (found != 1)}"
+        lines.insert(0, f"loop: how many rounds it takes is not known before; the table takes {which} to be found.")
     return lines
+
+
+def _of_loop(one: Forecast) -> str:
+    """Tell what is certain of a loop from what each effect takes that it finds."""
+    certain = one.wall_s - one.phases_s.get("rounds", 0.0)
+    return (
+        f"loop on {one.ranks} rank{'s' * (one.ranks != 1)}: {duration(certain)} whatever is found (checks, first fit, "
+        f"all effects weighed once, widths of the prior, result), and about {duration(one.round_s)} per effect found "
+        f"or batch of further modes; {size(one.memory_bytes)} a rank, and up to {size(one.further_bytes)} more for "
+        "each such batch."
+    )
 
 
 def _cells(one: Forecast) -> tuple[str, ...]:

@@ -239,7 +239,7 @@ def _with_fixed_weights(context: FitContext, fitted: Fitted) -> tuple[FitContext
     stated = share.calibrated(Estimate(plain, fitted.fit.posteriors))[0].inv_noise_var
     factor = np.divide(told, stated, out=np.zeros_like(told), where=stated > 0)
     rows = replace(share.rows, inv_noise_var=share.rows.inv_noise_var * factor)
-    train = RankData(share.problem, share.setup, rows)
+    train = RankData(share.problem, share.setup, rows, kept_bytes=share.kept_bytes)
     return replace(context, train=train), replace(fitted, values=plain)
 
 

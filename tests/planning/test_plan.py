@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import time
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from mpi4py import MPI
 
@@ -13,12 +15,17 @@ import hydrabeam_mpi as hb
 from hydrabeam_mpi.api.plan import possible
 from hydrabeam_mpi.cli import main
 from hydrabeam_mpi.config import Job, load_job
-from hydrabeam_mpi.fit.memory import Share, check_fits, inference_bytes, loop_bytes
+from hydrabeam_mpi.fit.memory import Share, check_fits, inference_bytes, joint_bytes
+from hydrabeam_mpi.fit.room import Room
+from hydrabeam_mpi.loop.memory import candidates_of, further_bytes, loop_bytes, weighing_bytes
+from hydrabeam_mpi.memory import machine_bytes
 from hydrabeam_mpi.model.bases.zernike import Zernike
 from hydrabeam_mpi.planning.coupled import SolvedTogether
-from hydrabeam_mpi.planning.forecast import Forecast
 from hydrabeam_mpi.planning.measure import Cost
 from hydrabeam_mpi.planning.network import TYPICAL, measure_network
+from hydrabeam_mpi.planning.outline import outline
+from hydrabeam_mpi.planning.told import Forecast
+from hydrabeam_mpi.setup.given import Given
 
 JOB = """
 seed = 5
@@ -36,6 +43,11 @@ k_max = 8
 m_max = 3
 [output]
 draws = 3
+"""
+
+EFFECTS = """
+[loop]
+effects = ["antenna_gains", "basis_truncation"]
 """
 
 
@@ -113,7 +125,7 @@ def test_memory_grows_with_what_is_held() -> None:
     basis = Zernike(6)
     small, large = (Share(1, n, n, 100, 50, 1000, basis) for n in (10, 1000))
     assert inference_bytes(small, root=False) <= inference_bytes(small, root=True) < inference_bytes(large, root=True)
-    assert loop_bytes(large, root=True) > inference_bytes(large, root=True) > large.kept
+    assert joint_bytes(large, root=True) > inference_bytes(large, root=True) > large.kept
 
 
 def test_memory_counts_what_is_kept_for_rounding_and_solved_for_together() -> None:
@@ -128,6 +140,48 @@ def test_what_does_not_fit_is_refused_in_one_line() -> None:
     with pytest.raises(hb.InputError) as raised:
         check_fits(5 * 10**9, 2 * 10**9, 4)
     assert str(raised.value).startswith("needs 5 GB a rank on 4 ranks, and a rank has 2 GB; use more nodes")
+
+
+def test_loop_tells_what_is_certain_from_what_each_effect_takes(tmp_path: Path) -> None:
+    path = tmp_path / "job.toml"
+    path.write_text(JOB.replace('freqs = ["130 MHz", "131 MHz", "132 MHz"]', 'freqs = ["130 MHz"]') + EFFECTS)
+    one, two = (hb.plan(hb.Setup.from_job(path), commands=("loop",), found=found).forecasts[0] for found in (0, 2))
+    assert {"conventions", "fit", "attribution", "prior", "settle"} <= set(one.phases_s)
+    assert "rounds" not in one.phases_s
+    assert two.phases_s["rounds"] == pytest.approx(2 * two.round_s)
+    assert two.round_s > two.phases_s["attribution"]
+    assert one.memory_bytes == pytest.approx(two.memory_bytes, rel=0.2)
+    assert one.further_bytes > 0
+
+
+def test_columns_are_as_many_as_the_effects_have(job: Path) -> None:
+    problem = outline(load_job(job), Given(), time.process_time).problem
+    found, n_antennas = candidates_of(problem), problem.observation.Nants
+    assert 2 * n_antennas in found.weighed  # gains
+    assert 6 * n_antennas in found.weighed  # shapes of single beams
+    assert found.more == problem.basis.n_modes  # as many functions as it has
+    assert found.by_group <= max(found.weighed.max(), found.again.max())
+    small, large = (Share(1, n, n, 100, 50, 1000, problem.basis) for n in (10, 1000))
+    assert 0 < weighing_bytes(found, small) < weighing_bytes(found, large)
+    assert 0 < further_bytes(found, small) < further_bytes(found, large)
+
+
+def test_what_has_no_room_is_made_anew_and_not_counted() -> None:
+    assert Room.of(10, 50, 1, 30, 1000, np.inf) == Room(True, True, True)
+    assert Room.of(10, 50, 1, 30, 1000, 0.0) == Room(False, False, False)
+    keeping = Share(1, 1000, 1000, 100, 50, 1000, Zernike(6))
+    making = replace(keeping, kept_bytes=0.0)
+    assert keeping.kept_designs == 2000 * keeping.design
+    assert making.kept_designs == making.kept_waves == 0
+    assert joint_bytes(making, root=True) < joint_bytes(keeping, root=True)
+
+
+def test_loop_that_does_not_fit_is_refused(job: Path) -> None:
+    """By the bytes of its rows: a rank has the rows of a day of full HERA here, and no machine's memory."""
+    problem = outline(load_job(job), Given(), time.process_time).problem
+    share = Share(1, 10**6, 10**6, 61_075, 8_009, 1000, problem.basis, kept_bytes=0.0)
+    with pytest.raises(hb.InputError, match="GB a rank on 1 ranks, and a rank has"):
+        check_fits(loop_bytes(problem, share, True), machine_bytes(), 1)
 
 
 @pytest.mark.mpi

@@ -94,7 +94,7 @@ class CachedRowBlocks:
     @classmethod
     def of(cls, context: FitContext, at: Estimate) -> CachedRowBlocks:
         """Calibrate the rank's rows by the model's effects."""
-        return cls(context, at, *context.train.calibrated(at), Kept(context.train.keeps_designs))
+        return cls(context, at, *context.train.calibrated(at), Kept(context.train.room.designs))
 
     def row_blocks(self, channel: int) -> Iterator[RowBlock]:
         """Yield the blocks of one channel."""

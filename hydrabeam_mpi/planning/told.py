@@ -1,0 +1,45 @@
+"""What is told of a command."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hydrabeam_mpi.planning.shares import Partition
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """What a command takes.
+
+    Attributes
+    ----------
+    command : str
+    ranks : int
+    phases_s : dict of str to float
+        Seconds by phase.
+    memory_bytes, sent_bytes : int
+        Of the rank that needs, or sends, most. Memory of a loop is that until all effects have been weighed once.
+    file_bytes : int
+        Of what is written, simulated data included.
+    partition : Partition
+    round_s : float
+        Seconds of each effect that a loop finds, those that were taken to be found counted in ``phases_s``.
+    further_bytes : int
+        Of what a loop finds, besides ``memory_bytes``: at most for each batch of further functions of the beam, and
+        once for another sky.
+    """
+
+    command: str
+    ranks: int
+    phases_s: dict[str, float]
+    memory_bytes: int
+    sent_bytes: int
+    file_bytes: int
+    partition: Partition
+    round_s: float = 0.0
+    further_bytes: int = 0
+
+    @property
+    def wall_s(self) -> float:
+        """Seconds from start to end."""
+        return sum(self.phases_s.values())
