@@ -110,10 +110,10 @@ def _deciding(sizes: IntArray, share: Share, columns: int) -> int:
 
 
 def further_bytes(candidates: Candidates, share: Share) -> int:
-    """Return the bytes that what is found may need besides: designs of another sky, and further functions."""
+    """Return the bytes that what is found may need besides: the first that changes the sky, or each batch of modes."""
     of_sky = share.kept_designs if candidates.changes_sky else 0
     kept = [times for times in (share.train_times, share.test_times) if share.room(times).designs]
-    return of_sky + 2 * COMPLEX * share.channels * share.groups * sum(kept) * candidates.more
+    return max(of_sky, 2 * COMPLEX * share.channels * share.groups * sum(kept) * candidates.more)
 
 
 def _spread(effect: ScannedEffect, setup: ObservingSetup) -> IntArray:

@@ -60,7 +60,7 @@ def _of_loop(one: Forecast) -> str:
         f"loop on {one.ranks} rank{'s' * (one.ranks != 1)}: {duration(certain)} whatever is found (checks, first fit, "
         f"all effects weighed once, widths of the prior, result), and about {duration(one.round_s)} per effect found "
         f"or batch of further modes; {size(one.memory_bytes)} a rank, and up to {size(one.further_bytes)} more for "
-        "each such batch."
+        "each such batch, and for the first effect that changes the sky."
     )
 
 

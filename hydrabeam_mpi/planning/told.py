@@ -26,7 +26,7 @@ class Forecast:
         Seconds of each effect that a loop finds, those that were taken to be found counted in ``phases_s``.
     further_bytes : int
         Of what a loop finds, besides ``memory_bytes``: at most for each batch of further functions of the beam, and
-        once for another sky.
+        for the first effect that changes the sky.
     """
 
     command: str
