@@ -95,9 +95,9 @@ class Share:
 
     @property
     def kept_waves(self) -> int:
-        """Bytes of the fringes of sources above the horizon, half of all, that are kept of fitted rows."""
+        """Bytes of the fringes of sources above the horizon, half of all, kept of fitted and of held-out rows."""
         each = self.sources // 2 * self.groups * 2 * REAL * self.channels
-        return each * self.train_times if self.room(self.train_times).waves else 0
+        return sum(times * each for times in (self.train_times, self.test_times) if self.room(times).waves)
 
     @property
     def item(self) -> int:
