@@ -32,6 +32,8 @@ UNDECIDABLE = (
     ("common flux scale", "all fluxes times a number are the same as the beam times that number"),
     ("common gain amplitude", "all gains times a number are the same as the beam times its square"),
     ("common pointing", "all antennas tilted alike are the same as another beam"),
+    ("common echo", "echoes alike in all cables are the same as beams that are larger and smaller by channel"),
+    ("clock and longitude", "data that were taken later are those of a place further East"),
 )
 UNDECIDABLE_LEAKAGE = (
     "common leakage, c in d_e + c and d_n - c*",

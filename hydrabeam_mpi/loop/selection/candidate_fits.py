@@ -98,11 +98,9 @@ def _fit_effect(
     What is unphysical there is left out; `BrokenOff` is raised where that is all of it.
     """
     assert candidate.finding is not None
-    finding = _likeliest_variant(context, before, candidate.finding)
-    fitted = _fit_foremost(context, before, finding)
+    fitted = _fit_foremost(context, before, candidate.finding)
     if fitted is None:
-        start = started(context, finding, finding.evidence.prior_var)
-        fitted = _fit_physically(context, before.values.extended(start), before, worth)
+        fitted = _fit_in_some_form(context, before, candidate.finding, worth)
     fitted = with_best_variant(context, fitted)
     again = reconsider(context, fitted)
     for _ in range(RULES.most_refits):
@@ -118,11 +116,22 @@ def _fit_effect(
     return replace(candidate, finding=finding, log_bayes_factor=log_bayes_factor), fitted
 
 
-def _likeliest_variant(context: FitContext, before: Fitted, finding: Finding) -> Finding:
-    """Return an effect in the form with the most evidence, of which it has been weighed in one alone."""
+def _fit_in_some_form(context: FitContext, before: Fitted, finding: Finding, worth: Worth | None) -> Fitted:
+    """Fit an effect in the form that has the most evidence by the linear model, or in the next one that is worth it.
+
+    It has been weighed in one form alone, and another may explain what that one does not come near to.
+    """
     variants = finding.effect.variants(context.setup)
-    others = [attribute(context, before, [one])[0] for one in variants]
-    return max([finding, *others], key=lambda one: one.evidence.log_bayes_factor)
+    forms = [finding, *(attribute(context, before, [one])[0] for one in variants)]
+    forms.sort(key=lambda one: -one.evidence.log_bayes_factor)
+    while True:
+        form = forms.pop(0)
+        start = started(context, form, form.evidence.prior_var)
+        try:
+            return _fit_physically(context, before.values.extended(start), before, worth)
+        except BrokenOff:
+            if not forms:
+                raise
 
 
 def started(context: FitContext, finding: Finding, prior_var: FloatArray) -> Active:

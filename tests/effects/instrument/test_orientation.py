@@ -13,9 +13,13 @@ from scipy.spatial.transform import Rotation
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.instrument.orientation import Fixed, Orientation
 from hydrabeam_mpi.effects.instrument.timestamp import Timestamp
-from hydrabeam_mpi.fit.gauss_newton import refit
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff, refit
 from hydrabeam_mpi.fit.state import Active, Values
-from hydrabeam_mpi.loop.selection.refits import with_best_variant
+from hydrabeam_mpi.loop.attribution.score_effects import attribute
+from hydrabeam_mpi.loop.selection.acceptance import Candidate
+from hydrabeam_mpi.loop.selection.candidate_fits import fit_candidate
+from hydrabeam_mpi.loop.selection.predictions import check
+from hydrabeam_mpi.loop.selection.refits import log_joint, with_best_variant
 from hydrabeam_mpi.model.positions import RotatedPositions
 from tests.effects.direct import assert_same, row_vectors, visibilities
 from tests.effects.small import small_block, small_setup, with_effect
@@ -110,3 +114,26 @@ def test_the_fit_tells_what_is_turned(fixed: Fixed, tmp_path: Path) -> None:
     assert fitted.diagnostics.train_chi2[0] < 1.2
     # What the middle of the data is the simulation knows as well.
     assert np.all(np.abs(active.x[0] - list(truth.values())) < 4 * fitted.fit.std[0][0])
+
+
+def test_a_form_that_is_not_worth_its_fit_gives_way_to_the_next(tmp_path: Path) -> None:
+    """By the linear model another form of a turn by a degree comes first, whose fit does not come as far."""
+    truth = {"turn about East": 50.0, "turn about North": -40.0, "turn about Up": 30.0}
+    stars = {"kind": "orientation", "settings": {"fixed": "stars"}, "parameters": truth}
+    context = context_of(mock_job(stars), tmp_path)
+    before = check(context, refit(context, Values()))
+    found = Candidate.of(attribute(context, before.fitted, [Orientation("array")])[0])
+    alone, _ = fit_candidate(context, before, found)
+    assert alone.finding is not None
+    assert alone.finding.effect.describe()["fixed"] == "stars"
+    # The others come to less than nine tenths of it.
+    most = log_joint(context, before.fitted) + 0.95 * alone.log_bayes_factor
+
+    def is_worth_it(reached: float, gain: float) -> bool:
+        return reached + 10 * gain > most
+
+    again, _ = fit_candidate(context, before, found, is_worth_it)
+    assert again.finding is not None
+    assert again.finding.effect.describe()["fixed"] == "stars"
+    with pytest.raises(BrokenOff):
+        fit_candidate(context, before, found, lambda reached, gain: False)
