@@ -160,9 +160,12 @@ class Piecewise(TimeLaw):
     name = "piecewise"
 
     def candidates(self, fitted: FloatArray, times: FloatArray) -> Piecewise:
-        """Return the law with a jump before each of the fitted times but the first."""
+        """Return the law with a jump before each of the fitted times of which two are before and two after it.
+
+        What is so at the first time alone, or at the last, is that time's own fault and no level.
+        """
         middles = 0.5 * (times[1:] + times[:-1])
-        return replace(self, jumps=tuple(middles[np.searchsorted(times, fitted[1:]) - 1].tolist()))
+        return replace(self, jumps=tuple(middles[np.searchsorted(times, fitted[2:-1]) - 1].tolist()))
 
     def at(self, chosen: IntArray | Sequence[int]) -> Piecewise:
         """Return the law with some jumps."""

@@ -46,7 +46,10 @@ def test_a_law_does_not_go_on_beyond_the_times_in_which_it_was_found() -> None:
 
 def test_jumps_are_looked_for_between_fitted_times_and_may_be_elsewhere_between_these() -> None:
     fitted = TIMES[::3]
-    law = Piecewise().candidates(fitted, TIMES).at([2])
+    every = Piecewise().candidates(fitted, TIMES)
+    # Two times at least are on either side: one alone is no level.
+    assert every.functions(fitted).sum(axis=0).tolist() == list(range(len(fitted) - 2, 1, -1))
+    law = every.at([1])
     steps = law.functions(fitted)[:, 0]
     np.testing.assert_array_equal(steps, np.arange(len(fitted)) >= 3)
     others = law.alternatives(0, fitted, TIMES)
