@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -22,10 +22,15 @@ from hydrabeam_mpi.effects.shared.per_antenna import (
 
 
 class AntennaGains(Effect):
-    """Amplitude and phase of each antenna's gain, each channel its own.
+    """Amplitude and phase of each antenna's gain.
 
     With logarithms of gains as parameters the columns do not depend on them. What all amplitudes have in common scales
     the beam, and what all phases have in common cancels.
+
+    Parameters
+    ----------
+    channels : {"each", "alike"}
+        Whether each channel has gains of its own, or all have the same.
     """
 
     kind = "antenna_gains"
@@ -39,6 +44,15 @@ class AntennaGains(Effect):
         "piecewise": "antenna gains that jump",
         "correlated": "antenna gains that are correlated in time",
     }
+
+    def __init__(self, channels: Literal["each", "alike"] = "each") -> None:
+        self.shared = channels == "alike"
+        if self.shared:
+            self.title = "antenna gains, the same in all channels"
+
+    def describe(self) -> dict[str, Any]:
+        """Return whether all channels are alike, where they are."""
+        return {"channels": "alike"} if self.shared else {}
 
     def parameters(self, setup: ObservingSetup) -> Parameters:
         """Return ln amplitude and phase of every antenna."""
@@ -68,8 +82,8 @@ class AntennaGains(Effect):
     def simpler_elements(
         self, setup: ObservingSetup, x: FloatArray, std: FloatArray
     ) -> list[tuple[BoolArray, Effect, FloatArray]]:
-        """Return antennas whose gains of all channels may come from a delay each, and those from an echo each."""
-        return laws_followed(setup, x, std)
+        """Return antennas whose gains of all channels may be the same, from a delay each, or from an echo each."""
+        return [] if self.shared else laws_followed(setup, x, std, AntennaGains("alike"))
 
     def factor(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return g_j g_k*, (Ntimes, Nbls)."""

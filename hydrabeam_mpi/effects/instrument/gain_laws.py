@@ -1,4 +1,4 @@
-"""Gains of single antennas in all channels that may follow a law in frequency: a delay, or an echo in the cable."""
+"""Gains of single antennas in all channels that may follow a law: all alike, a delay, or an echo in the cable."""
 
 from __future__ import annotations
 
@@ -33,10 +33,12 @@ class GainLaw:
     of: Callable[[IntArray], tuple[Effect, FloatArray]]
 
 
-def laws_followed(setup: ObservingSetup, x: FloatArray, std: FloatArray) -> list[tuple[BoolArray, Effect, FloatArray]]:
-    """Tell whose gains in all channels may come from a delay each, and whose from an echo each.
+def laws_followed(
+    setup: ObservingSetup, x: FloatArray, std: FloatArray, alike: Effect
+) -> list[tuple[BoolArray, Effect, FloatArray]]:
+    """Tell whose gains may be the same in all channels, come from a delay each, or from an echo each.
 
-    By the likelihood of the gains, a Gaussian, along either law, and by what fewer parameters gain by Occam's factor
+    By the likelihood of the gains, a Gaussian, along each law, and by what fewer parameters gain by Occam's factor
     with a prior as wide as the gains are large.
 
     Parameters
@@ -44,6 +46,8 @@ def laws_followed(setup: ObservingSetup, x: FloatArray, std: FloatArray) -> list
     setup : ObservingSetup
     x, std : ndarray, (Nfreqs, 2 Nants)
         ln amplitudes and phases of the antennas in use, and their standard deviations.
+    alike : Effect
+        Gains that all channels have.
 
     Returns
     -------
@@ -52,9 +56,10 @@ def laws_followed(setup: ObservingSetup, x: FloatArray, std: FloatArray) -> list
     """
     gains, sigma = x.reshape(len(x), -1, 2), std.reshape(len(x), -1, 2)
     told = np.flatnonzero((sigma > 0).all(axis=(0, 2)))
-    laws = [law for law in (_delays(setup, gains), _echoes(setup, gains)) if law is not None]
-    if not laws or not len(told):
+    if len(gains) < 2 or not len(told):
         return []
+    every = _alike(gains, sigma, alike), _delays(setup, gains), _echoes(setup, gains)
+    laws = [law for law in every if law is not None]
     size = np.sqrt(np.mean(gains[:, told] ** 2))
     narrower = np.log(np.maximum(size / sigma[:, told], 1.0)).sum(axis=(0, 2))
     lost = []
@@ -70,6 +75,18 @@ def laws_followed(setup: ObservingSetup, x: FloatArray, std: FloatArray) -> list
         if len(antennas):
             found.append((np.repeat(np.isin(np.arange(gains.shape[1]), antennas), 2), *law.of(antennas)))
     return found
+
+
+def _alike(gains: FloatArray, sigma: FloatArray, effect: Effect) -> GainLaw:
+    weights = np.where(sigma > 0, np.where(sigma > 0, sigma, 1.0) ** -2.0, 1.0)
+    turned = gains.copy()
+    turned[..., 1] = gains[:1, :, 1] + np.angle(np.exp(1j * (gains[..., 1] - gains[:1, :, 1])))
+    mean = np.sum(weights * turned, axis=0) / np.sum(weights, axis=0)
+
+    def of(antennas: IntArray) -> tuple[Effect, FloatArray]:
+        return effect, np.where(np.isin(np.arange(len(mean)), antennas)[:, np.newaxis], mean, 0.0).ravel()
+
+    return GainLaw(np.broadcast_to(mean, gains.shape), 2, of)
 
 
 def _delays(setup: ObservingSetup, gains: FloatArray) -> GainLaw | None:

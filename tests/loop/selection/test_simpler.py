@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -150,15 +151,16 @@ def test_a_source_that_was_taken_for_an_elongated_one(axes_differ: bool, plain: 
 
 FOUR = tuple(131e6 + 3e6 * np.arange(4.0))
 PURE = 2 * np.pi * np.mean(FOUR) * 3e-9  # rad, by which 3 ns turn the phase at the mean frequency
+DELAY = {"kind": "antenna_delays", "parameters": {"antenna 2 delay": 3.0, "antenna 2 phase": PURE}}
 
 
-def gains_of_all_channels(truth: dict[str, object], folder: Path) -> tuple[FitContext, Round]:
+def gains_of_all_channels(folder: Path, *truth: dict[str, object]) -> tuple[FitContext, Round]:
     """A round that has found gains of one antenna in each of four channels, fitted from near where they are."""
-    context = context_of(mock_job(truth, freqs=FOUR), folder)
+    context = context_of(mock_job(*truth, freqs=FOUR), folder)
     names = GAINS.parameters(context.setup).names
     used = np.isin(names, ["antenna 2 ln amplitude", "antenna 2 phase"])
     x = np.zeros((4, len(names)))
-    if truth["kind"] == "antenna_delays":
+    if truth[0]["kind"] == "antenna_delays":
         x[:, names.index("antenna 2 phase")] = PURE * np.array(FOUR) / np.mean(FOUR)
     before = check(context, refit(context, Values()))
     active = Active.start(GAINS, context.setup, np.where(used, 1.0, 0.0), x)
@@ -168,8 +170,7 @@ def gains_of_all_channels(truth: dict[str, object], folder: Path) -> tuple[FitCo
 
 def test_a_delay_of_more_than_a_radian_in_the_place_of_gains_in_each_channel(tmp_path: Path) -> None:
     """From zero no linear model finds it: the phase is of 2.6 radians."""
-    truth = {"kind": "antenna_delays", "parameters": {"antenna 2 delay": 3.0, "antenna 2 phase": PURE}}
-    context, found = gains_of_all_channels(truth, tmp_path)
+    context, found = gains_of_all_channels(tmp_path, DELAY)
     found_simpler = simplified(context, found.after, [found], [GAINS, AntennaDelays()], [])
     assert found_simpler is not None
     added, places = found_simpler
@@ -184,13 +185,32 @@ def test_a_delay_of_more_than_a_radian_in_the_place_of_gains_in_each_channel(tmp
     assert simplified(context, found.after, [found], [GAINS], []) is None  # where delays are not looked for
 
 
+def test_gains_that_are_the_same_in_all_channels(tmp_path: Path) -> None:
+    """They are told by one number each, with an error that all channels make smaller."""
+    context, found = gains_of_all_channels(tmp_path, GAIN)
+    added, places = simplified(context, found.after, [found], [GAINS, AntennaDelays()], []) or pytest.fail("no law")
+    assert places == {0: None, 1: 0}
+    (active,) = added.after.fitted.values.active
+    assert active.effect.describe() == {"channels": "alike"}
+    assert active.effect.shared
+    names = active.effect.parameters(context.setup).names
+    for name, value in GAIN["parameters"].items():
+        i = names.index(name)
+        assert np.all(active.x[:, i] == active.x[0, i])
+        assert abs(active.x[0, i] - value) < 4 * added.after.fitted.fit.std[0][0, i]
+    assert "antenna gains, the same in all channels" in added.revised[0]
+    assert simplified(context, added.after, [replace(added, place=0)], [GAINS, AntennaDelays()], []) is None
+
+
 def test_gains_that_follow_no_law_keep_their_place(tmp_path: Path) -> None:
-    context, found = gains_of_all_channels(GAIN, tmp_path)
-    assert simplified(context, found.after, [found], [GAINS, AntennaDelays()], []) is None
+    """As those of an antenna that has an echo besides a delay."""
+    echo = {"kind": "cable_reflections", "settings": {"reflections": [[2, 200.0]]}, "strength": 10.0}
+    context, found = gains_of_all_channels(tmp_path, DELAY, echo)
+    assert simplified(context, found.after, [found], [GAINS, AntennaDelays(), CableReflections()], []) is None
 
 
 def test_delays_and_an_echo_in_the_place_of_gains_in_each_channel(tmp_path: Path) -> None:
-    """Antennas are told apart by the law that their gains follow; one has a constant gain and keeps it."""
+    """Antennas are told apart by the law that their gains follow; one has the same gain in all channels."""
     freqs = tuple(131e6 + 1e6 * np.arange(8.0))
     delays = {"antenna 2 delay": 3.0, "antenna 2 phase": 0.1, "antenna 5 delay": -6.0, "antenna 5 phase": -0.2}
     echo = {"reflections": [[4, 200.0]]}
@@ -214,11 +234,14 @@ def test_delays_and_an_echo_in_the_place_of_gains_in_each_channel(tmp_path: Path
     after = check(context, refit(context, Values((active,))))
     found = round_of(effect_candidate(GAINS), before, after)
     wanted = [GAINS, AntennaDelays(), CableReflections()]
-    added, places = simplified(context, after, [found], wanted, []) or pytest.fail("no delays were found")
-    assert places == {0: 0, 1: 1}
-    again, places = simplified(context, added.after, [found, added], wanted, []) or pytest.fail("no echo was found")
-    assert places == {0: 0, 1: 1, 2: 2}
+    rounds = [found]
+    for left in ({0: 0, 1: 1}, {0: 0, 1: 1, 2: 2}, {0: None, 1: 0, 2: 1, 3: 2}):
+        added, places = simplified(context, rounds[-1].after, rounds, wanted, []) or pytest.fail("no law was found")
+        assert places == left
+        rounds.append(added)
+    again = rounds[-1]
     gain, of_delays, of_echo = again.after.fitted.values.active
+    assert gain.effect.describe() == {"channels": "alike"}
     assert {names[i] for i in gain.used} == {"antenna 1 ln amplitude", "antenna 1 phase"}
     known = AntennaDelays().parameters(context.setup).names
     assert {known[i] for i in of_delays.used} == set(delays)
@@ -227,4 +250,4 @@ def test_delays_and_an_echo_in_the_place_of_gains_in_each_channel(tmp_path: Path
         assert abs(of_delays.x[0, i] - value) < 4 * again.after.fitted.fit.std[1][0, i]
     told = of_echo.effect.told(context.setup, of_echo.x, again.after.fitted.fit.std[2])
     np.testing.assert_array_less(np.abs(told.values[0] - [0.1, 0.0, 200.0]), 4 * told.std[0])
-    assert simplified(context, again.after, [found, added, again], wanted, []) is None
+    assert simplified(context, again.after, [replace(again, place=place) for place in range(3)], wanted, []) is None
