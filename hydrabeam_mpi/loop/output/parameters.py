@@ -34,10 +34,10 @@ def parameters_of(
     is said of them depends on the prior. Where all are such, all are returned as parameters.
     """
     if one.candidate.weights is not None:
-        fit, shared = one.candidate.weights.fit, False
+        weights, shared = one.candidate.weights, False
+        fit, used = weights.fit, np.flatnonzero(weights.change.is_told(weights.fit.x))
         told = Told(fit.names, fit.units, fit.x, fit.std, np.zeros(len(fit.names), dtype=bool))
-        used = np.flatnonzero(one.candidate.weights.change.is_told(fit.x))
-        is_told = np.ones((len(fit.x), len(used)), dtype=bool)
+        is_told = np.array([weights.change.is_told(x[np.newaxis])[used] for x in fit.x])
     else:
         active, std = _at_last(one, last)
         std = scale.of(active, std)
@@ -52,6 +52,9 @@ def parameters_of(
             sigma = abs(value) / error if told.from_zero[i] and error else None
             entry = {"name": told.names[i], "unit": told.units[i], "value": value, "std": error, "sigma": sigma}
             (parameters if known else not_told).append({**entry, "freq_hz": freq})
+    if one.candidate.weights is not None:
+        # What is as stated in a channel is nothing to tell of it.
+        return parameters, []
     return (parameters, not_told) if parameters else (not_told, [])
 
 

@@ -25,7 +25,7 @@ from hydrabeam_mpi.loop.output.record import known_effects, make_record
 from hydrabeam_mpi.loop.selection.acceptance import Candidate
 from hydrabeam_mpi.loop.selection.history import History
 from hydrabeam_mpi.setup.findings import Finding
-from tests.loop.made import checked, effect_candidate, numbers, round_of, weights_candidate
+from tests.loop.made import checked, effect_candidate, integrations_candidate, numbers, round_of, weights_candidate
 from tests.loop.mock import FREQ, context_of, mock_job
 
 FREQS = (FREQ, FREQ + 8e6)
@@ -363,6 +363,19 @@ def test_parameters_are_those_of_the_last_joint_fit(context: FitContext) -> None
     (told,), not_told = parameters_of(context.setup, one, last, AS_STATED)
     assert not not_told
     assert [told[key] for key in ("unit", "value", "std", "freq_hz")] == ["ns", 3.0, 0.02, None]
+
+
+def test_bad_integrations_are_told_of_the_channels_in_which_they_are_bad(context: FitContext) -> None:
+    one = integrations_candidate()
+    assert one.weights is not None
+    x = np.array([[1.0, 1.0, 3.0], [1.0, 20.0, 1.0]])
+    fit = replace(one.weights.fit, x=x, std=0.1 * (x > 1))
+    found = round_of(replace(one, weights=replace(one.weights, fit=fit)), checked(4.0), checked(1.0))
+    told, not_told = parameters_of(context.setup, found, gains(context), AS_STATED)
+    assert [(entry["name"], entry["value"], entry["freq_hz"]) for entry in told] == [
+        ("c", 3.0, FREQS[0]), ("b", 20.0, FREQS[1])
+    ]  # fmt: skip
+    assert not not_told
 
 
 def test_scales_of_the_noise_are_always_told(context: FitContext) -> None:
