@@ -222,6 +222,19 @@ class InTime(ScannedEffect):
         """Return the functions that are scanned, (Ntimes, k)."""
         return self._candidates(block.setup).functions(block.setup.observation.times)[block.times]
 
+    def simpler_elements(
+        self, setup: ObservingSetup, x: FloatArray, std: FloatArray
+    ) -> list[tuple[BoolArray, Effect, FloatArray]]:
+        """Return all that jumps as what is constant, as it is at most times.
+
+        What is constant a jump near the first time explains nearly as well, and with what all antennas have in common.
+        """
+        if not isinstance(self.time_law, Piecewise):
+            return []
+        fitted = setup.times if setup.fitted is None else setup.fitted
+        levels = [self._at_times(setup, one)[fitted] for one in x]
+        return [(np.ones(x.shape[1], dtype=bool), self.effect, np.median(levels, axis=1).mean(axis=0))]
+
     def at(self, setup: ObservingSetup, hypotheses: IntArray) -> InTime:
         """Return the effect with the best candidates; ``hypotheses`` is (Nchosen,)."""
         law = self._candidates(setup)

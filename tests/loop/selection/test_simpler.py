@@ -11,6 +11,8 @@ import pytest
 from hydrabeam_mpi.effects.instrument.antenna_delays import AntennaDelays
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.instrument.cable_reflections import CableReflections
+from hydrabeam_mpi.effects.shared.in_time import InTime
+from hydrabeam_mpi.effects.shared.time_laws import Piecewise
 from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
 from hydrabeam_mpi.effects.sky.elongated_source import ElongatedSource
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
@@ -147,6 +149,31 @@ def test_a_source_that_was_taken_for_an_elongated_one(axes_differ: bool, plain: 
         assert type(resolved.effect) is ResolvedSource
         assert abs(resolved.x[0, 0] - 4000.0) < 4 * found[0].after.fitted.fit.std[0][0, 0]
         assert found[1] == {0: None, 1: 0}
+
+
+@pytest.mark.parametrize("jumps", [True, False])
+def test_gains_that_were_taken_for_jumping_ones(jumps: bool, plain: FitContext, tmp_path: Path) -> None:
+    """They are told as constant where a jump near the first time only stood for that, and as jumping where they do."""
+    times = plain.setup.observation.times
+    after = 0.5 * (times[3:5].sum() if jumps else times[1:3].sum())
+    effect = InTime(AntennaGains(), Piecewise(jumps=(float(after),))).in_full(plain.setup)
+    names = effect.parameters(plain.setup).names
+    gain = {
+        **GAIN,
+        "parameters": {f"{name}, {effect.time_law.names()[0]}": x for name, x in GAIN["parameters"].items()},
+    }
+    truth = {**gain, "settings": effect.describe()} if jumps else GAIN
+    context = context_of(mock_job(truth), tmp_path)
+    var = np.where([name.startswith("antenna 2 ") for name in names], 0.01, 0.0)
+    before = check(context, refit(context, Values()))
+    start = Active.start(effect, context.setup, var, np.zeros((1, len(names))))
+    now = check(context, refit(context, Values((start,)), before.fitted))
+    found = simplified(context, now, [round_of(effect_candidate(effect), before, now)], [AntennaGains()], [])
+    assert (found is None) == jumps
+    if found is not None:
+        (constant,) = found[0].after.fitted.values.active
+        assert constant.effect.law == "constant"
+        assert found[0].after.score.chi2 == pytest.approx(1, abs=0.1)
 
 
 FOUR = tuple(131e6 + 3e6 * np.arange(4.0))
