@@ -44,7 +44,8 @@ def exchanged_antennas(grid: ProcessGrid, problem: Problem, sample: Sample, sums
     free = set(problem.observation.antenna_numbers[worst].tolist())
     for pair in combinations(sorted(free), 2):
         if free.issuperset(pair):
-            stated, other = _exchanged(grid, problem, sample, pair)
+            # Baselines with what is wrong in itself tell nothing of where these two are.
+            stated, other = _exchanged(grid, problem, sample, pair, sorted(free.difference(pair)))
             if other.leaves_less(stated, LEFT):
                 found.append(_of_pair(pair, stated, other))
                 free -= set(pair)
@@ -105,16 +106,19 @@ def _bad_ends(problem: Problem, found: Sequence[Finding]) -> dict[int, tuple[int
         bad = {pair for pair in bad if worst not in pair}
 
 
-def _exchanged(grid: ProcessGrid, problem: Problem, sample: Sample, pair: tuple[int, int]) -> tuple[Score, Score]:
+def _exchanged(
+    grid: ProcessGrid, problem: Problem, sample: Sample, pair: tuple[int, int], without: Sequence[int]
+) -> tuple[Score, Score]:
     """Compare the baselines of two antennas with the model beam, as stated and with the antennas' places exchanged.
 
-    Collective: all ranks of the grid.
+    Those with some other antennas are left ``without``. Collective: all ranks of the grid.
     """
     observation = problem.observation
     one, two = (int(np.flatnonzero(observation.antenna_numbers == ant)[0]) for ant in pair)
     antpos = observation.antpos.copy()
     antpos[[one, two]] = antpos[[two, one]]
-    theirs = np.asarray(np.isin(observation.antpairs[sample.bls], pair).any(axis=1))
+    antpairs = observation.antpairs[sample.bls]
+    theirs = np.asarray(np.isin(antpairs, pair).any(axis=1) & ~np.isin(antpairs, without).any(axis=1))
     rows = sample.rows(problem, theirs)
     stated = score_model(grid, problem, rows, sample.model[..., theirs])
     exchanged = [Alternative("exchanged", antpos=antpos)]

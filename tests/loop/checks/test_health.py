@@ -304,8 +304,11 @@ def exchanged(uv: UVData) -> None:
     uv.baseline_array = uv.antnums_to_baseline(uv.ant_1_array, uv.ant_2_array)
 
 
-def test_exchanged_antennas(tmp_path: Path) -> None:
-    job = made(tmp_path)
+@pytest.mark.parametrize("phase", [0.0, 1.5])
+def test_exchanged_antennas(phase: float, tmp_path: Path) -> None:
+    """Also beside an antenna whose phase is far off, to which their baselines are bad wherever they are."""
+    gain = {"kind": "antenna_gains", "parameters": {"antenna 2 phase": phase}}
+    job = made(tmp_path, *([gain] if phase else []))
     (one,) = found(job, tmp_path, files=damaged(tmp_path, exchanged))
     assert (one.what, one.where, one.antennas) == ("two antennas exchanged", "antennas 1 and 4", (1, 4))
     assert "exclude_antennas = [1, 4]" in one.remedy
