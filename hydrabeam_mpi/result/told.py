@@ -76,7 +76,8 @@ def _warnings_of_heldout(channels: list[dict[str, Any]]) -> list[str]:
         freqs = ", ".join(f"{channel['freq_hz'] / 1e6:.6g}" for channel in lost)
         said.append(
             f"At {freqs} MHz the model beam with one free amplitude predicts the held-out data better than the "
-            "inferred beam does."
+            'inferred beam does: its prior leaves more open than these data tell. With [prior] widths = "evidence" '
+            "they choose how much."
         )
     amplitudes = [channel["heldout_amplitude_unperturbed"] for channel in channels]
     if any(abs(amplitude - 1) > 0.05 for amplitude in amplitudes):
