@@ -122,8 +122,12 @@ def test_two_at_once(two_at_once: Path) -> None:
     assert record["verdict"] == "explained"
     assert {one["effect"] for one in record["rounds"]} == {"antenna_gains", "antenna_positions"}
     assert record["error_after"] == pytest.approx(1.0, abs=0.2)
-    errors = [record["error_before"], *(one["heldout_after"] for one in record["rounds"])]
+    *added, simpler = record["rounds"]
+    errors = [record["error_before"], *(one["heldout_after"] for one in added)]
     assert errors == sorted(errors, reverse=True)
+    # The gains that both channels have of their own are told to be the same in both, which predicts as well.
+    assert (simpler["title"], simpler["n_parameters"]) == ("antenna gains, the same in all channels", 2)
+    assert simpler["heldout_after"] == pytest.approx(errors[-1], abs=0.02)
     # What is written last has all of it; the effects are fitted jointly.
     job = load_job(two_at_once / "amended.toml")
     truth = {one["kind"]: dict(zip(one["names"], one["values"][0], strict=True)) for one in truth_of(two_at_once)}
@@ -352,7 +356,7 @@ MISFITS: list[tuple[dict[str, Any], str]] = [
         {**ENTRY, "index": [4, 500]},
         f"(antenna_gains): is about other antennas, times or sources than the data have; {NOT_THE_DATA}",
     ),
-    ({**ENTRY, "settings": {"x": 1}}, "(antenna_gains) settings: are not understood; leave them out"),
+    ({**ENTRY, "settings": {"x": 1}}, "(antenna_gains) settings: are not understood; there are channels, as"),
     (
         {**COUPLING, "settings": {"baseline": [[0, 1]]}},
         "(cross_coupling) settings: are not understood; there are baselines, as 'hydrabeam loop' writes them",

@@ -224,7 +224,12 @@ DRAWN = [150.37974683544303, -21.97674418604651]  # degrees
         (
             {"kind": "antenna_gains", "settings": {"antennas": [1]}},
             FREQS,
-            "(antenna_gains) settings: are not understood; leave them out",
+            "(antenna_gains) settings: are not understood; there are channels, as 'hydrabeam loop' writes them",
+        ),
+        (
+            {"kind": "antenna_gains", "settings": {"channels": "some"}},
+            FREQS,
+            "(antenna_gains) settings: are not understood; there are channels, as 'hydrabeam loop' writes them",
         ),
         (
             {"kind": "outliers", "settings": {"of": 1}},
