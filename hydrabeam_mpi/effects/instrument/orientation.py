@@ -12,6 +12,7 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.told import Told
 from hydrabeam_mpi.effects.shared.displaced import (
+    ARCMIN,
     TurningSky,
     fringe_rates,
     rotate,
@@ -19,7 +20,6 @@ from hydrabeam_mpi.effects.shared.displaced import (
     turn_per_second,
 )
 
-ARCMIN = np.pi / 180 / 60
 Fixed = Literal["ground", "stars", "array"]
 AXES = {
     "ground": "sky turned about {}",

@@ -24,6 +24,7 @@ from hydrabeam_mpi.model.positions import SourcePositions
 from hydrabeam_mpi.model.rime import Beam
 from hydrabeam_mpi.model.sky import Sky
 
+ARCMIN = np.pi / 180 / 60
 TILTS: FloatArray = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 0.0]])
 """Rotation vectors that take the zenith towards East and towards North, (3, 2)."""
 

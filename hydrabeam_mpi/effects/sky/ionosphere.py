@@ -11,7 +11,7 @@ from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
-from hydrabeam_mpi.effects.shared.displaced import TILTS, TurningSky, rotation_rate
+from hydrabeam_mpi.effects.shared.displaced import ARCMIN, TILTS, TurningSky, rotation_rate
 from hydrabeam_mpi.effects.shared.shifted import (
     Path,
     flat_path,
@@ -21,7 +21,6 @@ from hydrabeam_mpi.effects.shared.shifted import (
     shifting_rates,
 )
 
-ARCMIN = np.pi / 180 / 60
 Away = Literal["turn", "flat", "shell"]
 PATHS: dict[str, Path] = {"flat": flat_path, "shell": shell_path}
 
