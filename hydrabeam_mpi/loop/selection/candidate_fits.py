@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from hydrabeam_mpi.effects.interface.reweighting import ReweightingFit
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Worth, refit, stepped
 from hydrabeam_mpi.fit.state import Active, Fitted, Reweighted, Values
+from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.attribution.reconsider import reconsider
 from hydrabeam_mpi.loop.attribution.score_effects import Finding, attribute, attribute_sizes
 from hydrabeam_mpi.loop.attribution.score_noise import refit_reweighting
@@ -90,30 +91,55 @@ def _told(effect: Effect) -> str:
     return json.dumps(effect.describe())
 
 
+@dataclass(frozen=True)
+class _Tried:
+    """A fit of an effect, what weighing it again there says, and ln of its Bayes factor over the model without it."""
+
+    fitted: Fitted
+    evidence: Evidence
+    log_bayes_factor: float
+
+    @classmethod
+    def of(cls, context: FitContext, before: Fitted, fitted: Fitted) -> _Tried:
+        """Weigh the effect again where it has been fitted. Collective: all ranks of the grid."""
+        evidence, gained = reconsider(context, fitted), rise(context, before, fitted)
+        price = price_of_fitted(context, fitted)
+        return cls(fitted, evidence, evidence.log_bayes_factor - evidence.linear_gain + gained - price)
+
+    def is_better(self, other: _Tried) -> bool:
+        """Whether it has more evidence than another one; a fit that has not converged is no evidence."""
+        own, others = (one.fitted.diagnostics.converged for one in (self, other))
+        return self.log_bayes_factor > other.log_bayes_factor if own == others else own
+
+
 def _fit_effect(
     context: FitContext, before: Fitted, candidate: Candidate, worth: Worth | None
 ) -> tuple[Candidate, Fitted]:
-    """Fit an effect and weigh it again where it has been fitted, as no effect is quite linear.
+    """Fit an effect, and again with the prior that it wants where it has been fitted, as no effect is quite linear.
 
-    What is unphysical there is left out; `BrokenOff` is raised where that is all of it.
+    That goes on as long as it is better. What is unphysical there is left out; `BrokenOff` is raised where that is all
+    of it.
     """
     assert candidate.finding is not None
     fitted = _fit_foremost(context, before, candidate.finding)
     if fitted is None:
         fitted = _fit_in_some_form(context, before, candidate.finding, worth)
-    fitted = with_best_variant(context, fitted)
-    again = reconsider(context, fitted)
+    best = _Tried.of(context, before, with_best_variant(context, fitted))
     for _ in range(RULES.most_refits):
-        last = fitted.values.active[-1]
-        if is_same_prior(again.prior_var, last.prior_var(context.setup)):
+        last, wanted = best.fitted.values.active[-1], best.evidence.prior_var
+        if is_same_prior(wanted, last.prior_var(context.setup)):
             break
-        start = restarted(context, last, again.prior_var)
-        fitted = _fit_physically(context, before.values.extended(start), fitted, worth)
-        again = reconsider(context, fitted)
-    gained = rise(context, before, fitted)
-    log_bayes_factor = again.log_bayes_factor - again.linear_gain + gained - price_of_fitted(context, fitted)
-    finding = Finding(fitted.values.active[-1].effect, replace(again, log_bayes_factor=log_bayes_factor))
-    return replace(candidate, finding=finding, log_bayes_factor=log_bayes_factor), fitted
+        values = before.values.extended(restarted(context, last, wanted))
+        try:
+            again = _Tried.of(context, before, _fit_physically(context, values, best.fitted, worth))
+        except BrokenOff:
+            break
+        if not again.is_better(best):
+            break
+        best = again
+    effect = best.fitted.values.active[-1].effect
+    finding = Finding(effect, replace(best.evidence, log_bayes_factor=best.log_bayes_factor))
+    return replace(candidate, finding=finding, log_bayes_factor=best.log_bayes_factor), best.fitted
 
 
 def _fit_in_some_form(context: FitContext, before: Fitted, finding: Finding, worth: Worth | None) -> Fitted:
