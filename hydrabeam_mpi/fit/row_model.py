@@ -28,9 +28,10 @@ from hydrabeam_mpi.setup.problem import Problem
 SLOPES_BYTES = KEPT_BYTES / 8
 """What the design changes by with each parameter of the sky is kept if it is smaller: adding up more than that takes
 about as long as working out the design of a sky anew."""
-SKIES_OF_A_FIT = 10
-"""Designs of a changed sky that a fit wants: one a step, of which it takes some and `gauss_newton.MAX_STEPS` at most.
-Skies that do not turn are made once for all of them, and for all fits that follow."""
+SKIES_OF_A_FIT = 30
+"""Designs of a changed sky that a fit wants: one a step, of which it takes some and `gauss_newton.MAX_STEPS` at most,
+and it is made again with other widths of the prior. Skies that do not turn are made once for all of them, with fringes
+in common, and for all fits that follow."""
 
 
 @dataclass

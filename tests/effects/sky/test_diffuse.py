@@ -9,6 +9,7 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.sky import diffuse
 from hydrabeam_mpi.effects.sky.diffuse import Diffuse, harmonics
+from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.positions import ApparentPositions, RotatedPositions
 from hydrabeam_mpi.model.sky import Sky
 from hydrabeam_mpi.random import generator
@@ -112,3 +113,38 @@ def test_the_prior_is_of_galactic_emission() -> None:
         np.testing.assert_allclose(sizes**2, by_degree[1][0] ** 2 * l**-2.5, rtol=1e-12)
     assert len(by_degree[0]) == 1
     np.testing.assert_allclose(scale[0], 2 * np.sqrt(np.sum(scale[1:] ** 2)), rtol=0.05)
+
+
+def test_degrees_come_in_batches() -> None:
+    """Those that come next have the visibilities that all have at once, and no harmonic is left out or twice."""
+    setup = small_setup()
+    block, all_degrees = small_block(setup, channel=1), Diffuse(9)
+    following = Diffuse(9, l_min=5)
+    names = [*Diffuse(4).parameters(setup).names, *following.parameters(setup).names]
+    assert names == list(all_degrees.parameters(setup).names)
+    values = all_degrees.columns(block, np.zeros(100)).values[..., 25:]
+    np.testing.assert_allclose(following.columns(block, np.zeros(75)).values, values, rtol=0, atol=1e-12)
+    x = generator(5, "diffuse").standard_normal(75)
+    padded = np.concatenate([np.zeros(25), x])
+    sky, of_all = (one.extra_sky(block, 2, at) for one, at in ((following, x), (all_degrees, padded)))
+    np.testing.assert_allclose(sky[2], of_all[2], rtol=0, atol=1e-12 * np.abs(sky[2]).max())
+    numbers = following.standing_numbers(block, 2, x)
+    standing = np.concatenate([numbers @ flux for _, _, flux in following.standing_skies(block)])
+    np.testing.assert_allclose(sky[2], standing, rtol=0, atol=1e-10 * np.abs(sky[2]).max())
+
+
+def test_what_comes_next() -> None:
+    """As many harmonics as halves of the data can be asked for, until there are no more degrees."""
+    setup, newest = small_setup(), Diffuse()
+    assert [one.l_max for one in newest.larger(setup)] == [12, 21]
+    newest = newest.larger(setup)[-1]
+    following = Diffuse().next_after(setup, newest)
+    assert following.describe() == {"l_max": 30, "l_min": 22}
+    assert following.larger(setup) == []
+    while newest.describe() != (following := Diffuse().next_after(setup, newest)).describe() and following.l_min:
+        assert following.l_min == newest.l_max + 1
+        assert len(following.parameters(setup)) <= diffuse.MOST_HARMONICS
+        newest = following
+    assert newest.l_max == diffuse.MOST_DEGREES
+    with pytest.raises(InputError, match="less than l_min"):
+        Diffuse(3, l_min=4)
