@@ -46,15 +46,17 @@ def flux_scale(problem: Problem, sums: Sums) -> list[Finding]:
         s_b^2 = (|sum_t w d m*|^2 / sum_t w |m|^2 - 1) / sum_t w |m|^2,
 
     in which the one is what noise adds. The median of ln s_b, whose error is taken to be as large as baselines differ,
-    is weighed under two priors: that of calibrated data and `UNCALIBRATED`. Where channels differ beyond the errors of
-    their medians each is weighed by itself, at the price of having so many.
+    is weighed under two priors: that of calibrated data and `UNCALIBRATED`. Data that do not follow the model, as they
+    are conjugated for instance, have a small s_b whatever their scale: no scale is too small for being nearer to one
+    than sqrt(sum_t w |d|^2 / sum_t w |m|^2), by which data as a whole are smaller than the model. Where channels differ
+    beyond the errors of their medians each is weighed by itself, at the price of having so many.
     """
     channels = [_log_scales(one) for one in sums.bl_products.swapaxes(0, 1)]
     larger = _width_if_larger(sums.bl_products.sum(axis=2))
-    known = np.concatenate(channels) if channels else np.zeros(0)
+    known = np.concatenate(channels, axis=1) if channels else np.zeros((2, 0))
     if not known.size:
         return []
-    if not _differ([one for one in channels if one.size]):
+    if not _differ([one[0] for one in channels if one.size]):
         value, odds = _weighed(known, larger)
         scales, odds_of = np.array([np.exp(value)]), np.array([odds])
     else:
@@ -62,7 +64,7 @@ def flux_scale(problem: Problem, sums: Sums) -> list[Finding]:
         values, odds_of = np.array(found).T
         odds_of = odds_of - np.log(len(channels))
         # Of a channel that does not show the model nobody knows more than of the others.
-        values = np.where(np.isfinite(odds_of), values, np.median(known))
+        values = np.where(np.isfinite(odds_of), values, np.median(known[0]))
         odds_of = np.where(np.isfinite(odds_of), odds_of, np.max(odds_of))
         scales = np.where(odds_of < STRONG, 1.0, np.exp(values))
     wrong = odds_of >= STRONG
@@ -87,12 +89,17 @@ def _wrong_scale(problem: Problem, sums: Sums, scales: FloatArray, wrong: BoolAr
 
 
 def _weighed(logs: FloatArray, larger: float) -> tuple[float, float]:
-    """Return the median of ln s_b, (N,), and the log odds that nothing calibrates such data.
+    """Return the median of ln s_b and the log odds that nothing calibrates such data; see `_log_scales`.
 
     ``larger`` is the spread of calibrated data that are larger than the model.
     """
-    value, error = centre_and_spread(logs)
-    return value, log_odds_of_wide(value, error, CALIBRATED if value < 0 else larger, UNCALIBRATED)
+    value, error = centre_and_spread(logs[0])
+    if value > 0:
+        return value, log_odds_of_wide(value, error, larger, UNCALIBRATED)
+    largest, error_of_largest = centre_and_spread(logs[1])
+    if largest > value:
+        return value, log_odds_of_wide(min(largest, 0.0), error_of_largest, CALIBRATED, UNCALIBRATED)
+    return value, log_odds_of_wide(value, error, CALIBRATED, UNCALIBRATED)
 
 
 def _width_if_larger(products: ComplexArray) -> float:
@@ -126,17 +133,18 @@ def _differ(channels: Sequence[FloatArray]) -> bool:
 
 
 def _log_scales(products: ComplexArray) -> FloatArray:
-    """Return ln s of a channel's baselines, (Nknown,); nothing where most of them do not follow the model.
+    """Return ln s of a channel's baselines and ln of the largest that it may be, (2, Nknown).
 
-    ``products``, (3, Nbls), are those of `Sums`.
+    Nothing where most of them do not follow the model. ``products``, (3, Nbls), are those of `Sums`.
     """
-    overlap, model, _ = products
+    overlap, model, data = products
     known = model.real > 0
     power = np.where(known, model.real, 1.0)
     explained = (np.abs(overlap) ** 2 / power - 1)[known]
     if explained.size < LEAST_COUNT or np.median(explained) < CLEAR_POWER:
-        return np.zeros(0)
-    return 0.5 * np.log(np.maximum(explained, 1.0) / power[known])
+        return np.zeros((2, 0))
+    powers = np.array([np.maximum(explained, 1.0), np.maximum(data.real[known], 1.0)])
+    return np.asarray(0.5 * np.log(powers / power[known]))
 
 
 def noise_level(problem: Problem, *looks: FloatArray) -> list[Finding]:

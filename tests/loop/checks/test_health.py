@@ -157,6 +157,21 @@ def test_data_that_are_larger_may_be_a_sky_that_the_model_lacks(job: dict[str, A
     assert found(job, folder, files=damaged(folder, brighter)) == []
 
 
+@pytest.mark.parametrize("mistaken", [np.conj, lambda data: data[:, ::-1], lambda data: np.roll(data, 700, axis=0)])
+def test_data_as_large_as_the_model_that_do_not_follow_it_are_not_on_another_scale(
+    mistaken: Callable[[np.ndarray], np.ndarray], job: dict[str, Any], folder: Path
+) -> None:
+    """Conjugated, of other channels or of other baselines: conventions have a check of their own, on this scale."""
+
+    def damage(uv: UVData) -> None:
+        rows = crosses(uv)
+        uv.data_array[rows] = mistaken(uv.data_array[rows])
+        # With so little noise a chance likeness to the model is told from none.
+        uv.nsample_array *= 1e6
+
+    assert "a wrong flux scale" not in [one.what for one in found(job, folder, files=damaged(folder, damage))]
+
+
 @pytest.mark.parametrize("scales", [(1.5e-4, 3e-4), (1.0, 1e3)])
 def test_channels_on_scales_of_their_own(scales: tuple[float, float], job: dict[str, Any], folder: Path) -> None:
     """Each gets its own; one that is calibrated stays as it is. The amended job says so, too."""
