@@ -31,7 +31,7 @@ class Plan:
     ----------
     forecasts : tuple of Forecast
         With ``command``, ``ranks``, ``wall_s``, ``phases_s``, ``memory_bytes``, ``sent_bytes``, ``file_bytes``,
-        ``partition``, and of a loop ``round_s`` and ``further_bytes``; on rank 0, as is all else.
+        ``partition``, and of a loop ``round_s``, ``anew_s`` and ``further_bytes``; on rank 0, as is all else.
     assumed : tuple of str
         What that rests on.
     """

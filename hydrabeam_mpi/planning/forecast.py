@@ -27,8 +27,6 @@ ON_DISK = 21
 """Bytes of a visibility in a file: complex, a flag, nsamples in single precision."""
 STEPS_A_ROUND = 12
 """Sums over ranks of a round: all effects weighed, and some fits of four steps, of rivals and what is refused too."""
-ADAPTED = 2
-"""Times that the widths of the prior are adapted at the end: as wide as stated or wider, then as the data want."""
 
 
 @dataclass
@@ -73,6 +71,7 @@ class Model:
             shares.partition,
             steps.round_s if is_loop else 0.0,
             further_bytes(self.candidates, shares.share) if is_loop else 0,
+            steps.anew_s if is_loop else 0.0,
         )
 
     @cached_property
@@ -204,12 +203,11 @@ class Steps:
 
     def _loop(self) -> dict[str, float]:
         search, shares, found = self._search, self.shares, self.model.found
-        prior_s = search.prior_s * shares.channels if self.outline.job.prior.widths != "stated" else 0.0
         return {
             "conventions": shares.seconds(search.conventions, most=N_TIMES),
             "fit": shares.seconds(search.fit),
             "attribution": shares.seconds(search.attribution) + self._sums(1),
-            "prior": ADAPTED * prior_s,
+            "prior": shares.seconds(search.prior),
             "rounds": found * self.round_s,
             "settle": shares.seconds(search.end)
             + (self.model.bench.together.fit_s if self.model.bench.together else 0),
@@ -217,12 +215,18 @@ class Steps:
         }
 
     @property
+    def anew_s(self) -> float:
+        """Seconds in which all effects are weighed once more; see `Forecast`."""
+        may_begin_anew = self.outline.n_channels == 1 and self.outline.job.prior.widths != "stated"
+        return self.shares.seconds(self._search.attribution) if may_begin_anew else 0.0
+
+    @property
     def round_s(self) -> float:
         """Seconds of an effect that a loop finds: it is fitted beside its rivals, and all are weighed again."""
         steps = STEPS_A_ROUND - 1
         together = steps * self._together() + self._together_again()
         search = self._search
-        own = self.shares.seconds(search.trials) + self.shares.seconds(search.attribution)
+        own = search.longer * self.shares.seconds(search.attribution) + search.fits * self.shares.seconds(search.fit)
         return own + self._sums(STEPS_A_ROUND) + together
 
     def _together_again(self) -> float:

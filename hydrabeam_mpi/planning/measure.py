@@ -2,6 +2,7 @@
 
 A step takes ``fixed + times (by_time + by_group groups)`` seconds: what is done once a channel, such as solving for the
 coefficients; once a time, such as evaluating the basis at its sources; and once a row, such as fringes and products.
+What is decided once for all channels adds to that.
 """
 
 from __future__ import annotations
@@ -36,23 +37,39 @@ MOST_GROUPS = 400
 """Redundant groups of which a step is timed: products with a few hundred rows run as fast as with more."""
 FEWER = 4
 """How many times fewer groups, and times, there are where their number is varied."""
-MOST_TIMES = 4
-"""What is done once for all times is then told from what is done at each."""
+TIMES = 4, 16
+"""Least and most times of which a step is timed: what is done once for all is then told from what is done at each. The
+more they are the less is left to extrapolate, and all those of a small array take no longer than a few of a large one.
+"""
+MOST_INTEGRATED = 5_000_000_000
+"""Products of a source, a group and a function of the beam that are summed for as many times: in some seconds."""
 DRAWS = 4
 """Of a chain, of which the first ones fill what later ones find in memory."""
 
 
 @dataclass(frozen=True)
 class Cost:
-    """Seconds of a step: ``fixed + times (by_time + by_group groups)``."""
+    """Seconds of a step: ``once + channels (fixed + times (by_time + by_group groups))``."""
 
     fixed: float = 0.0
     by_time: float = 0.0
     by_group: float = 0.0
+    once: float = 0.0
 
-    def seconds(self, times: float, groups: float) -> float:
+    def seconds(self, times: float, groups: float, channels: int = 1) -> float:
         """Return the seconds of some times, in those of mean cost, with some groups."""
-        return self.fixed + times * (self.by_time + self.by_group * groups)
+        return self.once + channels * (self.fixed + times * (self.by_time + self.by_group * groups))
+
+    def told_once(self, one: float, two: float) -> Cost:
+        """Return the same cost of one channel, of which a part is not done again for each further one.
+
+        Parameters
+        ----------
+        one, two : float
+            Seconds of one channel and of two, of the same rows. What is done once a row is done for each.
+        """
+        once = min(max(2 * one - two, 0.0), self.fixed)
+        return replace(self, fixed=self.fixed - once, once=self.once + once)
 
     @classmethod
     def through(cls, sizes: list[tuple[float, float]], seconds: list[float]) -> Cost:
@@ -88,12 +105,19 @@ class Bench:
     clock: Clock
 
     @cached_property
-    def contexts(self) -> list[FitContext]:
-        """Three times a few rows: the first two differ in groups, the last two in times."""
+    def sizes(self) -> list[tuple[int, int]]:
+        """Times and groups of three times a few rows: the first two differ in groups, the last two in times."""
         problem = self.outline.problem
-        groups, times = min(problem.redundant.Ngroups, MOST_GROUPS), min(len(problem.train.times), MOST_TIMES)
-        fewer = max(groups // FEWER, 1)
-        return [probe(problem, t, g) for t, g in ((1, fewer), (1, groups), (times, groups))]
+        groups = min(problem.redundant.Ngroups, MOST_GROUPS)
+        of_time = problem.sky.Nsrc * groups * problem.basis.n_modes
+        times = min(len(problem.train.times), max(TIMES[0], min(MOST_INTEGRATED // of_time, TIMES[1])))
+        few, fewer = (max(n // FEWER, 1) for n in (times, groups))
+        return [(few, fewer), (few, groups), (times, groups)]
+
+    @cached_property
+    def contexts(self) -> list[FitContext]:
+        """Three times a few rows."""
+        return [probe(self.outline.problem, *size) for size in self.sizes]
 
     def cost(self, step: Callable[[FitContext], object], of_test: bool = False, repeats: int = 2) -> Cost:
         """Time a step on each of the few rows, the least of ``repeats``; those held out count with ``of_test``."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -43,6 +44,8 @@ class Outline:
         Seconds of the model beam of each further channel.
     job : Job
         As it was given; that of the problem has independent channels.
+    given : Given
+        What is in memory.
     coupling : Coupling, optional
         How the beams of all channels hang together.
     """
@@ -53,12 +56,21 @@ class Outline:
     scene_s: float
     fit_s: float
     job: Job
+    given: Given
     coupling: Coupling | None = None
 
     @property
     def n_channels(self) -> int:
         """Number of channels."""
         return self.observation.Nfreqs
+
+    @cached_property
+    def pair(self) -> Problem | None:
+        """The problem of two channels in the middle, by which what is done once a channel is told; None of one."""
+        if self.n_channels < 2:
+            return None
+        two = _middle(self.observation, self.n_channels // 2 - 1)
+        return prepare(self.problem.job, (), given=self.given, observation=two)
 
     def times_of(self, tile: Tile) -> float:
         """Return what the times of a tile cost, in those that have as many visible sources as the mean."""
@@ -84,8 +96,7 @@ def outline(job: Job, given: Given, clock: Clock) -> Outline:
         observation = mock_observation(job.data.simulate, job.data.pol)
     else:
         observation = observe(job, given.data or expand(job.data.files, "[data] files"))
-    middle = slice(observation.Nfreqs // 2, observation.Nfreqs // 2 + 1)
-    one = replace(observation, freqs=observation.freqs[middle], channel_width=observation.channel_width[middle])
+    one = _middle(observation, observation.Nfreqs // 2)
     alone = job.model_copy(update={"prior": job.prior.model_copy(update={"frequency": OverFrequency()})})
     problem = prepare(alone, (), given=given, observation=one)
     coupling = couple(job.prior.frequency, observation.freqs, problem.priors)
@@ -94,4 +105,10 @@ def outline(job: Job, given: Given, clock: Clock) -> Outline:
     load_beams(job, one.freqs, one.pols[0], given.beam)
     loaded = clock()
     fit_beam(problem.beams[0], problem.basis)
-    return Outline(observation, problem, prepared - start, loaded - prepared, clock() - loaded, job, coupling)
+    return Outline(observation, problem, prepared - start, loaded - prepared, clock() - loaded, job, given, coupling)
+
+
+def _middle(observation: Observation, first: int) -> Observation:
+    """Return what is observed in the channels from the ``first`` to the middle one."""
+    channels = slice(first, observation.Nfreqs // 2 + 1)
+    return replace(observation, freqs=observation.freqs[channels], channel_width=observation.channel_width[channels])

@@ -7,12 +7,14 @@ and to have all weighed again.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from io import StringIO
 
+from hydrabeam_mpi.effects.interface.effect import Effect
+from hydrabeam_mpi.effects.interface.reweighting import Reweighting
 from hydrabeam_mpi.fit.clock import Clock as Phases
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.joint import channel_results
@@ -20,12 +22,15 @@ from hydrabeam_mpi.fit.room import Room
 from hydrabeam_mpi.fit.state import Values
 from hydrabeam_mpi.loop.attribution.control_models import control_models
 from hydrabeam_mpi.loop.checks.conventions import check_conventions
+from hydrabeam_mpi.loop.selection.acceptance import Checked
 from hydrabeam_mpi.loop.selection.choice import choose
-from hydrabeam_mpi.loop.selection.history import History
 from hydrabeam_mpi.loop.selection.prior_widths import adapt
-from hydrabeam_mpi.loop.selection.rounds import Search, begin, run_rounds, settle_last
+from hydrabeam_mpi.loop.selection.rounds import Search, begin, run_round, settle_last
+from hydrabeam_mpi.loop.selection.weighing import next_of, weigh
 from hydrabeam_mpi.planning.measure import Bench, Cost
 from hydrabeam_mpi.planning.outline import Clock
+from hydrabeam_mpi.planning.probe import departing, probe
+from hydrabeam_mpi.setup.problem import Problem
 
 
 class Laps(Phases):
@@ -44,6 +49,16 @@ class Laps(Phases):
         self.laps.setdefault(phase, []).append(self._tell() - start)
 
 
+@dataclass(frozen=True)
+class _Begun:
+    """What is certain of a loop over few rows: its first fit, what was looked for, and the seconds of each part."""
+
+    context: FitContext
+    checked: Checked
+    effects: Sequence[Effect]
+    seconds: dict[str, float]
+
+
 @dataclass
 class SearchBench:
     """Times the parts of a loop when they are asked for.
@@ -57,12 +72,6 @@ class SearchBench:
 
     bench: Bench
     room: Room
-    _found: dict[str, list[float]] = field(default_factory=dict)
-
-    @cached_property
-    def contexts(self) -> list[FitContext]:
-        """The few rows of the bench, of which as much is kept as in the run."""
-        return [self._anew(one) for one in self.bench.contexts]
 
     @cached_property
     def conventions(self) -> Cost:
@@ -76,13 +85,8 @@ class SearchBench:
 
     @cached_property
     def attribution(self) -> Cost:
-        """All effects weighed for the first time."""
+        """All effects weighed, where there is none to find."""
         return self._cost("attribution")
-
-    @cached_property
-    def trials(self) -> Cost:
-        """The best effects fitted beside their rivals, and what is found confirmed by the held-out rows."""
-        return self._cost("trials")
 
     @cached_property
     def end(self) -> Cost:
@@ -90,50 +94,98 @@ class SearchBench:
         return self._cost("end")
 
     @cached_property
-    def prior_s(self) -> float:
-        """Seconds in which a channel's best widths of the prior are found and tried; they hardly hang on the rows."""
-        context, history = self._anew(self.contexts[1]), self._histories[1]
-        return self.bench.timed(lambda: adapt(context, history.first, 0, wider=False))
+    def prior(self) -> Cost:
+        """Widths of the beam's prior found and tried, as wide as stated or wider, and as the data want.
+
+        They hardly hang on the rows.
+        """
+        one = self._of_prior(self._clean[-1])
+        cost = Cost(fixed=one)
+        return cost.told_once(one, self._of_prior(self._pair)) if self._pair else cost
+
+    @property
+    def longer(self) -> float:
+        """How many times as long all effects are weighed where there is something to find.
+
+        The more an effect explains the more parts of it are told from each other, and what explains as much; and those
+        that have evidence are weighed together.
+        """
+        return self._faulty["attribution"] / self._clean[-1].seconds["attribution"]
+
+    @property
+    def fits(self) -> float:
+        """How many times as long as the first fit the best effects are fitted beside their rivals, and confirmed."""
+        return self._faulty["trials"] / self._clean[-1].seconds["fit"]
 
     def _cost(self, part: str) -> Cost:
-        _ = self._histories
-        return self.bench.cost_of(self.contexts, self._found[part])
+        seconds = [one.seconds[part] for one in self._clean]
+        cost = self.bench.cost_of([one.context for one in self._clean], seconds)
+        return cost.told_once(seconds[-1], self._pair.seconds[part]) if self._pair else cost
 
     @cached_property
-    def _histories(self) -> list[History]:
-        """Loops that add one effect, of which the parts are timed."""
-        return [self._loop(one) for one in self.contexts]
+    def _clean(self) -> list[_Begun]:
+        """Loops over few rows in which no effect is to be found."""
+        return [self._begun(self._rows(self.bench.outline.problem, size, False)) for size in self.bench.sizes]
 
-    def _loop(self, context: FitContext) -> History:
-        job = context.problem.job
+    @cached_property
+    def _pair(self) -> _Begun | None:
+        """The same of the most rows in two channels, if there are several."""
+        problem = self.bench.outline.pair
+        return None if problem is None else self._begun(self._rows(problem, self.bench.sizes[-1], False))
+
+    def _begun(self, context: FitContext) -> _Begun:
+        """Do what is certain of a loop."""
+        laps, effects, changes = Laps(self.bench.clock), *self._wanted(context)
+        with redirect_stderr(StringIO()):
+            history = begin(context, Values(), laps)
+            with laps.time("attribution"):
+                weigh(context, history.last.fitted, effects, changes, 0)
+            checked = history.last
+            with laps.time("end"):
+                settle_last(context, history)
+                channel_results(context, history.last.fitted)
+        return _Begun(context, checked, effects, {name: sum(taken) for name, taken in laps.laps.items()})
+
+    def _of_prior(self, begun: _Begun) -> float:
+        """Return the seconds in which the beam's prior is adapted, once and again as `run_search` does it."""
+        context = begun.context
+        if self.bench.outline.coupling is not None:
+            return 0.0  # the job's own prior is of beams that hang together
+
+        def work() -> None:
+            found = adapt(context, begun.checked, 0, True, begun.effects)
+            last = begun.checked if found is None else found.after
+            adapt(context, last, 0, False, next_of(context, begun.effects, last.fitted.values))
+
+        return self.bench.timed(work)
+
+    @cached_property
+    def _faulty(self) -> dict[str, float]:
+        """Seconds of a round that finds an effect, of the most rows."""
+        context = self._rows(self.bench.outline.problem, self.bench.sizes[-1], True)
+        laps, (effects, changes) = Laps(self.bench.clock), self._wanted(context)
+        with redirect_stderr(StringIO()):
+            history = begin(context, Values(), laps)
+            run_round(Search(context, history, effects, changes, laps, lambda _: None))
+        return {name: sum(taken) for name, taken in laps.laps.items()}
+
+    @staticmethod
+    def _wanted(context: FitContext) -> tuple[list[Effect], list[Reweighting]]:
+        """Return what is looked for."""
+        choice = choose(context.problem.job, context.setup)
+        return [*choice.effects, *control_models(context.setup)], choice.changes
+
+    def _rows(self, problem: Problem, size: tuple[int, int], faulty: bool) -> FitContext:
+        """Return a few rows of a beam that departs from its model, of which as much is kept as in the run.
+
+        Over those in which one antenna is wrong a loop takes one round.
+        """
+        context, job = probe(problem, *size, departing(problem), faulty), problem.job
+        context.train.room = context.test.room = self.room
+        if not faulty:
+            return context
         one = {
             "loop": job.loop.model_copy(update={"max_rounds": 1}),
             "prior": job.prior.model_copy(update={"widths": "stated"}),
         }
-        context = replace(context, problem=replace(context.problem, job=job.model_copy(update=one)))
-        choice, laps = choose(job, context.setup), Laps(self.bench.clock)
-        found: list[History] = []
-        self._add("fit", lambda: found.append(begin(context, Values(), Phases())))
-        (history,) = found
-        effects = [*choice.effects, *control_models(context.setup)]
-        search = Search(context, history, effects, choice.changes, laps, lambda _: None)
-        with redirect_stderr(StringIO()):
-            run_rounds(search)
-        self._found.setdefault("attribution", []).append(laps.laps["attribution"][0])
-        self._found.setdefault("trials", []).append(sum(laps.laps["trials"]))
-
-        def end() -> None:
-            settle_last(context, history)
-            channel_results(context, history.last.fitted)
-
-        self._add("end", end)
-        return history
-
-    def _add(self, part: str, work: Callable[[], object]) -> None:
-        self._found.setdefault(part, []).append(self.bench.timed(work))
-
-    def _anew(self, context: FitContext) -> FitContext:
-        """Return the same rows, of which nothing has been worked out yet."""
-        train, test = (type(one)(one.problem, one.setup, one.rows) for one in (context.train, context.test))
-        train.room = test.room = self.room
-        return replace(context, train=train, test=test)
+        return replace(context, problem=replace(context.problem, job=job.model_copy(update=one)))

@@ -71,7 +71,7 @@ class Shares:
             times = sample_times(self.outline.problem.train.times, most)
             tiles = [replace(tile, times=np.intersect1d(tile.times, times)) for tile in tiles]
         of_ranks = [self._seconds(cost, tile) for tile in tiles]
-        return self.channels * (cost.fixed + max(of_ranks))
+        return cost.once + self.channels * (cost.fixed + max(of_ranks))
 
     def _seconds(self, cost: Cost, tile: Tile) -> float:
         times = self.outline.times_of(tile)

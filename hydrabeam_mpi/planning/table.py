@@ -33,7 +33,7 @@ def as_table(forecasts: Sequence[Forecast], assumed: Sequence[str]) -> dict[str,
                 "file_bytes": one.file_bytes,
                 "partition": vars(one.partition),
             }
-            | ({"round_s": one.round_s, "further_bytes": one.further_bytes} if one.command == "loop" else {})
+            | (_of_rounds(one) if one.command == "loop" else {})
             for one in forecasts
         ],
         "assumed": list(assumed),
@@ -53,14 +53,19 @@ def assumptions(network: Network, found: int | None) -> list[str]:
     return lines
 
 
+def _of_rounds(one: Forecast) -> dict[str, float]:
+    return {"round_s": one.round_s, "anew_s": one.anew_s, "further_bytes": one.further_bytes}
+
+
 def _of_loop(one: Forecast) -> str:
     """Tell what is certain of a loop from what each effect takes that it finds."""
+    anew = f", and {duration(one.anew_s)} where the prior gets other widths in the end" if one.anew_s else ""
     certain = one.wall_s - one.phases_s.get("rounds", 0.0)
     return (
         f"loop on {one.ranks} rank{'s' * (one.ranks != 1)}: {duration(certain)} whatever is found (checks, first fit, "
         f"all effects weighed once, widths of the prior, result), and about {duration(one.round_s)} per effect found "
-        f"or batch of further modes; {size(one.memory_bytes)} a rank, and up to {size(one.further_bytes)} more for "
-        "each such batch, and for the first effect that changes the sky."
+        f"or batch of further modes{anew}; {size(one.memory_bytes)} a rank, and up to {size(one.further_bytes)} more "
+        "for each such batch, and for the first effect that changes the sky."
     )
 
 

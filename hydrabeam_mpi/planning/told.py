@@ -27,6 +27,9 @@ class Forecast:
     further_bytes : int
         Of what a loop finds, besides ``memory_bytes``: at most for each batch of further functions of the beam, and
         for the first effect that changes the sky.
+    anew_s : float
+        Seconds of a loop over one channel in which all effects are weighed once more, where the prior gets other widths
+        at the end; in no other number.
     """
 
     command: str
@@ -38,6 +41,7 @@ class Forecast:
     partition: Partition
     round_s: float = 0.0
     further_bytes: int = 0
+    anew_s: float = 0.0
 
     @property
     def wall_s(self) -> float:

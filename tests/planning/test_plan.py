@@ -17,13 +17,16 @@ from hydrabeam_mpi.cli import main
 from hydrabeam_mpi.config import Job, load_job
 from hydrabeam_mpi.fit.memory import Share, check_fits, inference_bytes, joint_bytes
 from hydrabeam_mpi.fit.room import Room
+from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.loop.memory import candidates_of, further_bytes, loop_bytes, weighing_bytes
 from hydrabeam_mpi.memory import machine_bytes
 from hydrabeam_mpi.model.bases.zernike import Zernike
 from hydrabeam_mpi.planning.coupled import SolvedTogether
-from hydrabeam_mpi.planning.measure import Cost
+from hydrabeam_mpi.planning.measure import Bench, Cost
 from hydrabeam_mpi.planning.network import TYPICAL, measure_network
 from hydrabeam_mpi.planning.outline import outline
+from hydrabeam_mpi.planning.probe import departing, probe
+from hydrabeam_mpi.planning.table import as_text
 from hydrabeam_mpi.planning.told import Forecast
 from hydrabeam_mpi.setup.given import Given
 
@@ -116,6 +119,19 @@ def test_cost_goes_through_what_was_measured() -> None:
     assert found.seconds(30.0, 63.0) == pytest.approx(cost.seconds(30.0, 63.0))
 
 
+def test_what_is_decided_once_is_told_from_what_each_channel_takes() -> None:
+    measured = Cost(0.5, 0.02, 0.003)
+    one = measured.seconds(4.0, 40.0)
+    assert measured.told_once(one, 2 * one) == measured
+    shared = measured.told_once(one, 2 * one - 0.3)
+    assert shared.once == pytest.approx(0.3)
+    assert shared.seconds(4.0, 40.0) == pytest.approx(one)
+    assert shared.seconds(4.0, 40.0, channels=4) == pytest.approx(4 * one - 3 * 0.3)
+    # Noise of the clock: what rows take is taken by each channel, and none takes less than its rows.
+    assert measured.told_once(one, 0.5 * one).once == 0.5
+    assert measured.told_once(one, 3 * one).once == 0.0
+
+
 def test_noise_of_the_clock_gives_no_negative_cost() -> None:
     cost = Cost.through([(1.0, 10.0), (1.0, 40.0), (4.0, 40.0)], [0.02, 0.01, 0.005])
     assert min(vars(cost).values()) >= 0
@@ -152,6 +168,46 @@ def test_loop_tells_what_is_certain_from_what_each_effect_takes(tmp_path: Path) 
     assert two.round_s > two.phases_s["attribution"]
     assert one.memory_bytes == pytest.approx(two.memory_bytes, rel=0.2)
     assert one.further_bytes > 0
+    assert one.anew_s > 0
+    assert "where the prior gets other widths in the end" in as_text([one], [])
+
+
+def test_loop_of_several_channels(job: Path) -> None:
+    """Of three channels two are timed; with several, a loop does not begin anew."""
+    problem = outline(load_job(job), Given(), time.process_time)
+    pair = problem.pair
+    assert pair is not None
+    assert list(pair.observation.freqs) == [130e6, 131e6]
+    assert len(pair.priors) == 2
+    (found,) = hb.plan(hb.Setup.from_job(with_effects(job)), commands=("loop",), found=1).forecasts
+    assert found.phases_s["rounds"] == found.round_s > 0
+    assert found.anew_s == 0.0
+
+
+def with_effects(job: Path) -> Path:
+    path = job.parent / "loop.toml"
+    path.write_text(job.read_text() + EFFECTS)
+    return path
+
+
+def test_rows_that_are_timed(job: Path) -> None:
+    """All times of a small array; nothing but the beam departs from the model, unless one antenna is to be found."""
+    problem = outline(load_job(job), Given(), time.process_time)
+    sizes = Bench(problem, time.process_time).sizes
+    assert sizes[-1] == (3, problem.problem.redundant.Ngroups)
+    signal = [
+        probe(problem.problem, *sizes[-1], beams, faulty=False).train.rows
+        for beams in (None, departing(problem.problem))
+    ]
+    one_wrong = probe(problem.problem, *sizes[-1]).train.rows
+    model = problem.problem.forward_model(signal[0].groups).visibilities(problem.problem.beams, signal[0].tile.times)
+    of_rows = model[:, :, signal[0].member]
+
+    def chi2(rows: Rows) -> float:
+        return float(np.mean(np.abs(rows.data - of_rows) ** 2 * rows.inv_noise_var))
+
+    assert chi2(signal[0]) == pytest.approx(1.0, abs=0.3)
+    assert min(chi2(signal[1]), chi2(one_wrong)) > 10
 
 
 def test_columns_are_as_many_as_the_effects_have(job: Path) -> None:

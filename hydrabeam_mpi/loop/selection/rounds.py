@@ -91,6 +91,11 @@ def run_rounds(search: Search) -> None:
     rounds.adapt()
 
 
+def run_round(search: Search) -> bool:
+    """Weigh all effects and add the best; whether there is more to look for. Collective: all ranks of the grid."""
+    return _Rounds(search, next_of(search.context, search.effects, search.history.last.fitted.values)).go_on()
+
+
 @dataclass
 class _Rounds:
     """Rounds that follow each other.
