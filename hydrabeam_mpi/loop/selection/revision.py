@@ -63,20 +63,24 @@ class Reweighed:
     is_constant: bool
 
 
-def reweigh(
-    context: FitContext, fitted: Fitted, places: Sequence[int], newest: int | None = None, least: float = 0.0
-) -> Reweighed | None:
+def reweigh(context: FitContext, fitted: Fitted, places: Sequence[int], newest: int | None = None) -> Reweighed | None:
     """Weigh effects of the model again, each given the others, and refit where another prior is better.
 
-    Groups of parameters (an antenna, a source) without which the evidence is higher are left out, and whole effects
-    that raise ln evidence by less than ``least``, but for the ``newest``, which has just been found to raise it. Where
-    the evidence falls by all together, or a fit of them does not converge, the first alone of which that is not so is
-    taken, of those that promise more the sooner. None where nothing changes. Collective: all ranks of the grid.
+    Groups of parameters (an antenna, a source) and whole effects without which the evidence is higher are left out, but
+    for the ``newest``, which has just been found to raise it. None where nothing changes. Collective: all ranks of the
+    grid.
     """
     known = Known.of(context, fitted)
-    weighed = [_weigh_again(context, fitted, known, place, np.inf if place == newest else least) for place in places]
-    revisions = sorted((one for one in weighed if one is not None), key=lambda one: -one.gain)
-    alone = [[one] for one in revisions] if len(revisions) > 1 else []
+    weighed = [_weigh_again(context, fitted, known, place, place == newest) for place in places]
+    return _revised_most(context, fitted, [one for one in weighed if one is not None], 0.0)
+
+
+def _revised_most(context: FitContext, fitted: Fitted, revisions: Sequence[Revision], least: float) -> Reweighed | None:
+    """Refit with all revisions, or where that is no gain with the first alone that is; None where none is.
+
+    Those that promise more come sooner. Collective: all ranks of the grid.
+    """
+    alone = [[one] for one in sorted(revisions, key=lambda one: -one.gain)] if len(revisions) > 1 else []
     for some in (revisions, *alone) if revisions else ():
         found = _with_revisions(context, fitted, some, least)
         if found is not None:
@@ -143,28 +147,36 @@ def revise(context: FitContext, last: Round, n_given: int) -> tuple[Round, dict[
     return last, {old: None if new is None else further[new] for old, new in found.places.items()}
 
 
-def weigh_again(context: FitContext, last: Round, n_given: int) -> tuple[Round, dict[int, int | None], dict[int, Any]]:
-    """Weigh all effects again beside each other, the newest too; see `reweigh` and `constant.take_back`.
+def take_back_faint(
+    context: FitContext, last: Round, n_given: int
+) -> tuple[Round, dict[int, int | None], dict[int, Any]]:
+    """Take back effects that beside all others have less evidence than the job asks of a finding.
 
-    What beside the others has less evidence than the job asks of a finding is none. Collective: all ranks of the grid.
+    They had enough when they were found, beside fewer others or another prior of the beam. Arguments and result are as
+    of `constant.take_back`. Collective: all ranks of the grid.
     """
-    n, least = len(last.after.fitted.values.active), context.problem.job.loop.min_log_bayes_factor
-    found = reweigh(context, last.after.fitted, range(n_given, n), least=least)
+    fitted, least = last.after.fitted, context.problem.job.loop.min_log_bayes_factor
+    n, known = len(fitted.values.active), Known.of(context, fitted)
+    faint = []
+    for place in range(n_given, n):
+        now = fitted.values.active[place].prior_var(context.setup)
+        best, present = compare_priors(context, fitted, known, place, now)
+        if best.log_bayes_factor < least:
+            faint.append(Revision(place, None, present.linear_gain - present.log_bayes_factor))
+    found = _revised_most(context, fitted, faint, least)
     if found is None:
         return last, {place: place for place in range(n)}, {}
     last = replace(last, after=check(context, found.fitted), revised=(*last.revised, *found.told))
     return last, found.places, {}
 
 
-def _weigh_again(context: FitContext, fitted: Fitted, known: Known, place: int, least: float) -> Revision | None:
-    """Find the best prior of an effect given the others; None where it is the one that it has.
-
-    With less ln evidence than ``least`` it is left out; the newest one, for which that is infinite, stays.
-    """
+def _weigh_again(context: FitContext, fitted: Fitted, known: Known, place: int, is_newest: bool) -> Revision | None:
+    """Find the best prior of an effect given the others; None where it is the one that it has."""
     one = fitted.values.active[place]
     now = one.prior_var(context.setup)
     best, present = compare_priors(context, fitted, known, place, now)
-    if best.log_bayes_factor < least < np.inf:
+    # The newest one has just been found to raise it.
+    if best.log_bayes_factor < 0 and not is_newest:
         return Revision(place, None, present.linear_gain - present.log_bayes_factor)
     wanted = present if is_same_prior(best.prior_var, now) else max(present, best, key=_log_bayes_factor)
     new, unchanging = wanted, one.effect.unchanging(len(now))

@@ -20,7 +20,7 @@ from hydrabeam_mpi.loop.selection.exchange import exchange
 from hydrabeam_mpi.loop.selection.history import History
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.prior_widths import Adapted, adapt, as_adapted
-from hydrabeam_mpi.loop.selection.revision import revise, weigh_again
+from hydrabeam_mpi.loop.selection.revision import revise, take_back_faint
 from hydrabeam_mpi.loop.selection.simpler import simplified
 from hydrabeam_mpi.loop.selection.trials import try_control, try_effects
 from hydrabeam_mpi.loop.selection.weighing import Outlook, Weighed, next_of, weigh
@@ -240,7 +240,9 @@ def _exchanged(context: FitContext, history: History, effects: Sequence[Effect])
 
 
 def _take_back(context: FitContext, history: History) -> None:
-    """Take back what the model is better without, is unphysical or not the same in all parts, until nothing is left.
+    """Take back what is faint beside the others, unphysical, not the same in all parts or explained since.
+
+    That goes on until nothing is left to take back.
 
     Collective: all ranks of the grid.
     """
@@ -248,7 +250,7 @@ def _take_back(context: FitContext, history: History) -> None:
     n_given, there = len(given.active), [one.place is not None for one in history.rounds]
     while history.rounds and history.last is not before:
         before = history.last
-        for step in (weigh_again, take_back_unphysical, take_back):
+        for step in (take_back_faint, take_back_unphysical, take_back):
             fitted = history.last.fitted
             if len(fitted.values.active) > n_given:
                 last, places, asked = step(context, history.rounds[-1], n_given)
