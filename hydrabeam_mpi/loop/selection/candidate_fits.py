@@ -92,7 +92,7 @@ def _told(effect: Effect) -> str:
 
 
 @dataclass(frozen=True)
-class _Tried:
+class TriedFit:
     """A fit of an effect, what weighing it again there says, and ln of its Bayes factor over the model without it."""
 
     fitted: Fitted
@@ -100,13 +100,13 @@ class _Tried:
     log_bayes_factor: float
 
     @classmethod
-    def of(cls, context: FitContext, before: Fitted, fitted: Fitted) -> _Tried:
+    def of(cls, context: FitContext, before: Fitted, fitted: Fitted) -> TriedFit:
         """Weigh the effect again where it has been fitted. Collective: all ranks of the grid."""
         evidence, gained = reconsider(context, fitted), rise(context, before, fitted)
         price = price_of_fitted(context, fitted)
         return cls(fitted, evidence, evidence.log_bayes_factor - evidence.linear_gain + gained - price)
 
-    def is_better(self, other: _Tried) -> bool:
+    def is_better(self, other: TriedFit) -> bool:
         """Whether it has more evidence than another one; a fit that has not converged is no evidence."""
         own, others = (one.fitted.diagnostics.converged for one in (self, other))
         return self.log_bayes_factor > other.log_bayes_factor if own == others else own
@@ -124,14 +124,14 @@ def _fit_effect(
     fitted = _fit_foremost(context, before, candidate.finding)
     if fitted is None:
         fitted = _fit_in_some_form(context, before, candidate.finding, worth)
-    best = _Tried.of(context, before, with_best_variant(context, fitted))
+    best = TriedFit.of(context, before, with_best_variant(context, fitted))
     for _ in range(RULES.most_refits):
         last, wanted = best.fitted.values.active[-1], best.evidence.prior_var
         if is_same_prior(wanted, last.prior_var(context.setup)):
             break
         values = before.values.extended(restarted(context, last, wanted))
         try:
-            again = _Tried.of(context, before, _fit_physically(context, values, best.fitted, worth))
+            again = TriedFit.of(context, before, _fit_physically(context, values, best.fitted, worth))
         except BrokenOff:
             break
         if not again.is_better(best):

@@ -72,10 +72,12 @@ def reweigh(context: FitContext, fitted: Fitted, places: Sequence[int], newest: 
     """
     known = Known.of(context, fitted)
     weighed = [_weigh_again(context, fitted, known, place, place == newest) for place in places]
-    return _revised_most(context, fitted, [one for one in weighed if one is not None], 0.0)
+    return revised_as_far_as_better(context, fitted, [one for one in weighed if one is not None], 0.0)
 
 
-def _revised_most(context: FitContext, fitted: Fitted, revisions: Sequence[Revision], least: float) -> Reweighed | None:
+def revised_as_far_as_better(
+    context: FitContext, fitted: Fitted, revisions: Sequence[Revision], least: float
+) -> Reweighed | None:
     """Refit with all revisions, or where that is no gain with the first alone that is; None where none is.
 
     Those that promise more come sooner. Collective: all ranks of the grid.
@@ -163,7 +165,7 @@ def take_back_faint(
         best, present = compare_priors(context, fitted, known, place, now)
         if best.log_bayes_factor < least:
             faint.append(Revision(place, None, present.linear_gain - present.log_bayes_factor))
-    found = _revised_most(context, fitted, faint, least)
+    found = revised_as_far_as_better(context, fitted, faint, least)
     if found is None:
         return last, {place: place for place in range(n)}, {}
     last = replace(last, after=check(context, found.fitted), revised=(*last.revised, *found.told))

@@ -17,7 +17,7 @@ from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Active, Values
 from hydrabeam_mpi.loop.selection.acceptance import Round
 from hydrabeam_mpi.loop.selection.predictions import check
-from hydrabeam_mpi.loop.selection.revision import revise
+from hydrabeam_mpi.loop.selection.revision import Revision, revise, revised_as_far_as_better, take_back_faint
 from tests.loop.made import effect_candidate, round_of
 from tests.loop.mock import context_of, mock_job
 
@@ -53,6 +53,29 @@ def test_what_is_not_wanted_any_more_is_taken_back(context: FitContext) -> None:
     assert {names[i] for i in gains.used} == {"antenna 2 ln amplitude", "antenna 2 phase"}
     assert [line.split(":")[0] for line in last.revised] == [COUPLING.title, GAINS.title]
     assert "taken back" in last.revised[0]
+
+
+def test_what_is_faint_at_the_end_is_taken_back(context: FitContext) -> None:
+    """The same coupling; the gains stay as they were, and so does what the job has in its model."""
+    found = round_with(context, COUPLING, GAINS, newest=GAINS)
+    last, places, _ = take_back_faint(context, found, 0)
+    assert places == {0: None, 1: 0}
+    (gains,), (_, before) = (one.after.fitted.values.active for one in (last, found))
+    np.testing.assert_array_equal(gains.used, before.used)
+    (told,) = last.revised
+    assert told.startswith(f"{COUPLING.title}: taken back")
+    assert take_back_faint(context, found, 1) == (found, {0: 0, 1: 1}, {})
+
+
+def test_what_cannot_be_revised_at_once_is_revised_one_by_one(context: FitContext) -> None:
+    """Without the gains nothing would explain the data; without the coupling they do."""
+    fitted = round_with(context, COUPLING, GAINS, newest=GAINS).after.fitted
+    without_gains, without_coupling = Revision(1, None, 2.0), Revision(0, None, 1.0)
+    found = revised_as_far_as_better(context, fitted, [without_gains, without_coupling], 5.0)
+    assert found is not None
+    assert found.places == {0: None, 1: 0}
+    assert revised_as_far_as_better(context, fitted, [without_gains], 5.0) is None
+    assert revised_as_far_as_better(context, fitted, [], 5.0) is None
 
 
 def test_effects_of_the_job_stay_as_they_are(context: FitContext) -> None:

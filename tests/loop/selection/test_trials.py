@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,9 @@ from hydrabeam_mpi.effects.instrument import basis_truncation
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.instrument.basis_truncation import BasisTruncation
 from hydrabeam_mpi.fit.gauss_newton import refit
-from hydrabeam_mpi.fit.state import Values
+from hydrabeam_mpi.fit.state import Active, Values
 from hydrabeam_mpi.loop.attribution.score_effects import attribute
-from hydrabeam_mpi.loop.selection.candidate_fits import as_large_as_wanted
+from hydrabeam_mpi.loop.selection.candidate_fits import TriedFit, as_large_as_wanted
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.trials import try_effects
 from hydrabeam_mpi.loop.selection.weighing import rank
@@ -51,3 +52,20 @@ def test_an_antenna_with_the_wrong_sign_is_found(tmp_path: Path) -> None:
     others = np.arange(len(phase)) != 2
     np.testing.assert_allclose(np.exp(1j * (phase[2] - phase[others])), -1, atol=0.02)
     assert np.ptp(ln_amplitude) < 0.02
+
+
+def test_of_two_fits_the_one_with_more_evidence_is_better_if_it_has_converged(tmp_path: Path) -> None:
+    """A source that a first fit has found is not given up for what its prior's next width leads a fit to."""
+    context = context_of(mock_job(), tmp_path)
+    before = refit(context, Values())
+    (finding,) = attribute(context, before, [AntennaGains()])
+    start = Active.start(finding.effect, context.setup, finding.evidence.prior_var, finding.evidence.x)
+    one = TriedFit.of(context, before, refit(context, before.values.extended(start), before))
+    more = replace(one, log_bayes_factor=one.log_bayes_factor + 1)
+    assert more.is_better(one)
+    assert not one.is_better(more)
+    broken = replace(one.fitted, diagnostics=replace(one.fitted.diagnostics, converged=False))
+    lost = replace(more, fitted=broken)
+    assert one.is_better(lost)
+    assert not lost.is_better(one)
+    assert lost.is_better(replace(lost, log_bayes_factor=one.log_bayes_factor))
