@@ -113,8 +113,10 @@ def make_record(
         "structures": last.structures if unexplained else None,
     }
     record["sentence"] = say_verdict(record)
+    kept = still_there(found["rounds"])
+    gone = [one for one in found["rounds"] if one not in kept]
     record["said"] = [
-        *(one["sentence"] for one in (*record["prior_widths"], *found["rounds"])),
+        *(one["sentence"] for one in (*kept, *record["prior_widths"], *gone)),
         record["sentence"],
         *(one.line for one in odd),
     ]
