@@ -173,12 +173,17 @@ class WidthsEvidence:
         return self._weight(channels, numbers).value - self._numbers.price(numbers)
 
     def _ascend(self, channels: Sequence[_Channel], begin: FloatArray, wider: bool) -> tuple[FloatArray, float]:
-        """Return the numbers of the most evidence less their price, and this; azimuthal orders differ if that pays."""
-        found = []
-        for uneven in (False, True):
-            bounds = self._numbers.bounds(self._stated, wider, uneven)
-            begin, value = self._highest(channels, begin, bounds)
-            found.append((begin, value - self._numbers.price(begin)))
+        """Return the numbers of the most evidence less their price, and this; azimuthal orders differ if that pays.
+
+        With orders that differ it starts from ``begin`` or from the best without, whichever has more evidence: once
+        they have been found, as those of the fit, that is most of the way.
+        """
+        even, of_even = self._highest(channels, begin, self._numbers.bounds(self._stated, wider, uneven=False))
+        bounds = self._numbers.bounds(self._stated, wider, uneven=True)
+        starts = (even, np.clip(begin, *bounds))
+        start = max(starts, key=lambda numbers: self._weight(channels, numbers).value)
+        uneven, of_uneven = self._highest(channels, start, bounds)
+        found = (even, of_even - self._numbers.price(even)), (uneven, of_uneven - self._numbers.price(uneven))
         return max(found, key=lambda one: one[1])
 
     def _weight(self, channels: Sequence[_Channel], numbers: FloatArray) -> Told:
