@@ -170,7 +170,7 @@ class Diffuse(Effect):
         return np.asarray(out[0] + 1j * out[1])
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=64)  # a megabyte each with 44 degrees
 def _turns(l_max: int, frame: bytes) -> list[FloatArray]:
     """Return, by degree, equatorial harmonics as combinations of horizontal ones, (2 l + 1, 2 l + 1).
 

@@ -108,7 +108,8 @@ def _with_revisions(
         return None
     told = tuple(_told(active[one.place], one) for one in revisions)
     for line in told:
-        say(f"  {line} (ln evidence rises by {gain:.4g})", context.grid.is_world_root)
+        change = f"{'rises' if gain >= 0 else 'falls'} by {abs(gain):.4g}"
+        say(f"  {line} (ln evidence {change})", context.grid.is_world_root)
     moved: dict[int, int | None] = dict.fromkeys(range(len(active)))
     moved |= {old: new for new, old in enumerate(kept)}
     return Reweighed(again, moved, told, any(one.unchanging for one in revisions))
@@ -210,7 +211,8 @@ def _revised(context: FitContext, active: Active, revision: Revision | None) -> 
 def _told(active: Active, revision: Revision) -> str:
     """Say what becomes of an effect."""
     if revision.new is None:
-        return f"{active.effect.title}: taken back, as the model is better without it"
+        how = "better" if revision.gain >= 0 else "hardly worse"
+        return f"{active.effect.title}: taken back, as the model is {how} without it"
     if revision.unchanging is not None:
         return f"{active.effect.title}: {revision.unchanging[0].title}, as the model is better without what changes"
     stay = np.intersect1d(active.used, np.flatnonzero(revision.new.prior_var))
