@@ -33,9 +33,8 @@ POINTS_AT_ONCE = 16384
 MOST_DEGREES = 85  # 7,396 harmonics, whose information matrix takes half a gigabyte
 MOST_HARMONICS = 500
 """At once: of so many it can still be asked whether two halves of the data agree on them."""
-LARGER = (12, 21)
-"""Highest degrees that are weighed next where the first ones are wanted: some between, and as many as may come at
-once."""
+BETWEEN = 12
+"""Highest degree of what is weighed beside as many as may come at once, where the first ones are wanted."""
 GALACTIC_SLOPE = -1.25  # of a_lm with l: the power of the Galaxy's emission falls as l^-2.5
 MONOPOLE = 4.5  # relative to l = 1: no emission is negative, so that the mean is twice the rms about it, or more
 
@@ -115,14 +114,15 @@ class Diffuse(Effect):
 
     def larger(self, setup: ObservingSetup) -> list[Diffuse]:
         """Return it with more degrees."""
-        return [] if self.l_min else [Diffuse(l_max) for l_max in LARGER if l_max > self.l_max]
+        larger = [] if self.l_min else [BETWEEN, _last_at_once(0)]
+        return [Diffuse(l_max) for l_max in larger if l_max > self.l_max]
 
     def next_after(self, setup: ObservingSetup, newest: Effect) -> Effect:
         """Return the degrees after those that the model got last, as far as there are any."""
         if not isinstance(newest, Diffuse) or newest.l_max == MOST_DEGREES:
             return self
         l_min = newest.l_max + 1
-        return Diffuse(min(int(np.sqrt(l_min**2 + MOST_HARMONICS)) - 1, MOST_DEGREES), l_min)
+        return Diffuse(_last_at_once(l_min), l_min)
 
     def extra_sky(self, block: RowBlock, itime: int, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the points of the quadrature with the flux that each stands for, each (Nsrc,)."""
@@ -261,6 +261,11 @@ def _trigonometric(l_max: int, azimuth: FloatArray) -> FloatArray:
     factors = np.sqrt(2) * (-1.0) ** orders
     sines = factors * np.sin(orders * azimuth)
     return np.concatenate([np.ones((1, *azimuth.shape)), factors * np.cos(orders * azimuth), sines[::-1]])
+
+
+def _last_at_once(l_min: int) -> int:
+    """Return the highest degree of those that come at once after the ones below ``l_min``."""
+    return min(int(np.sqrt(l_min**2 + MOST_HARMONICS)) - 1, MOST_DEGREES)
 
 
 def _degrees(l_max: int) -> list[tuple[int, int]]:

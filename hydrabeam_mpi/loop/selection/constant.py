@@ -1,4 +1,4 @@
-"""What is taken back once nothing more is found: what is unphysical, not the same in all parts, or explained since."""
+"""What is taken back once nothing more is found: what is faint, unphysical, not the same in all parts, or explained."""
 
 from __future__ import annotations
 
@@ -11,15 +11,37 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Fitted, Reweighted
 from hydrabeam_mpi.loop.attribution.constancy import Constancy
 from hydrabeam_mpi.loop.attribution.parts import Affected, ask_constancy
+from hydrabeam_mpi.loop.attribution.reconsider import Known, compare_priors
 from hydrabeam_mpi.loop.attribution.score_noise import WeightsFound, refit_reweighting
 from hydrabeam_mpi.loop.selection.acceptance import Round
 from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refits import fit_patiently
 from hydrabeam_mpi.loop.selection.refusal import refusal_by_parts
+from hydrabeam_mpi.loop.selection.revision import Revision, revised_as_far_as_better
 from hydrabeam_mpi.terminal.progress import say
 
 Taken = tuple[Round, dict[int, int | None], dict[int, tuple[Constancy, ...]]]
+
+
+def take_back_faint(context: FitContext, last: Round, n_given: int) -> Taken:
+    """Take back effects that beside all others have less evidence than the job asks of a finding; see `take_back`.
+
+    They had enough when they were found, beside fewer others or another prior of the beam. Collective: all ranks of the
+    grid.
+    """
+    fitted, least = last.after.fitted, context.problem.job.loop.min_log_bayes_factor
+    active, known, faint = fitted.values.active, Known.of(context, fitted), []
+    for place in range(n_given, len(active)):
+        now = active[place].prior_var(context.setup)
+        best, present = compare_priors(context, fitted, known, place, now)
+        if best.log_bayes_factor < least:
+            faint.append(Revision.left_out(place, present))
+    found = revised_as_far_as_better(context, fitted, faint, least)
+    if found is None:
+        return last, {place: place for place in range(len(active))}, {}
+    last = replace(last, after=check(context, found.fitted), revised=(*last.revised, *found.told))
+    return last, found.places, {}
 
 
 def take_back_unphysical(context: FitContext, last: Round, n_given: int) -> Taken:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -40,6 +39,11 @@ class Revision:
     new: Evidence | None
     gain: float
     unchanging: tuple[Effect, IntArray] | None = None
+
+    @classmethod
+    def left_out(cls, place: int, present: Evidence) -> Revision:
+        """Leave the effect at a place out, of which this is the evidence with the prior that it has."""
+        return cls(place, None, present.linear_gain - present.log_bayes_factor)
 
 
 @dataclass(frozen=True)
@@ -150,29 +154,6 @@ def revise(context: FitContext, last: Round, n_given: int) -> tuple[Round, dict[
     return last, {old: None if new is None else further[new] for old, new in found.places.items()}
 
 
-def take_back_faint(
-    context: FitContext, last: Round, n_given: int
-) -> tuple[Round, dict[int, int | None], dict[int, Any]]:
-    """Take back effects that beside all others have less evidence than the job asks of a finding.
-
-    They had enough when they were found, beside fewer others or another prior of the beam. Arguments and result are as
-    of `constant.take_back`. Collective: all ranks of the grid.
-    """
-    fitted, least = last.after.fitted, context.problem.job.loop.min_log_bayes_factor
-    n, known = len(fitted.values.active), Known.of(context, fitted)
-    faint = []
-    for place in range(n_given, n):
-        now = fitted.values.active[place].prior_var(context.setup)
-        best, present = compare_priors(context, fitted, known, place, now)
-        if best.log_bayes_factor < least:
-            faint.append(Revision(place, None, present.linear_gain - present.log_bayes_factor))
-    found = revised_as_far_as_better(context, fitted, faint, least)
-    if found is None:
-        return last, {place: place for place in range(n)}, {}
-    last = replace(last, after=check(context, found.fitted), revised=(*last.revised, *found.told))
-    return last, found.places, {}
-
-
 def _weigh_again(context: FitContext, fitted: Fitted, known: Known, place: int, is_newest: bool) -> Revision | None:
     """Find the best prior of an effect given the others; None where it is the one that it has."""
     one = fitted.values.active[place]
@@ -180,7 +161,7 @@ def _weigh_again(context: FitContext, fitted: Fitted, known: Known, place: int, 
     best, present = compare_priors(context, fitted, known, place, now)
     # The newest one has just been found to raise it.
     if best.log_bayes_factor < 0 and not is_newest:
-        return Revision(place, None, present.linear_gain - present.log_bayes_factor)
+        return Revision.left_out(place, present)
     wanted = present if is_same_prior(best.prior_var, now) else max(present, best, key=_log_bayes_factor)
     new, unchanging = wanted, one.effect.unchanging(len(now))
     if unchanging is not None:
