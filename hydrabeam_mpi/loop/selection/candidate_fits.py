@@ -117,26 +117,24 @@ def _fit_effect(
 ) -> tuple[Candidate, Fitted]:
     """Fit an effect, and again with the prior that it wants where it has been fitted, as no effect is quite linear.
 
-    That goes on as long as it is better. What is unphysical there is left out; `BrokenOff` is raised where that is all
-    of it.
+    The best of these fits is taken, which need not be the last one. What is unphysical there is left out; `BrokenOff`
+    is raised where that is all of the first.
     """
     assert candidate.finding is not None
     fitted = _fit_foremost(context, before, candidate.finding)
     if fitted is None:
         fitted = _fit_in_some_form(context, before, candidate.finding, worth)
-    best = TriedFit.of(context, before, with_best_variant(context, fitted))
+    best = latest = TriedFit.of(context, before, with_best_variant(context, fitted))
     for _ in range(RULES.most_refits):
-        last, wanted = best.fitted.values.active[-1], best.evidence.prior_var
+        last, wanted = latest.fitted.values.active[-1], latest.evidence.prior_var
         if is_same_prior(wanted, last.prior_var(context.setup)):
             break
         values = before.values.extended(restarted(context, last, wanted))
         try:
-            again = TriedFit.of(context, before, _fit_physically(context, values, best.fitted, worth))
+            latest = TriedFit.of(context, before, _fit_physically(context, values, latest.fitted, worth))
         except BrokenOff:
             break
-        if not again.is_better(best):
-            break
-        best = again
+        best = latest if latest.is_better(best) else best
     effect = best.fitted.values.active[-1].effect
     finding = Finding(effect, replace(best.evidence, log_bayes_factor=best.log_bayes_factor))
     return replace(candidate, finding=finding, log_bayes_factor=best.log_bayes_factor), best.fitted
