@@ -33,6 +33,7 @@ EFFECTS: Registry[Effect] = Registry(
     "sky.moving_sources",
     "sky.catalogue_flux",
     "sky.spectral_index",
+    "sky.polarised_sources",
     "sky.resolved_source",
     "sky.elongated_source",
     "sky.diffuse",

@@ -56,6 +56,7 @@ CASES = {
     "mutual_coupling": Case({"n_shells": 2}),
     "nonredundant_beams": Case(strengths=(0.2,), exact="at zero", step=1e-3),
     "orientation": Case(strengths=(3.0, 60.0), step=1e-2),  # up to a degree
+    "polarised_sources": Case(strengths=(1.0, 5.0), noise=None, scan=MAPS),
     # One channel tells flux from index by no more than products.
     "spectral_index": Case(strengths=(0.05, 2.0), scan=MAPS),
     "resolved_source": Case(strengths=(1.0, 400.0)),  # up to three degrees
@@ -92,6 +93,7 @@ VARIANTS = {f"ionosphere, {away}": Case({"away": away}, strengths=(3.0,), step=1
 VARIANTS |= {
     f"orientation, {fixed}": replace(CASES["orientation"], settings={"fixed": fixed}) for fixed in ("stars", "array")
 }
+VARIANTS |= {"polarised_sources, one channel": Case(freqs=(131e6,), strengths=(1.0, 5.0), scan=MAPS)}
 """Effects in other forms."""
 CASES |= IN_TIME | VARIANTS
 

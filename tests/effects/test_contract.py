@@ -237,6 +237,7 @@ REFUSED = {
     ("ground_emitter", "one time"): "several times",
     ("auto_coupling", "one time"): "several times",
     ("auto_coupling", "unlike feeds"): "equal feeds",
+    ("polarised_sources", "unlike feeds"): "'en'",
     ("compression", "one time"): "several times",
     ("compression", "unlike feeds"): "equal feeds",
     ("mutual_coupling", "unlike feeds"): "equal feeds",

@@ -130,8 +130,10 @@ def responses(block: RowBlock, ra: FloatArray, dec: FloatArray) -> ComplexArray:
     return out
 
 
-def dirty_map(block: RowBlock, sky: Sky, functions: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
-    """Correlate the residual with every source of a sky by itself, as it is or with each of some functions of time.
+def dirty_map(
+    block: RowBlock, sky: Sky, functions: FloatArray | Callable[[FloatArray], FloatArray] | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Correlate the residual with every source of a sky by itself, as it is or with each of some functions.
 
     Redundant baselines are summed first, and the beam is interpolated between samples. Nothing larger than the sky and
     the fringes of a few of its sources is held.
@@ -141,8 +143,9 @@ def dirty_map(block: RowBlock, sky: Sky, functions: FloatArray | None = None) ->
     block : RowBlock
     sky : Sky
         Sources at the setup's channels; many.
-    functions : ndarray, (Ntimes, k), optional
-        At the block's times; by default one, for sources as they are.
+    functions : ndarray, (Ntimes, k), or callable, optional
+        Of time, at the block's times; or of ENU directions (3, N), of which it makes (N, k). By default one, for
+        sources as they are.
 
     Returns
     -------
@@ -150,7 +153,8 @@ def dirty_map(block: RowBlock, sky: Sky, functions: FloatArray | None = None) ->
         Re sum w s* r and sum w |s|^2 over the block's rows, s being a source's visibilities times a function.
     """
     functions = np.ones((len(block.times), 1)) if functions is None else functions
-    projection, power = (np.zeros((sky.Nsrc, functions.shape[1])) for _ in range(2))
+    n_functions = (functions(np.eye(3)) if callable(functions) else functions).shape[1]
+    projection, power = (np.zeros((sky.Nsrc, n_functions)) for _ in range(2))
     summed = block.summed(block.weights * block.residual)
     weights = block.weights.sum(axis=1)
     if not weights.any():
@@ -161,8 +165,9 @@ def dirty_map(block: RowBlock, sky: Sky, functions: FloatArray | None = None) ->
         directions = enu(za, az)
         seen = sky.flux[block.channel, index] * beam(directions)
         told = block.engine.adjoint(summed[t], directions, seen, block.freq)
-        projection[index] += told[:, np.newaxis] * functions[t]
-        power[index] += weights[t] * amplitude(seen)[:, np.newaxis] ** 2 * functions[t] ** 2
+        now = functions(directions) if callable(functions) else functions[t]
+        projection[index] += told[:, np.newaxis] * now
+        power[index] += weights[t] * amplitude(seen)[:, np.newaxis] ** 2 * now**2
     return projection, power
 
 

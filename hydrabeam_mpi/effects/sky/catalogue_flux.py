@@ -52,10 +52,8 @@ class CatalogueFlux(PointSources):
 
     def carried_over(self, setup: ObservingSetup) -> Self:
         """Return the errors of those of the sources that the catalogue has with which other data are modelled."""
-        places = zip(self.sources, *in_radians(self.sources), strict=True)
-        sky = setup.sky
-        there = [source for source, ra, dec in places if np.any(separation(sky.ra, sky.dec, ra, dec) <= SAME)]
-        return type(self)(there, self.trials)
+        sky, places = setup.sky, zip(*in_radians(self.sources), strict=True)
+        return self.some(np.flatnonzero([np.any(separation(sky.ra, sky.dec, *place) <= SAME) for place in places]))
 
     def parameters(self, setup: ObservingSetup) -> Parameters:
         """Return the relative error of every source's flux."""
