@@ -340,7 +340,7 @@ def test_polarised_sources_against_pyuvsim(tmp_path, monkeypatch, pol, feed, ang
     polarised[..., which] = turned.real, turned.imag
 
     setup = replace(small_setup(), observation=observation, sky=sky)
-    effect = PolarisedSources(np.rad2deg([sky.ra, sky.dec]).T[which], 1, rotation, 140e6)
+    effect = PolarisedSources(np.rad2deg([sky.ra, sky.dec]).T[which], 1, rotation, freq=140e6)
     x = np.stack([fraction.real, fraction.imag, np.zeros(8)], axis=1).ravel()
 
     def dipole(za, az):

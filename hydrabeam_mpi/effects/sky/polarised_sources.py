@@ -1,15 +1,14 @@
 """Linearly polarised catalogue sources: V gets 1/2 (Q cos 2 psi + U sin 2 psi) B(s) exp(2 pi i nu b.s/c) more.
 
-psi is the position angle, North through East as of the IAU, of the direction along which the feed receives at the
-source: of its own direction, East or North, projected onto the sky there, as of a short dipole. It turns with the sky,
-and so a polarised source varies.
+psi is the position angle along which the feed receives at the source, see `effects.shared.feed_angle`. It turns with
+the sky, and so a polarised source varies.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, get_args
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.interface.told import Told
+from hydrabeam_mpi.effects.shared.feed_angle import FEEDS, Mount, twice_angle
 from hydrabeam_mpi.effects.shared.point_sources import (
     dirty_map,
     in_degrees,
@@ -36,8 +36,6 @@ LARGEST_ROTATION = 100.0
 """rad/m^2 of rotation measures that are looked for: away from the plane of the Galaxy hardly any is larger."""
 MOST_CANDIDATES = 40_000
 """Sources times rotation measures that are looked at; of more, the brightest sources: what is held grows with them."""
-FEEDS = {"e": (1.0, 0.0, 0.0), "x": (1.0, 0.0, 0.0), "n": (0.0, 1.0, 0.0), "y": (0.0, 1.0, 0.0)}
-"""Directions of feeds, East, North and Up, by their names; one that has none is taken as x towards East."""
 
 
 class PolarisedSources(CatalogueFlux):
@@ -51,9 +49,11 @@ class PolarisedSources(CatalogueFlux):
     sources : sequence of (float, float)
         Right ascension and declination of catalogue sources, degrees.
     trials : int
-        Number of sources and rotation measures from which these were picked.
+        Number of sources, rotation measures and mounts from which these were picked.
     rotation_measures : sequence of float
         rad/m^2, from which those of the sources count; all zero by default.
+    mounts : sequence of {"fixed", "alt-az"}
+        With which each source varies as it does; all fixed by default.
     freq : float, optional
         Hz, to which Q and U refer; the mean of all channels by default.
     """
@@ -70,28 +70,32 @@ class PolarisedSources(CatalogueFlux):
         sources: Sequence[tuple[Azimuth, Elevation]] = (),
         trials: Count = 1,
         rotation_measures: Sequence[float] = (),
+        mounts: Sequence[Mount] = (),
         freq: float | None = None,
     ) -> None:
         super().__init__(sources, trials)
         self.rotation_measures = tuple(map(float, rotation_measures)) or (0.0,) * len(self.sources)
-        if len(self.rotation_measures) != len(self.sources):
-            raise ValueError("a rotation measure for each source")
+        fixed: Mount = "fixed"
+        self.mounts = tuple(mounts) or (fixed,) * len(self.sources)
+        if not len(self.sources) == len(self.rotation_measures) == len(self.mounts):
+            raise ValueError("a rotation measure and a mount for each source")
         self.freq = freq
 
     def describe(self) -> dict[str, Any]:
-        """Return which sources, from how many candidates, their rotation measures, and the frequency of Q and U."""
-        return {**super().describe(), "rotation_measures": list(self.rotation_measures), "freq": self.freq}
+        """Return which sources, from how many candidates, how they turn, and the frequency of Q and U."""
+        turning = {"rotation_measures": list(self.rotation_measures), "mounts": list(self.mounts)}
+        return {**super().describe(), **turning, "freq": self.freq}
 
     def in_full(self, setup: ObservingSetup) -> Self:
         """Return the effect with the frequency to which Q and U refer."""
         freq = setup.reference_freq if self.freq is None else self.freq
-        return type(self)(self.sources, self.trials, self.rotation_measures, freq)
+        return type(self)(self.sources, self.trials, self.rotation_measures, self.mounts, freq)
 
     def some(self, which: IntArray) -> Self:
         """Return the effect of some of its sources, (Nleft,)."""
         chosen = which.tolist()
-        rotation = [self.rotation_measures[n] for n in chosen]
-        return type(self)([self.sources[n] for n in chosen], self.trials, rotation, self.freq)
+        rotation, mounts = ([self.rotation_measures[n] for n in chosen], [self.mounts[n] for n in chosen])
+        return type(self)([self.sources[n] for n in chosen], self.trials, rotation, mounts, self.freq)
 
     def not_applicable(self, setup: ObservingSetup) -> str | None:
         """Ask for two equal linear feeds."""
@@ -106,7 +110,9 @@ class PolarisedSources(CatalogueFlux):
         each = dict(list(sizes.items())[: _n_each(setup)])
         own, is_rotation = self.errors(setup, each), np.arange(len(each)) == 2
         units = tuple("rad/m^2" if rotation else "" for rotation in is_rotation) * len(self.sources)
-        return replace(own, units=units, nonlinear=np.tile(is_rotation, len(self.sources)))
+        by_mount = {"fixed": "", "alt-az": ", of feeds that turn with the parallactic angle"}
+        names = tuple(f"{name}{by_mount[self.mounts[n]]}" for name, n in zip(own.names, own.element, strict=True))
+        return replace(own, names=names, units=units, nonlinear=np.tile(is_rotation, len(self.sources)))
 
     def told(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> Told:
         """Return Q/I, U/I and rotation measures, (Nfreqs, n_params); of the last zero is as likely as any."""
@@ -178,33 +184,37 @@ class PolarisedSources(CatalogueFlux):
         part = x.reshape(-1, each)[which]
         rotation = np.array(self.rotation_measures)[which] + (part[:, 2] if each == 3 else 0.0)
         offset = (C_M_PER_S / freq) ** 2 - (C_M_PER_S / (self.freq or setup.reference_freq)) ** 2
-        seen = twice_angle(setup, directions).conj() * np.exp(2j * rotation * offset)
+        is_fixed = np.array(self.mounts)[which] == "fixed"
+        turned = np.where(is_fixed, twice_angle(setup, directions), twice_angle(setup, directions, "alt-az"))
+        seen = turned.conj() * np.exp(2j * rotation * offset)
         polarised = (part[:, 0] + 1j * part[:, 1]) * seen
         slopes = np.stack([seen, 1j * seen, 2j * offset * polarised], axis=1)[:, :each]
         return polarised.real, slopes.real
 
     def n_hypotheses(self, setup: ObservingSetup) -> int:
-        """Return the number of sources times that of rotation measures."""
-        return len(self._looked_at(setup)) * len(rotation_grid(setup))
+        """Return the number of sources times those of rotation measures and mounts."""
+        return len(self._looked_at(setup)) * len(rotation_grid(setup)) * len(get_args(Mount))
 
     def scan(self, block: RowBlock) -> tuple[FloatArray, FloatArray]:
-        """Correlate the residual with every source at every rotation measure, each (n_hypotheses, 2)."""
-        setup, grid = block.setup, rotation_grid(block.setup)
+        """Correlate the residual with every source at every rotation measure on every mount, (n_hypotheses, 2) each."""
+        setup, grid, n_mounts = block.setup, rotation_grid(block.setup), len(get_args(Mount))
 
         def functions(directions: FloatArray) -> FloatArray:
-            turned = twice_angle(setup, directions)
-            return np.stack([turned.real, turned.imag, turned.real + turned.imag], axis=1)
+            turned = [twice_angle(setup, directions, mount) for mount in get_args(Mount)]
+            return np.stack([part for one in turned for part in (one.real, one.imag, one.real + one.imag)], axis=1)
 
-        projection, power = dirty_map(block, setup.sky.select(self._looked_at(setup)), functions)
+        sums = dirty_map(block, setup.sky.select(self._looked_at(setup)), functions)
+        # With cos, sin and their sum in the last place: (Nsrc, 1, n_mounts, 3).
+        projection, power = (one.reshape(-1, 1, n_mounts, 3) for one in sums)
         offset = (C_M_PER_S / block.freq) ** 2 - (C_M_PER_S / setup.reference_freq) ** 2
-        cos, sin = np.cos(2 * grid * offset), np.sin(2 * grid * offset)
-        by_cos, by_sin = (one[:, np.newaxis] for one in projection.T[:2])
-        of_cos, of_sin, of_both = (one[:, np.newaxis] for one in power.T)
-        product = (of_both - of_cos - of_sin) / 2
+        cos, sin = (turn(2 * grid * offset)[:, np.newaxis] for turn in (np.cos, np.sin))
+        by_cos, by_sin, _ = np.moveaxis(projection, -1, 0)
+        of_cos, of_sin, of_sum = np.moveaxis(power, -1, 0)
+        product = of_sum - of_cos - of_sin  # twice that of cos and sin
         scores = [cos * by_cos + sin * by_sin, cos * by_sin - sin * by_cos]
         powers = [
-            cos**2 * of_cos + sin**2 * of_sin + 2 * cos * sin * product,
-            cos**2 * of_sin + sin**2 * of_cos - 2 * cos * sin * product,
+            cos**2 * of_cos + sin**2 * of_sin + cos * sin * product,
+            cos**2 * of_sin + sin**2 * of_cos - cos * sin * product,
         ]
         return np.stack(scores, axis=-1).reshape(-1, 2), np.stack(powers, axis=-1).reshape(-1, 2)
 
@@ -214,21 +224,27 @@ class PolarisedSources(CatalogueFlux):
 
     def at(self, setup: ObservingSetup, hypotheses: IntArray) -> Self:
         """Take these sources, the best first, without those that better ones cannot be told from; (Nchosen,)."""
-        sky, index = setup.sky, self._looked_at(setup)[hypotheses // len(rotation_grid(setup))]
+        sky, index = setup.sky, self._chosen(setup, hypotheses)[0]
         apart = keep_apart(sky.ra[index], sky.dec[index], APART * resolution(setup), AT_MOST)
         return self._of(setup, hypotheses[apart])
 
     def _of(self, setup: ObservingSetup, hypotheses: IntArray) -> Self:
-        grid, sky = rotation_grid(setup), setup.sky
-        index = self._looked_at(setup)[hypotheses // len(grid)]
-        rotation, trials = grid[hypotheses % len(grid)].tolist(), self.n_hypotheses(setup)
-        return type(self)(in_degrees(sky.ra[index], sky.dec[index]), trials, rotation, setup.reference_freq)
+        sky, (index, rotation, mounts) = setup.sky, self._chosen(setup, hypotheses)
+        sources, trials = in_degrees(sky.ra[index], sky.dec[index]), self.n_hypotheses(setup)
+        return type(self)(sources, trials, rotation.tolist(), mounts, setup.reference_freq)
+
+    def _chosen(self, setup: ObservingSetup, hypotheses: IntArray) -> tuple[IntArray, FloatArray, list[Mount]]:
+        """Return the catalogue's sources, rotation measures and mounts of some candidates, (Nchosen,) each."""
+        grid, mounts = rotation_grid(setup), get_args(Mount)
+        number, mount = np.divmod(hypotheses, len(mounts))
+        source, rotation = np.divmod(number, len(grid))
+        return self._looked_at(setup)[source], grid[rotation], [mounts[n] for n in mount.tolist()]
 
     def _looked_at(self, setup: ObservingSetup) -> IntArray:
         """Return the sources that are looked at, ascending, (n_sources,)."""
         brightest = self.brightest(setup.sky)
         flux = np.abs(setup.sky.flux[:, brightest].mean(axis=0))
-        at_most = max(MOST_CANDIDATES // len(rotation_grid(setup)), 1)
+        at_most = max(MOST_CANDIDATES // (len(rotation_grid(setup)) * len(get_args(Mount))), 1)
         return np.sort(brightest[np.argsort(-flux, kind="stable")[:at_most]])
 
     def draw(self, setup: ObservingSetup, rng: np.random.Generator, strength: float) -> FloatArray:
@@ -237,19 +253,6 @@ class PolarisedSources(CatalogueFlux):
         angle, within = rng.uniform(0, 2 * np.pi, len(scale)), rng.uniform(-0.5, 0.5, len(scale))
         turned = np.stack([strength * np.cos(angle), strength * np.sin(angle), within], axis=1)
         return (turned[:, : scale.shape[1]] * scale).ravel()
-
-
-def twice_angle(setup: ObservingSetup, directions: FloatArray) -> ComplexArray:
-    """Return exp(2 i psi) of the feed at some directions, (3, N) ENU; (N,).
-
-    The pole is that of date, which is within a few arcmin of that of the catalogue.
-    """
-    latitude = setup.observation.latitude
-    pole, feed = np.array([0.0, np.cos(latitude), np.sin(latitude)]), np.array(FEEDS[setup.observation.pols[0][0]])
-    east = feed @ np.cross(pole, directions.T).T
-    north = feed @ pole - (pole @ directions) * (feed @ directions)
-    turned = (north + 1j * east) ** 2
-    return np.asarray(turned / np.maximum(np.abs(turned), 1e-300))
 
 
 def rotation_step(setup: ObservingSetup) -> float:

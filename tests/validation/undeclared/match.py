@@ -204,9 +204,10 @@ def read_sources(
 
 
 def read_fluxes(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]) -> Found:
-    """Read "source 17: relative flux error", how that goes on in time, the error of its spectral index, its width."""
+    """Read "source 17: relative flux error" and how that goes on in time, its spectral index, width or polarisation."""
     heads = {"relative flux error": "relative change of flux", "error of the spectral index": "change of index"}
-    heads |= {same: same for same in ("width (FWHM)", "major axis (FWHM)", "minor axis (FWHM)", "position angle")}
+    shapes = ("width (FWHM)", "major axis (FWHM)", "minor axis (FWHM)", "position angle")
+    heads |= {same: same for same in (*shapes, "Q/I", "U/I")}
     either = "|".join(map(re.escape, heads))
     found = averaged(parameters)
     matches = {name: re.fullmatch(rf"(.*): ({either})(.*)", name) for name in found}
@@ -307,6 +308,7 @@ READERS: dict[str, Callable[[list[dict[str, Any]], dict[tuple[str, str], float],
     "moving_sources": read_sources,
     "catalogue_flux": read_fluxes,
     "spectral_index": read_fluxes,
+    "polarised_sources": read_fluxes,
     "resolved_source": read_fluxes,
     "elongated_source": read_fluxes,
     "timestamp": read_clock,

@@ -106,6 +106,36 @@ def _some_bright(truth: Truth, rng: np.random.Generator) -> NDArray[np.int_]:
     return np.asarray(rng.choice(np.argsort(-seen)[:8], int(rng.choice([1, 3])), replace=False))
 
 
+def polarised_sources(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
+    """One or three of the strongest sources overhead are polarised by about ``strength``, at angles of their own."""
+    chosen = _some_bright(truth, rng)
+    share, angle = strength * rng.uniform(0.7, 1.0, len(chosen)), rng.uniform(0, np.pi, len(chosen))
+
+    def sky(channel: int, time: int, now: Catalogue) -> Catalogue:
+        north, east = _along_east(now.ra[chosen], now.dec[chosen], truth.time(time))
+        along = (north * np.cos(angle) + east * np.sin(angle)) ** 2 / (north**2 + east**2)
+        flux = now.flux.copy()
+        flux[chosen] *= 1 + share * (2 * along - 1)
+        return Catalogue(now.ra, now.dec, flux, now.index)
+
+    truth.sky_of.append(sky)
+    parameters = [
+        Parameter(f"source {source}", name, "", float(part * turned))
+        for source, part, twice in zip(chosen, share, 2 * angle, strict=True)
+        for name, turned in (("Q/I", np.cos(twice)), ("U/I", np.sin(twice)))
+    ]
+    return Drawn(parameters, n_params=len(parameters))
+
+
+def _along_east(ra: FloatArray, dec: FloatArray, time: float) -> tuple[FloatArray, FloatArray]:
+    """Return how far sources go East on the ground if they go north and east on the sky, by differences, (N,) each."""
+    step, seen = 1e-5, {}
+    for name, north, east in (("here", 0, 0), ("north", step, 0), ("east", 0, step)):
+        za, az = altaz(ra + east / np.cos(dec), dec + north, time)
+        seen[name] = np.sin(za) * np.cos(az)
+    return seen["north"] - seen["here"], seen["east"] - seen["here"]
+
+
 def spectral_index(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
     """Spectra of one or three of the strongest sources overhead are steeper or flatter, by about ``strength``.
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tests.validation.undeclared.answer import Drawn, Parameter, Where, antenna, numbers, pairs
 from tests.validation.undeclared.beams import FloatArray, Shape
 from tests.validation.undeclared.gains import multiplied
-from tests.validation.undeclared.setting import LOCATION, Catalogue, altaz
+from tests.validation.undeclared.setting import altaz
 from tests.validation.undeclared.truth import ComplexArray, Truth
 
 
@@ -113,29 +113,6 @@ def board_drops_packets(truth: Truth, rng: np.random.Generator, strength: float)
     lost = strength * rng.random(len(truth.setting.times)) ** 2
     truth.corruptions.append(lambda vis: vis * (1 - lost[:, np.newaxis, np.newaxis] * (of_pair | of_pair.T)))
     return Drawn(where=Where(antpairs=pairs(truth, board)), n_params=2)
-
-
-def polarised_source(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
-    """The brightest source is linearly polarised by ``strength``, and turns with the parallactic angle."""
-    catalogue, total = truth.catalogue, np.zeros(len(truth.catalogue.ra))
-    for time in truth.setting.times[::3].tolist():
-        za, az = altaz(catalogue.ra, catalogue.dec, time)
-        power = truth.setting.model_shape.power(za, az, float(truth.setting.freqs.mean()))
-        total += catalogue.flux * power * (za < np.pi / 2)
-    source, intrinsic = int(np.argmax(total)), rng.uniform(0, np.pi)
-    latitude = LOCATION.lat.rad
-
-    def sky(channel: int, time: int, now: Catalogue) -> Catalogue:
-        za, az = altaz(now.ra[[source]], now.dec[[source]], truth.time(time))
-        # The pole, as seen from the source, by the azimuth that is at hand: from East through North.
-        up = np.sin(latitude) * np.sin(za) - np.cos(latitude) * np.cos(za) * np.sin(az)
-        angle = float(np.arctan2(np.cos(latitude) * np.cos(az), up)[0])
-        flux = now.flux.copy()
-        flux[source] *= 1 + strength * np.cos(2 * (angle + intrinsic))
-        return replace(now, flux=flux)
-
-    truth.sky_of.append(sky)
-    return Drawn(n_params=3)
 
 
 def cables_swapped(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
