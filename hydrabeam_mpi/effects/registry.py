@@ -32,6 +32,7 @@ EFFECTS: Registry[Effect] = Registry(
     "sky.missing_sources",
     "sky.moving_sources",
     "sky.catalogue_flux",
+    "sky.source_positions",
     "sky.spectral_index",
     "sky.polarised_sources",
     "sky.resolved_source",

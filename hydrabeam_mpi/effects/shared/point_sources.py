@@ -107,6 +107,16 @@ def on_tangent_plane(
     return east / along, north / along
 
 
+def beside(ra: FloatArray, dec: FloatArray, east: FloatArray, north: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the directions east and north of others on the plane tangent there, the inverse of `on_tangent_plane`.
+
+    All are (N,), radians.
+    """
+    along = np.cos(dec) - north * np.sin(dec)
+    x, y = along * np.cos(ra) - east * np.sin(ra), along * np.sin(ra) + east * np.cos(ra)
+    return np.arctan2(y, x), np.arctan2(np.sin(dec) + north * np.cos(dec), np.hypot(x, y))
+
+
 def place(ra: float, dec: float) -> str:
     """Tell a direction, in degrees."""
     return f"ra={ra:.3f} dec={dec:.3f}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import ClassVar, Self
 
@@ -107,6 +108,19 @@ class CatalogueFlux(PointSources):
     def scan(self, block: RowBlock) -> tuple[FloatArray, FloatArray]:
         """Correlate the residual with every source, each (n_hypotheses, p)."""
         return dirty_map(block, block.setup.sky.select(self.brightest(block.setup.sky)))
+
+    def scan_columns(self, block: RowBlock, n_each: int) -> tuple[FloatArray, FloatArray]:
+        """Correlate the residual with the ``n_each`` columns of every source, time by time; (n_hypotheses, p) each."""
+        sky = block.setup.sky.select(self.brightest(block.setup.sky))
+        every, at_zero = type(self)(in_degrees(sky.ra, sky.dec)), np.zeros(sky.Nsrc * n_each)
+        sums = np.zeros((2, len(at_zero)))
+        # What redundant baselines see is the same.
+        residual, weights = block.summed(block.weights * block.residual), block.summed(block.weights)
+        for t in range(len(block.times)):
+            seen = every.columns(replace(block, times=block.times[t : t + 1]), at_zero).values[0]
+            sums += (residual[t] @ seen.conj()).real, weights[t] @ np.abs(seen) ** 2
+        scores, powers = sums.reshape(2, sky.Nsrc, n_each)
+        return scores, powers
 
     def scan_in_time(self, block: RowBlock, functions: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Do so with all functions, (Ntimes, k), in one pass, each (n_hypotheses, k)."""

@@ -13,6 +13,7 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.told import Told
 from hydrabeam_mpi.effects.shared.point_sources import (
+    beside,
     dirty_map,
     in_degrees,
     in_radians,
@@ -197,11 +198,7 @@ class MissingSources(MayVary):
 
     def _places(self, part: FloatArray, shift: FloatArray | float = 0.0) -> tuple[FloatArray, FloatArray]:
         """Return where the sources are, and ``shift`` radians east and north of there, (Nsources,) each."""
-        ra, dec = in_radians(self.sources)
-        east, north = (np.deg2rad(part[:, 1:3]) + shift).T
-        along = np.cos(dec) - north * np.sin(dec)
-        x, y = along * np.cos(ra) - east * np.sin(ra), along * np.sin(ra) + east * np.cos(ra)
-        return np.arctan2(y, x), np.arctan2(np.sin(dec) + north * np.cos(dec), np.hypot(x, y))
+        return beside(*in_radians(self.sources), *(np.deg2rad(part[:, 1:3]) + shift).T)
 
     def n_hypotheses(self, setup: ObservingSetup) -> int:
         """Return the number of grid points that rise high enough."""

@@ -14,7 +14,7 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.interface.told import Told
-from hydrabeam_mpi.effects.shared.point_sources import in_degrees, in_radians
+from hydrabeam_mpi.effects.shared.point_sources import in_radians
 from hydrabeam_mpi.effects.shared.wide_sources import Symmetric, of_point
 from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux, find
 from hydrabeam_mpi.model.sky import Sky
@@ -89,16 +89,7 @@ class ResolvedSource(CatalogueFlux):
 
     def scan(self, block: RowBlock) -> tuple[FloatArray, FloatArray]:
         """Correlate the residual with every source, each (n_hypotheses, p), time by time."""
-        sky = block.setup.sky.select(self.brightest(block.setup.sky))
-        every, at_zero = type(self)(in_degrees(sky.ra, sky.dec)), np.zeros(sky.Nsrc * self.n_each)
-        sums = np.zeros((2, len(at_zero)))
-        # What redundant baselines see is the same.
-        residual, weights = block.summed(block.weights * block.residual), block.summed(block.weights)
-        for t in range(len(block.times)):
-            seen = every.columns(replace(block, times=block.times[t : t + 1]), at_zero).values[0]
-            sums += (residual[t] @ seen.conj()).real, weights[t] @ np.abs(seen) ** 2
-        scores, powers = sums.reshape(2, sky.Nsrc, self.n_each)
-        return scores, powers
+        return self.scan_columns(block, self.n_each)
 
     def draw(self, setup: ObservingSetup, rng: np.random.Generator, strength: float) -> FloatArray:
         """Make all as wide, (n_params,)."""

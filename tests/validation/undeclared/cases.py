@@ -52,6 +52,7 @@ EFFECTS = {
         Kind("moving_sources", skies.moving_sources, 0.015, 10.0, "Jy", FINE),
         Kind("catalogue_flux", skies.catalogue_flux, 3e-3, 0.5, ""),
         Kind("polarised_sources", skies.polarised_sources, 0.01, 0.5, ""),
+        Kind("source_positions", skies.source_positions, 0.1, 20.0, "arcmin"),
         Kind("spectral_index", skies.spectral_index, 0.03, 1.0, "", BAND),
         Kind("resolved_source", skies.resolved_source, 3.0, 90.0, "arcmin"),
         Kind("elongated_source", skies.elongated_source, 5.0, 90.0, "arcmin"),

@@ -208,6 +208,7 @@ def read_fluxes(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], f
     heads = {"relative flux error": "relative change of flux", "error of the spectral index": "change of index"}
     shapes = ("width (FWHM)", "major axis (FWHM)", "minor axis (FWHM)", "position angle")
     heads |= {same: same for same in (*shapes, "Q/I", "U/I")}
+    heads |= {"offset east": "east of its place", "offset north": "north of its place"}
     either = "|".join(map(re.escape, heads))
     found = averaged(parameters)
     matches = {name: re.fullmatch(rf"(.*): ({either})(.*)", name) for name in found}
@@ -307,6 +308,7 @@ READERS: dict[str, Callable[[list[dict[str, Any]], dict[tuple[str, str], float],
     "missing_sources": read_sources,
     "moving_sources": read_sources,
     "catalogue_flux": read_fluxes,
+    "source_positions": read_fluxes,
     "spectral_index": read_fluxes,
     "polarised_sources": read_fluxes,
     "resolved_source": read_fluxes,

@@ -136,6 +136,23 @@ def _along_east(ra: FloatArray, dec: FloatArray, time: float) -> tuple[FloatArra
     return seen["north"] - seen["here"], seen["east"] - seen["here"]
 
 
+def source_positions(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
+    """One or three of the strongest sources overhead lie about ``strength`` arcmin beside their places."""
+    catalogue, chosen = truth.catalogue, _some_bright(truth, rng)
+    far, angle = strength * rng.uniform(0.7, 1.0, len(chosen)), rng.uniform(0, 2 * np.pi, len(chosen))
+    east, north = far * np.sin(angle), far * np.cos(angle)
+    ra, dec = catalogue.ra.copy(), catalogue.dec.copy()
+    dec[chosen] += np.deg2rad(north / 60)
+    ra[chosen] += np.deg2rad(east / 60) / np.cos(dec[chosen])
+    truth.catalogue = Catalogue(ra, dec, catalogue.flux, catalogue.index)
+    parameters = [
+        Parameter(f"source {source}", name, "arcmin", float(value[i]))
+        for i, source in enumerate(chosen)
+        for name, value in (("east of its place", east), ("north of its place", north))
+    ]
+    return Drawn(parameters, n_params=len(parameters))
+
+
 def spectral_index(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
     """Spectra of one or three of the strongest sources overhead are steeper or flatter, by about ``strength``.
 

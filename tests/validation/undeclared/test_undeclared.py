@@ -27,6 +27,7 @@ KNOWN = [
     ("clock_of_few", 5),  # and 98% of 5 s, with seven antennas
     ("gain_jump", 361),  # by a third of a per cent
     ("fading_source", 50016),
+    ("source_positions", 2),  # by 50 arcsec
     ("polarised_sources", 2),  # the beam could absorb 94% of it
 ]
 

@@ -1,0 +1,96 @@
+"""Catalogue sources that are not where the catalogue has them: each is seen where it is, and not at its place."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.effects.interface.effect import Columns, Parameters
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.interface.sources import Sources
+from hydrabeam_mpi.effects.shared.point_sources import beside, in_radians, resolution, responses
+from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux, find
+from hydrabeam_mpi.model.sky import Sky
+
+ARCMIN = np.deg2rad(1 / 60)
+STEP = 2e-4  # of derivatives by position, in resolutions
+
+
+class SourcePositions(CatalogueFlux):
+    """Offsets of single sources from their places in the catalogue, and the relative errors of their fluxes.
+
+    Offsets are those on the plane tangent at the place, East and North on the sky, the same in all channels. What
+    belongs elsewhere is fitted better with another flux, so that this is part of it; an error of the flux alone is a
+    `CatalogueFlux`.
+    """
+
+    kind = "source_positions"
+    title = "places of catalogue sources"
+    linear = False
+    gets_simpler_when_fitted = False
+    most: ClassVar[int] = 200
+    laws: ClassVar = {}
+
+    def parameters(self, setup: ObservingSetup) -> Parameters:
+        """Return the relative error of its flux and offsets East and North of every source."""
+        own = self.errors(setup, {"relative flux error": 0.1, "offset east": 1.0, "offset north": 1.0})
+        return replace(own, units=("", "arcmin", "arcmin") * len(self.sources))
+
+    def sky_factor(self, setup: ObservingSetup, sources: Sources, x: FloatArray) -> FloatArray:
+        """Return zero for the sources, which are elsewhere, and one for the others, (Nsrc,)."""
+        factor = np.ones(setup.sky.Nsrc)
+        factor[find(setup.sky, self.sources)] = 0.0
+        return factor[sources.index]
+
+    def extra_sky(self, block: RowBlock, itime: int, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the sources where they are, those that are up, each (Nsrc,)."""
+        part = x.reshape(-1, 3)
+        positions = block.positions.follow(Sky(*self._where(part), np.ones((1, len(part)))))
+        index, za, az = positions.above_horizon(itime)
+        return za, az, (self._fluxes(block, itime) * (1 + part[:, 0]))[index]
+
+    def columns(self, block: RowBlock, x: FloatArray) -> Columns:
+        """Return the sources where they are, and central differences of these by offset; ``x`` is (n_params,)."""
+        part, step = x.reshape(-1, 3), STEP * resolution(block.setup)
+        shifts = step * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]], dtype=float)
+        ra, dec = np.concatenate([self._where(part, shift) for shift in shifts], axis=1)
+        # One pass over the times serves all displacements.
+        seen, *beside_it = np.split(responses(block, ra, dec), len(shifts), axis=2)
+        flux = np.array([self._fluxes(block, itime) for itime in block.times.tolist()]).reshape(len(block.times), -1)
+        values = np.empty((*seen.shape, 3), dtype=complex)
+        values[..., 0] = flux[:, np.newaxis] * seen
+        for k, (ahead, behind) in enumerate(zip(beside_it[::2], beside_it[1::2], strict=True), start=1):
+            # Where the horizon lies between the two there is no derivative.
+            slope = np.where((ahead != 0) & (behind != 0), (ahead - behind) * (ARCMIN / (2 * step)), 0)
+            values[..., k] = (flux * (1 + part[:, 0]))[:, np.newaxis] * slope
+        return Columns(values.reshape(*seen.shape[:2], len(x)), len(x), by_group=True)
+
+    def added(self, block: RowBlock, x: FloatArray) -> ComplexArray:
+        """Return the sources where they are less what the catalogue makes of them, (Ntimes, Nbls)."""
+        part = x.reshape(-1, 3)
+        there, here = responses(block, *self._where(part)), responses(block, *in_radians(self.sources))
+        flux = np.array([self._fluxes(block, itime) for itime in block.times.tolist()]).reshape(len(block.times), -1)
+        return block.spread(np.einsum("tgs,ts->tg", there * (1 + part[:, 0]) - here, flux))
+
+    def scan(self, block: RowBlock) -> tuple[FloatArray, FloatArray]:
+        """Correlate the residual with every source, (n_hypotheses, 3) each, time by time."""
+        return self.scan_columns(block, 3)
+
+    def draw(self, setup: ObservingSetup, rng: np.random.Generator, strength: float) -> FloatArray:
+        """Displace all by ``strength`` arcmin to some side; their fluxes are right, (n_params,)."""
+        angle = rng.uniform(0, 2 * np.pi, len(self.sources))
+        return strength * np.stack([np.zeros_like(angle), np.sin(angle), np.cos(angle)], axis=1).ravel()
+
+    def _where(self, part: FloatArray, shift: FloatArray | float = 0.0) -> tuple[FloatArray, FloatArray]:
+        """Return where the sources are, and ``shift`` radians east and north of there, (Nsources,) each."""
+        return beside(*in_radians(self.sources), *(ARCMIN * part[:, 1:] + shift).T)
+
+    def _fluxes(self, block: RowBlock, itime: int) -> FloatArray:
+        """Return the sources' fluxes at a time, less what other effects take of those that are up, (Nsources,)."""
+        sources, flux = block.sources(itime), block.setup.sky.flux[block.channel].copy()
+        flux[sources.index] = sources.flux_without(self.kind)
+        return flux[find(block.setup.sky, self.sources)]
