@@ -27,7 +27,7 @@ from hydrabeam_mpi.fit.error_scale import error_scale
 from hydrabeam_mpi.fit.grown import grown_problem
 from hydrabeam_mpi.fit.joint import channel_results, read_context, restore
 from hydrabeam_mpi.loop.attribution.control_models import control_models
-from hydrabeam_mpi.loop.checks.conventions import check_conventions
+from hydrabeam_mpi.loop.checks.conventions import check_conventions, with_findings
 from hydrabeam_mpi.loop.checks.health import mended
 from hydrabeam_mpi.loop.checks.leakage import check_leakage
 from hydrabeam_mpi.loop.memory import loop_bytes
@@ -106,6 +106,7 @@ def run_loop(
         choice, values = choose(job, known), restore(job, known, context.learned)
     with clock.time("conventions"):
         conventions = check_conventions(grid, context.problem, context.train.rows)
+        conventions = with_findings(conventions, context.problem.findings)
     wanted = ([], []) if conventions["found"] else ([*choice.effects, *control_models(known)], choice.changes)
 
     @cache

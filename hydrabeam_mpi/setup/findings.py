@@ -32,6 +32,8 @@ class Finding:
         To multiply the data by: once, or of each channel.
     is_fault : bool
         Whether something is wrong; if not, it is only that this could not be looked for.
+    convention : str
+        Name of the convention that all data follow instead, where nothing should be fitted to them.
     """
 
     what: str
@@ -43,6 +45,7 @@ class Finding:
     times: tuple[tuple[float, float], ...] = ()
     flux_scale: tuple[float, ...] = (1.0,)
     is_fault: bool = True
+    convention: str = ""
 
     @property
     def line(self) -> str:

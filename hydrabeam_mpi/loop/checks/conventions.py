@@ -28,6 +28,7 @@ from hydrabeam_mpi.loop.checks.alternatives import (
 )
 from hydrabeam_mpi.loop.checks.scale import CALIBRATED, UNCALIBRATED
 from hydrabeam_mpi.mpi import ProcessGrid, allreduce_sum, bcast_object, together
+from hydrabeam_mpi.setup.findings import Finding
 from hydrabeam_mpi.setup.problem import Problem
 
 N_TIMES = 8
@@ -141,6 +142,12 @@ def check_conventions(grid: ProcessGrid, problem: Problem, rows: Rows) -> dict[s
         "remedy": None if found is None else candidates[found][1],
         "tested": [_entry(one.name, score) for one, score in zip(alternatives, scores, strict=True)],
     }
+
+
+def with_findings(conventions: dict[str, Any], findings: Sequence[Finding]) -> dict[str, Any]:
+    """Return what `check_conventions` told, with a convention that the health of the data has shown in its place."""
+    broken = next((one for one in findings if one.convention), None)
+    return conventions if broken is None else conventions | {"found": broken.convention, "remedy": broken.remedy}
 
 
 def _entry(name: str, score: Score) -> dict[str, Any]:

@@ -14,9 +14,10 @@ import numpy as np
 from hydrabeam_mpi.loop.checks.bad_antennas import absurd_antennas, absurd_autocorrelations
 from hydrabeam_mpi.loop.checks.bad_ends import by_antenna, exchanged_antennas
 from hydrabeam_mpi.loop.checks.bad_rows import bad_baselines, bad_times
+from hydrabeam_mpi.loop.checks.filtered import filtered
 from hydrabeam_mpi.loop.checks.health_sums import Excess, Kept, Sample, Sums, read_sample
 from hydrabeam_mpi.loop.checks.partners import noise_beside_partners, noisy_baselines
-from hydrabeam_mpi.loop.checks.scale import flux_scale, noise_level
+from hydrabeam_mpi.loop.checks.scale import flux_scale, noise_level, noise_ratio
 from hydrabeam_mpi.mpi import ProcessGrid, bcast_object, together
 from hydrabeam_mpi.setup.findings import Finding, mended_job
 from hydrabeam_mpi.setup.problem import Problem, estimate_noise, select_anew
@@ -71,8 +72,14 @@ def _look(
         or bad_baselines(problem, sums, excess)
         or noisy_baselines(problem, noise)
     )
+    scale = flux_scale(problem, sums)
+    ratio = noise_ratio(excess.noise, noise)
+    # On another scale that noise is, too, which nothing tells but the job.
+    is_known = ratio is not None or problem.job.noise.kind == "autocorrelations" or not scale
+    filters = filtered(grid, problem, sample, weights, ratio or 1.0) if is_known and not rows else []
+    # What a filter has left is of no size that tells a flux scale.
     return rows, [
-        *flux_scale(problem, sums),
+        *(filters or scale),
         *noise_level(problem, excess.noise, noise),
         *_not_looked_for(excess, partners),
     ]

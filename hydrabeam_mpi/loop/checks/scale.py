@@ -154,8 +154,7 @@ def noise_level(problem: Problem, *looks: FloatArray) -> list[Finding]:
     that the model lacks, gains that drift): that which has less of it is believed. Noise that is stated wrong is wrong
     by the same factor on all baselines: its error is taken to be as large as these differ.
     """
-    logs = [total[n >= MIN_DIFFERENCES] / n[n >= MIN_DIFFERENCES] for total, n in looks]
-    told = [centre_and_spread(one) for one in logs if len(one) >= LEAST_COUNT]
+    told = _log_noise(looks)
     if not told or problem.job.noise.kind == "time-differences":
         return []
     value, error = min(told)
@@ -171,6 +170,18 @@ def noise_level(problem: Problem, *looks: FloatArray) -> list[Finding]:
             _remedy(problem, ratio),
         )
     ]
+
+
+def noise_ratio(*looks: FloatArray) -> float | None:
+    """Return the noise's power over the stated one, by the looks of `noise_level`; None where none tells it."""
+    told = _log_noise(looks)
+    return float(np.exp(min(told)[0])) if told else None
+
+
+def _log_noise(looks: Sequence[FloatArray]) -> list[tuple[float, float]]:
+    """Return median and spread over baselines of ln noise power over what is stated, for each look that tells it."""
+    logs = [total[n >= MIN_DIFFERENCES] / n[n >= MIN_DIFFERENCES] for total, n in looks]
+    return [centre_and_spread(one) for one in logs if len(one) >= LEAST_COUNT]
 
 
 def _remedy(problem: Problem, ratio: float) -> str:

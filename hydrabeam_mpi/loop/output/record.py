@@ -27,6 +27,7 @@ from hydrabeam_mpi.loop.selection.acceptance import (
 )
 from hydrabeam_mpi.loop.selection.again import given_up
 from hydrabeam_mpi.loop.selection.history import History
+from hydrabeam_mpi.words import capital
 
 UNDECIDABLE = (
     ("common flux scale", "all fluxes times a number are the same as the beam times that number"),
@@ -151,7 +152,7 @@ def _found(
         place.insert(0, leakage)
         undecidable += [UNDECIDABLE_LEAKAGE] if place is rounds else []
     return {
-        "rounds": [_convention(history, conventions)] if conventions["found"] else rounds,
+        "rounds": [_convention(context, history, conventions)] if conventions["found"] else rounds,
         "tried": tried,
         "not_offered_again": [{"effect": kind, "law": law} for kind, law in given_up(history)],
         "skipped": reasons,
@@ -179,14 +180,17 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-def _convention(history: History, conventions: dict[str, Any]) -> dict[str, Any]:
+def _convention(context: FitContext, history: History, conventions: dict[str, Any]) -> dict[str, Any]:
     """Tell of a broken convention in a round's words; nothing is fitted to it."""
     tested = {one["name"]: one for one in conventions["tested"]}
     name = conventions["found"]
     stated = next(iter(tested.values()))
     right = tested.get(name, stated)
     error = history.first.score.chi2
-    if right is not stated:
+    health = next((one.why for one in context.problem.findings if one.convention == name), None)
+    if health is not None:
+        why = f"{capital(health)}."
+    elif right is not stated:
         why = f"The model beam's reduced chi^2 is {stated['chi2']:.4g} as stated and {right['chi2']:.4g} so."
     else:
         why = (
