@@ -61,13 +61,16 @@ class Series:
         """Return series (N, Nseries) with inverse noise variances, each in units of its mean noise."""
         known = weights > 0
         variance = np.divide(1.0, weights, out=np.zeros(weights.shape), where=known)
-        return cls(places, np.where(known, data, 0.0), np.where(known, model, 0.0), variance)._in_units_of_noise()
+        made = cls(places, np.where(known, data, 0.0), np.where(known, model, 0.0), variance)
+        made._take_units_of_noise()
+        return made
 
     def weighted(self) -> Series:
         """Return the series whose sums are sums with inverse noise variances, as of a weighted mean."""
         weights = np.divide(1.0, self.variance, out=np.zeros(self.variance.shape), where=self.variance > 0)
         made = replace(self, data=weights * self.data, model=weights * self.model, variance=weights)
-        return made._in_units_of_noise()
+        made._take_units_of_noise()
+        return made
 
     def modes(self) -> FloatArray:
         """Return the slowest modes, polynomials orthonormal over all places, (N, up to N / 2)."""
@@ -75,10 +78,11 @@ class Series:
         within = 2 * (self.places - self.places.min()) / span - 1
         return np.linalg.qr(legvander(within, max(min(len(within) // 2, ORDERS[-1]), 1) - 1))[0]
 
-    def _in_units_of_noise(self) -> Series:
+    def _take_units_of_noise(self) -> None:
         n = np.count_nonzero(self.variance, axis=0)
         rms = np.sqrt(np.where(n > 0, self.variance.sum(axis=0), 1.0) / np.maximum(n, 1))
-        return replace(self, data=self.data / rms, model=self.model / rms, variance=self.variance / rms**2)
+        for values, unit in ((self.data, rms), (self.model, rms), (self.variance, rms**2)):
+            np.divide(values, unit, out=values)
 
 
 @dataclass(frozen=True)
@@ -133,6 +137,8 @@ def lacking_modes(comm: Comm, several: Sequence[Series], level: float, chance: f
             break
         sums = np.zeros((2, k, k), complex)
         for one, slow, noise in zip(several, modes, least, strict=True):
+            if slow.shape[1] < k:
+                continue
             for part, values in zip(sums, (one.data, one.model), strict=True):
                 z = slow[:, :k].T @ values[:, noise >= floor]
                 part += z @ z.conj().T
@@ -177,17 +183,19 @@ def _least_noise(series: Series, modes: FloatArray, k: int) -> FloatArray:
 
     Zero where fewer than twice as many samples are known. What they are worth is not known of places without any.
     """
-    n_series = series.data.shape[1]
-    least = np.zeros(n_series)
+    n_known = np.count_nonzero(series.variance, axis=0)
     if modes.shape[1] < k:
-        return least
+        return np.zeros(len(n_known))
+    # Without flags modes are as they are, and hold no less than the least noisy sample.
+    least = series.variance.min(axis=0, initial=np.inf)
+    gaps = np.flatnonzero((n_known < len(modes)) & (n_known >= 2 * k))
     slow = modes[:, :k]
     products = (slow[:, :, np.newaxis] * slow[:, np.newaxis, :]).reshape(len(slow), k * k)
-    for start in range(0, n_series, CHUNK):
-        part = slice(start, start + CHUNK)
+    for start in range(0, len(gaps), CHUNK):
+        part = gaps[start : start + CHUNK]
         covariances = (series.variance[:, part].T @ products).reshape(-1, k, k)
         least[part] = np.linalg.eigvalsh(covariances)[:, 0]
-    return np.where(np.count_nonzero(series.variance, axis=0) >= 2 * k, least, 0.0)
+    return np.where(n_known >= 2 * k, least, 0.0)
 
 
 def _floor(comm: Comm, least: FloatArray, k: int) -> tuple[float, int]:

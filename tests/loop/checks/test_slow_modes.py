@@ -104,3 +104,23 @@ def test_the_probability_of_one_mode_is_exact() -> None:
     looks = [Series.of(TIMES[:3], gaussian(rng, 3, 10), model, weights) for _ in range(300)]
     chances = [lacking_modes(MPI.COMM_SELF, [one], 1 / LEAST_NOISE[0], chance=2.0).chance for one in looks]
     assert kstest(chances, "uniform").pvalue > 0.01
+
+
+def test_nights_of_unequal_length_count_as_far_as_they_go() -> None:
+    rng = np.random.default_rng(4)
+    weights, sky = np.ones((N_TIMES, N_SERIES)), sky_of(rng)
+    left = without(FILTERS["notch"], sky + gaussian(rng, *sky.shape), weights)
+    short = Series.of(TIMES[:5], left[:5] - left[:5].mean(axis=0), sky[:5], weights[:5])
+    found = lacking_modes(MPI.COMM_SELF, [short, Series.of(TIMES, left, sky, weights)], 1.0)
+    assert found is not None
+    assert found.n_modes == 3
+
+
+def test_nothing_is_looked_at_where_there_is_nothing() -> None:
+    nothing = np.zeros((N_TIMES, 0))
+    assert look(nothing + 0j, nothing + 0j, nothing) is None
+    flagged_out = np.zeros((N_TIMES, 3))
+    assert look(flagged_out + 0j, flagged_out + 0j, flagged_out) is None
+    single = np.ones((1, N_SERIES))
+    assert lacking_modes(MPI.COMM_SELF, [Series.of(TIMES[:1], single + 0j, 100 * single + 0j, single)], 1.0) is None
+    assert lacking_modes(MPI.COMM_SELF, [], 1.0) is None
