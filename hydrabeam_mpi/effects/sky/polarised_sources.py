@@ -24,16 +24,17 @@ from hydrabeam_mpi.effects.shared.point_sources import (
     dirty_map,
     in_degrees,
     in_radians,
-    keep_apart,
     resolution,
 )
 from hydrabeam_mpi.effects.shared.settings import Azimuth, Count, Elevation
 from hydrabeam_mpi.effects.sky.catalogue_flux import APART, AT_MOST, CatalogueFlux, find
 from hydrabeam_mpi.model.engines.fringes import enu
-from hydrabeam_mpi.model.sky import Sky
+from hydrabeam_mpi.model.sky import Sky, separation
 
 LARGEST_ROTATION = 100.0
 """rad/m^2 of rotation measures that are looked for: away from the plane of the Galaxy hardly any is larger."""
+MOST_ROTATIONS = 6
+"""Rotation measures of one source that are weighed beside each other, as many as are fitted to find the best."""
 MOST_CANDIDATES = 40_000
 """Sources times rotation measures that are looked at; of more, the brightest sources: what is held grows with them."""
 
@@ -222,11 +223,27 @@ class PolarisedSources(CatalogueFlux):
         """Take all of these sources; ``hypotheses`` is (Nchosen,)."""
         return self._of(setup, hypotheses)
 
+    @property
+    def gets_simpler_when_fitted(self) -> bool:
+        """Whether rotation measures lie on a grid, where several make up for one between them."""
+        return len(set(self.rotation_measures)) > 1
+
     def at(self, setup: ObservingSetup, hypotheses: IntArray) -> Self:
-        """Take these sources, the best first, without those that better ones cannot be told from; (Nchosen,)."""
-        sky, index = setup.sky, self._chosen(setup, hypotheses)[0]
-        apart = keep_apart(sky.ra[index], sky.dec[index], APART * resolution(setup), AT_MOST)
-        return self._of(setup, hypotheses[apart])
+        """Take these candidates, the best first, without those that better ones cannot be told from; (Nchosen,).
+
+        Of one source are taken as many rotation measures as may be tried, each the best among its neighbours.
+        """
+        (index, rotation, _), sky, step = self._chosen(setup, hypotheses), setup.sky, 1.5 * rotation_step(setup)
+        kept: list[int] = []
+        for n, (ra, dec) in enumerate(zip(sky.ra[index], sky.dec[index], strict=True)):
+            places = index[kept]
+            apart = separation(sky.ra[places], sky.dec[places], ra, dec) > APART * resolution(setup)
+            same = rotation[kept][~apart]
+            if len(same) < MOST_ROTATIONS and np.all(np.abs(same - rotation[n]) > step):
+                kept.append(n)
+            if len(kept) == AT_MOST:
+                break
+        return self._of(setup, hypotheses[kept])
 
     def _of(self, setup: ObservingSetup, hypotheses: IntArray) -> Self:
         sky, (index, rotation, mounts) = setup.sky, self._chosen(setup, hypotheses)
@@ -265,11 +282,12 @@ def rotation_step(setup: ObservingSetup) -> float:
 
 
 def rotation_grid(setup: ObservingSetup) -> FloatArray:
-    """Return the rotation measures that are looked for, rad/m^2, (N,): those that channels tell from each other."""
+    """Return the rotation measures that are looked for, rad/m^2, (N,); zero alone with one channel."""
     if _n_each(setup) < 3:
         return np.zeros(1)
-    squares = np.unique((C_M_PER_S / setup.observation.freqs) ** 2)
-    largest, step = min(LARGEST_ROTATION, np.pi / (2 * float(np.diff(squares).min()))), rotation_step(setup)
+    squares, step = np.unique((C_M_PER_S / setup.observation.freqs) ** 2), rotation_step(setup)
+    # Two channels do not tell those apart that turn by half a turn more from one to the other.
+    largest = min(LARGEST_ROTATION, np.pi / 2 * step) if len(squares) == 2 else LARGEST_ROTATION
     n = int(largest / step)
     return np.asarray(step * np.arange(-n, n + 1))
 

@@ -31,7 +31,6 @@ class SourcePositions(CatalogueFlux):
     kind = "source_positions"
     title = "places of catalogue sources"
     linear = False
-    gets_simpler_when_fitted = False
     most: ClassVar[int] = 200
     laws: ClassVar = {}
 
