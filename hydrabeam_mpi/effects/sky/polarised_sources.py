@@ -64,6 +64,7 @@ class PolarisedSources(CatalogueFlux):
     unphysical = "more than all of its flux polarised"
     most: ClassVar[int] = 2000
     """Sources that are looked at, the brightest ones: of faint ones a few per cent are nothing."""
+    most_again: ClassVar[int] = 100
     laws: ClassVar = {}
 
     def __init__(

@@ -32,6 +32,7 @@ class SourcePositions(CatalogueFlux):
     title = "places of catalogue sources"
     linear = False
     most: ClassVar[int] = 200
+    most_again: ClassVar[int] = 100
     laws: ClassVar = {}
 
     def parameters(self, setup: ObservingSetup) -> Parameters:
