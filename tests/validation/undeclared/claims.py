@@ -22,6 +22,7 @@ PARTLY_SO = {
     ("drifting_noise", "noise_level"): "there is more of it than its weights say",
     ("correlated_noise", "noise_level"): "there is more of it than its weights say",
     ("elongated_source", "resolved_source"): "it is wide",
+    ("polarised_sources", "catalogue_flux"): "it varies, as the feed turns",
     ("board_drops_packets", "closure_errors"): "its baselines' mean factor of the night is another",
     ("board_stops_wrong_fringes", "closure_errors"): "its baselines' mean factor of the night is another",
 }
