@@ -20,12 +20,7 @@ from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.interface.told import Told
 from hydrabeam_mpi.effects.shared.feed_angle import FEEDS, Mount, twice_angle
-from hydrabeam_mpi.effects.shared.point_sources import (
-    dirty_map,
-    in_degrees,
-    in_radians,
-    resolution,
-)
+from hydrabeam_mpi.effects.shared.point_sources import dirty_map, in_degrees, in_radians, resolution
 from hydrabeam_mpi.effects.shared.settings import Azimuth, Count, Elevation
 from hydrabeam_mpi.effects.sky.catalogue_flux import APART, AT_MOST, CatalogueFlux, find
 from hydrabeam_mpi.model.engines.fringes import enu
@@ -36,7 +31,7 @@ LARGEST_ROTATION = 100.0
 MOST_ROTATIONS = 6
 """Rotation measures of one source that are weighed beside each other, as many as are fitted to find the best."""
 MOST_CANDIDATES = 40_000
-"""Sources times rotation measures that are looked at; of more, the brightest sources: what is held grows with them."""
+"""Sources times rotation measures times mounts that are looked at, of more the brightest sources: all are held."""
 
 
 class PolarisedSources(CatalogueFlux):
@@ -86,7 +81,7 @@ class PolarisedSources(CatalogueFlux):
     def describe(self) -> dict[str, Any]:
         """Return which sources, from how many candidates, how they turn, and the frequency of Q and U."""
         turning = {"rotation_measures": list(self.rotation_measures), "mounts": list(self.mounts)}
-        return {**super().describe(), **turning, "freq": self.freq}
+        return {**super().describe(), **turning, **({} if self.freq is None else {"freq": self.freq})}
 
     def in_full(self, setup: ObservingSetup) -> Self:
         """Return the effect with the frequency to which Q and U refer."""
