@@ -14,10 +14,10 @@ from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.shared.point_sources import beside, in_radians, resolution, responses
 from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux, find
+from hydrabeam_mpi.effects.sky.missing_sources import STEP
 from hydrabeam_mpi.model.sky import Sky
 
 ARCMIN = np.deg2rad(1 / 60)
-STEP = 2e-4  # of derivatives by position, in resolutions
 
 
 class SourcePositions(CatalogueFlux):
