@@ -19,6 +19,7 @@ from hydrabeam_mpi.model.engines.fringes import enu
 from hydrabeam_mpi.model.rime import Beam
 from hydrabeam_mpi.model.sky import Sky, separation
 
+STEP = 2e-4  # of derivatives by place, in resolutions
 HALF_WIDTH = 64  # samples of the beam from the zenith to the horizon, where a map does with an interpolated one
 
 
@@ -138,6 +139,31 @@ def responses(block: RowBlock, ra: FloatArray, dec: FloatArray) -> ComplexArray:
         beam = np.asarray(block.beam(za, az)).real
         out[t][:, index] = block.engine.responses(enu(za, az), beam, block.freq)
     return out
+
+
+def with_slopes(
+    block: RowBlock, where: Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+) -> tuple[ComplexArray, ComplexArray]:
+    """Return visibilities of sources of 1 Jy, (Ntimes, Ngroups, N), and their derivatives by place, (2, ...).
+
+    Parameters
+    ----------
+    block : RowBlock
+    where : callable
+        From a shift, (2,) radians east and north, to the places as of `responses`.
+
+    Returns
+    -------
+    seen, slopes : ndarray of complex
+        The latter by radians east and north, central differences; zero where the horizon lies between.
+    """
+    step = STEP * resolution(block.setup)
+    shifts = step * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]], dtype=float)
+    # One pass over the times serves all displacements.
+    places = zip(*map(where, shifts), strict=True)
+    seen, *displaced = np.split(responses(block, *(np.concatenate(axis, axis=-1) for axis in places)), 5, axis=2)
+    ahead, behind = np.array(displaced[::2]), np.array(displaced[1::2])
+    return seen, np.where((ahead != 0) & (behind != 0), (ahead - behind) / (2 * step), 0)
 
 
 def dirty_map(

@@ -22,6 +22,7 @@ from hydrabeam_mpi.effects.shared.point_sources import (
     place,
     resolution,
     responses,
+    with_slopes,
 )
 from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
 from hydrabeam_mpi.effects.sky.varying_sources import MayVary
@@ -35,7 +36,6 @@ HIGH = np.deg2rad(60.0)  # where sources are placed to simulate with
 AT_MOST = 20
 BRIGHTEST = 10  # sources that tell a catalogue's counts, to a third of N
 MIN_TRIALS = 10
-STEP = 2e-4  # of derivatives by position, in resolutions
 
 
 class MissingSources(MayVary):
@@ -149,20 +149,15 @@ class MissingSources(MayVary):
         """
         each = self._n_each(block.setup)
         part = x.reshape(-1, each)
-        # Without a flux nothing depends on where a source is.
-        step, n_shifts = STEP * resolution(block.setup), 5 if part[:, 0].any() else 1
-        shifts = step * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]], dtype=float)[:n_shifts]
-        places = [self._tracks(block, part, shift) for shift in shifts]
-        # One pass over the times serves all displacements.
-        all_seen = responses(block, *(np.concatenate(axis, axis=-1) for axis in zip(*places, strict=True)))
-        seen, *displaced = np.split(all_seen, n_shifts, axis=2)
+        slopes: ComplexArray | None = None
+        if part[:, 0].any():
+            seen, slopes = with_slopes(block, lambda shift: self._tracks(block, part, shift))
+        else:  # Without a flux nothing depends on where a source is.
+            seen = responses(block, *self._tracks(block, part))
         values = np.zeros((*seen.shape, each), dtype=complex)
         values[..., 0] = seen
-        for k in (1, 2) if displaced else ():
-            ahead, behind = displaced[2 * k - 2 : 2 * k]
-            # Where the horizon lies between the two there is no derivative.
-            both = (ahead != 0) & (behind != 0)
-            values[..., k] = np.where(both, np.deg2rad(part[:, 0]) * (ahead - behind) / (2 * step), 0)
+        if slopes is not None:
+            values[..., 1:3] = np.moveaxis(np.deg2rad(part[:, 0]) * slopes, 0, -1)
         self._add_motion(block, values)
         if _has_index(block.setup):
             values[..., -1] = part[:, 0] * np.log(block.freq / block.setup.reference_freq) * seen

@@ -60,6 +60,7 @@ class PolarisedSources(CatalogueFlux):
     most: ClassVar[int] = 2000
     """Sources that are looked at, the brightest ones: of faint ones a few per cent are nothing."""
     most_again: ClassVar[int] = 100
+    """Half of them by what they explain and half by brightness; each more costs weighing two columns in all data."""
     laws: ClassVar = {}
 
     def __init__(

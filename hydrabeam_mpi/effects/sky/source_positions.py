@@ -12,9 +12,8 @@ from hydrabeam_mpi.effects.interface.effect import Columns, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
-from hydrabeam_mpi.effects.shared.point_sources import beside, in_radians, resolution, responses
+from hydrabeam_mpi.effects.shared.point_sources import beside, in_radians, responses, with_slopes
 from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux, find
-from hydrabeam_mpi.effects.sky.missing_sources import STEP
 from hydrabeam_mpi.model.sky import Sky
 
 ARCMIN = np.deg2rad(1 / 60)
@@ -33,6 +32,7 @@ class SourcePositions(CatalogueFlux):
     linear = False
     most: ClassVar[int] = 200
     most_again: ClassVar[int] = 100
+    """Half of them by what they explain and half by brightness; each more costs weighing three columns in all data."""
     laws: ClassVar = {}
 
     def parameters(self, setup: ObservingSetup) -> Parameters:
@@ -55,18 +55,11 @@ class SourcePositions(CatalogueFlux):
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return the sources where they are, and central differences of these by offset; ``x`` is (n_params,)."""
-        part, step = x.reshape(-1, 3), STEP * resolution(block.setup)
-        shifts = step * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]], dtype=float)
-        ra, dec = np.concatenate([self._where(part, shift) for shift in shifts], axis=1)
-        # One pass over the times serves all displacements.
-        seen, *beside_it = np.split(responses(block, ra, dec), len(shifts), axis=2)
+        part = x.reshape(-1, 3)
+        seen, slopes = with_slopes(block, lambda shift: self._where(part, shift))
         flux = np.array([self._fluxes(block, itime) for itime in block.times.tolist()]).reshape(len(block.times), -1)
-        values = np.empty((*seen.shape, 3), dtype=complex)
-        values[..., 0] = flux[:, np.newaxis] * seen
-        for k, (ahead, behind) in enumerate(zip(beside_it[::2], beside_it[1::2], strict=True), start=1):
-            # Where the horizon lies between the two there is no derivative.
-            slope = np.where((ahead != 0) & (behind != 0), (ahead - behind) * (ARCMIN / (2 * step)), 0)
-            values[..., k] = (flux * (1 + part[:, 0]))[:, np.newaxis] * slope
+        by_place = ARCMIN * (flux * (1 + part[:, 0]))[:, np.newaxis] * slopes
+        values = np.stack([flux[:, np.newaxis] * seen, *by_place], axis=-1)
         return Columns(values.reshape(*seen.shape[:2], len(x)), len(x), by_group=True)
 
     def added(self, block: RowBlock, x: FloatArray) -> ComplexArray:
