@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import pickle
+import time
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
+import numpy as np
 from mpi4py import MPI
+
+FIRST_PAUSE, LONGEST_PAUSE = 1e-4, 2e-3
+"""Seconds; who has waited for that long sleeps for that long, and then for twice as long."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +68,7 @@ def together(comm: MPI.Comm) -> Iterator[None]:
         yield
     except Exception as caught:
         error = caught
-    first = comm.allreduce(comm.size if error is None else comm.rank, MPI.MIN)
+    first = _lowest(comm, comm.size if error is None else comm.rank)
     if first == comm.size:
         return
     copy: Exception = comm.bcast(_portable(error, first) if error and comm.rank == first else None, first)
@@ -71,6 +76,18 @@ def together(comm: MPI.Comm) -> Iterator[None]:
         error = copy
     share(error, Shared(n_ranks=comm.size, speaks=comm.rank == first))
     raise error
+
+
+def _lowest(comm: MPI.Comm, number: int) -> int:
+    """Return the lowest number of all ranks; one that waits long for others sleeps, so that they have its core."""
+    mine, lowest = np.array([number]), np.zeros(1, dtype=int)
+    request, pause = comm.Iallreduce(mine, lowest, MPI.MIN), FIRST_PAUSE
+    began = time.perf_counter()
+    while not request.Test():
+        if time.perf_counter() - began > pause:
+            time.sleep(pause)
+            pause = min(2 * pause, LONGEST_PAUSE)
+    return int(lowest[0])
 
 
 def _portable(error: Exception, rank: int) -> Exception:

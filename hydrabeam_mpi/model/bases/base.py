@@ -275,7 +275,12 @@ class LinearBasis(Protocol):
         if self.table_nodes is None:
             return None
         per_unit, n_az = self.table_nodes
-        return PolarTable(self.at_nodes(coeffs, per_unit, n_az), per_unit)
+        return PolarTable(self.at_nodes(coeffs, per_unit, n_az), per_unit, self.through_zenith)
+
+    @property
+    def through_zenith(self) -> bool:
+        """Whether all functions are smooth at the zenith; see `PolarTable`."""
+        return False
 
     @property
     def table_nodes(self) -> tuple[int, int] | None:

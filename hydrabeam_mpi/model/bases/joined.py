@@ -79,12 +79,17 @@ class Joined(LinearBasis):
 
     @property
     def table_nodes(self) -> tuple[int, int] | None:
-        """As many as the part needs that needs most; none where one part has no table."""
+        """As many as the part needs that needs most; none where one part has no table, or goes on otherwise."""
         needed = [nodes for part in self.parts if (nodes := part.table_nodes) is not None]
-        if len(needed) < len(self.parts):
+        if len(needed) < len(self.parts) or len({part.through_zenith for part in self.parts}) > 1:
             return None
         per_unit, n_az = zip(*needed, strict=True)
         return max(per_unit), max(n_az)
+
+    @property
+    def through_zenith(self) -> bool:
+        """Whether those of all parts are."""
+        return all(part.through_zenith for part in self.parts)
 
     def at_nodes(self, coeffs: Array, per_unit: int, n_az: int) -> FloatArray:
         """Evaluate the beam, the sum of all parts, at a table's nodes, (Nradii, Naz)."""

@@ -18,7 +18,8 @@ from hydrabeam_mpi.data.observation import FloatArray
 ORDER = 5
 HALF = ORDER // 2
 MARGIN = 16
-"""Nodes beyond the largest radius, where the spline does not know how the beam goes on; it forgets in a few."""
+"""Nodes beyond the zenith and the largest radius, where the spline does not know how the beam goes on; it forgets in a
+few."""
 HORIZON = np.sin(np.pi / 4)
 """The radius sin(za / 2) there."""
 _POINTS_AT_ONCE = 1024  # of which what is near stays in cache
@@ -35,7 +36,7 @@ def n_nodes(radial: float, azimuthal: int) -> tuple[int, int]:
 
 
 class PolarTable:
-    """Splines of a real function of zenith angle and azimuth that is even in the radius sin(za / 2).
+    """Splines of a real function of zenith angle and azimuth.
 
     Parameters
     ----------
@@ -43,13 +44,17 @@ class PolarTable:
         At `radii`, and at azimuths that divide the turn evenly, beginning at 0.
     per_unit : int
         Radial nodes per unit.
+    through_zenith : bool
+        Whether it goes on smoothly through the zenith, to the azimuths on the other side, of which there is an even
+        number; else it is even in the radius sin(za / 2) at each azimuth.
     """
 
-    def __init__(self, values: FloatArray, per_unit: int) -> None:
+    def __init__(self, values: FloatArray, per_unit: int, through_zenith: bool = False) -> None:
         self.per_unit, self.n_az = per_unit, values.shape[1]
+        beyond = np.roll(values, self.n_az // 2, axis=1) if through_zenith else values
+        values = np.concatenate([beyond[MARGIN:0:-1], values])
         around = spline_filter1d(values, ORDER, axis=1, mode="grid-wrap")
-        coeffs = spline_filter1d(around, ORDER, axis=0, mode="mirror")
-        coeffs = np.concatenate([coeffs[HALF:0:-1], coeffs])
+        coeffs = spline_filter1d(around, ORDER, axis=0, mode="mirror")[MARGIN - HALF :]
         self._coeffs = np.pad(coeffs, ((0, 0), (HALF, ORDER - HALF + 1)), mode="wrap")
 
     def __call__(self, za: FloatArray, az: FloatArray) -> FloatArray:

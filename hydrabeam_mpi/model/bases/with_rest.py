@@ -104,8 +104,8 @@ class WithRest(LinearBasis):
 
     @property
     def table_nodes(self) -> tuple[int, int] | None:
-        """As many as the basis needs, and the rest; none where the basis has no table."""
-        needed = self.basis.table_nodes
+        """As many as the basis needs, and the rest; none where the basis has no table, or goes on otherwise."""
+        needed = None if self.basis.through_zenith else self.basis.table_nodes
         return needed and (max(needed[0], PER_UNIT), max(needed[1], N_AZ))
 
     def at_nodes(self, coeffs: Array, per_unit: int, n_az: int) -> FloatArray:

@@ -13,12 +13,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases.base import LinearBasis, NextModes
 from hydrabeam_mpi.model.bases.disc import EDGE, azimuthal_rows, check_edge
 from hydrabeam_mpi.model.bases.expected import expected_of_all, smallest
 from hydrabeam_mpi.model.bases.joined import Joined
+from hydrabeam_mpi.model.bases.polar_table import n_nodes, radii
 
 
 class Zernike(LinearBasis):
@@ -62,10 +63,10 @@ class Zernike(LinearBasis):
         azimuthal_rows(np.asarray(az), azimuthal, np.empty((self.degree + 1, len(rho))))
         for m in range(self.degree + 1):
             for n, radial in zip(range(m, self.degree + 1, 2), self._radial(m, rho), strict=True):
-                norm = np.sqrt(n + 1 if m == 0 else 2 * n + 2)
-                np.multiply(norm * radial, azimuthal[2 * m], out[(n * (n + 2) + m) // 2])
+                radial *= self._norm(n, m)
+                np.multiply(radial, azimuthal[2 * m], out[(n * (n + 2) + m) // 2])
                 if m:
-                    np.multiply(norm * radial, azimuthal[2 * m + 1], out[(n * (n + 2) - m) // 2])
+                    np.multiply(radial, azimuthal[2 * m + 1], out[(n * (n + 2) - m) // 2])
         return out
 
     def describe(self) -> dict[str, Any]:
@@ -101,6 +102,40 @@ class Zernike(LinearBasis):
         return NextModes(
             modes, expected, lambda: Joined([Zernike(top, self.edge)], range(n_modes - len(modes), n_modes))
         )
+
+    @property
+    def table_nodes(self) -> tuple[int, int] | None:
+        """What the largest degree needs at the rim, where its zeros are closest; see :meth:`LinearBasis.table_nodes`.
+
+        A disc that ends above the horizon has no table, as polynomials go on without bounds beyond.
+        """
+        if self.edge < np.pi / 2:
+            return None
+        return n_nodes((self.degree + 1) ** 2 / (3 * np.sin(0.5 * self.edge)), self.degree)
+
+    @property
+    def through_zenith(self) -> bool:
+        """Polynomials of the place on the disc are smooth everywhere."""
+        return True
+
+    def at_nodes(self, coeffs: Array, per_unit: int, n_az: int) -> FloatArray:
+        """Evaluate a beam at a table's nodes, (Nradii, Naz); see :meth:`LinearBasis.at_nodes`."""
+        rho = radii(per_unit) / np.sin(0.5 * self.edge)
+        azimuthal = np.empty((2 * self.degree + 2, n_az))
+        az = np.linspace(0, 2 * np.pi, n_az, endpoint=False)
+        azimuthal_rows(az, azimuthal, np.empty((self.degree + 1, n_az)))
+        by_order = np.zeros((len(azimuthal), len(rho)))
+        for m in range(self.degree + 1):
+            for n, radial in zip(range(m, self.degree + 1, 2), self._radial(m, rho), strict=True):
+                by_order[2 * m] += self._norm(n, m) * coeffs[(n * (n + 2) + m) // 2].real * radial
+                if m:
+                    by_order[2 * m + 1] += self._norm(n, m) * coeffs[(n * (n + 2) - m) // 2].real * radial
+        return np.asarray(by_order.T @ azimuthal)
+
+    @staticmethod
+    def _norm(n: int, m: int) -> float:
+        """Return the factor N with which the mean of Z^2 over the disc is one."""
+        return float(np.sqrt(n + 1 if m == 0 else 2 * n + 2))
 
     def _radial(self, m: int, rho: FloatArray) -> list[FloatArray]:
         """Return R_n^m for n = m, m + 2, ..., degree: rho^m times Jacobi's P_j^(0,m)(2 rho^2 - 1)."""
