@@ -47,8 +47,8 @@ class Whitened:
         |d - C (A b + E)|^2, Jy^2 of the data as read: not divided by an effect's gain C.
     noise : ndarray, same shape
         Variance of the noise of these data by the weights of the model, Jy^2; zero where they do not count.
-    beam : ndarray, same shape
-        Variance by what is uncertain of the beam, given the effects, in the same Jy^2.
+    uncertain : ndarray, same shape
+        Variance by what is uncertain of the beam and of the effects, in the same Jy^2.
     log_spread : ndarray, (Nfreqs,)
         Of each of the job's channels, of all ranks: ln |1 + M| / 2, M the predictions' covariance over the noise's.
     n_shared : float
@@ -62,7 +62,7 @@ class Whitened:
     root: FloatArray
     power: FloatArray
     noise: FloatArray
-    beam: FloatArray
+    uncertain: FloatArray
     log_spread: FloatArray
     n_shared: float = 0.0
 
@@ -87,7 +87,7 @@ def _predict(context: FitContext, fitted: Fitted) -> Whitened:
     def of_either(name: str) -> Array:
         return np.where(folds == 0, getattr(one, name), getattr(two, name))
 
-    names = ("z", "used", "share", "model", "root", "power", "noise", "beam")
+    names = ("z", "used", "share", "model", "root", "power", "noise", "uncertain")
     rows: dict[str, Any] = {name: of_either(name) for name in names}
     return Whitened(**rows, log_spread=0.5 * one.log_spread + 0.5 * two.log_spread)
 
@@ -106,25 +106,24 @@ def _whiten(context: FitContext, fitted: Fitted) -> Whitened:
         rows, added = share.calibrated(fitted.estimate)
     root, noise = np.sqrt(2 * rows.inv_noise_var), share.noise_variance(rows)
     z, model = np.zeros_like(rows.data), np.zeros_like(rows.data)
-    share_of_model, power, beam = np.zeros((3, *noise.shape))
+    share_of_model, power, uncertain = np.zeros((3, *noise.shape))
     log_spread = np.zeros(context.setup.observation.Nfreqs)
     for channel, number in enumerate(context.channels):
         covariance = fitted.fit.covariances[channel] if has_effects else np.zeros((0, 0))
         errors = SharedErrors(covariance) if _is_shared(context, len(covariance)) else None
-        own_root = np.zeros((0, 0)) if errors else _followed_root(covariance)
+        own_root = errors.root if errors else _followed_root(covariance)
         with together(context.grid.group):
             for span, block, design in share.row_blocks(channel, fitted.estimate, added[channel], rows):
                 model[channel, span] = root[channel, span] * block.vis
                 power[channel, span] = noise[channel, span] * block.weights * np.abs(block.residual) ** 2
                 felt = _felt(context, fitted, channel, block, design) if has_effects else None
                 for t, row in enumerate(range(span.start, span.stop)):
-                    weights = block.weights[t]
-                    columns = None
+                    weights, spread, columns = block.weights[t], np.zeros(len(block.bls)), None
                     if felt is not None:
                         columns, own = next(felt)
+                        spread = _variances(columns, block.member, own, own_root).sum(axis=0)
                         if errors is None:
-                            spread = _variances(columns, block.member, own, own_root)
-                            widened = 1 + 2 * weights * spread.mean(axis=0)
+                            widened = 1 + weights * spread
                             weights = weights / widened
                             log_spread[number] += float(np.log(widened).sum())
                     by_beam = share.model_root(channel, row, fitted.estimate, design[t])
@@ -132,7 +131,7 @@ def _whiten(context: FitContext, fitted: Fitted) -> Whitened:
                     z[channel, row] = time.rows(block.residual[t][:, np.newaxis])[:, 0]
                     share_of_model[channel, row] = time.share
                     log_spread[number] += time.log_spread
-                    beam[channel, row] = noise[channel, row] * block.weights[t] * time.variance
+                    uncertain[channel, row] = noise[channel, row] * block.weights[t] * (time.variance + spread)
                     if errors is not None and columns is not None:
                         errors.add(time, z[channel, row], columns)
         if errors is not None:
@@ -145,7 +144,7 @@ def _whiten(context: FitContext, fitted: Fitted) -> Whitened:
             n_used = int(context.grid.group.allreduce(np.count_nonzero(used)))
             share_of_model[channel] += errors.n_shared / (2 * max(n_used, 1))
             log_spread[number] += errors.log_spread if context.grid.is_group_root else 0.0
-    return Whitened(z, rows.inv_noise_var > 0, share_of_model, model, root, power, noise, beam, log_spread)
+    return Whitened(z, rows.inv_noise_var > 0, share_of_model, model, root, power, noise, uncertain, log_spread)
 
 
 def _is_shared(context: FitContext, n_params: int) -> bool:

@@ -197,11 +197,11 @@ class SharedErrors:
     Parameters
     ----------
     covariance : ndarray, (q, q)
-        Of the parameters.
+        Of the parameters; ``root`` is its root.
     """
 
     def __init__(self, covariance: FloatArray) -> None:
-        self._root = root_of(covariance)
+        self.root = root_of(covariance)
         # Of the columns as they are: those in units of their errors would be a product of large matrices each time.
         self.gram = np.zeros((len(covariance), len(covariance)))
         self.projection = np.zeros(len(covariance))
@@ -236,7 +236,7 @@ class SharedErrors:
     @cached_property
     def _spectrum(self) -> tuple[FloatArray, FloatArray]:
         """Eigenvalues, none negative, and eigenvectors of B^T B, once the sums are complete."""
-        values, vectors = np.linalg.eigh(self._root.T @ self.gram @ self._root)
+        values, vectors = np.linalg.eigh(self.root.T @ self.gram @ self.root)
         return np.maximum(values, 0.0), vectors
 
     def changes(self) -> list[ComplexArray]:
@@ -244,7 +244,7 @@ class SharedErrors:
         values, vectors = self._spectrum
         values = np.maximum(values, 1e-12 * max(float(values.max(initial=0.0)), 1e-300))
         factor = (1 / np.sqrt(1 + values) - 1) / values
-        coefficients = self._root @ (vectors @ (factor * (vectors.T @ (self._root.T @ self.projection))))
+        coefficients = self.root @ (vectors @ (factor * (vectors.T @ (self.root.T @ self.projection))))
         return [
             felt.own @ coefficients[~felt.is_of_groups] + gather.T @ (felt.of_groups @ coefficients[felt.is_of_groups])
             for gather, felt in self._kept

@@ -74,7 +74,7 @@ def numbers(rms: float, expected: float = 1.0, n_freqs: int = 2, n_data: int = N
     weight = float(n_data)
     sums = dict.fromkeys(SUMS, 0.0) | {
         "n": n_data, "weight": weight, "data": 100 * weight, "residual": rms**2 * weight, "noise": weight,
-        "beam": (expected**2 - 1) * weight, "model_residual": 25 * weight, "overlap_real": 0.0,
+        "uncertain": (expected**2 - 1) * weight, "model_residual": 25 * weight, "overlap_real": 0.0,
         "overlap_imag": 84 * weight, "model": 84 * weight, "noise_only": rms**2 * weight,
         "predictive": (rms / expected) ** 2 * weight,
     }  # fmt: skip

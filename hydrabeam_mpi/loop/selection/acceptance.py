@@ -234,7 +234,7 @@ def why_unexplained(last: Checked, control: Round | None) -> str | None:
     if not last.numbers.at_noise:
         return (
             f"predictions are calibrated, but only as they are wide: {rms}, where the noise has "
-            f"{now['rms_noise']:.4g} Jy and, with what the data leave uncertain of the beam, "
+            f"{now['rms_noise']:.4g} Jy and, with what the data leave uncertain of the model, "
             f"{now['rms_expected']:.4g} Jy are expected"
         )
     return None if control is None else f"{control.candidate.title} would explain more than any effect"

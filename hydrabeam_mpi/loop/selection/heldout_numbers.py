@@ -14,7 +14,7 @@ from hydrabeam_mpi.loop.selection.heldout_score import fall_of_blocks
 from hydrabeam_mpi.mpi import allreduce_sum, together
 
 SUMS = (
-    "n", "weight", "data", "residual", "noise", "beam", "model_residual", "overlap_real", "overlap_imag", "model",
+    "n", "weight", "data", "residual", "noise", "uncertain", "model_residual", "overlap_real", "overlap_imag", "model",
     "noise_only", "predictive", "log_noise", "log_spread",
 )  # fmt: skip
 
@@ -48,11 +48,11 @@ class HeldoutNumbers:
     ----------
     channels : ndarray, (len(SUMS), Nfreqs)
         Of each channel: the number of d; sums of w, of w |d|^2, of w |r|^2, of w times the variance of the noise (by
-        the model's weights) and of w times that by the beam's uncertainty; of w |d - m|^2, w m* d (two parts) and
-        w |m|^2; |r|^2 over the variance of the noise; |z|^2 / 2 under the posterior predictive; and of the logarithm
+        the model's weights) and of w times that by what is uncertain of the model; of w |d - m|^2, w m* d (two parts)
+        and w |m|^2; |r|^2 over the variance of the noise; |z|^2 / 2 under the posterior predictive; and of the logarithm
         of the predictive density -ln(pi variance of the noise) and `Whitened.log_spread`.
     times, groups : ndarray, (3, N)
-        For each time and each redundant group the sums of w |r|^2, of w, and of w times what noise and beam give.
+        For each time and each redundant group the sums of w |r|^2, of w, and of w times what noise and model give.
     """
 
     channels: FloatArray
@@ -83,7 +83,7 @@ class HeldoutNumbers:
 
     @property
     def excess_sigma(self) -> float:
-        """Significance of the residual power beyond what noise, and what the data leave uncertain of the beam, give.
+        """Significance of the residual power beyond what the noise, and what is uncertain of beam and effects, give.
 
         Over blocks of times or of redundant groups, whichever scatter more: errors of beams are the same in many. Below
         four blocks of either kind there is no scatter to tell.
@@ -97,7 +97,7 @@ class HeldoutNumbers:
 
     @property
     def at_noise(self) -> bool:
-        """Whether the residual is as small as noise and beam allow, by the probability that all else is held to."""
+        """Whether the residual is as small as noise and model allow, by the probability that all else is held to."""
         return self.excess_sigma < sigma_of_log_p(float(np.log(SIGNIFICANT_P)))
 
 
@@ -123,7 +123,7 @@ def _numbers(channels: FloatArray) -> dict[str, float]:
         "n": n,
         "rms": rms(total["residual"]),
         "rms_noise": rms(total["noise"]),
-        "rms_expected": rms(total["noise"] + total["beam"]),
+        "rms_expected": rms(total["noise"] + total["uncertain"]),
         "rms_zero": rms(total["data"]),
         "rms_model": rms(total["model_residual"]),
         "rms_model_scaled": rms(scaled),
@@ -147,9 +147,9 @@ def heldout_numbers(context: FitContext, whitened: Whitened) -> HeldoutNumbers:
         data, model = rows.data, context.test.model_beam[:, :, rows.member]
         overlap = weight * model.conj() * data
         noise = np.where(used, whitened.noise, 1.0)
-        powers = (weight * whitened.power, weight, weight * (whitened.noise + whitened.beam))
+        powers = (weight * whitened.power, weight, weight * (whitened.noise + whitened.uncertain))
         terms = (
-            used, weight, weight * np.abs(data) ** 2, powers[0], weight * whitened.noise, weight * whitened.beam,
+            used, weight, weight * np.abs(data) ** 2, powers[0], weight * whitened.noise, weight * whitened.uncertain,
             weight * np.abs(data - model) ** 2, overlap.real, overlap.imag, weight * np.abs(model) ** 2,
             np.where(used, whitened.power / noise, 0.0), np.where(used, 0.5 * np.abs(whitened.z) ** 2, 0.0),
             np.where(used, -np.log(np.pi * noise), 0.0),
