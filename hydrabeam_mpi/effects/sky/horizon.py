@@ -19,8 +19,8 @@ from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.interface.told import Told
 from hydrabeam_mpi.effects.shared.settings import Azimuth, Count, Elevation
 
-HIGHEST = 10.0  # elevation up to which something may stand, degrees
-HEIGHTS = 40
+HIGHEST = 20.0  # elevation up to which something may stand, degrees: that of hills from a valley
+HEIGHTS = 80
 SECTORS = 72
 RING, WIDTH = HIGHEST / HEIGHTS, 360.0 / SECTORS  # degrees
 STARTS: IntArray = np.append(np.tile(np.arange(SECTORS), SECTORS - 1), 0)
@@ -38,8 +38,8 @@ Box = tuple[Azimuth, Azimuth, Elevation, Elevation]
 class Horizon(ScannedEffect):
     """Transmission of walls that stand on the horizon, less one; each channel its own.
 
-    A wall hides everything below a height of at most ten degrees from one azimuth to another (from East through North).
-    Walls add up, so that any skyline is a sum of them, and one that is opaque has x = -1.
+    A wall hides everything below a height of at most twenty degrees from one azimuth to another (from East through
+    North). Walls add up, so that any skyline is a sum of them, and one that is opaque has x = -1.
 
     Where a wall ends is told by sources that are seen beside it and others that are not, and unknown in between. So its
     rim is cut into strips that have few sources each, with a transmission of their own beside that of the wall: data

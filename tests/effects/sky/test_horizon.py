@@ -6,7 +6,7 @@ import pytest
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.effects.sky.horizon import AT_MOST, HEIGHTS, LENGTHS, SECTORS, STARTS, STRIPS, Horizon
+from hydrabeam_mpi.effects.sky.horizon import AT_MOST, HEIGHTS, HIGHEST, LENGTHS, SECTORS, STARTS, STRIPS, Horizon
 from hydrabeam_mpi.model.positions import RotatedPositions, SourcePositions
 from hydrabeam_mpi.random import complex_normal, generator
 from tests.effects.small import small_block, small_setup
@@ -22,7 +22,7 @@ def number_of(first: float, last: float, height: float) -> int:
     """Return the hypothesis of a wall."""
     start, length = round(first / 360 * SECTORS) % SECTORS, round((last - first) / 360 * SECTORS)
     window = np.flatnonzero((start == STARTS) & (length == LENGTHS))[0]
-    return int(window) * HEIGHTS + round(height / 10 * HEIGHTS) - 1
+    return int(window) * HEIGHTS + round(height / HIGHEST * HEIGHTS) - 1
 
 
 def opaque(effect: Horizon, setup: ObservingSetup) -> FloatArray:
