@@ -49,8 +49,8 @@ class HeldoutNumbers:
     channels : ndarray, (len(SUMS), Nfreqs)
         Of each channel: the number of d; sums of w, of w |d|^2, of w |r|^2, of w times the variance of the noise (by
         the model's weights) and of w times that by what is uncertain of the model; of w |d - m|^2, w m* d (two parts)
-        and w |m|^2; |r|^2 over the variance of the noise; |z|^2 / 2 under the posterior predictive; and of the logarithm
-        of the predictive density -ln(pi variance of the noise) and `Whitened.log_spread`.
+        and w |m|^2; |r|^2 over the variance of the noise; |z|^2 / 2 under the posterior predictive; and of the
+        logarithm of the predictive density -ln(pi variance of the noise) and `Whitened.log_spread`.
     times, groups : ndarray, (3, N)
         For each time and each redundant group the sums of w |r|^2, of w, and of w times what noise and model give.
     """
