@@ -76,6 +76,8 @@ IN_TIME = {
         ("missing_sources", "smooth"),
         ("antenna_pointing", "smooth"),
         ("antenna_pointing", "piecewise"),
+        ("timestamp", "smooth"),
+        ("timestamp", "piecewise"),
     )
 }
 IN_TIME |= {

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
@@ -12,7 +14,7 @@ from hydrabeam_mpi.effects.shared.displaced import TurningSky, turn_per_second
 
 
 class Timestamp(TurningSky):
-    """All data were taken the same number of seconds later than their timestamps.
+    """The data were taken some seconds later than their timestamps, the same number or one that changes in time.
 
     The sky is turned about the celestial pole by the Earth's rate times the offset. Sources keep to the model when that
     takes them below the horizon, and none rise (see `effects.displaced`): a rim of 15 arcsec per second.
@@ -21,6 +23,7 @@ class Timestamp(TurningSky):
     kind = "timestamp"
     title = "timestamp offset"
     of_both_feeds = True
+    laws: ClassVar = {"smooth": "clock that drifts", "piecewise": "clock that jumps"}
 
     def parameters(self, setup: ObservingSetup) -> Parameters:
         """Return the one offset."""

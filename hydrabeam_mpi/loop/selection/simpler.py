@@ -45,7 +45,8 @@ def simplified(
         # All ranks go the same way, whatever their processors make of a sum.
         found = bcast_object(context.grid.world, active.effect.simpler_elements(context.setup, active.x, std))
         for gone, effect, x in found:
-            if effect.kind not in kinds or not gone[active.used].any():
+            # What jumps and is zero at most times is nothing that is constant.
+            if effect.kind not in kinds or not gone[active.used].any() or not x.any():
                 continue
             # What it is worth only its fit tells, which begins where the other has ended.
             n_used = int(np.count_nonzero(x))

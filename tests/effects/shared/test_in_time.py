@@ -148,7 +148,7 @@ def test_it_needs_several_fitted_times(setup: ObservingSetup) -> None:
     [
         ("antenna_gains", "linear"),
         ("cross_coupling", "piecewise"),
-        ("timestamp", "smooth"),
+        ("orientation", "smooth"),
         ("antenna_pointing", "nightly"),
         ("antenna_gains", 3),
     ],

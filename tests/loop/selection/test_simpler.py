@@ -11,6 +11,7 @@ import pytest
 from hydrabeam_mpi.effects.instrument.antenna_delays import AntennaDelays
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.instrument.cable_reflections import CableReflections
+from hydrabeam_mpi.effects.instrument.timestamp import Timestamp
 from hydrabeam_mpi.effects.shared.in_time import InTime
 from hydrabeam_mpi.effects.shared.time_laws import Piecewise
 from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
@@ -151,11 +152,13 @@ def test_a_source_that_was_taken_for_an_elongated_one(axes_differ: bool, plain: 
         assert found[1] == {0: None, 1: 0}
 
 
-@pytest.mark.parametrize("jumps", [True, False])
-def test_gains_that_were_taken_for_jumping_ones(jumps: bool, plain: FitContext, tmp_path: Path) -> None:
-    """They are told as constant where a jump near the first time only stood for that, and as jumping where they do."""
-    times = plain.setup.observation.times
-    after = 0.5 * (times[3:5].sum() if jumps else times[1:3].sum())
+@pytest.mark.parametrize(("before", "jumps"), [(2, False), (4, True), (9, True)])
+def test_gains_that_were_taken_for_jumping_ones(before: int, jumps: bool, plain: FitContext, tmp_path: Path) -> None:
+    """They are told as constant where a jump near the first time only stood for that, and as jumping where they do.
+
+    Where they are zero at most of the twelve times there is nothing constant to try.
+    """
+    after = 0.5 * plain.setup.observation.times[before - 1 : before + 1].sum()
     effect = InTime(AntennaGains(), Piecewise(jumps=(float(after),))).in_full(plain.setup)
     names = effect.parameters(plain.setup).names
     gain = {
@@ -165,15 +168,29 @@ def test_gains_that_were_taken_for_jumping_ones(jumps: bool, plain: FitContext, 
     truth = {**gain, "settings": effect.describe()} if jumps else GAIN
     context = context_of(mock_job(truth), tmp_path)
     var = np.where([name.startswith("antenna 2 ") for name in names], 0.01, 0.0)
-    before = check(context, refit(context, Values()))
+    first = check(context, refit(context, Values()))
     start = Active.start(effect, context.setup, var, np.zeros((1, len(names))))
-    now = check(context, refit(context, Values((start,)), before.fitted))
-    found = simplified(context, now, [round_of(effect_candidate(effect), before, now)], [AntennaGains()], [])
+    now = check(context, refit(context, Values((start,)), first.fitted))
+    found = simplified(context, now, [round_of(effect_candidate(effect), first, now)], [AntennaGains()], [])
     assert (found is None) == jumps
     if found is not None:
         (constant,) = found[0].after.fitted.values.active
         assert constant.effect.law == "constant"
         assert found[0].after.score.chi2 == pytest.approx(1, abs=0.1)
+
+
+def test_a_clock_that_was_right_at_most_times_has_nothing_constant(plain: FitContext, tmp_path: Path) -> None:
+    """Its constant form would be a model with no parameter."""
+    jump = 0.5 * plain.setup.observation.times[8:10].sum()
+    effect = InTime(Timestamp(), Piecewise(jumps=(float(jump),))).in_full(plain.setup)
+    (name,) = effect.parameters(plain.setup).names
+    truth = {"kind": "timestamp", "parameters": {name: 30.0}, "settings": effect.describe()}
+    context = context_of(mock_job(truth), tmp_path)
+    first = check(context, refit(context, Values()))
+    start = Active.start(effect, context.setup, np.full(1, 1e4), np.zeros((1, 1)))
+    now = check(context, refit(context, Values((start,)), first.fitted))
+    assert abs(now.fitted.values.active[0].x[0, 0] - 30.0) < 4 * now.fitted.fit.std[0][0, 0]
+    assert simplified(context, now, [round_of(effect_candidate(effect), first, now)], [Timestamp()], []) is None
 
 
 FOUR = tuple(131e6 + 3e6 * np.arange(4.0))

@@ -1,4 +1,4 @@
-"""What changes during the night: gains, coupling and pointing that drift, a gain that jumps, sources that fade."""
+"""What changes during the night: gains, coupling, pointing and clocks that drift or jump, sources that fade."""
 
 from __future__ import annotations
 
@@ -58,6 +58,22 @@ def gain_jump(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
         for what, unit, value in (("ln amplitude", "", log.real), ("phase", "rad", log.imag))
     ]
     return Drawn(parameters, Where(antennas=numbers(truth, [index])), 3, {"first time after it": jump})
+
+
+def drifting_clock(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
+    """The clock runs slow or fast: ``strength`` seconds over the night, and right in the middle of it."""
+    drift = float(strength * rng.choice([-1, 1]))
+    truth.clock = drift * clock_of(truth)
+    return Drawn([Parameter("clock", f"later, {DRIFT}", "s", drift)], n_params=1)
+
+
+def clock_jump(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
+    """The clock is right until it is set, by ``strength`` seconds, somewhere in the middle third of the night."""
+    n_times = len(truth.setting.times)
+    jump, change = int(rng.integers(n_times // 3, 2 * n_times // 3)), float(strength * rng.choice([-1, 1]))
+    truth.clock = np.where(np.arange(n_times) < jump, 0.0, change)
+    told = [Parameter("clock", f"later, jump before time {jump}", "s", change)]
+    return Drawn(told, n_params=2, about={"first time after it": jump})
 
 
 def drifting_pointing(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:

@@ -128,13 +128,17 @@ def read_plain(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], fl
 
 def read_gains(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]) -> Found:
     """Read "antenna 3 phase" and the like; of "phase, jump at JD 2459866.12345" the first time after it counts."""
+    return read_plain(with_places(parameters, answer), truth, answer)
+
+
+def with_places(parameters: list[dict[str, Any]], answer: dict[str, Any]) -> list[dict[str, Any]]:
+    """Name the first time after a jump where a loop has its JD."""
     times = np.array(answer["times"])
 
     def place(match: re.Match[str]) -> str:
         return f"jump before time {np.searchsorted(times, float(match[1]))}"
 
-    renamed = [{**p, "name": re.sub(r"jump at JD ([\d.]+)", place, p["name"])} for p in parameters]
-    return read_plain(renamed, truth, answer)
+    return [{**p, "name": re.sub(r"jump at JD ([\d.]+)", place, p["name"])} for p in parameters]
 
 
 def read_baselines(
@@ -221,9 +225,9 @@ def read_fluxes(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], f
 
 
 def read_clock(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]) -> Found:
-    """Read the one offset."""
-    pairs = [pair for name, pair in averaged(parameters).items() if "later" in name]
-    return {("clock", "later"): pairs[0]} if pairs else {}
+    """Read the one offset, or by how much the clock drifts or jumps."""
+    pairs = averaged(with_places(parameters, answer)).items()
+    return {("clock", ", ".join(["later", *name.split(", ")[1:]])): pair for name, pair in pairs if "later" in name}
 
 
 def read_turns(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]) -> Found:

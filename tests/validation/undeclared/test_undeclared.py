@@ -26,6 +26,7 @@ KNOWN = [
     ("flux_at_transit", 3),  # the beam could absorb 98% of it
     ("clock_of_few", 5),  # and 98% of 5 s, with seven antennas
     ("gain_jump", 361),  # by a third of a per cent
+    ("clock_jump", 4),
     ("fading_source", 50016),
     ("source_positions", 2),  # by 50 arcsec
     ("polarised_sources", 2),  # the beam could absorb 94% of it

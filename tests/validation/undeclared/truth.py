@@ -27,7 +27,7 @@ class Truth:
         Each antenna's beam.
     antpos : ndarray, (Nants, 3)
         Where the antennas stand, metres ENU.
-    clock : float
+    clock : float or ndarray, (Ntimes,)
         Seconds by which the data were taken later than the file says.
     integration : float
         Seconds over which they are means; zero for instants.
@@ -54,7 +54,7 @@ class Truth:
     shapes: list[Shape]
     antpos: FloatArray
     catalogue: Catalogue
-    clock: float = 0.0
+    clock: float | FloatArray = 0.0
     integration: float = 0.0
     sky_of: list[Callable[[int, int, Catalogue], Catalogue]] = field(default_factory=list)
     shape_of: Callable[[int, int, Shape], Shape] | None = None
@@ -87,4 +87,4 @@ class Truth:
 
     def time(self, index: int) -> float:
         """Return when an integration was really taken, JD."""
-        return float(self.setting.times[index] + self.clock / 86400)
+        return float((self.setting.times + self.clock / 86400)[index])
