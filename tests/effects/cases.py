@@ -71,6 +71,8 @@ IN_TIME = {
         ("antenna_gains", "smooth"),
         ("antenna_gains", "piecewise"),
         ("antenna_gains", "correlated"),
+        ("antenna_delays", "smooth"),
+        ("antenna_delays", "piecewise"),
         ("cross_coupling", "smooth"),
         ("catalogue_flux", "smooth"),
         ("missing_sources", "smooth"),

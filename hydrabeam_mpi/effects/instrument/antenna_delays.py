@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
@@ -16,6 +18,7 @@ NS = 1e-9  # seconds in the unit of the parameters
 class AntennaDelays(Effect):
     """One delay and one phase an antenna, the same at all channels: a cable longer than thought, or a clock behind.
 
+    Both may change in time, as cables do that get warm.
     As V_jk turns as exp(+2 pi i nu b.s / c), a signal that comes late has its phase turned forward: tau > 0 is late.
     A delay acts on the sky's own frequency, and alone turns the phase by 2 pi nu tau; after a mixer, or where a
     calibration has set the phase right somewhere in the band, there is a constant phi besides. The parameter is the
@@ -27,6 +30,10 @@ class AntennaDelays(Effect):
     title = "antenna delays and phases"
     multiplies = True
     shared = True
+    laws: ClassVar = {
+        "smooth": "antenna delays and phases that drift",
+        "piecewise": "antenna delays and phases that jump",
+    }
 
     def not_applicable(self, setup: ObservingSetup) -> str | None:
         """Ask for several channels."""

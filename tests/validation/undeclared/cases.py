@@ -101,6 +101,7 @@ IN_TIME = {
         Kind("gain_jump", in_time.gain_jump, 0.003, 0.3, "", effect=GAINS, law="piecewise"),
         Kind("ambient_temperature", strange.ambient_temperature, 0.003, 0.1, "", effect=GAINS, law=SMOOTH),
         Kind("drifting_coupling", in_time.drifting_coupling, 0.1, 10.0, "Jy", FINE, COUPLING, SMOOTH),
+        Kind("drifting_delays", in_time.drifting_delays, 0.01, 3.0, "ns", BAND, DELAYS, SMOOTH),
         Kind("drifting_clock", in_time.drifting_clock, 0.2, 60.0, "s", FINE, "timestamp", SMOOTH),
         Kind("clock_jump", in_time.clock_jump, 0.1, 30.0, "s", FINE, "timestamp", "piecewise"),
         Kind("drifting_pointing", in_time.drifting_pointing, 0.05, 3.0, "deg", effect="antenna_pointing", law=SMOOTH),

@@ -1,4 +1,4 @@
-"""What changes during the night: gains, coupling, pointing and clocks that drift or jump, sources that fade."""
+"""What changes during the night: gains, delays, coupling, pointing and clocks that drift or jump, sources that fade."""
 
 from __future__ import annotations
 
@@ -42,6 +42,24 @@ def drifting_gains(
         for what, unit, value in (("ln amplitude", "", change.real), ("phase", "rad", change.imag))
     ]
     return Drawn(parameters, Where(antennas=numbers(truth, chosen)), 4 * len(chosen))
+
+
+def drifting_delays(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
+    """The cables of one or three antennas get longer, or shorter, by ``strength`` ns over the night."""
+    chosen, freqs = some_antennas(truth, rng, (1, 3)), truth.setting.freqs
+    drift = np.zeros(truth.setting.n_ants)
+    drift[chosen] = strength * rng.standard_normal(len(chosen))
+    turns = 1e-9 * freqs[:, np.newaxis, np.newaxis] * np.outer(clock_of(truth), drift)
+    truth.corruptions.append(multiplied(np.exp(2j * np.pi * turns)))
+    parameters = [
+        Parameter(antenna(truth, index), f"{what}, {DRIFT}", unit, float(value))
+        for index in range(truth.setting.n_ants)
+        for what, unit, value in (
+            ("delay", "ns", drift[index]),
+            ("phase", "rad", 2e-9 * np.pi * freqs.mean() * drift[index]),
+        )
+    ]
+    return Drawn(parameters, Where(antennas=numbers(truth, chosen)), 2 * len(chosen))
 
 
 def gain_jump(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:

@@ -56,7 +56,12 @@ COMMON: dict[str, tuple[dict[str, float], ...]] = {
         {"phase, curvature, ends less middle": 1},
         *({f"phase, night {night}: {what}": 1} for night in (1, 2, 3) for what in OF_NIGHTS),
     ),
-    "antenna_delays": ({"delay": 1}, {"phase": 1}),
+    "antenna_delays": (
+        {"delay": 1},
+        {"phase": 1},
+        {"delay, drift from first to last time": 1},
+        {"phase, drift from first to last time": 1},
+    ),
     "antenna_positions": ({"displaced East": 1}, {"displaced North": 1}, {"displaced Up": 1}),
     "antenna_pointing": ({"tilted towards East": 1}, {"tilted towards North": 1}),
     "nonredundant_beams": ({"width East-West": 1}, {"width North-South": 1}),
