@@ -19,7 +19,8 @@ from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.interface.told import Told
 from hydrabeam_mpi.effects.shared.settings import Azimuth, Count, Elevation
 
-HIGHEST = 20.0  # elevation up to which something may stand, degrees: that of hills from a valley
+HIGHEST = 20.0
+"""Elevation up to which something may stand, degrees: hills are as high from valleys that keep interference out."""
 HEIGHTS = 80
 SECTORS = 72
 RING, WIDTH = HIGHEST / HEIGHTS, 360.0 / SECTORS  # degrees
