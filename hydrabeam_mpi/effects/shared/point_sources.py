@@ -19,7 +19,9 @@ from hydrabeam_mpi.model.engines.fringes import enu
 from hydrabeam_mpi.model.rime import Beam
 from hydrabeam_mpi.model.sky import Sky, separation
 
-STEP = 2e-4  # of derivatives by place, in resolutions
+STEP = 2e-4
+"""Of derivatives by place, in resolutions, over each of which phases turn once on the longest baseline: central
+differences lack 3e-7 of them, and rounding errors less."""
 HALF_WIDTH = 64  # samples of the beam from the zenith to the horizon, where a map does with an interpolated one
 
 

@@ -21,7 +21,7 @@ from hydrabeam_mpi.effects.shared.settings import Azimuth, Count, Elevation
 
 HIGHEST = 20.0
 """Elevation up to which something may stand, degrees: hills are as high from valleys that keep interference out."""
-HEIGHTS = 80
+HEIGHTS = 80  # rings of a quarter of a degree, with few sources each; strips along its rim refine a wall
 SECTORS = 72
 RING, WIDTH = HIGHEST / HEIGHTS, 360.0 / SECTORS  # degrees
 STARTS: IntArray = np.append(np.tile(np.arange(SECTORS), SECTORS - 1), 0)

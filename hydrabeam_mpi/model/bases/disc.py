@@ -17,6 +17,13 @@ def check_edge(edge: float) -> None:
         raise InputError(f"edge = {edge} rad is not between 0 and pi", field="edge", remedy="give degrees above 0")
 
 
+def azimuthal_around(m_max: int, n_az: int) -> FloatArray:
+    """Return `azimuthal_rows` at azimuths that divide the turn evenly, beginning at 0, (2 m_max + 2, n_az)."""
+    rows, az = np.empty((2 * m_max + 2, n_az)), np.linspace(0, 2 * np.pi, n_az, endpoint=False)
+    azimuthal_rows(az, rows, np.empty((m_max + 1, n_az)))
+    return rows
+
+
 def azimuthal_rows(az: FloatArray, out: FloatArray, work: FloatArray) -> None:
     """Fill ``out`` with cos(m az), sin(m az) for m = 0, 1, ..., by angle addition in growing blocks.
 

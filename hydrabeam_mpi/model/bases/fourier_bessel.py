@@ -24,7 +24,7 @@ from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases.base import LinearBasis, NextModes, Selection
 from hydrabeam_mpi.model.bases.bessel import Boundary, radial_rows, radial_zeros
-from hydrabeam_mpi.model.bases.disc import EDGE, azimuthal_rows, check_edge
+from hydrabeam_mpi.model.bases.disc import EDGE, azimuthal_around, azimuthal_rows, check_edge
 from hydrabeam_mpi.model.bases.expected import expected_of_all, next_expected
 from hydrabeam_mpi.model.bases.joined import Joined
 from hydrabeam_mpi.model.bases.plans import complex_columns, plan_mixing, plan_products
@@ -268,9 +268,7 @@ class FourierBessel(LinearBasis):
     def at_nodes(self, coeffs: Array, per_unit: int, n_az: int) -> FloatArray:
         """Evaluate a beam at a table's nodes, (Nradii, Naz); see :meth:`LinearBasis.at_nodes`."""
         stretch = np.sqrt(2 * self._inv_alpha_squared)
-        azimuthal = np.empty((2 * self._m_max + 2, n_az))
-        az = np.linspace(0, 2 * np.pi, n_az, endpoint=False)
-        azimuthal_rows(az, azimuthal, np.empty((self._m_max + 1, n_az)))
+        azimuthal = azimuthal_around(self._m_max, n_az)
         azimuthal[0] *= 1.0 if self.is_complex else np.sqrt(0.5)
         radial = self._radial.scale * j0(stretch * radii(per_unit)[:, np.newaxis] * self._radial.u)
         return np.asarray(radial @ self._by_orders(coeffs).real.T @ azimuthal)

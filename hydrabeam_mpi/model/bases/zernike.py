@@ -8,7 +8,7 @@ that the mean of Z^2 over the disc is one. They are ordered by the OSA/ANSI inde
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -16,7 +16,7 @@ import numpy as np
 from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases.base import LinearBasis, NextModes
-from hydrabeam_mpi.model.bases.disc import EDGE, azimuthal_rows, check_edge
+from hydrabeam_mpi.model.bases.disc import EDGE, azimuthal_around, azimuthal_rows, check_edge
 from hydrabeam_mpi.model.bases.expected import expected_of_all, smallest
 from hydrabeam_mpi.model.bases.joined import Joined
 from hydrabeam_mpi.model.bases.polar_table import n_nodes, radii
@@ -61,12 +61,10 @@ class Zernike(LinearBasis):
         rho = np.sin(0.5 * np.asarray(za)) / np.sin(0.5 * self.edge)
         azimuthal = np.empty((2 * self.degree + 2, len(rho)))
         azimuthal_rows(np.asarray(az), azimuthal, np.empty((self.degree + 1, len(rho))))
-        for m in range(self.degree + 1):
-            for n, radial in zip(range(m, self.degree + 1, 2), self._radial(m, rho), strict=True):
-                radial *= self._norm(n, m)
-                np.multiply(radial, azimuthal[2 * m], out[(n * (n + 2) + m) // 2])
-                if m:
-                    np.multiply(radial, azimuthal[2 * m + 1], out[(n * (n + 2) - m) // 2])
+        for n, m, radial in self._radial_parts(rho):
+            np.multiply(radial, azimuthal[2 * m], out[_place(n, m)])
+            if m:
+                np.multiply(radial, azimuthal[2 * m + 1], out[_place(n, -m)])
         return out
 
     def describe(self) -> dict[str, Any]:
@@ -121,21 +119,18 @@ class Zernike(LinearBasis):
     def at_nodes(self, coeffs: Array, per_unit: int, n_az: int) -> FloatArray:
         """Evaluate a beam at a table's nodes, (Nradii, Naz); see :meth:`LinearBasis.at_nodes`."""
         rho = radii(per_unit) / np.sin(0.5 * self.edge)
-        azimuthal = np.empty((2 * self.degree + 2, n_az))
-        az = np.linspace(0, 2 * np.pi, n_az, endpoint=False)
-        azimuthal_rows(az, azimuthal, np.empty((self.degree + 1, n_az)))
-        by_order = np.zeros((len(azimuthal), len(rho)))
+        by_order = np.zeros((2 * self.degree + 2, len(rho)))
+        for n, m, radial in self._radial_parts(rho):
+            by_order[2 * m] += coeffs[_place(n, m)].real * radial
+            if m:
+                by_order[2 * m + 1] += coeffs[_place(n, -m)].real * radial
+        return np.asarray(by_order.T @ azimuthal_around(self.degree, n_az))
+
+    def _radial_parts(self, rho: FloatArray) -> Iterator[tuple[int, int, FloatArray]]:
+        """Yield n, m >= 0 and N R_n^m of all polynomials, (Npoints,)."""
         for m in range(self.degree + 1):
             for n, radial in zip(range(m, self.degree + 1, 2), self._radial(m, rho), strict=True):
-                by_order[2 * m] += self._norm(n, m) * coeffs[(n * (n + 2) + m) // 2].real * radial
-                if m:
-                    by_order[2 * m + 1] += self._norm(n, m) * coeffs[(n * (n + 2) - m) // 2].real * radial
-        return np.asarray(by_order.T @ azimuthal)
-
-    @staticmethod
-    def _norm(n: int, m: int) -> float:
-        """Return the factor N with which the mean of Z^2 over the disc is one."""
-        return float(np.sqrt(n + 1 if m == 0 else 2 * n + 2))
+                yield n, m, np.sqrt(n + 1 if m == 0 else 2 * n + 2) * radial
 
     def _radial(self, m: int, rho: FloatArray) -> list[FloatArray]:
         """Return R_n^m for n = m, m + 2, ..., degree: rho^m times Jacobi's P_j^(0,m)(2 rho^2 - 1)."""
@@ -148,3 +143,8 @@ class Zernike(LinearBasis):
             previous = 2 * (j - 1) * (j + m - 1) * c * jacobi[-2] if j > 1 else 0.0
             jacobi.append((linear - previous) / (2 * j * (j + m) * (c - 2)) if c > 2 else 0.5 * ((2 + m) * x - m))
         return [rho**m * polynomial for polynomial in jacobi]
+
+
+def _place(n: int, m: int) -> int:
+    """Return the OSA/ANSI index."""
+    return (n * (n + 2) + m) // 2
