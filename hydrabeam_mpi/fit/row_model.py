@@ -15,13 +15,15 @@ from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.place import Place
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.fit.accumulate import designs
+from hydrabeam_mpi.fit.accumulate import designs, mixed
+from hydrabeam_mpi.fit.changed_sky import changed_sky, design_of_each
 from hydrabeam_mpi.fit.kept import Kept
 from hydrabeam_mpi.fit.known_precision import RecentlyKnown
 from hydrabeam_mpi.fit.linear_sky import LinearSky, linear_sky
 from hydrabeam_mpi.fit.room import KEPT_BYTES, Room
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Values
+from hydrabeam_mpi.model.positions import Followed
 from hydrabeam_mpi.model.rime import Beam, ForwardModel
 from hydrabeam_mpi.setup.problem import Problem
 
@@ -58,6 +60,7 @@ class RowModel:
     linear_sky: LinearSky | None = None
     kept_bytes: float = KEPT_BYTES
     _places: dict[int, Place] = field(default_factory=dict)
+    _followed: dict[bytes, Followed] = field(default_factory=dict)
     _memo: dict[tuple[int, str], Any] = field(default_factory=dict)
     _skies: dict[tuple[int, str, str], FloatArray] = field(default_factory=dict)
 
@@ -128,28 +131,20 @@ class RowModel:
 
     def _changes(self, values: Values) -> Iterator[Array]:
         """Yield what effects change of the design rows: of sources whose flux they change, and of further ones."""
-        basis, engine = self.problem.basis, self.model.engine
-        for t, time in enumerate(self.rows.tile.times.tolist()):
-            by_channel = []
-            for channel in range(len(self.rows.data)):
-                block = self.block(channel, slice(t, t + 1), _no_beam, values)
-                sources = block.sources(time)
-                change = sources.flux_without() - sources.flux
-                changed = np.flatnonzero(change)
-                sky = [(sources.za[changed], sources.az[changed], change[changed])]
-                standing: list[FloatArray] = []
-                for one, x in block.sky_effects:
-                    numbers = one.standing_numbers(block, time, x)
-                    if numbers is not None and self._keeps_skies(len(numbers)):
-                        standing.append(np.tensordot(numbers, self._design_of_skies(one, channel, block), axes=1))
-                    elif (more := one.extra_sky(block, time, x)) is not None:
-                        sky.append(more)
-                za, az, flux = (np.concatenate(parts) for parts in zip(*sky, strict=True))
-                za, az, flux = (one[flux != 0] for one in (za, az, flux))
-                turning = engine.design(basis, za, az, flux[np.newaxis], np.array([block.freq]))[0]
-                by_channel.append(sum(standing, start=turning))
-            mixed = basis.mix(np.array(by_channel))
-            yield mixed[:, 0] + 1j * mixed[:, 1] if basis.is_complex else mixed
+        basis, engine, times = self.problem.basis, self.model.engine, self.rows.tile.times.tolist()
+        blocks = [self.block(channel, slice(None), _no_beam, values) for channel in range(len(self.rows.data))]
+        freqs = np.array([block.freq for block in blocks])
+        standing = [one.standing_numbers(blocks[0], times[0], x) for one, x in blocks[0].sky_effects] if times else []
+        stands = [numbers is not None and self._keeps_skies(len(numbers)) for numbers in standing]
+        skies = (changed_sky(blocks, time, stands) for time in times)
+        designs = design_of_each(engine, basis, skies, freqs)
+        for time, turning in zip(times, designs, strict=True):
+            for channel, block in enumerate(blocks):
+                for (one, x), is_standing in zip(block.sky_effects, stands, strict=True):
+                    if is_standing:
+                        numbers = one.standing_numbers(block, time, x)
+                        turning[channel] += np.tensordot(numbers, self._design_of_skies(one, channel, block), axes=1)
+            yield mixed(basis, turning)
 
     def _keeps_skies(self, n_skies: int) -> bool:
         """Whether designs of so many skies that do not turn take less time, and room, than one at each time."""
@@ -180,6 +175,7 @@ class RowModel:
             keeps_waves=self.room.waves and self.problem.job.solver.engine == "gemm",
             sky_effects=[(one.effect, one.x[number]) for one in values.active if one.effect.changes_sky],
             memo=self._memo if self.room.designs else None,
+            followed=self._followed,
             **data,
         )
 

@@ -45,6 +45,25 @@ class SourcePositions(Protocol):
         """Follow another sky through the same times by the same rule."""
 
 
+class Followed:
+    """A few sources that are followed, whose places are found once for each time.
+
+    Parameters
+    ----------
+    positions : SourcePositions
+    """
+
+    def __init__(self, positions: SourcePositions) -> None:
+        self._positions = positions
+        self._known: dict[int, tuple[IntArray, FloatArray, FloatArray]] = {}
+
+    def above_horizon(self, itime: int) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Find the sources above the horizon, each (Nup,), not to be changed; see `SourcePositions.above_horizon`."""
+        if itime not in self._known:
+            self._known[itime] = self._positions.above_horizon(itime)
+        return self._known[itime]
+
+
 class ApparentPositions:
     """Catalogue places (ICRS) as seen from the observatory: precession, nutation, aberration, polar motion.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -60,8 +60,8 @@ class ObservingSetup:
         return {name: value for name, value in self.__dict__.items() if name != "kept"}
 
     @cached_property
-    def kept(self) -> dict[tuple[str | float, ...], Any]:
-        """What effects make of it alone and need again, by their kind and a number of theirs."""
+    def kept(self) -> dict[tuple[Hashable, ...], Any]:
+        """What effects make of it alone and need again, by a name and what else tells it."""
         return {}
 
     @property

@@ -18,11 +18,14 @@ from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.engines import make_engine
 from hydrabeam_mpi.model.engines.base import Engine, amplitude
 from hydrabeam_mpi.model.engines.smearing import smearing_of
-from hydrabeam_mpi.model.positions import SourcePositions
+from hydrabeam_mpi.model.positions import Followed, SourcePositions
 from hydrabeam_mpi.model.rime import Beam
+from hydrabeam_mpi.model.sky import Sky
 
 AT_ALL_TIMES = -1
 """In place of a time, where something is the same at all."""
+MOST_FOLLOWED = 256
+"""Sets of a few sources whose places are kept: of the latest steps of a fit, one at each time where sources move."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -51,6 +54,8 @@ class SkyBlock:
         Whether there is room in ``places`` for the fringes of the groups, too.
     sky_effects : sequence of (Effect, ndarray)
         Effects in the model that change the sky, with their parameters.
+    followed : dict
+        Places of a few sources by the same ``positions``, which blocks share; see `follow`.
     memo : dict, optional
         Keeps what `fixed_integral` has found, for blocks to share where there is room for it.
     """
@@ -66,6 +71,7 @@ class SkyBlock:
     places: dict[int, Place] | None = None
     keeps_waves: bool = False
     sky_effects: Sequence[tuple[Any, FloatArray]] = ()
+    followed: dict[bytes, Followed] = field(default_factory=dict)
     memo: dict[tuple[int, str], tuple[dict[int, ComplexArray], dict[int, tuple[bytes, ComplexArray]]]] | None = None
     _sources: dict[int, Sources] = field(default_factory=dict, init=False)
 
@@ -87,6 +93,15 @@ class SkyBlock:
     def engine_on(self, vectors: FloatArray) -> Engine:
         """Return the job's engine on other baseline vectors, (N, 3), metres ENU."""
         return make_engine(self.engine_kind, vectors, smearing=smearing_of(self.setup.observation))
+
+    def follow(self, ra: FloatArray, dec: FloatArray) -> Followed:
+        """Follow a few sources, (Nsrc,) each, radians: channels have their places in common."""
+        key = ra.tobytes() + dec.tobytes()
+        if key not in self.followed:
+            if len(self.followed) == MOST_FOLLOWED:
+                self.followed.clear()
+            self.followed[key] = Followed(self.positions.follow(Sky(ra, dec, np.ones((1, len(ra))))))
+        return self.followed[key]
 
     def sources(self, itime: int) -> Sources:
         """Return the sources above the horizon at an observation's time."""

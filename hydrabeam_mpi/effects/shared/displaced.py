@@ -124,7 +124,7 @@ def turned_sky(block: RowBlock, rotations: FloatArray) -> RowBlock:
     turned = rotations.any(axis=1)
     times = block.times[turned]
     positions = TurnedPositions(block.positions, dict(zip(times.tolist(), rotations[turned], strict=True)))
-    return replace(block, times=times, positions=positions, places=None, keeps_waves=False)
+    return replace(block, times=times, positions=positions, places=None, keeps_waves=False, followed={})
 
 
 def turn_per_second(block: RowBlock) -> FloatArray:

@@ -36,6 +36,9 @@ SCANNED_FUNCTIONS = 4
 """With each of the baselines or sources that are picked, whose number they divide: two swings, in each night that has
 its own."""
 
+Times = IntArray | Sequence[int] | slice
+EVERY = slice(None)
+
 
 class InTime(ScannedEffect):
     """An effect that changes in time by a law.
@@ -146,14 +149,14 @@ class InTime(ScannedEffect):
         """Return E, (Ntimes, Nbls)."""
         if self.multiplies or self.linear:
             return super().added(block, x)
-        now = self._at_times(block.setup, x)[block.times]
+        now = self._at_times(block.setup, x, block.times)
         return np.concatenate([self.effect.added(block.at_time(t), one) for t, one in enumerate(now)])
 
     def factor(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return C, (Ntimes, Nbls)."""
         if not self.multiplies:
             return super().factor(block, x)
-        at_times = zip(block.times.tolist(), self._at_times(block.setup, x)[block.times], strict=True)
+        at_times = zip(block.times.tolist(), self._at_times(block.setup, x, block.times), strict=True)
         rows = [self.effect.factor(replace(block, times=np.array([itime])), now)[0] for itime, now in at_times]
         return np.array(rows).reshape(block.shape)
 
@@ -163,16 +166,16 @@ class InTime(ScannedEffect):
 
     def sky_factor(self, setup: ObservingSetup, sources: Sources, x: FloatArray) -> FloatArray:
         """Return what multiplies each source's flux at its time, (Nsrc,)."""
-        return self.effect.sky_factor(setup, sources, self._at_times(setup, x)[sources.itime])
+        return self.effect.sky_factor(setup, sources, self._at_times(setup, x, [sources.itime])[0])
 
     def extra_sky(self, block: RowBlock, itime: int, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray] | None:
         """Return further sources as they are at one time; see `Effect.extra_sky`."""
-        return self.effect.extra_sky(block, itime, self._at_times(block.setup, x)[itime])
+        return self.effect.extra_sky(block, itime, self._at_times(block.setup, x, [itime])[0])
 
     def begun(self, setup: ObservingSetup, x: FloatArray) -> FloatArray:
         """Return the functions that come nearest to what the effect itself begins with at each time."""
         functions, rows = self._functions(setup)[setup.times], np.atleast_2d(x)
-        now = np.array([self._at_times(setup, row)[setup.times] for row in rows])
+        now = np.array([self._at_times(setup, row, setup.times) for row in rows])
         change = np.linalg.pinv(functions) @ (self.effect.begun(setup, now) - now)  # (n_rows, n functions, n_own)
         more = np.moveaxis(change, 1, 2).reshape(len(rows), -1)
         more = np.pad(more, ((0, 0), (0, rows.shape[1] - more.shape[1])))  # what all have in common stays
@@ -232,7 +235,7 @@ class InTime(ScannedEffect):
         if not isinstance(self.time_law, Piecewise):
             return []
         fitted = setup.times if setup.fitted is None else setup.fitted
-        levels = [self._at_times(setup, one)[fitted] for one in x]
+        levels = [self._at_times(setup, one, fitted) for one in x]
         return [(np.ones(x.shape[1], dtype=bool), self.effect, np.median(levels, axis=1).mean(axis=0))]
 
     def at(self, setup: ObservingSetup, hypotheses: IntArray) -> InTime:
@@ -264,12 +267,16 @@ class InTime(ScannedEffect):
         return law.first(SCANNED_FUNCTIONS) if isinstance(self.effect, ScannedEffect) else law
 
     def _functions(self, setup: ObservingSetup) -> FloatArray:
-        """Return the functions at all times of the observation, (Ntimes, n)."""
-        return self.time_law.over(setup.jd).functions(setup.observation.times)
+        """Return the functions at all times of the observation, (Ntimes, n); not to be changed."""
+        key = ("functions of time", self.time_law)
+        if key not in setup.kept:
+            setup.kept[key] = self.time_law.over(setup.jd).functions(setup.observation.times)
+        known: FloatArray = setup.kept[key]
+        return known
 
-    def _at_times(self, setup: ObservingSetup, x: FloatArray) -> FloatArray:
-        """Return the effect's own parameters at all times of the observation, (Ntimes, n_params of the effect)."""
-        functions, (names, common) = self._functions(setup), self.effect.common_in_time(setup)
+    def _at_times(self, setup: ObservingSetup, x: FloatArray, times: Times = EVERY) -> FloatArray:
+        """Return the effect's own parameters at times of the observation, (Ntimes, n_params of the effect)."""
+        functions, (names, common) = self._functions(setup)[times], self.effect.common_in_time(setup)
         now = functions @ x.reshape(-1, functions.shape[1]).T
         n = now.shape[1] - len(names)
         return now[:, :n] + now[:, n:] @ common
@@ -289,7 +296,7 @@ class InTime(ScannedEffect):
         if self.linear or x is None or not x.any():
             own = self.effect.columns(block, np.zeros(n))
         else:
-            now = self._at_times(block.setup, x)[block.times]
+            now = self._at_times(block.setup, x, block.times)
             parts = [self.effect.columns(block.at_time(t), one) for t, one in enumerate(now)]
             own = replace(parts[0], values=np.concatenate([part.values for part in parts]))
         if not len(common):

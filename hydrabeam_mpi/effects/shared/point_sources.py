@@ -14,7 +14,7 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.scanned import ScannedEffect
 from hydrabeam_mpi.effects.shared.settings import Azimuth, Count, Elevation
-from hydrabeam_mpi.model.engines.base import amplitude
+from hydrabeam_mpi.model.engines.base import SOURCES_AT_ONCE, amplitude
 from hydrabeam_mpi.model.engines.fringes import enu
 from hydrabeam_mpi.model.rime import Beam
 from hydrabeam_mpi.model.sky import Sky, separation
@@ -134,12 +134,15 @@ def responses(block: RowBlock, ra: FloatArray, dec: FloatArray) -> ComplexArray:
     out = np.zeros((len(block.times), len(block.groups), n), dtype=complex)
     if not n:
         return out
-    positions = block.positions.follow(Sky(ra, dec, np.ones((1, n)))) if ra.ndim == 1 else None
-    for t, itime in enumerate(block.times.tolist()):
-        now = positions or block.positions.follow(Sky(ra[t], dec[t], np.ones((1, n))))
-        index, za, az = now.above_horizon(itime)
+    at_times = [(ra, dec)] * len(block.times) if ra.ndim == 1 else zip(ra, dec, strict=True)
+    up = [block.follow(*at).above_horizon(t) for t, at in zip(block.times.tolist(), at_times, strict=True)]
+    # Several times at once, as the sources are few.
+    step = max(1, SOURCES_AT_ONCE // n)
+    for lo in range(0, len(up), step):
+        index, za, az = (np.concatenate(parts) for parts in zip(*up[lo : lo + step], strict=True))
+        time = np.repeat(np.arange(len(up))[lo : lo + step], [len(one) for one, *_ in up[lo : lo + step]])
         beam = np.asarray(block.beam(za, az)).real
-        out[t][:, index] = block.engine.responses(enu(za, az), beam, block.freq)
+        out[time, :, index] = block.engine.responses(enu(za, az), beam, block.freq).T
     return out
 
 

@@ -82,7 +82,7 @@ def shifted_sky(block: RowBlock, shifts: FloatArray, path: Path) -> RowBlock:
     moved = shifts.any(axis=1)
     times = block.times[moved]
     positions = ShiftedPositions(block.positions, dict(zip(times.tolist(), shifts[moved], strict=True)), path)
-    return replace(block, times=times, positions=positions, places=None, keeps_waves=False)
+    return replace(block, times=times, positions=positions, places=None, keeps_waves=False, followed={})
 
 
 def shifting_columns(sources: Sources, path: Path) -> FloatArray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
@@ -214,6 +215,7 @@ def highest_order(fitted: FloatArray, n: int) -> int:
     return min(MOST_ORDERS, n // 2, int(np.ptp(fitted) / gap) if gap > 0 else 0)
 
 
+@lru_cache
 def _of_range_one(order: int) -> Legendre:
     """Return a Legendre polynomial over its range on [-1, 1]."""
     polynomial = Legendre.basis(order)

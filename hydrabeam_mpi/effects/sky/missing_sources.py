@@ -138,8 +138,7 @@ class MissingSources(MayVary):
         """Return the sources that are up, each (Nsrc,)."""
         part = x.reshape(-1, self._n_each(block.setup))
         flux = part[:, 0] * _spectrum(part, block)
-        sky = Sky(*self._places(self._at_time(block.setup, part, itime)), np.ones((1, len(flux))))
-        index, za, az = block.positions.follow(sky).above_horizon(itime)
+        index, za, az = block.follow(*self._places(self._at_time(block.setup, part, itime))).above_horizon(itime)
         return za, az, flux[index]
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:

@@ -14,7 +14,6 @@ from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.shared.point_sources import beside, in_radians, responses, with_slopes
 from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux, find
-from hydrabeam_mpi.model.sky import Sky
 
 ARCMIN = np.deg2rad(1 / 60)
 
@@ -49,8 +48,7 @@ class SourcePositions(CatalogueFlux):
     def extra_sky(self, block: RowBlock, itime: int, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the sources where they are, those that are up, each (Nsrc,)."""
         part = x.reshape(-1, 3)
-        positions = block.positions.follow(Sky(*self._where(part), np.ones((1, len(part)))))
-        index, za, az = positions.above_horizon(itime)
+        index, za, az = block.follow(*self._where(part)).above_horizon(itime)
         return za, az, (self._fluxes(block, itime) * (1 + part[:, 0]))[index]
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:

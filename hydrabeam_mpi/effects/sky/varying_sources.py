@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from hydrabeam_mpi.effects.interface.limits import sigmas
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.told import Told
-from hydrabeam_mpi.effects.shared.in_time import InTime
+from hydrabeam_mpi.effects.shared.in_time import EVERY, InTime, Times
 from hydrabeam_mpi.effects.shared.nightly_laws import Nightly
 from hydrabeam_mpi.effects.shared.point_sources import PointSources
 from hydrabeam_mpi.effects.shared.time_laws import LEVEL, Smooth
@@ -134,7 +135,7 @@ class VaryingSources(InTime):
         of, first, is_flux = self._layout(len(x))
         own = self.effect.columns(block, np.where(is_flux, 1.0, x)[first]).values[..., of]
         phi, n = self._functions(block.setup)[block.times], len(self.effect.sources)
-        curve = self._fluxes(block.setup, x)[block.times]
+        curve = self._fluxes(block.setup, x, block.times)
         times = np.tile(phi, n) if n else np.zeros((len(phi), 0))
         scale = np.empty((len(phi), len(x)))
         scale[:, is_flux] = times
@@ -144,7 +145,7 @@ class VaryingSources(InTime):
     def added(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return the sources' visibilities, (Ntimes, Nbls)."""
         seen = self.effect.seen(block, x[self._layout(len(x))[1]])
-        return block.spread(np.einsum("tgs,ts->tg", seen, self._fluxes(block.setup, x)[block.times]))
+        return block.spread(np.einsum("tgs,ts->tg", seen, self._fluxes(block.setup, x, block.times)))
 
     def begun(self, setup: ObservingSetup, x: FloatArray) -> FloatArray:
         """Return the fluxes that were found, (..., n_params)."""
@@ -188,26 +189,32 @@ class VaryingSources(InTime):
 
         They are (n_params,), (n_own,) and (n_params,).
         """
-        n, n_sources = len(self.time_law.names()), len(self.effect.sources)
-        each = n_params // max(n_sources, 1)
-        within = np.maximum(np.arange(each) - n + 1, 0)
-        of = ((each - n + 1) * np.arange(n_sources)[:, np.newaxis] + within).ravel()
-        return of, np.unique(of, return_index=True)[1], np.tile(within == 0, n_sources)
+        return _layout(n_params, len(self.effect.sources), len(self.time_law.names()))
 
-    def _fluxes(self, setup: ObservingSetup, x: FloatArray) -> FloatArray:
-        """Return the flux of each source at all times of the observation, (Ntimes, Nsources)."""
+    def _fluxes(self, setup: ObservingSetup, x: FloatArray, times: Times = EVERY) -> FloatArray:
+        """Return the flux of each source at times of the observation, (Ntimes, Nsources)."""
         is_flux = self._layout(len(x))[2]
-        functions = self._functions(setup)
+        functions = self._functions(setup)[times]
         return functions @ x[is_flux].reshape(len(self.effect.sources), functions.shape[1]).T
 
-    def _at_times(self, setup: ObservingSetup, x: FloatArray) -> FloatArray:
-        """Return the parameters of sources without a law as they are at all times, (Ntimes, n_own)."""
+    def _at_times(self, setup: ObservingSetup, x: FloatArray, times: Times = EVERY) -> FloatArray:
+        """Return the parameters of sources without a law as they are at some times, (Ntimes, n_own)."""
         _, first, is_flux = self._layout(len(x))
-        now = np.tile(x[first], (setup.observation.Ntimes, 1))
-        now[:, is_flux[first]] = self._fluxes(setup, x)
+        fluxes = self._fluxes(setup, x, times)
+        now = np.tile(x[first], (len(fluxes), 1))
+        now[:, is_flux[first]] = fluxes
         return now
 
     def _candidates(self, setup: ObservingSetup) -> Smooth:
         """Return the law with the functions that are looked at."""
         law = self.time_law.over(setup.jd).candidates(setup.fitted_jd, setup.jd)
         return law.with_level().first(LIGHT_CURVE)
+
+
+@lru_cache
+def _layout(n_params: int, n_sources: int, n_functions: int) -> tuple[IntArray, IntArray, BoolArray]:
+    """Do as `VaryingSources._layout`."""
+    each = n_params // max(n_sources, 1)
+    within = np.maximum(np.arange(each) - n_functions + 1, 0)
+    of = ((each - n_functions + 1) * np.arange(n_sources)[:, np.newaxis] + within).ravel()
+    return of, np.unique(of, return_index=True)[1], np.tile(within == 0, n_sources)

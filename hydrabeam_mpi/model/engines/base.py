@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
-from hydrabeam_mpi.model.engines.fringes import Fringes, plane_waves
+from hydrabeam_mpi.model.engines.fringes import Fringes
 from hydrabeam_mpi.model.engines.smearing import Smearing
 
 Precision = type[np.float64] | type[np.float32]
@@ -142,10 +142,11 @@ class Engine(ABC):
         ndarray of complex, (Nvectors, Nsrc)
             1/2 I_s B(s) exp(+2 pi i nu b_u.s / c_light), Jy.
         """
-        waves = plane_waves(self.vectors, directions, freq)
-        if self.smearing is not None:
-            waves *= self.smearing.left(self.vectors, directions, freq)
-        return amplitude(flux) * waves
+        parts = np.empty((2, self.n_vectors, directions.shape[1]))
+        self.fringes.fill(parts, directions, amplitude(flux), freq)
+        seen = np.empty(parts.shape[1:], dtype=complex)
+        seen.real, seen.imag = parts
+        return seen
 
     def adjoint(self, visibilities: ComplexArray, directions: FloatArray, flux: FloatArray, freq: float) -> FloatArray:
         """Correlate visibilities with the `responses` of single sources, of which only a few are held at a time.

@@ -1,0 +1,106 @@
+"""What effects change of the sky at one time, and what a set of baselines sees of that."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.model.bases.base import LinearBasis
+from hydrabeam_mpi.model.engines.base import SOURCES_AT_ONCE, Engine, amplitude
+from hydrabeam_mpi.model.engines.fringes import enu
+
+
+class SourcesOfChannels(NamedTuple):
+    """Sources above the horizon: za and az, (Nsrc,) radians, and what they add to each channel, (Nfreqs, Nsrc) Jy."""
+
+    za: FloatArray
+    az: FloatArray
+    flux: FloatArray
+
+
+def changed_sky(blocks: Sequence[RowBlock], itime: int, left_out: Sequence[bool]) -> SourcesOfChannels:
+    """Return by how much effects change the fluxes of sources at a time, and the sources that they add.
+
+    Parameters
+    ----------
+    blocks : sequence of RowBlock
+        Of each channel, with the effects that change the sky.
+    itime : int
+        Index into the observation's times.
+    left_out : sequence of bool
+        For each effect, whether what it adds is not wanted.
+    """
+    sources = [block.sources(itime) for block in blocks]
+    change = np.array([one.flux_without() - one.flux for one in sources])
+    changed = np.flatnonzero(change.any(axis=0))
+    parts = [SourcesOfChannels(sources[0].za[changed], sources[0].az[changed], change[:, changed])]
+    for number in np.flatnonzero(~np.array(left_out, dtype=bool)).tolist():
+        added = [block.sky_effects[number][0].extra_sky(block, itime, block.sky_effects[number][1]) for block in blocks]
+        if added[0] is not None:
+            parts.append(_together(added))
+    za, az, flux = (np.concatenate(one, axis=-1) for one in zip(*parts, strict=True))
+    shines = flux.any(axis=0)
+    return SourcesOfChannels(za[shines], az[shines], flux[:, shines])
+
+
+def _together(channels: Sequence[tuple[FloatArray, FloatArray, FloatArray]]) -> SourcesOfChannels:
+    """Join what is added to each channel: mostly sources at the same places."""
+    za, az, flux = zip(*channels, strict=True)
+    if all(np.array_equal(za[0], one) and np.array_equal(az[0], two) for one, two in zip(za, az, strict=True)):
+        return SourcesOfChannels(za[0], az[0], np.array(flux))
+    ends = np.cumsum([len(one) for one in flux])
+    each = np.zeros((len(flux), ends[-1]))
+    for row, one, end in zip(each, flux, ends.tolist(), strict=True):
+        row[end - len(one) : end] = one
+    return SourcesOfChannels(np.concatenate(za), np.concatenate(az), each)
+
+
+def design_of_each(
+    engine: Engine, basis: LinearBasis, skies: Iterable[SourcesOfChannels], freqs: FloatArray
+) -> Iterator[FloatArray]:
+    """Yield the design of each sky, (Nfreqs, 2, Nvectors, n_columns).
+
+    Most have few sources, so that basis and fringes are evaluated for several at once, up to `SOURCES_AT_ONCE` sources.
+    """
+    waiting: list[SourcesOfChannels] = []
+    for sky in skies:
+        if waiting and sum(len(one.za) for one in waiting) + len(sky.za) > SOURCES_AT_ONCE:
+            yield from _designs(engine, basis, waiting, freqs)
+            waiting = []
+        waiting.append(sky)
+    if waiting:
+        yield from _designs(engine, basis, waiting, freqs)
+
+
+def _designs(
+    engine: Engine, basis: LinearBasis, skies: Sequence[SourcesOfChannels], freqs: FloatArray
+) -> Iterator[FloatArray]:
+    za, az, flux = (np.concatenate(one, axis=-1) for one in zip(*skies, strict=True))
+    if len(skies) == 1 and len(za) > SOURCES_AT_ONCE:
+        yield _of_many_sources(engine, basis, skies[0], freqs)
+        return
+    columns, directions = basis.columns(za, az), enu(za, az)
+    fringes = np.empty((2, engine.n_vectors, len(za)))
+    out = np.empty((len(skies), len(freqs), 2, engine.n_vectors, len(columns)))
+    ends = np.cumsum([len(sky.za) for sky in skies]).tolist()
+    for f, freq in enumerate(freqs.tolist()):
+        engine.fringes.fill(fringes, directions, amplitude(flux[f]), freq)
+        for made, sky, end in zip(out, skies, ends, strict=True):
+            own = slice(end - len(sky.za), end)
+            np.matmul(fringes[..., own], columns[:, own].T, out=made[f])
+    yield from out
+
+
+def _of_many_sources(engine: Engine, basis: LinearBasis, sky: SourcesOfChannels, freqs: FloatArray) -> FloatArray:
+    """Return the design of one sky, of which channels may have sources of their own."""
+    if sky.flux.all():
+        return engine.design(basis, *sky, freqs)
+    parts = []
+    for flux, freq in zip(sky.flux, freqs, strict=True):
+        shines = flux != 0
+        parts.append(engine.design(basis, sky.za[shines], sky.az[shines], flux[np.newaxis, shines], np.array([freq])))
+    return np.concatenate(parts)
