@@ -7,18 +7,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.fit.acceleration import EarlierSteps
 from hydrabeam_mpi.fit.beams_given import Solved, diagnostics_of, solve_beams
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.coupled_step import share_step, step_together
-from hydrabeam_mpi.fit.joint_step import solve_jointly
+from hydrabeam_mpi.fit.joint_step import limited, solve_jointly
 from hydrabeam_mpi.fit.linearised import linearised, sums_at
-from hydrabeam_mpi.fit.state import Estimate, Fit, Fitted, Values
+from hydrabeam_mpi.fit.state import Ended, Estimate, Fit, Fitted, Values
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.mpi import bcast_object, together
 from hydrabeam_mpi.terminal.progress import say_meanwhile
 
-MAX_STEPS = 15
+MAX_STEPS = 30
+"""Most fits take three to eight; dozens of sources at once, of which some are not there, take twenty."""
 MAX_HALVED = 5
 """How often a step is halved before the fit stops at the best point so far."""
 STEP_SIGMAS = 0.03
@@ -84,14 +87,14 @@ def refit(
         solved = solve_beams(context, start)
         return Fitted(values, Fit(solved.beams), diagnostics_of(context, solved))
     try:
-        end, step, converged = _search(context, start, first_step, worth)
+        end, step, ended = _search(context, start, first_step, worth)
     except InputError as error:
         if before is None:
             raise
         raise BrokenOff(NO_BEAMS) from error
     # Not converged: the beams that E is seen by stay, as E may be another one with those solved for.
-    solved = solve_beams(context, end, keep=not converged and end.values.adds)
-    diagnostics = replace(diagnostics_of(context, solved), converged=converged)
+    solved = solve_beams(context, end, keep=ended is not Ended.CONVERGED and end.values.adds)
+    diagnostics = replace(diagnostics_of(context, solved), ended=ended)
     return Fitted(end.values, step.fit.with_beams(solved.beams), diagnostics)
 
 
@@ -147,13 +150,15 @@ def _start(values: Values, before: Fitted | None) -> Estimate:
     return Estimate(replace(values, active=tuple(active)), before.fit.posteriors if before else ())
 
 
-def _search(context: FitContext, at: Estimate, length: float, worth: Worth | None) -> tuple[Estimate, _Step, bool]:
-    """Take steps until nothing moves; return where they end, the last of them, and whether they have converged.
+def _search(context: FitContext, at: Estimate, length: float, worth: Worth | None) -> tuple[Estimate, _Step, Ended]:
+    """Take steps until nothing moves; return where they end, the last of them, and why it is the last.
 
     ``length`` is that of the first one, of which it is a part.
     """
     best: tuple[float, Estimate, _Step] | None = None
+    ended = Ended.OUT_OF_STEPS
     flat = halved = 0
+    earlier, is_accelerated = EarlierSteps(), False
     length *= 0.5
     for number in range(MAX_STEPS):
         say_meanwhile(f"    fitting: step {number + 1} of {MAX_STEPS} at most", context.grid.is_world_root)
@@ -165,7 +170,12 @@ def _search(context: FitContext, at: Estimate, length: float, worth: Worth | Non
         if solved is not None and _is_too_long(context, best, at, solved):
             at, solved = _with_linear(context, at, solved)
         if best is not None and _is_too_long(context, best, at, solved):
+            if is_accelerated:
+                earlier.forget()
+                at, is_accelerated = best[1].towards(best[2].to, length), False
+                continue
             if halved == MAX_HALVED:
+                ended = Ended.STUCK
                 break
             halved, length = halved + 1, 0.5 * length
             at = best[1].towards(at, 0.5)
@@ -179,12 +189,34 @@ def _search(context: FitContext, at: Estimate, length: float, worth: Worth | Non
         best = (solved.reached, at if at.values.adds else replace(at, beams=solved.beams), step)
         still = beam_moved(context, at.beams, solved.beams) < STEP_SIGMAS * np.sqrt(misfit)
         if (still and step.gain < FLAT_NATS * misfit) or flat == FLAT_STEPS:
-            return step.to, step, True
+            return step.to, step, Ended.CONVERGED
         # What was too long once is begun with again at twice the length at which it was not.
         length = min(1.0, 2 * length)
         at = best[1].towards(step.to, length)
+        is_accelerated = length == 1.0 and context.problem.coupling is None and at.values.active != ()
+        if is_accelerated:
+            at = _accelerated(context, replace(best[1], beams=solved.beams), step, earlier)
     assert best is not None
-    return best[1], best[2], False
+    return best[1], best[2], ended
+
+
+def _accelerated(context: FitContext, at: Estimate, step: _Step, earlier: EarlierSteps) -> Estimate:
+    """Return where a step leads with what earlier ones tell, each parameter within its limit. Collective: all ranks."""
+    values, change = at.values, None
+    if context.grid.is_world_root:
+        std = np.concatenate([one[:, i.used] for one, i in zip(step.fit.std, values.active, strict=True)], axis=1)
+        wanted = earlier.accelerated(values.x, step.to.values.x - values.x, std)
+        change = np.array([limited(values, one) for one in wanted])
+    change = bcast_object(context.grid.world, change)
+    return Estimate(values.at(values.x + change), _followed(context, at.beams, step.fit.beam_response, change))
+
+
+def _followed(
+    context: FitContext, beams: Sequence[Posterior], response: Sequence[Array], change: FloatArray
+) -> tuple[Posterior, ...]:
+    """Return the rank group's beams where they belong to parameters that ``change``, (Nfreqs, q)."""
+    each = zip(beams, response, context.channels, strict=True)
+    return tuple(replace(one, mean=one.mean + by_effects @ change[f]) for one, by_effects, f in each)
 
 
 def _with_linear(context: FitContext, at: Estimate, solved: Solved) -> tuple[Estimate, Solved]:
@@ -261,10 +293,8 @@ def _step_of(context: FitContext, at: Estimate, solved: Solved, values: Values) 
         if likelihoods is not None:
             answer = solve_jointly(values, likelihoods)
     x, std, covariances, moved, gain = bcast_object(context.grid.world, answer)
-    change = x - values.x
     # E of the next step is seen by the beams that belong to these parameters, not by those before.
-    followed = zip(at.beams, response, context.channels, strict=True)
-    beams = tuple(replace(one, mean=one.mean + by_effects @ change[f]) for one, by_effects, f in followed)
+    beams = _followed(context, at.beams, response, x - values.x)
     fit = Fit((), tuple(covariances[f] for f in context.channels), tuple(response), values.by_effect(std))
     return _Step(Estimate(values.at(x), beams), fit, float(moved), float(gain))
 

@@ -104,7 +104,7 @@ def _moved(values: Values, steps: FloatArray, std: FloatArray, scores: FloatArra
     pulls = [score + share * values.prior_score(f) for f, score in enumerate(scores)]
     gain = 0.5 * sum(float(step @ pull) for step, pull in zip(steps, pulls, strict=True))
     x = values.x
-    new = x + np.array([_limited(values, step) for step in steps])
+    new = x + np.array([limited(values, step) for step in steps])
     return new, float(np.max(np.abs(new - x) / std, initial=0.0)), gain
 
 
@@ -125,7 +125,7 @@ def _prior(name: str, one: Active, channels: range, prior: Prior) -> Gaussian:
     return Gaussian(tuple(_block(name, one, f) for f in channels), precision, source, None)
 
 
-def _limited(values: Values, step: FloatArray) -> FloatArray:
+def limited(values: Values, step: FloatArray) -> FloatArray:
     """Keep steps of strongly nonlinear parameters, such as positions, within their natural size."""
     limits = np.concatenate([np.zeros(0), *(one.step_limit[one.used] for one in values.active)])
     return np.clip(step, -limits, limits)

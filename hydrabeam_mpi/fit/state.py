@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from enum import Enum
 from functools import cached_property
 from typing import Any
 
@@ -256,6 +257,14 @@ class Fit:
         return replace(self, posteriors=known or beams)
 
 
+class Ended(Enum):
+    """Why a fit ended: nothing moves any more, no part of a step leads higher, or it had taken all its steps."""
+
+    CONVERGED = "converged"
+    STUCK = "stuck"
+    OUT_OF_STEPS = "out of steps"
+
+
 @dataclass(frozen=True)
 class Diagnostics:
     """How well the fitted rows are fitted, for each of this rank group's channels.
@@ -270,15 +279,19 @@ class Diagnostics:
         How many real parameters of the beam the fitted rows have decided, tr(P^-1 F^H N^-1 F); on group roots.
     n_data : ndarray, (Nlocal,)
         Number of complex data that were fitted; on group roots.
-    converged : bool
-        Whether the fit ended where nothing moves any more, rather than where it could not get on.
+    ended : Ended
     """
 
     train_chi2: FloatArray = field(default_factory=lambda: np.zeros(0))
     log_joint: FloatArray = field(default_factory=lambda: np.zeros(0))
     effective_parameters: FloatArray = field(default_factory=lambda: np.zeros(0))
     n_data: FloatArray = field(default_factory=lambda: np.zeros(0))
-    converged: bool = True
+    ended: Ended = Ended.CONVERGED
+
+    @property
+    def converged(self) -> bool:
+        """Whether the fit ended where nothing moves any more."""
+        return self.ended is Ended.CONVERGED
 
 
 @dataclass(frozen=True)

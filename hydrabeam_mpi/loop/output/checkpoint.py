@@ -149,9 +149,7 @@ def _light_check(context: FitContext, checked: Checked) -> Checked:
     train_chi2 = np.concatenate(context.grid.world.allgather(mine))
     return replace(
         checked,
-        fitted=Fitted(
-            fitted.values, Fit(std=fitted.fit.std), Diagnostics(train_chi2, converged=fitted.diagnostics.converged)
-        ),
+        fitted=Fitted(fitted.values, Fit(std=fitted.fit.std), Diagnostics(train_chi2, ended=fitted.diagnostics.ended)),
     )
 
 
@@ -179,7 +177,7 @@ def _complete(context: FitContext, history: History, mine: list[KeptChannel]) ->
 
     def local(checked: Checked) -> Checked:
         train_chi2 = checked.fitted.diagnostics.train_chi2[context.channels]
-        diagnostics = Diagnostics(train_chi2, converged=checked.fitted.diagnostics.converged)
+        diagnostics = Diagnostics(train_chi2, ended=checked.fitted.diagnostics.ended)
         return replace(checked, fitted=replace(checked.fitted, diagnostics=diagnostics))
 
     first = before = local(history.first)
@@ -198,7 +196,7 @@ def _complete(context: FitContext, history: History, mine: list[KeptChannel]) ->
         np.array([one.log_joint for one in mine]),
         np.array([one.effective_parameters for one in mine]),
         np.array([one.n_data for one in mine]),
-        before.fitted.diagnostics.converged,
+        before.fitted.diagnostics.ended,
     )
     last = Fitted(before.fitted.values, fit, diagnostics)
     whole = replace(before, fitted=last)

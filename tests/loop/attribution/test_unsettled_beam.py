@@ -10,7 +10,7 @@ import pytest
 from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
-from hydrabeam_mpi.fit.state import Fitted, Values
+from hydrabeam_mpi.fit.state import Ended, Fitted, Values
 from hydrabeam_mpi.loop.attribution.candidate_rows import CachedRowBlocks
 from hydrabeam_mpi.loop.attribution.score_effects import attribute
 from hydrabeam_mpi.random import generator
@@ -34,9 +34,9 @@ def test_what_the_beam_would_take_up_is_no_evidence(form: str, tmp_path: Path) -
         step = 5 * beam.std * rng.normal(size=len(beam.mean))
         moved.append(replace(beam, mean=beam.mean + (step * (1 + 1j) if form == "complex" else step)))
     away = replace(fitted, fit=fitted.fit.with_beams(tuple(moved)))
-    away = replace(away, diagnostics=replace(fitted.diagnostics, converged=False))
+    away = replace(away, diagnostics=replace(fitted.diagnostics, ended=Ended.STUCK))
     right = evidence_of(context, fitted)
     assert right > 100
     assert evidence_of(context, away) == pytest.approx(right, rel=1e-6)
-    taken_for_settled = replace(away, diagnostics=replace(away.diagnostics, converged=True))
+    taken_for_settled = replace(away, diagnostics=replace(away.diagnostics, ended=Ended.CONVERGED))
     assert abs(evidence_of(context, taken_for_settled) - right) > 1e-4 * right

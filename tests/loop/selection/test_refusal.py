@@ -12,7 +12,7 @@ from hydrabeam_mpi.config.effects import Loop
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.instrument.basis_truncation import BasisTruncation
 from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
-from hydrabeam_mpi.fit.state import Active, Fit, Fitted, Values, independent_prior
+from hydrabeam_mpi.fit.state import Active, Ended, Fit, Fitted, Values, independent_prior
 from hydrabeam_mpi.loop.attribution.constancy import Constancy
 from hydrabeam_mpi.loop.attribution.control_models import BeamDrift
 from hydrabeam_mpi.loop.selection.acceptance import Candidate
@@ -40,7 +40,8 @@ def judged(given: dict[str, Any], settings: Loop = LOOP) -> str | None:
         Fit(std=(std,)),
     )
     after = checked(**given["after"], fitted=found)
-    diagnostics = replace(after.fitted.diagnostics, converged=given["converged"])
+    ended = Ended.CONVERGED if given["converged"] else Ended.STUCK
+    diagnostics = replace(after.fitted.diagnostics, ended=ended)
     after = replace(after, fitted=replace(after.fitted, diagnostics=diagnostics))
     return refusal_of(given["before"], after, effect_candidate(effect, given["lbf"], given["absorbed"]), settings)
 

@@ -12,7 +12,7 @@ from hydrabeam_mpi.effects.instrument import basis_truncation
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.instrument.basis_truncation import BasisTruncation
 from hydrabeam_mpi.fit.gauss_newton import refit
-from hydrabeam_mpi.fit.state import Active, Values
+from hydrabeam_mpi.fit.state import Active, Ended, Values
 from hydrabeam_mpi.loop.attribution.score_effects import attribute
 from hydrabeam_mpi.loop.selection.candidate_fits import TriedFit, as_large_as_wanted
 from hydrabeam_mpi.loop.selection.predictions import check
@@ -64,7 +64,7 @@ def test_of_two_fits_the_one_with_more_evidence_is_better_if_it_has_converged(tm
     more = replace(one, log_bayes_factor=one.log_bayes_factor + 1)
     assert more.is_better(one)
     assert not one.is_better(more)
-    broken = replace(one.fitted, diagnostics=replace(one.fitted.diagnostics, converged=False))
+    broken = replace(one.fitted, diagnostics=replace(one.fitted.diagnostics, ended=Ended.STUCK))
     lost = replace(more, fitted=broken)
     assert one.is_better(lost)
     assert not lost.is_better(one)

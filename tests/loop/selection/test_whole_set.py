@@ -13,7 +13,7 @@ from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
-from hydrabeam_mpi.fit.state import Active, Fitted, Values
+from hydrabeam_mpi.fit.state import Active, Ended, Fitted, Values
 from hydrabeam_mpi.loop.attribution.score_effects import Finding
 from hydrabeam_mpi.loop.selection import whole_set
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round, is_better
@@ -162,7 +162,7 @@ def test_a_set_whose_fit_does_not_converge_is_tried_one_by_one(
 ) -> None:
     def unsettled(context: FitContext, values: Values, start: Fitted) -> Fitted:
         fitted = refit(context, values, start)
-        return replace(fitted, diagnostics=replace(fitted.diagnostics, converged=False))
+        return replace(fitted, diagnostics=replace(fitted.diagnostics, ended=Ended.STUCK))
 
     monkeypatch.setattr(whole_set, "fit_patiently", unsettled)
     assert try_set(context, before, weighed, []) == ()
