@@ -7,13 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.fit.acceleration import EarlierSteps
+from hydrabeam_mpi.fit.acceleration import EarlierSteps, accelerated, followed
 from hydrabeam_mpi.fit.beams_given import Solved, diagnostics_of, solve_beams
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.coupled_step import share_step, step_together
-from hydrabeam_mpi.fit.joint_step import limited, solve_jointly
+from hydrabeam_mpi.fit.joint_step import solve_jointly
 from hydrabeam_mpi.fit.linearised import linearised, sums_at
 from hydrabeam_mpi.fit.state import Ended, Estimate, Fit, Fitted, Values
 from hydrabeam_mpi.inference.posterior import Posterior
@@ -124,7 +123,7 @@ def stepped(context: FitContext, values: Values, before: Fitted) -> Fitted:
 
 
 @dataclass(frozen=True)
-class _Step:
+class Step:
     """A Gauss-Newton step: where it leads, what it tells of the effects, and how many standard deviations it is long.
 
     Its ``fit`` is without posteriors, unless channels hang together. By ``gain`` the linear model expects
@@ -150,12 +149,12 @@ def _start(values: Values, before: Fitted | None) -> Estimate:
     return Estimate(replace(values, active=tuple(active)), before.fit.posteriors if before else ())
 
 
-def _search(context: FitContext, at: Estimate, length: float, worth: Worth | None) -> tuple[Estimate, _Step, Ended]:
+def _search(context: FitContext, at: Estimate, length: float, worth: Worth | None) -> tuple[Estimate, Step, Ended]:
     """Take steps until nothing moves; return where they end, the last of them, and why it is the last.
 
     ``length`` is that of the first one, of which it is a part.
     """
-    best: tuple[float, Estimate, _Step] | None = None
+    best: tuple[float, Estimate, Step] | None = None
     ended = Ended.OUT_OF_STEPS
     flat = halved = 0
     earlier, is_accelerated = EarlierSteps(), False
@@ -193,30 +192,11 @@ def _search(context: FitContext, at: Estimate, length: float, worth: Worth | Non
         # What was too long once is begun with again at twice the length at which it was not.
         length = min(1.0, 2 * length)
         at = best[1].towards(step.to, length)
-        is_accelerated = length == 1.0 and context.problem.coupling is None and at.values.active != ()
-        if is_accelerated:
-            at = _accelerated(context, replace(best[1], beams=solved.beams), step, earlier)
+        from_here = replace(best[1], beams=solved.beams)
+        further = accelerated(context, from_here, step.to, step.fit, earlier) if length == 1.0 else None
+        is_accelerated, at = further is not None, further or at
     assert best is not None
     return best[1], best[2], ended
-
-
-def _accelerated(context: FitContext, at: Estimate, step: _Step, earlier: EarlierSteps) -> Estimate:
-    """Return where a step leads with what earlier ones tell, each parameter within its limit. Collective: all ranks."""
-    values, change = at.values, None
-    if context.grid.is_world_root:
-        std = np.concatenate([one[:, i.used] for one, i in zip(step.fit.std, values.active, strict=True)], axis=1)
-        wanted = earlier.accelerated(values.x, step.to.values.x - values.x, std)
-        change = np.array([limited(values, one) for one in wanted])
-    change = bcast_object(context.grid.world, change)
-    return Estimate(values.at(values.x + change), _followed(context, at.beams, step.fit.beam_response, change))
-
-
-def _followed(
-    context: FitContext, beams: Sequence[Posterior], response: Sequence[Array], change: FloatArray
-) -> tuple[Posterior, ...]:
-    """Return the rank group's beams where they belong to parameters that ``change``, (Nfreqs, q)."""
-    each = zip(beams, response, context.channels, strict=True)
-    return tuple(replace(one, mean=one.mean + by_effects @ change[f]) for one, by_effects, f in each)
 
 
 def _with_linear(context: FitContext, at: Estimate, solved: Solved) -> tuple[Estimate, Solved]:
@@ -253,7 +233,7 @@ def _solved_or_too_far(context: FitContext, at: Estimate, first: bool) -> Solved
 
 
 def _is_too_long(
-    context: FitContext, best: tuple[float, Estimate, _Step] | None, at: Estimate, solved: Solved | None
+    context: FitContext, best: tuple[float, Estimate, Step] | None, at: Estimate, solved: Solved | None
 ) -> bool:
     """Tell whether a step has led lower than the best so far. Collective: all ranks of the grid."""
     if best is None or solved is None:
@@ -275,17 +255,17 @@ def _least_rise(best: float, values: Values, misfit: float) -> float:
     return -STEPS_BACK * abs(best) if incomparable else -FLAT_NATS * misfit
 
 
-def take_step(context: FitContext, at: Estimate, solved: Solved) -> _Step:
+def take_step(context: FitContext, at: Estimate, solved: Solved) -> Step:
     """Move the effects, with the beams ``at`` following them. Collective: all ranks of the grid."""
     values = at.values
     if not values.active:
-        return _Step(at, Fit(), 0.0, 0.0)
+        return Step(at, Fit(), 0.0, 0.0)
     if context.problem.coupling is not None:
         return _take_step_together(context, at, solved)
     return _step_of(context, at, solved, values)
 
 
-def _step_of(context: FitContext, at: Estimate, solved: Solved, values: Values) -> _Step:
+def _step_of(context: FitContext, at: Estimate, solved: Solved, values: Values) -> Step:
     """Move some effects of the model, those of ``values``; it leads to these alone. Collective: all ranks."""
     likelihoods, response = linearised(context, at, solved, values)
     answer = None
@@ -294,19 +274,19 @@ def _step_of(context: FitContext, at: Estimate, solved: Solved, values: Values) 
             answer = solve_jointly(values, likelihoods)
     x, std, covariances, moved, gain = bcast_object(context.grid.world, answer)
     # E of the next step is seen by the beams that belong to these parameters, not by those before.
-    beams = _followed(context, at.beams, response, x - values.x)
+    beams = followed(context, at.beams, response, x - values.x)
     fit = Fit((), tuple(covariances[f] for f in context.channels), tuple(response), values.by_effect(std))
-    return _Step(Estimate(values.at(x), beams), fit, float(moved), float(gain))
+    return Step(Estimate(values.at(x), beams), fit, float(moved), float(gain))
 
 
-def _take_step_together(context: FitContext, at: Estimate, solved: Solved) -> _Step:
+def _take_step_together(context: FitContext, at: Estimate, solved: Solved) -> Step:
     """Take a step where beams hang together over frequency. Collective: all ranks of the grid."""
     values = at.values
     sums = list(sums_at(context, at, solved.rows, solved.added, values))
     step = step_together(context, values, sums, solved.together)
     beams, covariances, responses = share_step(context, step, solved.together, at.beams, values.x)
     x, std, *told = bcast_object(context.grid.world, (step.x, step.std, step.moved, step.gain) if step else None)
-    return _Step(Estimate(values.at(x), beams), Fit(beams, covariances, responses, values.by_effect(std)), *told)
+    return Step(Estimate(values.at(x), beams), Fit(beams, covariances, responses, values.by_effect(std)), *told)
 
 
 def beam_moved(context: FitContext, before: Sequence[Posterior], after: Sequence[Posterior]) -> float:

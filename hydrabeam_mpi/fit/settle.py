@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from hydrabeam_mpi.fit.acceleration import EarlierSteps, accelerated
 from hydrabeam_mpi.fit.beams_given import Solved, diagnostics_of, solve_beams
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import beam_moved, take_step
-from hydrabeam_mpi.fit.state import Active, Fitted
+from hydrabeam_mpi.fit.state import Active, Estimate, Fitted
 
 SETTLED_SIGMAS = 1e-8
 """Nothing moves any more where no parameter does by more than this fraction of its standard deviation.
@@ -45,17 +46,24 @@ def settle(context: FitContext, fitted: Fitted) -> Fitted:
     """
     if not fitted.values.active:
         return fitted
-    at, before = fitted.estimate, np.inf
+    at, before, earlier = fitted.estimate, np.inf, EarlierSteps()
+    plain: Estimate | None = None
     best: tuple[Fitted, Solved] | None = None
     for _ in range(MAX_SETTLING):
         solved = solve_beams(context, at)
-        step = take_step(context, replace(at, beams=solved.beams), solved)
+        here = replace(at, beams=solved.beams)
+        step = take_step(context, here, solved)
         moved = max(step.moved, beam_moved(context, at.beams, solved.beams))
         if moved > SETTLED_SIGMAS and not moved < SHRINKS * before:
-            break
+            if plain is None:
+                break
+            at, plain = plain, None
+            earlier.forget()
+            continue
         if before < np.inf:
             best = Fitted(at.values, step.fit.with_beams(solved.beams)), solved
         if moved < SETTLED_SIGMAS:
             break
-        before, at = moved, step.to
+        before, further = moved, accelerated(context, here, step.to, step.fit, earlier)
+        at, plain = (step.to, None) if further is None else (further, step.to)
     return fitted if best is None else replace(best[0], diagnostics=diagnostics_of(context, best[1]))
