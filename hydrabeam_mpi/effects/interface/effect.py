@@ -14,7 +14,7 @@ effect.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -28,6 +28,7 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.other_data import InOtherData
 from hydrabeam_mpi.effects.interface.parameters import Parameters as Parameters
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.interface.skies_on_rings import SkiesOnRings
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.interface.told import Told
 from hydrabeam_mpi.model.bases.base import LinearBasis
@@ -170,9 +171,9 @@ class Effect(InOtherData, HasLimits, MayChange, Cause):
         """Return of which combination of skies that do not turn `extra_sky` is one time's, (K,); None if of none."""
         return None
 
-    def standing_skies(self, block: RowBlock) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
-        """Yield sources of these skies, some at a time: za, az, (Nsrc,) each, and flux, (K, Nsrc)."""
-        return iter(())
+    def standing_skies(self, block: RowBlock) -> SkiesOnRings | None:
+        """Return these skies; None if there are none."""
+        return None
 
     @abstractmethod
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:

@@ -13,6 +13,7 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.data.partition import spans
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.place import Place
+from hydrabeam_mpi.effects.interface.skies_on_rings import SkiesOnRings
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.engines import make_engine
@@ -276,10 +277,8 @@ class SkyBlock:
 
     def standing_design(self, engine: Engine, effect: Any, basis: LinearBasis) -> FloatArray:
         """Return the design of each of an effect's skies that do not turn, (K, 2, N, n_columns), on N vectors."""
-        total: Any = 0.0
-        for za, az, flux in effect.standing_skies(self):
-            total = total + engine.design(basis, za, az, flux, np.full(len(flux), self.freq))
-        return np.asarray(total)
+        skies: SkiesOnRings = effect.standing_skies(self)
+        return skies.design(engine, basis, self.freq)
 
     def integral(self, effect: Any) -> ComplexArray:
         """Return what an effect needs integrated over the sky, (Ntimes, Ngroups, K); see `Effect.sky_columns`."""

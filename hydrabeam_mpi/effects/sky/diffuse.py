@@ -21,6 +21,7 @@ from hydrabeam_mpi.data.observation import C_M_PER_S, ComplexArray, FloatArray, 
 from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.interface.skies_on_rings import SkiesOnRings
 from hydrabeam_mpi.effects.interface.sky_block import GivenColumns
 from hydrabeam_mpi.effects.interface.sources import power_of
 from hydrabeam_mpi.errors import InputError
@@ -142,15 +143,13 @@ class Diffuse(Effect):
         for l, turn in enumerate(_turns(self.l_max, frame.tobytes())[self.l_min :], self.l_min):
             yield slice(l**2 - self._first, (l + 1) ** 2 - self._first), turn
 
-    def standing_skies(self, block: RowBlock) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
-        """Yield points of the quadrature with the flux that each stands for in each of these, (n, Nsrc)."""
-        up, az, area = _hemisphere(block, block.vectors, self.l_max)
-        step = max(1, POINTS_AT_ONCE // az.size)
-        for lo in range(0, len(up), step):
-            part = up[lo : lo + step]
-            flux = area[lo : lo + step] * harmonics(self.l_max, part, az)[self._first :]
-            za, azimuth = np.broadcast_arrays(np.arccos(part), az)
-            yield za.ravel(), azimuth.ravel(), flux.reshape(len(flux), -1)
+    def standing_skies(self, block: RowBlock) -> SkiesOnRings:
+        """Return the harmonics on the rings of the quadrature."""
+        up, az, area = (one.ravel() for one in _hemisphere(block, block.vectors, self.l_max))
+        of_z, degrees = _legendre(self.l_max, up), _degrees(self.l_max)[self._first :]
+        along = _trigonometric(self.l_max, az)
+        order = np.array([m for _, m in degrees]) % len(along)
+        return SkiesOnRings(np.arccos(up), az, along, order, area * np.array([of_z[l, abs(m)] for l, m in degrees]))
 
     def _horizontal(self, block: RowBlock, groups: IntArray) -> ComplexArray:
         """Return the visibilities of harmonics of (90 deg - za, az), (len(groups), n)."""

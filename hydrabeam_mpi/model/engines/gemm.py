@@ -53,12 +53,6 @@ class GemmEngine(Engine):
             columns = basis.columns(za[lo:hi], az[lo:hi], out=rows[:n_columns])
             fringes = rows[n_columns:]
             parts = fringes.reshape(2, n_vectors, hi - lo)
-            if len(freqs) > 1 and np.all(freqs == freqs[0]):
-                # Several skies of one frequency have the fringes in common.
-                self.fringes.fill(parts, directions[:, lo:hi], amplitude(np.ones(hi - lo)), float(freqs[0]))
-                for f, of_sky in enumerate(flux[:, lo:hi]):
-                    _add_product(out[f], fringes * of_sky.astype(precision), columns)
-                continue
             for f, freq in enumerate(freqs):
                 self.fringes.fill(parts, directions[:, lo:hi], amplitude(flux[f, lo:hi]), float(freq))
                 _add_product(out[f], fringes, columns)

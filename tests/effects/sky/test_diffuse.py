@@ -5,6 +5,7 @@ import pytest
 from scipy.special import sph_harm_y
 
 from hydrabeam_mpi.data.observation import C_M_PER_S, FloatArray
+from hydrabeam_mpi.effects.interface import skies_on_rings
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.sky import diffuse
@@ -129,8 +130,26 @@ def test_degrees_come_in_batches() -> None:
     sky, of_all = (one.extra_sky(block, 2, at) for one, at in ((following, x), (all_degrees, padded)))
     np.testing.assert_allclose(sky[2], of_all[2], rtol=0, atol=1e-12 * np.abs(sky[2]).max())
     numbers = following.standing_numbers(block, 2, x)
-    standing = np.concatenate([numbers @ flux for _, _, flux in following.standing_skies(block)])
+    skies = following.standing_skies(block)
+    fluxes = skies.across[:, :, np.newaxis] * skies.along[skies.function][:, np.newaxis]
+    standing = np.tensordot(numbers, fluxes, axes=1).ravel()
     np.testing.assert_allclose(sky[2], standing, rtol=0, atol=1e-10 * np.abs(sky[2]).max())
+
+
+def test_the_design_of_skies_on_rings_is_that_of_their_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A few rings at a time, of which the last are fewer."""
+    block = small_block(small_setup(), channel=1)
+    basis, engine, skies = block.setup.basis, block.engine, Diffuse(4, l_min=2).standing_skies(block)
+    fluxes = (skies.across[:, :, np.newaxis] * skies.along[skies.function][:, np.newaxis]).reshape(
+        len(skies.across), -1
+    )
+    za, az = (one.ravel() for one in np.broadcast_arrays(skies.za[:, np.newaxis], skies.az))
+    expected = engine.design(basis, za, az, fluxes, np.full(len(fluxes), block.freq))
+    bytes_of_ring = 8 * len(skies.along) * 2 * engine.n_vectors * basis.n_columns
+    monkeypatch.setattr(skies_on_rings, "AT_ONCE_BYTES", 7 * bytes_of_ring)
+    assert len(skies.za) % 7
+    found = skies.design(engine, basis, block.freq)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
 def test_what_comes_next() -> None:
