@@ -15,14 +15,17 @@ from hydrabeam_mpi.fit.coupled_step import share_step, step_together
 from hydrabeam_mpi.fit.joint_step import solve_jointly
 from hydrabeam_mpi.fit.linearised import linearised, sums_at
 from hydrabeam_mpi.fit.state import Ended, Estimate, Fit, Fitted, Values
+from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.mpi import bcast_object, together
 from hydrabeam_mpi.terminal.progress import say_meanwhile
 
 MAX_STEPS = 30
 """Most fits take three to eight; dozens of sources at once, of which some are not there, take twenty."""
-MAX_HALVED = 5
-"""How often a step is halved before the fit stops at the best point so far."""
+SHORTER = 0.25
+"""By which a step gets shorter that has led lower, and longer again where it has led higher."""
+MAX_SHORTENED = 5
+"""How often before the fit stops at the best point so far: a thousandth of a step leads higher, or none does."""
 STEP_SIGMAS = 0.03
 """Converged when no beam moves by more than this fraction of its standard deviation, rms over coefficients.
 
@@ -127,13 +130,16 @@ class Step:
     """A Gauss-Newton step: where it leads, what it tells of the effects, and how many standard deviations it is long.
 
     Its ``fit`` is without posteriors, unless channels hang together. By ``gain`` the linear model expects
-    ln(likelihood x prior) to rise.
+    ln(likelihood x prior) to rise. It begins at ``start``, by what is known on the grid's root of the ``likelihoods``
+    there, unless channels hang together.
     """
 
     to: Estimate
     fit: Fit
     moved: float
     gain: float
+    start: Estimate
+    likelihoods: list[Likelihood] | None = None
 
 
 def _start(values: Values, before: Fitted | None) -> Estimate:
@@ -156,9 +162,9 @@ def _search(context: FitContext, at: Estimate, length: float, worth: Worth | Non
     """
     best: tuple[float, Estimate, Step] | None = None
     ended = Ended.OUT_OF_STEPS
-    flat = halved = 0
+    flat = shortened = 0
     earlier, is_accelerated = EarlierSteps(), False
-    length *= 0.5
+    length *= SHORTER
     for number in range(MAX_STEPS):
         say_meanwhile(f"    fitting: step {number + 1} of {MAX_STEPS} at most", context.grid.is_world_root)
         solved = _solved_or_too_far(context, at, best is None)
@@ -171,17 +177,17 @@ def _search(context: FitContext, at: Estimate, length: float, worth: Worth | Non
         if best is not None and _is_too_long(context, best, at, solved):
             if is_accelerated:
                 earlier.forget()
-                at, is_accelerated = best[1].towards(best[2].to, length), False
+                at, is_accelerated = _part_of(context, best[1], best[2], length), False
                 continue
-            if halved == MAX_HALVED:
+            if shortened == MAX_SHORTENED:
                 ended = Ended.STUCK
                 break
-            halved, length = halved + 1, 0.5 * length
-            at = best[1].towards(at, 0.5)
+            shortened, length = shortened + 1, SHORTER * length
+            at = _part_of(context, best[1], best[2], length)
             continue
         assert solved is not None
         misfit, rise = _misfit(context, solved), np.inf if best is None else solved.reached - best[0]
-        flat, halved = flat + 1 if rise < FLAT_NATS * misfit else 0, 0
+        flat = flat + 1 if rise < FLAT_NATS * misfit else 0
         step = take_step(context, replace(at, beams=solved.beams), solved)
         if worth is not None and not worth(solved.reached, solved.rises + step.gain):
             raise BrokenOff("its fit was broken off, as it does not come near what explains more")
@@ -189,14 +195,31 @@ def _search(context: FitContext, at: Estimate, length: float, worth: Worth | Non
         still = beam_moved(context, at.beams, solved.beams) < STEP_SIGMAS * np.sqrt(misfit)
         if (still and step.gain < FLAT_NATS * misfit) or flat == FLAT_STEPS:
             return step.to, step, Ended.CONVERGED
-        # What was too long once is begun with again at twice the length at which it was not.
-        length = min(1.0, 2 * length)
-        at = best[1].towards(step.to, length)
-        from_here = replace(best[1], beams=solved.beams)
-        further = accelerated(context, from_here, step.to, step.fit, earlier) if length == 1.0 else None
-        is_accelerated, at = further is not None, further or at
+        # What was too long just before would be so again.
+        length, shortened = length if shortened else min(1.0, length / SHORTER), 0
+        further = accelerated(context, step.start, step.to, step.fit, earlier) if length == 1.0 else None
+        is_accelerated, at = further is not None, further or _part_of(context, best[1], step, length)
     assert best is not None
     return best[1], best[2], ended
+
+
+def _part_of(context: FitContext, at: Estimate, step: Step, length: float) -> Estimate:
+    """Return where a part of a step from an estimate leads: a damped one. Collective: all ranks of the grid.
+
+    What effects add is seen by the beams, which then go but a part of the way to where the step's lead, too.
+    """
+    if length == 1.0:
+        return step.to
+    values, x = step.start.values, None
+    if context.problem.coupling is not None or not values.active:
+        return at.towards(step.to, length)
+    with together(context.grid.world):
+        if step.likelihoods is not None:
+            x = solve_jointly(values, step.likelihoods, 1 / length - 1)[0]
+    x = bcast_object(context.grid.world, x)
+    beams = followed(context, step.start.beams, step.fit.beam_response, x - values.x)
+    damped = Estimate(values.at(x), beams)
+    return at.towards(damped, length) if values.adds else damped
 
 
 def _with_linear(context: FitContext, at: Estimate, solved: Solved) -> tuple[Estimate, Solved]:
@@ -259,7 +282,7 @@ def take_step(context: FitContext, at: Estimate, solved: Solved) -> Step:
     """Move the effects, with the beams ``at`` following them. Collective: all ranks of the grid."""
     values = at.values
     if not values.active:
-        return Step(at, Fit(), 0.0, 0.0)
+        return Step(at, Fit(), 0.0, 0.0, at)
     if context.problem.coupling is not None:
         return _take_step_together(context, at, solved)
     return _step_of(context, at, solved, values)
@@ -276,7 +299,7 @@ def _step_of(context: FitContext, at: Estimate, solved: Solved, values: Values) 
     # E of the next step is seen by the beams that belong to these parameters, not by those before.
     beams = followed(context, at.beams, response, x - values.x)
     fit = Fit((), tuple(covariances[f] for f in context.channels), tuple(response), values.by_effect(std))
-    return Step(Estimate(values.at(x), beams), fit, float(moved), float(gain))
+    return Step(Estimate(values.at(x), beams), fit, float(moved), float(gain), at, likelihoods)
 
 
 def _take_step_together(context: FitContext, at: Estimate, solved: Solved) -> Step:
@@ -285,8 +308,10 @@ def _take_step_together(context: FitContext, at: Estimate, solved: Solved) -> St
     sums = list(sums_at(context, at, solved.rows, solved.added, values))
     step = step_together(context, values, sums, solved.together)
     beams, covariances, responses = share_step(context, step, solved.together, at.beams, values.x)
-    x, std, *told = bcast_object(context.grid.world, (step.x, step.std, step.moved, step.gain) if step else None)
-    return Step(Estimate(values.at(x), beams), Fit(beams, covariances, responses, values.by_effect(std)), *told)
+    told = bcast_object(context.grid.world, (step.x, step.std, step.moved, step.gain) if step else None)
+    x, std, moved, gain = told
+    fit = Fit(beams, covariances, responses, values.by_effect(std))
+    return Step(Estimate(values.at(x), beams), fit, moved, gain, at)
 
 
 def beam_moved(context: FitContext, before: Sequence[Posterior], after: Sequence[Posterior]) -> float:

@@ -13,7 +13,7 @@ from hydrabeam_mpi.data.observation import Array, BoolArray, ComplexArray, Float
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.local_parameters import fit_local, fold_of, untold
-from hydrabeam_mpi.fit.room import KEPT_BYTES
+from hydrabeam_mpi.fit.room import COMPLEX, KEPT_BYTES
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.fit.whitening import Felt, SharedErrors, TimeWhitener, root_of
@@ -24,8 +24,11 @@ MAX_FOLLOWED = 2000
 
 Without the response of the beam, predictions get the wider the more of an effect the beam absorbs.
 """
-SHARED_BYTES = KEPT_BYTES / 4
-"""Errors of the effects shared by rows are whitened if the columns of a rank's held-out rows take less than this."""
+SHARED_BYTES = KEPT_BYTES / 2
+"""Errors of the effects shared by rows are whitened if the columns of a channel's held-out rows take less than this.
+
+On all ranks together, as the same is to be predicted on any number of them.
+"""
 
 
 @dataclass(frozen=True)
@@ -110,7 +113,7 @@ def _whiten(context: FitContext, fitted: Fitted) -> Whitened:
     log_spread = np.zeros(context.setup.observation.Nfreqs)
     for channel, number in enumerate(context.channels):
         covariance = fitted.fit.covariances[channel] if has_effects else np.zeros((0, 0))
-        errors = SharedErrors(covariance) if _is_shared(context, len(covariance)) else None
+        errors = SharedErrors(covariance) if _is_shared(context, fitted) else None
         own_root = errors.root if errors else _followed_root(covariance)
         with together(context.grid.group):
             for span, block, design in share.row_blocks(channel, fitted.estimate, added[channel], rows):
@@ -147,11 +150,13 @@ def _whiten(context: FitContext, fitted: Fitted) -> Whitened:
     return Whitened(z, rows.inv_noise_var > 0, share_of_model, model, root, power, noise, uncertain, log_spread)
 
 
-def _is_shared(context: FitContext, n_params: int) -> bool:
-    """Whether rows are whitened by what they share of the effects' errors; the same on all ranks of `grid.group`."""
-    rows = context.problem.test
-    n_rows = len(rows.times) * len(rows.bls) / context.grid.group.size
-    return 0 < n_params <= MAX_FOLLOWED and 16 * n_rows * n_params <= SHARED_BYTES
+def _is_shared(context: FitContext, fitted: Fitted) -> bool:
+    """Whether rows are whitened by what they share of the effects' errors."""
+    rows, active = context.problem.test, fitted.values.active
+    n_groups = len(np.unique(context.problem.redundant.group[rows.bls]))
+    n_columns = sum((n_groups if one.effect.is_by_group else len(rows.bls)) * one.size for one in active)
+    n_params = sum(one.size for one in active)
+    return 0 < n_params <= MAX_FOLLOWED and COMPLEX * len(rows.times) * n_columns <= SHARED_BYTES
 
 
 def _felt(

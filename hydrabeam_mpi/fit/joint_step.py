@@ -17,7 +17,7 @@ NOTHING = Gaussian((), np.zeros((0, 0)), np.zeros(0), None)
 
 
 def solve_jointly(
-    values: Values, likelihoods: list[Likelihood]
+    values: Values, likelihoods: list[Likelihood], damping: float = 0.0
 ) -> tuple[FloatArray, FloatArray, list[FloatArray], float, float]:
     """Take the Newton step of all active parameters in use.
 
@@ -30,6 +30,9 @@ def solve_jointly(
         Where the parameters are.
     likelihoods : list of Likelihood
         Of each channel, linearised there, with the beam marginalised.
+    damping : float
+        By which the information of each parameter is larger than it is, in parts of itself (Marquardt 1963): steps get
+        shorter, and turn to where the likelihood rises most.
 
     Returns
     -------
@@ -52,7 +55,8 @@ def solve_jointly(
     of_channels = []
     for f, likelihood in enumerate(likelihoods):
         blocks = tuple(_block(name, one, f) for name, one in values.blocks.items())
-        of_channels.append(Gaussian(blocks, likelihood.information, likelihood.score, None) * own[f])
+        information = likelihood.information + np.diag(damping * np.diag(likelihood.information))
+        of_channels.append(Gaussian(blocks, information, likelihood.score, None) * own[f])
         common *= of_channels[f].marginalise([one.name for one in own[f].blocks])
     steps, covariances = zip(*(one.moments_given(common) for one in of_channels), strict=True)
     std = np.sqrt([np.diag(one) for one in covariances])

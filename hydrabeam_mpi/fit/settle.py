@@ -51,8 +51,7 @@ def settle(context: FitContext, fitted: Fitted) -> Fitted:
     best: tuple[Fitted, Solved] | None = None
     for _ in range(MAX_SETTLING):
         solved = solve_beams(context, at)
-        here = replace(at, beams=solved.beams)
-        step = take_step(context, here, solved)
+        step = take_step(context, replace(at, beams=solved.beams), solved)
         moved = max(step.moved, beam_moved(context, at.beams, solved.beams))
         if moved > SETTLED_SIGMAS and not moved < SHRINKS * before:
             if plain is None:
@@ -64,6 +63,6 @@ def settle(context: FitContext, fitted: Fitted) -> Fitted:
             best = Fitted(at.values, step.fit.with_beams(solved.beams)), solved
         if moved < SETTLED_SIGMAS:
             break
-        before, further = moved, accelerated(context, here, step.to, step.fit, earlier)
+        before, further = moved, accelerated(context, step.start, step.to, step.fit, earlier)
         at, plain = (step.to, None) if further is None else (further, step.to)
     return fitted if best is None else replace(best[0], diagnostics=diagnostics_of(context, best[1]))

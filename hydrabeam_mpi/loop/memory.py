@@ -65,7 +65,7 @@ class Candidates:
         picked = [_picked(one, setup) for one in effects]
         again = [one for effect in effects if (one := _again(effect, setup)) is not None]
         sizes, sizes_again = (np.array([len(one.parameters(setup)) for one in some], int) for some in (picked, again))
-        seen_alike = [_is_by_group(one) for one in (*picked, *again)]
+        seen_alike = [one.is_by_group for one in (*picked, *again)]
         of_beam = [more for one in effects if one.beam_functions(setup) for more in (one, *one.larger(setup))]
         return cls(
             sizes,
@@ -132,11 +132,6 @@ def _again(effect: Effect, setup: ObservingSetup) -> Effect | None:
     if not isinstance(effect, ScannedEffect):
         return None
     return effect.every(setup, effect.expanded(setup, _spread(effect, setup))[: effect.most_again])
-
-
-def _is_by_group(effect: Effect) -> bool:
-    """Whether the baselines of a group all see an effect alike, and every one of them sees it."""
-    return effect.changes_sky or effect.of_the_sky or effect.is_about_the_beam or effect.is_control_model
 
 
 def _integrated(effects: Sequence[Effect], setup: ObservingSetup, beam: Beam) -> int:

@@ -31,7 +31,7 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import BrokenOff, refit, stepped, take_step
 from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.joint import channel_results
-from hydrabeam_mpi.fit.state import Active, Fitted, Reweighted, Values
+from hydrabeam_mpi.fit.state import Active, Ended, Fitted, Reweighted, Values
 from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.heldout_score import heldout_score
 from hydrabeam_mpi.result.summary import evaluate_on_grid
@@ -310,14 +310,20 @@ def test_steps_that_go_too_far_are_shortened(tmp_path: Path, monkeypatch: pytest
             fit(context, far, before)
     with pytest.raises(InputError):
         refit(context, far)
-    steps = []
+    usual, steps = refit(context, Values((one,)), before), []
 
     def too_far(*given: Any) -> Any:
         steps.append(take_step(*given))
-        return replace(steps[0], to=replace(steps[0].to, values=far))
+        return replace(steps[-1], to=replace(steps[-1].to, values=far)) if len(steps) == 1 else steps[-1]
 
     monkeypatch.setattr(gauss_newton, "take_step", too_far)
     fitted = refit(context, Values((one,)), before)
+    assert fitted.diagnostics.converged
+    assert np.abs(fitted.values.x - usual.values.x).max() < 0.05 * usual.fit.std[0].max()
+
+    steps.clear()
+    monkeypatch.setattr(gauss_newton, "_part_of", lambda _, at, *__: replace(at, values=far))
+    fitted = refit(context, Values((one,)), before)
     assert len(steps) == 1
-    assert not fitted.diagnostics.converged
+    assert fitted.diagnostics.ended is Ended.STUCK
     assert fitted.values.x == 0

@@ -140,6 +140,11 @@ class Effect(InOtherData, HasLimits, MayChange, Cause):
     """Whether it is a control model: effects must explain the data better, and it is never claimed itself."""
 
     @property
+    def is_by_group(self) -> bool:
+        """Whether the baselines of a group all see the effect alike, and every one of them sees it."""
+        return self.changes_sky or self.of_the_sky or self.is_about_the_beam or self.is_control_model
+
+    @property
     def gets_simpler_when_fitted(self) -> bool:
         """Whether a fit may need fewer elements than the search did, once places or delays are refined."""
         return False
