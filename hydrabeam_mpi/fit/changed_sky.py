@@ -13,6 +13,9 @@ from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.engines.base import SOURCES_AT_ONCE, Engine, amplitude
 from hydrabeam_mpi.model.engines.fringes import enu
 
+AT_ONCE_BYTES = 2**26
+"""Of basis and fringes of the sources of several skies: more than that saves no more time."""
+
 
 class SourcesOfChannels(NamedTuple):
     """Sources above the horizon: za and az, (Nsrc,) radians, and what they add to each channel, (Nfreqs, Nsrc) Jy."""
@@ -64,35 +67,39 @@ def design_of_each(
 ) -> Iterator[FloatArray]:
     """Yield the design of each sky, (Nfreqs, 2, Nvectors, n_columns).
 
-    Most have few sources, so that basis and fringes are evaluated for several at once, up to `SOURCES_AT_ONCE` sources.
+    Most have few sources, so that basis and fringes are evaluated for several at once, of up to `SOURCES_AT_ONCE`
+    sources.
     """
+    of_source = 8 * (2 * engine.n_vectors * len(freqs) + basis.n_columns)
+    most = min(SOURCES_AT_ONCE, AT_ONCE_BYTES // of_source)
     waiting: list[SourcesOfChannels] = []
     for sky in skies:
-        if waiting and sum(len(one.za) for one in waiting) + len(sky.za) > SOURCES_AT_ONCE:
-            yield from _designs(engine, basis, waiting, freqs)
+        if sum(len(one.za) for one in waiting) + len(sky.za) > most:
+            yield from _of_few_sources(engine, basis, waiting, freqs)
             waiting = []
-        waiting.append(sky)
-    if waiting:
-        yield from _designs(engine, basis, waiting, freqs)
+        if len(sky.za) > most:
+            yield _of_many_sources(engine, basis, sky, freqs)
+        else:
+            waiting.append(sky)
+    yield from _of_few_sources(engine, basis, waiting, freqs)
 
 
-def _designs(
+def _of_few_sources(
     engine: Engine, basis: LinearBasis, skies: Sequence[SourcesOfChannels], freqs: FloatArray
 ) -> Iterator[FloatArray]:
-    za, az, flux = (np.concatenate(one, axis=-1) for one in zip(*skies, strict=True))
-    if len(skies) == 1 and len(za) > SOURCES_AT_ONCE:
-        yield _of_many_sources(engine, basis, skies[0], freqs)
+    """Yield the design of some skies, whose sources are few enough to be held with all their fringes."""
+    if not skies:
         return
+    za, az, flux = (np.concatenate(one, axis=-1) for one in zip(*skies, strict=True))
     columns, directions = basis.columns(za, az), enu(za, az)
-    fringes = np.empty((2, engine.n_vectors, len(za)))
-    out = np.empty((len(skies), len(freqs), 2, engine.n_vectors, len(columns)))
-    ends = np.cumsum([len(sky.za) for sky in skies]).tolist()
-    for f, freq in enumerate(freqs.tolist()):
-        engine.fringes.fill(fringes, directions, amplitude(flux[f]), freq)
-        for made, sky, end in zip(out, skies, ends, strict=True):
-            own = slice(end - len(sky.za), end)
-            np.matmul(fringes[..., own], columns[:, own].T, out=made[f])
-    yield from out
+    fringes = np.empty((len(freqs), 2, engine.n_vectors, len(za)))
+    for of_channel, seen, freq in zip(fringes, flux, freqs.tolist(), strict=True):
+        engine.fringes.fill(of_channel, directions, amplitude(seen), freq)
+    start = 0
+    for sky in skies:
+        own = slice(start, start + len(sky.za))
+        yield fringes[..., own] @ columns[:, own].T
+        start = own.stop
 
 
 def _of_many_sources(engine: Engine, basis: LinearBasis, sky: SourcesOfChannels, freqs: FloatArray) -> FloatArray:
