@@ -34,8 +34,8 @@ class Rules:
         much the rms of their residual has risen, paired over blocks. One would be a sixth of all that is neither better
         nor worse, and refuses parts of the beam that the data want; more would cost time where the answer is clear.
     first_step : float
-        Part of a step with which a fit that did not converge is begun again. Steps that succeed are doubled, so that
-        an eighth costs three steps more where a whole one would do.
+        Part of a step with which a fit that got stuck is begun again. Steps that succeed get four times as long, so
+        that a sixteenth costs two steps more where a whole one would do.
     """
 
     most_tries: int = 6
@@ -45,7 +45,7 @@ class Rules:
     near_if_linear: float = 0.7
     element_nats: float = 4.0
     decided_sigmas: float = 2.0
-    first_step: float = 0.125
+    first_step: float = 0.0625
 
 
 RULES = Rules()
