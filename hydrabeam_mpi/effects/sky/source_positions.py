@@ -9,10 +9,11 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.effects.interface.effect import Columns, Parameters
+from hydrabeam_mpi.effects.interface.limits import sigmas
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
-from hydrabeam_mpi.effects.shared.point_sources import beside, in_radians, responses, with_slopes
+from hydrabeam_mpi.effects.shared.point_sources import beside, in_radians, resolution, responses, with_slopes
 from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux, find
 
 ARCMIN = np.deg2rad(1 / 60)
@@ -23,12 +24,13 @@ class SourcePositions(CatalogueFlux):
 
     Offsets are those on the plane tangent at the place, East and North on the sky, the same in all channels. What
     belongs elsewhere is fitted better with another flux, so that this is part of it; an error of the flux alone is a
-    `CatalogueFlux`.
+    `CatalogueFlux`. No offset is larger than what the array resolves: that far away is another source.
     """
 
     kind = "source_positions"
     title = "places of catalogue sources"
     linear = False
+    unphysical = "a flux below zero, or a place that the array tells from that of the source"
     most: ClassVar[int] = 200
     most_again: ClassVar[int] = 100
     """Half of them by what they explain and half by brightness; each more costs weighing three columns in all data."""
@@ -66,6 +68,16 @@ class SourcePositions(CatalogueFlux):
         there, here = responses(block, *self._where(part)), responses(block, *in_radians(self.sources))
         flux = np.array([self._fluxes(block, itime) for itime in block.times.tolist()]).reshape(len(block.times), -1)
         return block.spread(np.einsum("tgs,ts->tg", there * (1 + part[:, 0]) - here, flux))
+
+    def beyond(self, setup: ObservingSetup, x: FloatArray, std: FloatArray) -> FloatArray:
+        """Refuse fluxes below zero and offsets beyond the array's resolution; see `Effect.beyond`."""
+        beyond, furthest = super().beyond(setup, x, std), resolution(setup) / ARCMIN
+        east, north = x[:, 1::3], x[:, 2::3]
+        distance = np.hypot(east, north)
+        error = np.hypot(east * std[:, 1::3], north * std[:, 2::3]) / np.where(distance > 0, distance, 1.0)
+        away = sigmas(distance - furthest, error).max(axis=0)
+        beyond[1::3], beyond[2::3] = away, away
+        return beyond
 
     def scan(self, block: RowBlock) -> tuple[FloatArray, FloatArray]:
         """Correlate the residual with every source, (n_hypotheses, 3) each, time by time."""
