@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
-from hydrabeam_mpi.effects.interface.effect import Columns, Parameters
+from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray
+from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.limits import sigmas
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
@@ -78,6 +78,23 @@ class SourcePositions(CatalogueFlux):
         away = sigmas(distance - furthest, error).max(axis=0)
         beyond[1::3], beyond[2::3] = away, away
         return beyond
+
+    def simpler_elements(
+        self, setup: ObservingSetup, x: FloatArray, std: FloatArray
+    ) -> list[tuple[BoolArray, Effect, FloatArray]]:
+        """Return the sources that may be where the catalogue has them, as errors of their fluxes alone.
+
+        By the data's likelihood of an offset, a Gaussian, and the prior of one of which nothing is known but that the
+        array does not resolve it: where that of none is larger.
+        """
+        found, largest = list[tuple[BoolArray, Effect, FloatArray]](), resolution(setup) / ARCMIN
+        trials = CatalogueFlux().n_hypotheses(setup)
+        for number, source in enumerate(self.sources):
+            offset, sigma = (one[0, 3 * number + 1 : 3 * number + 3] for one in (x, std))
+            if sigma.all() and np.sum((offset / sigma) ** 2) < 2 * np.log(largest**2 / sigma.prod()):
+                flux = CatalogueFlux([source], trials)
+                found.append((np.arange(x.shape[1]) // 3 == number, flux, x[0, [3 * number]]))
+        return found
 
     def scan(self, block: RowBlock) -> tuple[FloatArray, FloatArray]:
         """Correlate the residual with every source, (n_hypotheses, 3) each, time by time."""
