@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.shared.point_sources import resolution
 from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
 from hydrabeam_mpi.effects.sky.source_positions import SourcePositions
 from hydrabeam_mpi.model.sky import separation
@@ -86,3 +87,29 @@ def test_scan_finds_the_source() -> None:
     projection, power = effect.scan(block)
     drop = np.sum(projection**2 / np.maximum(power, 1e-9 * power.max(axis=0)), axis=1)
     np.testing.assert_allclose(effect.at(setup, np.argsort(-drop)).sources[0], truth.sources[0], rtol=0, atol=1e-10)
+
+
+def test_no_source_is_further_away_than_the_array_resolves() -> None:
+    setup = small_setup()
+    limit = np.rad2deg(resolution(setup)) * 60
+    along = np.array([0.6, 0.8])
+    x = np.array([[0.0, *(limit + 3.0) * along, 0.0, *0.9 * limit * along, 0.0, 0.0, -2 * limit]])
+    std = np.full((1, 9), 1.0)
+    std[:, 6:] = limit / 4
+    beyond = pinned(setup).beyond(setup, x, std)
+    np.testing.assert_allclose(beyond, [0, 3, 3, 0, 0, 0, 0, 4, 4])
+
+
+def test_sources_that_may_be_at_their_places_are_wrong_fluxes() -> None:
+    """As far as an offset is smaller than its error makes likely; not where it is not known at all."""
+    setup = small_setup()
+    limit = np.rad2deg(resolution(setup)) * 60
+    x = np.array([[0.3, 0.5, -0.5, 0.2, 20.0, 0.0, -0.1, 0.0, 0.0]])
+    std = np.array([[0.01, 1.0, 1.0, 0.01, 1.0, 1.0, 0.01, limit, limit]])
+    ((which, effect, errors),) = pinned(setup).simpler_elements(setup, x, std)
+    assert isinstance(effect, CatalogueFlux)
+    assert effect.sources == pinned(setup).sources[:1]
+    np.testing.assert_array_equal(which, np.arange(9) < 3)
+    np.testing.assert_array_equal(errors, [0.3])
+    std[:, :3] = 0.0
+    assert pinned(setup).simpler_elements(setup, x, std) == []
