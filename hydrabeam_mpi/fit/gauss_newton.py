@@ -237,9 +237,9 @@ def _with_linear(context: FitContext, at: Estimate, solved: Solved) -> tuple[Est
     active = list(values.active)
     for place, one in zip(which, step.to.values.active, strict=True):
         active[place] = one
-    followed = Estimate(replace(values, active=tuple(active)), step.to.beams)
-    again = _solved_or_too_far(context, followed, first=False)
-    return (followed, again) if again is not None and again.reached > solved.reached else (at, solved)
+    there = Estimate(replace(values, active=tuple(active)), step.to.beams)
+    again = _solved_or_too_far(context, there, first=False)
+    return (there, again) if again is not None and again.reached > solved.reached else (at, solved)
 
 
 def _solved_or_too_far(context: FitContext, at: Estimate, first: bool) -> Solved | None:
