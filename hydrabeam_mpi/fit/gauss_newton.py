@@ -22,10 +22,10 @@ from hydrabeam_mpi.terminal.progress import say_meanwhile
 
 MAX_STEPS = 30
 """Most fits take three to eight; dozens of sources at once, of which some are not there, take twenty."""
-SHORTER = 0.25
+SHORTER = 0.5
 """By which a step gets shorter that has led lower, and longer again where it has led higher."""
 MAX_SHORTENED = 5
-"""How often before the fit stops at the best point so far: a thousandth of a step leads higher, or none does."""
+"""How often before the fit stops at the best point so far."""
 STEP_SIGMAS = 0.03
 """Converged when no beam moves by more than this fraction of its standard deviation, rms over coefficients.
 
@@ -74,7 +74,8 @@ def refit(
     before : Fitted, optional
         A fit of the first of these effects, whose beams are where this one begins.
     first_step : float
-        Which part of the first step is taken; later ones are twice as long while they succeed, up to whole ones.
+        Which part of the first step is taken; later ones are twice as long while they succeed, up to whole ones. If it
+        is not all of it, parts of steps are damped ones.
     worth : callable, optional
         Says whether to go on, from what ln(likelihood x prior) has come to and by how much the linear model expects the
         next step to raise it.
@@ -160,6 +161,7 @@ def _search(context: FitContext, at: Estimate, length: float, worth: Worth | Non
 
     ``length`` is that of the first one, of which it is a part.
     """
+    is_damped = length < 1.0
     best: tuple[float, Estimate, Step] | None = None
     ended = Ended.OUT_OF_STEPS
     flat = shortened = 0
@@ -177,13 +179,13 @@ def _search(context: FitContext, at: Estimate, length: float, worth: Worth | Non
         if best is not None and _is_too_long(context, best, at, solved):
             if is_accelerated:
                 earlier.forget()
-                at, is_accelerated = _part_of(context, best[1], best[2], length), False
+                at, is_accelerated = _part_of(context, best[1], best[2], length, is_damped), False
                 continue
             if shortened == MAX_SHORTENED:
                 ended = Ended.STUCK
                 break
             shortened, length = shortened + 1, SHORTER * length
-            at = _part_of(context, best[1], best[2], length)
+            at = _part_of(context, best[1], best[2], length, is_damped)
             continue
         assert solved is not None
         misfit, rise = _misfit(context, solved), np.inf if best is None else solved.reached - best[0]
@@ -198,20 +200,22 @@ def _search(context: FitContext, at: Estimate, length: float, worth: Worth | Non
         # What was too long just before would be so again.
         length, shortened = length if shortened else min(1.0, length / SHORTER), 0
         further = accelerated(context, step.start, step.to, step.fit, earlier) if length == 1.0 else None
-        is_accelerated, at = further is not None, further or _part_of(context, best[1], step, length)
+        is_accelerated, at = further is not None, further or _part_of(context, best[1], step, length, is_damped)
     assert best is not None
     return best[1], best[2], ended
 
 
-def _part_of(context: FitContext, at: Estimate, step: Step, length: float) -> Estimate:
-    """Return where a part of a step from an estimate leads: a damped one. Collective: all ranks of the grid.
+def _part_of(context: FitContext, at: Estimate, step: Step, length: float, is_damped: bool) -> Estimate:
+    """Return where a part of a step from an estimate leads, or a damped step. Collective: all ranks of the grid.
 
-    What effects add is seen by the beams, which then go but a part of the way to where the step's lead, too.
+    A part leads where the step does, which is best where parameters are hardly told from each other; a damped one turns
+    to where the likelihood rises most (Levenberg and Marquardt). What effects add is seen by the beams, which then go
+    but a part of the way to where the step's lead, too.
     """
     if length == 1.0:
         return step.to
     values, x = step.start.values, None
-    if context.problem.coupling is not None or not values.active:
+    if not is_damped or context.problem.coupling is not None or not values.active:
         return at.towards(step.to, length)
     with together(context.grid.world):
         if step.likelihoods is not None:

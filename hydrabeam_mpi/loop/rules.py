@@ -34,8 +34,8 @@ class Rules:
         much the rms of their residual has risen, paired over blocks. One would be a sixth of all that is neither better
         nor worse, and refuses parts of the beam that the data want; more would cost time where the answer is clear.
     first_step : float
-        Part of a step with which a fit that got stuck is begun again. Steps that succeed get four times as long, so
-        that a sixteenth costs two steps more where a whole one would do.
+        Part of a step with which a fit that got stuck is begun again, with damped steps. Those that succeed are
+        doubled, so that a sixteenth costs four steps more where a whole one would do.
     """
 
     most_tries: int = 6

@@ -180,10 +180,33 @@ def _fit_foremost(context: FitContext, before: Fitted, finding: Finding) -> Fitt
             fitted = fit_patiently(context, values, before, None if best is None else _may_surpass(context, best))
         except BrokenOff:
             continue
-        unphysical = leave_out_unphysical(context, fitted, len(before.values.active))
-        if fitted.diagnostics.converged and unphysical is None:
+        physical = _physical_as_wanted(context, before, fitted) if fitted.diagnostics.converged else None
+        if physical is not None:
+            fitted = physical
             best = fitted if best is None else max(best, fitted, key=lambda one: log_joint(context, one))
     return best
+
+
+def _physical_as_wanted(context: FitContext, before: Fitted, fitted: Fitted) -> Fitted | None:
+    """Return a fit if it is physical, or with the prior that it wants; None where it is not with either.
+
+    With a prior that the linear model has found, which may be many times too narrow, a beam can take up what a source
+    should be. Collective: all ranks of the grid.
+    """
+    n_before = len(before.values.active)
+    if leave_out_unphysical(context, fitted, n_before) is None:
+        return fitted
+    last = fitted.values.active[-1]
+    now = last.prior_var(context.setup)
+    wanted = np.where(now > 0, reconsider(context, fitted).prior_var, 0.0)
+    if not wanted.any() or is_same_prior(wanted, now):
+        return None
+    try:
+        again = fit_patiently(context, before.values.extended(restarted(context, last, wanted)), fitted)
+    except BrokenOff:
+        return None
+    is_physical = again.diagnostics.converged and leave_out_unphysical(context, again, n_before) is None
+    return again if is_physical else None
 
 
 def _each_foremost(context: FitContext, finding: Finding) -> list[FloatArray]:
