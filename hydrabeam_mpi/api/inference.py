@@ -25,6 +25,7 @@ from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.joint import channel_results, fit_with_effects, read_context
 from hydrabeam_mpi.fit.memory import inference_bytes, joint_bytes, of_share
 from hydrabeam_mpi.fit.rounding import MOST_SHIFT
+from hydrabeam_mpi.fit.whole_beams import with_whole_beams
 from hydrabeam_mpi.loop.checks.health import told
 from hydrabeam_mpi.loop.output.amendment import effects_found
 from hydrabeam_mpi.loop.selection.heldout_numbers import HeldoutNumbers, heldout_numbers
@@ -133,7 +134,8 @@ def _with_effects(setup: Setup, grid: ProcessGrid, problem: Problem, clock: Cloc
         results = channel_results(context, fitted)
         numbers = heldout_numbers(context, whiten(context, fitted))
     problem = grown_problem(problem, context.setup, fitted.values, context.learned)
-    found, gains = effects_found(setup.job, fitted, context.setup), (context.setup, fitted.values)
+    written = with_whole_beams(context, fitted)
+    found, gains = effects_found(setup.job, written, context.setup), (context.setup, written.values)
     told = prior_told(setup, context.carried, fitted.values)
     return _Fit(problem, results, numbers, found, gains, told)
 

@@ -26,6 +26,7 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.error_scale import error_scale
 from hydrabeam_mpi.fit.grown import grown_problem
 from hydrabeam_mpi.fit.joint import channel_results, read_context, restore
+from hydrabeam_mpi.fit.whole_beams import with_whole_beams
 from hydrabeam_mpi.loop.attribution.control_models import control_models
 from hydrabeam_mpi.loop.checks.conventions import check_conventions, with_findings
 from hydrabeam_mpi.loop.checks.health import mended
@@ -147,14 +148,15 @@ def _found(
         problem = grown_problem(problem, known, fitted.values, context.learned)
         records = gather_records(context.grid, problem, results, history.last.numbers)
         integrations = integrations_of(world, problem.files, problem.observation)
+    written = with_whole_beams(context, fitted)
     scale, memory = error_scale(context, fitted), peak_rss_mb(world)
     found = Found(Result(setup.job))
     with together(world):
         if world.rank == 0:
-            gains = gains_told(problem, records, known, fitted.values)
+            gains = gains_told(problem, records, known, written.values)
             run = {"phases_s": clock.seconds, "peak_rss_mb": memory, **gains}
             run |= prior_told(setup, context.carried, fitted.values) | over_frequency_told(results)
-            effects = effects_found(problem.job, fitted, known)
+            effects = effects_found(problem.job, written, known)
             result = make_result(setup, problem, records, integrations, origin(), run, record["warnings"], effects)
             told = {**record, "warnings": result.summary["warnings"], "seconds": clock.seconds}
             found = Found(result, told, setup.amended(amended_job(problem.job, fitted, known, scale)))

@@ -45,6 +45,7 @@ EFFECTS: Registry[Effect] = Registry(
     "instrument.antenna_pointing",
     "instrument.nonredundant_beams",
     "instrument.basis_truncation",
+    "instrument.common_beam",
     "sky.ionosphere",
     "sky.horizon",
 )

@@ -24,6 +24,7 @@ import numpy as np
 from scipy.linalg import block_diag, solve_triangular
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
+from hydrabeam_mpi.effects.registry import EFFECTS
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.coupled import dense_unknowns, posterior_of
@@ -245,11 +246,18 @@ def check_solved_with_effects(problem: Problem) -> None:
     Raises
     ------
     InputError
-        If there is no one matrix for them.
+        If there is no one matrix for them, or if an effect would let them hang together twice.
     """
     coupling = problem.coupling
     if coupling is None:
         return
+    for number, entry in enumerate(problem.job.effects):
+        if entry.kind in EFFECTS and not EFFECTS[entry.kind].is_sought:
+            raise InputError(
+                "is about beams of independent channels, and these hang together",
+                field=f"[[effects]] number {number + 1} ({entry.kind})",
+                remedy="remove it, or [prior.frequency]",
+            )
     if len(coupling.candidates) > 1:
         raise InputError(
             "with effects in the model the evidence of several lengths is not worked out",

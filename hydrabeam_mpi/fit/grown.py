@@ -5,7 +5,8 @@ The joint posterior of the beam's coefficients b in the job's basis and the effe
     x ~ N(x_0, C),    b | x ~ N(b_0 + M (x - x_0), P^-1)
 
 with P the precision given the effects and M the beam's response to them. What is written of the beam has the effects
-marginalised; parameters that are coefficients of the beam themselves become coefficients like the others.
+marginalised; parameters that are coefficients of functions beside the basis become coefficients like the others. What
+is added to coefficients in the basis is part of the beams before: see `whole_beams`.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from hydrabeam_mpi.fit.whitening import root_of
 from hydrabeam_mpi.inference.gaussian import Block, Gaussian
 from hydrabeam_mpi.inference.matrices import inverse_of_covariance
 from hydrabeam_mpi.inference.posterior import Posterior
-from hydrabeam_mpi.inference.prior import BlockPrior, Prior
+from hydrabeam_mpi.inference.prior import BlockPrior, DiagonalPrior, Prior
 from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.bases.joined import join
 from hydrabeam_mpi.setup.problem import Problem
@@ -34,6 +35,27 @@ def growth_of(setup: ObservingSetup, values: Values) -> list[tuple[Active, Linea
     """Return the effects whose parameters are coefficients of the beam, with the functions of those in use."""
     found = [(one, one.effect.beam_functions(setup)) for one in values.active]
     return [(one, join([functions], one.used.tolist())) for one, functions in found if functions is not None]
+
+
+def is_of_the_beam(setup: ObservingSetup, one: Active) -> bool:
+    """Whether an effect's parameters are part of the beam that all antennas have."""
+    effect = one.effect
+    return effect.beam_functions(setup) is not None or effect.beam_coefficients(setup, one.x) is not None
+
+
+def added_coefficients(setup: ObservingSetup, values: Values, channel: int) -> Array:
+    """Return what effects add to the coefficients of a channel's beam in the job's basis, (n_modes,)."""
+    found = (one.effect.beam_coefficients(setup, one.x[channel]) for one in values.active)
+    return np.asarray(sum((one for one in found if one is not None), np.zeros(setup.basis.n_modes)))
+
+
+def added_response(setup: ObservingSetup, values: Values) -> Array:
+    """Return W, how these follow the parameters in use, side by side, (n_modes, q)."""
+    parts = []
+    for one in values.active:
+        used = one.effect.beam_coefficients(setup, np.eye(one.x.shape[1])[one.used])
+        parts.append(np.zeros((one.size, setup.basis.n_modes)) if used is None else used)
+    return np.concatenate([np.zeros((0, setup.basis.n_modes)), *parts]).T
 
 
 def grown_beam(
@@ -51,7 +73,8 @@ def grown_beam(
     mean : ndarray, (n_modes,)
         Coefficients in it.
     """
-    growth = growth_of(setup, values)
+    growth, added = growth_of(setup, values), added_coefficients(setup, values, channel)
+    mean = mean + added if added.any() else mean
     if not growth:
         return basis, mean
     coeffs = [one.x[channel, one.used] for one, _ in growth]
@@ -72,6 +95,7 @@ def grown_problem(problem: Problem, setup: ObservingSetup, values: Values, learn
         What is known of the first effects beforehand.
     """
     growth, problem = growth_of(setup, values), problem.with_prior_widths(values.prior_widths)
+    problem = _with_added_variances(problem, setup, values)
     if not growth:
         return problem
 
@@ -85,6 +109,19 @@ def grown_problem(problem: Problem, setup: ObservingSetup, values: Values, learn
     return replace(problem, basis=join([problem.basis, *(more for _, more in growth)]), priors=priors)
 
 
+def _with_added_variances(problem: Problem, setup: ObservingSetup, values: Values) -> Problem:
+    """Return the problem with the prior variances of what effects add to coefficients in the basis, as they have it."""
+    squares = np.square(np.abs(added_response(setup, values)))
+    if not squares.any():
+        return problem
+    priors = []
+    for prior, number in zip(problem.priors, problem.channel_numbers, strict=True):
+        variances = np.concatenate([one.prior.of(int(number)).std() ** 2 for one in values.active])
+        wider = np.sqrt(prior.std() ** 2 + squares @ variances)
+        priors.append(DiagonalPrior(prior.mean, wider) if isinstance(prior, DiagonalPrior) else prior)
+    return replace(problem, priors=tuple(priors))
+
+
 def beams_alone(fit: Fit) -> tuple[Posterior, ...]:
     """Return the beams' posteriors in the job's basis, all effects marginalised.
 
@@ -93,7 +130,7 @@ def beams_alone(fit: Fit) -> tuple[Posterior, ...]:
     if not fit.covariances:
         return fit.posteriors
     parts = zip(fit.posteriors, fit.beam_response, fit.covariances, strict=True)
-    return tuple(_wider(posterior, follow @ root_of(covariance)) for posterior, follow, covariance in parts)
+    return tuple(wider(posterior, follow @ root_of(covariance)) for posterior, follow, covariance in parts)
 
 
 def of_the_beam(setup: ObservingSetup, values: Values) -> BoolArray:
@@ -145,7 +182,7 @@ def _joint(
     inverse = inverse_of_covariance(own)
     follow = across @ inverse
     left = covariance[np.ix_(others, others)] - follow @ across.T
-    beam = _wider(given, response[:, others] @ root_of(left)) if len(others) else given
+    beam = wider(given, response[:, others] @ root_of(left)) if len(others) else given
     # The factor of [[P, -P M], [-M^H P, 1/C + M^H P M]], where M has how the others follow these parameters in it.
     half = beam.factor.conj().T @ (response[:, more] + response[:, others] @ follow)
     n = len(beam.mean)
@@ -159,7 +196,7 @@ def _joint(
     return Posterior(mean, factor, evidence)
 
 
-def _wider(posterior: Posterior, spread: Array) -> Posterior:
+def wider(posterior: Posterior, spread: Array) -> Posterior:
     """Return the posterior where the beam also moves by ``spread``, (n_modes, k), times unknowns of variance one."""
     precision = posterior.factor @ posterior.factor.conj().T
     across = -precision @ spread

@@ -17,6 +17,7 @@ from hydrabeam_mpi.fit.room import COMPLEX, KEPT_BYTES
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.fit.whitening import Felt, SharedErrors, TimeWhitener, root_of
+from hydrabeam_mpi.fit.whole_beams import with_whole_beams
 from hydrabeam_mpi.mpi import allreduce_sum, together
 
 MAX_FOLLOWED = 2000
@@ -104,6 +105,7 @@ def _with_total(context: FitContext, whitened: Whitened) -> Whitened:
 
 def _whiten(context: FitContext, fitted: Fitted) -> Whitened:
     """Whiten the rank's rows with what has been fitted. Collective: all ranks of the grid."""
+    fitted = with_whole_beams(context, fitted)
     share, has_effects = context.test, bool(fitted.values.active)
     with together(context.grid.world):
         rows, added = share.calibrated(fitted.estimate)

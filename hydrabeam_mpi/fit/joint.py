@@ -31,6 +31,7 @@ from hydrabeam_mpi.fit.room import bytes_to_keep
 from hydrabeam_mpi.fit.settle import settle
 from hydrabeam_mpi.fit.shares import read_shares
 from hydrabeam_mpi.fit.state import Active, Fitted, Reweighted, Values, independent_prior
+from hydrabeam_mpi.fit.whole_beams import with_whole_beams
 from hydrabeam_mpi.inference.prior import ChannelPrior, FactoredPrior
 from hydrabeam_mpi.io.uvmeta import read_observation
 from hydrabeam_mpi.mpi import ProcessGrid, bcast_object, together
@@ -200,6 +201,7 @@ def channel_results(context: FitContext, fitted: Fitted) -> list[ChannelResult]:
 
     Beams are those of `grown_problem`. Collective: all ranks of the grid.
     """
+    fitted = with_whole_beams(context, fitted)
     grid, problem, given = context.grid, context.problem, fitted.fit.posteriors
     with together(grid.world):
         train, _ = context.train.calibrated(fitted.estimate)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from hydrabeam_mpi.data.observation import ComplexArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.grown import is_of_the_beam
 from hydrabeam_mpi.fit.state import Active, Fitted, Values
 
 
@@ -59,4 +60,4 @@ def antenna_gains(setup: ObservingSetup, values: Values) -> ComplexArray:
 
 def _is_taken_out(one: Active, setup: ObservingSetup) -> bool:
     """Whether an effect is neither of the sky nor of the beam that all antennas have."""
-    return not (one.effect.of_the_sky or one.effect.changes_sky) and one.effect.beam_functions(setup) is None
+    return not (one.effect.of_the_sky or one.effect.changes_sky or is_of_the_beam(setup, one))

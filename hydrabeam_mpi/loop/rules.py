@@ -25,6 +25,9 @@ class Rules:
     most_columns : int
         Parameters at most, of all candidates, that are weighed together. The products of n columns take n^2 / 2 times
         as many sums as there are rows; six hundred take no longer than weighing each effect by itself.
+    most_known : int
+        Parameters at most of what is known beforehand, such as what the beams of all channels have in common. A fit
+        with them takes as long as one with an effect of so many parameters.
     element_nats : float
         What a further element (an antenna, a source) must add to ln evidence beyond the price of picking it. Without a
         margin noise brings in one of dozens now and then; e^4 is one in fifty.
@@ -41,6 +44,7 @@ class Rules:
     most_tries: int = 6
     most_refits: int = 3
     most_columns: int = 600
+    most_known: int = 512
     near: float = 0.1
     near_if_linear: float = 0.7
     element_nats: float = 4.0

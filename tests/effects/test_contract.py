@@ -231,6 +231,7 @@ LACKING: dict[str, Callable[[ObservingSetup], ObservingSetup]] = {
 REFUSED = {
     ("antenna_delays", "one channel"): "several channels",
     ("cable_reflections", "one channel"): "4 channels",
+    ("common_beam", "one channel"): "several channels",
     ("spectral_index", "one channel"): "several channels",
     ("moving_sources", "one time"): "3 fitted times",
     ("cross_coupling", "one time"): "several times",

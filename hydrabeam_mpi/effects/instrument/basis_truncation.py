@@ -124,7 +124,7 @@ class BasisTruncation(Effect):
             found: list[NextModes] = []
             n_before = self.n_before
             for start in range(0, wanted, N_MODES):
-                more = setup.basis.next_modes(_amplitudes(setup), n_before, min(N_MODES, wanted - start))
+                more = setup.basis.next_modes(setup.model_amplitudes, n_before, min(N_MODES, wanted - start))
                 if more is None or (found and not more.modes):
                     break
                 found.append(more)
@@ -138,9 +138,3 @@ def _integrated(block: RowBlock, key: str, modes: LinearBasis) -> ComplexArray:
     """Return the visibilities of modes, (Ntimes, Ngroups, n_modes)."""
     known = block.fixed_integral(key, lambda sources: modes.evaluate(sources.za, sources.az))
     return known + block.diffuse_integral(key, modes)
-
-
-def _amplitudes(setup: ObservingSetup) -> FloatArray:
-    """Return how large the model beam's coefficients are over all channels, root mean square, (n_modes,)."""
-    amplitudes = [setup.basis.amplitudes(coeffs) for coeffs in setup.prior_mean]
-    return np.sqrt(np.mean(np.square(amplitudes), axis=0))

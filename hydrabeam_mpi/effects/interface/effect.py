@@ -23,6 +23,7 @@ from scipy.sparse import csr_array
 
 from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.changing import MayChange
+from hydrabeam_mpi.effects.interface.in_beam import InBeam
 from hydrabeam_mpi.effects.interface.limits import HasLimits
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.other_data import InOtherData
@@ -31,7 +32,6 @@ from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.skies_on_rings import SkiesOnRings
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.interface.told import Told
-from hydrabeam_mpi.model.bases.base import LinearBasis
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ class Cause(ABC):
         return {}
 
 
-class Effect(InOtherData, HasLimits, MayChange, Cause):
+class Effect(InBeam, InOtherData, HasLimits, MayChange, Cause):
     """A cause that changes what the rows of the job's polarisation are expected to be.
 
     It sees the data through a `RowBlock`, some rows of one channel. All that depends on ``x`` is for one channel's
@@ -134,8 +134,6 @@ class Effect(InOtherData, HasLimits, MayChange, Cause):
     """Whether the effect changes the sky (see `sky_factor`, `extra_sky`), by which it is part of A rather than of E."""
     linear: bool = False
     """Whether the data are so nearly linear in the parameters that a fit gains about what the linear model predicts."""
-    is_about_the_beam: ClassVar[bool] = False
-    """Whether it is a fault of the beam's model itself, so that it may well look like another beam."""
     is_control_model: ClassVar[bool] = False
     """Whether it is a control model: effects must explain the data better, and it is never claimed itself."""
 
@@ -266,15 +264,3 @@ class Effect(InOtherData, HasLimits, MayChange, Cause):
         Each has those of the one before it first.
         """
         return ()
-
-    def beyond_basis(self, setup: ObservingSetup) -> Effect | None:
-        """Return the part that no beam in the basis can follow, however free its coefficients are; None without one."""
-        return None
-
-    def beam_functions(self, setup: ObservingSetup) -> LinearBasis | None:
-        """Return the functions of the beam, one a parameter, by which the effect makes the beam's basis larger.
-
-        Its parameters are then coefficients of the beam, with which they are written: that of every beam is the basis
-        with these functions. None for effects that are no part of the beam. They are real.
-        """
-        return None

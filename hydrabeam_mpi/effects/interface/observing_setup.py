@@ -65,6 +65,12 @@ class ObservingSetup:
         return {}
 
     @property
+    def model_amplitudes(self) -> FloatArray:
+        """How large the model beam's coefficients are over all channels, root mean square, (n_modes,)."""
+        amplitudes = [self.basis.amplitudes(coeffs) for coeffs in self.prior_mean]
+        return np.asarray(np.sqrt(np.mean(np.square(amplitudes), axis=0)))
+
+    @property
     def reference_freq(self) -> float:
         """Hz: the mean of all channels, to which laws in frequency refer."""
         return float(self.observation.freqs.mean())

@@ -24,6 +24,7 @@ from hydrabeam_mpi.loop.selection.constant import (
 )
 from hydrabeam_mpi.loop.selection.exchange import exchange
 from hydrabeam_mpi.loop.selection.history import History
+from hydrabeam_mpi.loop.selection.known_beforehand import with_what_is_known
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.prior_widths import Adapted, adapt, as_adapted
 from hydrabeam_mpi.loop.selection.revision import revise
@@ -37,7 +38,7 @@ from hydrabeam_mpi.terminal.progress import say
 def begin(context: FitContext, values: Values, clock: Clock) -> History:
     """Fit what is known before the first round. Collective: all ranks of the grid."""
     with clock.time("fit"):
-        checked = check(context, refit(context, values))
+        checked = check(context, refit(context, with_what_is_known(context, values)))
     return History(checked, checked)
 
 

@@ -11,6 +11,7 @@ from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Worth
+from hydrabeam_mpi.fit.grown import added_coefficients
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.loop.attribution.reconsider import reconsider
 from hydrabeam_mpi.loop.rules import RULES
@@ -154,9 +155,10 @@ def round_of(
 
 def _beam_change(context: FitContext, before: Fitted, after: Fitted) -> float:
     """Return by how much the beam moved at most, on the one-degree grid and over channels."""
-    basis, largest = context.problem.basis, 0.0
-    for one, two in zip(before.fit.posteriors, after.fit.posteriors, strict=True):
-        moved: FloatArray = two.mean - one.mean
+    basis, setup, largest = context.problem.basis, context.setup, 0.0
+    for channel, one, two in zip(context.channels, before.fit.posteriors, after.fit.posteriors, strict=True):
+        added = [added_coefficients(setup, fitted.values, channel) for fitted in (before, after)]
+        moved: FloatArray = two.mean + added[1] - one.mean - added[0]
 
         def change(za: FloatArray, az: FloatArray, moved: FloatArray = moved) -> Any:
             return basis.synthesize(moved, za, az)

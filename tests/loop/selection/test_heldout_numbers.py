@@ -25,7 +25,7 @@ FREQS = (FREQ, FREQ + 8e6)
 @pytest.fixture(scope="module")
 def contexts(comm: MPI.Comm, tmp_path_factory: pytest.TempPathFactory) -> tuple[FitContext, FitContext]:
     """The same two channels of a small array shared out over all ranks, and whole on each."""
-    job = mock_job(freqs=FREQS)
+    job = mock_job(freqs=FREQS, prior={"widths": "stated"})
     shared = context_of(job, comm.bcast(tmp_path_factory.mktemp("numbers")), comm)
     return shared, context_of(job, tmp_path_factory.mktemp("alone"))
 

@@ -1,0 +1,82 @@
+"""What the beams of all channels have in common: they are made by the same antennas, and off alike."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray
+from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
+
+FLOOR = 1e-3
+"""Least natural size of a coefficient, relative to that of the largest one."""
+
+
+class CommonBeam(Effect):
+    """Coefficients c of the beam that are the same in all channels, beside those that each channel has of its own.
+
+    The beam of channel f is b_f = m_f + c + d_f, with m_f its model. A tilt of the beam, or a beam that is wider than
+    its model, is in c. With d_f alone it would be as many coincidences as there are channels, which an error of the sky
+    or of the pointing, the same in all channels, would explain at once.
+
+    It is no fault that one looks for, but what is known of beams: a loop over several channels begins with it.
+    """
+
+    kind = "common_beam"
+    title = "what the beams of all channels have in common"
+    of_both_feeds = True
+    linear = True
+    shared = True
+    is_about_the_beam = True
+    is_sought = False
+
+    def not_applicable(self, setup: ObservingSetup) -> str | None:
+        """Refuse a single channel."""
+        return "it takes several channels to have something in common" if setup.observation.Nfreqs == 1 else None
+
+    def parameters(self, setup: ObservingSetup) -> Parameters:
+        """Return the coefficients, real parts first, in units of how large the model's are over all channels."""
+        scale = setup.basis.expected(setup.model_amplitudes)
+        scale = np.maximum(scale, FLOOR * scale.max())
+        names = [f"coefficient {mode} in all channels" for mode in range(len(scale))]
+        if setup.basis.is_complex:
+            names = [f"{name}, {part} part" for part in ("real", "imaginary") for name in names]
+            scale = np.tile(scale, 2)
+        return Parameters.of(names, "", scale)
+
+    def variances_beforehand(self, setup: ObservingSetup, of_beam: FloatArray) -> FloatArray:
+        """Return those of a channel's own coefficients, their mean over channels: c is as free as each d_f."""
+        of_all = of_beam.mean(axis=0)
+        return np.tile(of_all / 2, 2) if setup.basis.is_complex else of_all
+
+    def columns(self, block: RowBlock, x: FloatArray) -> Columns:
+        """Return the design as it follows real numbers; ``x`` is (n_params,)."""
+        seen = _seen(block)
+        if block.setup.basis.is_complex:
+            seen = np.concatenate([seen, 1j * seen], axis=-1)
+        return Columns(seen, seen.shape[-1], by_group=True)
+
+    def carried_over(self, setup: ObservingSetup) -> str:
+        """Refuse: the beams that are carried over have it in them."""
+        return "is in the beams already"
+
+    def beam_coefficients(self, setup: ObservingSetup, x: FloatArray) -> Array:
+        """Return c, (..., n_modes)."""
+        if not setup.basis.is_complex:
+            return x
+        real, imaginary = np.split(x, 2, axis=-1)
+        return np.asarray(real + 1j * imaginary)
+
+
+def _seen(block: RowBlock) -> ComplexArray:
+    """Return the visibilities of the basis's functions, (Ntimes, Ngroups, n_modes)."""
+    basis, design = block.setup.basis, block.design
+    if np.iscomplexobj(design):
+        return design
+    if design.shape[-1]:
+        return np.asarray(design[:, 0] + 1j * design[:, 1])
+    # Where data are made there is no design.
+    known = block.integrate(lambda sources: basis.columns(sources.za, sources.az))
+    known = basis.mix(known.reshape(len(block.times), len(block.groups), basis.n_columns))
+    return np.asarray(known + block.diffuse_integral("basis", basis))

@@ -1,0 +1,41 @@
+"""What a loop knows of the beams before it looks for anything, such as that those of several channels are off alike."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hydrabeam_mpi.effects.registry import EFFECTS, make_effect
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.prior_widths import is_adaptable
+from hydrabeam_mpi.fit.state import Active, Values
+from hydrabeam_mpi.loop.rules import RULES
+from hydrabeam_mpi.mpi import together
+from hydrabeam_mpi.terminal.progress import say
+
+
+def with_what_is_known(context: FitContext, values: Values) -> Values:
+    """Add to a job's effects those that are not looked for, as they are known of any beam: see `CommonBeam`.
+
+    A prior of independent channels takes a tilt of all their beams for as many coincidences, and an error of the sky or
+    of the pointing that explains them at once for the more certain the more channels there are. What is claimed has to
+    hold with beams that are off alike as well as with beams that are not, so that both parts are as free as the job
+    states. Of large bases those parameters are free that have the widest priors.
+
+    Nothing is added where the job states the beams' prior once and for all (``[prior] widths = "stated"``, a prior from
+    a file, channels that hang together), or does not want it (``[loop] skip``). Collective: all ranks of the grid.
+    """
+    job, setup = context.problem.job, context.setup
+    known = [make_effect(kind, {}) for kind in EFFECTS if not EFFECTS[kind].is_sought]
+    present = {*job.loop.skip, *(one.kind for one in values.active)}
+    known = [one for one in known if one.kind not in present and one.not_applicable(setup) is None]
+    if not known or job.prior.widths == "stated" or not is_adaptable(context):
+        return values
+    mine = [prior.std() ** 2 for prior in context.problem.priors] if context.grid.is_group_root else []
+    of_beam = np.array([one for part in context.grid.world.allgather(mine) for one in part])
+    for effect in known:
+        with together(context.grid.world):
+            prior_var = effect.variances_beforehand(setup, of_beam)
+            prior_var[np.argsort(-prior_var, kind="stable")[RULES.most_known :]] = 0.0
+            values = values.extended(Active.start(effect, setup, prior_var, np.zeros((1, len(prior_var)))))
+        say(f"part of the model beforehand: {effect.title}", context.grid.is_world_root)
+    return values
