@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_array
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.reweighting import Reweighting, ReweightingFit, fitted_counts, with_more_noise
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
@@ -48,7 +48,8 @@ class _Solution:
 class NoiseLevel(Reweighting):
     """Scales of the noise: one for all data, and one for each of some or all antennas if the evidence supports that.
 
-    The parameters of a channel are s, or s followed by s_j of all antennas in use, the mean of ln s_j being zero.
+    The parameters of a channel are s, or s followed by s_j of all antennas in use. Where few antennas differ from all
+    others, these have s_j = 1 and s is theirs; else the mean of ln s_j is zero.
     """
 
     kind = "noise_level"
@@ -58,6 +59,12 @@ class NoiseLevel(Reweighting):
     def scales_antennas(self, x: FloatArray) -> bool:
         """Whether there are more parameters than the one of all data in ``x``, (Nfreqs, n_params)."""
         return x.shape[1] > 1
+
+    def is_told(self, x: FloatArray) -> BoolArray:
+        """Return which of some channels' parameters are to be told of: those of all, and of antennas unlike most."""
+        told = np.any(x != 1, axis=0)
+        told[0] = True
+        return np.asarray(told)
 
     def sizes(self, setup: ObservingSetup) -> tuple[int, ...]:
         """Return one, or one more than there are antennas in use."""
@@ -237,9 +244,9 @@ def _solve(design: csr_array, expected: FloatArray, power: FloatArray, width: Fl
             break
     log_det = 2 * float(np.log(np.diag(factor[0]) * width).sum())
     likelihood = 0.5 * float(np.sum((x / width) ** 2)) - loss(x)
-    centre = np.eye(len(x))
-    if len(x) > 1:
-        centre[0, 1:] = 1 / (len(x) - 1)
-        centre[1:, 1:] -= 1 / (len(x) - 1)
-    covariance = centre @ cho_solve(factor, centre.T)
-    return _Solution(centre @ x, covariance, -loss(x) - 0.5 * log_det, 2 * likelihood)
+    told = np.diag(np.where(width > HELD, 1.0, 0.0))
+    if len(x) > 1 and np.all(width > HELD):
+        told[0, 1:] = 1 / (len(x) - 1)
+        told[1:, 1:] -= 1 / (len(x) - 1)
+    covariance = told @ cho_solve(factor, told.T)
+    return _Solution(told @ x, covariance, -loss(x) - 0.5 * log_det, 2 * likelihood)

@@ -296,15 +296,14 @@ def read_harmonics(
 
 
 def read_noise(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]) -> Found:
-    """Read one scale for all, or one of all times one of each antenna, which is relative to the others."""
+    """Read one scale for all, or one of all times one of each antenna that differs from others."""
     told = averaged(parameters)
     if set(told) == {"noise scale"}:
         return {("array", "noise scale"): told["noise scale"]}
-    overall = told.get("noise scale", (1.0, 0.0))[0]
-    out: Found = {}
+    overall, common = told.pop("noise scale", (1.0, 0.0))
+    out: Found = dict.fromkeys(truth, (overall, common)) if common else {}
     for name, (value, std) in told.items():
-        if name.startswith("antenna"):
-            out[name.removesuffix(" noise scale"), "noise scale"] = overall * value, overall * std
+        out[name.removesuffix(" noise scale"), "noise scale"] = overall * value, np.hypot(overall * std, value * common)
     return out
 
 
