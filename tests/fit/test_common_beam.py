@@ -8,19 +8,25 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.registry import make_effect
 from hydrabeam_mpi.fit.beams_given import sum_for_beams
+from hydrabeam_mpi.fit.common_widths import _CommonWidths, _log_evidence
 from hydrabeam_mpi.fit.equations import BEAM
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.grown import grown_beam, grown_problem
+from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.joint import channel_results
+from hydrabeam_mpi.fit.prior_widths import adapted
 from hydrabeam_mpi.fit.state import Estimate, Values
 from hydrabeam_mpi.fit.whole_beams import with_whole_beams
+from hydrabeam_mpi.fit.widths_evidence import WidthsEvidence
 from hydrabeam_mpi.loop.attribution.score_effects import attribute
 from hydrabeam_mpi.loop.rules import RULES, Rules
 from hydrabeam_mpi.loop.selection import known_beforehand
+from hydrabeam_mpi.loop.selection.heldout_numbers import heldout_numbers
 from hydrabeam_mpi.loop.selection.known_beforehand import with_what_is_known
 from tests.fit.test_gauss_newton import free
 from tests.loop.mock import context_of, mock_job
@@ -71,6 +77,58 @@ def test_beams_are_those_of_one_gaussian_of_all_channels(basis: dict[str, Any], 
         np.testing.assert_allclose(problem.priors[f].std() ** 2, np.diag(covariance)[own], rtol=1e-12)
         coeffs = grown_beam(context.setup, fitted.values, f, context.problem.basis, fitted.fit.posteriors[f].mean)[1]
         np.testing.assert_allclose(coeffs, beam.mean, atol=1e-14)
+
+
+@pytest.mark.parametrize("basis", BASES.values(), ids=BASES)
+def test_evidence_of_its_widths_is_that_of_one_gaussian_of_all_channels(basis: dict[str, Any], tmp_path: Path) -> None:
+    """Of all data, as a function of the common part's prior, everything else marginalised."""
+    context, values = known(THREE, tmp_path, basis=basis)
+    (common,) = values.active
+    normals = sum_for_beams(context, Estimate(Values(), ())).normals
+    n, kappa = context.problem.basis.n_modes, 1 if context.problem.basis.is_complex else 2
+    variances = np.array([prior.std() ** 2 for prior in context.problem.priors])
+
+    def log_evidence(of_common: np.ndarray) -> float:
+        priors = np.einsum("fg,fn->fgn", np.eye(3), variances) + of_common
+        covariance = np.einsum("fgn,nm->fngm", priors, np.eye(n)).reshape(3 * n, 3 * n)
+        own = block_diag(*(kappa * normal.own(BEAM) for normal in normals))
+        means = [prior.mean for prior in context.problem.priors]
+        score = np.concatenate(
+            [
+                kappa * (normal.projection[BEAM] - normal.own(BEAM) @ mean)
+                for normal, mean in zip(normals, means, strict=True)
+            ]
+        )
+        moved = np.linalg.solve(np.linalg.inv(covariance) + own, score)
+        log_det = np.linalg.slogdet(np.eye(3 * n) + own @ covariance)[1]
+        return float((2 / kappa) * 0.5 * (np.vdot(score, moved).real - log_det))
+
+    fitted = refit(context, values)
+    told = _CommonWidths(context, fitted, 0)
+    mean = variances.mean(axis=0)
+    (channel,) = told._channels
+    for factor in (0.01, 0.3, 5.0):
+        expected = log_evidence(factor * mean) - log_evidence(mean)
+        found = _log_evidence(channel, np.sqrt(factor * mean)) - told._here([])
+        assert found == pytest.approx(expected, rel=1e-5, abs=1e-3)
+    assert common.kind == "common_beam"
+
+
+def test_its_prior_gets_the_widths_that_the_data_want(tmp_path: Path) -> None:
+    """A beam that is off by a tenth of what its prior expects is predicted better by one that expects that."""
+    alike = {"kind": "common_beam", "strength": 0.01}
+    job = mock_job(alike, freqs=EIGHT, n_times=6, prior=PRIOR, basis={"n_modes": 120, "k_max": 24, "m_max": 4})
+    job["data"]["simulate"] |= {"perturb": {"stretch": [1.0, 1.0], "sidelobe": 0.0}, "nsamples": 0.01}
+    context = context_of(job, tmp_path)
+    before = refit(context, with_what_is_known(context, Values()))
+    after, _ = adapted(context, before, WidthsEvidence(context, before).best())
+    (one,), (two,) = before.values.active, after.values.active
+    ratio = np.median(two.prior.of(0).std() / one.prior.of(0).std())
+    assert 0.02 < ratio < 0.5
+    rms = [heldout_numbers(context, whiten(context, fitted)).of_all for fitted in (before, after)]
+    assert rms[1]["rms"] < rms[0]["rms"]
+    assert rms[1]["log_density"] > rms[0]["log_density"] + 10
+    assert rms[1]["predictive_chi2"] == pytest.approx(1, abs=0.15)
 
 
 def test_other_effects_are_known_as_before(tmp_path: Path) -> None:

@@ -11,10 +11,11 @@ import pytest
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.fit.gauss_newton import refit
-from hydrabeam_mpi.fit.prior_widths import WidthsEvidence, _Channel, adapted, as_stated
+from hydrabeam_mpi.fit.prior_widths import adapted, as_stated
 from hydrabeam_mpi.fit.scoring import Told
 from hydrabeam_mpi.fit.state import Values
 from hydrabeam_mpi.fit.width_numbers import WidthNumbers
+from hydrabeam_mpi.fit.widths_evidence import ToldOfBeam, WidthsEvidence
 from hydrabeam_mpi.inference.mode_widths import ModeSizes, PriorWidths
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.prior import DiagonalPrior
@@ -51,13 +52,13 @@ def log_density(made: dict[str, Any], widths: PriorWidths) -> float:
     return float(-(quadratic + np.linalg.slogdet(covariance)[1]) * (1.0 if np.iscomplexobj(signal) else 0.5))
 
 
-def channel_of(made: dict[str, Any], widths: PriorWidths) -> _Channel:
+def channel_of(made: dict[str, Any], widths: PriorWidths) -> ToldOfBeam:
     """Return what a posterior with these widths tells."""
     design, prior = made["design"], DiagonalPrior.of(made["mean"], SIZES, widths)
     own = design.conj().T @ design
     precision = own + np.diag(prior.sigma**-2.0)
     mean = np.linalg.solve(precision, design.conj().T @ made["data"] + prior.mean / prior.sigma**2)
-    return _Channel.of(own, Posterior(mean, np.linalg.cholesky(precision)), prior)
+    return ToldOfBeam.of(own, Posterior(mean, np.linalg.cholesky(precision)), prior)
 
 
 @pytest.mark.parametrize("is_complex", [False, True])

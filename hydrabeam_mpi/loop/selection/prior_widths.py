@@ -16,7 +16,8 @@ import numpy as np
 
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.prior_widths import WidthsEvidence, WidthsFound, adapted, is_adaptable
+from hydrabeam_mpi.fit.prior_widths import adapted, is_adaptable
+from hydrabeam_mpi.fit.widths_evidence import WidthsEvidence, WidthsFound
 from hydrabeam_mpi.inference.mode_widths import PriorWidths
 from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
