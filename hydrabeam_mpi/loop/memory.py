@@ -21,7 +21,9 @@ from hydrabeam_mpi.fit.memory import Share, fit_bytes
 from hydrabeam_mpi.fit.rank_data import times_at_once
 from hydrabeam_mpi.fit.room import COMPLEX, REAL
 from hydrabeam_mpi.loop.attribution.control_models import control_models
+from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.choice import choose
+from hydrabeam_mpi.loop.selection.known_beforehand import known_effects
 from hydrabeam_mpi.model.rime import Beam
 from hydrabeam_mpi.setup.problem import Problem
 
@@ -48,6 +50,8 @@ class Candidates:
         Numbers that are integrated over the sky for each group and kept.
     more : int
         Further functions that the beam may get.
+    known : int
+        Parameters of what is part of the model beforehand, beside which all is weighed.
     changes_sky : bool
         Whether there is an effect that changes the sky, of which the designs are kept as well.
     """
@@ -57,11 +61,12 @@ class Candidates:
     by_group: int
     integrated: int
     more: int
+    known: int
     changes_sky: bool
 
     @classmethod
-    def of(cls, effects: Sequence[Effect], setup: ObservingSetup, beam: Beam) -> Self:
-        """Ask the effects."""
+    def of(cls, effects: Sequence[Effect], setup: ObservingSetup, beam: Beam, known: Sequence[Effect] = ()) -> Self:
+        """Ask the effects that are looked for, and those that are known beforehand."""
         picked = [_picked(one, setup) for one in effects]
         again = [one for effect in effects if (one := _again(effect, setup)) is not None]
         sizes, sizes_again = (np.array([len(one.parameters(setup)) for one in some], int) for some in (picked, again))
@@ -73,6 +78,7 @@ class Candidates:
             int(np.max(np.concatenate([sizes, sizes_again]) * seen_alike, initial=0)),
             _integrated(picked, setup, beam),
             max((len(one.parameters(setup)) for one in of_beam), default=0),
+            sum(min(len(one.parameters(setup)), RULES.most_known) for one in known),
             any(one.changes_sky for one in picked),
         )
 
@@ -81,7 +87,8 @@ def candidates_of(problem: Problem) -> Candidates:
     """Return what a loop over a problem, of all its channels, weighs at once."""
     setup = setup_of(problem, problem.observation.pols)
     effects = [*choose(problem.job, setup).effects, *control_models(setup)]
-    return Candidates.of(effects, setup, problem.beams[0])
+    known = known_effects(problem.job, setup) if problem.coupling is None else []
+    return Candidates.of(effects, setup, problem.beams[0], known)
 
 
 def loop_bytes(problem: Problem, share: Share, root: bool) -> int:
@@ -98,15 +105,23 @@ def weighing_bytes(candidates: Candidates, share: Share) -> int:
     blocks += share.design // share.channels * n_kept if n_times > 1 else 0
     made = 0 if share.room(share.train_times).designs else share.making_design
     columns = made + AT_ONCE * COMPLEX * share.groups * n_times * candidates.by_group
-    return blocks + max(_deciding(sizes, share, columns) for sizes in (candidates.weighed, candidates.again))
+    return blocks + max(
+        _deciding(sizes, candidates.known, share, columns) for sizes in (candidates.weighed, candidates.again)
+    )
 
 
-def _deciding(sizes: IntArray, share: Share, columns: int) -> int:
-    """Return the bytes of sums over the columns of effects of some sizes, while the last are added or decided about."""
-    squares = REAL * sizes**2
-    sums = PRODUCTS * int(squares.sum()) + 2 * share.item * share.basis.n_modes * int(sizes.sum())
-    other_channels = 2 * (share.channels - 1) * int(squares.sum())
-    return sums + other_channels + max(DECIDED * int(squares.max(initial=0)), columns)
+def _deciding(sizes: IntArray, known: int, share: Share, columns: int) -> int:
+    """Return the bytes of sums over the columns of effects of some sizes, while the last are added or decided about.
+
+    There are so many parameters ``known`` beforehand. In each channel they have products with all others, and while an
+    effect is decided about they are there with its own, in all channels.
+    """
+    squares, beside = REAL * sizes**2, REAL * known * int(sizes.sum())
+    sums = PRODUCTS * int(squares.sum()) + 2 * share.item * share.basis.n_modes * int(sizes.sum()) + PRODUCTS * beside
+    other_channels = (share.channels - 1) * (2 * int(squares.sum()) + beside + 2 * REAL * known**2)
+    whole = REAL * (known + int(sizes.max(initial=0))) ** 2 - REAL * int(sizes.max(initial=0)) ** 2
+    deciding = DECIDED * int(squares.max(initial=0)) + 2 * (1 + share.channels) * whole
+    return sums + other_channels + max(deciding, columns)
 
 
 def further_bytes(candidates: Candidates, share: Share) -> int:

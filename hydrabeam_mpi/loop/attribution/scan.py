@@ -68,7 +68,7 @@ def _drops_beside(
             for key, effect in effects.items():
                 element = effect.parameters(context.setup).element
                 drop = np.zeros(int(element.max(initial=-1)) + 1)
-                for one in beside_model(fitted.values, effect, by_name[str(key)]):
+                for one in beside_model(fitted.values, effect, [one.whole() for one in by_name[str(key)]]):
                     seen, present = np.diag(one.information), np.diag(one.signal)
                     told = seen > RANK_RTOL * present
                     drop += np.bincount(element, np.where(told, one.score**2 / np.where(told, seen, 1.0), 0.0))

@@ -14,7 +14,7 @@ from hydrabeam_mpi.fit.blocks import CandidateBlock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Fitted, Values
 from hydrabeam_mpi.inference.likelihood import Likelihood
-from hydrabeam_mpi.loop.attribution.candidate_rows import CachedRowBlocks, likelihoods
+from hydrabeam_mpi.loop.attribution.candidate_rows import Beside, CachedRowBlocks, likelihoods
 from hydrabeam_mpi.loop.attribution.evidence import Evidence, evidence_of, find_evidence, find_possible
 from hydrabeam_mpi.loop.attribution.limits import Limits
 from hydrabeam_mpi.loop.attribution.others import beside_model
@@ -89,7 +89,7 @@ def attribute_sizes(context: FitContext, fitted: Fitted, sizes: Sequence[Effect]
     candidate = CandidateBlock(sizes[-1], np.zeros(n_params[-1]))
     by_name, told = likelihoods(context, fitted, cached, {"candidate": candidate}), None
     if by_name is not None:
-        told = [[one.first(len(one.score) - n_params[-1] + n) for one in by_name["candidate"]] for n in n_params]
+        told = [[one.of_first(n) for one in by_name["candidate"]] for n in n_params]
     evidence = _weigh_all(context, fitted.values, sizes, told, Limits.of(context, fitted))
     findings = None if evidence is None else list(map(Finding, sizes, evidence))
     result: list[Finding] = bcast_object(context.grid.world, findings)
@@ -100,7 +100,7 @@ def _weigh_all(
     context: FitContext,
     values: Values,
     effects: Sequence[Effect],
-    likelihoods_of: Sequence[list[Likelihood]] | None,
+    likelihoods_of: Sequence[list[Beside]] | None,
     limits: Limits,
 ) -> list[Evidence] | None:
     """Weigh effects, shared out among the ranks, from what channels say of each, which is known on rank 0.
@@ -110,11 +110,14 @@ def _weigh_all(
     world, shares = context.grid.world, None
     if likelihoods_of is not None:
         # Those with the most parameters, which take longest, first.
-        order = sorted(enumerate(likelihoods_of), key=lambda one: -len(one[1][0].score))
+        order = sorted(enumerate(likelihoods_of), key=lambda one: -len(one[1][0].own.score))
         shares = [order[rank :: world.size] for rank in range(world.size)]
-    mine: list[tuple[int, list[Likelihood]]] = scatter_objects(world, shares)
+    mine: list[tuple[int, list[Beside]]] = scatter_objects(world, shares)
+    weighed = []
     with together(world):
-        weighed = [(number, weigh(context, values, effects[number], told, limits=limits)) for number, told in mine]
+        for number, told in mine:
+            whole = [one.whole() for one in told]
+            weighed.append((number, weigh(context, values, effects[number], whole, limits=limits)))
     gathered = gather_objects(world, weighed)
     if gathered is None:
         return None

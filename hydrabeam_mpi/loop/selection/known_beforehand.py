@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from hydrabeam_mpi.config import Job
+from hydrabeam_mpi.effects.interface.effect import Effect
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.registry import EFFECTS, make_effect
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.prior_widths import is_adaptable
@@ -11,6 +14,14 @@ from hydrabeam_mpi.fit.state import Active, Values
 from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.mpi import together
 from hydrabeam_mpi.terminal.progress import say
+
+
+def known_effects(job: Job, setup: ObservingSetup) -> list[Effect]:
+    """Return the effects that are not looked for, where the data can carry them and the job leaves it to the loop."""
+    if job.prior.widths == "stated":
+        return []
+    known = [make_effect(kind, {}) for kind in EFFECTS if not EFFECTS[kind].is_sought and kind not in job.loop.skip]
+    return [one for one in known if one.not_applicable(setup) is None]
 
 
 def with_what_is_known(context: FitContext, values: Values) -> Values:
@@ -24,11 +35,9 @@ def with_what_is_known(context: FitContext, values: Values) -> Values:
     Nothing is added where the job states the beams' prior once and for all (``[prior] widths = "stated"``, a prior from
     a file, channels that hang together), or does not want it (``[loop] skip``). Collective: all ranks of the grid.
     """
-    job, setup = context.problem.job, context.setup
-    known = [make_effect(kind, {}) for kind in EFFECTS if not EFFECTS[kind].is_sought]
-    present = {*job.loop.skip, *(one.kind for one in values.active)}
-    known = [one for one in known if one.kind not in present and one.not_applicable(setup) is None]
-    if not known or job.prior.widths == "stated" or not is_adaptable(context):
+    setup, present = context.setup, {one.kind for one in values.active}
+    known = [one for one in known_effects(context.problem.job, setup) if one.kind not in present]
+    if not known or not is_adaptable(context):
         return values
     mine = [prior.std() ** 2 for prior in context.problem.priors] if context.grid.is_group_root else []
     of_beam = np.array([one for part in context.grid.world.allgather(mine) for one in part])
