@@ -9,7 +9,8 @@ import numpy as np
 
 from hydrabeam_mpi.config.sample import BEAM, NOISE, PRIOR_WIDTH
 from hydrabeam_mpi.data.observation import Array
-from hydrabeam_mpi.fit.state import Active
+from hydrabeam_mpi.fit.grown import added_coefficients
+from hydrabeam_mpi.fit.state import Active, Values
 from hydrabeam_mpi.mpi import bcast_object, gather_by_channel
 from hydrabeam_mpi.sampling.state import ChainState
 from hydrabeam_mpi.sampling.storage.variable import Variable
@@ -87,12 +88,21 @@ def arrays_of(walk: Walk, state: ChainState) -> dict[str, Array]:
         return {}
     beams, noise, widths = map(np.array, zip(*gathered, strict=True))
     vector = walk.unknowns.vector(state.values)
-    arrays = {BEAM: beams, PACE: np.array([state.step, state.scale])}
+    arrays = {BEAM: beams + _in_common(walk, state.values), PACE: np.array([state.step, state.scale])}
     for name, one, span in zip(_names(walk), walk.unknowns.active, walk.unknowns.spans, strict=True):
         arrays[name] = vector[span] if one.prior.shared else vector[span].reshape(-1, one.size)
     arrays |= {NOISE: noise} if walk.noise is not None else {}
     arrays |= {EFFECT_WIDTH: state.spreads} if walk.spreads is not None else {}
     return arrays | ({PRIOR_WIDTH: widths} if walk.widths is not None else {})
+
+
+def _in_common(walk: Walk, values: Values) -> Array:
+    """Return what effects add to the coefficients of the beams of all channels, which are kept as a whole.
+
+    The result is (Nfreqs, n_modes).
+    """
+    setup = walk.context.setup
+    return np.array([added_coefficients(setup, values, channel) for channel in range(setup.observation.Nfreqs)])
 
 
 def state_from(walk: Walk, arrays: Mapping[str, Array] | None) -> ChainState:
@@ -109,8 +119,9 @@ def state_from(walk: Walk, arrays: Mapping[str, Array] | None) -> ChainState:
     if walk.widths is not None:
         widths = told[PRIOR_WIDTH][channels]
     vector, spreads = np.concatenate([np.zeros(0), *parts]), told.get(EFFECT_WIDTH, np.ones(0))
-    beams = tuple(told[BEAM][channels])
-    return ChainState(walk.unknowns.at(vector), beams, noise, widths, of_parts, told[PACE][0], told[PACE][1], spreads)
+    values = walk.unknowns.at(vector)
+    beams = tuple((told[BEAM] - _in_common(walk, values))[channels])
+    return ChainState(values, beams, noise, widths, of_parts, told[PACE][0], told[PACE][1], spreads)
 
 
 def _of_noise(walk: Walk, freqs: list[float]) -> Variable:
