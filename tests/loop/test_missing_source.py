@@ -39,7 +39,7 @@ def test_a_source_is_told_by_its_place(tmp_path: Path, capfd: pytest.CaptureFixt
     assert told["right ascension"]["sigma"] is None
     ra, dec = (told[what]["value"] for what in ("right ascension", "declination"))
     assert f"source at ra={ra:.3f} dec={dec:.3f}: right ascension {ra:.3f}"[:-1] in found["sentence"]
-    (entry,) = load_job(result / "amended.toml").effects
+    _, entry = load_job(result / "amended.toml").effects
     np.testing.assert_allclose(entry.settings["sources"], [[ra, dec]], atol=1e-4)
     assert all("offset" in name for name in entry.names[1:3])
     assert np.all(np.abs(np.array(entry.values)[:, 1:3]) < 1e-4)
