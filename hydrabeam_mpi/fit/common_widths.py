@@ -14,12 +14,12 @@ import numpy as np
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Active, Fitted, Values, independent_prior
-from hydrabeam_mpi.fit.widths_evidence import ToldOfBeam, WidthsEvidence
+from hydrabeam_mpi.fit.widths_evidence import WidthsEvidence
 from hydrabeam_mpi.inference.matrices import cholesky_lower, inverse_of_covariance
 from hydrabeam_mpi.inference.mode_widths import ModeSizes
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.prior import DiagonalPrior
-from hydrabeam_mpi.mpi import bcast_object, together
+from hydrabeam_mpi.mpi import together
 
 
 def with_common_widths(context: FitContext, fitted: Fitted) -> Values | None:
@@ -34,11 +34,7 @@ def with_common_widths(context: FitContext, fitted: Fitted) -> Values | None:
     found = evidence.best()
     if found.widths is None or found.gain < context.problem.job.loop.min_log_bayes_factor:
         return None
-    one, std = fitted.values.active[place], np.zeros(0)
-    with together(context.grid.world):
-        if evidence.sizes is not None:
-            std = np.hypot(*evidence.sizes.widths(found.widths))
-    std = bcast_object(context.grid.world, std)
+    one, std = fitted.values.active[place], np.hypot(*evidence.sizes.widths(found.widths))
     is_complex = context.setup.basis.is_complex
     prior_var: FloatArray = np.zeros(one.x.shape[1])
     prior_var[one.used] = np.tile(std**2 / 2, 2) if is_complex else std**2
@@ -52,27 +48,26 @@ class _CommonWidths(WidthsEvidence):
     """What a fit tells of the widths of the common part's prior."""
 
     def __init__(self, context: FitContext, fitted: Fitted, place: int) -> None:
-        self._place = place
-        self.sizes: ModeSizes | None = None
-        self._value_now = 0.0
+        self._place, self._value_now = place, 0.0
+        self.sizes: ModeSizes
         super().__init__(context, replace(fitted, values=replace(fitted.values, prior_widths=None)))
 
     def _take(self, context: FitContext, fitted: Fitted) -> None:
         grid = context.grid
         mine = [prior.sizes for prior in context.problem.priors if isinstance(prior, DiagonalPrior)]
         every = [one for part in grid.world.allgather(mine if grid.is_group_root else []) for one in part]
+        one, is_complex = fitted.values.active[self._place], context.setup.basis.is_complex
+        which = one.used[: one.size // 2] if is_complex else one.used
         with together(grid.world):
+            rms = np.sqrt(np.mean([sizes.amplitudes**2 for sizes in every], axis=0))
+            largest = float(np.sqrt(np.mean([sizes.largest**2 for sizes in every])))
+            self.sizes = ModeSizes(rms[which], every[0].orders[which], largest)
             if grid.is_world_root:
-                one, is_complex = fitted.values.active[self._place], context.setup.basis.is_complex
                 precision, mean, std = _posterior_of(fitted, self._place, is_complex)
-                which = one.used[: len(mean)]
-                rms = np.sqrt(np.mean([sizes.amplitudes**2 for sizes in every], axis=0))
-                largest = float(np.sqrt(np.mean([sizes.largest**2 for sizes in every])))
-                self.sizes = ModeSizes(rms[which], every[0].orders[which], largest)
                 own = precision - np.diag(std**-2.0)
                 beam = Posterior(mean, cholesky_lower(precision))
                 self._add(own, beam, DiagonalPrior(np.zeros_like(mean), std, self.sizes))
-                self._value_now = _log_evidence(self._channels[0], std)
+                self._value_now = self._channels[0].log_evidence(std)
         self._value_now = float(grid.world.bcast(self._value_now))
 
     def _here(self, channels: object) -> float:
@@ -97,12 +92,3 @@ def _posterior_of(fitted: Fitted, place: int, is_complex: bool) -> tuple[Array, 
     real = precision[:m, :m] + precision[m:, m:]
     imaginary = precision[m:, :m] - precision[:m, m:]
     return 0.25 * (real + 1j * imaginary), x[:m] + 1j * x[m:], np.sqrt(2) * std[:m]
-
-
-def _log_evidence(told: ToldOfBeam, sigma: FloatArray) -> float:
-    """Return ln evidence of a prior with standard deviations ``sigma``, (m,), as `ToldOfBeam.at` counts it."""
-    pull = sigma * told.pull
-    factor = cholesky_lower(np.eye(len(sigma)) + sigma[:, np.newaxis] * told.information * sigma)
-    moved = Posterior(np.zeros_like(pull), factor).covariance @ pull
-    kappa = 2.0 if np.iscomplexobj(pull) else 1.0
-    return float(kappa / 2 * (np.vdot(pull, moved).real - 2 * np.sum(np.log(np.diag(factor).real))))

@@ -39,8 +39,12 @@ def growth_of(setup: ObservingSetup, values: Values) -> list[tuple[Active, Linea
 
 def is_of_the_beam(setup: ObservingSetup, one: Active) -> bool:
     """Whether an effect's parameters are part of the beam that all antennas have."""
-    effect = one.effect
-    return effect.beam_functions(setup) is not None or effect.beam_coefficients(setup, one.x) is not None
+    return one.effect.beam_functions(setup) is not None or adds_coefficients(setup, one)
+
+
+def adds_coefficients(setup: ObservingSetup, one: Active) -> bool:
+    """Whether an effect adds to the coefficients of the beam in the job's basis."""
+    return one.effect.beam_coefficients(setup, one.x) is not None
 
 
 def added_coefficients(setup: ObservingSetup, values: Values, channel: int) -> Array:
@@ -51,11 +55,13 @@ def added_coefficients(setup: ObservingSetup, values: Values, channel: int) -> A
 
 def added_response(setup: ObservingSetup, values: Values) -> Array:
     """Return W, how these follow the parameters in use, side by side, (n_modes, q)."""
-    parts = []
+    parts = [np.zeros((0, setup.basis.n_modes))]
     for one in values.active:
-        used = one.effect.beam_coefficients(setup, np.eye(one.x.shape[1])[one.used])
-        parts.append(np.zeros((one.size, setup.basis.n_modes)) if used is None else used)
-    return np.concatenate([np.zeros((0, setup.basis.n_modes)), *parts]).T
+        # Few effects have a part in it, and others may have thousands of parameters.
+        units = np.eye(one.x.shape[1])[one.used] if adds_coefficients(setup, one) else None
+        added = None if units is None else one.effect.beam_coefficients(setup, units)
+        parts.append(np.zeros((one.size, setup.basis.n_modes)) if added is None else added)
+    return np.concatenate(parts).T
 
 
 def grown_beam(
@@ -111,10 +117,9 @@ def grown_problem(problem: Problem, setup: ObservingSetup, values: Values, learn
 
 def _with_added_variances(problem: Problem, setup: ObservingSetup, values: Values) -> Problem:
     """Return the problem with the prior variances of what effects add to coefficients in the basis, as they have it."""
-    squares = np.square(np.abs(added_response(setup, values)))
-    if not squares.any():
+    if not any(adds_coefficients(setup, one) for one in values.active):
         return problem
-    priors = []
+    squares, priors = np.square(np.abs(added_response(setup, values))), []
     for prior, number in zip(problem.priors, problem.channel_numbers, strict=True):
         variances = np.concatenate([one.prior.of(int(number)).std() ** 2 for one in values.active])
         wider = np.sqrt(prior.std() ** 2 + squares @ variances)

@@ -19,10 +19,9 @@ from dataclasses import replace
 import numpy as np
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
-from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.grown import added_coefficients, added_response, wider
-from hydrabeam_mpi.fit.state import Active, Fit, Fitted
+from hydrabeam_mpi.fit.grown import added_coefficients, added_response, adds_coefficients, wider
+from hydrabeam_mpi.fit.state import Fit, Fitted
 from hydrabeam_mpi.fit.whitening import root_of
 from hydrabeam_mpi.inference.matrices import inverse_of_covariance
 from hydrabeam_mpi.inference.posterior import Posterior
@@ -35,7 +34,7 @@ def with_whole_beams(context: FitContext, fitted: Fitted) -> Fitted:
 
 def _with_whole_beams(context: FitContext, fitted: Fitted) -> Fitted:
     setup, values, fit = context.setup, fitted.values, fitted.fit
-    inside = [_is_inside(setup, one) for one in values.active]
+    inside = [adds_coefficients(setup, one) for one in values.active]
     if not any(inside):
         return fitted
     of_beam = np.repeat(inside, [one.size for one in values.active])
@@ -50,10 +49,6 @@ def _with_whole_beams(context: FitContext, fitted: Fitted) -> Fitted:
     std = tuple(one for one, is_other in zip(fit.std, others, strict=True) if is_other)
     active = tuple(one for one, is_other in zip(values.active, others, strict=True) if is_other)
     return replace(fitted, values=replace(values, active=active), fit=Fit(beams, covariances, responses, std))
-
-
-def _is_inside(setup: ObservingSetup, one: Active) -> bool:
-    return one.effect.beam_coefficients(setup, one.x) is not None
 
 
 def _whole(

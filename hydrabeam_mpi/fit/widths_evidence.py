@@ -191,28 +191,37 @@ class ToldOfBeam:
         told = np.maximum(1 / variance - prior.sigma**-2.0, 0.0)
         return cls(told, (beam.mean - prior.mean) / variance, prior.sizes)
 
+    def log_evidence(self, sigma: FloatArray) -> float:
+        """Return ln evidence of a prior with any standard deviations, (n,), of what has the whole of H."""
+        pull, given = sigma * self.pull, self._given(sigma)
+        return _log_evidence(pull, given.covariance @ pull, _log_det(given))
+
     def at(self, widths: PriorWidths, n: int) -> Told:
         """Return what is told of the numbers of widths, (n,)."""
         parts = self.sizes.widths(widths)
         sigma = np.hypot(*parts)
         pull = sigma * self.pull
-        kappa = 2.0 if np.iscomplexobj(pull) else 1.0
+        kappa = _kappa(pull)
         slopes = self._slopes(*parts, n)
         if self.information.ndim == 1:
             weights = 1 + sigma**2 * self.information
             moved, left, log_det = pull / weights, 1 / weights, np.sum(np.log(weights))
             expected = (slopes * (1 - left) ** 2) @ slopes.T
         else:
-            matrix = sigma[:, np.newaxis] * self.information * sigma
-            matrix[np.diag_indices_from(matrix)] += 1
-            given = Posterior(np.zeros_like(pull), cholesky_lower(matrix))
+            given = self._given(sigma)
             moved, left = given.covariance @ pull, np.diag(given.covariance).real
-            log_det = 2 * np.sum(np.log(np.diag(given.factor).real))
+            log_det = _log_det(given)
             squares = given.covariance.real**2 + given.covariance.imag**2
             squares[np.diag_indices_from(squares)] = (1 - left) ** 2
             expected = slopes @ squares @ slopes.T
         slope = slopes @ (kappa * (np.abs(moved) ** 2 + left - 1))
-        return Told(kappa / 2 * float(np.vdot(pull, moved).real - log_det), slope, 2 * kappa * expected)
+        return Told(_log_evidence(pull, moved, log_det), slope, 2 * kappa * expected)
+
+    def _given(self, sigma: FloatArray) -> Posterior:
+        """Return W^-1 as the covariance of coefficients in units of ``sigma``, (n,)."""
+        matrix = sigma[:, np.newaxis] * self.information * sigma
+        matrix[np.diag_indices_from(matrix)] += 1
+        return Posterior(np.zeros_like(self.pull), cholesky_lower(matrix))
 
     def _slopes(self, proportional: FloatArray, smooth: FloatArray, n: int) -> FloatArray:
         """Return the derivatives of ln sigma by each number, (n, n_modes), for the two parts of sigma."""
@@ -220,3 +229,17 @@ class ToldOfBeam:
         orders = self.sizes.orders.T
         of_orders = np.arange(n - N_SHARED)[:, np.newaxis] == orders[1]
         return np.vstack([shares, -orders * shares[1], of_orders])
+
+
+def _kappa(pull: Array) -> float:
+    return 2.0 if np.iscomplexobj(pull) else 1.0
+
+
+def _log_det(given: Posterior) -> float:
+    """Return ln|W|."""
+    return 2 * float(np.sum(np.log(np.diag(given.factor).real)))
+
+
+def _log_evidence(pull: Array, moved: Array, log_det: float) -> float:
+    """Return ln evidence but for a constant, of y, z = W^-1 y and ln|W|."""
+    return _kappa(pull) / 2 * float(np.vdot(pull, moved).real - log_det)

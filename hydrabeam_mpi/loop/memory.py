@@ -119,7 +119,7 @@ def _deciding(sizes: IntArray, known: int, share: Share, columns: int) -> int:
     squares, beside = REAL * sizes**2, REAL * known * int(sizes.sum())
     sums = PRODUCTS * int(squares.sum()) + 2 * share.item * share.basis.n_modes * int(sizes.sum()) + PRODUCTS * beside
     other_channels = (share.channels - 1) * (2 * int(squares.sum()) + beside + 2 * REAL * known**2)
-    whole = REAL * (known + int(sizes.max(initial=0))) ** 2 - REAL * int(sizes.max(initial=0)) ** 2
+    whole = REAL * known * (known + 2 * int(sizes.max(initial=0)))
     deciding = DECIDED * int(squares.max(initial=0)) + 2 * (1 + share.channels) * whole
     return sums + other_channels + max(deciding, columns)
 

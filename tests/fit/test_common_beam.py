@@ -13,7 +13,7 @@ from scipy.linalg import block_diag
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.registry import make_effect
 from hydrabeam_mpi.fit.beams_given import sum_for_beams
-from hydrabeam_mpi.fit.common_widths import _CommonWidths, _log_evidence
+from hydrabeam_mpi.fit.common_widths import _CommonWidths
 from hydrabeam_mpi.fit.equations import BEAM
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.grown import grown_beam, grown_problem
@@ -109,7 +109,7 @@ def test_evidence_of_its_widths_is_that_of_one_gaussian_of_all_channels(basis: d
     (channel,) = told._channels
     for factor in (0.01, 0.3, 5.0):
         expected = log_evidence(factor * mean) - log_evidence(mean)
-        found = _log_evidence(channel, np.sqrt(factor * mean)) - told._here([])
+        found = channel.log_evidence(np.sqrt(factor * mean)) - told._here([])
         assert found == pytest.approx(expected, rel=1e-5, abs=1e-3)
     assert common.kind == "common_beam"
 

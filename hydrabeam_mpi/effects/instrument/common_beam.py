@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray
+from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-
-FLOOR = 1e-3
-"""Least natural size of a coefficient, relative to that of the largest one."""
+from hydrabeam_mpi.effects.shared.beam_visibilities import by_real_unknowns
 
 
 class CommonBeam(Effect):
@@ -38,7 +36,6 @@ class CommonBeam(Effect):
     def parameters(self, setup: ObservingSetup) -> Parameters:
         """Return the coefficients, real parts first, in units of how large the model's are over all channels."""
         scale = setup.basis.expected(setup.model_amplitudes)
-        scale = np.maximum(scale, FLOOR * scale.max())
         names = [f"coefficient {mode} in all channels" for mode in range(len(scale))]
         if setup.basis.is_complex:
             names = [f"{name}, {part} part" for part in ("real", "imaginary") for name in names]
@@ -52,10 +49,8 @@ class CommonBeam(Effect):
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return the design as it follows real numbers; ``x`` is (n_params,)."""
-        seen = _seen(block)
-        if block.setup.basis.is_complex:
-            seen = np.concatenate([seen, 1j * seen], axis=-1)
-        return Columns(seen, seen.shape[-1], by_group=True)
+        columns = by_real_unknowns(block.design if block.design.shape[-1] else _design(block))
+        return Columns(columns, columns.shape[-1], by_group=True)
 
     def carried_over(self, setup: ObservingSetup) -> str:
         """Refuse: the beams that are carried over have it in them."""
@@ -69,14 +64,10 @@ class CommonBeam(Effect):
         return np.asarray(real + 1j * imaginary)
 
 
-def _seen(block: RowBlock) -> ComplexArray:
-    """Return the visibilities of the basis's functions, (Ntimes, Ngroups, n_modes)."""
-    basis, design = block.setup.basis, block.design
-    if np.iscomplexobj(design):
-        return design
-    if design.shape[-1]:
-        return np.asarray(design[:, 0] + 1j * design[:, 1])
-    # Where data are made there is no design.
-    known = block.integrate(lambda sources: basis.columns(sources.za, sources.az))
-    known = basis.mix(known.reshape(len(block.times), len(block.groups), basis.n_columns))
-    return np.asarray(known + block.diffuse_integral("basis", basis))
+def _design(block: RowBlock) -> Array:
+    """Return the design where there is none yet, as where data are made."""
+    basis = block.setup.basis
+    seen = block.integrate(lambda sources: basis.columns(sources.za, sources.az))
+    seen = basis.mix(seen.reshape(len(block.times), len(block.groups), basis.n_columns))
+    seen = seen + block.diffuse_integral("basis", basis)
+    return seen if basis.is_complex else np.stack([seen.real, seen.imag], axis=1)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.model.engines.base import amplitude
@@ -46,6 +46,17 @@ def beam_visibilities(block: RowBlock, vectors: FloatArray) -> ComplexArray:
     values = integrals.reshape(len(block.times), len(vectors)).astype(complex)
     kept[key] = block.beam, block.times, values
     return values
+
+
+def by_real_unknowns(design: Array) -> ComplexArray:
+    """Return the derivatives of visibilities by real unknowns, real parts of complex coefficients first.
+
+    A design is (Ntimes, Ngroups, n) for complex coefficients, (Ntimes, 2, Ngroups, n) for real ones, and the result
+    (Ntimes, Ngroups, 2 n) or (Ntimes, Ngroups, n).
+    """
+    if np.iscomplexobj(design):
+        return np.asarray(np.concatenate([design, 1j * design], axis=-1))
+    return np.asarray(design[:, 0] + 1j * design[:, 1])
 
 
 def integrate_on(block: RowBlock, columns: Callable[[Sources], FloatArray], vectors: FloatArray) -> ComplexArray:

@@ -14,6 +14,7 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.shared.beam_shapes import MODES, sidelobes, stretches
+from hydrabeam_mpi.effects.shared.beam_visibilities import by_real_unknowns
 from hydrabeam_mpi.effects.shared.displaced import TILTS, need_real_beam
 
 MOST_MODES = 64
@@ -50,11 +51,7 @@ class BeamDrift(Effect):
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return the design's columns times the time, from -1 to 1, (Nrows, n)."""
         modes = _largest(block.setup)[1]
-        columns = block.design[..., modes]
-        if np.iscomplexobj(columns):
-            columns = np.concatenate([columns, 1j * columns], axis=-1)
-        else:
-            columns = columns[:, 0] + 1j * columns[:, 1]
+        columns = by_real_unknowns(block.design[..., modes])
         values = (columns * _time(block)[:, np.newaxis, np.newaxis]).astype(complex)
         return Columns(values, columns.shape[-1], by_group=True)
 
