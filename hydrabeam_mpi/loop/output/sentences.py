@@ -144,10 +144,15 @@ def _reasons(told: dict[str, Any]) -> list[str]:
     """Say why data stay unexplained: a control model explains more than any effect, or predictions are off."""
     control, why = told["foreign"], told["why"]
     if control is None:
-        # Else the numbers here would contradict those of what is in the model.
-        of_claimed = "with what is claimed alone, " if any(one.get("predicts") for one in told["rounds"]) else ""
-        return [f"{capital(of_claimed + why)}."] if why else []
+        return [f"{capital(_before_what_predicts(told) + why)}."] if why else []
     return [
         f"{capital(control['title'])} would explain more than any of them (log Bayes factor "
         f"{control['log_bayes_factor']:,.0f}, held-out reduced chi^2 {control['heldout_after']:.4g})."
     ]
+
+
+def _before_what_predicts(told: dict[str, Any]) -> str:
+    """Say of which fit the reasons are, where it is not the last one, whose numbers they would contradict."""
+    if any(one.get("predicts") for one in told["rounds"]):
+        return "with what is claimed alone, "
+    return "before the beam's prior got its last widths, " if told["error_claimed"] != told["error_after"] else ""

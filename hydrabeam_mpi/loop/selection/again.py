@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from hydrabeam_mpi.loop.selection.for_prediction import keep_for_prediction
 from hydrabeam_mpi.loop.selection.history import History
+from hydrabeam_mpi.loop.selection.known_beforehand import may_be_off_alike
 from hydrabeam_mpi.loop.selection.prior_widths import adapt
 from hydrabeam_mpi.loop.selection.rounds import Search, run_rounds
 from hydrabeam_mpi.loop.selection.weighing import next_of
@@ -19,26 +20,26 @@ def run_search(search: Search) -> None:
     that it is not offered any more; what is taken back at the second end stays so. All rounds together are as many as
     the job allows. A history that was kept goes on in the search that it was kept in.
 
-    All of that is done with a beam as free as the job states, or freer, and with one channel once more with the widths
-    of its prior that the data want: a beam that is freer than need be takes up what is faint. The beams of several
-    channels may be off alike, by a tilt say, which a prior of independent ones takes for as many coincidences. The
-    narrower that is, the more an effect seems to explain that all channels share, so that with several channels these
-    widths are for prediction alone: what is claimed, and the verdict, are of the fit before.
+    All of that is done with a beam as free as the job states, or freer, and once more with the widths of its prior that
+    the data want: a beam that is freer than need be takes up what is faint. The beams of several channels may be off
+    alike, by a tilt say, which a prior of independent ones takes for as many coincidences. The narrower that is, the
+    more an effect seems to explain that all channels share: where nothing in the model lets them be off alike these
+    widths are for prediction alone, and what is claimed, and the verdict, are of the fit before.
 
     What is not claimed at the very end, but predicts, stays in the model: see `keep_for_prediction`.
 
     Collective: all ranks of the grid.
     """
     context, history = search.context, search.history
-    is_one = context.setup.observation.Nfreqs == 1
+    alike = may_be_off_alike(context, history.last.fitted.values)
     _run_twice(search)
-    if is_one and _adapted(search):
+    if alike and _adapted(search):
         _run_twice(search)
     if given_up(history):
         with search.clock.time("trials"):
             keep_for_prediction(context, history)
     claimed = history.claimed or history.last
-    if not is_one and _adapted(search):
+    if not alike and _adapted(search):
         history.claimed = claimed
 
 

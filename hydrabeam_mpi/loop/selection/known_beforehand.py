@@ -48,3 +48,12 @@ def with_what_is_known(context: FitContext, values: Values) -> Values:
             values = values.extended(Active.start(effect, setup, prior_var, np.zeros((1, len(prior_var)))))
         say(f"part of the model beforehand: {effect.title}", context.grid.is_world_root)
     return values
+
+
+def may_be_off_alike(context: FitContext, values: Values) -> bool:
+    """Whether the beams of all channels may be off alike without that being as many coincidences.
+
+    With one channel there is nothing to be alike, and with several of an independent prior only what is known of them
+    beforehand says so: see `with_what_is_known`.
+    """
+    return context.setup.observation.Nfreqs == 1 or any(not one.effect.is_sought for one in values.active)

@@ -1,9 +1,9 @@
 """How wide the beam's prior is, is no finding, but the data decide it as they decide what is one: by the evidence.
 
 While effects are looked for first the beam is as free as the job states, or freer where the data want that: no width
-gets less than the stated one, unless with one channel that has more evidence than any effect. Then the prior has the
-widths that the data want, where held-out data agree: for prediction, and with one channel to look for what a beam that
-was too free had taken up; see `selection.again`.
+gets less than the stated one, unless that has more evidence than any effect. Then the prior has the widths that the
+data want, where held-out data agree: for prediction, and to look for what a beam that was too free had taken up. The
+beams of several channels must be free to be off alike for either; see `selection.again`.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
 from hydrabeam_mpi.loop.selection.beyond_basis import NONE_BEYOND, Beyond, with_functions_beyond
 from hydrabeam_mpi.loop.selection.folds import compared
 from hydrabeam_mpi.loop.selection.heldout_score import gain_of
+from hydrabeam_mpi.loop.selection.known_beforehand import may_be_off_alike
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refits import fit_patiently
 from hydrabeam_mpi.terminal.progress import say
@@ -71,9 +72,9 @@ def adapt(
 
     That is its widths, and functions beyond its basis: what of the ``effects`` no beam in it can follow. A beam that is
     further from its model than was stated is told from an effect that it takes up as effects are told from each other.
-    Held-out data must not be predicted worse. With ``wider`` no width gets less than the stated one, with one channel
-    unless that has more evidence than any rival: what is off may be how freedom is shared out among coefficients.
-    Collective: all ranks of the grid.
+    Held-out data must not be predicted worse. With ``wider`` no width gets less than the stated one unless that has
+    more evidence than any rival: what is off may be how freedom is shared out among coefficients. Collective: all ranks
+    of the grid.
     """
     job = context.problem.job
     if job.prior.widths == "stated" or not is_adaptable(context):
@@ -100,10 +101,10 @@ def _with_widths(
     context: FitContext, checked: Checked, wider: bool, rivals: Sequence[Candidate]
 ) -> tuple[Checked, float, bool]:
     """Return the fit with the widths that `adapt` wants, their log Bayes factor, and whether none could get less."""
-    is_one = context.setup.observation.Nfreqs == 1
+    alike = may_be_off_alike(context, checked.fitted.values)
     least = max([context.problem.job.loop.min_log_bayes_factor, *(one.log_bayes_factor for one in rivals)])
     evidence = context.of_latest("widths", checked.fitted, lambda: WidthsEvidence(context, checked.fitted))
-    for none_less in (True, False) if wider and rivals and is_one else (wider,):
+    for none_less in (True, False) if wider and rivals and alike else (wider,):
         if rivals and evidence.promises(none_less) < RULES.near * least:
             continue
         found = evidence.best(none_less)

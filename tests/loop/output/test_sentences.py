@@ -188,6 +188,12 @@ VERDICTS: dict[str, tuple[str, dict[str, Any], str]] = {
         "What is left (held-out reduced chi^2 1.012) is explained by no effect in the catalogue. Predictions are not "
         "calibrated. It is on antenna 5.",
     ),
+    "the beam's prior got its last widths after all that is claimed": (
+        "unexplained",
+        {"why": "predictions are not calibrated", "error_claimed": 1.2},
+        "What is left (held-out reduced chi^2 1.012) is explained by no effect in the catalogue. Before the beam's "
+        "prior got its last widths, predictions are not calibrated. It is on antenna 5.",
+    ),
     "something is left beside what was found": (
         "unexplained",
         {"rounds": [GAINS]},
@@ -219,7 +225,7 @@ VERDICTS: dict[str, tuple[str, dict[str, Any], str]] = {
 
 @pytest.mark.parametrize(("verdict", "given", "said"), VERDICTS.values(), ids=VERDICTS)
 def test_verdicts(verdict: str, given: dict[str, Any], said: str) -> None:
-    nothing: dict[str, Any] = {"rounds": [], "foreign": None, "why": None, "health": [], "error_claimed": 1.0}
+    nothing: dict[str, Any] = {"rounds": [], "foreign": None, "why": None, "health": [], "error_claimed": 1.01234}
     nothing |= {"not_yet_asked": [], "last_ranking": []}
     usual = {"error_before": 11.4, "error_after": 1.01234, "where": WHERE, **nothing}
     assert say_verdict({"verdict": verdict, **usual, **given}) == said

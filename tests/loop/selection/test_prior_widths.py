@@ -23,8 +23,15 @@ GAIN = {
 }
 
 
-def loop_over(folder: Path, *injected: dict[str, Any], **prior: Any) -> dict[str, Any]:
-    job = mock_job(*injected, n_times=24, prior=prior, loop={"effects": ["antenna_gains", "missing_sources"]})
+def loop_over(
+    folder: Path,
+    *injected: dict[str, Any],
+    freqs: tuple[float, ...] = (150e6,),
+    skip: tuple[str, ...] = (),
+    **prior: Any,
+) -> dict[str, Any]:
+    settings = {"effects": ["antenna_gains", "missing_sources"], "skip": list(skip)}
+    job = mock_job(*injected, freqs=freqs, n_times=24, prior=prior, loop=settings)
     assert main(["loop", str(write_job(job, folder)), "-o", str(folder / "out")]) == 0
     told: dict[str, Any] = json.loads((folder / "out" / "loop.json").read_text())
     return told
@@ -112,6 +119,22 @@ def test_widths_that_explain_more_than_any_effect_come_first_even_if_narrower(tm
     assert first["log_bayes_factor"] > found["log_bayes_factor"]
     (gain,) = [one for one in found["parameters"] if one["name"] == "antenna 3 ln amplitude"]
     assert gain["value"] == pytest.approx(0.0025, abs=4 * gain["std"])
+
+
+@pytest.mark.parametrize("alike", [True, False])
+def test_so_it_is_with_several_channels_whose_beams_may_be_off_alike(tmp_path: Path, alike: bool) -> None:
+    """Where they may not, widths less than the stated ones are for prediction alone."""
+    faint = {**GAIN, "parameters": {"antenna 3 ln amplitude": 0.0025}}
+    skip = () if alike else ("common_beam",)
+    loop = loop_over(tmp_path, faint, freqs=(150e6, 152e6, 154e6), skip=skip, fraction=1000.0)
+    (found,) = [one for one in loop["rounds"] if not one["revoked"]]
+    assert found["effect"] == "antenna_gains"
+    (gain,) = [one for one in found["parameters"] if one["name"] == "antenna 3 ln amplitude"]
+    assert gain["value"] == pytest.approx(0.0025, abs=4 * gain["std"])
+    first = loop["prior_widths"][0]
+    assert not first["wider"]
+    assert first["n_rounds"] == (0 if alike else len(loop["rounds"]))
+    assert (loop["error_claimed"] == loop["error_after"]) is alike
 
 
 WIDE = {

@@ -36,6 +36,9 @@ SELF = Plan(radiometer=True)
 NIGHTS = Plan(n_times=36, nights=3)
 DELAYS = "antenna_delays"
 
+NULLS = {"null": Plan(), "null_of_band": BAND}
+"""Data with nothing wrong in them: of one channel, and of several whose beams are off alike."""
+
 EFFECTS = {
     kind.name: kind
     for kind in (

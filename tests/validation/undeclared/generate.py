@@ -13,11 +13,11 @@ import numpy as np
 from tests.validation.undeclared.answer import Drawn, Kind
 from tests.validation.undeclared.basis import BASES
 from tests.validation.undeclared.beams import drawn_shape
-from tests.validation.undeclared.cases import ALL, EFFECTS, merged
+from tests.validation.undeclared.cases import ALL, EFFECTS, NULLS, merged
 from tests.validation.undeclared.detect import chi2_beyond_beam, shows
 from tests.validation.undeclared.files import CHANNEL_WIDTH, INTEGRATION, write_all
 from tests.validation.undeclared.polarisation import polarised
-from tests.validation.undeclared.setting import Setting, draw_setting
+from tests.validation.undeclared.setting import Plan, Setting, draw_setting
 from tests.validation.undeclared.simulator import correlations, corrupted, on_baselines
 from tests.validation.undeclared.truth import ComplexArray, Truth
 
@@ -41,9 +41,10 @@ class Made:
     effects: list[tuple[Kind, float, Drawn]]
 
 
-def make(seed: int, kinds: list[Kind], present: list[Kind], basis: str = "study") -> Made:
-    """Draw an experiment that serves ``kinds``, with those that are ``present`` in it."""
-    setting = draw_setting(stream(seed, "setting"), merged([kind.plan for kind in kinds]), BASES[basis])
+def make(seed: int, kinds: list[Kind], present: list[Kind], basis: str = "study", plan: Plan | None = None) -> Made:
+    """Draw an experiment that serves ``kinds``, or a ``plan`` of no kind, with those that are ``present`` in it."""
+    plan = plan or merged([kind.plan for kind in kinds])
+    setting = draw_setting(stream(seed, "setting"), plan, BASES[basis])
     truth = Truth.of(setting, drawn_shape(stream(seed, "beam"), setting.model_shape))
     effects = []
     # What receivers and cables do comes after all else, and multiplies that, too.
@@ -64,19 +65,19 @@ def generate(seed: int, folder: Path, case: str | None = None, basis: str = "stu
     seed : int
     folder : Path
     case : str, optional
-        "null", a name of `cases.ALL`, or some with "+" between them; drawn from the effects that the loop knows where
-        it is not given.
+        One of `cases.NULLS`, a name of `cases.ALL`, or some with "+" between them; drawn from the effects that the loop
+        knows where it is not given.
     basis : str, optional
         One of `basis.BASES`.
     """
     if case is None:
         case = str(stream(seed, "case").choice(list(EFFECTS)))
-    kinds = [] if case == "null" else [ALL[name] for name in case.split("+")]
-    clean = make(seed, kinds, [], basis).truth
+    kinds = [] if case in NULLS else [ALL[name] for name in case.split("+")]
+    clean = make(seed, kinds, [], basis, NULLS.get(case)).truth
     setting = clean.setting
     reference = correlations(clean)
     sigma = _noise_level(setting, on_baselines(clean, reference))
-    made = make(seed, kinds, kinds, basis)
+    made = make(seed, kinds, kinds, basis, NULLS.get(case))
     measured = reference if not kinds else corrupted(made.truth)
     by_pol = {pol: on_baselines(clean, vis) for pol, vis in polarised(made.truth, measured).items()}
     data = {pol: _filed(made.truth, vis, sigma, stream(seed, f"noise {pol}")) for pol, vis in by_pol.items()}

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.validation.undeclared.cases import CONVENTIONS, EFFECTS, FAULTS, UNKNOWN
+from tests.validation.undeclared.cases import CONVENTIONS, EFFECTS, FAULTS, NULLS, UNKNOWN
 from tests.validation.undeclared.claims import CONVENTION_NAMES, EQUIVALENT, as_good_as, kept, not_so, same
 from tests.validation.undeclared.faults_told import faults_not_so, names_fault
 from tests.validation.undeclared.match import SIGMAS, Comparison, compare
@@ -111,7 +111,7 @@ def class_of(case: str) -> str:
     if "+" in case:
         return "pair" if case.count("+") == 1 else "triple"
     sorts = {"fault": FAULTS, "convention": CONVENTIONS, "unknown": UNKNOWN}
-    return next((sort for sort, cases in sorts.items() if case in cases), "null" if case == "null" else "single")
+    return next((sort for sort, cases in sorts.items() if case in cases), "null" if case in NULLS else "single")
 
 
 def at_noise(loop: dict[str, Any]) -> bool | None:

@@ -12,7 +12,17 @@ import time
 from pathlib import Path
 from typing import Any
 
-from tests.validation.undeclared.cases import CONVENTIONS, EFFECTS, FAULTS, IN_TIME, PAIRS, STRONG, TRIPLES, UNKNOWN
+from tests.validation.undeclared.cases import (
+    CONVENTIONS,
+    EFFECTS,
+    FAULTS,
+    IN_TIME,
+    NULLS,
+    PAIRS,
+    STRONG,
+    TRIPLES,
+    UNKNOWN,
+)
 from tests.validation.undeclared.generate import GIVEN, SEALED, generate
 from tests.validation.undeclared.score import class_of, score
 
@@ -25,7 +35,7 @@ LONGEST_S = 900
 def schedule(n: int, seed: int) -> list[tuple[str, int]]:
     """Return ``n`` draws as (case, seed): pass after pass over all effects, with some of each other sort."""
     others = {
-        "null": ["null"],
+        "null": list(NULLS),
         "strong": list(STRONG),
         "in time": list(IN_TIME),
         "fault": list(FAULTS),

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.validation.undeclared.cases import CONVENTIONS, EFFECTS, FAULTS, IN_TIME, STRONG, UNKNOWN
+from tests.validation.undeclared.cases import CONVENTIONS, EFFECTS, FAULTS, IN_TIME, NULLS, STRONG, UNKNOWN
 from tests.validation.undeclared.score import class_of
 
 ALONE = ("single", "convention", "fault")
@@ -115,7 +115,7 @@ def confusion(draws: Sequence[dict[str, Any]]) -> tuple[list[str], list[str], np
     fine = [
         one for one in draws if "failed" not in one and one["class"] not in ("pair", "triple") and one["detectable"]
     ]
-    rows = [*EFFECTS, *STRONG, *IN_TIME, *FAULTS, *CONVENTIONS, *UNKNOWN, "null"]
+    rows = [*EFFECTS, *STRONG, *IN_TIME, *FAULTS, *CONVENTIONS, *UNKNOWN, *NULLS]
     columns = [*EFFECTS, *sorted({one["first"] for one in fine} - {*EFFECTS, "none"}), "unexplained", "none"]
     counts = np.zeros((len(rows), len(columns)), dtype=int)
     for one in fine:

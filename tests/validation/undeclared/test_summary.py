@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.validation.undeclared.cases import CONVENTIONS, EFFECTS, FAULTS, IN_TIME, STRONG, UNKNOWN
+from tests.validation.undeclared.cases import CONVENTIONS, EFFECTS, FAULTS, IN_TIME, NULLS, STRONG, UNKNOWN
 from tests.validation.undeclared.study import A_PASS, schedule
 from tests.validation.undeclared.summary import KEYS, confusion, summarise, table
 
@@ -112,6 +112,6 @@ def test_a_pass_has_every_effect_and_seeds_differ():
     counts = np.unique([case for case, _ in draws], return_counts=True)
     counts = dict(zip(*counts, strict=True))
     assert counts["leakage"] == 4
-    assert counts["null"] == 12
+    assert {name: counts[name] for name in NULLS} == {"null": 6, "null_of_band": 6}
     assert sum(name.count("+") == 2 for name in counts) == 6
     assert set(STRONG) | set(IN_TIME) | set(FAULTS) | set(CONVENTIONS) | set(UNKNOWN) <= set(counts)
