@@ -87,7 +87,7 @@ def candidates_of(problem: Problem) -> Candidates:
     """Return what a loop over a problem, of all its channels, weighs at once."""
     setup = setup_of(problem, problem.observation.pols)
     effects = [*choose(problem.job, setup).effects, *control_models(setup)]
-    known = known_effects(problem.job, setup) if problem.coupling is None else []
+    known = known_effects(problem.job, setup)
     return Candidates.of(effects, setup, problem.beams[0], known)
 
 

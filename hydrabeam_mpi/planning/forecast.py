@@ -14,6 +14,7 @@ from hydrabeam_mpi.fit.room import Room
 from hydrabeam_mpi.io.posterior_file import MAP_PIXELS
 from hydrabeam_mpi.loop.checks.conventions import N_TIMES
 from hydrabeam_mpi.loop.memory import Candidates, candidates_of, further_bytes, weighing_bytes
+from hydrabeam_mpi.loop.selection.known_beforehand import known_kinds
 from hydrabeam_mpi.planning.files import Files
 from hydrabeam_mpi.planning.measure import Bench
 from hydrabeam_mpi.planning.network import Network
@@ -217,7 +218,8 @@ class Steps:
     @property
     def anew_s(self) -> float:
         """Seconds in which all effects are weighed once more; see `Forecast`."""
-        may_begin_anew = self.outline.n_channels == 1 and self.outline.job.prior.widths != "stated"
+        job = self.outline.job
+        may_begin_anew = known_kinds(job) or (self.outline.n_channels == 1 and job.prior.widths != "stated")
         return self.shares.seconds(self._search.attribution) if may_begin_anew else 0.0
 
     @property

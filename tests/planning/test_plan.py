@@ -173,7 +173,7 @@ def test_loop_tells_what_is_certain_from_what_each_effect_takes(tmp_path: Path) 
 
 
 def test_loop_of_several_channels(job: Path) -> None:
-    """Of three channels two are timed; with several, a loop does not begin anew."""
+    """Of three channels two are timed; a loop begins anew where their beams may be off alike."""
     problem = outline(load_job(job), Given(), time.process_time)
     pair = problem.pair
     assert pair is not None
@@ -181,12 +181,15 @@ def test_loop_of_several_channels(job: Path) -> None:
     assert len(pair.priors) == 2
     (found,) = hb.plan(hb.Setup.from_job(with_effects(job)), commands=("loop",), found=1).forecasts
     assert found.phases_s["rounds"] == found.round_s > 0
+    assert found.anew_s > 0
+    alone = with_effects(job, 'skip = ["common_beam"]\n')
+    (found,) = hb.plan(hb.Setup.from_job(alone), commands=("loop",), found=1).forecasts
     assert found.anew_s == 0.0
 
 
-def with_effects(job: Path) -> Path:
+def with_effects(job: Path, more: str = "") -> Path:
     path = job.parent / "loop.toml"
-    path.write_text(job.read_text() + EFFECTS)
+    path.write_text(job.read_text() + EFFECTS + more)
     return path
 
 

@@ -16,11 +16,16 @@ from hydrabeam_mpi.mpi import together
 from hydrabeam_mpi.terminal.progress import say
 
 
-def known_effects(job: Job, setup: ObservingSetup) -> list[Effect]:
-    """Return the effects that are not looked for, where the data can carry them and the job leaves it to the loop."""
-    if job.prior.widths == "stated":
+def known_kinds(job: Job) -> list[str]:
+    """Return the kinds of effects that are not looked for, where the job leaves them to the loop."""
+    if job.prior.widths == "stated" or job.prior.frequency.couples:
         return []
-    known = [make_effect(kind, {}) for kind in EFFECTS if not EFFECTS[kind].is_sought and kind not in job.loop.skip]
+    return [kind for kind in EFFECTS if not EFFECTS[kind].is_sought and kind not in job.loop.skip]
+
+
+def known_effects(job: Job, setup: ObservingSetup) -> list[Effect]:
+    """Return the effects of `known_kinds` that the data can carry."""
+    known = [make_effect(kind, {}) for kind in known_kinds(job)]
     return [one for one in known if one.not_applicable(setup) is None]
 
 
