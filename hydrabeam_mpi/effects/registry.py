@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 EFFECTS: Registry[Effect] = Registry(
     "hydrabeam_mpi.effects",
     "instrument.antenna_gains",
+    "instrument.gain_jitter",
     "instrument.antenna_delays",
     "instrument.cable_reflections",
     "instrument.cross_coupling",

@@ -129,7 +129,7 @@ def set_up(kind: str, n_sources: int | None = None) -> tuple[Effect, RowBlock, C
 
 def candidates(effect: ScannedEffect, block: RowBlock) -> IntArray:
     """Return three candidates that are far apart, of those that show well."""
-    power = effect.scan(block)[1].min(axis=1)
+    power = effect.scan(block)[1].sum(axis=1)
     seen = np.flatnonzero(power >= np.median(power[power > 0]))
     return seen[[len(seen) // 5, len(seen) // 2, -1 - len(seen) // 5]]
 

@@ -78,7 +78,8 @@ def test_what_multiplies_are_gains_of_antennas(kind: str) -> None:
     x = draw(effect, block.setup, case.strengths[0])
     gains = effect.gains(block.setup, block.channel, x)
     observation = block.setup.observation
-    at_times = () if effect.law == "constant" else (observation.Ntimes,)
+    changes = effect.law != "constant" or (effect.multiplies and effect.local == "times")
+    at_times = (observation.Ntimes,) if changes else ()
     assert gains.shape == (*at_times, observation.Nants)
     product = np.broadcast_to(gains[..., block.ant1] * gains[..., block.ant2].conj(), block.shape)
     factor = effect.factor(block, x) if effect.has_gains else np.ones(block.shape)

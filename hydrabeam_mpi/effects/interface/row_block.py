@@ -53,6 +53,12 @@ class RowBlock(SkyBlock):
         """Index of each baseline's second antenna in the sense of its group, (Nbls,)."""
         return self.setup.antenna_index[self.bls, 1]
 
+    @property
+    def places_in_time(self) -> IntArray:
+        """Position of each of the block's times among those in use, (Ntimes,)."""
+        order = np.argsort(self.setup.times)
+        return order[np.searchsorted(self.setup.times, self.times, sorter=order)]
+
     def at_time(self, t: int) -> RowBlock:
         """Return the rows of one of the block's times."""
         now = slice(t, t + 1)

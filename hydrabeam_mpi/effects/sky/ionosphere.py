@@ -6,7 +6,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
@@ -85,7 +85,7 @@ class Ionosphere(TurningSky):
                 moments = moments.copy()
                 moments[moved] = shifted_sky(block, shifts, PATHS[self.away]).integrate(self.sky_columns)
             rates = shifting_rates(block, moments)
-        index = 2 * scene_times(block)[:, np.newaxis, np.newaxis] + np.arange(2)
+        index = 2 * block.places_in_time[:, np.newaxis, np.newaxis] + np.arange(2)
         return Columns(self._per_arcmin(block) * rates, 2 * len(block.setup.times), index, by_group=True)
 
     def added(self, block: RowBlock, x: FloatArray) -> ComplexArray:
@@ -101,16 +101,9 @@ class Ionosphere(TurningSky):
 
     def _shifts(self, block: RowBlock, x: FloatArray) -> FloatArray:
         """Return the shifts of each time at the block's frequency, radians at the zenith, (Ntimes, 2)."""
-        return np.asarray(self._per_arcmin(block) * x.reshape(-1, 2)[scene_times(block)])
+        return np.asarray(self._per_arcmin(block) * x.reshape(-1, 2)[block.places_in_time])
 
     @staticmethod
     def _per_arcmin(block: RowBlock) -> float:
         """Return the shift at the block's frequency, in radians, that is one arcmin at the reference frequency."""
         return ARCMIN * (block.setup.reference_freq / block.freq) ** 2
-
-
-def scene_times(block: RowBlock) -> IntArray:
-    """Return the position of each of the block's times among the setup's, (Ntimes,)."""
-    times = block.setup.times
-    order = np.argsort(times)
-    return order[np.searchsorted(times, block.times, sorter=order)]

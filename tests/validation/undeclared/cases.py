@@ -72,6 +72,7 @@ EFFECTS = {
         Kind("outliers", noise.outliers, 2.0, 100.0, "sigma"),
         Kind("noise_level", noise.noise_level, 0.02, 2.0, ""),
         Kind("horizon", skies.horizon, 0.3, 10.0, "deg", WIDE),
+        Kind("gain_jitter", in_time.gain_jitter, 3e-3, 0.1, ""),
     )
 }
 """Effects that the loop knows."""

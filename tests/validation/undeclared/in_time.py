@@ -1,4 +1,4 @@
-"""What changes during the night: gains, delays, coupling, pointing and clocks that drift or jump, sources that fade."""
+"""What changes during the night: gains, delays, coupling, pointing and clocks that drift, jump or jitter, sources."""
 
 from __future__ import annotations
 
@@ -60,6 +60,23 @@ def drifting_delays(truth: Truth, rng: np.random.Generator, strength: float) -> 
         )
     ]
     return Drawn(parameters, Where(antennas=numbers(truth, chosen)), 2 * len(chosen))
+
+
+def gain_jitter(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
+    """The gains of one or three antennas, or their phases alone, differ by ``strength`` at each integration."""
+    chosen, n_times = some_antennas(truth, rng, (1, 3)), len(truth.setting.times)
+    size = strength * np.array([rng.integers(2), 1.0])
+    logs = np.zeros((n_times, truth.setting.n_ants, 2))
+    logs[:, chosen] = size * rng.standard_normal((n_times, len(chosen), 2))
+    truth.corruptions.append(multiplied(np.exp(logs[..., 0] + 1j * logs[..., 1])[np.newaxis]))
+    parameters = [
+        Parameter(antenna(truth, index), f"{what} at time {t}", unit, float(logs[t, index, part]))
+        for index in chosen
+        for part, (what, unit) in enumerate((("ln amplitude", ""), ("phase", "rad")))
+        if size[part]
+        for t in range(n_times)
+    ]
+    return Drawn(parameters, Where(antennas=numbers(truth, chosen)), len(parameters))
 
 
 def gain_jump(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:

@@ -288,6 +288,19 @@ def read_shifts(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], f
     return out
 
 
+def read_jitter(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]) -> Found:
+    """Read "antenna 3 phase at JD 2459866.12345"."""
+    times = np.array(answer["times"])
+    matches = [
+        (re.fullmatch(r"(antenna \d+) (.*) at JD ([\d.]+)", name), pair) for name, pair in averaged(parameters).items()
+    ]
+    return {
+        (match[1], f"{match[2]} at time {np.argmin(np.abs(times - float(match[3])))}"): pair
+        for match, pair in matches
+        if match is not None
+    }
+
+
 def read_harmonics(
     parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]
 ) -> Found:
@@ -309,6 +322,7 @@ def read_noise(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], fl
 
 READERS: dict[str, Callable[[list[dict[str, Any]], dict[tuple[str, str], float], dict[str, Any]], Found]] = {
     "antenna_gains": read_gains,
+    "gain_jitter": read_jitter,
     "cross_coupling": read_baselines,
     "auto_coupling": read_baselines,
     "closure_errors": read_baselines,

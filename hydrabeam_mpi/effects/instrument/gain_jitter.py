@@ -1,0 +1,166 @@
+"""Gains that jitter: g_j(t) = exp(a_j(t) + i phi_j(t)) with a value of its own at each integration.
+
+What one integration has says nothing of the next, so that there is no law in time but how large it all is: the prior's
+width, which the evidence finds. Receivers do that whose reference is unsteady, and gains that were solved for
+integration by integration, whose noise stays in the data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal, Self
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.effect import Columns, Parameters
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.interface.scanned import ScannedEffect
+from hydrabeam_mpi.effects.shared.in_time import LEAST_TIMES, MOST_COLUMNS
+from hydrabeam_mpi.effects.shared.per_antenna import LARGEST_LN
+from hydrabeam_mpi.errors import InputError
+
+Part = Literal["ln amplitude", "phase"]
+UNITS: dict[Part, str] = {"ln amplitude": "", "phase": "rad"}
+PARTS = tuple(UNITS)
+BY_PART = np.array([1, 1j])
+MOST_OF_ONE = 600
+"""Integrations at most: products of so many columns take as long as those of all other effects together."""
+
+
+class GainJitter(ScannedEffect):
+    """Amplitudes or phases of the gains of some antennas, anew at each integration and in each channel.
+
+    An unsteady reference has phases alone, so that an antenna's amplitude and its phase are candidates of their own.
+
+    Parameters
+    ----------
+    gains_of : sequence of (int, {"ln amplitude", "phase"})
+        Numbers of antennas, and what of their gains jitters; none for an effect that is to be scanned.
+    """
+
+    kind = "gain_jitter"
+    title = "antenna gains that jitter"
+    local = "times"
+    linear = True
+    multiplies = True
+
+    def __init__(self, gains_of: Sequence[tuple[int, Part]] = ()) -> None:
+        self.gains_of = tuple((int(number), part) for number, part in gains_of)
+
+    def describe(self) -> dict[str, Any]:
+        """Return the antennas, and what of their gains it is."""
+        return {"gains_of": [[number, part] for number, part in self.gains_of]}
+
+    def not_applicable(self, setup: ObservingSetup) -> str | None:
+        """Ask for several times, and for no more than can be weighed."""
+        fitted, n_times = len(setup.fitted_jd), len(setup.times)
+        if fitted < LEAST_TIMES:
+            return f"a change in time needs {LEAST_TIMES} fitted times or more; there are {fitted}"
+        if n_times > MOST_OF_ONE:
+            return f"it has a parameter for each of {n_times} integrations; {MOST_OF_ONE} at most are looked at"
+        return None
+
+    def parameters(self, setup: ObservingSetup) -> Parameters:
+        """Return the ln amplitude or phase of each at each time in use."""
+        jds = setup.observation.times[setup.times]
+        names = [f"antenna {number} {part} at JD {jd:.5f}" for number, part in self.gains_of for jd in jds]
+        units = [UNITS[part] for _, part in self.gains_of for _ in jds]
+        element = np.repeat(np.arange(len(self.gains_of)), len(jds))
+        return Parameters.of(names, units, 0.01, element, trials=self.n_hypotheses(setup))
+
+    def degenerate_directions(self, setup: ObservingSetup) -> FloatArray:
+        """Return the phase that all antennas have in common at each time, (n_directions, n_params)."""
+        n_times, phases = len(setup.times), np.array([part == "phase" for _, part in self.gains_of])
+        if np.count_nonzero(phases) < len(setup.antennas_in_use):
+            return np.zeros((0, len(phases) * n_times))
+        return np.asarray(np.kron(phases / np.sqrt(np.count_nonzero(phases)), np.eye(n_times)))
+
+    def columns(self, block: RowBlock, x: FloatArray) -> Columns:
+        """Return m or i m for the first antenna of a row, m or -i m for the second; ``x`` is (n_params,)."""
+        n, n_times = len(self.gains_of), len(block.setup.times)
+        if not n:
+            return Columns(np.zeros((*block.shape, 0), dtype=complex), 0)
+        places, parts = self._places(block.setup)
+        element = np.full((block.setup.observation.Nants, len(PARTS)), -1)
+        element[places, parts] = np.arange(n)
+        ends = element[np.stack([block.ant1, block.ant2], axis=1)]  # (Nbls, 2, 2)
+        by_end = np.where(ends >= 0, np.stack([BY_PART, BY_PART.conj()]), 0)
+        values = block.vis[..., np.newaxis, np.newaxis] * by_end
+        time = block.places_in_time[:, np.newaxis, np.newaxis, np.newaxis]
+        index = n_times * np.maximum(ends, 0) + time
+        shape = (*block.shape, ends[0].size)
+        return Columns(values.reshape(shape), n * n_times, index.reshape(shape))
+
+    def begun(self, setup: ObservingSetup, x: FloatArray) -> FloatArray:
+        """Return the logarithms of the gains 1 + x_0 + i x_1 that were found, (..., n_params)."""
+        places, parts = self._places(setup)
+        rows = [self._of_antennas(setup, one)[:, places].T for one in np.atleast_2d(x)]
+        gains = 1 + np.array(rows)
+        ln = np.log(np.maximum(np.abs(gains), np.exp(-LARGEST_LN)))
+        return np.asarray(np.where(parts[:, np.newaxis] == 0, ln, np.angle(gains)).reshape(x.shape))
+
+    def factor(self, block: RowBlock, x: FloatArray) -> ComplexArray:
+        """Return g_j g_k*, (Ntimes, Nbls)."""
+        ln = self._of_antennas(block.setup, x)[block.places_in_time]
+        logarithm = ln[:, block.ant1] + ln[:, block.ant2].conj()
+        return np.asarray(np.exp(logarithm.real.clip(-LARGEST_LN, LARGEST_LN) + 1j * logarithm.imag))
+
+    def gains(self, setup: ObservingSetup, channel: int, x: FloatArray) -> ComplexArray:
+        """Return exp(a + i phi), (Ntimes, Nants); one at times that are not in use."""
+        gains = np.ones((setup.observation.Ntimes, setup.observation.Nants), dtype=complex)
+        gains[setup.times] = np.exp(self._of_antennas(setup, x))
+        return gains
+
+    def n_hypotheses(self, setup: ObservingSetup) -> int:
+        """Return the number of amplitudes and phases."""
+        return len(PARTS) * len(setup.antennas_in_use)
+
+    def scan(self, block: RowBlock) -> tuple[FloatArray, FloatArray]:
+        """Return the sums for the amplitude and the phase of every antenna at each time, (n_hypotheses, Ntimes)."""
+        columns = self._all(block.setup).columns(block, np.zeros(0))
+        assert columns.index is not None
+        index = columns.index.ravel()
+        weights, residual = block.weights[..., np.newaxis], block.residual[..., np.newaxis]
+        told = (weights * (columns.values.conj() * residual).real).ravel()
+        power = (weights * np.abs(columns.values) ** 2).ravel()
+        found = np.array([np.bincount(index, one, columns.n_params) for one in (told, power)])
+        scores, norms = found.reshape(2, self.n_hypotheses(block.setup), -1)
+        return scores, norms
+
+    def at(self, setup: ObservingSetup, hypotheses: IntArray) -> Self:
+        """Return the effect with the first of these, (Nchosen,), as many as are weighed together."""
+        most, known = max(MOST_COLUMNS // len(setup.times), 1), self._all(setup).gains_of
+        return type(self)([known[one] for one in np.asarray(hypotheses)[:most]])
+
+    def _all(self, setup: ObservingSetup) -> Self:
+        """Return the effect with the amplitudes and phases of all antennas."""
+        numbers = setup.observation.antenna_numbers[setup.antennas_in_use].tolist()
+        return type(self)([(number, part) for number in numbers for part in PARTS])
+
+    def _places(self, setup: ObservingSetup) -> tuple[IntArray, IntArray]:
+        """Return the index of each antenna, and which part of its gain it is, (n,) each.
+
+        Raises
+        ------
+        InputError
+            If the observation lacks an antenna, or one is named twice.
+        """
+        in_use = setup.antennas_in_use
+        known = dict(zip(setup.observation.antenna_numbers[in_use].tolist(), in_use.tolist(), strict=True))
+        for number, part in self.gains_of:
+            if number not in known:
+                raise InputError(f"no antenna {number} in the data", field="gains_of", remedy="name antennas that are")
+            if self.gains_of.count((number, part)) > 1:
+                raise InputError(f"antenna {number} {part} is named twice", field="gains_of", remedy="name each once")
+        places = [known[number] for number, _ in self.gains_of]
+        parts = [PARTS.index(part) for _, part in self.gains_of]
+        return np.array(places, dtype=int), np.array(parts, dtype=int)
+
+    def _of_antennas(self, setup: ObservingSetup, x: FloatArray) -> ComplexArray:
+        """Return x_0 + i x_1 of all antennas of the observation at the times in use, (Ntimes, Nants)."""
+        places, parts = self._places(setup)
+        own = np.zeros((len(PARTS), setup.observation.Nants, len(setup.times)))
+        own[parts, places] = x.reshape(len(places), len(setup.times))
+        return np.asarray((own[0] + 1j * own[1]).T)
