@@ -8,6 +8,7 @@ from __future__ import annotations
 import inspect
 import json
 import re
+import sys
 from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
@@ -20,6 +21,7 @@ from pydantic_core import PydanticUndefined
 from hydrabeam_mpi.config import Job, Section
 from hydrabeam_mpi.config.quantities import Quantity
 from hydrabeam_mpi.config.text import toml_value
+from hydrabeam_mpi.effects.registry import EFFECTS, REWEIGHTINGS, SEPARATE
 from hydrabeam_mpi.io import posterior_file, truth_file
 
 HERE = Path(__file__).parent
@@ -188,4 +190,19 @@ def _schema_type(one: dict[str, Any]) -> str:
     return f"list of {_schema_type(one['items'])}" if told == ["array"] else words
 
 
-PARTS = {part.__name__: part for part in (job_keys, loop_schema, posterior_layout, truth_layout, tutorial)}
+def effects() -> str:
+    """Return what the effects' own words say of them: equations, signs, units and settings."""
+    return "\n".join(_effect(kind, kinds[kind]) for kinds in (EFFECTS, SEPARATE, REWEIGHTINGS) for kind in kinds)
+
+
+def _effect(kind: str, effect: type) -> str:
+    about = inspect.cleandoc(sys.modules[effect.__module__].__doc__ or "")
+    more, _, settings = re.split(r"\n(Parameters|Attributes)\n-+\n|\Z", f"{inspect.getdoc(effect)}", maxsplit=1)
+    listed = [
+        f"- `{name}` ({type_}): {' '.join(words.split())}"
+        for name, type_, words in re.findall(r"^([\w, ]+?)(?: : (.*))?\n((?:    .*\n?)+)", settings or "", re.MULTILINE)
+    ]
+    return "\n".join([f"## `{kind}`\n", f"{about}\n", f"{more.strip()}\n", *listed, ""])
+
+
+PARTS = {part.__name__: part for part in (effects, job_keys, loop_schema, posterior_layout, truth_layout, tutorial)}
