@@ -9,6 +9,7 @@ from typing import Any
 from hydrabeam_mpi.words import capital, effect_words, joined
 
 MOST_NAMED = 4
+AT_TIME, JUMP = " at JD ", ", jump"
 QUESTIONS = "whether it is physical beside all others and the same in all parts of the data"
 """What an effect is asked when nothing more is found, and may be taken back for."""
 GOES_ON = "The same command goes on from here."
@@ -16,9 +17,7 @@ GOES_ON = "The same command goes on from here."
 
 def say_round(told: dict[str, Any]) -> str:
     """Tell a round in a few sentences: what, how sure, and what it changed."""
-    parameters = sorted(told["parameters"], key=lambda one: -_sigmas(one))
-    named = [say_parameter(one) for one in parameters[:MOST_NAMED]]
-    more = len(parameters) - len(named) + len(told["parameters_not_told"])
+    named, more = _say_parameters(told)
     what = f"{capital(told['title'])}: {'; '.join(named)}{f'; and {more} more' if more > 0 else ''}"
     sure = f"log Bayes factor {told['log_bayes_factor']:,.0f}; the beam can absorb {told['absorbed_by_beam']:.0%} of it"
     error = f"Held-out reduced chi^2 {told['heldout_before']:.3g} -> {told['heldout_after']:.3g}"
@@ -30,6 +29,27 @@ def say_round(told: dict[str, Any]) -> str:
     added = "Added at first, but taken back since" if told["revoked"] else added
     added = "Added at first, and not claimed: it stays in the model for prediction" if told["predicts"] else added
     return f"{what} ({sure}). {added}. {error}; {rms}; {beam}.{_say_left_out(told)}{_say_widened(told)}{unsure}"
+
+
+def _say_parameters(told: dict[str, Any]) -> tuple[list[str], int]:
+    """Write down the most significant parameters, and count the others.
+
+    What has a value of its own at each of several times is told by how large it is over these.
+    """
+    groups: dict[tuple[str, Any], list[dict[str, Any]]] = {}
+    for one in told["parameters"]:
+        head, at, _ = one["name"].partition(AT_TIME)
+        groups.setdefault((head if at and not head.endswith(JUMP) else one["name"], one["freq_hz"]), []).append(one)
+    foremost = sorted(groups.items(), key=lambda group: -math.hypot(*map(_sigmas, group[1])))[:MOST_NAMED]
+    named = [_say_over_times(head, ones) if len(ones) > 1 else say_parameter(ones[0]) for (head, _), ones in foremost]
+    more = len(told["parameters"]) - sum(len(ones) for _, ones in foremost) + len(told["parameters_not_told"])
+    return named, more
+
+
+def _say_over_times(head: str, ones: Sequence[dict[str, Any]]) -> str:
+    """Write the name that values at several times have in common, and their rms."""
+    rms = math.hypot(*(one["value"] for one in ones)) / math.sqrt(len(ones))
+    return f"{head} {rms:.3g}{_unit(ones[0])} rms over {len(ones)} times{_channel(ones[0])}"
 
 
 def say_adapted(told: dict[str, Any]) -> str:
@@ -62,12 +82,18 @@ def _say_widened(told: dict[str, Any]) -> str:
 
 def say_parameter(one: dict[str, Any]) -> str:
     """Write name, value and error."""
-    unit = f" {one['unit']}" if one["unit"] else ""
-    at = f" at {one['freq_hz'] / 1e6:.6g} MHz" if one["freq_hz"] is not None else ""
     value, std = one["value"], one["std"]
     # To the second digit of the error, as places need many, and to four digits at least.
     digits = 2 + math.floor(math.log10(abs(value))) - math.floor(math.log10(std)) if value and std > 0 else 4
-    return f"{one['name']} {value:.{min(max(digits, 4), 15)}g} +- {std:.2g}{unit}{at}"
+    return f"{one['name']} {value:.{min(max(digits, 4), 15)}g} +- {std:.2g}{_unit(one)}{_channel(one)}"
+
+
+def _unit(one: dict[str, Any]) -> str:
+    return f" {one['unit']}" if one["unit"] else ""
+
+
+def _channel(one: dict[str, Any]) -> str:
+    return f" at {one['freq_hz'] / 1e6:.6g} MHz" if one["freq_hz"] is not None else ""
 
 
 def _sigmas(one: dict[str, Any]) -> float:

@@ -66,6 +66,11 @@ def told(**given: Any) -> dict[str, Any]:
 
 
 FEW = [parameter("one", 2), parameter("two", -9), parameter("three", 5), parameter("four", 3), parameter("five", 4)]
+TIMES = [
+    *(parameter(f"antenna 2 phase at JD {jd}", value) for jd, value in ((1.5, 3), (2.5, -4), (3.5, 5))),
+    *(parameter(f"antenna 2 phase, jump at JD {jd}", 3) for jd in (1.5, 2.5)),
+    parameter("antenna 3 phase at JD 1.5", 2),
+]
 ROUNDS: dict[str, tuple[dict[str, Any], str]] = {
     "the whole of it": (
         {},
@@ -75,6 +80,11 @@ ROUNDS: dict[str, tuple[dict[str, Any], str]] = {
     "the four most significant": (
         {"parameters": FEW},
         "gains: two -9 +- 1; three 5 +- 1; five 4 +- 1; four 3 +- 1; and 1 more (",
+    ),
+    "what has a value at each of several times": (
+        {"parameters": TIMES, "parameters_not_told": FEW[:2]},
+        "Antenna gains: antenna 2 phase 4.08 rms over 3 times; antenna 2 phase, jump at JD 1.5 3 +- 1; "
+        "antenna 2 phase, jump at JD 2.5 3 +- 1; antenna 3 phase at JD 1.5 2 +- 1; and 2 more (",
     ),
     "those that are not told are among the others": (
         {"parameters_not_told": FEW[:2]},
