@@ -258,6 +258,13 @@ class Effect(InBeam, InOtherData, HasLimits, MayChange, Cause):
         """Return other forms of the effect with the same parameters, of which the fit tells which is the likeliest."""
         return []
 
+    def alike(self, setup: ObservingSetup, x: FloatArray, element: int) -> Sequence[Effect]:
+        """Return the effect with one of its elements at other places where data see nearly the same of it.
+
+        ``x``, (Nfreqs, n_params), is what has been fitted. The likeliest by what is known beforehand come first.
+        """
+        return ()
+
     def larger(self, setup: ObservingSetup) -> Sequence[Effect]:
         """Return the effect with more parameters of its sort, where it may need them all at once.
 

@@ -13,6 +13,7 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.scanned import ScannedEffect
 from hydrabeam_mpi.effects.interface.told import Told
+from hydrabeam_mpi.effects.shared.grating_lobes import seen_alike
 from hydrabeam_mpi.effects.shared.point_sources import in_degrees, in_radians, keep_apart, on_tangent_plane, resolution
 from hydrabeam_mpi.effects.shared.settings import Azimuth, Count, Elevation
 from hydrabeam_mpi.effects.sky.missing_sources import AT_MOST, MissingSources, candidates, spacing
@@ -99,6 +100,40 @@ class MovingSources(MissingSources):
         kept = every.some(keep_apart(*in_radians(every.sources), resolution(setup), AT_MOST))
         kept.trials = len(WAYS) * MissingSources().at(setup, hypotheses[:1] % self.n_hypotheses(setup)).trials
         return kept
+
+    def alike(self, setup: ObservingSetup, x: FloatArray, element: int) -> list[MovingSources]:
+        """Return the effect with one of its sources in the grating lobes of where it is, the highest ones first.
+
+        What stays against the stars is told from its lobes, which do not; what moves may be in any of them, and a scan
+        that knows few ways to move does not say in which.
+        """
+        by_time = setup.times[np.argsort(setup.observation.times[setup.times])]
+        part, hours = x[0].reshape(len(self.sources), -1), self._hours(setup)
+        places, za = [], np.zeros(0)
+        for itime in by_time[[0, -1, len(by_time) // 2]].tolist():
+            ra, dec = self._places(self._at_time(setup, part, itime))
+            found, za = seen_alike(setup, itime, (float(ra[element]), float(dec[element])), candidates(setup))
+            places.append(found)
+        first, last, middle = places
+        order = np.argsort(za)
+        return [
+            self._in_lobe(element, *track, hours[by_time[[0, -1]]])
+            for track in zip(first[order], last[order], middle[order], strict=True)
+            if np.all(np.isfinite(track))
+        ]
+
+    def _in_lobe(
+        self, element: int, first: FloatArray, last: FloatArray, middle: FloatArray, hours: FloatArray
+    ) -> MovingSources:
+        """Return the effect with a source that goes from the ``first`` place to the ``last``, radians, at two times."""
+        (east, north), sources, rates = (
+            on_tangent_plane(*np.stack([first, last], axis=1), *middle),
+            list(self.sources),
+            self.rates.copy(),
+        )
+        rates[element] = np.rad2deg([east[1] - east[0], north[1] - north[0]]) / max(hours[1] - hours[0], 1e-6)
+        sources[element] = in_degrees(middle[:1], middle[1:])[0]
+        return MovingSources(sources, self.trials, rates.tolist(), self.span)
 
     def drawn(self, setup: ObservingSetup, rng: np.random.Generator) -> MovingSources:
         """Place a source at random, as `MissingSources.drawn`."""

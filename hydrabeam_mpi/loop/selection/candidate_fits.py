@@ -184,6 +184,22 @@ def _fit_foremost(context: FitContext, before: Fitted, finding: Finding) -> Fitt
         if physical is not None:
             fitted = physical
             best = fitted if best is None else max(best, fitted, key=lambda one: log_joint(context, one))
+    return best if best is None else _or_where_it_is_seen_alike(context, before, best)
+
+
+def _or_where_it_is_seen_alike(context: FitContext, before: Fitted, best: Fitted) -> Fitted:
+    """Fit the one element in use at the other places where it is seen alike; return the likeliest fit."""
+    last = best.values.active[-1]
+    element = int(last.effect.parameters(context.setup).element[last.used[0]])
+    for effect in last.effect.alike(context.setup, last.x, element)[: RULES.most_tries]:
+        start = Active.start(effect, context.setup, last.prior_var(context.setup), np.zeros_like(last.x))
+        try:
+            fitted = fit_patiently(context, before.values.extended(start), before, _may_surpass(context, best))
+        except BrokenOff:
+            continue
+        physical = _physical_as_wanted(context, before, fitted) if fitted.diagnostics.converged else None
+        if physical is not None:
+            best = max(best, physical, key=lambda one: log_joint(context, one))
     return best
 
 
