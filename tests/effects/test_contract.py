@@ -233,7 +233,7 @@ REFUSED = {
     ("cable_reflections", "one channel"): "4 channels",
     ("common_beam", "one channel"): "several channels",
     ("spectral_index", "one channel"): "several channels",
-    ("gain_jitter", "one time"): "4 fitted times",
+    ("gain_jitter", "one time"): "several fitted times",
     ("moving_sources", "one time"): "3 fitted times",
     ("cross_coupling", "one time"): "several times",
     ("ground_emitter", "one time"): "several times",

@@ -17,7 +17,7 @@ from hydrabeam_mpi.effects.interface.effect import Columns, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.scanned import ScannedEffect
-from hydrabeam_mpi.effects.shared.in_time import LEAST_TIMES, MOST_COLUMNS
+from hydrabeam_mpi.effects.shared.in_time import MOST_COLUMNS
 from hydrabeam_mpi.effects.shared.per_antenna import LARGEST_LN
 from hydrabeam_mpi.errors import InputError
 
@@ -56,8 +56,8 @@ class GainJitter(ScannedEffect):
     def not_applicable(self, setup: ObservingSetup) -> str | None:
         """Ask for several times, and for no more than can be weighed."""
         fitted, n_times = len(setup.fitted_jd), len(setup.times)
-        if fitted < LEAST_TIMES:
-            return f"a change in time needs {LEAST_TIMES} fitted times or more; there are {fitted}"
+        if fitted < 2:
+            return f"what differs from time to time needs several fitted times; there are {fitted}"
         if n_times > MOST_OF_ONE:
             return f"it has a parameter for each of {n_times} integrations; {MOST_OF_ONE} at most are looked at"
         return None

@@ -100,6 +100,7 @@ SMOOTH, NIGHTLY = "smooth", "nightly"
 IN_TIME = {
     kind.name: kind
     for kind in (
+        Kind("water_vapour", strange.water_vapour, 0.003, 0.3, "", effect="gain_jitter"),
         Kind("drifting_gain", ONE_GAIN, 1e-3, 0.1, "", effect=GAINS, law=SMOOTH),
         Kind("drifting_gains", in_time.drifting_gains, 1e-3, 0.1, "", effect=GAINS, law=SMOOTH),
         Kind("gain_jump", in_time.gain_jump, 0.003, 0.3, "", effect=GAINS, law="piecewise"),
@@ -156,7 +157,6 @@ UNKNOWN = {
         Kind("board_drops_packets", strange.board_drops_packets, 0.01, 0.5, ""),
         Kind("cables_swapped", strange.cables_swapped, 1.0, 1.0, ""),
         Kind("wandering_oscillator", strange.wandering_oscillator, 0.1, 10.0, "Jy", FINE),
-        Kind("water_vapour", strange.water_vapour, 0.003, 0.3, ""),
     )
 }
 """Effects that it does not know."""
