@@ -197,10 +197,10 @@ def effects() -> str:
 
 def _effect(kind: str, effect: type) -> str:
     about = inspect.cleandoc(sys.modules[effect.__module__].__doc__ or "")
-    more, _, settings = re.split(r"\n(Parameters|Attributes)\n-+\n|\Z", f"{inspect.getdoc(effect)}", maxsplit=1)
+    more, *settings = re.split(r"\n(?:Parameters|Attributes)\n-+\n", f"{inspect.getdoc(effect)}")
+    entries = re.findall(r"^([\w, ]+?)(?: : (.*))?\n((?:    .*\n?)+)", "".join(settings), re.MULTILINE)
     listed = [
-        f"- `{name}` ({type_}): {' '.join(words.split())}"
-        for name, type_, words in re.findall(r"^([\w, ]+?)(?: : (.*))?\n((?:    .*\n?)+)", settings or "", re.MULTILINE)
+        f"- `{name}`{f' ({type_})' if type_ else ''}: {' '.join(words.split())}" for name, type_, words in entries
     ]
     return "\n".join([f"## `{kind}`\n", f"{about}\n", f"{more.strip()}\n", *listed, ""])
 

@@ -12,10 +12,10 @@ from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.shared.per_antenna import (
-    LARGEST_LN,
     antenna_parameters,
     common_values,
     logarithms,
+    product_of_gains,
     row_antennas,
     row_parameters,
 )
@@ -87,10 +87,7 @@ class AntennaGains(Effect):
 
     def factor(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return g_j g_k*, (Ntimes, Nbls)."""
-        first, second = (x[0::2] + 1j * x[1::2])[row_antennas(block)].T
-        logarithm = first + second.conj()
-        rows = np.exp(logarithm.real.clip(-LARGEST_LN, LARGEST_LN) + 1j * logarithm.imag)
-        return np.broadcast_to(rows, block.shape)
+        return np.broadcast_to(product_of_gains(*(x[0::2] + 1j * x[1::2])[row_antennas(block)].T), block.shape)
 
     def gains(self, setup: ObservingSetup, channel: int, x: FloatArray) -> ComplexArray:
         """Return exp(a + i phi), (Nants,)."""

@@ -14,8 +14,7 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.scanned import ScannedEffect
 from hydrabeam_mpi.effects.interface.told import Told
-from hydrabeam_mpi.effects.shared.per_antenna import row_antennas
-from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.effects.shared.per_antenna import antennas_named, row_antennas
 
 MIN_CHANNELS = 4
 MAX_ECHOES = 16
@@ -183,14 +182,7 @@ class CableReflections(ScannedEffect):
 
     def _antennas(self, setup: ObservingSetup) -> IntArray:
         """Return the index of each echo's antenna; the observation must have it."""
-        numbers = setup.observation.antenna_numbers
-        indices = {int(numbers[antenna]): int(antenna) for antenna in setup.antennas_in_use}
-        unknown = sorted({number for number, _ in self.reflections} - set(indices))
-        if unknown:
-            raise InputError(
-                f"no baseline has antenna {unknown[0]}", field="reflections", remedy=f"name some of {sorted(indices)}"
-            )
-        return np.array([indices[number] for number, _ in self.reflections], dtype=int)
+        return antennas_named(setup, [number for number, _ in self.reflections], "reflections")
 
     def _echoes(self, offset: float, x: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         """Return z and exp(2 pi i (nu - nu_0) tau) of every echo."""

@@ -7,6 +7,7 @@ integration by integration, whose noise stays in the data.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any, Literal, Self
 
@@ -16,17 +17,18 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Columns, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.effects.interface.scanned import ScannedEffect
+from hydrabeam_mpi.effects.interface.scanned import ScannedEffect, sums_by
 from hydrabeam_mpi.effects.shared.in_time import MOST_COLUMNS
-from hydrabeam_mpi.effects.shared.per_antenna import LARGEST_LN
+from hydrabeam_mpi.effects.shared.per_antenna import antennas_named, logarithm_of, product_of_gains
 from hydrabeam_mpi.errors import InputError
 
 Part = Literal["ln amplitude", "phase"]
 UNITS: dict[Part, str] = {"ln amplitude": "", "phase": "rad"}
 PARTS = tuple(UNITS)
 BY_PART = np.array([1, 1j])
-MOST_OF_ONE = 600
-"""Integrations at most: products of so many columns take as long as those of all other effects together."""
+MOST_TIMES = 600
+"""Integrations at most, of which an amplitude or a phase has a parameter each. That is about time alone: products of so
+many columns take as long as those of all other effects together."""
 
 
 class GainJitter(ScannedEffect):
@@ -58,8 +60,8 @@ class GainJitter(ScannedEffect):
         fitted, n_times = len(setup.fitted_jd), len(setup.times)
         if fitted < 2:
             return f"what differs from time to time needs several fitted times; there are {fitted}"
-        if n_times > MOST_OF_ONE:
-            return f"it has a parameter for each of {n_times} integrations; {MOST_OF_ONE} at most are looked at"
+        if n_times > MOST_TIMES:
+            return f"it has a parameter for each of {n_times} integrations; {MOST_TIMES} at most are looked at"
         return None
 
     def parameters(self, setup: ObservingSetup) -> Parameters:
@@ -96,16 +98,14 @@ class GainJitter(ScannedEffect):
     def begun(self, setup: ObservingSetup, x: FloatArray) -> FloatArray:
         """Return the logarithms of the gains 1 + x_0 + i x_1 that were found, (..., n_params)."""
         places, parts = self._places(setup)
-        rows = [self._of_antennas(setup, one)[:, places].T for one in np.atleast_2d(x)]
-        gains = 1 + np.array(rows)
-        ln = np.log(np.maximum(np.abs(gains), np.exp(-LARGEST_LN)))
-        return np.asarray(np.where(parts[:, np.newaxis] == 0, ln, np.angle(gains)).reshape(x.shape))
+        of_antennas = np.array([self._of_antennas(setup, one) for one in np.atleast_2d(x)])
+        ln = logarithm_of(1 + of_antennas[..., places].swapaxes(1, 2))
+        return np.asarray(np.where(parts[:, np.newaxis] == 0, ln.real, ln.imag).reshape(x.shape))
 
     def factor(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return g_j g_k*, (Ntimes, Nbls)."""
         ln = self._of_antennas(block.setup, x)[block.places_in_time]
-        logarithm = ln[:, block.ant1] + ln[:, block.ant2].conj()
-        return np.asarray(np.exp(logarithm.real.clip(-LARGEST_LN, LARGEST_LN) + 1j * logarithm.imag))
+        return product_of_gains(ln[:, block.ant1], ln[:, block.ant2])
 
     def gains(self, setup: ObservingSetup, channel: int, x: FloatArray) -> ComplexArray:
         """Return exp(a + i phi), (Ntimes, Nants); one at times that are not in use."""
@@ -121,13 +121,9 @@ class GainJitter(ScannedEffect):
         """Return the sums for the amplitude and the phase of every antenna at each time, (n_hypotheses, Ntimes)."""
         columns = self._all(block.setup).columns(block, np.zeros(0))
         assert columns.index is not None
-        index = columns.index.ravel()
-        weights, residual = block.weights[..., np.newaxis], block.residual[..., np.newaxis]
-        told = (weights * (columns.values.conj() * residual).real).ravel()
-        power = (weights * np.abs(columns.values) ** 2).ravel()
-        found = np.array([np.bincount(index, one, columns.n_params) for one in (told, power)])
-        scores, norms = found.reshape(2, self.n_hypotheses(block.setup), -1)
-        return scores, norms
+        scores, norms = sums_by(columns.index, columns.values, block, columns.n_params)
+        shape = (self.n_hypotheses(block.setup), -1)
+        return scores.reshape(shape), norms.reshape(shape)
 
     def at(self, setup: ObservingSetup, hypotheses: IntArray) -> Self:
         """Return the effect with the first of these, (Nchosen,), as many as are weighed together."""
@@ -147,16 +143,11 @@ class GainJitter(ScannedEffect):
         InputError
             If the observation lacks an antenna, or one is named twice.
         """
-        in_use = setup.antennas_in_use
-        known = dict(zip(setup.observation.antenna_numbers[in_use].tolist(), in_use.tolist(), strict=True))
-        for number, part in self.gains_of:
-            if number not in known:
-                raise InputError(f"no antenna {number} in the data", field="gains_of", remedy="name antennas that are")
-            if self.gains_of.count((number, part)) > 1:
-                raise InputError(f"antenna {number} {part} is named twice", field="gains_of", remedy="name each once")
-        places = [known[number] for number, _ in self.gains_of]
-        parts = [PARTS.index(part) for _, part in self.gains_of]
-        return np.array(places, dtype=int), np.array(parts, dtype=int)
+        (number, part), times = max(Counter(self.gains_of).items(), key=lambda one: one[1], default=((0, ""), 0))
+        if times > 1:
+            raise InputError(f"antenna {number} {part} is named twice", field="gains_of", remedy="name each once")
+        parts = np.array([PARTS.index(part) for _, part in self.gains_of], dtype=int)
+        return antennas_named(setup, [number for number, _ in self.gains_of], "gains_of"), parts
 
     def _of_antennas(self, setup: ObservingSetup, x: FloatArray) -> ComplexArray:
         """Return x_0 + i x_1 of all antennas of the observation at the times in use, (Ntimes, Nants)."""

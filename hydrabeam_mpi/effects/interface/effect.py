@@ -14,7 +14,7 @@ effect.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -258,7 +258,7 @@ class Effect(InBeam, InOtherData, HasLimits, MayChange, Cause):
         """Return other forms of the effect with the same parameters, of which the fit tells which is the likeliest."""
         return []
 
-    def alike(self, setup: ObservingSetup, x: FloatArray, element: int) -> Sequence[Effect]:
+    def alike(self, setup: ObservingSetup, x: FloatArray, element: int) -> Iterable[Effect]:
         """Return the effect with one of its elements at other places where data see nearly the same of it.
 
         ``x``, (Nfreqs, n_params), is what has been fitted. The likeliest by what is known beforehand come first.

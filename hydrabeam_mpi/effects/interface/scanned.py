@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.changing import ScannedInTime
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
@@ -73,3 +73,21 @@ class ScannedEffect(ScannedInTime, Effect):
     def drawn(self, setup: ObservingSetup, rng: np.random.Generator) -> Effect:
         """Pick a candidate at random."""
         return self.at(setup, rng.integers(self.n_hypotheses(setup), size=1))
+
+
+def sums_by(place: IntArray, values: ComplexArray, block: RowBlock, n: int) -> tuple[FloatArray, FloatArray]:
+    """Return Re sum w s* r and sum w |s|^2 of columns s of a block's rows, each (n,).
+
+    Parameters
+    ----------
+    place : ndarray of int, broadcastable to (Ntimes, Nbls, k)
+        Which of the ``n`` sums each value is part of.
+    values : ndarray of complex, (Ntimes, Nbls, k)
+    block : RowBlock
+    n : int
+    """
+    where, weights = np.broadcast_to(place, values.shape).ravel(), block.weights[..., np.newaxis]
+    told = weights * (values.conj() * block.residual[..., np.newaxis]).real
+    power = weights * np.abs(values) ** 2
+    # Without any row a count is of whole numbers.
+    return np.bincount(where, told.ravel(), n).astype(float), np.bincount(where, power.ravel(), n).astype(float)

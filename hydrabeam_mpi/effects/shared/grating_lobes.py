@@ -6,44 +6,65 @@ number of wavelengths. As the sky turns the two part, unless what is seen in one
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 
-from hydrabeam_mpi.data.observation import C_M_PER_S, FloatArray
+from hydrabeam_mpi.data.observation import C_M_PER_S, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.model.engines.fringes import enu, find_lattice
 from hydrabeam_mpi.model.sky import Sky
 
 ALIKE = 0.05
 """Wavelengths by which baselines may be off the lattice: then fringes agree to a third of a radian."""
-MOST_STEPS = 3
-"""Along either generator's lobes: more of them are not above the horizon of an array whose elements stand apart."""
+POINTS = np.array([one for one in product((-1.0, 0.0, 1.0), repeat=3) if any(one)])
+"""Directions all over the sky, nine of which at least are above any horizon, by which it is told how the sky turns."""
 
 
 def grating_lobes(setup: ObservingSetup) -> FloatArray:
-    """Return the shifts d of all lobes, in direction cosines East and North, (n_lobes, 2); none off a lattice."""
+    """Return the shifts d, in direction cosines East and North, of all lobes that may be above the horizon together.
+
+    They are (n_lobes, 2); none off a lattice.
+    """
     wavelength = C_M_PER_S / setup.reference_freq
     lattice = find_lattice(setup.redundant.vectors, ALIKE * wavelength)
     if lattice is None:
         return np.zeros((0, 2))
-    steps = np.arange(-MOST_STEPS, MOST_STEPS + 1)
-    turns = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
-    turns = turns[np.any(turns != 0, axis=1)]
-    return np.asarray(wavelength * turns @ np.linalg.inv(lattice.generators[:, :2]).T)
+    generators = lattice.generators[:, :2] / wavelength
+    # |d| < 2 between two horizons.
+    most = np.floor(2 * np.linalg.norm(generators, axis=1)).astype(int)
+    turns = np.stack(np.meshgrid(*(np.arange(-n, n + 1) for n in most)), axis=-1).reshape(-1, 2)
+    lobes = turns[np.any(turns != 0, axis=1)] @ np.linalg.inv(generators).T
+    return np.asarray(lobes[np.hypot(*lobes.T) < 2])
 
 
-def seen_alike(
-    setup: ObservingSetup, itime: int, at: tuple[float, float], points: tuple[FloatArray, FloatArray]
-) -> tuple[FloatArray, FloatArray]:
-    """Return where on the sky a source's lobes are at a time of the observation, and their zenith angles.
+def turns_of_sky(setup: ObservingSetup, itimes: IntArray) -> list[FloatArray]:
+    """Return the rotations from the sources' frame to East, North and Up at times of the observation, (3, 3) each.
+
+    What aberration adds to them is 20 arcsec.
+    """
+    points = POINTS / np.linalg.norm(POINTS, axis=1, keepdims=True)
+    ra, dec = np.arctan2(points[:, 1], points[:, 0]), np.arcsin(points[:, 2])
+    positions = setup.positions(Sky(ra, dec, np.ones((1, len(ra)))), setup.observation)
+    rotations = []
+    for itime in itimes.tolist():
+        index, za, az = positions.above_horizon(itime)
+        left, _, right = np.linalg.svd(enu(za, az) @ points[index])
+        rotations.append(left @ right)
+    return rotations
+
+
+def seen_alike(turn: FloatArray, at: FloatArray, lobes: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return where on the sky a source's lobes are, and their zenith angles.
 
     Parameters
     ----------
-    setup : ObservingSetup
-    itime : int
-    at : (float, float)
+    turn : ndarray, (3, 3)
+        Of the sky at that time, of `turns_of_sky`.
+    at : ndarray, (2,)
         Right ascension and declination of the source, radians.
-    points : (ndarray, ndarray)
-        Those of any points all over the sky, (Npoints,) each, by which it is told how the sky is turned.
+    lobes : ndarray, (n_lobes, 2)
+        Of `grating_lobes`.
 
     Returns
     -------
@@ -51,21 +72,10 @@ def seen_alike(
         Right ascensions and declinations; NaN where a lobe, or the source itself, is not above the horizon.
     za : ndarray, (n_lobes,)
     """
-    ra, dec = (np.append(one, own) for one, own in zip(points, at, strict=True))
-    positions = setup.positions(Sky(ra, dec, np.ones((1, len(ra)))), setup.observation)
-    index, za, az = positions.above_horizon(itime)
-    lobes = grating_lobes(setup)
-    places, zenith = np.full((len(lobes), 2), np.nan), np.full(len(lobes), np.nan)
-    if len(ra) - 1 not in index:
-        return places, zenith
-    directions = enu(za, az)
-    sky = np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])[:, index]
-    # The rotation that leads from the sky to the array; what aberration adds to it is 20 arcsec.
-    left, _, right = np.linalg.svd(directions @ sky.T)
-    wanted = directions[:2, -1] + lobes
-    up = np.flatnonzero(np.hypot(*wanted.T) < 1)
-    height = np.sqrt(1 - np.sum(wanted[up] ** 2, axis=1))
-    x, y, z = (left @ right).T @ np.vstack([wanted[up].T, height])
-    places[up] = np.stack([np.arctan2(y, x), np.arcsin(np.clip(z, -1, 1))], axis=1)
-    zenith[up] = np.arccos(height)
-    return places, zenith
+    ra, dec = at
+    east, north, up = turn @ [np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)]
+    wanted = np.array([east, north]) + lobes
+    cosine = 1 - np.sum(wanted**2, axis=1)
+    height = np.sqrt(np.where((cosine > 0) & (up > 0), cosine, np.nan))
+    x, y, z = turn.T @ np.vstack([wanted.T, height])
+    return np.stack([np.arctan2(y, x), np.arcsin(np.clip(z, -1, 1))], axis=1), np.arccos(height)

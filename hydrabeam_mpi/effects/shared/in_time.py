@@ -17,7 +17,7 @@ from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, 
 from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.effects.interface.scanned import ScannedEffect
+from hydrabeam_mpi.effects.interface.scanned import ScannedEffect, sums_by
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.shared.correlated_law import Correlated
 from hydrabeam_mpi.effects.shared.nightly_laws import Nightly, Sidereal
@@ -315,16 +315,8 @@ class InTime(ScannedEffect):
         index = np.arange(own.n_params) if own.index is None else own.index
         n_times = len(block.times)
         place = np.arange(n_times)[:, np.newaxis, np.newaxis] * own.n_params + index
-        place = np.broadcast_to(place, values.shape).ravel()
-        weights = block.weights[..., np.newaxis]
-        told = (weights * (values.conj() * block.residual[..., np.newaxis]).real).ravel()
-        power = (weights * np.abs(values) ** 2).ravel()
-        return _summed(place, told, n_times, own.n_params), _summed(place, power, n_times, own.n_params)
-
-
-def _summed(place: IntArray, values: FloatArray, *shape: int) -> FloatArray:
-    """Add up values by place in an array of a shape."""
-    return np.bincount(place, values, int(np.prod(shape))).astype(float).reshape(shape)
+        told, power = sums_by(place, values, block, n_times * own.n_params)
+        return told.reshape(n_times, -1), power.reshape(n_times, -1)
 
 
 def _several(values: Any) -> Any:

@@ -7,10 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from hydrabeam_mpi.data.limits import LARGEST
-from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.errors import InputError
 
 LARGEST_LN = float(np.log(LARGEST))
 """Of the product of two gains, from where a fit may start but does not stay: its square is still a double."""
@@ -22,9 +23,35 @@ def logarithms(x: FloatArray) -> FloatArray:
     Beyond small errors the two differ: a lost sign, x_0 = -2, is a phase of pi and no amplitude, which no fit that
     begins at a = -2 comes to.
     """
-    factors = 1 + x[..., 0::2] + 1j * x[..., 1::2]
-    ln = np.log(np.maximum(np.abs(factors), np.exp(-LARGEST_LN)))
-    return np.stack([ln, np.angle(factors)], axis=-1).reshape(x.shape)
+    ln = logarithm_of(1 + x[..., 0::2] + 1j * x[..., 1::2])
+    return np.stack([ln.real, ln.imag], axis=-1).reshape(x.shape)
+
+
+def logarithm_of(factors: ComplexArray) -> ComplexArray:
+    """Return a + i phi of factors exp(a + i phi), of the same shape; of zero it is finite, too."""
+    return np.asarray(np.log(np.maximum(np.abs(factors), np.exp(-LARGEST_LN))) + 1j * np.angle(factors))
+
+
+def product_of_gains(first: ComplexArray, second: ComplexArray) -> ComplexArray:
+    """Return g_j g_k* by the logarithms of both gains, of one shape; what is too large for a double is the largest."""
+    logarithm = first + second.conj()
+    return np.asarray(np.exp(logarithm.real.clip(-LARGEST_LN, LARGEST_LN) + 1j * logarithm.imag))
+
+
+def antennas_named(setup: ObservingSetup, numbers: Sequence[int], field: str) -> IntArray:
+    """Return the index of each antenna by its number, (n,).
+
+    Raises
+    ------
+    InputError
+        If no baseline has one of them, naming the ``field`` of the effect's settings.
+    """
+    known = setup.observation.antenna_numbers
+    indices = {int(known[antenna]): int(antenna) for antenna in setup.antennas_in_use}
+    unknown = sorted(set(numbers) - set(indices))
+    if unknown:
+        raise InputError(f"no baseline has antenna {unknown[0]}", field=field, remedy=f"name some of {sorted(indices)}")
+    return np.array([indices[number] for number in numbers], dtype=int)
 
 
 def antenna_parameters(

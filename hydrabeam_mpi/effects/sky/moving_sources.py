@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -13,7 +13,7 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.scanned import ScannedEffect
 from hydrabeam_mpi.effects.interface.told import Told
-from hydrabeam_mpi.effects.shared.grating_lobes import seen_alike
+from hydrabeam_mpi.effects.shared.grating_lobes import grating_lobes, seen_alike, turns_of_sky
 from hydrabeam_mpi.effects.shared.point_sources import in_degrees, in_radians, keep_apart, on_tangent_plane, resolution
 from hydrabeam_mpi.effects.shared.settings import Azimuth, Count, Elevation
 from hydrabeam_mpi.effects.sky.missing_sources import AT_MOST, MissingSources, candidates, spacing
@@ -101,38 +101,30 @@ class MovingSources(MissingSources):
         kept.trials = len(WAYS) * MissingSources().at(setup, hypotheses[:1] % self.n_hypotheses(setup)).trials
         return kept
 
-    def alike(self, setup: ObservingSetup, x: FloatArray, element: int) -> list[MovingSources]:
+    def alike(self, setup: ObservingSetup, x: FloatArray, element: int) -> Iterator[MovingSources]:
         """Return the effect with one of its sources in the grating lobes of where it is, the highest ones first.
 
         What stays against the stars is told from its lobes, which do not; what moves may be in any of them, and a scan
         that knows few ways to move does not say in which.
         """
+        lobes, part = grating_lobes(setup), x[0].reshape(len(self.sources), -1)
+        if not len(lobes):
+            return
         by_time = setup.times[np.argsort(setup.observation.times[setup.times])]
-        part, hours = x[0].reshape(len(self.sources), -1), self._hours(setup)
-        places, za = [], np.zeros(0)
-        for itime in by_time[[0, -1, len(by_time) // 2]].tolist():
-            ra, dec = self._places(self._at_time(setup, part, itime))
-            found, za = seen_alike(setup, itime, (float(ra[element]), float(dec[element])), candidates(setup))
-            places.append(found)
-        first, last, middle = places
-        order = np.argsort(za)
-        return [
-            self._in_lobe(element, *track, hours[by_time[[0, -1]]])
-            for track in zip(first[order], last[order], middle[order], strict=True)
-            if np.all(np.isfinite(track))
-        ]
+        itimes = by_time[[0, len(by_time) // 2, -1]]
+        own = [np.stack(self._places(self._at_time(setup, part, itime)))[:, element] for itime in itimes]
+        found = [seen_alike(turn, at, lobes) for turn, at in zip(turns_of_sky(setup, itimes), own, strict=True)]
+        tracks, za = np.stack([places for places, _ in found], axis=1), found[1][1]
+        for track in tracks[np.argsort(za)]:
+            if np.all(np.isfinite(track)):
+                yield self._along(element, track, self._hours(setup)[itimes])
 
-    def _in_lobe(
-        self, element: int, first: FloatArray, last: FloatArray, middle: FloatArray, hours: FloatArray
-    ) -> MovingSources:
-        """Return the effect with a source that goes from the ``first`` place to the ``last``, radians, at two times."""
-        (east, north), sources, rates = (
-            on_tangent_plane(*np.stack([first, last], axis=1), *middle),
-            list(self.sources),
-            self.rates.copy(),
-        )
-        rates[element] = np.rad2deg([east[1] - east[0], north[1] - north[0]]) / max(hours[1] - hours[0], 1e-6)
-        sources[element] = in_degrees(middle[:1], middle[1:])[0]
+    def _along(self, element: int, track: FloatArray, hours: FloatArray) -> MovingSources:
+        """Return the effect with a source that goes from the first of three places to the last, (3, 2) radians."""
+        east, north = np.rad2deg(on_tangent_plane(*track.T, *track[1]))
+        sources, rates = list(self.sources), self.rates.copy()
+        sources[element] = in_degrees(*track[1:2].T)[0]
+        rates[element] = np.array([east[2] - east[0], north[2] - north[0]]) / max(hours[2] - hours[0], 1e-6)
         return MovingSources(sources, self.trials, rates.tolist(), self.span)
 
     def drawn(self, setup: ObservingSetup, rng: np.random.Generator) -> MovingSources:

@@ -170,14 +170,14 @@ def _reasons(told: dict[str, Any]) -> list[str]:
     """Say why data stay unexplained: a control model explains more than any effect, or predictions are off."""
     control, why = told["foreign"], told["why"]
     if control is None:
-        return [f"{capital(_before_what_predicts(told) + why)}."] if why else []
+        return [f"{capital(_of_which_fit(told) + why)}."] if why else []
     return [
         f"{capital(control['title'])} would explain more than any of them (log Bayes factor "
         f"{control['log_bayes_factor']:,.0f}, held-out reduced chi^2 {control['heldout_after']:.4g})."
     ]
 
 
-def _before_what_predicts(told: dict[str, Any]) -> str:
+def _of_which_fit(told: dict[str, Any]) -> str:
     """Say of which fit the reasons are, where it is not the last one, whose numbers they would contradict."""
     if any(one.get("predicts") for one in told["rounds"]):
         return "with what is claimed alone, "

@@ -18,7 +18,8 @@ from hydrabeam_mpi.loop.attribution.reconsider import reconsider
 from hydrabeam_mpi.loop.attribution.score_effects import Finding
 from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
-from hydrabeam_mpi.loop.selection.candidate_fits import by_heldout, started
+from hydrabeam_mpi.loop.selection.candidate_fits import by_heldout
+from hydrabeam_mpi.loop.selection.foremost import started
 from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical, price_of_fitted
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refits import fit_patiently, rise, with_best_variant

@@ -62,7 +62,10 @@ def test_what_all_phases_have_in_common_cancels() -> None:
 
 @pytest.mark.parametrize(
     ("gains_of", "said"),
-    [([(999, "phase")], "no antenna 999"), ([(0, "phase"), (0, "phase")], "antenna 0 phase is named twice")],
+    [
+        ([(999, "phase")], "no baseline has antenna 999"),
+        ([(0, "phase"), (0, "phase")], "antenna 0 phase is named twice"),
+    ],
 )
 def test_antennas_that_are_not_there_or_named_twice(gains_of: list[tuple[int, str]], said: str) -> None:
     setup = small_setup(n_times=4)

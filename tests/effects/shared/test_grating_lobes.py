@@ -6,7 +6,7 @@ import pytest
 from hydrabeam_mpi.data.observation import C_M_PER_S
 from hydrabeam_mpi.data.redundancy import find_redundant_groups
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
-from hydrabeam_mpi.effects.shared.grating_lobes import grating_lobes, seen_alike
+from hydrabeam_mpi.effects.shared.grating_lobes import grating_lobes, seen_alike, turns_of_sky
 from hydrabeam_mpi.effects.sky.missing_sources import candidates
 from hydrabeam_mpi.effects.sky.moving_sources import MovingSources
 from hydrabeam_mpi.model.engines.fringes import enu
@@ -38,8 +38,9 @@ def test_an_array_that_is_on_no_lattice_has_none(setup: ObservingSetup) -> None:
 
 
 def test_places_are_where_the_lobes_are(setup: ObservingSetup) -> None:
-    at = float(setup.observation.lsts[6]) + 0.1, float(setup.observation.latitude) + 0.05
-    places, za = seen_alike(setup, 6, at, candidates(setup))
+    at = np.array([setup.observation.lsts[6] + 0.1, setup.observation.latitude + 0.05])
+    (turn,) = turns_of_sky(setup, np.array([6]))
+    places, za = seen_alike(turn, at, grating_lobes(setup))
     up = np.isfinite(za)
     assert up.sum() > 6
     assert np.all(np.isnan(places[~up]))
@@ -56,7 +57,7 @@ def test_a_source_that_moves_is_seen_alike_where_its_lobes_move(setup: Observing
     ra, dec = candidates(setup, np.deg2rad(70.0))
     effect = MovingSources(np.rad2deg([[ra[3], dec[3]], [ra[9], dec[9]]]).tolist()).in_full(setup)
     x = np.array([[1.0, 0.1, -0.2, 0.5, -1.0, 2.0, 0.0, 0.0, 0.0, 0.0]])
-    found = effect.alike(setup, x, 0)
+    found = list(effect.alike(setup, x, 0))
     assert len(found) >= 6
     block = small_block(setup)
     own = effect.seen(block, x[0])[5:8, :, 0]

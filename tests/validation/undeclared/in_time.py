@@ -1,4 +1,4 @@
-"""What changes during the night: gains, delays, coupling, pointing and clocks that drift, jump or jitter, sources."""
+"""What changes during the night: gains, delays, coupling, pointing and clocks that drift, jump or jitter; fading."""
 
 from __future__ import annotations
 

@@ -279,26 +279,28 @@ def read_emitter(
 
 def read_shifts(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]) -> Found:
     """Read "shift towards East at JD 2459866.12345"."""
-    times = np.array(answer["times"])
-    out: Found = {}
-    for name, pair in averaged(parameters).items():
-        match = re.fullmatch(r"(shift towards (?:East|North)) at JD ([\d.]+)", name)
-        if match is not None:
-            out[f"time {np.argmin(np.abs(times - float(match[2])))}", match[1]] = pair
-    return out
+    found = at_times(parameters, answer).items()
+    return {(f"time {time}", name): pair for (name, time), pair in found if name.startswith("shift towards ")}
 
 
 def read_jitter(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]) -> Found:
     """Read "antenna 3 phase at JD 2459866.12345"."""
+    out: Found = {}
+    for (name, time), pair in at_times(parameters, answer).items():
+        antenna, number, what = name.split(" ", 2)
+        out[f"{antenna} {number}", f"{what} at time {time}"] = pair
+    return out
+
+
+def at_times(parameters: list[dict[str, Any]], answer: dict[str, Any]) -> dict[tuple[str, int], tuple[float, float]]:
+    """Return what has a value at each of several times, by its name without that and by the number of the time."""
     times = np.array(answer["times"])
-    matches = [
-        (re.fullmatch(r"(antenna \d+) (.*) at JD ([\d.]+)", name), pair) for name, pair in averaged(parameters).items()
-    ]
-    return {
-        (match[1], f"{match[2]} at time {np.argmin(np.abs(times - float(match[3])))}"): pair
-        for match, pair in matches
-        if match is not None
-    }
+    out: dict[tuple[str, int], tuple[float, float]] = {}
+    for name, pair in averaged(parameters).items():
+        head, at, jd = name.partition(" at JD ")
+        if at:
+            out[head, int(np.argmin(np.abs(times - float(jd))))] = pair
+    return out
 
 
 def read_harmonics(

@@ -1,0 +1,111 @@
+"""Which element of an effect matters most, such as one of the sources that its candidates may be: fits tell."""
+
+from __future__ import annotations
+
+from itertools import islice
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Worth
+from hydrabeam_mpi.fit.state import Active, Fitted
+from hydrabeam_mpi.loop.attribution.reconsider import reconsider
+from hydrabeam_mpi.loop.attribution.score_effects import Finding
+from hydrabeam_mpi.loop.rules import RULES
+from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical
+from hydrabeam_mpi.loop.selection.refits import fit_patiently, is_same_prior, log_joint, restarted
+
+
+def started(context: FitContext, finding: Finding, prior_var: FloatArray) -> Active:
+    """Return an effect where its fit begins, with a prior of variances (n_params,)."""
+    effect, x = finding.effect, np.where(prior_var > 0, finding.evidence.x, 0.0)
+    return Active.start(effect, context.setup, prior_var, effect.begun(context.setup, x))
+
+
+def fit_foremost(context: FitContext, before: Fitted, finding: Finding) -> Fitted | None:
+    """Fit the one element that matters most, such as a source; None where that says nothing of the others.
+
+    Where candidates lie on a grid a bright source beside its place is made up for by several, which are hardly told
+    from each other, so that a fit of all may go anywhere. Once the first is where it belongs the others are weighed
+    again. Which is the first only fits tell where several come near by the linear model, as those at the grating lobes
+    of a regular array do.
+    """
+    best: Fitted | None = None
+    for prior_var in _each_foremost(context, finding):
+        best = _or_begun_at(context, before, best, started(context, finding, prior_var))
+    if best is None:
+        return None
+    last = best.values.active[-1]
+    element = int(last.effect.parameters(context.setup).element[last.used[0]])
+    for effect in islice(last.effect.alike(context.setup, last.x, element), RULES.most_tries):
+        start = Active.start(effect, context.setup, last.prior_var(context.setup), np.zeros_like(last.x))
+        best = _or_begun_at(context, before, best, start)
+    return best
+
+
+def _or_begun_at(context: FitContext, before: Fitted, best: Fitted | None, start: Active) -> Fitted | None:
+    """Fit an effect from another start, and return the best fit so far or that one, where it is physical and likelier.
+
+    Collective: all ranks of the grid.
+    """
+    worth = None if best is None else _may_surpass(context, best)
+    try:
+        fitted = fit_patiently(context, before.values.extended(start), before, worth)
+    except BrokenOff:
+        return best
+    physical = _physical_as_wanted(context, before, fitted) if fitted.diagnostics.converged else None
+    if best is None or physical is None:
+        return best or physical
+    return max(best, physical, key=lambda one: log_joint(context, one))
+
+
+def _physical_as_wanted(context: FitContext, before: Fitted, fitted: Fitted) -> Fitted | None:
+    """Return a fit if it is physical, or with the prior that it wants; None where it is not with either.
+
+    With a prior that the linear model has found, which may be many times too narrow, a beam can take up what a source
+    should be. Collective: all ranks of the grid.
+    """
+    n_before = len(before.values.active)
+    if leave_out_unphysical(context, fitted, n_before) is None:
+        return fitted
+    last = fitted.values.active[-1]
+    now = last.prior_var(context.setup)
+    wanted = np.where(now > 0, reconsider(context, fitted).prior_var, 0.0)
+    if not wanted.any() or is_same_prior(wanted, now):
+        return None
+    try:
+        again = fit_patiently(context, before.values.extended(restarted(context, last, wanted)), fitted)
+    except BrokenOff:
+        return None
+    is_physical = again.diagnostics.converged and leave_out_unphysical(context, again, n_before) is None
+    return again if is_physical else None
+
+
+def _each_foremost(context: FitContext, finding: Finding) -> list[FloatArray]:
+    """Return priors, variances (n_params,), of each element that may matter most, the likeliest first.
+
+    Empty where there is only one, or where candidates do not lie on a grid.
+    """
+    effect, evidence = finding.effect, finding.evidence
+    parameters, is_wanted = effect.parameters(context.setup), evidence.prior_var > 0
+    if not (effect.gets_simpler_when_fitted and len(evidence.alone) and is_wanted.any()):
+        return []
+    element = parameters.element
+    alone = np.full(int(element.max()) + 1, -np.inf)
+    np.maximum.at(alone, element, evidence.alone)
+    order = np.argsort(-alone, kind="stable")[: RULES.most_tries]
+    near = order[alone[order] >= RULES.near * alone.max()]
+    if len(np.unique(element[is_wanted])) < 2 and len(near) < 2:
+        return []
+    # What was not chosen beside the others may be as large as what was.
+    largest = np.max(evidence.prior_var[is_wanted] / parameters.scale[is_wanted] ** 2)
+    as_large = np.where(parameters.nonlinear, 0.0, largest * parameters.scale**2)
+    prior_var = np.where(is_wanted, evidence.prior_var, as_large)
+    return [np.where(element == one, prior_var, 0.0) for one in near.tolist()]
+
+
+def _may_surpass(context: FitContext, best: Fitted) -> Worth:
+    """Return whether a fit that begins elsewhere may become likelier than the best one so far."""
+    ahead = log_joint(context, best)
+    return lambda reached, gain: reached + gain / RULES.near > ahead
