@@ -215,13 +215,16 @@ class Prior(Section):
     fraction: float = key(1.0, "standard deviation over the amplitude of the fitted coefficient", FRACTION, gt=0)
     floor: float = key(
         0.0,
-        "least amplitude taken for that, relative to the largest; 0: guessed where the model has none",
+        "the standard deviation is at least fraction times this part of the largest amplitude; where it is 0, "
+        "coefficients that the model beam has nothing of get a width like those around them",
         FRACTION,
         ge=0,
         le=1 / RESOLVED,
     )
     neighbours: bool = key(
-        False, "that amplitude is the largest of those at this and the adjacent radial orders, azimuthal order the same"
+        False,
+        "for the standard deviation take the largest amplitude of three: the coefficient's own, and those of the same "
+        "azimuthal order at the next lower and higher radial order",
     )
     azimuthal: Annotated[tuple[Factor, ...], Field(strict=False)] = key(
         (), "factors of the widths at azimuthal orders 0, 1, 2 and so on; 1 beyond"

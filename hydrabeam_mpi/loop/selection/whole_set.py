@@ -42,20 +42,23 @@ def try_set(context: FitContext, checked: Checked, weighed: Weighed, tried: Trie
     """
     if not weighed.explains:
         return ()
-    members = list(takewhile(_is_told_by_linear_model, weighed.together.members))
-    while len(members) > 1:
-        titles = ", ".join(f"{one.title} (ln BF {one.log_bayes_factor:.4g})" for one in members)
-        say(f"  trying together: {titles}", context.grid.is_world_root)
-        found = _fit(context, checked.fitted, members)
-        if found is None:
-            say("    their joint fit does not converge", context.grid.is_world_root)
-            break
+    members = tuple(takewhile(_is_told_by_linear_model, weighed.together.members))
+    if len(members) < 2:
+        return ()
+    titles = ", ".join(f"{one.title} (ln BF {one.log_bayes_factor:.4g})" for one in members)
+    say(f"  trying together: {titles}", context.grid.is_world_root)
+    found = _fit(context, checked.fitted, members)
+    while found is not None:
         rounds, refused = _one_by_one(context, checked, *found, weighed)
         if refused is None:
             return rounds
-        say(f"    {refused[0].title}: refused: {refused[1]}", context.grid.is_world_root)
+        candidate, reason = refused
+        say(f"    {candidate.title}: refused: {reason}", context.grid.is_world_root)
         tried.append(refused)
-        members = [one for one in members if one.name != refused[0].name]
+        if len(found[1]) <= 2:
+            return ()
+        found = _fit_without(context, *found, len(rounds))
+    say("    their joint fit does not converge", context.grid.is_world_root)
     return ()
 
 
@@ -90,34 +93,65 @@ def _fit(
 
     None where no fit converges. Collective: all ranks of the grid.
     """
-    n_before, left, values = len(before.values.active), tuple(members), before.values
+    values = before.values
     for one in members:
         assert one.finding is not None
         values = values.extended(started(context, one.finding, one.finding.evidence.prior_var))
-
-    def kept(places: dict[int, int | None]) -> tuple[Candidate, ...]:
-        return tuple(one for number, one in enumerate(left, n_before) if places[number] is not None)
-
+    n_before = len(before.values.active)
     try:
         fitted = fit_patiently(context, values, before)
         for place in range(n_before, len(fitted.values.active)):
             fitted = with_best_variant(context, fitted, place)
-        for _ in range(RULES.most_refits):
-            while (cut := leave_out_unphysical(context, fitted, n_before)) is not None:
-                fitted, left = fit_patiently(context, cut.values, fitted), kept(cut.places)
-            again = reweigh(context, fitted, range(n_before, len(fitted.values.active)))
-            if again is None:
-                break
-            fitted, left = again.fitted, kept(again.places)
+        return _as_wanted(context, fitted, tuple(members))
     except BrokenOff:
         return None
+
+
+def _fit_without(
+    context: FitContext, fitted: Fitted, members: Sequence[Candidate], number: int
+) -> tuple[Fitted, tuple[Candidate, ...]] | None:
+    """Fit the last of the model's effects, all ``members`` of a set, again without the one of a number; as for `_fit`.
+
+    It begins where all of them have been fitted: by the linear model alone others might come back that were taken back
+    there. Collective: all ranks of the grid.
+    """
+    values = fitted.values.without(len(fitted.values.active) - len(members) + number)
+    try:
+        again = fit_patiently(context, values, fitted)
+        return _as_wanted(context, again, (*members[:number], *members[number + 1 :]))
+    except BrokenOff:
+        return None
+
+
+def _as_wanted(
+    context: FitContext, fitted: Fitted, left: tuple[Candidate, ...]
+) -> tuple[Fitted, tuple[Candidate, ...]] | None:
+    """Fit the last of the model's effects, those ``left`` of a set, as each is wanted beside the others; as for `_fit`.
+
+    Raises
+    ------
+    BrokenOff
+        On all ranks, where they cannot be fitted so.
+    """
+    n_before = len(fitted.values.active) - len(left)
+
+    def kept(places: dict[int, int | None]) -> tuple[Candidate, ...]:
+        return tuple(one for number, one in enumerate(left, n_before) if places[number] is not None)
+
+    for _ in range(RULES.most_refits):
+        while (cut := leave_out_unphysical(context, fitted, n_before)) is not None:
+            fitted, left = fit_patiently(context, cut.values, fitted), kept(cut.places)
+        again = reweigh(context, fitted, range(n_before, len(fitted.values.active)))
+        if again is None:
+            break
+        fitted, left = again.fitted, kept(again.places)
     return (fitted, left) if left and fitted.diagnostics.converged else None
 
 
 def _one_by_one(
     context: FitContext, checked: Checked, fitted: Fitted, members: Sequence[Candidate], weighed: Weighed
 ) -> tuple[tuple[Round, ...], tuple[Candidate, str] | None]:
-    """Add the effects of a joint fit one after the other; return the rounds, and the first that is refused, if any.
+    """Add the effects of a joint fit one after the other; return the rounds before the first that is refused, and it.
 
     Collective: all ranks of the grid.
     """
@@ -139,7 +173,7 @@ def _one_by_one(
         rivals = rivals_of(candidate, weighed.ranking, settings)
         reason = reason or refusal_by_rivals(context, fitted, rivals, place)
         if reason is not None:
-            return (), (candidate, reason)
+            return tuple(rounds), (candidate, reason)
         ranking = weighed.ranking if place == n_before else weighed.beside_set(member)
         rounds.append(replace(round_of(context, before, after, candidate, ranking), together=weighed.together.members))
         before = after

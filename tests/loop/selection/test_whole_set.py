@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
+from hydrabeam_mpi.effects.instrument.antenna_positions import AntennaPositions
 from hydrabeam_mpi.effects.instrument.closure_errors import ClosureErrors
 from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
@@ -149,6 +151,32 @@ def test_one_that_held_out_data_refuse_goes_and_the_others_stay(
     tried: list = []
     assert try_set(context, before, weighed, tried) == ()
     assert [(one.kind, reason) for one, reason in tried] == [("antenna_gains", "for a test")]
+
+
+def test_the_others_are_fitted_again_from_where_they_were(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The linear model, by which others might come back that were taken back since, is left once."""
+    moved = {"kind": "antenna_positions", "parameters": {"antenna 4 displaced East": 0.05}}
+    context = context_of(mock_job(GAIN, COUPLED, moved), tmp_path)
+    before = check(context, refit(context, Values()))
+    weighed = weigh(context, before.fitted, [*EFFECTS, AntennaPositions()], [], 6)
+    assert len(weighed.together.members) == 3
+
+    def refusal(context: FitContext, before: Checked, after: Checked, fitted: Candidate) -> str | None:
+        return "for a test" if fitted.kind == "cross_coupling" else None
+
+    begun = []
+
+    def fit(context: FitContext, values: Values, start: Fitted) -> Fitted:
+        begun.append((len(values.active), start is before.fitted))
+        return refit(context, values, start)
+
+    monkeypatch.setattr(whole_set, "refusal_of_fit", refusal)
+    monkeypatch.setattr(whole_set, "fit_patiently", fit)
+    tried: list = []
+    found = try_set(context, before, weighed, tried)
+    assert {one.candidate.kind for one in found} == {"antenna_gains", "antenna_positions"}
+    assert [one.kind for one, _ in tried] == ["cross_coupling"]
+    assert begun == [(3, True), (2, False)]
 
 
 def test_one_effect_is_no_set(context: FitContext, before: Checked, weighed: Weighed) -> None:
