@@ -36,10 +36,10 @@ from hydrabeam_mpi.loop.output.amendment import amended_job, effects_found
 from hydrabeam_mpi.loop.output.record import make_record
 from hydrabeam_mpi.loop.output.resume import Keeper
 from hydrabeam_mpi.loop.selection.again import run_search
-from hydrabeam_mpi.loop.selection.choice import choose
+from hydrabeam_mpi.loop.selection.choice import Choice, choose
 from hydrabeam_mpi.loop.selection.history import History
 from hydrabeam_mpi.loop.selection.rounds import Search, begin, settle_last
-from hydrabeam_mpi.mpi import peak_rss_mb, together
+from hydrabeam_mpi.mpi import bcast_object, peak_rss_mb, together
 from hydrabeam_mpi.result.gains import gains_told
 from hydrabeam_mpi.setup.earlier import integrations_of
 from hydrabeam_mpi.setup.job_file import check_holds_out
@@ -104,7 +104,9 @@ def run_loop(
     _check_can_confirm(context)
     known = context.setup
     with together(world):
-        choice, values = choose(job, known), restore(job, known, context.learned)
+        chosen, values = choose(job, known), restore(job, known, context.learned)
+    # Rounding may decide which points of the sky are looked at, so that rank 0 says it.
+    choice: Choice = bcast_object(world, chosen)
     with clock.time("conventions"):
         conventions = check_conventions(grid, context.problem, context.train.rows)
         conventions = with_findings(conventions, context.problem.findings)

@@ -31,6 +31,7 @@ EFFECTS: Registry[Effect] = Registry(
     "instrument.compression",
     "instrument.ground_emitter",
     "sky.missing_sources",
+    "sky.faint_sources",
     "sky.moving_sources",
     "sky.catalogue_flux",
     "sky.source_positions",

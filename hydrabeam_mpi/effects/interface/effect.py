@@ -247,6 +247,10 @@ class Effect(InBeam, InOtherData, HasLimits, MayChange, Cause):
         """Return the effect with what its settings leave to the data, such as the times that a law is over."""
         return self
 
+    def sought_in(self, setup: ObservingSetup) -> Effect:
+        """Return the effect as it is looked for in data, with what of it depends on which data these are."""
+        return self
+
     def next_after(self, setup: ObservingSetup, newest: Effect) -> Effect:
         """Return what to look for where ``newest`` is the last effect that the model got.
 

@@ -200,7 +200,7 @@ def dirty_map(
     weights = block.weights.sum(axis=1)
     if not weights.any():
         return projection, power
-    beam, positions = _sampled(block.beam), block.positions.follow(sky)
+    beam, positions = sampled(block.beam), block.positions.follow(sky)
     for t in np.flatnonzero(weights).tolist():
         index, za, az = positions.above_horizon(int(block.times[t]))
         directions = enu(za, az)
@@ -212,7 +212,7 @@ def dirty_map(
     return projection, power
 
 
-def _sampled(beam: Beam) -> Callable[[FloatArray], FloatArray]:
+def sampled(beam: Beam) -> Callable[[FloatArray], FloatArray]:
     """Return the beam as a function of unit vectors (3, N), interpolated by cubic splines between samples.
 
     The samples lie on Lambert's equal-area plane around the zenith, whose unit circle is the horizon: smooth there and

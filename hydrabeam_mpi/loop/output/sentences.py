@@ -9,7 +9,9 @@ from typing import Any
 from hydrabeam_mpi.words import capital, effect_words, joined
 
 MOST_NAMED = 4
-AT_TIME, JUMP = " at JD ", ", jump"
+EACH_OF = {" at JD ": "times", " towards ra=": "directions"}
+"""What in a parameter's name comes before one of many, and what these are."""
+JUMP = ", jump"
 QUESTIONS = "whether it is physical beside all others and the same in all parts of the data"
 """What an effect is asked when nothing more is found, and may be taken back for."""
 GOES_ON = "The same command goes on from here."
@@ -34,22 +36,33 @@ def say_round(told: dict[str, Any]) -> str:
 def _say_parameters(told: dict[str, Any]) -> tuple[list[str], int]:
     """Write down the most significant parameters, and count the others.
 
-    What has a value of its own at each of several times is told by how large it is over these.
+    What has a value of its own at each of several times, or in each of several directions, is told by how large it is
+    over these.
     """
-    groups: dict[tuple[str, Any], list[dict[str, Any]]] = {}
+    groups: dict[tuple[str, str, Any], list[dict[str, Any]]] = {}
     for one in told["parameters"]:
-        head, at, _ = one["name"].partition(AT_TIME)
-        groups.setdefault((head if at and not head.endswith(JUMP) else one["name"], one["freq_hz"]), []).append(one)
+        groups.setdefault((*_common_name(one["name"]), one["freq_hz"]), []).append(one)
     foremost = sorted(groups.items(), key=lambda group: -math.hypot(*map(_sigmas, group[1])))[:MOST_NAMED]
-    named = [_say_over_times(head, ones) if len(ones) > 1 else say_parameter(ones[0]) for (head, _), ones in foremost]
+    named = [
+        _say_over(head, each, ones) if len(ones) > 1 else say_parameter(ones[0]) for (head, each, _), ones in foremost
+    ]
     more = len(told["parameters"]) - sum(len(ones) for _, ones in foremost) + len(told["parameters_not_told"])
     return named, more
 
 
-def _say_over_times(head: str, ones: Sequence[dict[str, Any]]) -> str:
-    """Write the name that values at several times have in common, and their rms."""
+def _common_name(name: str) -> tuple[str, str]:
+    """Return what a parameter shares with those of other times or directions, and what it is one of; else its name."""
+    for before, each in EACH_OF.items():
+        head, at, _ = name.partition(before)
+        if at and not head.endswith(JUMP):
+            return head, each
+    return name, ""
+
+
+def _say_over(head: str, each: str, ones: Sequence[dict[str, Any]]) -> str:
+    """Write the name that values at several times, or in several directions, have in common, and their rms."""
     rms = math.hypot(*(one["value"] for one in ones)) / math.sqrt(len(ones))
-    return f"{head} {rms:.3g}{_unit(ones[0])} rms over {len(ones)} times{_channel(ones[0])}"
+    return f"{head} {rms:.3g}{_unit(ones[0])} rms over {len(ones)} {each}{_channel(ones[0])}"
 
 
 def say_adapted(told: dict[str, Any]) -> str:

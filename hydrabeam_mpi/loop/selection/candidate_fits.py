@@ -26,13 +26,14 @@ from hydrabeam_mpi.loop.selection.refits import (
     rise,
     with_best_variant,
 )
+from hydrabeam_mpi.mpi import bcast_object
 from hydrabeam_mpi.terminal.progress import say
 
 
 def as_large_as_wanted(context: FitContext, fitted: Fitted, candidate: Candidate) -> Candidate:
     """Take more parameters of an effect's sort at once where that has more evidence. Collective: all ranks."""
     finding = candidate.finding
-    larger = finding.effect.larger(context.setup) if finding is not None else ()
+    larger = bcast_object(context.grid.world, finding.effect.larger(context.setup) if finding is not None else ())
     if finding is None or not larger:
         return candidate
     best = max([finding, *attribute_sizes(context, fitted, larger)], key=lambda one: one.evidence.log_bayes_factor)

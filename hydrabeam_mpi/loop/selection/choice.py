@@ -42,7 +42,7 @@ def choose(job: Job, setup: ObservingSetup) -> Choice:
             choice.skipped.append((kind, "the job says so ([loop] skip)"))
         elif kind in EFFECTS:
             effects = [effect for effect in laws_of(kind) if effect.is_sought]
-            choice.effects.extend(effect for effect in effects if effect.not_applicable(setup) is None)
+            choice.effects.extend(one.sought_in(setup) for one in effects if one.not_applicable(setup) is None)
             choice.skipped.extend((kind, why) for effect in effects[:1] if (why := effect.not_applicable(setup)))
         elif kind in SEPARATE:
             choice = replace(choice, leakage=True)

@@ -14,7 +14,7 @@ from hydrabeam_mpi.loop.attribution.score_effects import attribute
 from hydrabeam_mpi.loop.attribution.score_noise import fit_reweightings
 from hydrabeam_mpi.loop.attribution.weigh_together import weigh_together
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Round
-from hydrabeam_mpi.mpi import together
+from hydrabeam_mpi.mpi import bcast_object, together
 
 
 @dataclass(frozen=True)
@@ -103,10 +103,14 @@ class Outlook:
 
 
 def next_of(context: FitContext, effects: Sequence[Effect], values: Values) -> Sequence[Effect]:
-    """Return the effects to look for after those of the model."""
+    """Return the effects to look for after those of the model. Collective: all ranks of the grid.
+
+    Which points of the sky come next may be decided by rounding, so that rank 0 says it.
+    """
     for one in values.active:
         effects = [effect.next_after(context.setup, one.effect) for effect in effects]
-    return effects
+    told: Sequence[Effect] = bcast_object(context.grid.world, effects)
+    return told
 
 
 def rank(

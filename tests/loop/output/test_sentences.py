@@ -86,6 +86,10 @@ ROUNDS: dict[str, tuple[dict[str, Any], str]] = {
         "Antenna gains: antenna 2 phase 4.08 rms over 3 times; antenna 2 phase, jump at JD 1.5 3 +- 1; "
         "antenna 2 phase, jump at JD 2.5 3 +- 1; antenna 3 phase at JD 1.5 2 +- 1; and 2 more (",
     ),
+    "what has a value in each of several directions": (
+        {"parameters": [parameter(f"flux towards ra={ra:.3f} dec=-30.000", ra - 11) for ra in (8.0, 15.0)]},
+        "Antenna gains: flux 3.54 rms over 2 directions (",
+    ),
     "those that are not told are among the others": (
         {"parameters_not_told": FEW[:2]},
         "Antenna gains: one 2 +- 1; and 2 more (",

@@ -52,6 +52,7 @@ EFFECTS = {
         Kind("ground_emitter", coupling.ground_emitter, 0.01, 3.0, "Jy", FINE),
         Kind("mutual_coupling", coupling.mutual_coupling, 1e-4, 0.03, ""),
         Kind("missing_sources", skies.missing_sources, 0.015, 10.0, "Jy"),
+        Kind("faint_sources", skies.faint_sources, 0.1, 10.0, "Jy"),
         Kind("moving_sources", skies.moving_sources, 0.015, 10.0, "Jy", FINE),
         Kind("catalogue_flux", skies.catalogue_flux, 3e-3, 0.5, ""),
         Kind("polarised_sources", skies.polarised_sources, 0.01, 0.5, ""),

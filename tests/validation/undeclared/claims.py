@@ -14,6 +14,7 @@ EQUIVALENT = {
     ("auto_coupling", "cross_coupling"): "an autocorrelation that hardly changes with time is a constant",
     ("cross_coupling", "auto_coupling"): "an autocorrelation that hardly changes with time is a constant",
     ("convention: times in TAI", "timestamp"): "a clock that is wrong by a number of seconds is a timestamp offset",
+    ("faint_sources", "missing_sources"): "the brightest of them, one by one",
     ("bad_integrations", "outliers"): "their rows are left out, though nobody says that they go together",
 }
 """(what is so, what may be said instead): physically the same, so that either name is right."""

@@ -16,6 +16,7 @@ from tests.validation.undeclared.truth import Truth
 
 LARGEST_DEGREE = 3
 DIFFUSE_INDEX = -2.5
+POINTS = 100  # of a sky of white noise, with the most power, that tell a third of it where an antenna has 14 m
 AXES = (("major axis (FWHM)", "arcmin"), ("minor axis (FWHM)", "arcmin"), ("position angle", "deg"))
 
 
@@ -47,6 +48,15 @@ def missing_source(truth: Truth, rng: np.random.Generator, strength: float, numb
         Parameter(f"source {number}", "flux", "Jy", float(flux * _mean_scale(truth))),
     ]
     return Drawn(parameters, n_params=len(parameters))
+
+
+def faint_sources(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
+    """The catalogue ends at ``strength`` Jy, with 1,500 sources below it, of counts N(> S) ~ S^-3/2 down to 1/20."""
+    n = 1500
+    flux = strength / 20 * (1 - rng.random(n) * (1 - 20**-1.5)) ** (-1 / 1.5)
+    ra, dec = rng.uniform(0, 2 * np.pi, n), np.arcsin(rng.uniform(-1, 1, n))
+    truth.catalogue = truth.catalogue.joined(Catalogue(ra, dec, flux, np.full(n, -0.8)))
+    return Drawn(n_params=POINTS)
 
 
 def moving_sources(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
