@@ -54,11 +54,13 @@ class EarlierSteps:
         if len(self._points) == 1:
             return None
         moved, changed = (np.diff(one, axis=0) for one in (self._points, self._steps))
-        in_sigmas = (changed / std).reshape(len(changed), -1).T
-        weights = np.linalg.lstsq(in_sigmas, (step / std).ravel(), rcond=RCOND)[0]
+        # Of what data hardly constrain the variance may be no more than rounding errors, of either sign.
+        per_std = np.where(std > 0, 1 / np.where(std > 0, std, 1.0), 0.0)
+        in_sigmas = (changed * per_std).reshape(len(changed), -1).T
+        weights = np.linalg.lstsq(in_sigmas, (step * per_std).ravel(), rcond=RCOND)[0]
         better = np.asarray(step - np.tensordot(weights, moved + changed, axes=1))
         # Away from a saddle steps get longer; the smallest one is back there.
-        return better if np.sum(better * step / std**2) > 0 else AHEAD * step
+        return better if np.sum(better * step * per_std**2) > 0 else AHEAD * step
 
 
 def accelerated(context: FitContext, at: Estimate, to: Estimate, fit: Fit, earlier: EarlierSteps) -> Estimate | None:
