@@ -38,6 +38,8 @@ Parameters that still move then drift along directions that the data do not cons
 """
 FLAT_STEPS = 2
 """The fit ends after this many steps in a row without a rise."""
+KEPT = 3
+"""Of so many steps the one that kept most of what the linear model promised says how much the next may keep."""
 STEPS_BACK = 0.5
 """A step counts as too long at this relative loss of ln(likelihood x prior), where all weights follow residuals."""
 
@@ -77,8 +79,8 @@ def refit(
         Which part of the first step is taken; later ones are twice as long while they succeed, up to whole ones. If it
         is not all of it, parts of steps are damped ones.
     worth : callable, optional
-        Says whether to go on, from what ln(likelihood x prior) has come to and by how much the linear model expects the
-        next step to raise it.
+        Says whether to go on, from what ln(likelihood x prior) has come to and by how much the next step may raise it:
+        as the linear model expects, as far as steps before have kept that.
 
     Raises
     ------
@@ -166,6 +168,7 @@ def _search(context: FitContext, at: Estimate, length: float, worth: Worth | Non
     ended = Ended.OUT_OF_STEPS
     flat = shortened = 0
     earlier, is_accelerated = EarlierSteps(), False
+    promised, kept = 0.0, list[float]()
     length *= SHORTER
     for number in range(MAX_STEPS):
         say_meanwhile(f"    fitting: step {number + 1} of {MAX_STEPS} at most", context.grid.is_world_root)
@@ -185,13 +188,15 @@ def _search(context: FitContext, at: Estimate, length: float, worth: Worth | Non
                 ended = Ended.STUCK
                 break
             shortened, length = shortened + 1, SHORTER * length
+            promised = best[2].gain * length * (2 - length)
             at = _part_of(context, best[1], best[2], length, is_damped)
             continue
         assert solved is not None
         misfit, rise = _misfit(context, solved), np.inf if best is None else solved.reached - best[0]
         flat = flat + 1 if rise < FLAT_NATS * misfit else 0
+        kept.append(float(np.clip(rise / promised, 0.0, 1.0)) if promised > 0 else 1.0)
         step = take_step(context, replace(at, beams=solved.beams), solved)
-        if worth is not None and not worth(solved.reached, solved.rises + step.gain):
+        if worth is not None and not worth(solved.reached, max(kept[-KEPT:]) * (solved.rises + step.gain)):
             raise BrokenOff("its fit was broken off, as it does not come near what explains more")
         best = (solved.reached, at if at.values.adds else replace(at, beams=solved.beams), step)
         still = beam_moved(context, at.beams, solved.beams) < STEP_SIGMAS * np.sqrt(misfit)
@@ -200,6 +205,7 @@ def _search(context: FitContext, at: Estimate, length: float, worth: Worth | Non
         # What was too long just before would be so again.
         length, shortened = length if shortened else min(1.0, length / SHORTER), 0
         further = accelerated(context, step.start, step.to, step.fit, earlier) if length == 1.0 else None
+        promised = step.gain * length * (2 - length)
         is_accelerated, at = further is not None, further or _part_of(context, best[1], step, length, is_damped)
     assert best is not None
     return best[1], best[2], ended

@@ -33,6 +33,16 @@ def test_as_many_steps_as_there_are_slow_directions() -> None:
     assert np.abs(at - end).max() < 1e-6
 
 
+def test_what_data_hardly_constrain_does_not_count() -> None:
+    """Its variance may be below zero by rounding."""
+    earlier, std = EarlierSteps(), np.array([[1.0, np.nan]])
+    assert earlier.accelerated(np.zeros((1, 2)), np.array([[0.5, 3.0]]), std) is None
+    better = earlier.accelerated(np.array([[0.5, 3.0]]), np.array([[0.25, -7.0]]), std)
+    assert better is not None
+    assert better[0, 0] == pytest.approx(0.5)
+    assert np.all(np.isfinite(better))
+
+
 def test_steps_that_grow_are_gone_on_with() -> None:
     """Where a fit leaves a saddle the smallest step is behind it."""
     earlier, std = EarlierSteps(), np.ones((1, 2))

@@ -24,14 +24,14 @@ from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit import gauss_newton, heldout
-from hydrabeam_mpi.fit.beams_given import total_log_joint
+from hydrabeam_mpi.fit.beams_given import Solved, total_log_joint
 from hydrabeam_mpi.fit.channels import infer_channels
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.gauss_newton import BrokenOff, refit, stepped, take_step
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Step, refit, stepped, take_step
 from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.joint import channel_results
-from hydrabeam_mpi.fit.state import Active, Ended, Fitted, Reweighted, Values
+from hydrabeam_mpi.fit.state import Active, Ended, Estimate, Fitted, Reweighted, Values
 from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.heldout_score import heldout_score
 from hydrabeam_mpi.result.summary import evaluate_on_grid
@@ -123,6 +123,33 @@ def test_a_fit_is_broken_off_where_it_is_not_worth_going_on(tmp_path: Path) -> N
     assert abs(ends[0] - reached) < 0.1 * (reached - told[0][0])
     with pytest.raises(BrokenOff):
         refit(context, values, without, worth=lambda _, gain: gain > 0.1)
+
+
+def test_what_steps_promise_counts_as_far_as_those_before_have_kept_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    injected, effect, width = CASES["antenna_gains"]
+    context = context_of(mock_job(injected), tmp_path)
+    without = refit(context, Values())
+    values = without.values.extended(free(context, effect, width))
+    real, promised, told = gauss_newton.take_step, list[float](), list[float]()
+
+    def bragging(context: FitContext, at: Estimate, solved: Solved) -> Step:
+        step = real(context, at, solved)
+        promised.append(1000 * step.gain)
+        return replace(step, gain=promised[-1])
+
+    def worth(reached: float, gain: float) -> bool:
+        told.append(gain)
+        return True
+
+    monkeypatch.setattr(gauss_newton, "take_step", bragging)
+    refit(context, values, without, worth=worth)
+    assert told[0] == promised[0]
+    # Of the first so many steps nothing is known, or of one that came before it.
+    assert len(told) > gauss_newton.KEPT
+    late = np.array(told[gauss_newton.KEPT :]) / promised[gauss_newton.KEPT : len(told)]
+    assert np.all(late < 0.01)
 
 
 def test_predictions_are_as_wide_where_columns_are_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
