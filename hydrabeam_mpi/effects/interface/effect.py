@@ -134,6 +134,8 @@ class Effect(InBeam, InOtherData, HasLimits, MayChange, Cause):
     """Whether the effect changes the sky (see `sky_factor`, `extra_sky`), by which it is part of A rather than of E."""
     linear: bool = False
     """Whether the data are so nearly linear in the parameters that a fit gains about what the linear model predicts."""
+    comes_in_parts: ClassVar[bool] = False
+    """Whether the model may get more and more of it, one part after the other; see `next_after`."""
     is_control_model: ClassVar[bool] = False
     """Whether it is a control model: effects must explain the data better, and it is never claimed itself."""
 

@@ -61,6 +61,7 @@ class Diffuse(Effect):
     kind = "diffuse"
     title = "diffuse emission"
     changes_sky = True
+    comes_in_parts = True
     of_the_sky = True
 
     def __init__(

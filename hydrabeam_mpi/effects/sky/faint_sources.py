@@ -53,6 +53,7 @@ class FaintSources(Effect):
     kind = "faint_sources"
     title = "faint sources that the catalogue lacks"
     changes_sky = True
+    comes_in_parts = True
     shared = True
     of_the_sky = True
 

@@ -32,6 +32,7 @@ from hydrabeam_mpi.loop.selection.simpler import simplified
 from hydrabeam_mpi.loop.selection.trials import try_control, try_effects
 from hydrabeam_mpi.loop.selection.weighing import Outlook, Weighed, next_of, weigh
 from hydrabeam_mpi.loop.selection.whole_set import as_one, try_set
+from hydrabeam_mpi.mpi import bcast_object
 from hydrabeam_mpi.terminal.progress import say
 
 
@@ -153,27 +154,28 @@ class _Rounds:
         fitted = added.after.fitted
         self.effects, self.known = next_of(context, self.effects, fitted.values), outlook.after(fitted)
         self.search.save()
-        if added.candidate.is_about_the_beam:
-            self._grow_beam()
+        self._grow(added)
         return True
 
-    def _grow_beam(self) -> None:
-        """Add more of what the beam's model lacks, as long as the data want it. Collective: all ranks of the grid.
+    def _grow(self, added: Round) -> None:
+        """Add more of what comes in parts, as long as the data want it. Collective: all ranks of the grid.
 
-        A fault of the beam's model that has more evidence than all effects comes in many parts: the functions that a
-        basis lacks are as many as one looks for. Effects are weighed again when the beam lacks nothing more, as what it
-        lacks may pass for any of them.
+        The functions that a basis lacks are as many as one looks for, and so are the directions in which there are
+        faint sources: where the most that are looked for at once have been found, there may be more. Others are weighed
+        again when there are not, as what is lacking may pass for any of them.
         """
         context, history, clock = self.search.context, self.search.history, self.search.clock
         while len(history.rounds) < context.problem.job.loop.max_rounds:
-            fitted = history.last.fitted
+            parts = bcast_object(context.grid.world, [one for one in self.effects if _goes_on(context, added, one)])
+            if not parts:
+                return
             with clock.time("attribution"):
-                of_beam = attribute(context, fitted, [one for one in self.effects if one.is_about_the_beam])
+                found = attribute(context, history.last.fitted, parts)
             with clock.time("trials"):
-                added = try_effects(context, history.last, tuple(map(Candidate.of, of_beam)), [])
-                if added is None:
+                further = try_effects(context, history.last, tuple(map(Candidate.of, found)), [])
+                if further is None:
                     return
-                added = _accept(context, history, added)
+                added = _accept(context, history, further)
             self.effects, self.known = next_of(context, self.effects, added.after.fitted.values), None
             self.search.save()
 
@@ -222,6 +224,16 @@ class _Rounds:
         history.adapt(adapted)
         self.effects = next_of(self.search.context, self.effects, history.last.fitted.values)
         return True
+
+
+def _goes_on(context: FitContext, added: Round, effect: Effect) -> bool:
+    """Whether an effect may be more of what has been added: any fault of the beam after one, or the next part."""
+    finding = added.candidate.finding
+    if added.candidate.is_about_the_beam:
+        return effect.is_about_the_beam
+    if finding is None or not effect.comes_in_parts or (effect.kind, effect.law) != (finding.kind, finding.effect.law):
+        return False
+    return not finding.effect.larger(context.setup)
 
 
 def _accept(context: FitContext, history: History, added: Round) -> Round:
