@@ -120,9 +120,11 @@ def _numbers_of(name: str) -> str:
 
 
 def _without_numbers(name: str) -> str:
-    return (
-        re.sub(r"[\s,–-]+", " ", NUMBER.sub("", name)).replace("( )", "").strip(" =") if NUMBER.search(name) else name
-    )
+    """Return a name without its numbers: "harmonic l, m" of "harmonic l=3 m=-2"."""
+    if not NUMBER.search(name):
+        return name
+    words = re.sub(r"[\s,–-]+", " ", NUMBER.sub("", name)).replace("( )", "")
+    return re.sub(r"=\s*", "", re.sub(r"=\s+(?=\w)", ", ", words)).strip()
 
 
 def _numbered(family: _Family) -> bool:

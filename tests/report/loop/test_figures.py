@@ -151,6 +151,15 @@ def test_many_parameters_are_bounded() -> None:
     assert drawing.figure.get_figheight() < 8
 
 
+def test_panels_are_named_by_what_their_parameters_have_in_common() -> None:
+    told = [loops.parameter(f"flux towards ra={ra:.3f} dec=-30.100", 0.1, 0.1) for ra in (8.0, 9.0, 10.0)]
+    drawing = draw_parameters(loops.gains_round() | {"parameters": told}, 1)
+    assert drawing is not None
+    axes = drawing.figure.axes[0]
+    assert axes.get_title(loc="left") == "flux towards ra, dec"
+    assert next(text.get_text() for text in axes.get_yticklabels()) == "8.000 dec=-30.100"
+
+
 def test_parameters_over_frequency() -> None:
     freqs = 150e6 + 1e5 * np.arange(30)
     parameters = [
