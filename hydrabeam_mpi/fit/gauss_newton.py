@@ -39,7 +39,8 @@ Parameters that still move then drift along directions that the data do not cons
 FLAT_STEPS = 2
 """The fit ends after this many steps in a row without a rise."""
 KEPT = 3
-"""Of so many steps the one that kept most of what the linear model promised says how much the next may keep."""
+"""Of so many steps the one that kept most of what the linear model promised says how much the next may keep. One that
+was too long keeps little, and the shorter one after it, or the one beyond that, may keep all."""
 STEPS_BACK = 0.5
 """A step counts as too long at this relative loss of ln(likelihood x prior), where all weights follow residuals."""
 

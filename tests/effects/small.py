@@ -16,7 +16,7 @@ from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
 from hydrabeam_mpi.model.beam import analytic_beam
 from hydrabeam_mpi.model.fit import fit_beam
 from hydrabeam_mpi.model.positions import RotatedPositions
-from hydrabeam_mpi.model.sky import Sky, mock_sky
+from hydrabeam_mpi.model.sky import Sky, concatenate, mock_sky
 from hydrabeam_mpi.random import complex_normal, generator
 from hydrabeam_mpi.simulation.mock import mock_observation
 
@@ -66,6 +66,16 @@ def small_block(setup: ObservingSetup, channel: int = 0, sky: Sky | None = None)
     )
     vis = block.spread(block.integrate(lambda sources: sources.beam[np.newaxis])[..., 0])
     return replace(block, vis=vis, weights=np.ones(block.shape), residual=np.zeros(block.shape, dtype=complex))
+
+
+def check_adds_sources(effect: Effect, setup: ObservingSetup, x: FloatArray, extra: Sky) -> None:
+    """What the effect adds in each channel is what a sky with these sources in it gives more."""
+    for channel in range(setup.observation.Nfreqs):
+        block = small_block(setup, channel)
+        with_it = small_block(setup, channel, sky=concatenate([setup.sky, extra]))
+        difference = with_it.vis - block.vis
+        assert np.abs(difference).max() > 0.01
+        np.testing.assert_allclose(effect.added(block, x), difference, rtol=0, atol=1e-9 * np.abs(with_it.vis).max())
 
 
 def part_of(block: RowBlock, times: IntArray, bls: IntArray) -> RowBlock:

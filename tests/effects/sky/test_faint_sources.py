@@ -7,9 +7,9 @@ from hydrabeam_mpi.effects.shared.point_sources import responses
 from hydrabeam_mpi.effects.sky.diffuse import Diffuse
 from hydrabeam_mpi.effects.sky.faint_sources import AT_FIRST, FaintSources
 from hydrabeam_mpi.effects.sky.missing_sources import candidates
-from hydrabeam_mpi.model.sky import Sky, concatenate
+from hydrabeam_mpi.model.sky import Sky
 from hydrabeam_mpi.random import generator
-from tests.effects.small import small_block, small_setup
+from tests.effects.small import check_adds_sources, small_block, small_setup
 
 
 @pytest.fixture(scope="module")
@@ -22,13 +22,7 @@ def test_equals_a_sky_with_the_sources_in_it(setup: ObservingSetup) -> None:
     ra, dec = np.deg2rad(effect.sources).T
     x = generator(3, "fluxes").standard_normal(12)
     fluxes = x * ((setup.observation.freqs / setup.reference_freq) ** -0.7)[:, np.newaxis]
-    extra = Sky(ra, dec, fluxes)
-    for channel in (0, 1):
-        block = small_block(setup, channel)
-        with_it = small_block(setup, channel, sky=concatenate([setup.sky, extra]))
-        expected = with_it.vis - block.vis
-        assert np.abs(expected).max() > 0.01
-        np.testing.assert_allclose(effect.added(block, x), expected, rtol=0, atol=1e-9 * np.abs(with_it.vis).max())
+    check_adds_sources(effect, setup, x, Sky(ra, dec, fluxes))
 
 
 def test_the_first_point_is_the_one_that_is_seen_best(setup: ObservingSetup) -> None:

@@ -8,9 +8,9 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.shared.point_sources import resolution
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources, brightest_expected, candidates
 from hydrabeam_mpi.model.positions import ApparentPositions
-from hydrabeam_mpi.model.sky import Sky, concatenate, separation
+from hydrabeam_mpi.model.sky import Sky, separation
 from hydrabeam_mpi.random import generator
-from tests.effects.small import check_derivative, small_block, small_setup
+from tests.effects.small import check_adds_sources, check_derivative, small_block, small_setup
 
 
 def two_sources(setup: ObservingSetup) -> MissingSources:
@@ -33,13 +33,7 @@ def test_equals_a_sky_with_the_source_in_it() -> None:
         np.sin(towards) * np.sin(angle) * np.cos(dec), np.cos(angle) - np.sin(dec) * np.sin(moved_dec)
     )
     fluxes = flux * (setup.observation.freqs / setup.reference_freq) ** (-0.7 + change)
-    extra = Sky(np.array([moved_ra]), np.array([moved_dec]), fluxes[:, np.newaxis])
-    for channel in (0, 1):
-        block = small_block(setup, channel)
-        with_it = small_block(setup, channel, sky=concatenate([setup.sky, extra]))
-        difference = with_it.vis - block.vis
-        assert np.abs(difference).max() > 0.01
-        np.testing.assert_allclose(effect.added(block, x), difference, rtol=0, atol=1e-9 * np.abs(with_it.vis).max())
+    check_adds_sources(effect, setup, x, Sky(np.array([moved_ra]), np.array([moved_dec]), fluxes[:, np.newaxis]))
 
 
 def test_follows_the_rule_of_the_sky() -> None:
