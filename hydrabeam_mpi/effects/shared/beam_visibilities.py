@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 
 import numpy as np
 
 from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.effects.interface.sources import Sources
+from hydrabeam_mpi.effects.interface.sources import Sources, power_of
+from hydrabeam_mpi.model.bases.base import LinearBasis
+from hydrabeam_mpi.model.beam import CoefficientBeam
 from hydrabeam_mpi.model.engines.base import amplitude
 from hydrabeam_mpi.model.rime import Beam
 
 VECTORS_AT_ONCE = 2048
 """Whose fringes are held together."""
+SOURCES_AT_ONCE = 2048
+"""At which all functions of a basis are held together."""
 
 
 def beam_visibilities(block: RowBlock, vectors: FloatArray) -> ComplexArray:
@@ -41,7 +46,7 @@ def beam_visibilities(block: RowBlock, vectors: FloatArray) -> ComplexArray:
         integrals = block.integrate(lambda sources: sources.beam[np.newaxis], vectors)
     else:
         # There are no fringes.
-        integrals = np.array([[_total_power(block, time)] * len(vectors) for time in block.times.tolist()])
+        integrals = np.repeat(_total_power(block)[:, np.newaxis], len(vectors), axis=1)
     # Without times `integrals` has lost its axes.
     values = integrals.reshape(len(block.times), len(vectors)).astype(complex)
     kept[key] = block.beam, block.times, values
@@ -69,7 +74,41 @@ def integrate_on(block: RowBlock, columns: Callable[[Sources], FloatArray], vect
     return np.concatenate(parts, axis=1)
 
 
-def _total_power(block: RowBlock, itime: int) -> float:
-    """Return the autocorrelation of the sky, Jy."""
-    parts = filter(None, (block.sources(itime), block.further_sources(itime)))
-    return float(sum(amplitude(sources.flux_without()) @ sources.beam for sources in parts))
+def _total_power(block: RowBlock) -> FloatArray:
+    """Return the autocorrelation of the sky at each time, (Ntimes,), Jy."""
+    power = []
+    for time, known in zip(block.times.tolist(), _power_of_model(block), strict=True):
+        sources, further = block.sources(time), block.further_sources(time)
+        if known is None:
+            of_model = amplitude(sources.flux_without()) @ sources.beam
+        else:
+            change = sources.flux_without() - sources.flux
+            which = np.flatnonzero(change)
+            of_model = known + amplitude(change[which]) @ power_of(block.beam, sources.za[which], sources.az[which])
+        power.append(of_model + (amplitude(further.flux) @ further.beam if further else 0.0))
+    return np.array(power)
+
+
+def _power_of_model(block: RowBlock) -> list[float | None]:
+    """Return the autocorrelation of the sky model as it is at each time, Jy, where that takes no pass over the sky.
+
+    What the functions of a beam see of it is kept, once another beam asks for the same: a fit asks at every step.
+    """
+    times, beam = block.times.tolist(), block.beam
+    if block.memo is None or not isinstance(beam, CoefficientBeam):
+        return [None] * len(times)
+    name = f"total power by {json.dumps(beam.basis.describe())}"
+    kept, asked = block.memo.setdefault((block.channel, name), ({}, {}))
+    kept.update(
+        {time: _seen_by_columns(block, beam.basis, time) for time in times if time in asked and time not in kept}
+    )
+    asked.update(dict.fromkeys(times, (b"", np.zeros(0))))
+    return [float((beam.basis.mix(kept[time]) @ beam.coeffs).real) if time in kept else None for time in times]
+
+
+def _seen_by_columns(block: RowBlock, basis: LinearBasis, itime: int) -> FloatArray:
+    """Return what the columns of a basis see of the sky model at a time, (n_columns,), Jy."""
+    sources, total = block.sources(itime), np.zeros(basis.n_columns)
+    for part in np.array_split(np.arange(len(sources.za)), len(sources.za) // SOURCES_AT_ONCE + 1):
+        total += basis.columns(sources.za[part], sources.az[part]) @ amplitude(sources.flux[part])
+    return total
