@@ -93,6 +93,10 @@ def compare(effect: dict[str, Any], found_round: dict[str, Any], answer: dict[st
         if 2 * np.count_nonzero(sign) > sum(quantity in signs for _, quantity in truth):
             weight = sign / std**2
             difference -= sign * (weight @ difference) / (weight @ sign)
+    if kind == "cross_coupling" and any(other["kind"] == "antenna_gains" for other in answer["effects"]):
+        # What is added before gains is so many Jy by them, and how large they all are only the beam's prior tells.
+        weight = value[usable] / std**2
+        difference -= value[usable] * (weight @ difference) / (weight @ value[usable])
     return Comparison(difference / std, keys)
 
 

@@ -166,6 +166,15 @@ def test_what_feeds_have_in_common_does_not_count():
     assert np.abs(z_of("leakage", truth, alike)).max() == pytest.approx(700.0)
 
 
+def test_gains_that_all_antennas_have_in_common_scale_couplings():
+    """Only where there are gains."""
+    truth = [(f"baseline 3-{n}", "real", "Jy", 1.0 + n) for n in range(5)]
+    found = [(f"baseline 3-{n} real", 1.01 * (1.0 + n), 0.01) for n in range(5)]
+    given = answer("cross_coupling+antenna_gains", truth)
+    np.testing.assert_allclose(compare(given["effects"][0], a_round("cross_coupling", found), given).z, 0, atol=1e-9)
+    assert np.abs(z_of("cross_coupling", truth, found)).max() == pytest.approx(5.0)
+
+
 def test_a_baseline_may_be_named_the_other_way_round():
     truth = [("baseline 3-17", "real", "Jy", 1.0), ("baseline 3-17", "imaginary", "Jy", 2.0)]
     found = [("baseline 17-3 real", 1.1, 0.1), ("baseline 17-3 imaginary", -2.1, 0.1)]
