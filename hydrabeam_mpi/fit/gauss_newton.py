@@ -45,8 +45,27 @@ STEPS_BACK = 0.5
 """A step counts as too long at this relative loss of ln(likelihood x prior), where all weights follow residuals."""
 
 
-Worth = Callable[[float, float], bool]
-"""Whether a fit is worth going on with; see `refit`."""
+@dataclass(frozen=True)
+class Underway:
+    """Where a fit has come to.
+
+    Attributes
+    ----------
+    reached : float
+        ln(likelihood x prior).
+    expected : float
+        By how much the next step may raise it: as the linear model expects, as far as steps before have kept that.
+    foreseen : tuple of float
+        What the linear model expects of the end, by where the fit began and by where it is.
+    """
+
+    reached: float
+    expected: float
+    foreseen: tuple[float, float]
+
+
+Worth = Callable[[Underway], bool]
+"""Whether a fit is worth going on with."""
 NO_BEAMS = "its fit was broken off, as no beams can be solved for where it begins"
 """Why a fit ends before it has begun."""
 
@@ -80,8 +99,7 @@ def refit(
         Which part of the first step is taken; later ones are twice as long while they succeed, up to whole ones. If it
         is not all of it, parts of steps are damped ones.
     worth : callable, optional
-        Says whether to go on, from what ln(likelihood x prior) has come to and by how much the next step may raise it:
-        as the linear model expects, as far as steps before have kept that.
+        Says after each step whether to go on.
 
     Raises
     ------
@@ -169,7 +187,7 @@ def _search(context: FitContext, at: Estimate, length: float, worth: Worth | Non
     ended = Ended.OUT_OF_STEPS
     flat = shortened = 0
     earlier, is_accelerated = EarlierSteps(), False
-    promised, kept = 0.0, list[float]()
+    promised, kept, foreseen = 0.0, list[float](), list[float]()
     length *= SHORTER
     for number in range(MAX_STEPS):
         say_meanwhile(f"    fitting: step {number + 1} of {MAX_STEPS} at most", context.grid.is_world_root)
@@ -197,8 +215,11 @@ def _search(context: FitContext, at: Estimate, length: float, worth: Worth | Non
         flat = flat + 1 if rise < FLAT_NATS * misfit else 0
         kept.append(float(np.clip(rise / promised, 0.0, 1.0)) if promised > 0 else 1.0)
         step = take_step(context, replace(at, beams=solved.beams), solved)
-        if worth is not None and not worth(solved.reached, max(kept[-KEPT:]) * (solved.rises + step.gain)):
-            raise BrokenOff("its fit was broken off, as it does not come near what explains more")
+        ahead = solved.rises + step.gain
+        foreseen.append(solved.reached + ahead)
+        underway = Underway(solved.reached, max(kept[-KEPT:]) * ahead, (foreseen[0], foreseen[-1]))
+        if worth is not None and not worth(underway):
+            raise BrokenOff("its fit was broken off, as it does not come near what it would have to explain")
         best = (solved.reached, at if at.values.adds else replace(at, beams=solved.beams), step)
         still = beam_moved(context, at.beams, solved.beams) < STEP_SIGMAS * np.sqrt(misfit)
         if (still and step.gain < FLAT_NATS * misfit) or flat == FLAT_STEPS:

@@ -28,7 +28,7 @@ from hydrabeam_mpi.fit.beams_given import Solved, total_log_joint
 from hydrabeam_mpi.fit.channels import infer_channels
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Step, refit, stepped, take_step
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Step, Underway, refit, stepped, take_step
 from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.joint import channel_results
 from hydrabeam_mpi.fit.state import Active, Ended, Estimate, Fitted, Reweighted, Values
@@ -109,20 +109,22 @@ def test_a_fit_is_broken_off_where_it_is_not_worth_going_on(tmp_path: Path) -> N
     without = refit(context, Values())
     values = without.values.extended(free(context, effect, width))
     fitted = refit(context, values, without)
-    told: list[tuple[float, float]] = []
+    told: list[Underway] = []
 
-    def worth(reached: float, gain: float) -> bool:
-        told.append((reached, gain))
+    def worth(at: Underway) -> bool:
+        told.append(at)
         return True
 
     again = refit(context, values, without, worth=worth)
     np.testing.assert_array_equal(again.values.x, fitted.values.x)
     reached = total_log_joint(context, fitted.values, fitted.diagnostics.log_joint)
-    ends = np.sum(told, axis=1)
+    ends = [at.reached + at.expected for at in told]
     assert ends[-1] == pytest.approx(reached, abs=0.01)
-    assert abs(ends[0] - reached) < 0.1 * (reached - told[0][0])
+    assert abs(ends[0] - reached) < 0.1 * (reached - told[0].reached)
+    assert {at.foreseen[0] for at in told} == {ends[0]}
+    assert told[-1].foreseen[1] == pytest.approx(reached, abs=0.01)
     with pytest.raises(BrokenOff):
-        refit(context, values, without, worth=lambda _, gain: gain > 0.1)
+        refit(context, values, without, worth=lambda at: at.expected > 0.1)
 
 
 def test_what_steps_promise_counts_as_far_as_those_before_have_kept_it(
@@ -139,8 +141,8 @@ def test_what_steps_promise_counts_as_far_as_those_before_have_kept_it(
         promised.append(1000 * step.gain)
         return replace(step, gain=promised[-1])
 
-    def worth(reached: float, gain: float) -> bool:
-        told.append(gain)
+    def worth(at: Underway) -> bool:
+        told.append(at.expected)
         return True
 
     monkeypatch.setattr(gauss_newton, "take_step", bragging)

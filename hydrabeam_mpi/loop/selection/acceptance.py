@@ -9,6 +9,7 @@ import numpy as np
 
 from hydrabeam_mpi.config.effects import Loop as LoopSettings
 from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.fit.gauss_newton import Underway
 from hydrabeam_mpi.fit.state import Active, Fitted
 from hydrabeam_mpi.loop.attribution.constancy import Constancy
 from hydrabeam_mpi.loop.attribution.score_effects import Finding
@@ -199,15 +200,24 @@ def may_be_better(candidate: Candidate, best: Round, enough: bool) -> bool:
     return simpler and candidate.log_bayes_factor > RULES.near_if_linear * best.candidate.log_bayes_factor
 
 
-def may_still_be_better(candidate: Candidate, best: Round, risen: float, expected: float) -> bool:
-    """Whether a fit that has raised ln(likelihood x prior) so far may come to more than the evidence of the best one.
+def may_still_come_to(least: float, candidate: Candidate, at: Underway, start: float, nonlinear: bool) -> bool:
+    """Whether a fit may end with a ln Bayes factor above ``least``.
 
-    The linear model expects the next step to raise it by as much as ``expected``, of which there may be more to come as
-    in `may_be_better`.
+    The next step may raise ln(likelihood x prior), which was ``start`` without the effect, by some times what the
+    linear model expects of it, as in `may_be_better`. Where no parameters are ``nonlinear``, of which the linear model
+    knows nothing before the effect has a size, it is also told by how what that model expects of the end has changed on
+    the way so far: over all of the way by no more than with the square of it. From either goes what the freedom of the
+    parameters costs, as weighed before the fit.
     """
     assert candidate.finding is not None
-    near = RULES.near_if_linear if candidate.finding.effect.linear else RULES.near
-    return risen + expected / near > best.candidate.log_bayes_factor
+    evidence, near = candidate.finding.evidence, RULES.near
+    if candidate.finding.effect.linear:
+        near = RULES.near_if_linear
+    risen, first, now = at.reached - start, *(one - start for one in at.foreseen)
+    most = risen + at.expected / near
+    if not nonlinear and risen > 0 and first != now:
+        most = min(most, now if now < first else first + (now - first) * (now / risen) ** 2)
+    return most - (evidence.linear_gain - evidence.log_bayes_factor) > least
 
 
 def _complexity(candidate: Candidate) -> float:

@@ -108,4 +108,4 @@ def _each_foremost(context: FitContext, finding: Finding) -> list[FloatArray]:
 def _may_surpass(context: FitContext, best: Fitted) -> Worth:
     """Return whether a fit that begins elsewhere may become likelier than the best one so far."""
     ahead = log_joint(context, best)
-    return lambda reached, gain: reached + gain / RULES.near > ahead
+    return lambda at: at.reached + at.expected / RULES.near > ahead

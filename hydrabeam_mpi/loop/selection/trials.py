@@ -23,7 +23,7 @@ from hydrabeam_mpi.loop.selection.acceptance import (
     in_order,
     is_better,
     may_be_better,
-    may_still_be_better,
+    may_still_come_to,
 )
 from hydrabeam_mpi.loop.selection.candidate_fits import as_large_as_wanted, fit_candidate
 from hydrabeam_mpi.loop.selection.folds import compared
@@ -93,11 +93,16 @@ def _may_be_better(candidate: Candidate, best: Round, outlook: Outlook | None) -
 
 
 def _worth(context: FitContext, before: Checked, candidate: Candidate, best: Round | None) -> Worth | None:
-    """Return whether to go on with a candidate's fit, which may not come to more than the best one so far."""
-    if best is None or candidate.finding is None:
+    """Return whether to go on with a candidate's fit, which may not come to more than the best one so far.
+
+    Nor, where there is none, to as much as a job asks for.
+    """
+    if candidate.finding is None:
         return None
-    start, ahead = log_joint(context, before.fitted), best
-    return lambda reached, gain: may_still_be_better(candidate, ahead, reached - start, gain)
+    least = context.problem.job.loop.min_log_bayes_factor if best is None else best.candidate.log_bayes_factor
+    nonlinear = bool(candidate.finding.effect.parameters(context.setup).nonlinear.any())
+    start = log_joint(context, before.fitted)
+    return lambda at: may_still_come_to(least, candidate, at, start, nonlinear)
 
 
 def refusal_of_fit(context: FitContext, before: Checked, after: Checked, fitted: Candidate) -> str | None:

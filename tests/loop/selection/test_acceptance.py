@@ -17,6 +17,7 @@ from hydrabeam_mpi.effects.instrument.timestamp import Timestamp
 from hydrabeam_mpi.effects.registry import make_effect
 from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
+from hydrabeam_mpi.fit.gauss_newton import Underway
 from hydrabeam_mpi.inference.significance import sigma_of_log_p
 from hydrabeam_mpi.loop.attribution.control_models import BeamDrift, ShapeDrift
 from hydrabeam_mpi.loop.selection.acceptance import (
@@ -26,6 +27,7 @@ from hydrabeam_mpi.loop.selection.acceptance import (
     indistinguishable,
     is_better,
     may_be_better,
+    may_still_come_to,
     why_unexplained,
 )
 from hydrabeam_mpi.loop.selection.heldout_score import fall_significance
@@ -117,6 +119,32 @@ MAY_BE = [
 def test_what_may_be_better_once_it_is_fitted(candidate: Candidate, enough: bool, may: bool) -> None:
     best = round_of(effect_candidate(NAMED["gains"], 100.0, effective=2.0), checked(2.0), checked(1.2))
     assert may_be_better(candidate, best, enough) == may
+
+
+POSITIONS = effect_candidate(AntennaPositions(), 900.0)
+UNDERWAY = [
+    ("at its beginning ten times what is expected", POSITIONS, (0.0, 101.0, 1000.0, 1000.0), False, True),
+    ("and no more than that", POSITIONS, (0.0, 99.0, 1000.0, 1000.0), False, False),
+    ("once what is expected of the end falls, no more", POSITIONS, (100.0, 800.0, 1000.0, 990.0), False, False),
+    ("where it rises by so much on a part of the way", POSITIONS, (100.0, 890.0, 980.0, 990.0), False, True),
+    ("where it rises by as much on more of the way", POSITIONS, (800.0, 190.0, 980.0, 990.0), False, False),
+    ("not so of places, which have no size before", POSITIONS, (100.0, 800.0, 1000.0, 990.0), True, True),
+    ("a linear one as far as the beam goes with it", effect_candidate(AntennaGains(), 900.0),
+     (0.0, 699.0, 1000.0, 1000.0), False, False),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("candidate", "at", "nonlinear", "may"), [case[1:] for case in UNDERWAY], ids=ids(UNDERWAY))
+def test_what_a_fit_may_still_come_to(
+    candidate: Candidate, at: tuple[float, float, float, float], nonlinear: bool, may: bool
+) -> None:
+    """More than 900 are wanted of what costs 100, as ln(likelihood x prior) rises from 50."""
+    finding = candidate.finding
+    assert finding is not None
+    costly = replace(finding, evidence=replace(finding.evidence, linear_gain=1000.0))
+    risen, expected, first, now = at
+    underway = Underway(50.0 + risen, expected, (50.0 + first, 50.0 + now))
+    assert may_still_come_to(900.0, replace(candidate, finding=costly), underway, 50.0, nonlinear) == may
 
 
 def test_everything_linear_says_so() -> None:
