@@ -36,6 +36,8 @@ FLAT_NATS = 0.01
 
 Parameters that still move then drift along directions that the data do not constrain.
 """
+NEARLY_FLAT_NATS = 0.1
+"""The same where no part of a step leads higher: evidence tells no less."""
 FLAT_STEPS = 2
 """The fit ends after this many steps in a row without a rise."""
 KEPT = 3
@@ -187,7 +189,7 @@ def _search(context: FitContext, at: Estimate, length: float, worth: Worth | Non
     ended = Ended.OUT_OF_STEPS
     flat = shortened = 0
     earlier, is_accelerated = EarlierSteps(), False
-    promised, kept, foreseen = 0.0, list[float](), list[float]()
+    promised, ahead, misfit, kept, foreseen = 0.0, np.inf, 1.0, list[float](), list[float]()
     length *= SHORTER
     for number in range(MAX_STEPS):
         say_meanwhile(f"    fitting: step {number + 1} of {MAX_STEPS} at most", context.grid.is_world_root)
@@ -204,7 +206,7 @@ def _search(context: FitContext, at: Estimate, length: float, worth: Worth | Non
                 at, is_accelerated = _part_of(context, best[1], best[2], length, is_damped), False
                 continue
             if shortened == MAX_SHORTENED:
-                ended = Ended.STUCK
+                ended = Ended.STUCK if ahead > NEARLY_FLAT_NATS * misfit else Ended.FLAT
                 break
             shortened, length = shortened + 1, SHORTER * length
             promised = best[2].gain * length * (2 - length)

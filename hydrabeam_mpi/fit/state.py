@@ -258,9 +258,14 @@ class Fit:
 
 
 class Ended(Enum):
-    """Why a fit ended: nothing moves any more, no part of a step leads higher, or it had taken all its steps."""
+    """Why a fit ended.
+
+    Nothing moves any more; no part of a step leads higher, and none was expected to by as much as evidence tells, or by
+    more than that; or it had taken all its steps.
+    """
 
     CONVERGED = "converged"
+    FLAT = "flat"
     STUCK = "stuck"
     OUT_OF_STEPS = "out of steps"
 
@@ -290,8 +295,8 @@ class Diagnostics:
 
     @property
     def converged(self) -> bool:
-        """Whether the fit ended where nothing moves any more."""
-        return self.ended is Ended.CONVERGED
+        """Whether the fit ended where nothing moves any more, or by no more than evidence tells."""
+        return self.ended in (Ended.CONVERGED, Ended.FLAT)
 
 
 @dataclass(frozen=True)

@@ -354,6 +354,13 @@ def test_steps_that_go_too_far_are_shortened(tmp_path: Path, monkeypatch: pytest
     assert stuck.diagnostics.ended is Ended.STUCK
     assert stuck.values.x == 0
 
+    # Not where nothing is expected of a step.
+    steps.clear()
+    monkeypatch.setattr(gauss_newton, "NEARLY_FLAT_NATS", 1e9)
+    flat = refit(context, Values((one,)), before)
+    assert flat.diagnostics.ended is Ended.FLAT
+    assert flat.diagnostics.converged
+
     steps.clear()
     fitted = refit(context, Values((one,)), before, RULES.first_step)
     assert fitted.diagnostics.converged
