@@ -192,7 +192,7 @@ def carry_over(found: Iterable[Mapping[str, Any]], setup: ObservingSetup, other_
             after += again.size
             at_prior += [f"{cause.title}: {name}" for name, _ in again.labels(setup)]
         if lacking or not isinstance(here, Effect):
-            reason = here if isinstance(here, str) else "is of what these data do not have"
+            reason = here if isinstance(here, str) else _why_lacking(here)
             left.append({**words, "parameters": lacking, "reason": reason})
         before += len(entry.names)
     return CarriedOver(
@@ -230,6 +230,12 @@ def _entry(told: Mapping[str, Any], number: int, setup: ObservingSetup) -> tuple
     if len(entry.values) != n_freqs or len(entry.prior_std) not in (0, 1, n_freqs):
         raise InputError(f"has not the values of {n_freqs} channels", field=field, remedy=REMEDY)
     return entry, known
+
+
+def _why_lacking(effect: Effect) -> str:
+    if effect.local == "times":
+        return "belongs to times of the data in which it was found"
+    return "is of what these data do not have"
 
 
 class _Match(NamedTuple):

@@ -93,12 +93,40 @@ def test_a_baseline_in_the_other_sense_has_the_conjugate() -> None:
     np.testing.assert_allclose(effects, joint(2)[N:, N:] * [[1, -1], [-1, 1]], rtol=1e-12)
 
 
+def test_what_is_of_a_single_time_holds_at_that_time() -> None:
+    """Of further times nothing is known but how large it is."""
+    jds = SETUP.observation.times[SETUP.times]
+    names = [f"antenna {ANTENNAS[2]} phase at JD {jd:.5f}" for jd in (*jds[:2], jds[0] + 1)]
+    told = gains([1], [1]) | {
+        "kind": "gain_jitter",
+        "settings": {"gains_of": [[ANTENNAS[2], "phase"], [1000, "phase"]]},
+        "names": names,
+        "index": [0, 1, 2],
+        "values": [[0.01, 0.02, 0.03]],
+        "std": [[0.1] * 3],
+        "prior_std": [[0.2] * 3],
+        "known": names,
+    }
+    carried = carry_over([told], SETUP)
+    (active,) = carried.values.active
+    x = np.zeros((1, len(jds)))
+    x[0, :2] = 0.01, 0.02
+    np.testing.assert_array_equal(active.x, x)
+    assert [one["parameters"] for one in carried.carried] == [names[:2]]
+    assert [one["parameters"] for one in carried.left] == [names[2:]]
+    covariance = joint(3)
+    _, effects, _ = carried.fit(0, np.zeros(N), covariance[:N, :N], arrays_of(covariance))
+    np.testing.assert_allclose(effects[:2, :2], covariance[N:-1, N:-1], rtol=1e-12)
+    np.testing.assert_allclose(effects[2:, 2:], 0.04 * np.eye(len(jds) - 2), rtol=1e-12)
+
+
 def test_nothing_is_left_of_single_times_and_of_noise() -> None:
     times = gains([1], [1]) | {"kind": "ionosphere"}
     noise = {"kind": "noise_level", "values": [[1.5]], "std": [[0.1]]}
     carried = carry_over([times, noise], replace(SETUP, times=np.arange(1)))
     assert not carried.values.active
     assert [one["effect"] for one in carried.left] == ["ionosphere", "noise_level"]
+    assert carried.left[0]["reason"] == "belongs to times of the data in which it was found"
     covariance = joint(2)
     beam, effects, response = carried.fit(0, np.zeros(N), covariance[:N, :N], arrays_of(covariance))
     np.testing.assert_allclose(beam.covariance, covariance[:N, :N], rtol=1e-9)

@@ -79,6 +79,11 @@ class GainJitter(ScannedEffect):
             return np.zeros((0, len(phases) * n_times))
         return np.asarray(np.kron(phases / np.sqrt(np.count_nonzero(phases)), np.eye(n_times)))
 
+    def carried_over(self, setup: ObservingSetup) -> Self:
+        """Return the effect of those antennas that other data have: what was found of a time holds at that time."""
+        here = setup.observation.antenna_numbers.tolist()
+        return type(self)([one for one in self.gains_of if one[0] in here])
+
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return m or i m for the first antenna of a row, m or -i m for the second; ``x`` is (n_params,)."""
         n, n_times = len(self.gains_of), len(block.setup.times)

@@ -11,8 +11,9 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 class InOtherData:
     """An effect's word on other data of the same array and sky.
 
-    Parameters are told apart by their names, which have the antenna, baseline or source in them: what was found of an
-    antenna holds for the antenna of that number, wherever it stands among the others.
+    Parameters are told apart by their names, which have the antenna, baseline, source or time in them: what was found
+    of an antenna holds for the antenna of that number, wherever it stands among the others, and what was found of a
+    single time holds at that time alone.
     """
 
     local: Literal["times", "baselines"] | None = None
@@ -24,7 +25,7 @@ class InOtherData:
 
     def carried_over(self, setup: ObservingSetup) -> Self | str:
         """Return the effect with those of its elements that other data have, or say why it does not hold in them."""
-        return "belongs to the times of the data in which it was found" if self.local == "times" else self
+        return self
 
     def anew(self, setup: ObservingSetup) -> tuple[Self, Mapping[str, Mapping[str, float]]] | None:
         """Return what other data have of an effect that is there, too, but not as it was found.
