@@ -49,7 +49,7 @@ def on_one_rank(jobs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture(scope="module", params=[2, 5])
+@pytest.fixture(scope="module", params=[2, pytest.param(5, marks=pytest.mark.study)])
 def on_many_ranks(
     request: pytest.FixtureRequest, jobs: Path, on_one_rank: Path, tmp_path_factory: Any, mpiexec_python: Any
 ) -> Path:

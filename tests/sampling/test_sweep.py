@@ -82,6 +82,14 @@ CASES: dict[str, tuple[dict[str, Any], int, float]] = {
     "given the beam that sees": (small_job(POINTING, collapsed=False), 60, 8.0),
 }
 """What is drawn, how often, and how many times larger than the noise a visibility is."""
+PARTS_OF_OTHERS = (
+    "what the beam sees",
+    "given the beam that sees",
+    "noise by length, and what the beam sees",
+    "beam nowhere negative, and the sky",
+    "beam nowhere negative, that is seen",
+)
+"""What of these others draw as well."""
 
 
 def told(walk: Walk, state: ChainState) -> Any:
@@ -108,7 +116,9 @@ def told(walk: Walk, state: ChainState) -> Any:
     )
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.study] * (name in PARTS_OF_OTHERS)) for name in CASES]
+)
 def test_what_is_drawn_is_as_likely_as_the_truth(name: str, tmp_path: Path) -> None:
     """Truth and sweep are exchangeable in every number of theirs and the data (Geweke 2004; Gandy and Scott 2020).
 

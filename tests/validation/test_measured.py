@@ -111,6 +111,7 @@ def test_measured_data_are_healthy_but_for_a_channel_width(write_job, data_dir):
     assert float(width) == pytest.approx(97.65625, rel=0.2)
 
 
+@pytest.mark.study
 def test_conjugated_data_are_not_explained(write_job, files, summary, tmp_path):
     """The sign of the phase, that of the baselines and the place of the array are right only together."""
     copies = [tmp_path / path.name for path in files]

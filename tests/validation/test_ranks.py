@@ -81,7 +81,7 @@ def on_one_rank(jobs, tmp_path_factory):
     return folder
 
 
-@pytest.fixture(scope="module", params=[2, 5])
+@pytest.fixture(scope="module", params=[pytest.param(2, marks=pytest.mark.study), 5])
 def on_many_ranks(request, jobs, tmp_path_factory, mpiexec_python):
     folder = tmp_path_factory.mktemp(f"ranks{request.param}")
     done = mpiexec_python(request.param, RUN_ALL, jobs, folder, timeout=300)

@@ -142,6 +142,7 @@ def test_noise_from_autocorrelations_is_that_of_the_data(tmp_path):
     assert 'kind = "autocorrelations"' in (tmp_path / "given" / "job.toml").read_text()
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("name", ALL)
 def test_every_effect_is_one(name):
     """It changes the data or their noise; drawn twice with one seed it is the same."""
