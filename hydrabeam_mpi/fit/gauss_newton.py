@@ -37,7 +37,7 @@ FLAT_NATS = 0.01
 Parameters that still move then drift along directions that the data do not constrain.
 """
 NEARLY_FLAT_NATS = 0.1
-"""The same where no part of a step leads higher: evidence tells no less."""
+"""The same where a fit is to tell evidence alone, and where no part of a step leads higher: evidence tells no less."""
 FLAT_STEPS = 2
 """The fit ends after this many steps in a row without a rise."""
 KEPT = 3
@@ -82,6 +82,7 @@ def refit(
     before: Fitted | None = None,
     first_step: float = 1.0,
     worth: Worth | None = None,
+    flat_nats: float = FLAT_NATS,
 ) -> Fitted:
     """Fit beams and effects jointly, beginning with the effects' ``values``.
 
@@ -102,6 +103,8 @@ def refit(
         is not all of it, parts of steps are damped ones.
     worth : callable, optional
         Says after each step whether to go on.
+    flat_nats : float
+        A smaller rise of ln(likelihood x prior) counts as none.
 
     Raises
     ------
@@ -113,7 +116,7 @@ def refit(
         solved = solve_beams(context, start)
         return Fitted(values, Fit(solved.beams), diagnostics_of(context, solved))
     try:
-        end, step, ended = _search(context, start, first_step, worth)
+        end, step, ended = _search(context, start, first_step, worth, flat_nats)
     except InputError as error:
         if before is None:
             raise
@@ -179,7 +182,9 @@ def _start(values: Values, before: Fitted | None) -> Estimate:
     return Estimate(replace(values, active=tuple(active)), before.fit.posteriors if before else ())
 
 
-def _search(context: FitContext, at: Estimate, length: float, worth: Worth | None) -> tuple[Estimate, Step, Ended]:
+def _search(
+    context: FitContext, at: Estimate, length: float, worth: Worth | None, flat_nats: float
+) -> tuple[Estimate, Step, Ended]:
     """Take steps until nothing moves; return where they end, the last of them, and why it is the last.
 
     ``length`` is that of the first one, of which it is a part.
@@ -214,7 +219,7 @@ def _search(context: FitContext, at: Estimate, length: float, worth: Worth | Non
             continue
         assert solved is not None
         misfit, rise = _misfit(context, solved), np.inf if best is None else solved.reached - best[0]
-        flat = flat + 1 if rise < FLAT_NATS * misfit else 0
+        flat = flat + 1 if rise < flat_nats * misfit else 0
         kept.append(float(np.clip(rise / promised, 0.0, 1.0)) if promised > 0 else 1.0)
         step = take_step(context, replace(at, beams=solved.beams), solved)
         ahead = solved.rises + step.gain
@@ -224,8 +229,11 @@ def _search(context: FitContext, at: Estimate, length: float, worth: Worth | Non
             raise BrokenOff("its fit was broken off, as it does not come near what it would have to explain")
         best = (solved.reached, at if at.values.adds else replace(at, beams=solved.beams), step)
         still = beam_moved(context, at.beams, solved.beams) < STEP_SIGMAS * np.sqrt(misfit)
-        if (still and step.gain < FLAT_NATS * misfit) or flat == FLAT_STEPS:
+        if (still and step.gain < FLAT_NATS * misfit) or (flat == FLAT_STEPS and flat_nats == FLAT_NATS):
             return step.to, step, Ended.CONVERGED
+        if flat == FLAT_STEPS:
+            ended = Ended.FLAT
+            break
         # What was too long just before would be so again.
         length, shortened = length if shortened else min(1.0, length / SHORTER), 0
         further = accelerated(context, step.start, step.to, step.fit, earlier) if length == 1.0 else None

@@ -9,8 +9,8 @@ import numpy as np
 from hydrabeam_mpi.fit.acceleration import EarlierSteps, accelerated
 from hydrabeam_mpi.fit.beams_given import Solved, diagnostics_of, solve_beams
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.gauss_newton import beam_moved, take_step
-from hydrabeam_mpi.fit.state import Active, Estimate, Fitted
+from hydrabeam_mpi.fit.gauss_newton import beam_moved, refit, take_step
+from hydrabeam_mpi.fit.state import Active, Ended, Estimate, Fitted
 
 SETTLED_SIGMAS = 1e-8
 """Nothing moves any more where no parameter does by more than this fraction of its standard deviation.
@@ -46,6 +46,9 @@ def settle(context: FitContext, fitted: Fitted) -> Fitted:
     """
     if not fitted.values.active:
         return fitted
+    if fitted.diagnostics.ended is Ended.FLAT:
+        # It went no further than evidence tells.
+        fitted = refit(context, fitted.values, fitted)
     at, before, earlier = fitted.estimate, np.inf, EarlierSteps()
     plain: Estimate | None = None
     best: tuple[Fitted, Solved] | None = None

@@ -9,7 +9,7 @@ import numpy as np
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.fit.beams_given import total_log_joint
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Worth, refit
+from hydrabeam_mpi.fit.gauss_newton import NEARLY_FLAT_NATS, BrokenOff, Worth, refit
 from hydrabeam_mpi.fit.state import Active, Ended, Fitted, Values
 from hydrabeam_mpi.loop.attribution.score_noise import heavy_tails
 from hydrabeam_mpi.loop.rules import RULES
@@ -30,12 +30,13 @@ def is_same_prior(one: FloatArray, two: FloatArray) -> bool:
 def fit_patiently(context: FitContext, values: Values, before: Fitted, worth: Worth | None = None) -> Fitted:
     """Fit, and again with a shorter first step where that gets stuck; return what is likelier then.
 
-    Arguments and what is raised are those of `refit`. Collective: all ranks of the grid.
+    It goes as far as evidence tells. Arguments and what is raised are those of `refit`. Collective: all ranks of the
+    grid.
     """
-    fitted = refit(context, values, before, worth=worth)
+    fitted = refit(context, values, before, worth=worth, flat_nats=NEARLY_FLAT_NATS)
     if fitted.diagnostics.ended is not Ended.STUCK:
         return fitted
-    again = refit(context, values, before, RULES.first_step, worth)
+    again = refit(context, values, before, RULES.first_step, worth, NEARLY_FLAT_NATS)
     return again if again.diagnostics.converged or rise(context, fitted, again, of_nonlinear=True) > 0 else fitted
 
 
