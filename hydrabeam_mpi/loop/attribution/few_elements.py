@@ -21,7 +21,8 @@ from hydrabeam_mpi.loop.rules import RULES
 
 TAUS: FloatArray = np.exp(np.linspace(np.log(1e-7), np.log(1e4), 160))
 """Prior widths tried, in units of an effect's natural scale."""
-
+TRIED_AT_ONCE = 32
+"""Elements that are tried with all widths together: enough to take little longer than one."""
 
 Scaled = tuple[FloatArray, FloatArray]
 """K and u of parameters in units of their natural scale, (q, q) and (q,)."""
@@ -46,22 +47,23 @@ def _forward(scaled: Sequence[Scaled], parameters: Parameters, can: BoolArray) -
     members = _members(parameters)
     working = [(information.copy(), score.copy()) for information, score in scaled]
     widths = np.zeros(len(members))
-    log_bayes_factor = 0.0
+    log_bayes_factor = 0.0 if can.any() else -np.inf
     for n_taken in range(min(len(members), max(4, len(members) // 2))):
-        gains, taus = _element_gains(working, members, rarity(parameters, TAUS))
-        # The k elements may be picked in any order.
-        gains += np.log(n_taken + 1) - np.log(max(parameters.trials - n_taken, 1)) - 1.0
-        gains[widths > 0] = -np.inf
-        gains[~can] = -np.inf
-        best = int(gains.argmax())
-        if gains[best] < (RULES.element_nats if n_taken else -np.inf):
+        free = np.flatnonzero(can & (widths == 0))
+        if not len(free):
             break
-        log_bayes_factor += float(gains[best])
-        widths[best] = taus[best]
-        if gains[best] <= 0:
+        place, gain, tau = _best_element(working, members[free], rarity(parameters, TAUS))
+        best = free[place]
+        # The k elements may be picked in any order.
+        gain += np.log(n_taken + 1) - np.log(max(parameters.trials - n_taken, 1)) - 1.0
+        if n_taken and gain < RULES.element_nats:
+            break
+        log_bayes_factor += gain
+        widths[best] = tau
+        if gain <= 0:
             break
         chosen = members[best][members[best] >= 0]
-        working = [_condition(*block, chosen, taus[best]) for block in working]
+        working = [_condition(*block, chosen, tau) for block in working]
     return log_bayes_factor, widths
 
 
@@ -125,10 +127,43 @@ def _members(parameters: Parameters) -> IntArray:
     return members
 
 
-def _element_gains(working: Sequence[Scaled], members: np.ndarray, price: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _element_gains(working: Sequence[Scaled], members: IntArray, price: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return by how much each element alone would raise ln BF, and at which prior width, each at its ``price``."""
-    present = members >= 0
-    total = np.tile(-price[:, np.newaxis], len(members))
+    return _gains_of(_spectra(working, members), price)
+
+
+def _best_element(working: Sequence[Scaled], members: IntArray, price: FloatArray) -> tuple[int, float, float]:
+    """Return which element alone would raise ln BF most, by how much, and at which prior width.
+
+    No width gives one more than its likelihood can rise, so that most need not be tried with all of them.
+    """
+    spectra = _spectra(working, members)
+    most = np.zeros(len(members))
+    for values, projections in spectra:
+        most += 0.5 * np.sum(projections**2 / np.where(values > 0, values, 1.0), axis=-1)
+    order, best = np.argsort(-most, kind="stable"), (0, -np.inf, float(TAUS[0]))
+    for some in np.split(order, np.arange(TRIED_AT_ONCE, len(order), TRIED_AT_ONCE)):
+        if most[some[0]] - price.min() < best[1]:
+            break
+        gains, taus = _gains_of([(values[some], projections[some]) for values, projections in spectra], price)
+        place = int(gains.argmax())
+        if gains[place] > best[1]:
+            best = int(some[place]), float(gains[place]), float(taus[place])
+    return best
+
+
+def _gains_of(spectra: Sequence[Scaled], price: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return what `_element_gains` does, from eigenvalues of K of each element and u along them, (Nelements, p)."""
+    total = np.tile(-price[:, np.newaxis], len(spectra[0][0]))
+    for values, projections in spectra:
+        total += log_bayes_factors(values, projections)
+    best = total.argmax(axis=0)
+    return total[best, np.arange(total.shape[1])], TAUS[best]
+
+
+def _spectra(working: Sequence[Scaled], members: IntArray) -> list[Scaled]:
+    """Return the eigenvalues of K of each element by itself, zero where they count as that, and u along them."""
+    present, found = members >= 0, []
     for information, score in working:
         corner = information[members[:, :, np.newaxis], members[:, np.newaxis, :]]
         corner = np.where(present[:, :, np.newaxis] & present[:, np.newaxis, :], corner, 0.0)
@@ -136,9 +171,8 @@ def _element_gains(working: Sequence[Scaled], members: np.ndarray, price: FloatA
         projections = np.einsum("epi,ep->ei", vectors, np.where(present, score[members], 0.0))
         largest = np.maximum(values[:, -1:], 0.0)
         told = values > np.maximum(RANK_RTOL * largest, 1e-12 * max(float(largest.max(initial=0.0)), 1e-300))
-        total += log_bayes_factors(np.where(told, values, 0.0), np.where(told, projections, 0.0))
-    best = total.argmax(axis=0)
-    return total[best, np.arange(len(members))], TAUS[best]
+        found.append((np.where(told, values, 0.0), np.where(told, projections, 0.0)))
+    return found
 
 
 def _condition(

@@ -8,6 +8,14 @@ import pytest
 from hydrabeam_mpi.effects.interface.effect import Parameters
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.loop.attribution.evidence import find_evidence
+from hydrabeam_mpi.loop.attribution.few_elements import (
+    TAUS,
+    TRIED_AT_ONCE,
+    _best_element,
+    _element_gains,
+    _members,
+)
+from hydrabeam_mpi.loop.attribution.price import rarity
 from hydrabeam_mpi.random import generator
 
 N_DATA = 60
@@ -43,3 +51,21 @@ def test_what_the_data_do_not_constrain_is_not_taken() -> None:
     found = find_evidence([Likelihood(signal, columns.T @ data, signal)], parameters)
     assert np.flatnonzero(found.prior_var).tolist() in ([1], [4])
     np.testing.assert_allclose(found.x.sum(), 10, rtol=1e-6)
+
+
+@pytest.mark.parametrize("each", [1, 3])
+@pytest.mark.parametrize("loud", [0, 1, 60])
+def test_the_best_is_that_of_all(each: int, loud: int) -> None:
+    """Also where it is not the one whose likelihood can rise most, as that would have to be larger than any is."""
+    rng = generator(8, "the best of many")
+    n = 3 * TRIED_AT_ONCE + 1
+    parameters, blocks = elements(n, each), []
+    for _ in range(2):
+        columns = rng.standard_normal((N_DATA, n * each)) * np.repeat(rng.choice([1e-5, 0.01, 1.0], n), each)
+        data = rng.standard_normal(N_DATA) + columns[:, :loud].sum(axis=1)
+        blocks.append((columns.T @ columns, columns.T @ data))
+    price = rarity(parameters, TAUS)
+    gains, taus = _element_gains(blocks, _members(parameters), price)
+    best, gain, tau = _best_element(blocks, _members(parameters), price)
+    assert (gain, tau) == (gains[best], taus[best])
+    assert gain == gains.max()
