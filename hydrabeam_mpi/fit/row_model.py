@@ -32,8 +32,8 @@ SLOPES_BYTES = KEPT_BYTES / 8
 about as long as working out the design of a sky anew."""
 SKIES_OF_A_FIT = 30
 """Designs of a changed sky that a fit wants: one a step, of which it takes some and `gauss_newton.MAX_STEPS` at most,
-and it is made again with other widths of the prior. Skies that do not turn are made once for all of them, with fringes
-in common, and for all fits that follow."""
+and it is made again with other widths of the prior. Those of skies that do not turn are made once for all of them, and
+for all fits that follow, by as many products on each ring as there are functions of azimuth."""
 
 
 @dataclass
@@ -134,8 +134,7 @@ class RowModel:
         basis, engine, times = self.problem.basis, self.model.engine, self.rows.tile.times.tolist()
         blocks = [self.block(channel, slice(None), _no_beam, values) for channel in range(len(self.rows.data))]
         freqs = np.array([block.freq for block in blocks])
-        standing = [one.standing_numbers(blocks[0], times[0], x) for one, x in blocks[0].sky_effects] if times else []
-        stands = [numbers is not None and self._keeps_skies(len(numbers)) for numbers in standing]
+        stands = [self._keeps_skies(one, blocks[0]) for one, _ in blocks[0].sky_effects] if times else []
         skies = (changed_sky(blocks, time, stands) for time in times)
         designs = design_of_each(engine, basis, skies, freqs)
         for time, turning in zip(times, designs, strict=True):
@@ -146,10 +145,13 @@ class RowModel:
                         turning[channel] += np.tensordot(numbers, self._design_of_skies(one, channel, block), axes=1)
             yield mixed(basis, turning)
 
-    def _keeps_skies(self, n_skies: int) -> bool:
-        """Whether designs of so many skies that do not turn take less time, and room, than one at each time."""
-        size = 16 * n_skies * len(self.rows.groups) * self.problem.basis.n_columns * len(self.rows.data)
-        return n_skies <= SKIES_OF_A_FIT * len(self.rows.tile.times) and size <= SLOPES_BYTES
+    def _keeps_skies(self, effect: Effect, block: RowBlock) -> bool:
+        """Whether designs of an effect's skies that do not turn take less time, and room, than one at each time."""
+        skies = effect.standing_skies(block)
+        if skies is None:
+            return False
+        size = 16 * len(skies.across) * len(self.rows.groups) * self.problem.basis.n_columns * len(self.rows.data)
+        return len(skies.along) <= SKIES_OF_A_FIT * len(self.rows.tile.times) and size <= SLOPES_BYTES
 
     def _design_of_skies(self, effect: Effect, channel: int, block: RowBlock) -> FloatArray:
         """Return the design of each of an effect's skies that do not turn, (K, 2, Ngroups, n_columns); made once."""

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
-from hydrabeam_mpi.model.bases.base import LinearBasis
-from hydrabeam_mpi.model.engines.base import Engine, amplitude
+from hydrabeam_mpi.model.engines.base import Columns, Engine, amplitude
 from hydrabeam_mpi.model.engines.fringes import enu
 
 AT_ONCE_BYTES = 2**26
@@ -38,14 +37,14 @@ class SkiesOnRings:
     function: IntArray
     across: FloatArray
 
-    def design(self, engine: Engine, basis: LinearBasis, freq: float) -> FloatArray:
+    def design(self, engine: Engine, basis: Columns, freq: float) -> FloatArray:
         """Return the design of each sky, (K, 2, Nvectors, n_columns); see `Engine.design`.
 
         On each ring J products are summed over azimuth; the K skies are combinations of these over the rings.
         """
         n_rows, n_columns, n_functions = 2 * engine.n_vectors, basis.n_columns, len(self.along)
         out = np.zeros((len(self.across), n_rows * n_columns))
-        at_once = max(1, AT_ONCE_BYTES // (8 * n_functions * n_rows * n_columns))
+        at_once = max(1, AT_ONCE_BYTES // (8 * n_rows * max(n_functions * n_columns, len(self.az))))
         for lo in range(0, len(self.za), at_once):
             rings = slice(lo, lo + at_once)
             za, az = np.broadcast_arrays(self.za[rings, np.newaxis], self.az)

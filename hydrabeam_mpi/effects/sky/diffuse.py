@@ -22,15 +22,14 @@ from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.skies_on_rings import SkiesOnRings
-from hydrabeam_mpi.effects.interface.sky_block import GivenColumns
 from hydrabeam_mpi.effects.interface.sources import power_of
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.engines.fringes import enu
+from hydrabeam_mpi.model.rime import Beam
 from hydrabeam_mpi.model.sky import Sky
 
 MAX_LENGTH = 100.0  # wavelengths
 BEAM_NODES, BEAM_ORDERS = 60, 110  # what a beam's own structure adds to the quadrature in cos za and az
-POINTS_AT_ONCE = 16384
 MOST_DEGREES = 85  # 7,396 harmonics, whose information matrix takes half a gigabyte
 MOST_HARMONICS = 500
 """At once: of so many it can still be asked whether two halves of the data agree on them."""
@@ -146,7 +145,11 @@ class Diffuse(Effect):
 
     def standing_skies(self, block: RowBlock) -> SkiesOnRings:
         """Return the harmonics on the rings of the quadrature."""
-        up, az, area = (one.ravel() for one in _hemisphere(block, block.vectors, self.l_max))
+        return self._on_rings(block, block.vectors)
+
+    def _on_rings(self, block: RowBlock, vectors: FloatArray) -> SkiesOnRings:
+        """Return the harmonics on the rings of the quadrature for these baseline vectors, (N, 3)."""
+        up, az, area = (one.ravel() for one in _hemisphere(block, vectors, self.l_max))
         of_z, degrees = _legendre(self.l_max, up), _degrees(self.l_max)[self._first :]
         along = _trigonometric(self.l_max, az)
         order = np.array([m for _, m in degrees]) % len(along)
@@ -155,19 +158,21 @@ class Diffuse(Effect):
     def _horizontal(self, block: RowBlock, groups: IntArray) -> ComplexArray:
         """Return the visibilities of harmonics of (90 deg - za, az), (len(groups), n)."""
         vectors = block.vectors[groups]
-        up, az, area = _hemisphere(block, vectors, self.l_max)
-        engine = block.engine_on(vectors)
-        out = np.zeros((2, len(groups), (self.l_max + 1) ** 2 - self._first))
-        freqs, step = np.array([block.freq]), max(1, POINTS_AT_ONCE // az.size)
-        for lo in range(0, len(up), step):
-            part = up[lo : lo + step]
-            za, azimuth, flux = (
-                np.ravel(one) for one in np.broadcast_arrays(np.arccos(part), az, area[lo : lo + step])
-            )
-            seen = power_of(block.beam, za, azimuth)
-            columns = harmonics(self.l_max, part, az)[self._first :].reshape(-1, len(za)) * seen
-            out += engine.design(GivenColumns(columns), za, azimuth, flux[np.newaxis], freqs)[0]
-        return np.asarray(out[0] + 1j * out[1])
+        seen = self._on_rings(block, vectors).design(block.engine_on(vectors), _Alone(block.beam), block.freq)[..., 0]
+        return np.asarray((seen[:, 0] + 1j * seen[:, 1]).T)
+
+
+class _Alone:
+    """A beam as the only column of a basis."""
+
+    n_columns = 1
+
+    def __init__(self, beam: Beam) -> None:
+        self._beam = beam
+
+    def columns(self, za: FloatArray, az: FloatArray, out: FloatArray | None = None) -> FloatArray:
+        """Return the real part of the beam, (1, Npoints)."""
+        return power_of(self._beam, za, az)[np.newaxis]
 
 
 @lru_cache(maxsize=64)  # a megabyte each with 44 degrees
