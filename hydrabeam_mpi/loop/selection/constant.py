@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from hydrabeam_mpi.effects.interface.reweighting import ReweightingFit
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.state import Fitted, Reweighted
+from hydrabeam_mpi.fit.state import Active, Fitted, Reweighted
 from hydrabeam_mpi.loop.attribution.constancy import Constancy
 from hydrabeam_mpi.loop.attribution.parts import Affected, ask_constancy
 from hydrabeam_mpi.loop.attribution.reconsider import Known, compare_priors
@@ -83,7 +84,7 @@ def take_back(context: FitContext, last: Round, n_given: int) -> Taken:
     fitted = last.after.fitted
     active = fitted.values.active
     affected = Affected.of(last.after.remains, context.setup.observation)
-    asked = ask_constancy(context, fitted, range(n_given, len(active)), affected)
+    asked = as_one_of_parts(active, ask_constancy(context, fitted, range(n_given, len(active)), affected))
     found = {place: refusal_by_parts(one, context.problem.job.loop) for place, one in asked.items()}
     gone = {place: why for place, why in found.items() if why is not None}
     kept = [place for place in range(len(active)) if place not in gone]
@@ -97,6 +98,38 @@ def take_back(context: FitContext, last: Round, n_given: int) -> Taken:
     values = replace(fitted.values, active=tuple(active[place] for place in kept))
     after = check(context, fit_patiently(context, values, fitted))
     return replace(last, after=after, revised=(*last.revised, *told)), places, asked
+
+
+def as_one_of_parts(
+    active: Sequence[Active], asked: Mapping[int, tuple[Constancy, ...]]
+) -> dict[int, tuple[Constancy, ...]]:
+    """Return what was found of each effect, where parts of what comes in parts have what was found of all together.
+
+    Of the flux below the end of a catalogue, or of diffuse emission, the last part may be too faint to be the same
+    everywhere; without it the others are not, as what it stood for is left to them.
+    """
+    together: dict[tuple[str, str], list[Constancy]] = {}
+    for place, answers in asked.items():
+        together.setdefault((active[place].kind, active[place].effect.law), []).extend(answers)
+
+    def of_all(place: int) -> tuple[Constancy, ...]:
+        effect = active[place].effect
+        by_division: dict[str, list[Constancy]] = {}
+        for one in together[active[place].kind, effect.law]:
+            by_division.setdefault(one.between, []).append(one)
+        return tuple(map(_sum_of, by_division.values())) if effect.comes_in_parts else asked[place]
+
+    return {place: of_all(place) for place in asked}
+
+
+def _sum_of(answers: Sequence[Constancy]) -> Constancy:
+    """Add up what independent parts say; they differ by as much as the one that tells most does."""
+    return replace(
+        max(answers, key=lambda one: one.expected),
+        log_bayes_factor=sum(one.log_bayes_factor for one in answers),
+        expected=sum(one.expected for one in answers),
+        expected_by_noise=sum(one.expected_by_noise for one in answers),
+    )
 
 
 def beside_noise(context: FitContext, last: Round, n_given: int) -> tuple[Round, dict[str, WeightsFound]]:

@@ -12,7 +12,9 @@ from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.instrument.antenna_positions import AntennaPositions
 from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
+from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
+from hydrabeam_mpi.effects.sky.diffuse import Diffuse
 from hydrabeam_mpi.effects.sky.ionosphere import Ionosphere
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
@@ -24,10 +26,11 @@ from hydrabeam_mpi.loop.attribution.parts import Affected, ask_constancy, likeli
 from hydrabeam_mpi.loop.attribution.score_effects import attribute
 from hydrabeam_mpi.loop.selection.acceptance import Candidate
 from hydrabeam_mpi.loop.selection.candidate_fits import fit_candidate
-from hydrabeam_mpi.loop.selection.constant import take_back
+from hydrabeam_mpi.loop.selection.constant import as_one_of_parts, take_back
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refusal import refusal_by_parts
 from hydrabeam_mpi.random import generator
+from tests.effects.small import small_setup
 from tests.loop.made import effect_candidate, round_of
 from tests.loop.mock import context_of, mock_job
 
@@ -283,6 +286,22 @@ def test_a_place_is_not_what_a_gain_looks_like(tmp_path: Path) -> None:
     assert last.after.score.chi2 == pytest.approx(one.before.score.chi2)
     assert "antenna positions: taken back, as it cannot be told from what is left beside it" in last.revised[0]
     assert take_back(context, one, 1) == (one, {0: 0}, {})
+
+
+def test_parts_of_what_comes_in_parts_are_asked_together() -> None:
+    """The last one may be too faint to be the same everywhere; what has no parts is asked by itself."""
+
+    def active(effect: Effect) -> Active:
+        setup = small_setup()
+        n = len(effect.parameters(setup))
+        return Active.start(effect, setup, np.ones(n), np.zeros(n))
+
+    clear, faint = Constancy("times", 90.0, 100.0, 0.1, 110.0), Constancy("times", -3.0, 7.0, 3.0, 8.0)
+    others = Constancy("baselines", 2.0, 9.0, 1.0, 9.0)
+    parts = (active(Diffuse()), active(Diffuse(12, l_min=7)), active(AntennaGains()))
+    asked = as_one_of_parts(parts, {0: (clear,), 1: (faint, others), 2: (faint,)})
+    assert asked[0] == asked[1] == (Constancy("times", 87.0, 107.0, 0.1, 118.0), others)
+    assert asked[2] == (faint,)
 
 
 def test_what_one_antenna_does_is_no_effect_of_the_sky(tmp_path: Path) -> None:
