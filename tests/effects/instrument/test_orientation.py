@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.instrument.orientation import Fixed, Orientation
 from hydrabeam_mpi.effects.instrument.timestamp import Timestamp
-from hydrabeam_mpi.fit.gauss_newton import BrokenOff, refit
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Underway, refit
 from hydrabeam_mpi.fit.state import Active, Values
 from hydrabeam_mpi.loop.attribution.score_effects import attribute
 from hydrabeam_mpi.loop.selection.acceptance import Candidate
@@ -129,11 +129,11 @@ def test_a_form_that_is_not_worth_its_fit_gives_way_to_the_next(tmp_path: Path) 
     # The others come to less than nine tenths of it.
     most = log_joint(context, before.fitted) + 0.95 * alone.log_bayes_factor
 
-    def is_worth_it(reached: float, gain: float) -> bool:
-        return reached + 10 * gain > most
+    def is_worth_it(at: Underway) -> bool:
+        return at.reached + 10 * at.expected > most
 
     again, _ = fit_candidate(context, before, found, is_worth_it)
     assert again.finding is not None
     assert again.finding.effect.describe()["fixed"] == "stars"
     with pytest.raises(BrokenOff):
-        fit_candidate(context, before, found, lambda reached, gain: False)
+        fit_candidate(context, before, found, lambda at: False)

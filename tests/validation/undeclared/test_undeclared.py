@@ -12,13 +12,13 @@ KNOWN = [
     ("antenna_gains", 1000),
     ("missing_sources", 7),
     ("antenna_pointing", 511),  # two degrees: products of beams, not their means
-    ("outliers", 511),  # so strong that all rows stand out of the first fit
-    ("cable_reflections", 368),  # gains of each channel would leave as little
     ("leakage", 5548),  # of one antenna
     ("flux_at_transit", 3),  # the beam could absorb 98% of it
     ("clock_of_few", 5),  # and 98% of 5 s, with seven antennas
 ]
 FURTHER = [
+    ("outliers", 511),  # so strong that all rows stand out of the first fit
+    ("cable_reflections", 368),  # gains of each channel would leave as little
     ("antenna_delays", 1001),
     ("decorrelation", 393),
     ("antenna_positions", 10),
