@@ -17,8 +17,6 @@ from hydrabeam_mpi.model.rime import Beam
 
 VECTORS_AT_ONCE = 2048
 """Whose fringes are held together."""
-SOURCES_AT_ONCE = 2048
-"""At which all functions of a basis are held together."""
 
 
 def beam_visibilities(block: RowBlock, vectors: FloatArray) -> ComplexArray:
@@ -108,7 +106,6 @@ def _power_of_model(block: RowBlock) -> list[float | None]:
 
 def _seen_by_columns(block: RowBlock, basis: LinearBasis, itime: int) -> FloatArray:
     """Return what the columns of a basis see of the sky model at a time, (n_columns,), Jy."""
-    sources, total = block.sources(itime), np.zeros(basis.n_columns)
-    for part in np.array_split(np.arange(len(sources.za)), len(sources.za) // SOURCES_AT_ONCE + 1):
-        total += basis.columns(sources.za[part], sources.az[part]) @ amplitude(sources.flux[part])
-    return total
+    sources, freqs = block.sources(itime), np.array([block.freq])
+    engine = block.engine_on(np.zeros((1, 3)))
+    return engine.design(basis, sources.za, sources.az, sources.flux[np.newaxis], freqs)[0, 0, 0]
