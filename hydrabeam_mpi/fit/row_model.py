@@ -147,6 +147,8 @@ class RowModel:
 
     def _keeps_skies(self, effect: Effect, block: RowBlock) -> bool:
         """Whether designs of an effect's skies that do not turn take less time, and room, than one at each time."""
+        if _key_of_skies(0, effect) in self._skies:
+            return True
         skies = effect.standing_skies(block)
         if skies is None:
             return False
@@ -155,7 +157,7 @@ class RowModel:
 
     def _design_of_skies(self, effect: Effect, channel: int, block: RowBlock) -> FloatArray:
         """Return the design of each of an effect's skies that do not turn, (K, 2, Ngroups, n_columns); made once."""
-        key = channel, effect.kind, json.dumps(effect.describe())
+        key = _key_of_skies(channel, effect)
         if key not in self._skies:
             self._skies[key] = block.standing_design(self.model.engine, effect, self.problem.basis)
         return self._skies[key]
@@ -180,6 +182,10 @@ class RowModel:
             followed=self._followed,
             **data,
         )
+
+
+def _key_of_skies(channel: int, effect: Effect) -> tuple[int, str, str]:
+    return channel, effect.kind, json.dumps(effect.describe())
 
 
 def _no_beam(za: FloatArray, az: FloatArray) -> FloatArray:
