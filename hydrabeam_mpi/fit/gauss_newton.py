@@ -218,7 +218,7 @@ def _search(
             at = _part_of(context, best[1], best[2], length, is_damped)
             continue
         assert solved is not None
-        misfit, rise = _misfit(context, solved), np.inf if best is None else solved.reached - best[0]
+        misfit, rise = misfit_of(context, solved), np.inf if best is None else solved.reached - best[0]
         flat = flat + 1 if rise < flat_nats * misfit else 0
         kept.append(float(np.clip(rise / promised, 0.0, 1.0)) if promised > 0 else 1.0)
         step = take_step(context, replace(at, beams=solved.beams), solved)
@@ -236,7 +236,9 @@ def _search(
             break
         # What was too long just before would be so again.
         length, shortened = length if shortened else min(1.0, length / SHORTER), 0
-        further = accelerated(context, step.start, step.to, step.fit, earlier) if length == 1.0 else None
+        further = None
+        if length == 1.0:
+            further = accelerated(context, at, solved.beams, step.to, step.fit, earlier)
         promised = step.gain * length * (2 - length)
         is_accelerated, at = further is not None, further or _part_of(context, best[1], step, length, is_damped)
     assert best is not None
@@ -303,10 +305,10 @@ def _is_too_long(
     """Tell whether a step has led lower than the best so far. Collective: all ranks of the grid."""
     if best is None or solved is None:
         return solved is None
-    return solved.reached - best[0] < _least_rise(best[0], at.values, _misfit(context, solved))
+    return solved.reached - best[0] < _least_rise(best[0], at.values, misfit_of(context, solved))
 
 
-def _misfit(context: FitContext, solved: Solved) -> float:
+def misfit_of(context: FitContext, solved: Solved) -> float:
     """Return the mean reduced chi^2 of the channels, at least one. Collective: all ranks of the grid."""
     return max(1.0, context.over_channels(solved.train_chi2) / context.setup.observation.Nfreqs)
 

@@ -9,18 +9,25 @@ import numpy as np
 from hydrabeam_mpi.fit.acceleration import EarlierSteps, accelerated
 from hydrabeam_mpi.fit.beams_given import Solved, diagnostics_of, solve_beams
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.gauss_newton import beam_moved, refit, take_step
-from hydrabeam_mpi.fit.state import Active, Ended, Estimate, Fitted
+from hydrabeam_mpi.fit.gauss_newton import beam_moved, misfit_of, refit, take_step
+from hydrabeam_mpi.fit.state import Active, Ended, Fitted
 
 SETTLED_SIGMAS = 1e-8
 """Nothing moves any more where no parameter does by more than this fraction of its standard deviation.
 
 It is far above rounding, and far below the 1e-6 to which a written fit can be computed again.
 """
-SHRINKS = 0.9
-"""Steps that are longer than this fraction of the one before do not lead to a point."""
+PATIENCE = 6
+"""The fit is as still as it gets where so many steps in a row are longer than the shortest: one more than those that
+the next one learns from."""
 MAX_SETTLING = 60
-"""Steps at most; nearly all fits take three to ten."""
+"""Steps at most; nearly all fits take three to fifteen."""
+SAME_PEAK_NATS = 1.0
+"""What is lower than the fit by more than this in ln(likelihood x prior), over reduced chi^2 where that is above one,
+is not where the fit leads.
+
+A little lower it may be: E is taken as seen by the beams, which are solved for as if it did not change with them.
+"""
 
 
 def refined(fitted: Fitted, n_known: int = 0) -> Fitted:
@@ -41,31 +48,32 @@ def refined(fitted: Fitted, n_known: int = 0) -> Fitted:
 def settle(context: FitContext, fitted: Fitted) -> Fitted:
     """Go on with a fit to where nothing moves at all, whichever way it came there. Collective: all ranks of the grid.
 
-    What is written can then be computed again from the values that are written. A fit whose steps do not shrink, as one
-    that has not converged, stays as it is.
+    What is written can then be computed again from the values that are written. A fit whose steps do not get shorter
+    stays as it is.
     """
     if not fitted.values.active:
         return fitted
     if fitted.diagnostics.ended is Ended.FLAT:
         # It went no further than evidence tells.
         fitted = refit(context, fitted.values, fitted)
-    at, before, earlier = fitted.estimate, np.inf, EarlierSteps()
-    plain: Estimate | None = None
-    best: tuple[Fitted, Solved] | None = None
-    for _ in range(MAX_SETTLING):
+    at, earlier = fitted.estimate, EarlierSteps()
+    shortest, lowest, waited = np.inf, -np.inf, 0
+    stillest: tuple[Fitted, Solved] | None = None
+    for number in range(MAX_SETTLING):
         solved = solve_beams(context, at)
+        if number == 0:
+            lowest = solved.reached - SAME_PEAK_NATS * misfit_of(context, solved)
         step = take_step(context, replace(at, beams=solved.beams), solved)
         moved = max(step.moved, beam_moved(context, at.beams, solved.beams))
-        if moved > SETTLED_SIGMAS and not moved < SHRINKS * before:
-            if plain is None:
-                break
-            at, plain = plain, None
-            earlier.forget()
-            continue
-        if before < np.inf:
-            best = Fitted(at.values, step.fit.with_beams(solved.beams)), solved
-        if moved < SETTLED_SIGMAS:
+        waited += 1
+        if moved < shortest and solved.reached >= lowest:
+            shortest, waited = moved, 0
+            if number > 0:
+                stillest = Fitted(at.values, step.fit.with_beams(solved.beams)), solved
+        if moved < SETTLED_SIGMAS or waited == PATIENCE:
             break
-        before, further = moved, accelerated(context, step.start, step.to, step.fit, earlier)
-        at, plain = (step.to, None) if further is None else (further, step.to)
-    return fitted if best is None else replace(best[0], diagnostics=diagnostics_of(context, best[1]))
+        further = accelerated(context, at, solved.beams, step.to, step.fit, earlier)
+        at = step.to if further is None else further
+    if stillest is None:
+        return fitted
+    return replace(stillest[0], diagnostics=diagnostics_of(context, stillest[1]))
