@@ -6,14 +6,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import BoolArray
+from hydrabeam_mpi.data.observation import BoolArray, FloatArray
+from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.error_scale import error_scale
+from hydrabeam_mpi.fit.gauss_newton import NEARLY_FLAT_NATS, BrokenOff, refit
 from hydrabeam_mpi.fit.state import Active, Fitted, Values
+from hydrabeam_mpi.inference.prior import ChannelPrior, DiagonalPrior
 from hydrabeam_mpi.loop.attribution.limits import is_unphysical
+from hydrabeam_mpi.loop.selection.refits import log_joint
 
 MOST_NAMED = 4
 """Parameters that a line names, those furthest beyond their limits: of many sources it would be pages."""
+HELD = 1e-5
+"""Part of its prior's width within which a parameter is held: data that tell it well move it by next to nothing then."""
 
 
 @dataclass(frozen=True)
@@ -80,14 +86,66 @@ def leave_out_unphysical(context: FitContext, fitted: Fitted, n_before: int) -> 
 def price_of_fitted(context: FitContext, fitted: Fitted) -> float:
     """Return the nats that it costs the last effect that parts of it are beyond their limits, if by little, or move.
 
-    A Gaussian prior knows no limits. The most probable values within them are at the limit, where ln likelihood is
-    less by beyond^2 / 2 for each part. Collective: all ranks of the grid.
+    A Gaussian prior knows no limits. The most probable values within them are at the limit: it costs what ln(likelihood
+    x prior) is less there, with all else fitted again, in units of what is left of the data as all errors are. Where a
+    product of flux and beam counts, a flux may be thousands of Jy below zero and within two of its errors of it, as its
+    beam has the other sign; a beam and a flux of zero are then another matter. Collective: all ranks of the grid.
     """
     one, by_noise = fitted.values.active[-1], fitted.fit.std[-1]
-    std = error_scale(context, fitted).of(one, by_noise)
-    beyond = one.effect.beyond(context.setup, one.x, std)
+    scale = error_scale(context, fitted)
+    beyond = one.effect.beyond(context.setup, one.x, scale.of(one, by_noise))
     motion = one.effect.price_of_motion(context.setup, one.x, by_noise)
-    return float(0.5 * np.sum(beyond[np.isfinite(beyond)] ** 2)) + motion
+    if not np.any(beyond > 0):
+        return motion
+    by_errors = float(0.5 * np.sum(beyond[np.isfinite(beyond)] ** 2))
+    at_limit = _held_at_limit(context, one)
+    if at_limit is None:
+        return by_errors + motion
+    values = replace(fitted.values, active=(*fitted.values.active[:-1], at_limit))
+    try:
+        there = refit(context, values, fitted, flat_nats=NEARLY_FLAT_NATS)
+    except BrokenOff:
+        return by_errors + motion
+    # The prior that counts is that of the effect, not the one by which it is held.
+    same = replace(there.values, active=(*there.values.active[:-1], replace(at_limit, prior=one.prior)))
+    less = log_joint(context, fitted) - log_joint(context, replace(there, values=same))
+    return max(less, 0.0) / float(np.mean(scale.of_blocks(one.effect) ** 2)) + motion
+
+
+def _held_at_limit(context: FitContext, one: Active) -> Active | None:
+    """Return an effect with what is beyond its limits at them, where it is held.
+
+    None where limits are of several parameters together, or priors couple these.
+    """
+    priors = one.prior.priors
+    if one.prior.n_coupled or not all(isinstance(prior, DiagonalPrior) for prior in priors):
+        return None
+    x, in_use = one.x.copy(), np.zeros(one.x.shape[1])
+    in_use[one.used] = 1.0
+    for of_channel in x:
+        excess = _excess(context, one.effect, of_channel, in_use)
+        where = np.isfinite(excess) & (excess > 0)
+        if not np.all(where[excess > 0]):
+            return None
+        for sign in (1.0, -1.0):
+            there = of_channel + sign * excess
+            inside = where & (_excess(context, one.effect, there, in_use) <= HELD * excess)
+            of_channel[inside] = there[inside]
+            where &= ~inside
+        if where.any():
+            return None
+    held = np.any(x != one.x, axis=0)[one.used]
+    of_channels = [priors[min(f, len(priors) - 1)] for f in range(1 if one.prior.shared else len(x))]
+    narrow = tuple(
+        DiagonalPrior(np.where(held, x[f, one.used], prior.mean), np.where(held, HELD, 1.0) * prior.std())
+        for f, prior in enumerate(of_channels)
+    )
+    return replace(one, x=x, prior=ChannelPrior(narrow, one.prior.shared))
+
+
+def _excess(context: FitContext, effect: Effect, x: FloatArray, in_use: FloatArray) -> FloatArray:
+    """Return by how much a channel's parameters, (n_params,), are beyond their limits."""
+    return effect.beyond(context.setup, x[np.newaxis], in_use[np.newaxis])
 
 
 def _rest(context: FitContext, one: Active, gone: BoolArray) -> Active | None:

@@ -16,13 +16,14 @@ from hydrabeam_mpi.fit.error_scale import error_scale
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Active, Fitted, Values
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
+from hydrabeam_mpi.loop.attribution.limits import is_unphysical
 from hydrabeam_mpi.loop.attribution.score_effects import Finding
 from hydrabeam_mpi.loop.selection import candidate_fits
 from hydrabeam_mpi.loop.selection.acceptance import Candidate
 from hydrabeam_mpi.loop.selection.constant import take_back_unphysical
-from hydrabeam_mpi.loop.selection.physical import is_unphysical, leave_out_unphysical, price_of_fitted
+from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical, price_of_fitted
 from hydrabeam_mpi.loop.selection.predictions import check
-from hydrabeam_mpi.loop.selection.refits import fit_patiently
+from hydrabeam_mpi.loop.selection.refits import fit_patiently, rise
 from hydrabeam_mpi.loop.selection.trials import try_effects
 from tests.loop.made import effect_candidate, round_of
 from tests.loop.mock import context_of, mock_job
@@ -80,14 +81,15 @@ def test_errors_are_larger_where_something_is_left(context: FitContext) -> None:
         assert (leave_out_unphysical(context, wrong, 0) is not None) == gone
 
 
-def test_what_is_beyond_its_limits_by_little_costs_evidence(context: FitContext) -> None:
-    """As much as the likelihood of the limit itself is less."""
+def test_what_is_beyond_its_limits_costs_evidence(context: FitContext) -> None:
+    """As much as the likelihood is less without that source, which is one of no flux."""
+    without = refit(context, Values())
     for places in ((FALSE,), (TRUE,)):
         fitted = fit_of(context, *places)
-        (active,), (std,) = fitted.values.active, fitted.fit.std
-        flux, error = active.x[0, 0], std[0, 0] * error_scale(context, fitted).channels[0]
-        expected = 0.5 * (min(flux, 0.0) / error) ** 2
-        assert price_of_fitted(context, fitted) == pytest.approx(expected)
+        ((flux, *_),) = fitted.values.active[0].x
+        scale = error_scale(context, fitted).channels[0]
+        expected = 0.0 if flux > 0 else rise(context, without, fitted) / scale**2
+        assert price_of_fitted(context, fitted) == pytest.approx(expected, rel=1e-3)
         assert (expected > 0) == (places == (FALSE,))
 
 
