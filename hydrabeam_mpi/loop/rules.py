@@ -34,8 +34,9 @@ class Rules:
     decided_sigmas : float
         Standard errors beyond which held-out data have decided. By so much a gain in their ln density, or a loss, is
         more than a job asks for; else the held-out rows predict the fitted ones as well, and the sum decides. And by so
-        much the rms of their residual has risen, paired over blocks. One would be a sixth of all that is neither better
-        nor worse, and refuses parts of the beam that the data want; more would cost time where the answer is clear.
+        much the rms of their residual has risen, paired over blocks of times or of groups, those that scatter more. One
+        would be a sixth of all that is neither better nor worse, and refuses parts of the beam that the data want; more
+        would cost time where the answer is clear.
     first_step : float
         Part of a step with which a fit that got stuck is begun again, with damped steps. Those that succeed are
         doubled, so that a sixteenth costs four steps more where a whole one would do.

@@ -185,14 +185,15 @@ def may_be_better(candidate: Candidate, best: Round, enough: bool) -> bool:
     Most effects are only roughly linear, so that what comes near is fitted too. Where the best one leaves nothing
     (``enough``) another with no more evidence can only be simpler, as may be what needs several elements until places
     or delays are refined.
-    A structure that was found is no noise, but few integrations with something else in them may have looked like one.
+    A structure that was found is no noise, but few integrations with something else in them may have looked like one;
+    and bad integrations leave nothing of any effect that shows at few times, so that it is fitted beside them.
     """
     if candidate.finding is None:
         return candidate.is_of_integrations and candidate.log_bayes_factor > best.evidence_of_all
     near = RULES.near_if_linear if candidate.finding.effect.linear else RULES.near
     if candidate.log_bayes_factor < near * best.candidate.log_bayes_factor:
         return False
-    if not enough or _complexity(candidate) < _complexity(best.candidate):
+    if not enough or best.candidate.is_of_integrations or _complexity(candidate) < _complexity(best.candidate):
         return True
     if candidate.log_bayes_factor > best.candidate.log_bayes_factor:
         return True

@@ -31,12 +31,16 @@ from hydrabeam_mpi.terminal.progress import say
 
 
 def as_large_as_wanted(context: FitContext, fitted: Fitted, candidate: Candidate) -> Candidate:
-    """Take more parameters of an effect's sort at once where that has more evidence. Collective: all ranks."""
-    finding = candidate.finding
-    larger = bcast_object(context.grid.world, finding.effect.larger(context.setup) if finding is not None else ())
-    if finding is None or not larger:
+    """Take more parameters of an effect's sort at once, as long as that has more evidence. Collective: all ranks."""
+    best = candidate.finding
+    larger = bcast_object(context.grid.world, best.effect.larger(context.setup) if best is not None else ())
+    if best is None or not larger:
         return candidate
-    best = max([finding, *attribute_sizes(context, fitted, larger)], key=lambda one: one.evidence.log_bayes_factor)
+    for effect in larger:
+        (further,) = attribute_sizes(context, fitted, [effect])
+        if further.evidence.log_bayes_factor <= best.evidence.log_bayes_factor:
+            break
+        best = further
     return replace(candidate, finding=best, log_bayes_factor=best.evidence.log_bayes_factor)
 
 

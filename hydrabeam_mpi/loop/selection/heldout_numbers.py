@@ -10,7 +10,7 @@ from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.heldout import Whitened
 from hydrabeam_mpi.inference.significance import SIGNIFICANT_P, sigma_of_log_p
-from hydrabeam_mpi.loop.selection.heldout_score import fall_of_blocks
+from hydrabeam_mpi.loop.selection.heldout_score import falls_of_blocks
 from hydrabeam_mpi.mpi import allreduce_sum, together
 
 SUMS = (
@@ -78,8 +78,13 @@ class HeldoutNumbers:
         return _numbers(self.channels)
 
     def rise_sigma(self, before: HeldoutNumbers) -> float:
-        """Return by how many standard errors the residual power rose, paired over blocks of times or groups."""
-        return fall_of_blocks(((self.times[:2], before.times[:2]), (self.groups[:2], before.groups[:2])))
+        """Return by how many standard errors the residual power rose, paired over blocks of times or of groups.
+
+        Of those that scatter more: what beam and sky lack at one time is the same in many groups, which are then no
+        draws of their own.
+        """
+        pairs = (self.times[:2], before.times[:2]), (self.groups[:2], before.groups[:2])
+        return min(falls_of_blocks(pairs), default=0.0)
 
     @property
     def excess_sigma(self) -> float:

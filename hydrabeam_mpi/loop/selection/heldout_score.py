@@ -123,11 +123,11 @@ def fall_significance(before: HeldoutScore, after: HeldoutScore) -> float:
     Each block's own fall is one draw of how much the change helps. What is wrong with few baselines shows in few groups
     but at all times, what is wrong at few times in all groups.
     """
-    return fall_of_blocks(((before.times, after.times), (before.groups, after.groups)))
+    return max(falls_of_blocks(((before.times, after.times), (before.groups, after.groups))), default=0.0)
 
 
-def fall_of_blocks(pairs: Iterable[tuple[FloatArray, FloatArray]]) -> float:
-    """Return by how many standard errors sums over blocks fell, the greatest of several kinds of blocks.
+def falls_of_blocks(pairs: Iterable[tuple[FloatArray, FloatArray]]) -> list[float]:
+    """Return by how many standard errors sums over blocks fell, for each kind of which there are four blocks or more.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def fall_of_blocks(pairs: Iterable[tuple[FloatArray, FloatArray]]) -> float:
         fall = one[0, has] - two[0, has] * (one[1, has] / two[1, has])
         spread = float(np.std(fall, ddof=1)) * np.sqrt(has.sum())
         scores.append(float(fall.sum()) / spread if spread > 0 else 0.0)
-    return max(scores, default=0.0)
+    return scores
 
 
 def gain_significance(before: HeldoutScore, after: HeldoutScore, log_ratio: float) -> float:

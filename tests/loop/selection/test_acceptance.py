@@ -100,6 +100,14 @@ def test_evidence_of_bad_integrations_is_of_all_data_already() -> None:
         assert is_better(bad, checked(1.0, -1e4), best) == better
 
 
+@pytest.mark.parametrize("enough", [False, True])
+def test_effects_are_fitted_beside_bad_integrations(enough: bool) -> None:
+    """These leave nothing of what shows at few times."""
+    best = round_of(integrations_candidate(100.0), checked(2.0), checked(1.0))
+    for log_bayes_factor, may in ((10.0, True), (9.9, False)):
+        assert may_be_better(effect_candidate(AntennaPositions(), log_bayes_factor), best, enough) == may
+
+
 MAY_BE = [
     ("a change of the weights is no better than a structure", weights_candidate(1e4), False, False),
     ("a nonlinear one with a tenth of the evidence", effect_candidate(AntennaPositions(), 10.0), False, True),

@@ -141,3 +141,12 @@ def test_few_blocks_have_no_scatter() -> None:
     few = replace(made, times=made.times[:, :3], groups=made.groups[:, :3])
     assert few.excess_sigma == 0
     assert few.at_noise
+
+
+def test_a_rise_at_one_time_is_none_however_many_groups_it_is_in() -> None:
+    """Groups are no draws of their own of what all of them have at one time."""
+    before, after = numbers(3.0), numbers(3.3)
+    assert after.rise_sigma(before) > 4
+    times = before.times.copy()
+    times[0, 5] += after.times[0].sum() - before.times[0].sum()
+    assert replace(after, times=times).rise_sigma(before) == pytest.approx(1.0)
