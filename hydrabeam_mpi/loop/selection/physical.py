@@ -19,7 +19,7 @@ from hydrabeam_mpi.loop.selection.refits import log_joint
 MOST_NAMED = 4
 """Parameters that a line names, those furthest beyond their limits: of many sources it would be pages."""
 HELD = 1e-5
-"""Part of its prior's width within which a parameter is held: data that tell it well move it by next to nothing then."""
+"""Part of its prior's width within which a parameter is held: data that tell it well hardly move it then."""
 
 
 @dataclass(frozen=True)
