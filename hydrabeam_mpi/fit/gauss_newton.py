@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,12 +11,9 @@ from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.acceleration import EarlierSteps, accelerated, followed
 from hydrabeam_mpi.fit.beams_given import Solved, diagnostics_of, solve_beams
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.coupled_step import share_step, step_together
 from hydrabeam_mpi.fit.joint_step import solve_jointly
-from hydrabeam_mpi.fit.linearised import linearised, sums_at
 from hydrabeam_mpi.fit.state import Ended, Estimate, Fit, Fitted, Values
-from hydrabeam_mpi.inference.likelihood import Likelihood
-from hydrabeam_mpi.inference.posterior import Posterior
+from hydrabeam_mpi.fit.step import Step, beam_moved, step_of, take_step
 from hydrabeam_mpi.mpi import bcast_object, together
 from hydrabeam_mpi.terminal.progress import say_meanwhile
 
@@ -82,7 +79,7 @@ def refit(
     before: Fitted | None = None,
     first_step: float = 1.0,
     worth: Worth | None = None,
-    flat_nats: float = FLAT_NATS,
+    for_evidence: bool = False,
 ) -> Fitted:
     """Fit beams and effects jointly, beginning with the effects' ``values``.
 
@@ -103,8 +100,8 @@ def refit(
         is not all of it, parts of steps are damped ones.
     worth : callable, optional
         Says after each step whether to go on.
-    flat_nats : float
-        A smaller rise of ln(likelihood x prior) counts as none.
+    for_evidence : bool
+        Whether the fit is to tell evidence alone, and ends where that rises by next to nothing.
 
     Raises
     ------
@@ -116,7 +113,7 @@ def refit(
         solved = solve_beams(context, start)
         return Fitted(values, Fit(solved.beams), diagnostics_of(context, solved))
     try:
-        end, step, ended = _search(context, start, first_step, worth, flat_nats)
+        end, step, ended = _search(context, start, first_step, worth, for_evidence)
     except InputError as error:
         if before is None:
             raise
@@ -125,14 +122,6 @@ def refit(
     solved = solve_beams(context, end, keep=ended is not Ended.CONVERGED and end.values.adds)
     diagnostics = replace(diagnostics_of(context, solved), ended=ended)
     return Fitted(end.values, step.fit.with_beams(solved.beams), diagnostics)
-
-
-def solved_at(context: FitContext, values: Values, before: Fitted) -> Fitted:
-    """Solve for the beams alone, with the effects at ``values``. Collective: all ranks of the grid."""
-    at = Estimate(values, before.fit.posteriors)
-    solved = solve_beams(context, at)
-    step = take_step(context, replace(at, beams=solved.beams), solved)
-    return Fitted(values, step.fit.with_beams(solved.beams), diagnostics_of(context, solved))
 
 
 def stepped(context: FitContext, values: Values, before: Fitted) -> Fitted:
@@ -152,23 +141,6 @@ def stepped(context: FitContext, values: Values, before: Fitted) -> Fitted:
     return Fitted(step.to.values, step.fit.with_beams(step.to.beams), diagnostics_of(context, solved))
 
 
-@dataclass(frozen=True)
-class Step:
-    """A Gauss-Newton step: where it leads, what it tells of the effects, and how many standard deviations it is long.
-
-    Its ``fit`` is without posteriors, unless channels hang together. By ``gain`` the linear model expects
-    ln(likelihood x prior) to rise. It begins at ``start``, by what is known on the grid's root of the ``likelihoods``
-    there, unless channels hang together.
-    """
-
-    to: Estimate
-    fit: Fit
-    moved: float
-    gain: float
-    start: Estimate
-    likelihoods: list[Likelihood] | None = None
-
-
 def _start(values: Values, before: Fitted | None) -> Estimate:
     """Begin from zero where E was never fitted: how large it may be depends on how the beams give way.
 
@@ -183,7 +155,7 @@ def _start(values: Values, before: Fitted | None) -> Estimate:
 
 
 def _search(
-    context: FitContext, at: Estimate, length: float, worth: Worth | None, flat_nats: float
+    context: FitContext, at: Estimate, length: float, worth: Worth | None, for_evidence: bool
 ) -> tuple[Estimate, Step, Ended]:
     """Take steps until nothing moves; return where they end, the last of them, and why it is the last.
 
@@ -219,7 +191,7 @@ def _search(
             continue
         assert solved is not None
         misfit, rise = misfit_of(context, solved), np.inf if best is None else solved.reached - best[0]
-        flat = flat + 1 if rise < flat_nats * misfit else 0
+        flat = flat + 1 if rise < (NEARLY_FLAT_NATS if for_evidence else FLAT_NATS) * misfit else 0
         kept.append(float(np.clip(rise / promised, 0.0, 1.0)) if promised > 0 else 1.0)
         step = take_step(context, replace(at, beams=solved.beams), solved)
         ahead = solved.rises + step.gain
@@ -229,7 +201,7 @@ def _search(
             raise BrokenOff("its fit was broken off, as it does not come near what it would have to explain")
         best = (solved.reached, at if at.values.adds else replace(at, beams=solved.beams), step)
         still = beam_moved(context, at.beams, solved.beams) < STEP_SIGMAS * np.sqrt(misfit)
-        if (still and step.gain < FLAT_NATS * misfit) or (flat == FLAT_STEPS and flat_nats == FLAT_NATS):
+        if (still and step.gain < FLAT_NATS * misfit) or (flat == FLAT_STEPS and not for_evidence):
             return step.to, step, Ended.CONVERGED
         if flat == FLAT_STEPS:
             ended = Ended.FLAT
@@ -277,7 +249,7 @@ def _with_linear(context: FitContext, at: Estimate, solved: Solved) -> tuple[Est
     if not which or len(which) == len(values.active) or context.problem.coupling is not None:
         return at, solved
     linear = replace(values, active=tuple(values.active[place] for place in which))
-    step = _step_of(context, replace(at, beams=solved.beams), solved, linear)
+    step = step_of(context, replace(at, beams=solved.beams), solved, linear)
     active = list(values.active)
     for place, one in zip(which, step.to.values.active, strict=True):
         active[place] = one
@@ -320,48 +292,3 @@ def _least_rise(best: float, values: Values, misfit: float) -> float:
     """
     incomparable = any(one.change.follows_residuals for one in values.reweighted)
     return -STEPS_BACK * abs(best) if incomparable else -FLAT_NATS * misfit
-
-
-def take_step(context: FitContext, at: Estimate, solved: Solved) -> Step:
-    """Move the effects, with the beams ``at`` following them. Collective: all ranks of the grid."""
-    values = at.values
-    if not values.active:
-        return Step(at, Fit(), 0.0, 0.0, at)
-    if context.problem.coupling is not None:
-        return _take_step_together(context, at, solved)
-    return _step_of(context, at, solved, values)
-
-
-def _step_of(context: FitContext, at: Estimate, solved: Solved, values: Values) -> Step:
-    """Move some effects of the model, those of ``values``; it leads to these alone. Collective: all ranks."""
-    likelihoods, response = linearised(context, at, solved, values)
-    answer = None
-    with together(context.grid.world):
-        if likelihoods is not None:
-            answer = solve_jointly(values, likelihoods)
-    x, std, covariances, moved, gain = bcast_object(context.grid.world, answer)
-    # E of the next step is seen by the beams that belong to these parameters, not by those before.
-    beams = followed(context, at.beams, response, x - values.x)
-    fit = Fit((), tuple(covariances[f] for f in context.channels), tuple(response), values.by_effect(std))
-    return Step(Estimate(values.at(x), beams), fit, float(moved), float(gain), at, likelihoods)
-
-
-def _take_step_together(context: FitContext, at: Estimate, solved: Solved) -> Step:
-    """Take a step where beams hang together over frequency. Collective: all ranks of the grid."""
-    values = at.values
-    sums = list(sums_at(context, at, solved.rows, solved.added, values))
-    step = step_together(context, values, sums, solved.together)
-    beams, covariances, responses = share_step(context, step, solved.together, at.beams, values.x)
-    told = bcast_object(context.grid.world, (step.x, step.std, step.moved, step.gain) if step else None)
-    x, std, moved, gain = told
-    fit = Fit(beams, covariances, responses, values.by_effect(std))
-    return Step(Estimate(values.at(x), beams), fit, moved, gain, at)
-
-
-def beam_moved(context: FitContext, before: Sequence[Posterior], after: Sequence[Posterior]) -> float:
-    """Return the largest move of a channel's beam, rms over coefficients in standard deviations."""
-    moved = 0.0 if len(before) == len(after) else np.inf
-    for old, new in zip(before, after, strict=False):
-        change = new.factor.conj().T @ (new.mean - old.mean)
-        moved = max(moved, float(np.sqrt(np.mean(np.abs(change) ** 2))))
-    return float(np.max(context.grid.world.allgather(moved)))

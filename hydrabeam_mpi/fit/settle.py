@@ -9,8 +9,9 @@ import numpy as np
 from hydrabeam_mpi.fit.acceleration import EarlierSteps, accelerated
 from hydrabeam_mpi.fit.beams_given import Solved, diagnostics_of, solve_beams
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.gauss_newton import beam_moved, misfit_of, refit, take_step
+from hydrabeam_mpi.fit.gauss_newton import misfit_of, refit
 from hydrabeam_mpi.fit.state import Active, Ended, Fitted
+from hydrabeam_mpi.fit.step import beam_moved, take_step
 
 SETTLED_SIGMAS = 1e-8
 """Nothing moves any more where no parameter does by more than this fraction of its standard deviation.

@@ -28,10 +28,11 @@ from hydrabeam_mpi.fit.beams_given import Solved, total_log_joint
 from hydrabeam_mpi.fit.channels import infer_channels
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Step, Underway, refit, stepped, take_step
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Underway, refit, stepped
 from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.joint import channel_results
 from hydrabeam_mpi.fit.state import Active, Ended, Estimate, Fitted, Reweighted, Values
+from hydrabeam_mpi.fit.step import Step, take_step
 from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.heldout_score import heldout_score
 from hydrabeam_mpi.result.summary import evaluate_on_grid

@@ -10,7 +10,7 @@ from hydrabeam_mpi.data.observation import BoolArray, FloatArray
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.error_scale import error_scale
-from hydrabeam_mpi.fit.gauss_newton import NEARLY_FLAT_NATS, BrokenOff, refit
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff, refit
 from hydrabeam_mpi.fit.state import Active, Fitted, Values
 from hydrabeam_mpi.inference.prior import ChannelPrior, DiagonalPrior
 from hydrabeam_mpi.loop.attribution.limits import is_unphysical
@@ -103,7 +103,7 @@ def price_of_fitted(context: FitContext, fitted: Fitted) -> float:
         return by_errors + motion
     values = replace(fitted.values, active=(*fitted.values.active[:-1], at_limit))
     try:
-        there = refit(context, values, fitted, flat_nats=NEARLY_FLAT_NATS)
+        there = refit(context, values, fitted, for_evidence=True)
     except BrokenOff:
         return by_errors + motion
     # The prior that counts is that of the effect, not the one by which it is held.

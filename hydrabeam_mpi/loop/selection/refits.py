@@ -9,7 +9,7 @@ import numpy as np
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.fit.beams_given import total_log_joint
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.gauss_newton import NEARLY_FLAT_NATS, BrokenOff, Worth, refit
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Worth, refit
 from hydrabeam_mpi.fit.state import Active, Ended, Fitted, Values
 from hydrabeam_mpi.loop.attribution.score_noise import heavy_tails
 from hydrabeam_mpi.loop.rules import RULES
@@ -33,10 +33,10 @@ def fit_patiently(context: FitContext, values: Values, before: Fitted, worth: Wo
     It goes as far as evidence tells. Arguments and what is raised are those of `refit`. Collective: all ranks of the
     grid.
     """
-    fitted = refit(context, values, before, worth=worth, flat_nats=NEARLY_FLAT_NATS)
+    fitted = refit(context, values, before, worth=worth, for_evidence=True)
     if fitted.diagnostics.ended is not Ended.STUCK:
         return fitted
-    again = refit(context, values, before, RULES.first_step, worth, NEARLY_FLAT_NATS)
+    again = refit(context, values, before, RULES.first_step, worth, for_evidence=True)
     return again if again.diagnostics.converged or rise(context, fitted, again, of_nonlinear=True) > 0 else fitted
 
 

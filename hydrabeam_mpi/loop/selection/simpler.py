@@ -10,8 +10,8 @@ import numpy as np
 from hydrabeam_mpi.data.observation import BoolArray
 from hydrabeam_mpi.effects.interface.effect import Effect, Parameters
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.gauss_newton import solved_at
 from hydrabeam_mpi.fit.state import Active
+from hydrabeam_mpi.fit.step import solved_at
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.attribution.reconsider import reconsider
 from hydrabeam_mpi.loop.attribution.score_effects import Finding
