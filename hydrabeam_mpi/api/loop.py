@@ -37,6 +37,7 @@ from hydrabeam_mpi.loop.output.record import make_record
 from hydrabeam_mpi.loop.output.resume import Keeper
 from hydrabeam_mpi.loop.selection.again import run_search
 from hydrabeam_mpi.loop.selection.choice import Choice, choose
+from hydrabeam_mpi.loop.selection.elsewhere import tell_elsewhere
 from hydrabeam_mpi.loop.selection.history import History
 from hydrabeam_mpi.loop.selection.rounds import Search, begin, settle_last
 from hydrabeam_mpi.mpi import bcast_object, peak_rss_mb, together
@@ -125,6 +126,8 @@ def run_loop(
     run_search(Search(context, history, *wanted, clock, keep))
     with clock.time("settle"):
         settle_last(context, history)
+    with clock.time("elsewhere"):
+        tell_elsewhere(context, history)
     with clock.time("leakage"):
         leakage = check_leakage(grid, context.problem, known) if choice.leakage else None
     record = make_record(context, history, choice.skipped, conventions, leakage)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.scanned import ScannedEffect
 from hydrabeam_mpi.effects.interface.told import Told
+from hydrabeam_mpi.effects.shared.grating_lobes import grating_lobes
 from hydrabeam_mpi.effects.shared.point_sources import resolution
 from hydrabeam_mpi.effects.shared.settings import Azimuth
 
@@ -119,6 +120,20 @@ class GroundEmitter(ScannedEffect):
             if len(chosen) < AT_MOST and all(abs((azimuth - one + 180) % 360 - 180) >= apart for one in chosen):
                 chosen.append(azimuth)
         return GroundEmitter(chosen)
+
+    def alike(self, setup: ObservingSetup, x: FloatArray, element: int) -> Iterator[GroundEmitter]:
+        """Return the effect with one of its emitters in grating lobes that are on the horizon, the nearest to it first.
+
+        Lobes within half a resolution of it count: what stands still is told from these by no turn of the sky.
+        """
+        azimuth = (self.azimuths[element] + float(x[0, 2 * element + 1])) * DEGREE
+        lobes = np.array([np.cos(azimuth), np.sin(azimuth)]) + grating_lobes(setup)
+        away = np.abs(np.hypot(*lobes.T) - 1)
+        for number in np.argsort(away, kind="stable").tolist():
+            if away[number] < 0.5 * resolution(setup):
+                azimuths = list(self.azimuths)
+                azimuths[element] = float(np.arctan2(lobes[number, 1], lobes[number, 0])) / DEGREE % 360
+                yield GroundEmitter(azimuths)
 
     def draw(self, setup: ObservingSetup, rng: np.random.Generator, strength: float) -> FloatArray:
         """Draw offsets within half a step; every power is ``strength`` Jy, (n_params,)."""

@@ -253,6 +253,7 @@ def _round(context: FitContext, one: Round, at_last: _AtLast) -> dict[str, Any]:
         "predicts": one.predicts,
         "asked": at_last.asked or one.place is None,
         "constancy": [asdict(part) for part in one.constancy],
+        "elsewhere": [asdict(other) for other in one.elsewhere],
         "converged": one.after.fitted.diagnostics.converged,
         **heldout_change(one.before, one.after, setup.observation.freqs),
         "runner_up": others[0].kind if others else None,

@@ -30,7 +30,19 @@ def say_round(told: dict[str, Any]) -> str:
     added = "Added" if told["asked"] else f"Added, but not yet asked: {QUESTIONS}"
     added = "Added at first, but taken back since" if told["revoked"] else added
     added = "Added at first, and not claimed: it stays in the model for prediction" if told["predicts"] else added
-    return f"{what} ({sure}). {added}. {error}; {rms}; {beam}.{_say_left_out(told)}{_say_widened(told)}{unsure}"
+    more_said = f"{_say_left_out(told)}{_say_widened(told)}{unsure}{_say_elsewhere(told)}"
+    return f"{what} ({sure}). {added}. {error}; {rms}; {beam}.{more_said}"
+
+
+def _say_elsewhere(told: dict[str, Any]) -> str:
+    """Tell where a part of the effect may be as well."""
+    places = []
+    for one in told["elsewhere"]:
+        first = one["parameters"][0]["freq_hz"]
+        of_first = [each for each in one["parameters"] if each["freq_hz"] == first]
+        values = [f"{each['name'].partition(': ')[2]} {each['value']:.5g}{_unit(each)}" for each in of_first]
+        places.append(f"{', '.join(values)} (ln likelihood {one['log_likelihood_ratio']:+.2g})")
+    return f" These data do not tell it from another place: {'; or '.join(places)}." if places else ""
 
 
 def _say_parameters(told: dict[str, Any]) -> tuple[list[str], int]:

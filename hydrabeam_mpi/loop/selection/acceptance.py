@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -72,6 +73,22 @@ class Candidate:
 
 
 @dataclass(frozen=True)
+class Elsewhere:
+    """Where a part of an effect, such as a source, may be as well.
+
+    Attributes
+    ----------
+    log_likelihood_ratio : float
+        ln(likelihood x prior) there less that of the model, in units of what is left of the data.
+    parameters : tuple of dict
+        Names, units, values and standard deviations there.
+    """
+
+    log_likelihood_ratio: float
+    parameters: tuple[dict[str, Any], ...]
+
+
+@dataclass(frozen=True)
 class Round:
     """An effect that was added, and what it changed.
 
@@ -96,6 +113,8 @@ class Round:
         Whether the effect is the same in all parts of the data, asked at the end; empty for a change of the weights.
     together : tuple of Candidate
         The effects that together explained what there was before it, with the evidence of each beside the others.
+    elsewhere : tuple of Elsewhere
+        Where parts of its effect may be as well, the likeliest first.
     """
 
     candidate: Candidate
@@ -110,6 +129,7 @@ class Round:
     taken_back: tuple[Active, FloatArray] | None = None
     constancy: tuple[Constancy, ...] = ()
     together: tuple[Candidate, ...] = ()
+    elsewhere: tuple[Elsewhere, ...] = ()
 
     @property
     def revoked(self) -> bool:

@@ -1,8 +1,10 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from hydrabeam_mpi.effects.instrument.ground_emitter import GroundEmitter
+from hydrabeam_mpi.effects.shared.grating_lobes import grating_lobes
 from hydrabeam_mpi.effects.shared.point_sources import resolution
 from tests.effects.direct import C, row_vectors
 from tests.effects.small import small_block, small_setup
@@ -35,3 +37,18 @@ def test_powers_below_zero_are_none() -> None:
     left, numbers = emitter.without(beyond > 2)
     assert left.azimuths == (10.0,)
     assert numbers.tolist() == [0, 1]
+
+
+def test_lobes_on_the_horizon_are_seen_alike() -> None:
+    """Of a direction s and a lobe d with |s + d| = 1 the fringes are the same."""
+    setup = small_setup()
+    block = small_block(setup)
+    lobe = grating_lobes(setup)[0]
+    azimuth = float(np.rad2deg(np.arctan2(*lobe[::-1]) + np.arccos(-np.hypot(*lobe) / 2))) % 360
+    towards = np.array([np.cos(np.deg2rad(azimuth)), np.sin(np.deg2rad(azimuth))]) + lobe
+    other = float(np.rad2deg(np.arctan2(towards[1], towards[0]))) % 360
+    one, x = GroundEmitter([azimuth - 0.3, 10.0]), np.array([[2.0, 0.3, 1.0, 0.0]])
+    first = next(iter(one.alike(setup, x, 0)))
+    assert first.azimuths == pytest.approx((other, 10.0))
+    turns = setup.reference_freq / C * (row_vectors(block)[:, :2] @ lobe)
+    np.testing.assert_allclose(turns, np.round(turns), atol=1e-3)

@@ -61,6 +61,7 @@ def told(**given: Any) -> dict[str, Any]:
         "rms_noise": 0.3201,
         "beam_change_max": 3.62e-3,
         "indistinguishable_from": [],
+        "elsewhere": [],
     }
     return {**usual, **given}
 
@@ -120,6 +121,23 @@ ROUNDS: dict[str, tuple[dict[str, Any], str]] = {
         "7% of it). Added at first, but taken back since. Held-out reduced",
     ),
     "as much in all channels": ({"errors_widened_by": [2.0, 2.0]}, " Errors are 2 times those by the noise alone,"),
+    "where it may be as well": (
+        {
+            "elsewhere": [
+                {
+                    "log_likelihood_ratio": ratio,
+                    "parameters": [
+                        {"name": f"emitter at azimuth 9 deg: {what}", "unit": unit, "value": value, "freq_hz": freq}
+                        for freq in (1.0e8, 1.1e8)
+                        for what, unit, value in (("power", "Jy", 2.51234), ("azimuth", "deg", azimuth))
+                    ],
+                }
+                for ratio, azimuth in ((-1.234, 278.0), (-4.0, 40.5))
+            ]
+        },
+        "3.6e-03. These data do not tell it from another place: power 2.5123 Jy, azimuth 278 deg (ln likelihood -1.2); "
+        "or power 2.5123 Jy, azimuth 40.5 deg (ln likelihood -4).",
+    ),
     "what it is not told from": (
         {
             "indistinguishable_from": [

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from tests.validation.undeclared.match import averaged, compare, read_sources
+from tests.validation.undeclared.match import averaged, compare, nearest, read_sources
 
 CLAIMED = 5.0
 """Standard deviations from which on a number says that something is there. A draw compares up to two hundred."""
@@ -95,6 +95,7 @@ def _without_effect(so: list[dict[str, Any]], found: dict[str, Any], answer: dic
     idle, have = set(), set()
     for p in effect["parameters"]:
         (idle if p["value"] == (1.0 if p["quantity"] == "noise scale" else 0.0) else have).add(p["thing"])
+    found = nearest(effect, found, answer)
     comparison = compare(effect, found, answer)
     wrong = {
         thing

@@ -100,6 +100,19 @@ def compare(effect: dict[str, Any], found_round: dict[str, Any], answer: dict[st
     return Comparison(difference / std, keys)
 
 
+def nearest(effect: dict[str, Any], found: dict[str, Any], answer: dict[str, Any]) -> dict[str, Any]:
+    """Return a round with its parameters, or with those of a place that it does not tell from it, if these are nearer.
+
+    An array on a lattice sees some directions alike; where a loop says so, either place is right.
+    """
+    each = [found]
+    for other in found.get("elsewhere") or []:
+        things = {one["name"].partition(":")[0] for one in found["parameters"]}
+        if len(things) == 1:
+            each.append({**found, "parameters": other["parameters"]})
+    return min(each, key=lambda one: float(np.abs(compare(effect, one, answer).z).max(initial=0.0)))
+
+
 def is_flux(quantity: str) -> bool:
     """Whether a quantity is a flux, or the number of one function of a flux that varies."""
     return quantity.split(",")[0] == "flux"

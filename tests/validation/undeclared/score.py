@@ -9,7 +9,7 @@ import numpy as np
 from tests.validation.undeclared.cases import CONVENTIONS, EFFECTS, FAULTS, NULLS, UNKNOWN
 from tests.validation.undeclared.claims import CONVENTION_NAMES, EQUIVALENT, as_good_as, kept, not_so, same
 from tests.validation.undeclared.faults_told import faults_not_so, names_fault
-from tests.validation.undeclared.match import SIGMAS, Comparison, compare
+from tests.validation.undeclared.match import SIGMAS, Comparison, compare, nearest
 
 LARGEST_CHI2 = 1.1
 
@@ -158,7 +158,7 @@ def _comparisons(
     for effect in effects:
         named = _round_of(effect, rounds)
         if named is not None and effect["kind"] in EFFECTS:
-            out.append(compare(effect, named, answer))
+            out.append(compare(effect, nearest(effect, named, answer), answer))
     return out
 
 

@@ -255,3 +255,14 @@ def test_what_carries_an_unknown_effect_may_be_left_out():
     for told, good in ((right, True), (wrong, False)):
         judged = score(swapped, told | {"verdict": "consistent"})
         assert (judged["kept_unknown"], judged["where_right"]) == (good, good)
+
+
+def test_a_place_that_is_not_told_from_the_true_one_claims_nothing_wrong():
+    """An array on a lattice sees both alike."""
+    given, wrong = answer("moving_sources", SOURCE), a_round("moving_sources", found_at("10.0", "-20.0", 3.0))
+    assert not_so(given, loop(wrong)) == ["moving_sources: source at ra=10.0 dec=-20.0"]
+    true = a_round("moving_sources", found_at("10.0", "-30.0", 2.0))["parameters"]
+    for parameters, left in ((true, []), (wrong["parameters"], ["moving_sources: source at ra=10.0 dec=-20.0"])):
+        told = {**wrong, "elsewhere": [{"log_likelihood_ratio": -1.0, "parameters": parameters}]}
+        assert not_so(given, loop(told)) == left
+        assert score(given, loop(told))["parameters_hold"] == (not left)
