@@ -49,7 +49,7 @@ def take_back_unphysical(context: FitContext, last: Round, n_given: int) -> Take
     """Take back what is unphysical beside what was found since; see `take_back`. Collective: all ranks of the grid."""
     fitted, told = last.after.fitted, last.revised
     places: dict[int, int | None] = {place: place for place in range(len(fitted.values.active))}
-    while found := leave_out_unphysical(context, fitted, n_given):
+    while found := leave_out_unphysical(context, fitted, n_given, by_likelihood=True):
         for line in found.told:
             say(f"  {line}", context.grid.is_world_root)
         fitted, told = fit_patiently(context, found.values, fitted), (*told, *found.told)

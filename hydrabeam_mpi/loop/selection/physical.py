@@ -52,14 +52,18 @@ def may_be_unphysical(context: FitContext, one: Active) -> bool:
     return bool(np.any(one.effect.beyond(context.setup, one.x, in_use) > 0))
 
 
-def leave_out_unphysical(context: FitContext, fitted: Fitted, n_before: int) -> LeftOut | None:
+def leave_out_unphysical(
+    context: FitContext, fitted: Fitted, n_before: int, by_likelihood: bool = False
+) -> LeftOut | None:
     """Leave single elements (a source, a wall) out of effects after the first ``n_before`` if they are unphysical.
 
-    Collective: all ranks of the grid. Others are left to be fitted again, as they may stand for what is true; what was
-    left out cannot be chosen again. None where there is nothing to leave out.
+    That is by their errors, or ``by_likelihood`` also where what is beyond a limit by less costs more than is believed;
+    see `price_of_limits`. Others are left to be fitted again, as they may stand for what is true; what was left out
+    cannot be chosen again. None where there is nothing to leave out. Collective: all ranks of the grid.
     """
     # While something is left that the model lacks, what is true is moved by it, such as a wall that hides everything.
     active, scale = fitted.values.active, error_scale(context, fitted)
+    nats = context.problem.job.loop.min_log_bayes_factor
     kept: list[Active] = []
     places: dict[int, int | None] = {}
     told = []
@@ -67,7 +71,9 @@ def leave_out_unphysical(context: FitContext, fitted: Fitted, n_before: int) -> 
         left: Active | None = one
         std = scale.of(one, by_noise)
         beyond = one.effect.beyond(context.setup, one.x, std) if place >= n_before and one.size else np.zeros(0)
-        gone = is_unphysical(beyond, context.problem.job.loop.min_log_bayes_factor)
+        gone = is_unphysical(beyond, nats)
+        if by_likelihood and beyond.any() and not gone.any() and price_of_limits(context, fitted, place) > nats:
+            gone = beyond == beyond.max()
         if gone.any():
             known = one.effect.parameters(context.setup)
             which = np.flatnonzero(gone)[np.argsort(-beyond[gone], kind="stable")]
@@ -86,30 +92,41 @@ def leave_out_unphysical(context: FitContext, fitted: Fitted, n_before: int) -> 
 def price_of_fitted(context: FitContext, fitted: Fitted) -> float:
     """Return the nats that it costs the last effect that parts of it are beyond their limits, if by little, or move.
 
+    Collective: all ranks of the grid.
+    """
+    one = fitted.values.active[-1]
+    motion = one.effect.price_of_motion(context.setup, one.x, fitted.fit.std[-1])
+    return price_of_limits(context, fitted, len(fitted.values.active) - 1) + motion
+
+
+def price_of_limits(context: FitContext, fitted: Fitted, place: int) -> float:
+    """Return the nats that it costs an effect that parts of it are beyond their limits, if by little.
+
     A Gaussian prior knows no limits. The most probable values within them are at the limit: it costs what ln(likelihood
     x prior) is less there, with all else fitted again, in units of what is left of the data as all errors are. Where a
     product of flux and beam counts, a flux may be thousands of Jy below zero and within two of its errors of it, as its
     beam has the other sign; a beam and a flux of zero are then another matter. Collective: all ranks of the grid.
     """
-    one, by_noise = fitted.values.active[-1], fitted.fit.std[-1]
-    scale = error_scale(context, fitted)
-    beyond = one.effect.beyond(context.setup, one.x, scale.of(one, by_noise))
-    motion = one.effect.price_of_motion(context.setup, one.x, by_noise)
+    active, scale = fitted.values.active, error_scale(context, fitted)
+    one = active[place]
+    beyond = one.effect.beyond(context.setup, one.x, scale.of(one, fitted.fit.std[place]))
     if not np.any(beyond > 0):
-        return motion
+        return 0.0
     by_errors = float(0.5 * np.sum(beyond[np.isfinite(beyond)] ** 2))
     at_limit = _held_at_limit(context, one)
     if at_limit is None:
-        return by_errors + motion
-    values = replace(fitted.values, active=(*fitted.values.active[:-1], at_limit))
+        return by_errors
+    values = replace(fitted.values, active=(*active[:place], at_limit, *active[place + 1 :]))
     try:
         there = refit(context, values, fitted, for_evidence=True)
     except BrokenOff:
-        return by_errors + motion
+        return by_errors
     # The prior that counts is that of the effect, not the one by which it is held.
-    same = replace(there.values, active=(*there.values.active[:-1], replace(at_limit, prior=one.prior)))
+    held = replace(there.values.active[place], prior=one.prior)
+    of_all = there.values.active
+    same = replace(there.values, active=(*of_all[:place], held, *of_all[place + 1 :]))
     less = log_joint(context, fitted) - log_joint(context, replace(there, values=same))
-    return max(less, 0.0) / float(np.mean(scale.of_blocks(one.effect) ** 2)) + motion
+    return max(less, 0.0) / float(np.mean(scale.of_blocks(one.effect) ** 2))
 
 
 def _held_at_limit(context: FitContext, one: Active) -> Active | None:

@@ -93,6 +93,18 @@ def test_what_is_beyond_its_limits_costs_evidence(context: FitContext) -> None:
         assert (expected > 0) == (places == (FALSE,))
 
 
+def test_likelihoods_tell_what_errors_do_not(context: FitContext) -> None:
+    """As where flux and beam are factors of each other, of which each has an error as large as itself."""
+    fitted = fit_of(context, FALSE, TRUE)
+    wide = replace(fitted, fit=replace(fitted.fit, std=(np.maximum(fitted.fit.std[0], 2.0),)))
+    assert leave_out_unphysical(context, wide, 0) is None
+    found = leave_out_unphysical(context, wide, 0, by_likelihood=True)
+    assert found is not None
+    assert found.values.active[0].effect.describe() == {"sources": [list(TRUE)], "trials": 1000}
+    alone = fit_of(context, TRUE)
+    assert leave_out_unphysical(context, alone, 0, by_likelihood=True) is None
+
+
 def test_what_is_unphysical_at_the_end_is_taken_back(context: FitContext) -> None:
     before = check(context, refit(context, Values()))
     for places, kept, n_left in (((FALSE, TRUE), 0, 1), ((FALSE,), None, 0)):
