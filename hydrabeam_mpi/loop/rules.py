@@ -14,6 +14,10 @@ class Rules:
     most_tries : int
         Effects that are fitted in one round at most. A fit costs as much as weighing all of them, and what comes
         seventh by its evidence has never come first once it was fitted.
+    most_places : int
+        Grating lobes at most in which a source is fitted, the highest ones first. Of antennas 14.6 m apart they are 8
+        degrees apart at 150 MHz, so that twenty reach 20 degrees from the zenith, or the source, where a dish sees next
+        to nothing.
     most_refits : int
         Times at most that an effect is fitted again with another prior, or with fewer elements. Widths change little
         after the second; the limit ends those that alternate.
@@ -43,6 +47,7 @@ class Rules:
     """
 
     most_tries: int = 6
+    most_places: int = 20
     most_refits: int = 3
     most_columns: int = 600
     most_known: int = 512

@@ -51,7 +51,7 @@ def _of_effect(context: FitContext, fitted: Fitted, place: int) -> list[tuple[El
     least = log_joint(context, fitted) - scale * context.problem.job.loop.min_log_bayes_factor
     for element in np.unique(elements[active.used]).tolist():
         own = elements == element
-        for effect in islice(active.effect.alike(context.setup, active.x, element), RULES.most_tries):
+        for effect in islice(active.effect.alike(context.setup, active.x, element), RULES.most_places):
             start = replace(active, effect=effect, x=np.where(own, 0.0, active.x))
             other = _fit_there(context, fitted, place, start, least)
             if other is not None:

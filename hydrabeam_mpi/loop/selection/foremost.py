@@ -38,7 +38,7 @@ def fit_foremost(context: FitContext, before: Fitted, finding: Finding) -> Fitte
         return None
     last = best.values.active[-1]
     element = int(last.effect.parameters(context.setup).element[last.used[0]])
-    for effect in islice(last.effect.alike(context.setup, last.x, element), RULES.most_tries):
+    for effect in islice(last.effect.alike(context.setup, last.x, element), RULES.most_places):
         start = Active.start(effect, context.setup, last.prior_var(context.setup), np.zeros_like(last.x))
         best = _or_begun_at(context, before, best, start)
     return best

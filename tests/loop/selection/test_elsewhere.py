@@ -15,6 +15,8 @@ from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Active, Values
+from hydrabeam_mpi.loop.rules import RULES
+from hydrabeam_mpi.loop.selection import elsewhere
 from hydrabeam_mpi.loop.selection.elsewhere import tell_elsewhere
 from hydrabeam_mpi.loop.selection.history import History
 from hydrabeam_mpi.loop.selection.predictions import check
@@ -64,6 +66,14 @@ def test_either_place_is_told_and_the_likelier_one_is_the_model(context: FitCont
     assert abs(there["value"] % 360 - (-azimuth % 360)) < 5 * std
     assert (power["unit"], there["unit"]) == ("Jy", "deg")
     assert power["value"] == pytest.approx(told.values[0, 0], rel=0.05)
+
+
+@pytest.mark.parametrize(("most", "told"), [(1, 1), (0, 0)])
+def test_most_places(context: FitContext, most: int, told: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(elsewhere, "RULES", replace(RULES, most_places=most))
+    history = history_of(context, GroundEmitter([AZIMUTH, ALONE]))
+    tell_elsewhere(context, history)
+    assert len(history.rounds[0].elsewhere) == told
 
 
 def test_what_is_taken_back_or_has_no_place_is_nowhere_else(context: FitContext, tmp_path: Path) -> None:
