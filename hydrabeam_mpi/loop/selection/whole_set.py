@@ -12,7 +12,7 @@ from dataclasses import replace
 from itertools import takewhile
 
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Worth
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.fit.step import solved_at
 from hydrabeam_mpi.loop.attribution.reconsider import reconsider
@@ -23,7 +23,7 @@ from hydrabeam_mpi.loop.selection.candidate_fits import by_heldout
 from hydrabeam_mpi.loop.selection.foremost import started
 from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical, price_of_fitted
 from hydrabeam_mpi.loop.selection.predictions import check
-from hydrabeam_mpi.loop.selection.refits import fit_patiently, log_joint, rise, with_best_variant
+from hydrabeam_mpi.loop.selection.refits import fit_patiently, rise, with_best_variant
 from hydrabeam_mpi.loop.selection.refusal import rivals_of
 from hydrabeam_mpi.loop.selection.revision import reweigh
 from hydrabeam_mpi.loop.selection.trials import refusal_by_rivals, refusal_of_fit, round_of
@@ -38,8 +38,8 @@ def try_set(context: FitContext, checked: Checked, weighed: Weighed, tried: Trie
 
     Each has to pass what a single effect has to, in the order of the rounds, with those after it left out where the
     joint fit has the others. One that does not is refused (``tried`` receives it), and the others are fitted again.
-    There are no rounds where the set has no two effects, would leave more than noise, cannot be fitted so, or does not
-    come to what a single effect promises: then effects are tried one by one. Collective: all ranks of the grid.
+    There are no rounds where the set has no two effects, would leave more than noise, or cannot be fitted so: then
+    effects are tried one by one. Collective: all ranks of the grid.
     """
     if not weighed.explains:
         return ()
@@ -48,7 +48,7 @@ def try_set(context: FitContext, checked: Checked, weighed: Weighed, tried: Trie
         return ()
     titles = ", ".join(f"{one.title} (ln BF {one.log_bayes_factor:.4g})" for one in members)
     say(f"  trying together: {titles}", context.grid.is_world_root)
-    found = _fit(context, checked.fitted, members, _surpasses_single(context, checked.fitted, weighed.ranking))
+    found = _fit(context, checked.fitted, members)
     while found is not None:
         rounds, refused = _one_by_one(context, checked, *found, weighed)
         if refused is None:
@@ -59,7 +59,7 @@ def try_set(context: FitContext, checked: Checked, weighed: Weighed, tried: Trie
         if len(found[1]) <= 2:
             return ()
         found = _fit_without(context, *found, len(rounds))
-    say("    their joint fit does not converge, or to less than one promises", context.grid.is_world_root)
+    say("    their joint fit does not converge", context.grid.is_world_root)
     return ()
 
 
@@ -87,19 +87,12 @@ def as_one(rounds: Sequence[Round]) -> Round:
     return replace(last, candidate=candidate, before=rounds[0].before, together=members)
 
 
-def _surpasses_single(context: FitContext, before: Fitted, ranking: Sequence[Candidate]) -> Worth:
-    """Return whether a fit of a set may still come to as much as the best single effect promises."""
-    alone = [one.log_bayes_factor for one in ranking if one.finding is not None and not one.is_control]
-    least = log_joint(context, before) + max(alone, default=0.0)
-    return lambda at: at.reached + at.expected / RULES.near > least
-
-
 def _fit(
-    context: FitContext, before: Fitted, members: Sequence[Candidate], worth: Worth
+    context: FitContext, before: Fitted, members: Sequence[Candidate]
 ) -> tuple[Fitted, tuple[Candidate, ...]] | None:
     """Fit all of them jointly, each as it is wanted beside the others; return the fit and those that are.
 
-    None where no fit converges, or it is not ``worth`` it. Collective: all ranks of the grid.
+    None where no fit converges. Collective: all ranks of the grid.
     """
     values = before.values
     for one in members:
@@ -107,7 +100,7 @@ def _fit(
         values = values.extended(started(context, one.finding, one.finding.evidence.prior_var))
     n_before = len(before.values.active)
     try:
-        fitted = fit_patiently(context, values, before, worth)
+        fitted = fit_patiently(context, values, before)
         for place in range(n_before, len(fitted.values.active)):
             fitted = with_best_variant(context, fitted, place)
         return _as_wanted(context, fitted, tuple(members))

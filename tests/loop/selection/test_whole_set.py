@@ -14,7 +14,7 @@ from hydrabeam_mpi.effects.instrument.closure_errors import ClosureErrors
 from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.gauss_newton import Worth, refit
+from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Active, Ended, Fitted, Values
 from hydrabeam_mpi.loop.attribution.score_effects import Finding
 from hydrabeam_mpi.loop.selection import whole_set
@@ -166,7 +166,7 @@ def test_the_others_are_fitted_again_from_where_they_were(tmp_path: Path, monkey
 
     begun = []
 
-    def fit(context: FitContext, values: Values, start: Fitted, worth: Worth | None = None) -> Fitted:
+    def fit(context: FitContext, values: Values, start: Fitted) -> Fitted:
         begun.append((len(values.active), start is before.fitted))
         return refit(context, values, start)
 
@@ -188,22 +188,12 @@ def test_one_effect_is_no_set(context: FitContext, before: Checked, weighed: Wei
 def test_a_set_whose_fit_does_not_converge_is_tried_one_by_one(
     context: FitContext, before: Checked, weighed: Weighed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def unsettled(context: FitContext, values: Values, start: Fitted, worth: Worth) -> Fitted:
+    def unsettled(context: FitContext, values: Values, start: Fitted) -> Fitted:
         fitted = refit(context, values, start)
         return replace(fitted, diagnostics=replace(fitted.diagnostics, ended=Ended.STUCK))
 
     monkeypatch.setattr(whole_set, "fit_patiently", unsettled)
     assert try_set(context, before, weighed, []) == ()
-
-
-def test_a_set_that_comes_to_less_than_one_effect_promises_is_left(
-    context: FitContext, before: Checked, weighed: Weighed
-) -> None:
-    """As where the linear model has it explain all, and its fit goes on for dozens of steps to little."""
-    both = rise(context, before.fitted, try_set(context, before, weighed, [])[-1].after.fitted)
-    for promised, n_rounds in ((0.9 * both, 2), (11 * both, 0)):
-        single = replace(weighed.ranking[0], log_bayes_factor=promised)
-        assert len(try_set(context, before, replace(weighed, ranking=(single,)), [])) == n_rounds
 
 
 def test_what_is_picked_from_a_grid_is_tried_by_itself(context: FitContext, before: Checked, weighed: Weighed) -> None:
