@@ -50,7 +50,9 @@ class EarlierSteps:
         self._points = [*self._points[-MEMORY:], point]
         self._steps = [*self._steps[-MEMORY:], step]
 
-    def better_step(self, comm: Comm, in_sigmas: Callable[[Parts], FloatArray]) -> Parts | None:
+    def better_step(
+        self, comm: Comm, in_sigmas: Callable[[Parts], FloatArray], from_saddles: bool = True
+    ) -> Parts | None:
         """Return a better step than the latest one; None without earlier ones. Collective: all ranks of ``comm``.
 
         Parameters
@@ -59,6 +61,9 @@ class EarlierSteps:
         in_sigmas : callable
             Gives what counts of a difference on this rank, in standard deviations, (n,). Of what several ranks have
             one alone gives it, as all that ranks give counts.
+        from_saddles : bool
+            Whether steps lead to where something is highest, and get longer away from a saddle, whose smallest one is
+            back there. If not, they lead to the one point where there are none.
         """
         if len(self._points) == 1:
             return None
@@ -71,7 +76,7 @@ class EarlierSteps:
         triangles, weights = gather_objects(comm, triangle), None
         with together(comm):
             if triangles is not None:
-                weights = _weights_of_earlier(np.concatenate(triangles), len(changed))
+                weights = _weights_of_earlier(np.concatenate(triangles), len(changed), from_saddles)
         weights = bcast_object(comm, weights)
         if weights is None:
             return [AHEAD * part for part in step]
@@ -86,7 +91,7 @@ def _differences(each: Sequence[Parts]) -> list[Parts]:
     return [[new - old for old, new in zip(before, after, strict=True)] for before, after in pairwise(each)]
 
 
-def _weights_of_earlier(rows: FloatArray, n: int) -> FloatArray | None:
+def _weights_of_earlier(rows: FloatArray, n: int, from_saddles: bool) -> FloatArray | None:
     """Return how much is taken back of each of ``n`` differences, (n,); None where steps get longer.
 
     The ``rows``, (n_rows, 2 n + 1), are of the changes of the steps, of the points, and of the latest step.
@@ -94,8 +99,7 @@ def _weights_of_earlier(rows: FloatArray, n: int) -> FloatArray | None:
     changed, moved, step = rows[:, :n], rows[:, n:-1], rows[:, -1]
     weights = np.asarray(np.linalg.lstsq(changed, step, rcond=RCOND)[0], dtype=float)
     better = step - (moved + changed) @ weights
-    # Away from a saddle steps get longer; the smallest one is back there.
-    return weights if better @ step > 0 else None
+    return weights if better @ step > 0 or not from_saddles else None
 
 
 def accelerated(
@@ -125,15 +129,11 @@ def accelerated(
     std = np.concatenate([one[:, i.used] for one, i in zip(fit.std, values.active, strict=True)], axis=1)
     per_std = per_sigma(std)
 
+    of_beams = in_sigmas_of(context, solved_for)
+
     def in_sigmas(difference: Parts) -> FloatArray:
-        counts = [np.zeros(0)]
-        if grid.is_world_root:
-            counts.append((difference[0] * per_std).ravel())
-        if grid.is_group_root:
-            for beam, mean in zip(solved_for, difference[1:], strict=False):
-                away = beam.factor.conj().T @ mean
-                counts += [away.real, away.imag]
-        return np.concatenate(counts)
+        of_effects = (difference[0] * per_std).ravel() if grid.is_world_root else np.zeros(0)
+        return np.concatenate([of_effects, of_beams(difference[1:])])
 
     wanted = earlier.better_step(grid.world, in_sigmas)
     if wanted is None:
@@ -144,6 +144,20 @@ def accelerated(
     pairs = zip(solved_for, at.beams, wanted[1:], strict=True)
     beams = [replace(one, mean=seen_by.mean + further) for one, seen_by, further in pairs]
     return Estimate(values.at(values.x + change), followed(context, beams, fit.beam_response, change - wanted[0]))
+
+
+def in_sigmas_of(context: FitContext, beams: Sequence[Posterior]) -> Callable[[Parts], FloatArray]:
+    """Return what gives differences of the rank group's beams in their standard deviations, (n,), on its root."""
+
+    def in_sigmas(difference: Parts) -> FloatArray:
+        counts = [np.zeros(0)]
+        if context.grid.is_group_root:
+            for beam, mean in zip(beams, difference, strict=False):
+                away = beam.factor.conj().T @ mean
+                counts += [away.real, away.imag]
+        return np.concatenate(counts)
+
+    return in_sigmas
 
 
 def per_sigma(std: FloatArray) -> FloatArray:

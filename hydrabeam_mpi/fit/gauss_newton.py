@@ -12,6 +12,7 @@ from hydrabeam_mpi.fit.acceleration import EarlierSteps, accelerated, followed
 from hydrabeam_mpi.fit.beams_given import Solved, diagnostics_of, solve_beams
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.joint_step import solve_jointly
+from hydrabeam_mpi.fit.own_beams import with_own_beams
 from hydrabeam_mpi.fit.state import Ended, Estimate, Fit, Fitted, Values
 from hydrabeam_mpi.fit.step import Step, beam_moved, step_of, take_step
 from hydrabeam_mpi.mpi import bcast_object, together
@@ -113,6 +114,9 @@ def refit(
         solved = solve_beams(context, start)
         return Fitted(values, Fit(solved.beams), diagnostics_of(context, solved))
     try:
+        if before is None or len(values.active) < len(before.fit.std):
+            # Those before are none, or belong to effects that have been left out.
+            start = with_own_beams(context, start, MAX_STEPS, STEP_SIGMAS)
         end, step, ended = _search(context, start, first_step, worth, for_evidence)
     except InputError as error:
         if before is None:
@@ -171,10 +175,6 @@ def _search(
     for number in range(MAX_STEPS):
         say_meanwhile(f"    fitting: step {number + 1} of {MAX_STEPS} at most", context.grid.is_world_root)
         solved = _solved_or_too_far(context, at, best is None)
-        if solved is not None and not at.beams:
-            # There were no beams to see E by.
-            at = replace(at, beams=solved.beams)
-            continue
         if solved is not None and _is_too_long(context, best, at, solved):
             at, solved = _with_linear(context, at, solved)
         if best is not None and _is_too_long(context, best, at, solved):
