@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hydrabeam_mpi.fit.acceleration import EarlierSteps, accelerated
+from hydrabeam_mpi.fit.acceleration import MEMORY, EarlierSteps, accelerated
 from hydrabeam_mpi.fit.beams_given import Solved, diagnostics_of, solve_beams
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import misfit_of, refit
@@ -18,14 +18,14 @@ SETTLED_SIGMAS = 1e-8
 
 It is far above rounding, and far below the 1e-6 to which a written fit can be computed again.
 """
-PATIENCE = 6
+PATIENCE = MEMORY + 1
 """The fit is as still as it gets where so many steps in a row are longer than the shortest: one more than those that
 the next one learns from."""
 MAX_SETTLING = 60
 """Steps at most; nearly all fits take three to fifteen."""
 SAME_PEAK_NATS = 1.0
 """What is lower than the fit by more than this in ln(likelihood x prior), over reduced chi^2 where that is above one,
-is not where the fit leads.
+is not where the fit leads: of one parameter that is 1.4 standard deviations.
 
 A little lower it may be: E is taken as seen by the beams, which are solved for as if it did not change with them.
 """

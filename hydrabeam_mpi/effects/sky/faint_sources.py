@@ -24,9 +24,8 @@ AT_FIRST = 100
 """They hold a fifth to a third of the power of a white sky as 37 to 19 antennas of 14 m see it in six hours, enough to
 tell whether there is one; of many more each round would pay for the products."""
 MORE = (250, 500, 1000, 2000)
-"""How many there may be at once, if evidence wants them: fewer than that make up for those that are left out, and may
-predict worse than none. Where all were 17 times the noise, 500 points raised the held-out rms and 1,000 took it to a
-quarter."""
+"""How many there may be at once, as long as evidence rises: fewer than the data see make up for those that are left
+out. Each is about twice the one before, up to what holds nearly all of the power (`MOST_POINTS`)."""
 MOST_POINTS = 3000
 """Of the grid, those with the most power, from which points are taken: 99% of the power that 37 antennas see in six
 hours is in 2,200 of them. The matrix of so many takes 72 MB."""

@@ -47,15 +47,16 @@ def _of_effect(context: FitContext, fitted: Fitted, place: int) -> list[tuple[El
     active, found = fitted.values.active[place], list[tuple[Elsewhere, Fitted]]()
     elements = active.effect.parameters(context.setup).element
     scale = float(np.mean(error_scale(context, fitted).of_blocks(active.effect) ** 2))
+    here = log_joint(context, fitted)
     # Of ln likelihood, in units of what is left of the data.
-    least = log_joint(context, fitted) - scale * context.problem.job.loop.min_log_bayes_factor
+    least = here - scale * context.problem.job.loop.min_log_bayes_factor
     for element in np.unique(elements[active.used]).tolist():
         own = elements == element
         for effect in islice(active.effect.alike(context.setup, active.x, element), RULES.most_places):
             start = replace(active, effect=effect, x=np.where(own, 0.0, active.x))
             other = _fit_there(context, fitted, place, start, least)
             if other is not None:
-                ratio = (log_joint(context, other) - log_joint(context, fitted)) / scale
+                ratio = (log_joint(context, other) - here) / scale
                 found.append((_as_told(context, other, place, own, ratio), other))
     return sorted(found, key=lambda one: -one[0].log_likelihood_ratio)
 

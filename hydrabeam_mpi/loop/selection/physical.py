@@ -11,6 +11,7 @@ from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.error_scale import error_scale
 from hydrabeam_mpi.fit.gauss_newton import BrokenOff, refit
+from hydrabeam_mpi.fit.joint_step import HELD
 from hydrabeam_mpi.fit.state import Active, Fitted, Values
 from hydrabeam_mpi.inference.prior import ChannelPrior, DiagonalPrior
 from hydrabeam_mpi.loop.attribution.limits import is_unphysical
@@ -18,8 +19,8 @@ from hydrabeam_mpi.loop.selection.refits import log_joint
 
 MOST_NAMED = 4
 """Parameters that a line names, those furthest beyond their limits: of many sources it would be pages."""
-HELD = 1e-5
-"""Part of its prior's width within which a parameter is held: data that tell it well hardly move it then."""
+WITHIN = HELD**-0.5
+"""Part of its prior's width within which a parameter is held, as what is degenerate is."""
 
 
 @dataclass(frozen=True)
@@ -146,7 +147,7 @@ def _held_at_limit(context: FitContext, one: Active) -> Active | None:
             return None
         for sign in (1.0, -1.0):
             there = of_channel + sign * excess
-            inside = where & (_excess(context, one.effect, there, in_use) <= HELD * excess)
+            inside = where & (_excess(context, one.effect, there, in_use) <= WITHIN * excess)
             of_channel[inside] = there[inside]
             where &= ~inside
         if where.any():
@@ -154,7 +155,7 @@ def _held_at_limit(context: FitContext, one: Active) -> Active | None:
     held = np.any(x != one.x, axis=0)[one.used]
     of_channels = [priors[min(f, len(priors) - 1)] for f in range(1 if one.prior.shared else len(x))]
     narrow = tuple(
-        DiagonalPrior(np.where(held, x[f, one.used], prior.mean), np.where(held, HELD, 1.0) * prior.std())
+        DiagonalPrior(np.where(held, x[f, one.used], prior.mean), np.where(held, WITHIN, 1.0) * prior.std())
         for f, prior in enumerate(of_channels)
     )
     return replace(one, x=x, prior=ChannelPrior(narrow, one.prior.shared))
