@@ -21,7 +21,6 @@ from hydrabeam_mpi.api.shared import (
 from hydrabeam_mpi.fit.channels import ChannelResult, infer_each
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.grown import grown_problem
-from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.joint import channel_results, fit_with_effects, read_context
 from hydrabeam_mpi.fit.memory import inference_bytes, joint_bytes, of_share
 from hydrabeam_mpi.fit.rounding import MOST_SHIFT
@@ -132,7 +131,7 @@ def _with_effects(setup: Setup, grid: ProcessGrid, problem: Problem, clock: Cloc
     fitted = fit_with_effects(context, clock)
     with clock.time("heldout"):
         results = channel_results(context, fitted)
-        numbers = heldout_numbers(context, whiten(context, fitted))
+        numbers = heldout_numbers(context, fitted)
     problem = grown_problem(problem, context.setup, fitted.values, context.learned)
     written = with_whole_beams(context, fitted)
     found, gains = effects_found(setup.job, written, context.setup), (context.setup, written.values)

@@ -15,7 +15,6 @@ from hydrabeam_mpi.api.setup import Setup
 from hydrabeam_mpi.api.shared import begun, origin_of
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.fit.clock import Clock
-from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.loop.selection.heldout_numbers import HeldoutNumbers, heldout_numbers
 from hydrabeam_mpi.mpi import together
 from hydrabeam_mpi.terminal.progress import say
@@ -91,7 +90,7 @@ def run_prediction(result: Result, setup: Setup, folder: Path | None, threads: i
     clock = Clock()
     problem, context, fitted, carried = apply_result(result, setup, folder, clock)
     with clock.time("heldout"):
-        numbers = heldout_numbers(context, whiten(context, fitted))
+        numbers = heldout_numbers(context, fitted)
     prediction = Prediction(setup.job)
     with together(setup.comm):
         if setup.comm.rank == 0:

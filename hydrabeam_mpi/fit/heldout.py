@@ -53,8 +53,6 @@ class Whitened:
         Variance of the noise of these data by the weights of the model, Jy^2; zero where they do not count.
     uncertain : ndarray, same shape
         Variance by what is uncertain of the beam and of the effects, in the same Jy^2.
-    log_spread : ndarray, (Nfreqs,)
-        Of each of the job's channels, of all ranks: ln |1 + M| / 2, M the predictions' covariance over the noise's.
     n_shared : float
         Twice the sum of ``share`` over all ranks: how many fitted parameters the predictions feel.
     """
@@ -67,7 +65,6 @@ class Whitened:
     power: FloatArray
     noise: FloatArray
     uncertain: FloatArray
-    log_spread: FloatArray
     n_shared: float = 0.0
 
 
@@ -82,38 +79,36 @@ def whiten(context: FitContext, fitted: Fitted) -> Whitened:
 
 def _predict(context: FitContext, fitted: Fitted) -> Whitened:
     """Predict the rank's held-out rows. Collective: all ranks of the grid."""
+    fitted = with_whole_beams(context, fitted)
     local = untold(context, fitted.values)
     if local is None:
         return _whiten(context, fitted)
     folds = fold_of(context, local)
-    one, two = (_whiten(context, fit_local(context, fitted, local, folds != fold)) for fold in (0, 1))
+    one, two = (_whiten(context, fit_local(context, fitted, local, folds != fold)[0]) for fold in (0, 1))
 
     def of_either(name: str) -> Array:
         return np.where(folds == 0, getattr(one, name), getattr(two, name))
 
     names = ("z", "used", "share", "model", "root", "power", "noise", "uncertain")
     rows: dict[str, Any] = {name: of_either(name) for name in names}
-    return Whitened(**rows, log_spread=0.5 * one.log_spread + 0.5 * two.log_spread)
+    return Whitened(**rows)
 
 
 def _with_total(context: FitContext, whitened: Whitened) -> Whitened:
     """Sum over ranks."""
-    mine = np.array([2 * float(whitened.share[whitened.used].sum()), *whitened.log_spread])
-    allreduce_sum(context.grid.world, mine)
-    return replace(whitened, n_shared=float(mine[0]), log_spread=mine[1:])
+    n_shared = context.grid.world.allreduce(2 * float(whitened.share[whitened.used].sum()))
+    return replace(whitened, n_shared=n_shared)
 
 
 def _whiten(context: FitContext, fitted: Fitted) -> Whitened:
-    """Whiten the rank's rows with what has been fitted. Collective: all ranks of the grid."""
-    fitted = with_whole_beams(context, fitted)
+    """Whiten the rank's rows with what has been fitted, beams as a whole. Collective: all ranks of the grid."""
     share, has_effects = context.test, bool(fitted.values.active)
     with together(context.grid.world):
         rows, added = share.calibrated(fitted.estimate)
     root, noise = np.sqrt(2 * rows.inv_noise_var), share.noise_variance(rows)
     z, model = np.zeros_like(rows.data), np.zeros_like(rows.data)
     share_of_model, power, uncertain = np.zeros((3, *noise.shape))
-    log_spread = np.zeros(context.setup.observation.Nfreqs)
-    for channel, number in enumerate(context.channels):
+    for channel in range(len(context.channels)):
         covariance = fitted.fit.covariances[channel] if has_effects else np.zeros((0, 0))
         errors = SharedErrors(covariance) if _is_shared(context, fitted) else None
         own_root = errors.root if errors else _followed_root(covariance)
@@ -128,14 +123,11 @@ def _whiten(context: FitContext, fitted: Fitted) -> Whitened:
                         columns, own = next(felt)
                         spread = _variances(columns, block.member, own, own_root).sum(axis=0)
                         if errors is None:
-                            widened = 1 + weights * spread
-                            weights = weights / widened
-                            log_spread[number] += float(np.log(widened).sum())
+                            weights = weights / (1 + weights * spread)
                     by_beam = share.model_root(channel, row, fitted.estimate, design[t])
                     time = TimeWhitener.of(weights, block.member, by_beam)
                     z[channel, row] = time.rows(block.residual[t][:, np.newaxis])[:, 0]
                     share_of_model[channel, row] = time.share
-                    log_spread[number] += time.log_spread
                     uncertain[channel, row] = noise[channel, row] * block.weights[t] * (time.variance + spread)
                     if errors is not None and columns is not None:
                         errors.add(time, z[channel, row], columns)
@@ -148,8 +140,7 @@ def _whiten(context: FitContext, fitted: Fitted) -> Whitened:
             used = rows.inv_noise_var[channel] > 0
             n_used = int(context.grid.group.allreduce(np.count_nonzero(used)))
             share_of_model[channel] += errors.n_shared / (2 * max(n_used, 1))
-            log_spread[number] += errors.log_spread if context.grid.is_group_root else 0.0
-    return Whitened(z, rows.inv_noise_var > 0, share_of_model, model, root, power, noise, uncertain, log_spread)
+    return Whitened(z, rows.inv_noise_var > 0, share_of_model, model, root, power, noise, uncertain)
 
 
 def _is_shared(context: FitContext, fitted: Fitted) -> bool:

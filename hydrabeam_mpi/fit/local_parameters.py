@@ -1,23 +1,31 @@
 """Parameters that belong to single times or baselines, which the fitted rows do not tell where these are held out.
 
-They are fitted on a part of the held-out rows, to predict the others.
+What the rest of the model says of a held-out row is known up to the beam's errors, which are alike in all rows of a
+time. So of the rows of a time these parameters are fitted with weights that know of that: else they would follow what
+the beam has wrong.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array, hstack
 
-from hydrabeam_mpi.data.observation import BoolArray, FloatArray
+from hydrabeam_mpi.data.observation import BoolArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.linearised import active_sums
-from hydrabeam_mpi.fit.state import Estimate, Fitted, Values
+from hydrabeam_mpi.fit.marginal import in_parts
+from hydrabeam_mpi.fit.state import Active, Estimate, Fitted, Values
+from hydrabeam_mpi.fit.whitening import TimeWhitener
 from hydrabeam_mpi.mpi import allreduce_sum, together
 
 LOCAL_STEPS = 4
-"""Newton steps, each of which about squares what the one before has left: all else stays as it is."""
+"""Newton steps at most, each of which about squares what the one before has left: all else stays as it is."""
+MOVED = 1e-3
+"""Of their standard deviations, by which parameters move in the last step that is worth taking."""
 
 
 def untold(context: FitContext, values: Values) -> str | None:
@@ -36,58 +44,104 @@ def fold_of(context: FitContext, local: str) -> NDArray[np.int64]:
     return (context.test.rows.tile.times % 2)[:, np.newaxis]
 
 
-def fit_local(context: FitContext, fitted: Fitted, local: str, kept: BoolArray) -> Fitted:
-    """Fit the parameters that belong to held-out times or baselines, with all else as it is, on the rows ``kept``."""
+def fit_local(context: FitContext, fitted: Fitted, local: str, kept: BoolArray) -> tuple[Fitted, BoolArray]:
+    """Fit the parameters that belong to held-out times or baselines, with all else as it is, on the rows ``kept``.
+
+    Returns the fit and which of the parameters in use these are, (q,). Collective: all ranks of the grid.
+    """
     values, posteriors = fitted.values, fitted.fit.posteriors
     for _ in range(LOCAL_STEPS):
-        values, found = _local_step(context, Estimate(values, posteriors), local, kept)
-    covariances = []
-    for covariance, number in zip(fitted.fit.covariances, context.channels, strict=True):
-        free, own = found[number]
-        known = ~free
-        covariance = np.where(np.outer(known, known), covariance, 0.0)
-        covariance[np.ix_(free, free)] = own
-        covariances.append(covariance)
-    return replace(fitted, values=values, fit=replace(fitted.fit, covariances=tuple(covariances)))
+        step = _local_step(context, Estimate(values, posteriors), local, kept)
+        values = step.values
+        if step.moved < MOVED:
+            break
+    pairs = zip(fitted.fit.covariances, context.channels, strict=True)
+    covariances = tuple(with_own(covariance, step.free, step.covariances[number]) for covariance, number in pairs)
+    return replace(fitted, values=values, fit=replace(fitted.fit, covariances=covariances)), step.free
 
 
-def _local_step(
-    context: FitContext, at: Estimate, local: str, kept: BoolArray
-) -> tuple[Values, list[tuple[BoolArray, FloatArray]]]:
-    """Take a Newton step of these parameters, with the beams as they are.
+def with_own(covariance: FloatArray, free: BoolArray, own: FloatArray) -> FloatArray:
+    """Return the covariance, (q, q), where those that are ``free`` have one of their own, and none with others."""
+    out = np.where(np.outer(~free, ~free), covariance, 0.0)
+    out[np.ix_(free, free)] = own
+    return np.asarray(out)
 
-    Returns
-    -------
-    values : Values
-    found : list
-        For each of the job's channels which parameters have been fitted, (q,), and their covariance.
+
+@dataclass(frozen=True)
+class _LocalStep:
+    """Where a step has led: the values, which parameters it has moved, (q,), and their covariances in each channel.
+
+    ``moved`` is by how many standard deviations one of them moved at most.
     """
+
+    values: Values
+    free: BoolArray
+    covariances: list[FloatArray]
+    moved: float
+
+
+def _local_step(context: FitContext, at: Estimate, local: str, kept: BoolArray) -> _LocalStep:
+    """Take a Newton step of these parameters, with the beams as they are. Collective: all ranks of the grid."""
     x, shared = at.values.x, at.values.shared
-    signals, scores = _local_sums(context, at, kept)
-    of_kind = np.concatenate([np.full(len(one.used), one.effect.local == local) for one in at.values.active])
+    signals, scores = _local_sums(context, at, local, kept)
+    of_kind = np.concatenate([np.full(one.size, one.effect.local == local) for one in at.values.active])
     free = of_kind & (np.diag(signals.sum(axis=0)) > 0)
-    found: list[tuple[BoolArray, FloatArray]] = []
+    covariances, moved = [], 0.0
     for f in range(len(x)):
         signal = np.where(np.outer(shared, shared), signals.sum(axis=0), signals[f])[np.ix_(free, free)]
         score = np.where(shared, scores.sum(axis=0), scores[f])[free] + at.values.prior_score(f)[free]
         covariance = np.asarray(np.linalg.inv(signal + at.values.prior_precision(f)[np.ix_(free, free)]), dtype=float)
-        x[f, free] += covariance @ score
-        found.append((free, covariance))
-    return at.values.at(x), found
+        step = covariance @ score
+        x[f, free] += step
+        covariances.append(covariance)
+        moved = max(moved, float(np.max(np.abs(step) / np.sqrt(np.diag(covariance)), initial=0.0)))
+    # Rank 0 says whether to go on, so that rounding cannot let ranks differ.
+    return _LocalStep(at.values.at(x), free, covariances, context.grid.world.bcast(moved))
 
 
-def _local_sums(context: FitContext, at: Estimate, kept: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Return what the held-out rows ``kept`` say, with the beams as they are: information and score of all channels."""
+def _local_sums(context: FitContext, at: Estimate, local: str, kept: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Return what the held-out rows ``kept`` say, for all that is uncertain of the beam: information and score.
+
+    Those of all channels, (Nfreqs, q, q) and (Nfreqs, q).
+    """
+    share = context.test
     with together(context.grid.world):
-        rows, added = context.test.calibrated(at)
+        rows, added = share.calibrated(at)
     rows = replace(rows, inv_noise_var=rows.inv_noise_var * kept)
     n_freqs, q = at.values.x.shape
     signals, scores = np.zeros((n_freqs, q, q)), np.zeros((n_freqs, q))
+    chosen = [
+        (one, span) for one, span in zip(at.values.active, at.values.spans, strict=True) if one.effect.local == local
+    ]
     for channel, number in enumerate(context.channels):
-        sums = active_sums(context, context.test, at, channel, rows, added[channel], at.values.blocks)
-        if context.grid.is_group_root:
-            likelihood = sums.likelihood_alone(list(at.values.blocks))
-            signals[number], scores[number] = likelihood.signal, likelihood.score
+        with together(context.grid.group):
+            for span, block, design in share.row_blocks(channel, at, added[channel], rows):
+                for t, (which, columns) in enumerate(_columns(block, chosen, number)):
+                    by_beam = share.model_root(channel, span.start + t, at, design[t])
+                    time = TimeWhitener.of(block.weights[t], block.member, by_beam)
+                    white = in_parts(time.rows(np.column_stack([columns, block.residual[t]])))
+                    signals[number][np.ix_(which, which)] += white[:, :-1].T @ white[:, :-1]
+                    scores[number][which] += white[:, :-1].T @ white[:, -1]
     allreduce_sum(context.grid.world, signals)
     allreduce_sum(context.grid.world, scores)
     return signals, scores
+
+
+def _columns(
+    block: RowBlock, chosen: list[tuple[Active, slice]], channel: int
+) -> Iterator[tuple[IntArray, NDArray[np.complex128]]]:
+    """Yield for each time which of all parameters in use its rows tell of effects, and their columns, (Nbls, k)."""
+    block.integrate_for([one.effect for one, _ in chosen])
+    made = [(block.columns_of(one.effect, one.x[channel]), one.used) for one, _ in chosen]
+    matrices = [(csr_array(one.matrix()[:, used]), one.by_group) for one, used in made]
+    numbers = np.concatenate([np.arange(span.start, span.stop) for _, span in chosen])
+    n_times = len(block.times)
+    for t in range(n_times):
+        parts = []
+        for matrix, by_group in matrices:
+            n = matrix.shape[0] // n_times
+            part = matrix[t * n : (t + 1) * n]
+            parts.append(part[block.member] if by_group else part)
+        columns = hstack(parts, format="csc")
+        told = np.flatnonzero(np.diff(columns.indptr))
+        yield numbers[told], columns[:, told].toarray()

@@ -93,6 +93,11 @@ class RowModel:
         """How well the beams are known, which many fits have in common."""
         return RecentlyKnown()
 
+    @cached_property
+    def known_when_held_out(self) -> RecentlyKnown:
+        """What these rows would tell of the beams, by which their density as others predict it is worked out."""
+        return RecentlyKnown()
+
     def designs(self, values: Values, show: bool = False) -> Iterator[Array]:
         """Yield the design of each time, (Nfreqs, ..., Ngroups, n_modes), as the function `designs` does.
 

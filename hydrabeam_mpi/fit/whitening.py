@@ -53,8 +53,6 @@ class TimeWhitener:
         Along these vectors of the components of used groups, all real parts first, rows are scaled.
     share : ndarray, (Nbls,)
         The model's share of the variance.
-    log_spread : float
-        Half of the logarithm of the covariance's determinant, in units of the noise.
     variance : ndarray, (Nbls,)
         The model's own, Jy^2; zero where nothing of a group counts.
     """
@@ -66,7 +64,6 @@ class TimeWhitener:
     vectors: FloatArray
     scales: FloatArray
     share: FloatArray
-    log_spread: float
     variance: FloatArray
 
     @classmethod
@@ -95,7 +92,7 @@ class TimeWhitener:
         shared, variance = np.zeros((2, n_groups))
         if not len(used):  # a time that is wholly flagged
             empty = np.zeros((0, 0)), np.zeros(0)
-            return cls(weights, group_weights, gather, used, *empty, shared[member], 0.0, variance[member])
+            return cls(weights, group_weights, gather, used, *empty, shared[member], variance[member])
         # With all of HERA each of these is as large as the design of a time: one copy, scaled in place.
         root = model_root[:, np.concatenate([used, n_groups + used])]
         variance[used] = np.einsum("ij,ij->j", root, root).reshape(2, -1).sum(axis=0)
@@ -108,8 +105,8 @@ class TimeWhitener:
             values, scales = values / left, 1 / np.sqrt(left)
         by_part = np.einsum("ij,ij,j->i", vectors, vectors, values / (1 + values))
         shared[used] = 0.5 * (by_part[: len(used)] + by_part[len(used) :])
-        share, log_spread = own**2 * shared[member], 0.5 * float(np.log1p(values).sum())
-        return cls(weights, group_weights, gather, used, vectors, scales, share, log_spread, variance[member])
+        share = own**2 * shared[member]
+        return cls(weights, group_weights, gather, used, vectors, scales, share, variance[member])
 
     def rows(self, rows: ComplexArray) -> ComplexArray:
         """Whiten rows of baselines.
@@ -255,11 +252,6 @@ class SharedErrors:
         """How many parameters the predictions feel."""
         values, _ = self._spectrum
         return float(np.sum(values / (1 + values)))
-
-    @property
-    def log_spread(self) -> float:
-        """Half of the logarithm of the covariance's determinant."""
-        return 0.5 * float(np.log1p(self._spectrum[0]).sum())
 
 
 def model_root(posterior: Posterior, design: Array) -> FloatArray:

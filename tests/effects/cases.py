@@ -80,6 +80,7 @@ IN_TIME = {
         ("antenna_pointing", "piecewise"),
         ("timestamp", "smooth"),
         ("timestamp", "piecewise"),
+        ("ionosphere", "smooth"),
     )
 }
 IN_TIME |= {
@@ -91,6 +92,7 @@ IN_TIME |= {
         ("cross_coupling", "nightly"),
         ("catalogue_flux", "nightly"),
         ("missing_sources", "nightly"),
+        ("ionosphere", "nightly"),
     )
 }
 """Effects with the laws by which they may change in time."""

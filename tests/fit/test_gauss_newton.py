@@ -52,7 +52,7 @@ def free(context: FitContext, effect: Effect, width: float, only: Sequence[int] 
 def heldout_chi2(context: FitContext, fitted: Fitted) -> float:
     """Return chi^2 of the held-out rows, of which nothing is kept: it is asked with one setting after another."""
     context = replace(context)
-    return heldout_score(context, whiten(context, fitted), fitted.values).chi2
+    return heldout_score(context, whiten(context, fitted), fitted).chi2
 
 
 def beam_error(context: FitContext, fitted: Fitted, folder: Path) -> float:

@@ -63,7 +63,7 @@ def blocks(chi2: float, log_spread: float = 0.0, n_times: int = N_DATA // 100, s
         n = np.full(n_blocks, 100.0 * n_times / n_blocks)
         power = rng.gamma(n)
         axes.append(np.array([power * chi2 * n.sum() / power.sum(), n]))
-    return HeldoutScore(axes[0], axes[1], log_spread)
+    return HeldoutScore(axes[0], axes[1], float(axes[0][0].sum()), log_spread)
 
 
 def numbers(rms: float, expected: float = 1.0, n_freqs: int = 2, n_data: int = N_DATA, seed: int = 3) -> HeldoutNumbers:
@@ -76,7 +76,7 @@ def numbers(rms: float, expected: float = 1.0, n_freqs: int = 2, n_data: int = N
         "n": n_data, "weight": weight, "data": 100 * weight, "residual": rms**2 * weight, "noise": weight,
         "uncertain": (expected**2 - 1) * weight, "model_residual": 25 * weight, "overlap_real": 0.0,
         "overlap_imag": 84 * weight, "model": 84 * weight, "noise_only": rms**2 * weight,
-        "predictive": (rms / expected) ** 2 * weight,
+        "predictive": (rms / expected) ** 2 * weight, "misfit": (rms / expected) ** 2 * weight,
     }  # fmt: skip
     rng, axes = generator(seed, "numbers"), []
     for n_blocks in (20, 10):

@@ -89,7 +89,7 @@ class InTime(ScannedEffect):
         law, here = self.time_law.anew(setup.jd), self.effect.carried_over(setup)
         if law is None or isinstance(here, str):
             return None
-        effect, before = InTime(here, law[0]), self.time_law.names()
+        effect, before = type(self)(here, law[0]), self.time_law.names()
         own = effect._own_parameters(setup).names
         sizes: dict[str, dict[str, float]] = {}
         for name, (number, _) in here.known_as(own).items():
@@ -245,21 +245,21 @@ class InTime(ScannedEffect):
             n_each = 2 * len(law.names())
             return type(self)(self.effect.at(setup, hypotheses[: max(MOST_COLUMNS // max(n_each, 1), 1)]), law)
         most = max(MOST_COLUMNS // len(self.effect.parameters(setup)), LEAST_FUNCTIONS)
-        return InTime(self.effect, law.at(law.best(np.asarray(hypotheses), most)))
+        return type(self)(self.effect, law.at(law.best(np.asarray(hypotheses), most)))
 
     def drawn(self, setup: ObservingSetup, rng: np.random.Generator) -> InTime:
         """Pick an element at random, or a function."""
         law = self.time_law.over(setup.jd) if self.time_law.names() else self._candidates(setup)
         if isinstance(self.effect, ScannedEffect):
             return type(self)(self.effect.drawn(setup, rng), law)
-        return InTime(self.effect, law.at(rng.integers(len(law.names()), size=1)))
+        return type(self)(self.effect, law.at(rng.integers(len(law.names()), size=1)))
 
     def alternatives(self, setup: ObservingSetup, used: IntArray) -> list[InTime]:
         """Return the effect with each function in use as it may be as well by the times that are fitted."""
         n, of_fitted = len(self.time_law.names()), setup.fitted_jd
         numbers = np.unique(used % n).tolist() if n else []
         laws = [law for k in numbers for law in self.time_law.alternatives(k, of_fitted, setup.jd)]
-        return [InTime(self.effect, law) for law in laws]
+        return [type(self)(self.effect, law) for law in laws]
 
     def _candidates(self, setup: ObservingSetup) -> TimeLaw:
         """Return the law with all functions that are looked at."""

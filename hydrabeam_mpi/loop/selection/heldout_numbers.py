@@ -8,14 +8,16 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.heldout import Whitened
+from hydrabeam_mpi.fit.heldout import whiten
+from hydrabeam_mpi.fit.predictive_density import predictive_density
+from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.inference.significance import SIGNIFICANT_P, sigma_of_log_p
 from hydrabeam_mpi.loop.selection.heldout_score import falls_of_blocks
 from hydrabeam_mpi.mpi import allreduce_sum, together
 
 SUMS = (
     "n", "weight", "data", "residual", "noise", "uncertain", "model_residual", "overlap_real", "overlap_imag", "model",
-    "noise_only", "predictive", "log_noise", "log_spread",
+    "noise_only", "predictive", "log_noise", "misfit", "log_spread",
 )  # fmt: skip
 
 IN_SUMMARY = {
@@ -49,8 +51,9 @@ class HeldoutNumbers:
     channels : ndarray, (len(SUMS), Nfreqs)
         Of each channel: the number of d; sums of w, of w |d|^2, of w |r|^2, of w times the variance of the noise (by
         the model's weights) and of w times that by what is uncertain of the model; of w |d - m|^2, w m* d (two parts)
-        and w |m|^2; |r|^2 over the variance of the noise; |z|^2 / 2 under the posterior predictive; and of the
-        logarithm of the predictive density -ln(pi variance of the noise) and `Whitened.log_spread`.
+        and w |m|^2; |r|^2 over the variance of the noise; |z|^2 / 2 under the posterior predictive, see `Whitened`;
+        and of the logarithm of the density of all of them -ln(pi variance of the noise), the misfit and the spread, see
+        `Density`.
     times, groups : ndarray, (3, N)
         For each time and each redundant group the sums of w |r|^2, of w, and of w times what noise and model give.
     """
@@ -137,12 +140,13 @@ def _numbers(channels: FloatArray) -> dict[str, float]:
         "explained_model_scaled": explained(scaled),
         "noise_only_chi2": total["noise_only"] / n if n else float("nan"),
         "predictive_chi2": total["predictive"] / n if n else float("nan"),
-        "log_density": total["log_noise"] - total["log_spread"] - total["predictive"],
+        "log_density": total["log_noise"] - total["log_spread"] - total["misfit"],
     }
 
 
-def heldout_numbers(context: FitContext, whitened: Whitened) -> HeldoutNumbers:
-    """Sum over the held-out rows. Collective: all ranks of the grid."""
+def heldout_numbers(context: FitContext, fitted: Fitted) -> HeldoutNumbers:
+    """Sum over the held-out rows as a fit predicts them. Collective: all ranks of the grid."""
+    whitened, density = whiten(context, fitted), predictive_density(context, fitted)
     observation, rows, world = context.setup.observation, context.test.rows, context.grid.world
     channels = np.zeros((len(SUMS), observation.Nfreqs))
     times, groups = np.zeros((3, observation.Ntimes)), np.zeros((3, context.setup.redundant.Ngroups))
@@ -166,5 +170,6 @@ def heldout_numbers(context: FitContext, whitened: Whitened) -> HeldoutNumbers:
             np.add.at(groups[row], rows.groups[rows.member], term.sum(axis=(0, 1)))
     for sums in (channels, times, groups):
         allreduce_sum(world, sums)
-    channels[-1] = whitened.log_spread
+    for name, values in (("misfit", density.misfit), ("log_spread", density.log_spread)):
+        channels[SUMS.index(name)] = values
     return HeldoutNumbers(channels, times, groups)

@@ -11,27 +11,29 @@ from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.fit.beams_given import price_of_left_out
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.heldout import Whitened
-from hydrabeam_mpi.fit.state import Values
+from hydrabeam_mpi.fit.predictive_density import predictive_density
+from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.inference.significance import sigma_of_log_p
 from hydrabeam_mpi.mpi import allreduce_sum
 
 
 @dataclass(frozen=True)
 class HeldoutScore:
-    """Sums of |z|^2 / 2 over blocks of held-out data, summed over ranks.
+    """How well held-out data are predicted: their density, and how that is spread over blocks of them.
 
     Attributes
     ----------
     times, groups : ndarray, (2, N)
-        Sum and number for each time and each redundant group.
-    log_spread : float
-        See `Whitened`.
+        Sums of |z|^2 / 2, see `Whitened`, and numbers for each time and each redundant group.
+    misfit, log_spread : float
+        Of all of them together; see `Density`.
     left_out : float
         What the rows cost in ln density that changes of the weights leave out: they are predicted no better than that.
     """
 
     times: FloatArray
     groups: FloatArray
+    misfit: float = 0.0
     log_spread: float = 0.0
     left_out: float = 0.0
 
@@ -40,6 +42,7 @@ class HeldoutScore:
         return HeldoutScore(
             self.times + other.times,
             self.groups + other.groups,
+            self.misfit + other.misfit,
             self.log_spread + other.log_spread,
             self.left_out + other.left_out,
         )
@@ -47,7 +50,7 @@ class HeldoutScore:
     @property
     def log_density(self) -> float:
         """Logarithm of the predictive density of all, up to a constant of the noise."""
-        return -float(self.times[0].sum()) - self.log_spread - self.left_out
+        return -self.misfit - self.log_spread - self.left_out
 
     @property
     def chi2(self) -> float:
@@ -57,14 +60,13 @@ class HeldoutScore:
 
     @property
     def log_density_at_own_level(self) -> float:
-        """The same with all variances scaled by the reduced chi^2 where that is above one.
+        """The same with all variances scaled by the misfit of a datum where that is above one.
 
         While something else is not modelled yet the scale of the errors is unknown. Merely wider predictions then gain
         nothing, and the density is that of data which are as uncertain as they turn out to be.
         """
-        level = max(self.chi2, 1.0)
-        kept = float(self.times[0].sum()) / level
-        return -self.n_data * float(np.log(level)) - kept - self.log_spread - self.left_out
+        level = max(self.misfit / self.n_data, 1.0) if self.n_data else 1.0
+        return -self.n_data * float(np.log(level)) - self.misfit / level - self.log_spread - self.left_out
 
     @property
     def n_data(self) -> int:
@@ -72,8 +74,8 @@ class HeldoutScore:
         return round(float(self.times[1].sum()))
 
 
-def heldout_score(context: FitContext, whitened: Whitened, values: Values) -> HeldoutScore:
-    """Sum |z|^2 / 2 of what a model with these ``values`` predicts, by time and by redundant group.
+def heldout_score(context: FitContext, whitened: Whitened, fitted: Fitted) -> HeldoutScore:
+    """Tell how well a fit predicts the held-out rows, of which ``whitened`` are the residuals.
 
     Collective: all ranks of the grid.
     """
@@ -87,8 +89,9 @@ def heldout_score(context: FitContext, whitened: Whitened, values: Values) -> He
         np.add.at(groups[row], rows.groups[rows.member], of_rows.sum(axis=0))
     allreduce_sum(context.grid.world, times)
     allreduce_sum(context.grid.world, groups)
-    left_out = context.over_channels(price_of_left_out(context, context.test, values, whitened.used))
-    return HeldoutScore(times, groups, float(whitened.log_spread.sum()), left_out)
+    left_out = context.over_channels(price_of_left_out(context, context.test, fitted.values, whitened.used))
+    density = predictive_density(context, fitted)
+    return HeldoutScore(times, groups, float(density.misfit.sum()), float(density.log_spread.sum()), left_out)
 
 
 def gain_of(before: HeldoutScore, after: HeldoutScore) -> float:

@@ -1,11 +1,14 @@
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
 
 from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.effects.registry import make_effect
 from hydrabeam_mpi.effects.shared.shifted import ShiftedPositions
+from hydrabeam_mpi.effects.shared.time_laws import Smooth
 from hydrabeam_mpi.effects.sky.ionosphere import PATHS, Away, Ionosphere
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Active, Values
@@ -102,3 +105,27 @@ def test_times_are_told_apart_in_any_order() -> None:
     change = effect.added(block, np.array([0.0, 0.0, 1.0, 0.0, 5.0, 0.0]))
     assert change[0].all()
     assert not change[1].any()
+
+
+@pytest.mark.parametrize("away", get_args(Away))
+def test_what_drifts_is_what_it_is_at_each_time(away: Away) -> None:
+    """Level, drift and curvature of both shifts, as so many of each time."""
+    setup = small_setup(n_times=5)
+    law = Smooth(orders=(0, 1, 2)).over(setup.jd)
+    drifting = Ionosphere(away).changing(law)
+    x = np.array([3.0, 1.0, -0.5, -2.0, 0.5, 1.5])
+    block = small_block(setup)
+    block.integrate_for([drifting])
+    shifts = law.functions(setup.jd) @ x.reshape(2, 3).T
+    anew = Ionosphere(away)
+    np.testing.assert_allclose(drifting.added(block, x), anew.added(block, shifts.ravel()), rtol=0, atol=1e-9)
+    columns, of_times = drifting.columns(block, x), anew.columns(block, shifts.ravel())
+    step = np.array([0.0, 1.0, 0.0, 1.0, 0.0, 0.0])
+    moved = (law.functions(setup.jd) @ step.reshape(2, 3).T).ravel()
+    np.testing.assert_allclose(columns.apply(step), of_times.apply(moved), rtol=1e-9)
+    assert drifting.local is None
+    assert drifting.describe()["away"] == away
+    others = [one for one in get_args(Away) if one != away]
+    assert [one.describe()["away"] for one in drifting.variants(setup)] == others
+    assert drifting.next_after(setup, drifting.variants(setup)[0]).describe()["away"] != away
+    assert make_effect("ionosphere", drifting.describe()).describe() == drifting.describe()

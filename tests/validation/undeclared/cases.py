@@ -78,12 +78,13 @@ EFFECTS = {
 }
 """Effects that the loop knows."""
 
+SMOOTH, NIGHTLY = "smooth", "nightly"
 STRONG = {
     kind.name: kind
     for kind in (
         Kind("flux_at_transit", absorbed.flux_at_transit, 0.05, 0.5, "", FEW, "catalogue_flux"),
         Kind("clock_of_few", geometry.timestamp, 3.0, 30.0, "s", SHORT, "timestamp"),
-        Kind("walking_refraction", absorbed.walking_refraction, 0.3, 5.0, "arcmin", BANDS, "ionosphere"),
+        Kind("walking_refraction", absorbed.walking_refraction, 0.3, 5.0, "arcmin", BANDS, "ionosphere", SMOOTH),
         Kind("phase_gradient", skies.phase_gradient, 0.3, 10.0, "arcmin", BAND, "ionosphere"),
         Kind("diffuse_of_few", skies.diffuse, 0.5, 20.0, "kJy/sr", SMALL, "diffuse"),
         Kind("one_gain", partial(gains.antenna_gains, counts=(1,)), 3e-3, 0.3, "", effect="antenna_gains"),
@@ -97,7 +98,6 @@ STRONG = {
 
 ONE_GAIN = partial(in_time.drifting_gains, counts=(1,))
 GAINS, COUPLING, MISSING = "antenna_gains", "cross_coupling", "missing_sources"
-SMOOTH, NIGHTLY = "smooth", "nightly"
 IN_TIME = {
     kind.name: kind
     for kind in (

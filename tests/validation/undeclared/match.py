@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.polynomial.legendre import Legendre
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
@@ -17,6 +18,8 @@ Found = dict[tuple[str, str], tuple[float, float]]
 SIGMAS = 3.0
 ENOUGH = 0.95
 SAME_PLACE_DEG = 1.0
+ORDERS = {"level": 0, "drift from first to last time": 1, "curvature, ends less middle": 2}
+"""Of polynomials with a name of their own."""
 NOT_FOUND = 99.0
 """Deviation that stands for a thing that is there and was not found."""
 
@@ -295,9 +298,9 @@ def read_emitter(
 
 
 def read_shifts(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]) -> Found:
-    """Read "shift towards East at JD 2459866.12345"."""
-    found = at_times(parameters, answer).items()
-    return {(f"time {time}", name): pair for (name, time), pair in found if name.startswith("shift towards ")}
+    """Read "shift towards East at JD 2459866.12345", or "shift towards East, " with what changes during the night."""
+    found = at_times(parameters, answer) | drifting(parameters, answer)
+    return {(f"time {time}", name): pair for (name, time), pair in found.items() if name.startswith("shift towards ")}
 
 
 def read_jitter(parameters: list[dict[str, Any]], truth: dict[tuple[str, str], float], answer: dict[str, Any]) -> Found:
@@ -318,6 +321,31 @@ def at_times(parameters: list[dict[str, Any]], answer: dict[str, Any]) -> dict[t
         if at:
             out[head, int(np.argmin(np.abs(times - float(jd))))] = pair
     return out
+
+
+def drifting(parameters: list[dict[str, Any]], answer: dict[str, Any]) -> dict[tuple[str, int], tuple[float, float]]:
+    """Return what polynomials over the night add up to at each time, by its name and by the number of the time.
+
+    Of these each goes from one extreme to the other by its number; their errors count as independent.
+    """
+    times = np.array(answer["times"])
+    place = 2 * (times - times[0]) / (times[-1] - times[0]) - 1
+    totals: dict[str, FloatArray] = {}
+    for name, (value, std) in averaged(parameters).items():
+        head, is_function, how = name.partition(", ")
+        if is_function:
+            named = re.search(r"order (\d+)", how)
+            order = int(named[1]) if named else ORDERS[how]
+            curve = Legendre.basis(order)(place)
+            fine = Legendre.basis(order)(np.linspace(-1, 1, 2001))
+            curve = curve / np.ptp(fine) if order else curve
+            total = totals.setdefault(head, np.zeros((2, len(times))))
+            total += [value * curve, (std * curve) ** 2]
+    return {
+        (head, time): (value, np.sqrt(variance))
+        for head, total in totals.items()
+        for time, (value, variance) in enumerate(total.T.tolist())
+    }
 
 
 def read_harmonics(

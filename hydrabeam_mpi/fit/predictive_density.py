@@ -1,0 +1,212 @@
+"""The density of all held-out rows together under the posterior predictive: how likely the fitted rows make them.
+
+With A the beam's columns of the held-out rows, C those of the effects, and N the noise, their residuals are
+
+    r = A beta + C gamma + n,
+
+where beam and effects are as uncertain as the fitted rows leave them: gamma ~ N(0, S), and the beam follows it by
+R gamma and is uncertain by P beside that. So r is Gaussian, and integrating over both gives its density
+p(test | train), the ratio of the evidences of all rows and of the fitted ones (HDBI II, eqs 11-14). An error of the
+beam that rows of many times have in common counts once. By a density of each time by itself a model that leaves more of
+the beam open would pay for that once a time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from hydrabeam_mpi.data.observation import Array, BoolArray, FloatArray
+from hydrabeam_mpi.fit.blocks import ColumnBlock, add_block
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
+from hydrabeam_mpi.fit.known_precision import Key, KnownPrecision
+from hydrabeam_mpi.fit.local_parameters import fit_local, untold, with_own
+from hydrabeam_mpi.fit.state import Fitted, Values
+from hydrabeam_mpi.fit.whitening import root_of
+from hydrabeam_mpi.inference.gaussian import Block
+from hydrabeam_mpi.inference.matrices import cholesky_lower, inverse_of_covariance
+from hydrabeam_mpi.inference.posterior import Posterior
+from hydrabeam_mpi.mpi import bcast_object, gather_objects, together
+
+
+@dataclass(frozen=True)
+class Density:
+    """Minus the logarithm of the density of a job's channels, up to that of the noise alone, in two parts.
+
+    Attributes
+    ----------
+    misfit : ndarray, (Nfreqs,)
+        r^H (N + M)^-1 r, with M the covariance of the predictions: on average as much as there are complex data.
+    log_spread : ndarray, (Nfreqs,)
+        ln|1 + N^-1 M|, by the parts of the data: half of that.
+    """
+
+    misfit: FloatArray
+    log_spread: FloatArray
+
+
+@dataclass(frozen=True)
+class _Left:
+    """What a channel's rows say of the effects' errors gamma with the beam integrated over.
+
+    ln of the density is -``misfit`` - ``log_spread`` + gamma.score - gamma^T signal gamma / 2.
+    """
+
+    misfit: float
+    log_spread: float
+    signal: FloatArray
+    score: FloatArray
+
+    def moved(self, mean: FloatArray) -> _Left:
+        """Return the same with gamma counted from a mean, (q,)."""
+        pull = self.signal @ mean
+        return replace(self, misfit=self.misfit - float(mean @ (self.score - 0.5 * pull)), score=self.score - pull)
+
+    def seen_through(self, follow: FloatArray) -> _Left:
+        """Return what they say of others, which gamma follows by a matrix, (q, p)."""
+        return replace(self, signal=follow.T @ self.signal @ follow, score=follow.T @ self.score)
+
+    def integrated(self, which: BoolArray) -> _Left:
+        """Return the same with some of gamma, each ~ N(0, 1), integrated over; the others are left."""
+        rest = ~which
+        factor = cholesky_lower(np.eye(int(which.sum())) + self.signal[np.ix_(which, which)])
+        white = solve_triangular(
+            factor, np.column_stack([self.signal[np.ix_(which, rest)], self.score[which]]), lower=True
+        )
+        across, pull = white[:, :-1], white[:, -1]
+        return _Left(
+            self.misfit - 0.5 * float(pull @ pull),
+            self.log_spread + float(np.log(np.diag(factor)).sum()),
+            self.signal[np.ix_(rest, rest)] - across.T @ across,
+            self.score[rest] - across.T @ pull,
+        )
+
+
+def predictive_density(context: FitContext, fitted: Fitted) -> Density:
+    """Return the density of the held-out rows as a fit predicts them. Collective: all ranks of the grid.
+
+    Parameters of single times or baselines that the fitted rows do not tell are as uncertain as their prior, whose
+    width the fitted rows tell. The model is linear in them about where the held-out rows have them.
+    """
+    return context.of_latest("density of held-out rows", fitted, lambda: _density(context, fitted))
+
+
+def _density(context: FitContext, fitted: Fitted) -> Density:
+    local, unknown = untold(context, fitted.values), np.zeros(0, dtype=bool)
+    if local is not None:
+        here, unknown = fit_local(context, fitted, local, np.ones((1, 1), dtype=bool))
+        fitted = replace(fitted, values=here.values)
+    values, covariances = fitted.values, fitted.fit.covariances
+    sums = _sums(context, fitted)
+    mine = []
+    with together(context.grid.world):
+        for channel, normal in enumerate(sums if context.grid.is_group_root else ()):
+            response = fitted.fit.beam_response[channel] if values.active else None
+            left = _without_beam(normal, fitted.fit.posteriors[channel], list(values.blocks), response)
+            mine.append((context.channels[channel], left, covariances[channel] if values.active else np.zeros((0, 0))))
+    gathered = gather_objects(context.grid.world, mine)
+    found = None
+    if gathered is not None:
+        by_channel = {number: (left, covariance) for part in gathered for number, left, covariance in part}
+        found = _without_effects(values, unknown, [by_channel[f] for f in sorted(by_channel)])
+    density: Density = bcast_object(context.grid.world, found)
+    return density
+
+
+def _sums(context: FitContext, fitted: Fitted) -> list[NormalEquations]:
+    """Sum over the held-out rows the products of the columns of beam and effects, of each of the group's channels.
+
+    Collective: all ranks of the grid.
+    """
+    share, at, grid = context.test, fitted.estimate, context.grid
+    with together(grid.world):
+        rows, added = share.calibrated(at)
+    key = Key(rows.inv_noise_var, share.key_of_sky(at.values), (), None)
+    known = share.known_when_held_out.find(grid.group, key)
+    model: dict[str, ColumnBlock] = {BEAM: context.beam, **at.values.blocks}
+    blocks = [Block(name, one.size, one.is_complex) for name, one in model.items()]
+    out = []
+    for channel in range(len(context.channels)):
+        total = NormalEquations(blocks, known=None if known is None else {(BEAM, BEAM): known.grams[channel]})
+        with together(grid.group):
+            for _, block, _ in share.row_blocks(channel, at, added[channel], rows):
+                total.add_data(block.residual, block.weights)
+                add_block(total, block, model)
+        total.reduce(grid.group)
+        out.append(total)
+    if known is None:
+        share.known_when_held_out.keep(KnownPrecision.of(key, out, None))
+    return out
+
+
+def _without_beam(sums: NormalEquations, beam: Posterior, names: Sequence[str], response: Array | None) -> _Left:
+    """Integrate over the beam, which follows the effects by its ``response``, (n_modes, q)."""
+    kappa = 1.0 if beam.is_complex else 2.0
+    gram, pull = sums.own(BEAM), sums.projection[BEAM]
+    precision = beam.precision
+    factor = cholesky_lower(precision + kappa * gram)
+    white = solve_triangular(factor, kappa * pull, lower=True)
+    misfit = sums.data_norm - float(np.vdot(white, white).real) / kappa
+    log_spread = 2 / kappa * float(np.log(np.diag(factor).real / np.diag(beam.factor).real).sum())
+    if response is None:
+        return _Left(misfit, log_spread, np.zeros((0, 0)), np.zeros(0))
+    own = sums.likelihood_alone(names)
+    across = sums.gather([BEAM], names)
+    follow = gram @ response
+    felt = across + follow
+    signal = own.signal + 2 * (response.conj().T @ (across + felt)).real
+    half = solve_triangular(factor, felt, lower=True)
+    signal = signal - 2 * kappa * (half.conj().T @ half).real
+    score = own.score + 2 * (response.conj().T @ pull - half.conj().T @ white).real
+    return _Left(misfit, log_spread, 0.5 * (signal + signal.T), score)
+
+
+def _without_effects(values: Values, unknown: BoolArray, channels: Sequence[tuple[_Left, FloatArray]]) -> Density:
+    """Integrate over the effects' errors, those that channels share after all others.
+
+    Given what channels share, their own parameters are independent of those of others. Of ``unknown`` ones, (q,), the
+    prior is known.
+    """
+    shared = values.shared
+    parts = []
+    for number, (left, covariance) in enumerate(channels):
+        if unknown.any():
+            precision = values.prior_precision(number)[np.ix_(unknown, unknown)]
+            covariance = with_own(covariance, unknown, inverse_of_covariance(precision))
+            left = left.moved(_from_prior(values, unknown, number))
+        root = _root(covariance, shared)
+        parts.append(left.seen_through(root).integrated(~shared))
+    signal, score = (np.sum([getattr(one, name) for one in parts], axis=0) for name in ("signal", "score"))
+    common = _Left(0.0, 0.0, signal, score).integrated(np.ones(len(score), dtype=bool))
+    misfit = np.array([one.misfit for one in parts]) + common.misfit / len(parts)
+    return Density(misfit, np.array([one.log_spread for one in parts]) + common.log_spread / len(parts))
+
+
+def _from_prior(values: Values, unknown: BoolArray, number: int) -> FloatArray:
+    """Return how far the centre of the prior of ``unknown`` parameters is from their values, (q,), else zero."""
+    means = np.concatenate([one.prior.of(number).mean for one in values.active])
+    return np.where(unknown, means - values.x[number], 0.0)
+
+
+def _root(covariance: FloatArray, shared: BoolArray) -> FloatArray:
+    """Return a root of a covariance, (q, q), by which shared parameters follow the first of all numbers alone.
+
+    Rows are parameters as they come, and columns independent numbers, one for each parameter: those of shared ones
+    stand where these do.
+    """
+    first, rest = np.flatnonzero(shared), np.flatnonzero(~shared)
+    root = np.zeros_like(covariance)
+    common = root_of(covariance[np.ix_(first, first)])
+    root[np.ix_(first, first)] = common
+    if len(first):
+        across = covariance[np.ix_(rest, first)] @ np.linalg.pinv(common).T
+        root[np.ix_(rest, first)] = across
+        own = covariance[np.ix_(rest, rest)] - across @ across.T
+    else:
+        own = covariance
+    root[np.ix_(rest, rest)] = root_of(0.5 * (own + own.T))
+    return root

@@ -1,0 +1,169 @@
+"""The density of held-out rows, against that of one dense Gaussian of all of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag
+
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.data.partition import Tile
+from hydrabeam_mpi.effects.instrument.antenna_delays import AntennaDelays
+from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
+from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
+from hydrabeam_mpi.effects.instrument.gain_jitter import GainJitter
+from hydrabeam_mpi.effects.sky.ionosphere import Ionosphere
+from hydrabeam_mpi.fit.channels import infer_channels
+from hydrabeam_mpi.fit.clock import Clock
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.gauss_newton import refit
+from hydrabeam_mpi.fit.local_parameters import fit_local, untold
+from hydrabeam_mpi.fit.predictive_density import predictive_density
+from hydrabeam_mpi.fit.rank_data import RankData
+from hydrabeam_mpi.fit.state import Fitted, Values
+from tests.fit.test_gauss_newton import CASES, TWO, free
+from tests.loop.mock import FREQ, context_of, mock_job
+from tests.loop.test_refit_dense import SEVERAL, design_of
+
+
+def parts(rows: ComplexArray) -> FloatArray:
+    """Real parts of all rows, then the imaginary ones."""
+    return np.concatenate([rows.real.ravel(), rows.imag.ravel()])
+
+
+def parameters(fitted: Fitted) -> FloatArray:
+    """Of all effects in use, (Nfreqs, q)."""
+    return fitted.values.x if fitted.values.active else np.zeros((len(fitted.fit.posteriors), 0))
+
+
+@dataclass(frozen=True)
+class Dense:
+    """Some rows of all channels, and how they follow all beams and parameters about some values of these."""
+
+    share: RankData
+    fitted: Fitted
+    about: FloatArray
+
+    def predicted(self, x: FloatArray) -> ComplexArray:
+        """C (A b + E) of the rows with parameters (Nfreqs, q)."""
+        at = replace(self.fitted, values=self.fitted.values.at(x)) if x.size else self.fitted
+        factor, added = self.share.effects_of(at.estimate, at.values.active)
+        beams = np.array([one.mean for one in self.fitted.fit.posteriors])
+        return np.asarray(factor * (np.einsum("ftbn,fn->ftb", design_of(self.share), beams) + added))
+
+    @property
+    def root(self) -> FloatArray:
+        """One over the standard deviation of the noise of each part."""
+        return np.sqrt(2 * np.concatenate([self.share.rows.inv_noise_var.ravel()] * 2))
+
+    def jacobian(self) -> FloatArray:
+        """Of the parts over their noise, by the beams of all channels and the parameters of all channels."""
+        design, (n_freqs, q) = design_of(self.share), self.about.shape
+        factor = self.share.effects_of(self._moved.estimate, self._moved.values.active)[0]
+        columns = []
+        for f, n in np.ndindex(n_freqs, design.shape[-1]):
+            one = np.zeros(design.shape[:-1], dtype=complex)
+            one[f] = factor[f] * design[f, ..., n]
+            columns.append(parts(one))
+        for f, k in np.ndindex(n_freqs, q):
+            step = np.zeros((n_freqs, q))
+            step[f, k] = 1e-5 * self.fitted.values.prior_std(f)[k]
+            change = self.predicted(self.about + step) - self.predicted(self.about - step)
+            columns.append(parts(change) / (2 * step[f, k]))
+        return self.root[:, np.newaxis] * np.stack(columns, axis=-1)
+
+    @property
+    def _moved(self) -> Fitted:
+        values = self.fitted.values
+        return replace(self.fitted, values=values.at(self.about) if self.about.size else values)
+
+
+def posterior_of(context: FitContext, fitted: Fitted) -> FloatArray:
+    """Covariance of all beams and parameters by the fitted rows and the priors, in one dense inverse."""
+    values, x = fitted.values, parameters(fitted)
+    jacobian = Dense(context.train, fitted, x).jacobian()
+    n_beams = jacobian.shape[1] - x.size
+    # Parameters that channels share are one number.
+    numbers = np.arange(x.size).reshape(x.shape)
+    numbers[:, values.shared] = numbers[0, values.shared]
+    chosen, which = np.unique(numbers.ravel(), return_inverse=True)
+    follow = block_diag(np.eye(n_beams), np.eye(len(chosen))[which])
+    of_parameters = np.concatenate([values.prior_std(f) for f in range(len(x))])[chosen]
+    widths = np.concatenate([*(prior.std() for prior in context.problem.priors), of_parameters])
+    unknowns = jacobian @ follow
+    return np.asarray(follow @ np.linalg.inv(unknowns.T @ unknowns + np.diag(widths**-2.0)) @ follow.T)
+
+
+def of_one_gaussian(context: FitContext, fitted: Fitted, about: FloatArray) -> tuple[float, float]:
+    """Misfit and spread of all held-out rows and channels in a model that is linear about some parameters."""
+    rows = Dense(context.test, fitted, about)
+    jacobian, posterior = rows.jacobian(), posterior_of(context, fitted)
+    expected = np.zeros(jacobian.shape[1])
+    expected[jacobian.shape[1] - about.size :] = (parameters(fitted) - about).ravel()
+    residual = rows.root * parts(rows.share.rows.data - rows.predicted(about)) - jacobian @ expected
+    covariance = np.eye(len(residual)) + jacobian @ posterior @ jacobian.T
+    return float(0.5 * residual @ np.linalg.solve(covariance, residual)), float(0.5 * np.linalg.slogdet(covariance)[1])
+
+
+GAIN = {"kind": "antenna_gains", "parameters": {"antenna 2 ln amplitude": 0.03}}
+
+
+@pytest.mark.parametrize(
+    ("make", "injected", "freqs", "changes", "rtol"),
+    [
+        (lambda one: [], [GAIN], TWO, {}, 1e-9),
+        (lambda one: [free(one, CrossCoupling([[1, 4], [0, 6]]), 1.0)], [CASES["cross_coupling"][0]], TWO, {}, 1e-6),
+        (
+            lambda one: [
+                free(one, AntennaGains(), 0.1, [0, 2, 9]),
+                free(one, AntennaDelays(), 1.0, [4, 6]),
+                free(one, CrossCoupling([[2, 6]]), 1.0),
+            ],
+            SEVERAL,
+            TWO,
+            {},
+            1e-3,
+        ),
+        (
+            lambda one: [free(one, CrossCoupling([[1, 4], [0, 6]]), 1.0), free(one, AntennaGains(), 0.1, [0, 2])],
+            [CASES["cross_coupling"][0]],
+            (FREQ,),
+            {"holdout": {"kind": "baselines", "every": None, "antpairs": [[0, 6], [2, 3], [0, 5]]}},
+            1e-3,
+        ),
+        (lambda one: [free(one, Ionosphere(), 0.5)], [GAIN], TWO, {}, 1e-3),
+        (lambda one: [free(one, GainJitter([(2, "phase"), (3, "ln amplitude")]), 1.0)], [GAIN], TWO, {}, 1e-3),
+    ],
+    ids=["beams alone", "linear", "several, some shared", "held-out baselines", "times' own, shared", "times' own"],
+)
+def test_the_density_is_that_of_one_gaussian(
+    make: Any, injected: list[dict[str, Any]], freqs: tuple[float, ...], changes: Any, rtol: float, tmp_path: Path
+) -> None:
+    """Of all held-out rows and channels, with what fitted rows and priors leave uncertain of beams and effects."""
+    job = mock_job(*injected, freqs=freqs)
+    job["holdout"] = {key: value for key, value in {**job["holdout"], **changes.get("holdout", {})}.items() if value}
+    context = context_of(job, tmp_path)
+    fitted = refit(context, Values(tuple(make(context))))
+    local, about = untold(context, fitted.values), parameters(fitted)
+    if local is not None:
+        about = fit_local(context, fitted, local, np.ones((1, 1), dtype=bool))[0].values.x
+    density = predictive_density(context, fitted)
+    found = float(density.misfit.sum()), float(density.log_spread.sum())
+    np.testing.assert_allclose(found, of_one_gaussian(context, fitted, about), rtol=rtol)
+
+
+def test_it_is_the_ratio_of_evidences(tmp_path: Path) -> None:
+    """Of all rows and of those that are fitted."""
+    context = context_of(mock_job(GAIN), tmp_path)
+    density, rows = predictive_density(context, refit(context, Values())), context.test.rows
+    log_noise = float(np.log(rows.inv_noise_var[rows.inv_noise_var > 0] / np.pi).sum())
+    everything = Tile(np.arange(context.setup.observation.Ntimes), context.problem.train.bls)
+    problems = context.problem, replace(context.problem, train=everything)
+    one, two = (infer_channels(context.grid, problem, Clock())[0].posterior.log_evidence for problem in problems)
+    assert one is not None
+    assert two is not None
+    assert log_noise - density.misfit[0] - density.log_spread[0] == pytest.approx(two - one, rel=1e-9)
