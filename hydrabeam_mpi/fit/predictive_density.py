@@ -25,6 +25,7 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.known_precision import Key, KnownPrecision
 from hydrabeam_mpi.fit.local_parameters import fit_local, untold, with_own
+from hydrabeam_mpi.fit.marginal import in_parts
 from hydrabeam_mpi.fit.state import Fitted, Values
 from hydrabeam_mpi.fit.whitening import root_of
 from hydrabeam_mpi.inference.gaussian import Block
@@ -157,11 +158,12 @@ def _without_beam(sums: NormalEquations, beam: Posterior, names: Sequence[str], 
     own = sums.likelihood_alone(names)
     across = sums.gather([BEAM], names)
     follow = gram @ response
-    felt = across + follow
-    signal = own.signal + 2 * (response.conj().T @ (across + felt)).real
-    half = solve_triangular(factor, felt, lower=True)
-    signal = signal - 2 * kappa * (half.conj().T @ half).real
-    score = own.score + 2 * (response.conj().T @ pull - half.conj().T @ white).real
+    half = in_parts(solve_triangular(factor, across + follow, lower=True))
+    follow += 2 * across
+    moved = in_parts(response)
+    # Of products with complex numbers the real parts alone count.
+    signal = own.signal + 2 * (moved.T @ in_parts(follow) - kappa * half.T @ half)
+    score = own.score + 2 * (moved.T @ in_parts(pull) - half.T @ in_parts(white))
     return _Left(misfit, log_spread, 0.5 * (signal + signal.T), score)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
 from hydrabeam_mpi.effects.instrument.gain_jitter import GainJitter
 from hydrabeam_mpi.effects.sky.ionosphere import Ionosphere
+from hydrabeam_mpi.fit.accumulate import designs
 from hydrabeam_mpi.fit.channels import infer_channels
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
@@ -27,12 +29,27 @@ from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.state import Fitted, Values
 from tests.fit.test_gauss_newton import CASES, TWO, free
 from tests.loop.mock import FREQ, context_of, mock_job
-from tests.loop.test_refit_dense import SEVERAL, design_of
+from tests.loop.test_refit_dense import SEVERAL
 
 
 def parts(rows: ComplexArray) -> FloatArray:
     """Real parts of all rows, then the imaginary ones."""
     return np.concatenate([rows.real.ravel(), rows.imag.ravel()])
+
+
+def design_of(share: RankData) -> ComplexArray:
+    """Of every row by the parts of the coefficients, (Nfreqs, Ntimes, Nbls, n), of complex ones the real first."""
+    model, basis = share.problem.forward_model(share.rows.groups), share.problem.basis
+    by_time = np.array(list(designs(share.rows, model, basis, "", show=False)))
+    design = by_time if basis.is_complex else by_time[:, :, 0] + 1j * by_time[:, :, 1]
+    design = np.moveaxis(design, 1, 0)[:, :, share.rows.member]
+    return np.concatenate([design, 1j * design], axis=-1) if basis.is_complex else design
+
+
+def coefficients_of(fitted: Fitted) -> FloatArray:
+    """The parts of the beams' coefficients, (Nfreqs, n)."""
+    means = [one.mean for one in fitted.fit.posteriors]
+    return np.array([np.concatenate([one.real, one.imag]) if np.iscomplexobj(one) else one for one in means])
 
 
 def parameters(fitted: Fitted) -> FloatArray:
@@ -52,8 +69,12 @@ class Dense:
         """C (A b + E) of the rows with parameters (Nfreqs, q)."""
         at = replace(self.fitted, values=self.fitted.values.at(x)) if x.size else self.fitted
         factor, added = self.share.effects_of(at.estimate, at.values.active)
-        beams = np.array([one.mean for one in self.fitted.fit.posteriors])
-        return np.asarray(factor * (np.einsum("ftbn,fn->ftb", design_of(self.share), beams) + added))
+        return np.asarray(factor * (np.einsum("ftbn,fn->ftb", self.design, coefficients_of(self.fitted)) + added))
+
+    @cached_property
+    def design(self) -> ComplexArray:
+        """See `design_of`."""
+        return design_of(self.share)
 
     @property
     def root(self) -> FloatArray:
@@ -62,7 +83,7 @@ class Dense:
 
     def jacobian(self) -> FloatArray:
         """Of the parts over their noise, by the beams of all channels and the parameters of all channels."""
-        design, (n_freqs, q) = design_of(self.share), self.about.shape
+        design, (n_freqs, q) = self.design, self.about.shape
         factor = self.share.effects_of(self._moved.estimate, self._moved.values.active)[0]
         columns = []
         for f, n in np.ndindex(n_freqs, design.shape[-1]):
@@ -93,7 +114,10 @@ def posterior_of(context: FitContext, fitted: Fitted) -> FloatArray:
     chosen, which = np.unique(numbers.ravel(), return_inverse=True)
     follow = block_diag(np.eye(n_beams), np.eye(len(chosen))[which])
     of_parameters = np.concatenate([values.prior_std(f) for f in range(len(x))])[chosen]
-    widths = np.concatenate([*(prior.std() for prior in context.problem.priors), of_parameters])
+    of_beams = [prior.std() for prior in context.problem.priors]
+    if context.problem.basis.is_complex:
+        of_beams = [np.sqrt(0.5) * np.tile(one, 2) for one in of_beams]
+    widths = np.concatenate([*of_beams, of_parameters])
     unknowns = jacobian @ follow
     return np.asarray(follow @ np.linalg.inv(unknowns.T @ unknowns + np.diag(widths**-2.0)) @ follow.T)
 
@@ -135,17 +159,36 @@ GAIN = {"kind": "antenna_gains", "parameters": {"antenna 2 ln amplitude": 0.03}}
             {"holdout": {"kind": "baselines", "every": None, "antpairs": [[0, 6], [2, 3], [0, 5]]}},
             1e-3,
         ),
+        (
+            lambda one: [
+                free(one, CrossCoupling([[1, 4], [0, 6]]), 1.0),
+                free(one, AntennaDelays(), 1.0, [4, 6]),
+            ],
+            [CASES["cross_coupling"][0]],
+            TWO,
+            {"basis": {"form": "complex", "m_max": 2}},
+            1e-3,
+        ),
         (lambda one: [free(one, Ionosphere(), 0.5)], [GAIN], TWO, {}, 1e-3),
         (lambda one: [free(one, GainJitter([(2, "phase"), (3, "ln amplitude")]), 1.0)], [GAIN], TWO, {}, 1e-3),
     ],
-    ids=["beams alone", "linear", "several, some shared", "held-out baselines", "times' own, shared", "times' own"],
+    ids=[
+        "beams alone",
+        "linear",
+        "several, some shared",
+        "held-out baselines",
+        "complex coefficients",
+        "times' own, shared",
+        "times' own",
+    ],
 )
 def test_the_density_is_that_of_one_gaussian(
     make: Any, injected: list[dict[str, Any]], freqs: tuple[float, ...], changes: Any, rtol: float, tmp_path: Path
 ) -> None:
     """Of all held-out rows and channels, with what fitted rows and priors leave uncertain of beams and effects."""
     job = mock_job(*injected, freqs=freqs)
-    job["holdout"] = {key: value for key, value in {**job["holdout"], **changes.get("holdout", {})}.items() if value}
+    for table, keys in changes.items():
+        job[table] = {key: value for key, value in {**job[table], **keys}.items() if value}
     context = context_of(job, tmp_path)
     fitted = refit(context, Values(tuple(make(context))))
     local, about = untold(context, fitted.values), parameters(fitted)
