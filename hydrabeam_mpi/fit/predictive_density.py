@@ -23,11 +23,13 @@ from hydrabeam_mpi.data.observation import Array, BoolArray, FloatArray
 from hydrabeam_mpi.fit.blocks import ColumnBlock, add_block
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
+from hydrabeam_mpi.fit.grown import added_response, adds_coefficients
 from hydrabeam_mpi.fit.known_precision import Key, KnownPrecision
 from hydrabeam_mpi.fit.local_parameters import fit_local, untold, with_own
 from hydrabeam_mpi.fit.marginal import in_parts
 from hydrabeam_mpi.fit.state import Fitted, Values
 from hydrabeam_mpi.fit.whitening import root_of
+from hydrabeam_mpi.fit.whole_beams import with_whole_beams
 from hydrabeam_mpi.inference.gaussian import Block
 from hydrabeam_mpi.inference.matrices import cholesky_lower, inverse_of_covariance
 from hydrabeam_mpi.inference.posterior import Posterior
@@ -74,7 +76,7 @@ class _Left:
     def integrated(self, which: BoolArray) -> _Left:
         """Return the same with some of gamma, each ~ N(0, 1), integrated over; the others are left."""
         rest = ~which
-        factor = cholesky_lower(np.eye(int(which.sum())) + self.signal[np.ix_(which, which)])
+        factor = _factor_of(self.signal[np.ix_(which, which)])
         white = solve_triangular(
             factor, np.column_stack([self.signal[np.ix_(which, rest)], self.score[which]]), lower=True
         )
@@ -85,6 +87,27 @@ class _Left:
             self.signal[np.ix_(rest, rest)] - across.T @ across,
             self.score[rest] - across.T @ pull,
         )
+
+
+def _factor_of(signal: FloatArray) -> FloatArray:
+    """Return L with L L^T = 1 + ``signal``, (n, n), which is nowhere negative but for rounding."""
+    try:
+        return np.asarray(np.linalg.cholesky(np.eye(len(signal)) + signal))
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(signal)
+        return np.asarray(np.linalg.cholesky(np.eye(len(signal)) + (vectors * np.maximum(values, 0.0)) @ vectors.T))
+
+
+def density_of_channels(context: FitContext, fitted: Fitted) -> Density:
+    """Return the density as of `predictive_density`, where each channel's beam is known by itself.
+
+    So it is in a result, which does not keep what the errors of several beams have in common. Collective: all ranks of
+    the grid.
+    """
+    whole = with_whole_beams(context, fitted)
+    if whole is fitted:
+        return predictive_density(context, fitted)
+    return context.of_latest("density of channels", fitted, lambda: _density(context, whole))
 
 
 def predictive_density(context: FitContext, fitted: Fitted) -> Density:
@@ -101,14 +124,20 @@ def _density(context: FitContext, fitted: Fitted) -> Density:
     if local is not None:
         here, unknown = fit_local(context, fitted, local, np.ones((1, 1), dtype=bool))
         fitted = replace(fitted, values=here.values)
-    values, covariances = fitted.values, fitted.fit.covariances
-    sums = _sums(context, fitted)
-    mine = []
+    values, mine = fitted.values, []
+    inside = [adds_coefficients(context.setup, one) for one in values.active]
+    sums = _sums(
+        context, fitted, [name for name, is_inside in zip(values.blocks, inside, strict=True) if not is_inside]
+    )
     with together(context.grid.world):
+        seen = ~np.repeat(inside, [one.size for one in values.active]).astype(bool)
+        follow = added_response(context.setup, values)
         for channel, normal in enumerate(sums if context.grid.is_group_root else ()):
-            response = fitted.fit.beam_response[channel] if values.active else None
-            left = _without_beam(normal, fitted.fit.posteriors[channel], list(values.blocks), response)
-            mine.append((context.channels[channel], left, covariances[channel] if values.active else np.zeros((0, 0))))
+            response, covariance = follow, np.zeros((0, 0))
+            if values.active:
+                response, covariance = follow + fitted.fit.beam_response[channel], fitted.fit.covariances[channel]
+            left = _without_beam(normal, fitted.fit.posteriors[channel], seen, response)
+            mine.append((context.channels[channel], left, covariance))
     gathered = gather_objects(context.grid.world, mine)
     found = None
     if gathered is not None:
@@ -118,8 +147,8 @@ def _density(context: FitContext, fitted: Fitted) -> Density:
     return density
 
 
-def _sums(context: FitContext, fitted: Fitted) -> list[NormalEquations]:
-    """Sum over the held-out rows the products of the columns of beam and effects, of each of the group's channels.
+def _sums(context: FitContext, fitted: Fitted, effects: Sequence[str]) -> list[NormalEquations]:
+    """Sum over the held-out rows the products of the columns of the beam and of some effects, of the group's channels.
 
     Collective: all ranks of the grid.
     """
@@ -128,7 +157,7 @@ def _sums(context: FitContext, fitted: Fitted) -> list[NormalEquations]:
         rows, added = share.calibrated(at)
     key = Key(rows.inv_noise_var, share.key_of_sky(at.values), (), None)
     known = share.known_when_held_out.find(grid.group, key)
-    model: dict[str, ColumnBlock] = {BEAM: context.beam, **at.values.blocks}
+    model: dict[str, ColumnBlock] = {BEAM: context.beam, **{name: at.values.blocks[name] for name in effects}}
     blocks = [Block(name, one.size, one.is_complex) for name, one in model.items()]
     out = []
     for channel in range(len(context.channels)):
@@ -144,26 +173,28 @@ def _sums(context: FitContext, fitted: Fitted) -> list[NormalEquations]:
     return out
 
 
-def _without_beam(sums: NormalEquations, beam: Posterior, names: Sequence[str], response: Array | None) -> _Left:
-    """Integrate over the beam, which follows the effects by its ``response``, (n_modes, q)."""
-    kappa = 1.0 if beam.is_complex else 2.0
+def _without_beam(sums: NormalEquations, beam: Posterior, seen: BoolArray, response: Array) -> _Left:
+    """Integrate over the beam, which follows the effects by its ``response``, (n_modes, q).
+
+    Of these effects those that are ``seen``, (q,), have columns in the sums; the others are in the response alone.
+    """
+    kappa, names = 1.0 if beam.is_complex else 2.0, [name for name in sums.blocks if name != BEAM]
     gram, pull = sums.own(BEAM), sums.projection[BEAM]
-    precision = beam.precision
-    factor = cholesky_lower(precision + kappa * gram)
+    factor = cholesky_lower(beam.precision + kappa * gram)
     white = solve_triangular(factor, kappa * pull, lower=True)
     misfit = sums.data_norm - float(np.vdot(white, white).real) / kappa
     log_spread = 2 / kappa * float(np.log(np.diag(factor).real / np.diag(beam.factor).real).sum())
-    if response is None:
-        return _Left(misfit, log_spread, np.zeros((0, 0)), np.zeros(0))
-    own = sums.likelihood_alone(names)
-    across = sums.gather([BEAM], names)
+    across, alone = np.zeros_like(response), sums.likelihood_alone(names)
+    across[:, seen] = sums.gather([BEAM], names)
+    signal, score = np.zeros((len(seen), len(seen))), np.zeros(len(seen))
+    signal[np.ix_(seen, seen)], score[seen] = alone.signal, alone.score
     follow = gram @ response
     half = in_parts(solve_triangular(factor, across + follow, lower=True))
     follow += 2 * across
     moved = in_parts(response)
     # Of products with complex numbers the real parts alone count.
-    signal = own.signal + 2 * (moved.T @ in_parts(follow) - kappa * half.T @ half)
-    score = own.score + 2 * (moved.T @ in_parts(pull) - half.T @ in_parts(white))
+    signal += 2 * (moved.T @ in_parts(follow) - kappa * half.T @ half)
+    score += 2 * (moved.T @ in_parts(pull) - half.T @ in_parts(white))
     return _Left(misfit, log_spread, 0.5 * (signal + signal.T), score)
 
 

@@ -15,6 +15,7 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.effects.instrument.antenna_delays import AntennaDelays
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
+from hydrabeam_mpi.effects.instrument.common_beam import CommonBeam
 from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
 from hydrabeam_mpi.effects.instrument.gain_jitter import GainJitter
 from hydrabeam_mpi.effects.sky.ionosphere import Ionosphere
@@ -169,6 +170,7 @@ GAIN = {"kind": "antenna_gains", "parameters": {"antenna 2 ln amplitude": 0.03}}
             {"basis": {"form": "complex", "m_max": 2}},
             1e-3,
         ),
+        (lambda one: [free(one, CommonBeam(), 1.0), free(one, AntennaGains(), 0.1, [0])], [GAIN], TWO, {}, 1e-3),
         (lambda one: [free(one, Ionosphere(), 0.5)], [GAIN], TWO, {}, 1e-3),
         (lambda one: [free(one, GainJitter([(2, "phase"), (3, "ln amplitude")]), 1.0)], [GAIN], TWO, {}, 1e-3),
     ],
@@ -178,6 +180,7 @@ GAIN = {"kind": "antenna_gains", "parameters": {"antenna 2 ln amplitude": 0.03}}
         "several, some shared",
         "held-out baselines",
         "complex coefficients",
+        "what beams have in common",
         "times' own, shared",
         "times' own",
     ],

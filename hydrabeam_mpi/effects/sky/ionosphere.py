@@ -1,4 +1,10 @@
-"""Ionospheric refraction in bulk: the whole sky is shifted by an angle proportional to the wavelength squared."""
+"""Ionospheric refraction in bulk: the whole sky is shifted by an angle proportional to the wavelength squared.
+
+Sources at the zenith move by the whole of it. What it is away from there depends on what does it, and the fit tells
+which explains the data best: the sky turns as a whole ("turn"), as for a clock or a pole that are wrong; direction
+cosines shift alike ("flat"), as by a gradient of phase over the array; or by as much more as the path is longer
+through a thin shell with a gradient of its electrons ("shell").
+"""
 
 from __future__ import annotations
 
@@ -30,11 +36,6 @@ PATHS: dict[str, Path] = {"flat": flat_path, "shell": shell_path}
 
 class Refraction(TurningSky):
     """All sources are seen shifted towards East and North, by angles that go as lambda^2.
-
-    Sources at the zenith move by the whole of it. What it is away from there depends on what does it, and the fit tells
-    which explains the data best: the sky turns as a whole ("turn"), as for a clock or a pole that are wrong; direction
-    cosines shift alike ("flat"), as by a gradient of phase over the array; or by as much more as the path is longer
-    through a thin shell with a gradient of its electrons ("shell").
 
     Parameters
     ----------
@@ -108,12 +109,12 @@ class Refraction(TurningSky):
 
 
 class Ionosphere(Refraction):
-    """Refraction that is another one at each time, or drifts.
+    """Shifts towards East and North that are others at each time, or that drift.
 
     Parameters
     ----------
     away : {"turn", "flat", "shell"}
-        Away from the zenith; see `Refraction`.
+        Away from the zenith.
     """
 
     local = "times"

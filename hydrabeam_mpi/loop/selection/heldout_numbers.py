@@ -9,7 +9,7 @@ import numpy as np
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.heldout import whiten
-from hydrabeam_mpi.fit.predictive_density import predictive_density
+from hydrabeam_mpi.fit.predictive_density import density_of_channels
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.inference.significance import SIGNIFICANT_P, sigma_of_log_p
 from hydrabeam_mpi.loop.selection.heldout_score import falls_of_blocks
@@ -146,7 +146,7 @@ def _numbers(channels: FloatArray) -> dict[str, float]:
 
 def heldout_numbers(context: FitContext, fitted: Fitted) -> HeldoutNumbers:
     """Sum over the held-out rows as a fit predicts them. Collective: all ranks of the grid."""
-    whitened, density = whiten(context, fitted), predictive_density(context, fitted)
+    whitened, density = whiten(context, fitted), density_of_channels(context, fitted)
     observation, rows, world = context.setup.observation, context.test.rows, context.grid.world
     channels = np.zeros((len(SUMS), observation.Nfreqs))
     times, groups = np.zeros((3, observation.Ntimes)), np.zeros((3, context.setup.redundant.Ngroups))

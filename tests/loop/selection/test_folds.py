@@ -87,7 +87,7 @@ def test_the_error_of_a_gain_is_its_scatter_over_draws() -> None:
 def _score(power: np.ndarray) -> HeldoutScore:
     n_times, n_groups = power.shape
     times = np.array([power.sum(axis=1), np.full(n_times, float(n_groups))])
-    return HeldoutScore(times, np.array([power.sum(axis=0), np.full(n_groups, float(n_times))]))
+    return HeldoutScore(times, np.array([power.sum(axis=0), np.full(n_groups, float(n_times))]), float(power.sum()))
 
 
 def test_one_block_decides_nothing() -> None:

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
+from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Active, Fit, Values, independent_prior
+from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.loop.selection.heldout_numbers import HeldoutNumbers
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.rounds import begin
@@ -100,26 +102,33 @@ def test_they_are_those_of_numpy_on_any_number_of_ranks(contexts: tuple[FitConte
 
 
 def test_the_log_density_is_that_of_a_dense_gaussian(contexts: tuple[FitContext, FitContext]) -> None:
-    """With its determinant and all constants; times by themselves, as they are whitened."""
+    """Of all rows together, with its determinant and all constants; chi^2 takes times by themselves."""
     alone = contexts[1]
     first = begin(alone, Values(), Clock())
     rows, told = alone.test.rows, first.last.numbers
     design = np.array(list(alone.test.designs(Values())))
     for f, posterior in enumerate(first.last.fitted.fit.posteriors):
-        density = chi2 = 0.0
+        by_row = np.moveaxis(design[:, f][:, :, rows.member], 1, 0)  # (2, Ntimes, Nbls, n)
+        data = np.stack([rows.data[f].real, rows.data[f].imag])
+        noise = np.stack(2 * [0.5 / rows.inv_noise_var[f]])
+        chi2 = 0.0
         for t in range(len(rows.tile.times)):
-            by_row = design[t, f][:, rows.member].reshape(2 * len(rows.member), -1)
-            data = np.concatenate([rows.data[f, t].real, rows.data[f, t].imag])
-            spread = by_row @ np.linalg.inv(posterior.factor).T
-            covariance = np.diag(np.tile(0.5 / rows.inv_noise_var[f, t], 2)) + spread @ spread.T
-            left = data - by_row @ posterior.mean
-            power = left @ np.linalg.solve(covariance, left)
-            density -= 0.5 * (power + np.linalg.slogdet(2 * np.pi * covariance)[1])
+            power, _ = gaussian(posterior, by_row[:, t], data[:, t], noise[:, t])
             chi2 += 0.5 * power / rows.data[f].size
+        density = -0.5 * sum(gaussian(posterior, by_row, data, noise))
         assert told.of_channel(f)["log_density"] == pytest.approx(density, rel=1e-6)
         assert told.of_channel(f)["predictive_chi2"] == pytest.approx(chi2, rel=1e-6)
     score = first.last.score
     assert told.of_all["predictive_chi2"] == pytest.approx(score.chi2, rel=1e-12)
+
+
+def gaussian(posterior: Posterior, rows: FloatArray, data: FloatArray, noise: FloatArray) -> tuple[float, float]:
+    """Return r^T C^-1 r and ln|2 pi C| of all parts of some rows, (..., n), with noise of variances."""
+    flat = rows.reshape(-1, rows.shape[-1])
+    spread = flat @ np.linalg.inv(posterior.factor).T
+    covariance = np.diag(noise.ravel()) + spread @ spread.T
+    left = data.ravel() - flat @ posterior.mean
+    return float(left @ np.linalg.solve(covariance, left)), float(np.linalg.slogdet(2 * np.pi * covariance)[1])
 
 
 @pytest.mark.parametrize(
