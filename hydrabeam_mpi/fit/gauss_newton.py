@@ -81,6 +81,7 @@ def refit(
     first_step: float = 1.0,
     worth: Worth | None = None,
     for_evidence: bool = False,
+    within: float = STEP_SIGMAS,
 ) -> Fitted:
     """Fit beams and effects jointly, beginning with the effects' ``values``.
 
@@ -103,6 +104,8 @@ def refit(
         Says after each step whether to go on.
     for_evidence : bool
         Whether the fit is to tell evidence alone, and ends where that rises by next to nothing.
+    within : float
+        Standard deviations by which beams may still move when it has converged; see `STEP_SIGMAS`.
 
     Raises
     ------
@@ -117,7 +120,7 @@ def refit(
         if before is None or len(values.active) < len(before.fit.std):
             # Those before are none, or belong to effects that have been left out.
             start = with_own_beams(context, start, MAX_STEPS, STEP_SIGMAS)
-        end, step, ended = _search(context, start, first_step, worth, for_evidence)
+        end, step, ended = _search(context, start, first_step, worth, for_evidence, within)
     except InputError as error:
         if before is None:
             raise
@@ -159,11 +162,11 @@ def _start(values: Values, before: Fitted | None) -> Estimate:
 
 
 def _search(
-    context: FitContext, at: Estimate, length: float, worth: Worth | None, for_evidence: bool
+    context: FitContext, at: Estimate, length: float, worth: Worth | None, for_evidence: bool, within: float
 ) -> tuple[Estimate, Step, Ended]:
     """Take steps until nothing moves; return where they end, the last of them, and why it is the last.
 
-    ``length`` is that of the first one, of which it is a part.
+    ``length`` is that of the first one, of which it is a part; for the others see `refit`.
     """
     is_damped = length < 1.0
     best: tuple[float, Estimate, Step] | None = None
@@ -200,8 +203,10 @@ def _search(
         if worth is not None and not worth(underway):
             raise BrokenOff("its fit was broken off, as it does not come near what it would have to explain")
         best = (solved.reached, at if at.values.adds else replace(at, beams=solved.beams), step)
-        still = beam_moved(context, at.beams, solved.beams) < STEP_SIGMAS * np.sqrt(misfit)
-        if (still and step.gain < FLAT_NATS * misfit) or (flat == FLAT_STEPS and not for_evidence):
+        still = beam_moved(context, at.beams, solved.beams) < within * np.sqrt(misfit)
+        # What is left to gain goes with the square of how far it is.
+        still = still and step.gain < FLAT_NATS * (within / STEP_SIGMAS) ** 2 * misfit
+        if still or (flat == FLAT_STEPS and not for_evidence):
             return step.to, step, Ended.CONVERGED
         if flat == FLAT_STEPS:
             ended = Ended.FLAT

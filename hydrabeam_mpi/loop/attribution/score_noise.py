@@ -21,6 +21,13 @@ from hydrabeam_mpi.fit.whitening import TimeWhitener
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.mpi import allreduce_sum, bcast_object, together
 
+ROBUST_SIGMAS = 0.3
+"""Of their errors, by which beams may still move in a fit that tells rows far out from others.
+
+Weights that follow residuals take dozens of steps, each of which leaves three quarters of the way: then the beams are
+off by their own errors, and rows by less than their noise.
+"""
+
 
 @dataclass(frozen=True)
 class WeightsFound:
@@ -53,21 +60,27 @@ def heavy_tails(context: FitContext) -> Reweighted:
 
 
 def fit_reweightings(context: FitContext, fitted: Fitted, changes: Sequence[Reweighting]) -> list[WeightsFound]:
-    """Fit every change of the weights. Collective: all ranks of the grid.
+    """Fit every change of the weights. Collective: all ranks of the grid."""
+    return _fit_all(context, fitted, changes)
 
-    A few strong outliers can pull a fit so far off that all rows seem to be outliers. Where outliers are refused they
-    are therefore looked for once more, in the residuals of a fit in which outlying rows count less; and there beside
-    residuals that are larger than noise, as they are where something else is missing.
+
+def looked_for_again(context: FitContext, fitted: Fitted, found: Sequence[WeightsFound]) -> list[WeightsFound]:
+    """Look for what was refused in the residuals of a fit in which outlying rows count less.
+
+    A few strong outliers can pull a fit so far off that all rows seem to be outliers. There they are looked for beside
+    residuals that are larger than noise, too, as they are where something else is missing. Returns all that was
+    ``found``, those with what was found so. Collective: all ranks of the grid.
     """
-    found = _fit_all(context, fitted, changes)
-    for i, one in enumerate(found):
+    told = list(found)
+    for i, one in enumerate(told):
         if one.change.searched_again_with_heavy_tails and one.fit.reason is not None:
             reweighted = fitted.values.reweighted
-            robust = refit(context, replace(fitted.values, reweighted=(*reweighted, heavy_tails(context))), fitted)
+            values = replace(fitted.values, reweighted=(*reweighted, heavy_tails(context)))
+            robust = refit(context, values, fitted, within=ROBUST_SIGMAS)
             again = _fit_once(context, _reweighted(robust, reweighted), one.change)
             if again.fit.reason is None:
-                found[i] = again
-    return found
+                told[i] = again
+    return told
 
 
 def _fit_once(context: FitContext, fitted: Fitted, change: Reweighting) -> WeightsFound:

@@ -11,7 +11,7 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Fitted, Values
 from hydrabeam_mpi.loop.attribution.candidate_rows import CachedRowBlocks
 from hydrabeam_mpi.loop.attribution.score_effects import attribute
-from hydrabeam_mpi.loop.attribution.score_noise import fit_reweightings
+from hydrabeam_mpi.loop.attribution.score_noise import fit_reweightings, looked_for_again
 from hydrabeam_mpi.loop.attribution.weigh_together import weigh_together
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Round
 from hydrabeam_mpi.mpi import bcast_object, together
@@ -126,24 +126,26 @@ def weigh(
     """Weigh each effect by itself, and all together for a set of ``most`` of them.
 
     Collective: all ranks of the grid. A change of the weights explains any residual: where it has more evidence than
-    all effects together, these are not believed.
+    all effects together, these are not believed. Where these leave no more than noise, what was refused is not looked
+    for in a robust fit, which takes longer than all else.
     """
     with together(context.grid.world):
         cached = CachedRowBlocks.of(context, fitted.estimate)
     findings = attribute(context, fitted, effects, cached)
     candidates = list(map(Candidate.of, findings))
     done = {one.change.kind for one in fitted.values.reweighted}
+    weights = fit_reweightings(context, fitted, [one for one in changes if one.kind not in done])
+    least, found = context.problem.job.loop.min_log_bayes_factor, None
+    if most > 0 and sum(one.log_bayes_factor >= least for one in candidates) > 1:
+        found = weigh_together(context, fitted, findings, cached)
+    if found is None or not found.explains:
+        weights = looked_for_again(context, fitted, weights)
     reweightings = [
-        Candidate(found.change.kind, found.change.title, found.fit.log_bayes_factor, weights=found)
-        for found in fit_reweightings(context, fitted, [one for one in changes if one.kind not in done])
+        Candidate(one.change.kind, one.change.title, one.fit.log_bayes_factor, weights=one) for one in weights
     ]
     ranking = tuple(sorted((*candidates, *reweightings), key=_best_first))
-    least = context.problem.job.loop.min_log_bayes_factor
-    if most < 1 or sum(one.log_bayes_factor >= least for one in candidates) < 2:
-        return Weighed(ranking)
-    found = weigh_together(context, fitted, findings, cached)
     by_weights = max((one.log_bayes_factor for one in reweightings), default=0.0)
-    if not found.numbers or by_weights > found.log_bayes_factor:
+    if found is None or not found.numbers or by_weights > found.log_bayes_factor:
         return Weighed(ranking)
     beside = [list(map(Candidate.of, one)) for one in found.beside[:most]]
     members = tuple(one[0] for one in beside)

@@ -17,7 +17,13 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Fitted, Reweighted, Values
 from hydrabeam_mpi.inference.posterior import Posterior
-from hydrabeam_mpi.loop.attribution.score_noise import HeavyTails, _variance, fit_reweightings, refit_reweighting
+from hydrabeam_mpi.loop.attribution.score_noise import (
+    HeavyTails,
+    _variance,
+    fit_reweightings,
+    looked_for_again,
+    refit_reweighting,
+)
 from hydrabeam_mpi.random import complex_normal, generator
 from tests.effects.small import small_block, small_setup
 from tests.loop.mock import context_of, mock_job
@@ -62,7 +68,7 @@ def test_the_level_of_the_noise(
 def test_strong_bursts_are_found_once_rows_far_out_count_less(comm: MPI.Comm, common_tmp_path: Path) -> None:
     """They pull the plain fit so far that all rows seem to be outliers; the fit that has told is another one."""
     context, before = fitted(common_tmp_path, comm, BURSTS)
-    noise, bursts = fit_reweightings(context, before, [NoiseLevel(), Outliers()])
+    noise, bursts = looked_for_again(context, before, fit_reweightings(context, before, [NoiseLevel(), Outliers()]))
     assert noise.fit.reason is not None
     assert noise.start is before
     assert bursts.fit.reason is None
