@@ -38,13 +38,13 @@ def try_set(context: FitContext, checked: Checked, weighed: Weighed, tried: Trie
 
     Each has to pass what a single effect has to, in the order of the rounds, with those after it left out where the
     joint fit has the others. One that does not is refused (``tried`` receives it), and the others are fitted again.
-    There are no rounds where the set has no two effects, would leave more than noise, or cannot be fitted so: then
-    effects are tried one by one. Collective: all ranks of the grid.
+    There are no rounds where the set has no two effects, or one and next to nothing, would leave more than noise, or
+    cannot be fitted so: then effects are tried one by one. Collective: all ranks of the grid.
     """
     if not weighed.explains:
         return ()
     members = tuple(takewhile(_is_told_by_linear_model, weighed.together.members))
-    if len(members) < 2:
+    if len(members) < 2 or _is_first_alone(members):
         return ()
     titles = ", ".join(f"{one.title} (ln BF {one.log_bayes_factor:.4g})" for one in members)
     say(f"  trying together: {titles}", context.grid.is_world_root)
@@ -71,6 +71,17 @@ def _is_told_by_linear_model(member: Candidate) -> bool:
     """
     on_grid = member.finding is not None and member.finding.effect.gets_simpler_when_fitted
     return not (on_grid or member.is_about_the_beam)
+
+
+def _is_first_alone(members: Sequence[Candidate]) -> bool:
+    """Whether all others have next to nothing beside the first, which is not linear.
+
+    So much may be what the linear model lacks of the first, and is weighed again once that is in the model.
+    """
+    first, *others = members
+    if first.finding is None or first.finding.effect.linear:
+        return False
+    return sum(one.log_bayes_factor for one in others) < RULES.near * first.log_bayes_factor
 
 
 def as_one(rounds: Sequence[Round]) -> Round:

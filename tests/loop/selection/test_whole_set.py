@@ -155,10 +155,7 @@ def test_one_that_held_out_data_refuse_goes_and_the_others_stay(
 
 def test_the_others_are_fitted_again_from_where_they_were(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The linear model, by which others might come back that were taken back since, is left once."""
-    moved = {"kind": "antenna_positions", "parameters": {"antenna 4 displaced East": 0.05}}
-    context = context_of(mock_job(GAIN, COUPLED, moved), tmp_path)
-    before = check(context, refit(context, Values()))
-    weighed = weigh(context, before.fitted, [*EFFECTS, AntennaPositions()], [], 6)
+    context, before, weighed = with_one_moved(tmp_path, 0.01)
     assert len(weighed.together.members) == 3
 
     def refusal(context: FitContext, before: Checked, after: Checked, fitted: Candidate) -> str | None:
@@ -177,6 +174,23 @@ def test_the_others_are_fitted_again_from_where_they_were(tmp_path: Path, monkey
     assert {one.candidate.kind for one in found} == {"antenna_gains", "antenna_positions"}
     assert [one.kind for one, _ in tried] == ["cross_coupling"]
     assert begun == [(3, True), (2, False)]
+
+
+def with_one_moved(folder: Path, metres: float) -> tuple[FitContext, Checked, Weighed]:
+    """A gain, a coupling and an antenna that is off its place, as they are weighed."""
+    moved = {"kind": "antenna_positions", "parameters": {"antenna 4 displaced East": metres}}
+    context = context_of(mock_job(GAIN, COUPLED, moved), folder)
+    before = check(context, refit(context, Values()))
+    return context, before, weigh(context, before.fitted, [*EFFECTS, AntennaPositions()], [], 6)
+
+
+def test_what_the_others_have_may_be_what_the_linear_model_lacks_of_the_first(tmp_path: Path) -> None:
+    """Where one that is not linear has nearly all of the evidence it is fitted before the others are believed."""
+    context, before, weighed = with_one_moved(tmp_path, 0.05)
+    assert weighed.explains
+    assert weighed.together.members[0].kind == "antenna_positions"
+    assert len(weighed.together.members) > 1
+    assert try_set(context, before, weighed, []) == ()
 
 
 def test_one_effect_is_no_set(context: FitContext, before: Checked, weighed: Weighed) -> None:
