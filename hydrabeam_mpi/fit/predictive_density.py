@@ -180,6 +180,7 @@ def _without_beam(sums: NormalEquations, beam: Posterior, seen: BoolArray, respo
     """
     kappa, names = 1.0 if beam.is_complex else 2.0, [name for name in sums.blocks if name != BEAM]
     gram, pull = sums.own(BEAM), sums.projection[BEAM]
+    response = response.astype(gram.dtype, copy=False)
     factor = cholesky_lower(beam.precision + kappa * gram)
     white = solve_triangular(factor, kappa * pull, lower=True)
     misfit = sums.data_norm - float(np.vdot(white, white).real) / kappa

@@ -202,9 +202,10 @@ def test_the_density_is_that_of_one_gaussian(
     np.testing.assert_allclose(found, of_one_gaussian(context, fitted, about), rtol=rtol)
 
 
-def test_it_is_the_ratio_of_evidences(tmp_path: Path) -> None:
+@pytest.mark.parametrize("form", ["real", "complex"])
+def test_it_is_the_ratio_of_evidences(form: str, tmp_path: Path) -> None:
     """Of all rows and of those that are fitted."""
-    context = context_of(mock_job(GAIN), tmp_path)
+    context = context_of(mock_job(GAIN, basis={"form": form}), tmp_path)
     density, rows = predictive_density(context, refit(context, Values())), context.test.rows
     log_noise = float(np.log(rows.inv_noise_var[rows.inv_noise_var > 0] / np.pi).sum())
     everything = Tile(np.arange(context.setup.observation.Ntimes), context.problem.train.bls)
