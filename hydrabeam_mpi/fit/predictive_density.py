@@ -13,7 +13,7 @@ the beam open would pay for that once a time.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,7 +27,7 @@ from hydrabeam_mpi.fit.grown import added_response, adds_coefficients
 from hydrabeam_mpi.fit.known_precision import Key, KnownPrecision
 from hydrabeam_mpi.fit.local_parameters import fit_local, untold, with_own
 from hydrabeam_mpi.fit.marginal import in_parts
-from hydrabeam_mpi.fit.state import Fitted, Values
+from hydrabeam_mpi.fit.state import Active, Fitted, Values
 from hydrabeam_mpi.fit.whitening import root_of
 from hydrabeam_mpi.fit.whole_beams import with_whole_beams
 from hydrabeam_mpi.inference.gaussian import Block
@@ -124,21 +124,8 @@ def _density(context: FitContext, fitted: Fitted) -> Density:
     if local is not None:
         here, unknown = fit_local(context, fitted, local, np.ones((1, 1), dtype=bool))
         fitted = replace(fitted, values=here.values)
-    values, mine = fitted.values, []
-    inside = [adds_coefficients(context.setup, one) for one in values.active]
-    sums = _sums(
-        context, fitted, [name for name, is_inside in zip(values.blocks, inside, strict=True) if not is_inside]
-    )
-    with together(context.grid.world):
-        seen = ~np.repeat(inside, [one.size for one in values.active]).astype(bool)
-        follow = added_response(context.setup, values)
-        for channel, normal in enumerate(sums if context.grid.is_group_root else ()):
-            response, covariance = follow, np.zeros((0, 0))
-            if values.active:
-                response, covariance = follow + fitted.fit.beam_response[channel], fitted.fit.covariances[channel]
-            left = _without_beam(normal, fitted.fit.posteriors[channel], seen, response)
-            mine.append((context.channels[channel], left, covariance))
-    gathered = gather_objects(context.grid.world, mine)
+    values = fitted.values
+    gathered = gather_objects(context.grid.world, _left_of_channels(context, fitted))
     found = None
     if gathered is not None:
         by_channel = {number: (left, covariance) for part in gathered for number, left, covariance in part}
@@ -147,19 +134,40 @@ def _density(context: FitContext, fitted: Fitted) -> Density:
     return density
 
 
-def _sums(context: FitContext, fitted: Fitted, effects: Sequence[str]) -> list[NormalEquations]:
-    """Sum over the held-out rows the products of the columns of the beam and of some effects, of the group's channels.
+def _left_of_channels(context: FitContext, fitted: Fitted) -> list[tuple[int, _Left, FloatArray]]:
+    """Return number, what is left with the beam integrated over, and covariance of the effects, of each channel.
 
-    Collective: all ranks of the grid.
+    Of the rank group's channels, on its root; none on the others. Collective: all ranks of the grid.
+    """
+    values, setup, grid = fitted.values, context.setup, context.grid
+    inside = [adds_coefficients(setup, one) for one in values.active]
+    effects = {name: one for (name, one), is_in in zip(values.blocks.items(), inside, strict=True) if not is_in}
+    seen = ~np.repeat(inside, [one.size for one in values.active]).astype(bool)
+    follow = added_response(setup, values)
+    found = []
+    for channel, sums in enumerate(_sums(context, fitted, effects)):
+        response, covariance = follow, np.zeros((0, 0))
+        if values.active:
+            response, covariance = follow + fitted.fit.beam_response[channel], fitted.fit.covariances[channel]
+        with together(grid.group):
+            if grid.is_group_root:
+                left = _without_beam(sums, fitted.fit.posteriors[channel], seen, response)
+                found.append((context.channels[channel], left, covariance))
+    return found
+
+
+def _sums(context: FitContext, fitted: Fitted, effects: Mapping[str, Active]) -> Iterator[NormalEquations]:
+    """Yield the products of the columns of the beam and of some effects, of each of the group's channels.
+
+    Summed over the held-out rows. Collective: all ranks of the grid.
     """
     share, at, grid = context.test, fitted.estimate, context.grid
     with together(grid.world):
         rows, added = share.calibrated(at)
     key = Key(rows.inv_noise_var, share.key_of_sky(at.values), (), None)
-    known = share.known_when_held_out.find(grid.group, key)
-    model: dict[str, ColumnBlock] = {BEAM: context.beam, **{name: at.values.blocks[name] for name in effects}}
+    known, grams = share.known_when_held_out.find(grid.group, key), []
+    model: dict[str, ColumnBlock] = {BEAM: context.beam, **effects}
     blocks = [Block(name, one.size, one.is_complex) for name, one in model.items()]
-    out = []
     for channel in range(len(context.channels)):
         total = NormalEquations(blocks, known=None if known is None else {(BEAM, BEAM): known.grams[channel]})
         with together(grid.group):
@@ -167,10 +175,10 @@ def _sums(context: FitContext, fitted: Fitted, effects: Sequence[str]) -> list[N
                 total.add_data(block.residual, block.weights)
                 add_block(total, block, model)
         total.reduce(grid.group)
-        out.append(total)
+        yield total
+        grams.append(total.own(BEAM))
     if known is None:
-        share.known_when_held_out.keep(KnownPrecision.of(key, out, None))
-    return out
+        share.known_when_held_out.keep(KnownPrecision(key, grams, None))
 
 
 def _without_beam(sums: NormalEquations, beam: Posterior, seen: BoolArray, response: Array) -> _Left:
