@@ -18,7 +18,7 @@ from hydrabeam_mpi.loop.selection.acceptance import Round
 from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refits import fit_patiently
-from hydrabeam_mpi.loop.selection.refusal import refusal_by_parts
+from hydrabeam_mpi.loop.selection.refusal import margin_of_parts, refusal_by_parts
 from hydrabeam_mpi.loop.selection.revision import Revision, revised_as_far_as_better
 from hydrabeam_mpi.terminal.progress import say
 
@@ -60,10 +60,11 @@ def take_back_unphysical(context: FitContext, last: Round, n_given: int) -> Take
 
 
 def take_back(context: FitContext, last: Round, n_given: int) -> Taken:
-    """Take back the effects that are not the same in all parts of the data.
+    """Take back the effect that is the least the same in all parts of the data; see `refusal_by_parts`.
 
     Collective: all ranks of the grid. Not before nothing more is found: while something else is not in the model yet,
-    what is true spreads as well, and has elements beside it (sources, antennas) that stand for the rest.
+    what is true spreads as well, and has elements beside it (sources, antennas) that stand for the rest. So it does
+    beside what is not true: others are asked again without that.
 
     Parameters
     ----------
@@ -85,8 +86,11 @@ def take_back(context: FitContext, last: Round, n_given: int) -> Taken:
     active = fitted.values.active
     affected = Affected.of(last.after.remains, context.setup.observation)
     asked = as_one_of_parts(active, ask_constancy(context, fitted, range(n_given, len(active)), affected))
-    found = {place: refusal_by_parts(one, context.problem.job.loop) for place, one in asked.items()}
-    gone = {place: why for place, why in found.items() if why is not None}
+    settings = context.problem.job.loop
+    found = {place: refusal_by_parts(one, settings) for place, one in asked.items()}
+    refused = [place for place, why in found.items() if why is not None]
+    worst = min(refused, key=lambda place: margin_of_parts(asked[place], settings), default=-1)
+    gone = {place: found[place] for place in refused if place == worst or _are_parts(active[place], active[worst])}
     kept = [place for place in range(len(active)) if place not in gone]
     places: dict[int, int | None] = dict.fromkeys(range(len(active)))
     places |= {old: new for new, old in enumerate(kept)}
@@ -98,6 +102,11 @@ def take_back(context: FitContext, last: Round, n_given: int) -> Taken:
     values = replace(fitted.values, active=tuple(active[place] for place in kept))
     after = check(context, fit_patiently(context, values, fitted))
     return replace(last, after=after, revised=(*last.revised, *told)), places, asked
+
+
+def _are_parts(one: Active, two: Active) -> bool:
+    """Whether both are parts of what comes in parts, of which one and the same was found."""
+    return one.effect.comes_in_parts and (one.kind, one.effect.law) == (two.kind, two.effect.law)
 
 
 def as_one_of_parts(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from hydrabeam_mpi.config.effects import Loop as LoopSettings
 from hydrabeam_mpi.loop.attribution.constancy import Constancy
 from hydrabeam_mpi.loop.rules import RULES
@@ -92,7 +94,7 @@ def refusal_by_parts(constancy: Sequence[Constancy], settings: LoopSettings) -> 
     """
     least = settings.min_log_bayes_factor
     for one in constancy:
-        if one.expected > 0 and one.log_bayes_factor < min(least, one.expected - least):
+        if _margin(one, settings) < 0:
             return (
                 f"it is not the same in all parts of the data: its parameters differ between {one.between} by "
                 f"{one.spread:.2g} times what they have in common (ln BF that they have a common part "
@@ -108,6 +110,20 @@ def refusal_by_parts(constancy: Sequence[Constancy], settings: LoopSettings) -> 
                 f"noise alone {one.expected_by_noise:.3g} were"
             )
     return None
+
+
+def margin_of_parts(constancy: Sequence[Constancy], settings: LoopSettings) -> tuple[float, float]:
+    """Return by how many nats an effect is the same in all parts, or is not if below zero; see `refusal_by_parts`.
+
+    With it how many are expected where it is, which orders those that cannot be told from what is left.
+    """
+    margin = min((_margin(one, settings) for one in constancy), default=np.inf)
+    return margin, min((one.expected for one in constancy), default=np.inf)
+
+
+def _margin(one: Constancy, settings: LoopSettings) -> float:
+    least = settings.min_log_bayes_factor
+    return one.log_bayes_factor - min(least, one.expected - least) if one.expected > 0 else np.inf
 
 
 def rise_of_rms(before: Checked, after: Checked) -> str | None:

@@ -10,6 +10,7 @@ import pytest
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
+from hydrabeam_mpi.effects.instrument.antenna_pointing import AntennaPointing
 from hydrabeam_mpi.effects.instrument.antenna_positions import AntennaPositions
 from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
 from hydrabeam_mpi.effects.interface.effect import Effect
@@ -28,7 +29,7 @@ from hydrabeam_mpi.loop.selection.acceptance import Candidate
 from hydrabeam_mpi.loop.selection.candidate_fits import fit_candidate
 from hydrabeam_mpi.loop.selection.constant import as_one_of_parts, take_back
 from hydrabeam_mpi.loop.selection.predictions import check
-from hydrabeam_mpi.loop.selection.refusal import refusal_by_parts
+from hydrabeam_mpi.loop.selection.refusal import margin_of_parts, refusal_by_parts
 from hydrabeam_mpi.random import generator
 from tests.effects.small import small_setup
 from tests.loop.made import effect_candidate, round_of
@@ -286,6 +287,24 @@ def test_a_place_is_not_what_a_gain_looks_like(tmp_path: Path) -> None:
     assert last.after.score.chi2 == pytest.approx(one.before.score.chi2)
     assert "antenna positions: taken back, as it cannot be told from what is left beside it" in last.revised[0]
     assert take_back(context, one, 1) == (one, {0: 0}, {})
+
+
+def test_what_is_the_least_the_same_is_taken_back_first(tmp_path: Path) -> None:
+    """Beside what is not true others differ between parts, which are asked again without that."""
+    context = context_of(mock_job(GAIN), tmp_path)
+    wrong = []
+    for effect, width in ((AntennaPointing(), 1.0), (AntennaPositions(), 0.1)):
+        n = len(effect.parameters(context.setup))
+        wrong.append(Active.start(effect, context.setup, np.full(n, width**2), np.zeros((1, n))))
+    fitted = refit(context, Values(tuple(wrong)))
+    checked, settings = check(context, fitted), context.problem.job.loop
+    found = ask_constancy(context, fitted, [0, 1], Affected.of(checked.remains, context.setup.observation))
+    assert all(refusal_by_parts(one, settings) for one in found.values())
+    assert margin_of_parts(found[1], settings) < margin_of_parts(found[0], settings)
+    one = round_of(effect_candidate(AntennaPositions()), check(context, refit(context, Values())), checked)
+    last, places, _ = take_back(context, one, 0)
+    assert places == {0: 0, 1: None}
+    assert [one.kind for one in last.after.fitted.values.active] == ["antenna_pointing"]
 
 
 def test_parts_of_what_comes_in_parts_are_asked_together() -> None:
