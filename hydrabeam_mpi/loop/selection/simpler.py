@@ -36,8 +36,9 @@ def simplified(
     A flux that is wrong in the catalogue looks like a source at that place, which has a place to fit besides; a delay
     looks like gains, which every channel has for itself. From zero the simpler effect may be too far for a linear
     model, as a delay of many turns is, so that it was not found at once. The two are fitted and compared by their
-    evidence, with the held-out data's density, beside all else. Collective: all ranks of the grid. Arguments and what
-    is returned are those of `exchange`.
+    evidence, with the held-out data's density, beside all else: what has more parameters has to have as much more as
+    the job asks of a finding. Collective: all ranks of the grid. Arguments and what is returned are those of
+    `exchange`.
     """
     fitted, kinds = last.fitted, {one.kind for one in effects}
     for place in [one.place for one in rounds if one.place is not None]:
@@ -99,7 +100,8 @@ def _present(context: FitContext, last: Checked, without: Checked, own: Active, 
 
     Places are weighed beside all else by the linear model of what is there, at the price of picking one of so many. How
     much nearer the data tell what the ``simpler`` effect does not have is Occam's factor, of prior over posterior
-    width, which that is spared.
+    width, which that is spared. What it says beyond that is a claim of its own, which has to have the evidence that the
+    job asks for.
     """
     values = without.fitted.values
     now = fit_patiently(context, replace(values, active=(*values.active, own)), last.fitted)
@@ -110,7 +112,8 @@ def _present(context: FitContext, last: Checked, without: Checked, own: Active, 
     risen = evidence.log_bayes_factor - evidence.linear_gain + rise(context, without.fitted, now)
     evidence = replace(evidence, effective_parameters=evidence.effective_parameters + len(narrower))
     candidate = Candidate.of(Finding(own.effect, evidence))
-    candidate = replace(candidate, log_bayes_factor=risen - float(np.sum(np.log(narrower))))
+    beyond = context.problem.job.loop.min_log_bayes_factor
+    candidate = replace(candidate, log_bayes_factor=risen - float(np.sum(np.log(narrower))) - beyond)
     return round_of(context, without, last, candidate, ())
 
 
