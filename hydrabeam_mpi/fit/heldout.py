@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.sparse import csr_array, hstack
 
 from hydrabeam_mpi.data.observation import Array, BoolArray, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.fit.by_time import columns_by_time, of_baselines
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.local_parameters import fit_local, fold_of, untold
 from hydrabeam_mpi.fit.room import COMPLEX, KEPT_BYTES
@@ -166,28 +166,18 @@ def _felt(
     """
     fit, active, number = fitted.fit, fitted.values.active, context.channels[channel]
     covariance = fit.covariances[channel]
-    block.integrate_for([one.effect for one in active])
-    made = [block.columns_of(one.effect, one.x[number]) for one in active]
-    matrices = [one.matrix()[:, which.used] for one, which in zip(made, active, strict=True)]
-    by_group = [one.by_group for one in made]
-    n_times, followed = len(block.times), len(covariance) <= MAX_FOLLOWED
-    is_of_groups = np.repeat(by_group, [matrix.shape[1] for matrix in matrices])
-    for t in range(n_times):
-        rows = [matrix.shape[0] // n_times for matrix in matrices]
-        parts = [matrix[t * n : (t + 1) * n] for matrix, n in zip(matrices, rows, strict=True)]
-        if not followed:
-            of_bls = [
-                part[block.member] if of else part for part, of in zip(map(csr_array, parts), by_group, strict=True)
-            ]
-            widths, sparse = np.diag(covariance), hstack(of_bls, format="csr")
+    for t, parts in enumerate(columns_by_time(block, active, number)):
+        if len(covariance) > MAX_FOLLOWED:
+            widths, sparse = np.diag(covariance), of_baselines(parts, block.member)
             none = np.zeros((len(block.bls), 0), dtype=complex)
             yield Felt(none, none, np.zeros(0, dtype=bool)), 0.5 * (abs(sparse).power(2) @ widths)
             continue
+        is_of_groups = np.repeat([of for _, of in parts], [part.shape[1] for part, _ in parts])
         beam = design[t] @ fit.beam_response[channel]
         by_beam = beam if fit.posteriors[channel].is_complex else beam[0] + 1j * beam[1]
         own, of_groups = by_beam[:, ~is_of_groups][block.member], by_beam[:, is_of_groups]
         for felt, wanted in ((own, False), (of_groups, True)):
-            chosen = [_dense(part) for part, of in zip(parts, by_group, strict=True) if of is wanted]
+            chosen = [_dense(part) for part, of in parts if of is wanted]
             felt += np.concatenate(chosen, axis=-1) if chosen else 0
         yield Felt(own, of_groups, is_of_groups), np.zeros(len(block.bls))
 

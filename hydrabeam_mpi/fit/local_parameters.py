@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array, hstack
 
 from hydrabeam_mpi.data.observation import BoolArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.fit.by_time import columns_by_time, of_baselines
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.marginal import in_parts
 from hydrabeam_mpi.fit.state import Active, Estimate, Fitted, Values
@@ -25,7 +25,8 @@ from hydrabeam_mpi.mpi import allreduce_sum, together
 LOCAL_STEPS = 4
 """Newton steps at most, each of which about squares what the one before has left: all else stays as it is."""
 MOVED = 1e-3
-"""Of their standard deviations, by which parameters move in the last step that is worth taking."""
+"""Of their standard deviations, by which parameters move in the last step that is worth taking: as steps square what is
+left, that is a millionth of these then."""
 
 
 def untold(context: FitContext, values: Values) -> str | None:
@@ -131,17 +132,8 @@ def _columns(
     block: RowBlock, chosen: list[tuple[Active, slice]], channel: int
 ) -> Iterator[tuple[IntArray, NDArray[np.complex128]]]:
     """Yield for each time which of all parameters in use its rows tell of effects, and their columns, (Nbls, k)."""
-    block.integrate_for([one.effect for one, _ in chosen])
-    made = [(block.columns_of(one.effect, one.x[channel]), one.used) for one, _ in chosen]
-    matrices = [(csr_array(one.matrix()[:, used]), one.by_group) for one, used in made]
     numbers = np.concatenate([np.arange(span.start, span.stop) for _, span in chosen])
-    n_times = len(block.times)
-    for t in range(n_times):
-        parts = []
-        for matrix, by_group in matrices:
-            n = matrix.shape[0] // n_times
-            part = matrix[t * n : (t + 1) * n]
-            parts.append(part[block.member] if by_group else part)
-        columns = hstack(parts, format="csc")
+    for parts in columns_by_time(block, [one for one, _ in chosen], channel):
+        columns = of_baselines(parts, block.member).tocsc()
         told = np.flatnonzero(np.diff(columns.indptr))
         yield numbers[told], columns[:, told].toarray()

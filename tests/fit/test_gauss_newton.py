@@ -29,7 +29,6 @@ from hydrabeam_mpi.fit.channels import infer_channels
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Underway, refit, stepped
-from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.joint import channel_results
 from hydrabeam_mpi.fit.state import Active, Ended, Estimate, Fitted, Reweighted, Values
 from hydrabeam_mpi.fit.step import Step, take_step
@@ -52,7 +51,7 @@ def free(context: FitContext, effect: Effect, width: float, only: Sequence[int] 
 def heldout_chi2(context: FitContext, fitted: Fitted) -> float:
     """Return chi^2 of the held-out rows, of which nothing is kept: it is asked with one setting after another."""
     context = replace(context)
-    return heldout_score(context, whiten(context, fitted), fitted).chi2
+    return heldout_score(context, fitted).chi2
 
 
 def beam_error(context: FitContext, fitted: Fitted, folder: Path) -> float:

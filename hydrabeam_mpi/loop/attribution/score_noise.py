@@ -59,11 +59,6 @@ def heavy_tails(context: FitContext) -> Reweighted:
     return Reweighted(HeavyTails(), none, none)
 
 
-def fit_reweightings(context: FitContext, fitted: Fitted, changes: Sequence[Reweighting]) -> list[WeightsFound]:
-    """Fit every change of the weights. Collective: all ranks of the grid."""
-    return _fit_all(context, fitted, changes)
-
-
 def looked_for_again(context: FitContext, fitted: Fitted, found: Sequence[WeightsFound]) -> list[WeightsFound]:
     """Look for what was refused in the residuals of a fit in which outlying rows count less.
 
@@ -85,11 +80,11 @@ def looked_for_again(context: FitContext, fitted: Fitted, found: Sequence[Weight
 
 def _fit_once(context: FitContext, fitted: Fitted, change: Reweighting) -> WeightsFound:
     """Fit a change of the weights, beside residuals that are larger than noise if it is refused beside noise."""
-    (found,) = _fit_all(context, fitted, [change])
+    (found,) = fit_reweightings(context, fitted, [change])
     if found.fit.reason is None or found.fit.levels is None:
         return found
     beside = change.at_levels(found.fit.levels)
-    return _fit_all(context, fitted, [beside])[0] if beside is not None else found
+    return fit_reweightings(context, fitted, [beside])[0] if beside is not None else found
 
 
 def refit_reweighting(context: FitContext, fitted: Fitted, change: Reweighting) -> ReweightingFit:
@@ -115,7 +110,7 @@ def refit_reweighting(context: FitContext, fitted: Fitted, change: Reweighting) 
                 effective[number, block.bls] += 2 * np.sum(block.weights * variance[:, block.member], axis=0)
     allreduce_sum(context.grid.world, effective)
     others = tuple(one for one in fitted.values.reweighted if one.change is not change)
-    return _fit_all(context, _reweighted(fitted, others), [change.beside_noise], effective, fitted)[0].fit
+    return fit_reweightings(context, _reweighted(fitted, others), [change.beside_noise], effective, fitted)[0].fit
 
 
 def _reweighted(fitted: Fitted, by: tuple[Reweighted, ...]) -> Fitted:
@@ -130,7 +125,7 @@ def _variance(posterior: Posterior, design: NDArray[Any]) -> FloatArray:
     return variance if posterior.is_complex else variance.sum(axis=1)
 
 
-def _fit_all(
+def fit_reweightings(
     context: FitContext,
     fitted: Fitted,
     changes: Sequence[Reweighting],

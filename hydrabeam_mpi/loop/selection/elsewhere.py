@@ -17,7 +17,7 @@ from hydrabeam_mpi.loop.selection.acceptance import Elsewhere
 from hydrabeam_mpi.loop.selection.history import History
 from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical
 from hydrabeam_mpi.loop.selection.predictions import check
-from hydrabeam_mpi.loop.selection.refits import fit_patiently, log_joint
+from hydrabeam_mpi.loop.selection.refits import fit_patiently, log_joint, may_surpass
 from hydrabeam_mpi.loop.selection.rounds import settle_last
 
 
@@ -66,7 +66,7 @@ def _fit_there(context: FitContext, fitted: Fitted, place: int, start: Active, l
     before = fitted.values.active
     values = replace(fitted.values, active=(*before[:place], start, *before[place + 1 :]))
     try:
-        other = fit_patiently(context, values, fitted, lambda at: at.reached + at.expected / RULES.near > least)
+        other = fit_patiently(context, values, fitted, may_surpass(least))
     except BrokenOff:
         return None
     is_physical = other.diagnostics.converged and leave_out_unphysical(context, other, place) is None

@@ -8,13 +8,13 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Worth
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff
 from hydrabeam_mpi.fit.state import Active, Fitted
 from hydrabeam_mpi.loop.attribution.reconsider import reconsider
 from hydrabeam_mpi.loop.attribution.score_effects import Finding
 from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical
-from hydrabeam_mpi.loop.selection.refits import fit_patiently, is_same_prior, log_joint, restarted
+from hydrabeam_mpi.loop.selection.refits import fit_patiently, is_same_prior, log_joint, may_surpass, restarted
 
 
 def started(context: FitContext, finding: Finding, prior_var: FloatArray) -> Active:
@@ -49,7 +49,7 @@ def _or_begun_at(context: FitContext, before: Fitted, best: Fitted | None, start
 
     Collective: all ranks of the grid.
     """
-    worth = None if best is None else _may_surpass(context, best)
+    worth = None if best is None else may_surpass(log_joint(context, best))
     try:
         fitted = fit_patiently(context, before.values.extended(start), before, worth)
     except BrokenOff:
@@ -103,9 +103,3 @@ def _each_foremost(context: FitContext, finding: Finding) -> list[FloatArray]:
     as_large = np.where(parameters.nonlinear, 0.0, largest * parameters.scale**2)
     prior_var = np.where(is_wanted, evidence.prior_var, as_large)
     return [np.where(element == one, prior_var, 0.0) for one in near.tolist()]
-
-
-def _may_surpass(context: FitContext, best: Fitted) -> Worth:
-    """Return whether a fit that begins elsewhere may become likelier than the best one so far."""
-    ahead = log_joint(context, best)
-    return lambda at: at.reached + at.expected / RULES.near > ahead

@@ -10,7 +10,7 @@ import numpy as np
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.fit.beams_given import price_of_left_out
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.heldout import Whitened
+from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.predictive_density import predictive_density
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.inference.significance import sigma_of_log_p
@@ -74,11 +74,9 @@ class HeldoutScore:
         return round(float(self.times[1].sum()))
 
 
-def heldout_score(context: FitContext, whitened: Whitened, fitted: Fitted) -> HeldoutScore:
-    """Tell how well a fit predicts the held-out rows, of which ``whitened`` are the residuals.
-
-    Collective: all ranks of the grid.
-    """
+def heldout_score(context: FitContext, fitted: Fitted) -> HeldoutScore:
+    """Tell how well a fit predicts the held-out rows. Collective: all ranks of the grid."""
+    whitened = whiten(context, fitted)
     observation, rows = context.setup.observation, context.test.rows
     power = np.where(whitened.used, 0.5 * np.abs(whitened.z) ** 2, 0.0).sum(axis=0)
     count = whitened.used.sum(axis=0).astype(float)

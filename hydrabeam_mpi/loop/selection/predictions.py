@@ -13,12 +13,10 @@ from hydrabeam_mpi.loop.selection.heldout_score import HeldoutScore, heldout_sco
 
 def check(context: FitContext, fitted: Fitted) -> Checked:
     """Predict the held-out rows. Collective: all ranks of the grid."""
-    whitened = whiten(context, fitted)
-    remains = remains_of(context, fitted, whitened)
-    score = heldout_score(context, whitened, fitted)
-    return Checked(fitted, score, remains, heldout_numbers(context, fitted))
+    remains = remains_of(context, fitted, whiten(context, fitted))
+    return Checked(fitted, heldout_score(context, fitted), remains, heldout_numbers(context, fitted))
 
 
 def score_of(context: FitContext, fitted: Fitted) -> HeldoutScore:
     """Predict the held-out rows, and tell no more of it than how well. Collective: all ranks of the grid."""
-    return heldout_score(context, whiten(context, fitted), fitted)
+    return heldout_score(context, fitted)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.fit.beams_given import total_log_joint
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Underway, Worth, refit
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Worth, refit
 from hydrabeam_mpi.fit.state import Active, Ended, Fitted, Values
 from hydrabeam_mpi.loop.attribution.score_noise import heavy_tails
 from hydrabeam_mpi.loop.rules import RULES
@@ -57,7 +56,7 @@ def fit_anew(context: FitContext, values: Values, before: Fitted) -> Fitted:
 def with_best_variant(context: FitContext, fitted: Fitted, place: int = -1) -> Fitted:
     """Fit the last effect, or the one at ``place``, in its other forms; return the likeliest; see `Effect.variants`.
 
-    One that does not come near the best so far is broken off, but for places and the like, which go in small steps.
+    One that does not come near the best so far is broken off.
     Collective: all ranks of the grid.
     """
     best, active = fitted, fitted.values.active
@@ -65,11 +64,8 @@ def with_best_variant(context: FitContext, fitted: Fitted, place: int = -1) -> F
     for effect in one.effect.variants(context.setup):
         other = Active.start(effect, context.setup, one.prior_var(context.setup), one.x)
         values = replace(fitted.values, active=tuple(other if each is one else each for each in active))
-        least = log_joint(context, best)
-        if effect.parameters(context.setup).nonlinear[other.used].any():
-            least = -np.inf
         try:
-            again = fit_patiently(context, values, fitted, worth=partial(_may_come_to, least))
+            again = fit_patiently(context, values, fitted, may_surpass(log_joint(context, best)))
         except BrokenOff:
             continue
         best = max(best, again, key=lambda each: log_joint(context, each))
@@ -80,9 +76,9 @@ def with_best_variant(context: FitContext, fitted: Fitted, place: int = -1) -> F
     return max(best, again, key=lambda each: log_joint(context, each))
 
 
-def _may_come_to(least: float, at: Underway) -> bool:
-    """Whether a fit may end with an ln(likelihood x prior) above ``least``."""
-    return at.reached + at.expected > least
+def may_surpass(least: float) -> Worth:
+    """Return what says whether a fit may end with an ln(likelihood x prior) above ``least``; see `Rules.near`."""
+    return lambda at: at.reached + at.expected / RULES.near > least
 
 
 def rise(context: FitContext, before: Fitted, after: Fitted, of_nonlinear: bool = False) -> float:
