@@ -41,7 +41,8 @@ class Known:
             return context.of_latest("effects", fitted, lambda: cls._of(context, fitted, active))
         evidence = beside.evidence
         more = Active.start(beside.effect, context.setup, evidence.prior_var, np.zeros_like(evidence.x))
-        return cls._of(context, fitted, (*active, more))
+        name = f"effects beside {beside.kind}, {beside.effect.law}"
+        return context.of_latest(name, fitted, lambda: cls._of(context, fitted, (*active, more)))
 
     @classmethod
     def _of(cls, context: FitContext, fitted: Fitted, active: tuple[Active, ...]) -> Known:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -62,7 +62,7 @@ def try_effects(
             tried.append((candidate, str(why)))
             continue
         reason = refusal_of_fit(context, checked, after, fitted)
-        reason = reason or refusal_by_rivals(context, after.fitted, rivals_of(fitted, ranking, settings))
+        reason = reason or least_beside(context, after.fitted, rivals_of(fitted, ranking, settings)).refusal
         say(f"    refused: {reason}", context.grid.is_world_root and reason is not None)
         if reason is not None:
             tried.append((fitted, reason))
@@ -114,18 +114,22 @@ def refusal_of_fit(context: FitContext, before: Checked, after: Checked, fitted:
     return refusal_of(before, after, fitted, settings)
 
 
-def refusal_by_rivals(context: FitContext, fitted: Fitted, rivals: Sequence[Candidate], place: int = -1) -> str | None:
-    """Say beside which rival the last effect, or the one at ``place``, has too little evidence; None where it has.
+class Beside(NamedTuple):
+    """The least log Bayes factor that an effect has beside a rival, and why that is too little, if it is."""
 
-    Collective: all ranks of the grid.
-    """
+    log_bayes_factor: float
+    refusal: str | None
+
+
+def least_beside(context: FitContext, fitted: Fitted, rivals: Sequence[Candidate], place: int = -1) -> Beside:
+    """Weigh the last effect, or the one at ``place``, beside each rival. Collective: all ranks of the grid."""
+    least = Beside(np.inf, None)
     for rival in rivals:
         assert rival.finding is not None
         left = reconsider(context, fitted, place, rival.finding).log_bayes_factor
-        reason = refusal_beside(rival, left, context.problem.job.loop)
-        if reason is not None:
-            return reason
-    return None
+        if left < least.log_bayes_factor:
+            least = Beside(left, refusal_beside(rival, left, context.problem.job.loop))
+    return least
 
 
 def try_control(

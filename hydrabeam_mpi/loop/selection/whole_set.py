@@ -10,11 +10,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import takewhile
+from typing import NamedTuple
 
+from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import BrokenOff
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.fit.step import solved_at
+from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.attribution.reconsider import reconsider
 from hydrabeam_mpi.loop.attribution.score_effects import Finding
 from hydrabeam_mpi.loop.rules import RULES
@@ -26,7 +29,7 @@ from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refits import fit_patiently, rise, with_best_variant
 from hydrabeam_mpi.loop.selection.refusal import rivals_of
 from hydrabeam_mpi.loop.selection.revision import reweigh
-from hydrabeam_mpi.loop.selection.trials import refusal_by_rivals, refusal_of_fit, round_of
+from hydrabeam_mpi.loop.selection.trials import least_beside, refusal_of_fit, round_of
 from hydrabeam_mpi.loop.selection.weighing import Weighed
 from hydrabeam_mpi.terminal.progress import say
 
@@ -38,6 +41,7 @@ def try_set(context: FitContext, checked: Checked, weighed: Weighed, tried: Trie
 
     Each has to pass what a single effect has to, in the order of the rounds, with those after it left out where the
     joint fit has the others. One that does not is refused (``tried`` receives it), and the others are fitted again.
+    Those that have too little beside a rival go first, the least of them before the others: that takes no further fit.
     There are no rounds where the set has no two effects, or one and next to nothing, would leave more than noise, or
     cannot be fitted so: then effects are tried one by one. Collective: all ranks of the grid.
     """
@@ -50,15 +54,16 @@ def try_set(context: FitContext, checked: Checked, weighed: Weighed, tried: Trie
     say(f"  trying together: {titles}", context.grid.is_world_root)
     found = _fit(context, checked.fitted, members)
     while found is not None:
-        rounds, refused = _one_by_one(context, checked, *found, weighed)
+        refused = _least_beside_rivals(context, *found, weighed)
         if refused is None:
-            return rounds
-        candidate, reason = refused
-        say(f"    {candidate.title}: refused: {reason}", context.grid.is_world_root)
-        tried.append(refused)
+            rounds, refused = _one_by_one(context, checked, *found, weighed)
+            if refused is None:
+                return rounds
+        say(f"    {refused.candidate.title}: refused: {refused.reason}", context.grid.is_world_root)
+        tried.append((refused.candidate, refused.reason))
         if len(found[1]) <= 2:
             return ()
-        found = _fit_without(context, *found, len(rounds))
+        found = _fit_without(context, *found, refused.number)
     say("    their joint fit does not converge", context.grid.is_world_root)
     return ()
 
@@ -160,15 +165,40 @@ def _as_wanted(
     return (fitted, left) if left and fitted.diagnostics.converged else None
 
 
+class _Refused(NamedTuple):
+    """Which of a set is refused, by its number in it, and why."""
+
+    number: int
+    candidate: Candidate
+    reason: str
+
+
+def _least_beside_rivals(
+    context: FitContext, fitted: Fitted, members: Sequence[Candidate], weighed: Weighed
+) -> _Refused | None:
+    """Return which of a joint fit has the least beside a rival, and too little; None where all have enough.
+
+    Collective: all ranks of the grid.
+    """
+    settings, n_before, found = context.problem.job.loop, len(fitted.values.active) - len(members), []
+    for number, member in enumerate(members):
+        own = reconsider(context, fitted, n_before + number)
+        candidate = _with_evidence(member, fitted.values.active[n_before + number].effect, own)
+        beside = least_beside(context, fitted, rivals_of(candidate, weighed.ranking, settings), n_before + number)
+        if beside.refusal is not None:
+            found.append((beside.log_bayes_factor, _Refused(number, candidate, beside.refusal)))
+    return min(found, key=lambda one: one[0])[1] if found else None
+
+
 def _one_by_one(
     context: FitContext, checked: Checked, fitted: Fitted, members: Sequence[Candidate], weighed: Weighed
-) -> tuple[tuple[Round, ...], tuple[Candidate, str] | None]:
+) -> tuple[tuple[Round, ...], _Refused | None]:
     """Add the effects of a joint fit one after the other; return the rounds before the first that is refused, and it.
 
     Collective: all ranks of the grid.
     """
     n_before, rounds, before = len(checked.fitted.values.active), list[Round](), checked
-    settings, whole = context.problem.job.loop, check(context, fitted)
+    whole = check(context, fitted)
     for place in range(n_before, len(fitted.values.active)):
         whole = by_heldout(context, whole, place)
     fitted = whole.fitted
@@ -182,10 +212,8 @@ def _one_by_one(
         told = f"held-out chi^2 {after.score.chi2:.4g}, rms {after.numbers.of_all['rms']:.4g} Jy"
         say(f"    {member.title}: {told} (ln BF {candidate.log_bayes_factor:.4g})", context.grid.is_world_root)
         reason = refusal_of_fit(context, before, after, candidate)
-        rivals = rivals_of(candidate, weighed.ranking, settings)
-        reason = reason or refusal_by_rivals(context, fitted, rivals, place)
         if reason is not None:
-            return tuple(rounds), (candidate, reason)
+            return tuple(rounds), _Refused(len(rounds), candidate, reason)
         ranking = weighed.ranking if place == n_before else weighed.beside_set(member)
         rounds.append(replace(round_of(context, before, after, candidate, ranking), together=weighed.together.members))
         before = after
@@ -202,5 +230,8 @@ def _as_fitted(
     again = reconsider(context, joint, place)
     gained = rise(context, before, after) - price_of_fitted(context, after)
     log_bayes_factor = again.log_bayes_factor - again.linear_gain + gained
-    finding = Finding(joint.values.active[place].effect, replace(again, log_bayes_factor=log_bayes_factor))
-    return replace(member, finding=finding, log_bayes_factor=log_bayes_factor)
+    return _with_evidence(member, joint.values.active[place].effect, replace(again, log_bayes_factor=log_bayes_factor))
+
+
+def _with_evidence(member: Candidate, effect: Effect, evidence: Evidence) -> Candidate:
+    return replace(member, finding=Finding(effect, evidence), log_bayes_factor=evidence.log_bayes_factor)

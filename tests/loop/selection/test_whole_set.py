@@ -21,7 +21,7 @@ from hydrabeam_mpi.loop.selection import whole_set
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round, is_better
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refits import rise
-from hydrabeam_mpi.loop.selection.trials import try_effects
+from hydrabeam_mpi.loop.selection.trials import refusal_of_fit, try_effects
 from hydrabeam_mpi.loop.selection.weighing import Outlook, Together, Weighed, weigh
 from hydrabeam_mpi.loop.selection.whole_set import as_one, try_set
 from tests.loop.mock import context_of, mock_job
@@ -174,6 +174,27 @@ def test_the_others_are_fitted_again_from_where_they_were(tmp_path: Path, monkey
     assert {one.candidate.kind for one in found} == {"antenna_gains", "antenna_positions"}
     assert [one.kind for one, _ in tried] == ["cross_coupling"]
     assert begun == [(3, True), (2, False)]
+
+
+def test_what_a_rival_explains_leaves_a_set_before_held_out_data_are_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Here a gain stands for a fault of the beam: beside that there is nothing of the same gain."""
+    context, before, weighed = with_one_moved(tmp_path, 0.01)
+    rival = next(one for one in weighed.ranking if one.kind == "antenna_gains")
+    asked = []
+
+    def refusal(context: FitContext, before: Checked, after: Checked, fitted: Candidate) -> str | None:
+        asked.append(fitted.kind)
+        return refusal_of_fit(context, before, after, fitted)
+
+    monkeypatch.setattr(whole_set, "rivals_of", lambda *_: [rival])
+    monkeypatch.setattr(whole_set, "refusal_of_fit", refusal)
+    tried: list = []
+    found = try_set(context, before, weighed, tried)
+    assert [one.kind for one, _ in tried] == ["antenna_gains"]
+    assert "antenna gains explains as much" in tried[0][1]
+    assert sorted(asked) == sorted(one.candidate.kind for one in found) == ["antenna_positions", "cross_coupling"]
 
 
 def with_one_moved(folder: Path, metres: float) -> tuple[FitContext, Checked, Weighed]:
