@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from astropy.constants import c as speed_of_light
 
+from tests.validation.undeclared.answer import Where
 from tests.validation.undeclared.setting import Setting, altaz
 from tests.validation.undeclared.truth import ComplexArray
 
@@ -18,6 +19,21 @@ def shows(chi2: float, n_params: int) -> bool:
     told, and for the choice of antennas, baselines or places.
     """
     return chi2 > LEAST_CHI2 + 2 * n_params * float(np.log1p(chi2 / (2 * n_params)))
+
+
+def numbers_of_unknown(setting: Setting, where: Where) -> int:
+    """Return as how many numbers something counts of which no list says what it looks like: each datum that it is in.
+
+    With these `shows` asks for the likelihood ratio of a larger variance there: for x = chi2 / 2n of each of n data it
+    is 2n (x - ln(1 + x)).
+    """
+    n_freqs, n_times, n_bls = setting.shape
+    if where.antpairs is not None:
+        n_bls = len(where.antpairs)
+    elif where.antennas is not None:
+        n_bls = int(np.isin(setting.numbers[setting.antpairs], where.antennas).any(axis=1).sum())
+    n_times = n_times if where.times is None else len(where.times)
+    return n_bls * n_times * (n_freqs if where.freqs is None else len(where.freqs))
 
 
 def beam_design(setting: Setting, channel: int) -> ComplexArray:

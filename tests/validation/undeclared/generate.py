@@ -13,8 +13,8 @@ import numpy as np
 from tests.validation.undeclared.answer import Drawn, Kind
 from tests.validation.undeclared.basis import BASES
 from tests.validation.undeclared.beams import drawn_shape
-from tests.validation.undeclared.cases import ALL, EFFECTS, NULLS, merged
-from tests.validation.undeclared.detect import chi2_beyond_beam, shows
+from tests.validation.undeclared.cases import ALL, EFFECTS, NULLS, UNKNOWN, merged
+from tests.validation.undeclared.detect import chi2_beyond_beam, numbers_of_unknown, shows
 from tests.validation.undeclared.files import CHANNEL_WIDTH, INTEGRATION, write_all
 from tests.validation.undeclared.polarisation import polarised
 from tests.validation.undeclared.setting import Plan, Setting, draw_setting
@@ -92,7 +92,7 @@ def generate(seed: int, folder: Path, case: str | None = None, basis: str = "stu
     alone = [made.truth] if len(kinds) == 1 else [make(seed, kinds, [kind], basis).truth for kind in kinds]
     changed = [measured] if len(kinds) == 1 else [corrupted(truth) for truth in alone]
     effects = [
-        _told(one, *_visible(truth, vis, reference, sigma, seed))
+        _told(one, truth, *_visible(truth, vis, reference, sigma, seed))
         for one, truth, vis in zip(made.effects, alone, changed, strict=True)
     ]
     answer = {
@@ -126,9 +126,12 @@ def _filed(truth: Truth, vis: ComplexArray, sigma: float, rng: np.random.Generat
     return data
 
 
-def _told(effect: tuple[Kind, float, Drawn], total: float, left: float) -> dict[str, Any]:
+def _told(effect: tuple[Kind, float, Drawn], truth: Truth, total: float, left: float) -> dict[str, Any]:
     """Describe one effect, and whether the data show it when it is alone."""
     kind, strength, drawn = effect
+    # Of noise chi^2 is that of its variance already.
+    is_unknown = kind.name in UNKNOWN and not truth.noise
+    n_params = numbers_of_unknown(truth.setting, drawn.where) if is_unknown else drawn.n_params
     return {
         "kind": kind.is_called,
         "law": kind.law,
@@ -141,7 +144,7 @@ def _told(effect: tuple[Kind, float, Drawn], total: float, left: float) -> dict[
         "n_params": drawn.n_params,
         "chi2_total": total,
         "chi2_left": left,
-        "detectable": shows(left, drawn.n_params),
+        "detectable": shows(left, n_params),
     }
 
 

@@ -16,10 +16,10 @@ from hydrabeam_mpi.config import load_job
 from hydrabeam_mpi.effects.registry import EFFECTS as KNOWN
 from hydrabeam_mpi.effects.registry import KINDS
 from tests.validation.undeclared import skies, strange
-from tests.validation.undeclared.answer import Kind
+from tests.validation.undeclared.answer import Kind, Where
 from tests.validation.undeclared.beams import drawn_shape
 from tests.validation.undeclared.cases import ALL, CONVENTIONS, EFFECTS, FAULTS
-from tests.validation.undeclared.detect import chi2_beyond_beam
+from tests.validation.undeclared.detect import chi2_beyond_beam, numbers_of_unknown, shows
 from tests.validation.undeclared.gains import antenna_gains
 from tests.validation.undeclared.generate import MOST_BEYOND_BASIS, generate, make, stream
 from tests.validation.undeclared.setting import Plan, altaz, draw_setting, icrs
@@ -215,3 +215,17 @@ def test_names_are_of_known_effects_and_of_mistakes():
     sought = {kind for kind in KINDS if kind not in KNOWN or KNOWN[kind].is_sought}
     assert set(EFFECTS) <= sought <= set(EFFECTS) | set(FAULTS)
     assert all(name.startswith("convention: ") for name in CONVENTIONS)
+
+
+def test_what_no_list_has_shows_where_a_larger_variance_does(nothing_wrong):
+    setting = nothing_wrong[0].setting
+    n_freqs, n_times, n_bls = setting.shape
+    assert numbers_of_unknown(setting, Where()) == n_freqs * n_times * n_bls
+    antenna, pair = int(setting.numbers[3]), setting.numbers[setting.antpairs[5]].tolist()
+    assert numbers_of_unknown(setting, Where(antennas=[antenna])) == n_freqs * n_times * (setting.n_ants - 1)
+    assert numbers_of_unknown(setting, Where(antpairs=[pair], times=[0, 2])) == n_freqs * 2
+    assert numbers_of_unknown(setting, Where(freqs=[float(setting.freqs[0])])) == n_times * n_bls
+    # Of a thousand data with a chi^2 that is larger by 10% of two each, twice the ln likelihood ratio is about 9.
+    assert not shows(200.0, 1000)
+    assert shows(200.0, 10)
+    assert shows(600.0, 1000)
