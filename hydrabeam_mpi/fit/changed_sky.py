@@ -38,9 +38,12 @@ def changed_sky(blocks: Sequence[RowBlock], itime: int, left_out: Sequence[bool]
         For each effect, whether what it adds is not wanted.
     """
     sources = [block.sources(itime) for block in blocks]
-    change = np.array([one.flux_without() - one.flux for one in sources])
-    changed = np.flatnonzero(change.any(axis=0))
-    parts = [SourcesOfChannels(sources[0].za[changed], sources[0].az[changed], change[:, changed])]
+    changed = np.unique(np.concatenate([one.changed[0] for one in sources]))
+    change = np.zeros((len(sources), len(changed)))
+    for row, one in zip(change, sources, strict=True):
+        which, by = one.changed
+        row[np.searchsorted(changed, which)] = by
+    parts = [SourcesOfChannels(sources[0].za[changed], sources[0].az[changed], change)]
     for number in np.flatnonzero(~np.array(left_out, dtype=bool)).tolist():
         added = [block.sky_effects[number][0].extra_sky(block, itime, block.sky_effects[number][1]) for block in blocks]
         if added[0] is not None:

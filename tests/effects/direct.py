@@ -66,8 +66,8 @@ def seen_by_the_beam(effect: Effect, block: RowBlock, x: FloatArray) -> ComplexA
     rows = np.empty(block.shape, dtype=complex)
     for t, itime in enumerate(block.times.tolist()):
         sources = block.sources(itime)
-        flux = sources.flux * effect.sky_factor(block.setup, sources, x)
-        parts = [(sources.za, sources.az, flux)]
+        factor = effect.sky_factor(block.setup, sources, x)
+        parts = [(sources.za, sources.az, sources.flux * (1.0 if factor is None else factor))]
         if (extra := effect.extra_sky(block, itime, x)) is not None:
             parts.append(extra)
         za, az, flux = (np.concatenate(part) for part in zip(*parts, strict=True))

@@ -161,9 +161,9 @@ class Effect(InBeam, InOtherData, HasLimits, MayChange, Cause):
         """
         return None
 
-    def sky_factor(self, setup: ObservingSetup, sources: Sources, x: FloatArray) -> FloatArray:
-        """Return what multiplies each source's flux, (Nsrc,), for effects that change the sky."""
-        return np.ones(len(sources.za))
+    def sky_factor(self, setup: ObservingSetup, sources: Sources, x: FloatArray) -> FloatArray | None:
+        """Return what multiplies each source's flux, (Nsrc,), for effects that change those of the sky; else None."""
+        return None
 
     def extra_sky(self, block: RowBlock, itime: int, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray] | None:
         """Return further sources at one time, za, az (radians) and flux (Jy), for effects that change the sky.

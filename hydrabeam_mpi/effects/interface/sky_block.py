@@ -117,9 +117,10 @@ class SkyBlock:
         # A cached property that is known already.
         vars(sources)["enu"] = place.enu
         for effect, x in self.sky_effects:
-            change = effect.sky_factor(setup, sources, x) - 1
-            # Two of a kind add up, as more parameters of one do.
-            sources.factors[effect.kind] = sources.factors.get(effect.kind, 1.0) + change
+            factor = effect.sky_factor(setup, sources, x)
+            if factor is not None:
+                # Two of a kind add up, as more parameters of one do.
+                sources.factors[effect.kind] = sources.factors.get(effect.kind, 1.0) + factor - 1
         place.keep(self.channel, self.beam, self.sky_effects, sources)
         return sources
 
@@ -216,9 +217,8 @@ class SkyBlock:
     def _change_of_sky(self, itime: int, columns: Callable[[Sources], FloatArray]) -> ComplexArray:
         """Integrate what effects change of the fluxes, (N, K), over the sources whose fluxes they change or add."""
         sources = self.sources(itime)
-        change = sources.flux_without() - sources.flux
-        which = np.flatnonzero(change)
-        some = Sources(sources.index[which], sources.za[which], sources.az[which], change[which], sources.beam_function)
+        which, change = sources.changed
+        some = Sources(sources.index[which], sources.za[which], sources.az[which], change, sources.beam_function)
         one_time = replace(self, times=np.array([itime]))
         one_time._sources[itime] = some
         return one_time.integrate(columns)[0]

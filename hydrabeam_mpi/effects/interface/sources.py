@@ -55,6 +55,15 @@ class Sources:
         return flux
 
     @cached_property
+    def changed(self) -> tuple[IntArray, FloatArray]:
+        """Numbers of the sources whose fluxes effects change, and by how much, (K,) each; Jy."""
+        if not self.factors:
+            return np.zeros(0, dtype=int), np.zeros(0)
+        change = self.flux_without() - self.flux
+        which = np.flatnonzero(change)
+        return which, change[which]
+
+    @cached_property
     def enu(self) -> FloatArray:
         """Unit vectors, (3, Nsrc)."""
         return enu(self.za, self.az)

@@ -80,9 +80,8 @@ def _total_power(block: RowBlock) -> FloatArray:
         if known is None:
             of_model = amplitude(sources.flux_without()) @ sources.beam
         else:
-            change = sources.flux_without() - sources.flux
-            which = np.flatnonzero(change)
-            of_model = known + amplitude(change[which]) @ power_of(block.beam, sources.za[which], sources.az[which])
+            which, change = sources.changed
+            of_model = known + amplitude(change) @ power_of(block.beam, sources.za[which], sources.az[which])
         power.append(of_model + (amplitude(further.flux) @ further.beam if further else 0.0))
     return np.array(power)
 

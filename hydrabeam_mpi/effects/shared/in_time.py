@@ -164,7 +164,7 @@ class InTime(ScannedEffect):
         """Return the gains of all antennas at all times, (Ntimes, Nants)."""
         return np.array([self.effect.gains(setup, channel, now) for now in self._at_times(setup, x)])
 
-    def sky_factor(self, setup: ObservingSetup, sources: Sources, x: FloatArray) -> FloatArray:
+    def sky_factor(self, setup: ObservingSetup, sources: Sources, x: FloatArray) -> FloatArray | None:
         """Return what multiplies each source's flux at its time, (Nsrc,)."""
         return self.effect.sky_factor(setup, sources, self._at_times(setup, x, [sources.itime])[0])
 
