@@ -33,6 +33,7 @@ from hydrabeam_mpi.effects.registry import EFFECTS, make_effect, make_reweightin
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.state import Active, Values, independent_prior
 from hydrabeam_mpi.fit.whitening import root_of
+from hydrabeam_mpi.inference.matrices import inverse_where_it_varies
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.prior import ChannelPrior
 from hydrabeam_mpi.io.inferred import REMEDY, Inferred
@@ -134,7 +135,7 @@ class CarriedOver:
             raise InputError("has fewer effects than are told of", field="effects_covariance", remedy=REMEDY)
         own = spread[np.ix_(self.kept, self.kept)]
         if len(self.kept) < len(spread):
-            response = response @ spread[:, self.kept] @ np.linalg.pinv(own, hermitian=True)
+            response = response @ spread[:, self.kept] @ inverse_where_it_varies(own)
         half, m = response @ root_of(own), len(response)
         try:
             beam = Posterior.of(mean[:m], covariance[:m, :m] - half @ half.conj().T)

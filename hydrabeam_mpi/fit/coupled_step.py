@@ -34,6 +34,7 @@ from hydrabeam_mpi.fit.marginal import in_parts
 from hydrabeam_mpi.fit.state import Values
 from hydrabeam_mpi.inference.coupled import CoupledPosterior
 from hydrabeam_mpi.inference.likelihood import Likelihood
+from hydrabeam_mpi.inference.matrices import inverse_where_it_varies
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.mpi import bcast_array, gather_by_channel, share_by_channel, together
 from hydrabeam_mpi.setup.problem import Problem
@@ -119,7 +120,7 @@ class JointStep:
             own = slice(channel * q, (channel + 1) * q)
             follow = self.response_of(beams, channel)
             spread, of_effects = follow @ self.covariance, self.covariance[own, own]
-            response = spread[:, own] @ np.linalg.pinv(of_effects, hermitian=True)
+            response = spread[:, own] @ inverse_where_it_varies(of_effects)
             covariance = beams.covariance_of(channel) + spread @ follow.conj().T
             covariance -= response @ of_effects @ response.conj().T
             yield OfChannel(follow @ change.ravel(), covariance, response, of_effects)

@@ -31,7 +31,7 @@ from hydrabeam_mpi.fit.state import Active, Fitted, Values
 from hydrabeam_mpi.fit.whitening import root_of
 from hydrabeam_mpi.fit.whole_beams import with_whole_beams
 from hydrabeam_mpi.inference.gaussian import Block
-from hydrabeam_mpi.inference.matrices import cholesky_lower, inverse_of_covariance
+from hydrabeam_mpi.inference.matrices import cholesky_lower, inverse_of_covariance, inverse_where_it_varies
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.mpi import bcast_object, gather_objects, together
 
@@ -241,14 +241,12 @@ def _root(covariance: FloatArray, shared: BoolArray) -> FloatArray:
     stand where these do.
     """
     first, rest = np.flatnonzero(shared), np.flatnonzero(~shared)
-    root = np.zeros_like(covariance)
-    common = root_of(covariance[np.ix_(first, first)])
-    root[np.ix_(first, first)] = common
-    if len(first):
-        across = covariance[np.ix_(rest, first)] @ np.linalg.pinv(common).T
-        root[np.ix_(rest, first)] = across
-        own = covariance[np.ix_(rest, rest)] - across @ across.T
-    else:
-        own = covariance
+    root, own = np.zeros_like(covariance), covariance[np.ix_(rest, rest)]
+    of_first = covariance[np.ix_(first, first)]
+    root[np.ix_(first, first)] = root_of(of_first)
+    if len(first) and len(rest):
+        follow = covariance[np.ix_(rest, first)] @ inverse_where_it_varies(of_first)
+        root[np.ix_(rest, first)] = follow @ root[np.ix_(first, first)]
+        own = own - follow @ of_first @ follow.T
     root[np.ix_(rest, rest)] = root_of(0.5 * (own + own.T))
     return root

@@ -26,6 +26,17 @@ def inverse_of_covariance(covariance: FloatArray) -> FloatArray:
     return 0.5 * (inverse + inverse.T)
 
 
+def inverse_where_it_varies(covariance: FloatArray) -> FloatArray:
+    """Invert a covariance, (n, n), as above, some combinations of which may not vary at all: there it is zero.
+
+    By eigenvalues of its correlations: the singular values of a thousand numbers are not always found.
+    """
+    variances = np.diag(covariance)
+    std = np.where(variances > 0, np.sqrt(np.maximum(variances, 0.0)), 1.0)
+    inverse: FloatArray = np.linalg.pinv(covariance / std / std[:, np.newaxis], hermitian=True)
+    return inverse / std / std[:, np.newaxis]
+
+
 def inverse_hermitian(matrix: Array) -> Array:
     """Invert a Hermitian matrix, (n, n), also where rounding has left it not quite positive.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hydrabeam_mpi.inference.matrices import inverse_hermitian
+from hydrabeam_mpi.inference.matrices import inverse_hermitian, inverse_where_it_varies
 from hydrabeam_mpi.random import complex_normal, generator
 
 
@@ -24,3 +24,14 @@ def test_times_the_matrix_is_one(n: int, is_complex: bool, least: float) -> None
     np.testing.assert_allclose(found @ matrix, np.eye(n), atol=1e-11)
     np.testing.assert_array_equal(matrix, before)
     assert np.iscomplexobj(found) == is_complex
+
+
+def test_a_covariance_is_inverted_where_it_varies() -> None:
+    """Standard deviations from 1e-9 to 1e6; one number is held, and two are the same."""
+    rng = generator(2, "inverse")
+    root = rng.standard_normal((6, 8)) * np.logspace(-9, 6, 6)[:, np.newaxis]
+    root[2] = 0.0
+    root[5] = root[4]
+    covariance = root @ root.T
+    inverse = inverse_where_it_varies(covariance)
+    np.testing.assert_allclose(covariance @ inverse @ covariance, covariance, rtol=1e-9)
