@@ -161,6 +161,7 @@ def summarise(
         **run,
     }
     channels = [record.summary for record in content.channels]
+    of_result = warnings_of(channels, by_evidence="prior_adapted" in run)
     flagged = cautions_of_flags(channels, holds_out=job.holdout.kind != "none")
     warn(flagged)
     return {
@@ -168,7 +169,7 @@ def summarise(
         **channels[0],
         **common,
         "channels": channels,
-        "warnings": list(dict.fromkeys([*warnings, *problem.cautions, *flagged, *warnings_of(channels)])),
+        "warnings": list(dict.fromkeys([*warnings, *problem.cautions, *flagged, *of_result])),
     }
 
 

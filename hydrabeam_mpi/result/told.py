@@ -34,9 +34,12 @@ def _say_channel(channel: Mapping[str, Any]) -> str:
     return f"{at}: held-out rms {channel['heldout_rms_jy']:.3g} Jy ({beside}), reduced chi^2 {chi2}"
 
 
-def warnings_of(channels: list[dict[str, Any]]) -> list[str]:
-    """Say in plain words what a user should not overlook in the channels' summaries."""
-    said = _warnings_of_heldout([channel for channel in channels if "heldout_chi2_predictive" in channel])
+def warnings_of(channels: list[dict[str, Any]], by_evidence: bool = False) -> list[str]:
+    """Say in plain words what a user should not overlook in the channels' summaries.
+
+    With ``by_evidence`` the prior has the widths that the data chose.
+    """
+    said = _warnings_of_heldout([channel for channel in channels if "heldout_chi2_predictive" in channel], by_evidence)
     negative = max(channel.get("negative_beyond_errors", 0.0) for channel in channels)
     if negative > 0.01:
         where = f"on up to {negative:.1%} of the sky by more than three standard deviations"
@@ -56,7 +59,7 @@ def warnings_of(channels: list[dict[str, Any]]) -> list[str]:
     return said
 
 
-def _warnings_of_heldout(channels: list[dict[str, Any]]) -> list[str]:
+def _warnings_of_heldout(channels: list[dict[str, Any]], by_evidence: bool) -> list[str]:
     """Say what the held-out data say against the inferred beam.
 
     Whether it predicts them is judged under the posterior predictive: residuals that the posterior itself expects,
@@ -74,10 +77,14 @@ def _warnings_of_heldout(channels: list[dict[str, Any]]) -> list[str]:
     lost = [c for c in channels if c["heldout_chi2_noise_only"] > c["heldout_chi2_unperturbed_scaled"]]
     if lost:
         freqs = ", ".join(f"{channel['freq_hz'] / 1e6:.6g}" for channel in lost)
+        why = (
+            "these data tell next to nothing of how the beam departs from its model."
+            if by_evidence
+            else "its prior leaves more open than these data tell. With [prior] widths = 'evidence' they choose how much."
+        )
         said.append(
             f"At {freqs} MHz the model beam with one free amplitude predicts the held-out data better than the "
-            'inferred beam does: its prior leaves more open than these data tell. With [prior] widths = "evidence" '
-            "they choose how much."
+            f"inferred beam does: {why}"
         )
     amplitudes = [channel["heldout_amplitude_unperturbed"] for channel in channels]
     if any(abs(amplitude - 1) > 0.05 for amplitude in amplitudes):

@@ -75,6 +75,13 @@ def test_what_a_user_should_not_overlook_is_said(change, said):
     assert said in " ".join(warnings_of([GOOD, GOOD | change]))
 
 
+def test_widths_that_the_data_chose_are_not_recommended():
+    (stated,), (chosen,) = (warnings_of([GOOD | {"heldout_chi2_noise_only": 10.0}], chosen) for chosen in (False, True))
+    assert 'widths = "evidence"' in stated
+    assert "tell next to nothing of how the beam departs from its model" in chosen
+    assert "widths" not in chosen
+
+
 def test_one_amplitude_is_told_as_one():
     assert "when it is 0.4 times as large" in " ".join(warnings_of([GOOD | {"heldout_amplitude_unperturbed": 0.4}]))
 
