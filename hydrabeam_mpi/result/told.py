@@ -77,11 +77,9 @@ def _warnings_of_heldout(channels: list[dict[str, Any]], by_evidence: bool) -> l
     lost = [c for c in channels if c["heldout_chi2_noise_only"] > c["heldout_chi2_unperturbed_scaled"]]
     if lost:
         freqs = ", ".join(f"{channel['freq_hz'] / 1e6:.6g}" for channel in lost)
-        why = (
-            "these data tell next to nothing of how the beam departs from its model."
-            if by_evidence
-            else "its prior leaves more open than these data tell. With [prior] widths = 'evidence' they choose how much."
-        )
+        why = "its prior leaves more open than these data tell. With [prior] widths = 'evidence' they choose how much."
+        if by_evidence:
+            why = "these data tell next to nothing of how the beam departs from its model."
         said.append(
             f"At {freqs} MHz the model beam with one free amplitude predicts the held-out data better than the "
             f"inferred beam does: {why}"

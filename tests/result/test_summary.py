@@ -77,7 +77,7 @@ def test_what_a_user_should_not_overlook_is_said(change, said):
 
 def test_widths_that_the_data_chose_are_not_recommended():
     (stated,), (chosen,) = (warnings_of([GOOD | {"heldout_chi2_noise_only": 10.0}], chosen) for chosen in (False, True))
-    assert 'widths = "evidence"' in stated
+    assert "widths = 'evidence'" in stated
     assert "tell next to nothing of how the beam departs from its model" in chosen
     assert "widths" not in chosen
 
