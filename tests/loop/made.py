@@ -99,10 +99,11 @@ def checked(
     train_chi2: FloatArray | None = None,
     rms: float | None = None,
     expected: float = 1.0,
+    stands_out: str = "",
 ) -> Checked:
     """A fit with held-out data of this reduced chi^2, and of the rms that belongs to it if no other is given."""
     why = "it has no structure beyond chance" if white else "its times differ (9.0 sigma)"
-    remains = Remains(consistent, white, why, {"overall": {"chi2": chi2}}, WHERE, {"largest": []})
+    remains = Remains(consistent, white, why, {"overall": {"chi2": chi2}}, WHERE, {"largest": []}, (), stands_out)
     of_channels = np.array([chi2]) if train_chi2 is None else train_chi2
     effective, n_data = np.zeros_like(of_channels), np.full_like(of_channels, N_DATA)
     diagnostics = Diagnostics(of_channels, effective_parameters=effective, n_data=n_data)

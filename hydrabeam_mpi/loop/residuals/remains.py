@@ -12,7 +12,7 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.heldout import Whitened
 from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.state import Fitted
-from hydrabeam_mpi.inference.significance import SIGNIFICANT_P
+from hydrabeam_mpi.inference.significance import SIGNIFICANT_P, sigma_of_log_p
 from hydrabeam_mpi.loop.residuals.coherent import Coherence, CoherentRows, CoherentSums, coherences
 from hydrabeam_mpi.loop.residuals.cube import Layout, Residuals, whole_baselines
 from hydrabeam_mpi.loop.residuals.localise import where
@@ -43,6 +43,8 @@ class Remains:
         See the modules of these names.
     odd : tuple of Finding
         Integrations, antennas and baselines that stand out, in fitted and held-out rows alike.
+    stands_out : str
+        What is more than noise where chi^2 as a whole is not; empty where nothing is, or all is.
     """
 
     consistent: bool
@@ -52,6 +54,7 @@ class Remains:
     where: dict[str, Any]
     structures: dict[str, Any] | None
     odd: tuple[Finding, ...] = ()
+    stands_out: str = ""
 
 
 def remains_of(context: FitContext, fitted: Fitted, whitened: Whitened) -> Remains:
@@ -69,14 +72,18 @@ def remains_of(context: FitContext, fitted: Fitted, whitened: Whitened) -> Remai
         divided = residuals.divided(antenna_scales(sums, layout), layout)
         own_level = ResidualSums.of(whole_baselines(world, divided, layout)).reduce(world)
     white, why = is_white(own_level, layout, whitened.n_shared, coherent)
+    most, consistent = told["significance"], told["significance"]["p"] >= SIGNIFICANT_P
+    as_a_whole = told["overall"]["sigma"] > sigma_of_log_p(float(np.log(SIGNIFICANT_P)))
+    stands_out = "" if consistent or as_a_whole else f"{most['axis']}, {most['what']} ({most['sigma']:.2g} sigma)"
     return Remains(
-        consistent=told["significance"]["p"] >= SIGNIFICANT_P,
+        consistent=consistent,
         white=white,
         why=why,
         statistics=told,
         where=where(sums, layout, whitened.n_shared, coherent),
         structures=structures(world, cube),
         odd=odd_rows(power, setup.observation),
+        stands_out=stands_out,
     )
 
 

@@ -257,6 +257,11 @@ def why_unexplained(last: Checked, control: Round | None) -> str | None:
     """Say why the last fit does not explain the data; None where it does."""
     now = last.numbers.of_all
     rms = f"the held-out residual has {now['rms']:.4g} Jy rms"
+    if last.remains.stands_out:
+        return (
+            f"predictions are calibrated as a whole (predictive chi^2 {last.score.chi2:.4g}), but what is left is not "
+            f"noise alone: it stands out in {last.remains.stands_out}"
+        )
     if not last.remains.consistent:
         return (
             f"predictions are not calibrated: what is left is more than they expect (predictive chi^2 "

@@ -95,6 +95,19 @@ def test_what_is_left(
 
 
 @pytest.mark.mpi
+@pytest.mark.parametrize(("scale", "told"), [(0.8, "unevenness, antennas ("), (1.5, "")], ids=["one antenna", "all"])
+def test_what_stands_out_is_told_where_all_of_it_does_not(
+    scale: float, told: str, context: FitContext, fitted: Fitted
+) -> None:
+    """On any number of ranks."""
+    z = scale * noisy_antenna(context)
+    found = remains_of(context, fitted, with_residuals(context, whiten(context, fitted), z))
+    assert not found.consistent
+    assert found.stands_out.startswith(told)
+    assert bool(found.stands_out) == bool(told)
+
+
+@pytest.mark.mpi
 def test_bad_integrations_are_named_among_fitted_and_held_out_rows(context: FitContext, fitted: Fitted) -> None:
     """On any number of ranks, each alone."""
     train, test = context.train, context.problem.test.times[5]

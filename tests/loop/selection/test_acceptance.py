@@ -189,6 +189,8 @@ CONTROL = round_of(effect_candidate(BeamDrift()), checked(2.0), checked(1.2))
 WHY: list[tuple[str, dict[str, Any], bool, str | None]] = [
     ("calibrated and at the noise", {"chi2": 1.0, "consistent": True}, False, None),
     ("not calibrated", {"chi2": 4.0}, False, "not calibrated: what is left is more than they expect (predictive"),
+    ("calibrated, but for one antenna", {"chi2": 1.0, "stands_out": "gains, antenna 24 (4.8 sigma)"}, False,
+     "calibrated as a whole (predictive chi^2 1), but what is left is not noise alone: it stands out in gains, ant"),
     ("calibrated as they are wide", {"chi2": 1.0, "consistent": True, "rms": 3.0}, False,
      "calibrated, but only as they are wide: the held-out residual has 3 Jy rms, where the noise has 1 Jy"),
     ("calibrated, and as wide as data leave the beam", {"chi2": 1.0, "consistent": True, "rms": 3.0, "expected": 3.0},
