@@ -123,7 +123,7 @@ def _fit_effect(
     is raised where that is all of the first.
     """
     assert candidate.finding is not None
-    fitted = fit_foremost(context, before, candidate.finding)
+    fitted = fit_foremost(context, before, candidate.finding, worth)
     if fitted is None:
         fitted = _fit_in_some_form(context, before, candidate.finding, worth)
     best = latest = TriedFit.of(context, before, with_best_variant(context, fitted))

@@ -6,15 +6,15 @@ from itertools import islice
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.gauss_newton import BrokenOff
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Worth
 from hydrabeam_mpi.fit.state import Active, Fitted
 from hydrabeam_mpi.loop.attribution.reconsider import reconsider
 from hydrabeam_mpi.loop.attribution.score_effects import Finding
 from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical
-from hydrabeam_mpi.loop.selection.refits import fit_patiently, is_same_prior, log_joint, may_surpass, restarted
+from hydrabeam_mpi.loop.selection.refits import both, fit_patiently, is_same_prior, log_joint, may_surpass, restarted
 
 
 def started(context: FitContext, finding: Finding, prior_var: FloatArray) -> Active:
@@ -23,33 +23,38 @@ def started(context: FitContext, finding: Finding, prior_var: FloatArray) -> Act
     return Active.start(effect, context.setup, prior_var, effect.begun(context.setup, x))
 
 
-def fit_foremost(context: FitContext, before: Fitted, finding: Finding) -> Fitted | None:
+def fit_foremost(context: FitContext, before: Fitted, finding: Finding, worth: Worth | None = None) -> Fitted | None:
     """Fit the one element that matters most, such as a source; None where that says nothing of the others.
 
     Where candidates lie on a grid a bright source beside its place is made up for by several, which are hardly told
     from each other, so that a fit of all may go anywhere. Once the first is where it belongs the others are weighed
     again. Which is the first only fits tell where several come near by the linear model, as those at the grating lobes
-    of a regular array do.
+    of a regular array do. Where one alone was found, what is not ``worth`` it is broken off, wherever that one may be.
     """
     best: Fitted | None = None
+    if len(_elements_in_use(context, finding)) > 1:
+        worth = None
     for prior_var in _each_foremost(context, finding):
-        best = _or_begun_at(context, before, best, started(context, finding, prior_var))
+        best = _or_begun_at(context, before, best, started(context, finding, prior_var), worth)
     if best is None:
         return None
     last = best.values.active[-1]
     element = int(last.effect.parameters(context.setup).element[last.used[0]])
     for effect in islice(last.effect.alike(context.setup, last.x, element), RULES.most_places):
         start = Active.start(effect, context.setup, last.prior_var(context.setup), np.zeros_like(last.x))
-        best = _or_begun_at(context, before, best, start)
+        best = _or_begun_at(context, before, best, start, worth)
     return best
 
 
-def _or_begun_at(context: FitContext, before: Fitted, best: Fitted | None, start: Active) -> Fitted | None:
+def _or_begun_at(
+    context: FitContext, before: Fitted, best: Fitted | None, start: Active, worth: Worth | None
+) -> Fitted | None:
     """Fit an effect from another start, and return the best fit so far or that one, where it is physical and likelier.
 
     Collective: all ranks of the grid.
     """
-    worth = None if best is None else may_surpass(log_joint(context, best))
+    if best is not None:
+        worth = both(worth, may_surpass(log_joint(context, best)))
     try:
         fitted = fit_patiently(context, before.values.extended(start), before, worth)
     except BrokenOff:
@@ -96,10 +101,16 @@ def _each_foremost(context: FitContext, finding: Finding) -> list[FloatArray]:
     np.maximum.at(alone, element, evidence.alone)
     order = np.argsort(-alone, kind="stable")[: RULES.most_tries]
     near = order[alone[order] >= RULES.near * alone.max()]
-    if len(np.unique(element[is_wanted])) < 2 and len(near) < 2:
+    if len(_elements_in_use(context, finding)) < 2 and len(near) < 2:
         return []
     # What was not chosen beside the others may be as large as what was.
     largest = np.max(evidence.prior_var[is_wanted] / parameters.scale[is_wanted] ** 2)
     as_large = np.where(parameters.nonlinear, 0.0, largest * parameters.scale**2)
     prior_var = np.where(is_wanted, evidence.prior_var, as_large)
     return [np.where(element == one, prior_var, 0.0) for one in near.tolist()]
+
+
+def _elements_in_use(context: FitContext, finding: Finding) -> IntArray:
+    """Return the numbers of the elements that the linear model wants."""
+    element = finding.effect.parameters(context.setup).element
+    return np.asarray(np.unique(element[finding.evidence.prior_var > 0]))

@@ -81,6 +81,11 @@ def may_surpass(least: float) -> Worth:
     return lambda at: at.reached + at.expected / RULES.near > least
 
 
+def both(one: Worth | None, two: Worth) -> Worth:
+    """Return what says whether a fit is worth it by either."""
+    return two if one is None else lambda at: one(at) and two(at)
+
+
 def rise(context: FitContext, before: Fitted, after: Fitted, of_nonlinear: bool = False) -> float:
     """Return by how much ln(likelihood x prior) is higher; see `total_log_joint`. Collective: all ranks of the grid."""
     return log_joint(context, after, of_nonlinear) - log_joint(context, before, of_nonlinear)

@@ -1,0 +1,76 @@
+"""Which element of an effect matters most is told by fits, as far as these are worth it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
+from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.gauss_newton import Underway, refit
+from hydrabeam_mpi.fit.state import Fitted, Values
+from hydrabeam_mpi.loop.attribution.score_effects import Finding, attribute
+from hydrabeam_mpi.loop.selection.foremost import fit_foremost
+from tests.loop.mock import context_of, mock_job
+
+SOURCE, FLUX = (31.37, -28.64), 3.0
+ADDED = {
+    "kind": "missing_sources",
+    "settings": {"sources": [SOURCE]},
+    "parameters": {"source at ra=31.370 dec=-28.640: flux": FLUX},
+}
+
+
+@pytest.fixture(scope="module")
+def context(tmp_path_factory: pytest.TempPathFactory) -> FitContext:
+    return context_of(mock_job(ADDED), tmp_path_factory.mktemp("foremost"))
+
+
+@pytest.fixture(scope="module")
+def before(context: FitContext) -> Fitted:
+    return refit(context, Values())
+
+
+@pytest.fixture(scope="module")
+def finding(context: FitContext, before: Fitted) -> Finding:
+    """Of the places where there may be a source the likeliest alone, though others come near."""
+    (found,) = attribute(context, before, [MissingSources()])
+    element = found.effect.parameters(context.setup).element
+    likeliest = element == element[np.argmax(found.evidence.alone)]
+    prior_var = np.where(likeliest, found.evidence.prior_var, 0.0)
+    assert prior_var.any()
+    return replace(found, evidence=replace(found.evidence, prior_var=prior_var))
+
+
+def test_the_likeliest_is_fitted(context: FitContext, before: Fitted, finding: Finding) -> None:
+    fitted = fit_foremost(context, before, finding, lambda at: True)
+    assert fitted is not None
+    last = fitted.values.active[-1]
+    assert len(np.unique(last.effect.parameters(context.setup).element[last.used])) == 1
+    told = last.effect.told(context.setup, last.x, fitted.fit.std[-1])
+    own = last.used[:3]
+    assert np.all(np.abs(told.values[0, own] - [FLUX, *SOURCE]) < 4 * told.std[0, own])
+
+
+def test_one_that_is_not_worth_it_is_broken_off_wherever_it_may_be(
+    context: FitContext, before: Fitted, finding: Finding
+) -> None:
+    begun = []
+
+    def never(at: Underway) -> bool:
+        begun.append(at)
+        return False
+
+    assert fit_foremost(context, before, finding, never) is None
+    assert len(begun) > 1
+
+
+def test_of_several_the_foremost_alone_says_nothing_of_what_all_are_worth(
+    context: FitContext, before: Fitted, finding: Finding
+) -> None:
+    places = finding.effect.parameters(context.setup).nonlinear
+    every = np.where(places, 0.0, finding.evidence.prior_var.max())
+    several = replace(finding, evidence=replace(finding.evidence, prior_var=every))
+    assert fit_foremost(context, before, several, lambda at: False) is not None
