@@ -82,17 +82,19 @@ class FitContext:
         return replace(self.problem, priors=priors)
 
     @cached_property
-    def _latest(self) -> dict[str, tuple[object, Any]]:
+    def _latest(self) -> dict[str, list[tuple[object, Any]]]:
         return {}
 
-    def of_latest(self, name: str, fitted: object, make: Callable[[], T]) -> T:
+    def of_latest(self, name: str, fitted: object, make: Callable[[], T], kept: int = 1) -> T:
         """Return what ``make`` works out of a fit, by ``name``.
 
-        That of the latest one is kept, as it is asked for to judge a fit and again once it has been chosen.
+        Those of the latest are ``kept``, by when they were asked for: of one to judge it and again once it has been
+        chosen, of several to compare them.
         """
-        if name not in self._latest or self._latest[name][0] is not fitted:
-            self._latest[name] = fitted, make()
-        found: T = self._latest[name][1]
+        known = self._latest.get(name, [])
+        one = next((one for one in known if one[0] is fitted), None) or (fitted, make())
+        self._latest[name] = [one, *(other for other in known if other is not one)][:kept]
+        found: T = one[1]
         return found
 
     def over_channels(self, values: FloatArray) -> float:

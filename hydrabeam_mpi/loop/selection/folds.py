@@ -44,7 +44,14 @@ def is_decided(gain: float, error: float, settings: LoopSettings) -> bool:
 
 
 def _with_other_fold(context: FitContext, checked: Checked) -> Checked:
-    """Add the score of the fitted rows, predicted from the held-out ones. Collective: all ranks of the grid."""
+    """Add the score of the fitted rows, predicted from the held-out ones. Collective: all ranks of the grid.
+
+    All that is tried is compared with the same model, and the best of it is the one that comes next.
+    """
+    return context.of_latest("other fold", checked, lambda: _predicted_from_the_other(context, checked), kept=3)
+
+
+def _predicted_from_the_other(context: FitContext, checked: Checked) -> Checked:
     other = context.exchanged
     fitted = fit_patiently(other, checked.fitted.values, checked.fitted)
     again = check(other, fitted)

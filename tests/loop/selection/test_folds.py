@@ -12,7 +12,8 @@ from hydrabeam_mpi.config.effects import Loop
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
-from hydrabeam_mpi.fit.state import Active, Values
+from hydrabeam_mpi.fit.state import Active, Fitted, Values
+from hydrabeam_mpi.loop.selection import folds
 from hydrabeam_mpi.loop.selection.acceptance import Checked
 from hydrabeam_mpi.loop.selection.folds import compared, is_decided
 from hydrabeam_mpi.loop.selection.heldout_score import HeldoutScore, gain_error, gain_of
@@ -60,6 +61,27 @@ def test_the_other_fold_is_that_of_a_job_which_holds_out_what_was_fitted(
         assert asked.score.log_density == pytest.approx(expected, abs=0.02)
         power = one.numbers.channels + apart.numbers.channels
         np.testing.assert_allclose(asked.numbers.channels, power, rtol=1e-3)
+
+
+def test_what_is_compared_with_several_is_fitted_to_the_other_fold_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    context = context_of(mock_job(n_times=12), tmp_path)
+    before, one = with_and_without(context, 1e-3)
+    two = with_and_without(context, 2e-3)[1]
+    fitted: list[Values] = []
+
+    def fit(context: FitContext, values: Values, start: Fitted) -> Fitted:
+        fitted.append(values)
+        return refit(context, values, start)
+
+    monkeypatch.setattr(folds, "fit_patiently", fit)
+    first = compared(context, before, one)
+    assert fitted == [before.fitted.values, one.fitted.values]
+    compared(context, before, two)
+    again = compared(context, one, two)
+    assert fitted == [before.fitted.values, one.fitted.values, two.fitted.values]
+    assert again[0] is first[1]
 
 
 def test_a_clear_answer_is_not_asked_for_twice(tmp_path: Path) -> None:
