@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -41,8 +42,7 @@ class Known:
             return context.of_latest("effects", fitted, lambda: cls._of(context, fitted, active))
         evidence = beside.evidence
         more = Active.start(beside.effect, context.setup, evidence.prior_var, np.zeros_like(evidence.x))
-        name = f"effects beside {beside.kind}, {beside.effect.law}"
-        return context.of_latest(name, fitted, lambda: cls._of(context, fitted, (*active, more)))
+        return cls._of(context, fitted, (*active, more))
 
     @classmethod
     def _of(cls, context: FitContext, fitted: Fitted, active: tuple[Active, ...]) -> Known:
@@ -91,8 +91,16 @@ def reconsider(context: FitContext, fitted: Fitted, number: int = -1, beside: Fi
     is `log_joint` beyond that of a fit without it; see `Evidence.linear_gain`. What is weighed ``beside`` it, and is
     not part of the model, is marginalised as well, with the prior that was found for it.
     """
-    place = range(len(fitted.values.active))[number]
-    return _reweigh(context, fitted, Known.of(context, fitted, beside), place, None)[0]
+    (found,) = reconsider_each(context, fitted, [number], beside)
+    return found
+
+
+def reconsider_each(
+    context: FitContext, fitted: Fitted, numbers: Sequence[int], beside: Finding | None = None
+) -> list[Evidence]:
+    """Do as `reconsider` with several effects, each given all others. Collective: all ranks of the grid."""
+    known, places = Known.of(context, fitted, beside), range(len(fitted.values.active))
+    return [_reweigh(context, fitted, known, places[number], None)[0] for number in numbers]
 
 
 def compare_priors(

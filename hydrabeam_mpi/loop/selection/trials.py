@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +13,7 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Worth
 from hydrabeam_mpi.fit.grown import added_coefficients
 from hydrabeam_mpi.fit.state import Fitted
-from hydrabeam_mpi.loop.attribution.reconsider import reconsider
+from hydrabeam_mpi.loop.attribution.reconsider import reconsider_each
 from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.acceptance import (
     Candidate,
@@ -62,7 +62,7 @@ def try_effects(
             tried.append((candidate, str(why)))
             continue
         reason = refusal_of_fit(context, checked, after, fitted)
-        reason = reason or least_beside(context, after.fitted, rivals_of(fitted, ranking, settings)).refusal
+        reason = reason or least_beside(context, after.fitted, {-1: rivals_of(fitted, ranking, settings)})[-1].refusal
         say(f"    refused: {reason}", context.grid.is_world_root and reason is not None)
         if reason is not None:
             tried.append((fitted, reason))
@@ -121,14 +121,17 @@ class Beside(NamedTuple):
     refusal: str | None
 
 
-def least_beside(context: FitContext, fitted: Fitted, rivals: Sequence[Candidate], place: int = -1) -> Beside:
-    """Weigh the last effect, or the one at ``place``, beside each rival. Collective: all ranks of the grid."""
-    least = Beside(np.inf, None)
-    for rival in rivals:
+def least_beside(context: FitContext, fitted: Fitted, rivals: Mapping[int, Sequence[Candidate]]) -> dict[int, Beside]:
+    """Weigh effects of the model, by their places in it, each beside its rivals. Collective: all ranks of the grid."""
+    least = {place: Beside(np.inf, None) for place in rivals}
+    every = {rival.name: rival for of_one in rivals.values() for rival in of_one}
+    for rival in every.values():
         assert rival.finding is not None
-        left = reconsider(context, fitted, place, rival.finding).log_bayes_factor
-        if left < least.log_bayes_factor:
-            least = Beside(left, refusal_beside(rival, left, context.problem.job.loop))
+        places = [place for place, of_one in rivals.items() if any(one.name == rival.name for one in of_one)]
+        for place, left in zip(places, reconsider_each(context, fitted, places, rival.finding), strict=True):
+            if left.log_bayes_factor < least[place].log_bayes_factor:
+                reason = refusal_beside(rival, left.log_bayes_factor, context.problem.job.loop)
+                least[place] = Beside(left.log_bayes_factor, reason)
     return least
 
 

@@ -18,7 +18,7 @@ from hydrabeam_mpi.fit.gauss_newton import BrokenOff
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.fit.step import solved_at
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
-from hydrabeam_mpi.loop.attribution.reconsider import reconsider
+from hydrabeam_mpi.loop.attribution.reconsider import reconsider, reconsider_each
 from hydrabeam_mpi.loop.attribution.score_effects import Finding
 from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
@@ -180,14 +180,14 @@ def _least_beside_rivals(
 
     Collective: all ranks of the grid.
     """
-    settings, n_before, found = context.problem.job.loop, len(fitted.values.active) - len(members), []
-    for number, member in enumerate(members):
-        own = reconsider(context, fitted, n_before + number)
-        candidate = _with_evidence(member, fitted.values.active[n_before + number].effect, own)
-        beside = least_beside(context, fitted, rivals_of(candidate, weighed.ranking, settings), n_before + number)
-        if beside.refusal is not None:
-            found.append((beside.log_bayes_factor, _Refused(number, candidate, beside.refusal)))
-    return min(found, key=lambda one: one[0])[1] if found else None
+    settings, n_before = context.problem.job.loop, len(fitted.values.active) - len(members)
+    places = range(n_before, len(fitted.values.active))
+    own = zip(members, fitted.values.active[n_before:], reconsider_each(context, fitted, places), strict=True)
+    candidates = [_with_evidence(member, one.effect, evidence) for member, one, evidence in own]
+    rivals = [rivals_of(one, weighed.ranking, settings) for one in candidates]
+    beside = least_beside(context, fitted, dict(zip(places, rivals, strict=True)))
+    number, (_, reason) = min(enumerate(beside.values()), key=lambda one: one[1].log_bayes_factor)
+    return None if reason is None else _Refused(number, candidates[number], reason)
 
 
 def _one_by_one(
