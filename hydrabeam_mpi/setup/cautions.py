@@ -113,8 +113,9 @@ def _of_smearing(observation: Observation) -> str | None:
     if max(by_time, by_channel) < SMEARED:
         return None
     seconds, khz = observation.integration_time.max(), observation.channel_width.max() / 1e3
+    lost = ((by_time, f"{seconds:.4g} s"), (by_channel, f"{khz:.4g} kHz"))
+    told = [f"a mean over {length} loses up to {part:.0%}" for part, length in lost if part >= SMEARED]
     return (
-        f"Of a source on the longest baselines a mean over {seconds:.4g} s loses up to {by_time:.0%}, and one over "
-        f"{khz:.4g} kHz up to {by_channel:.0%}. The model takes data as of one instant and one frequency. If yours are "
-        "such means: [data] smearing = true."
+        f"Of a source on the longest baselines {' and '.join(told)}. The model takes data as of one instant and one "
+        "frequency. If yours are such means: [data] smearing = true."
     )

@@ -161,6 +161,11 @@ class Effect(InBeam, InOtherData, HasLimits, MayChange, Cause):
         """
         return None
 
+    @property
+    def integrated_as(self) -> str:
+        """The name of what it needs integrated over the sky, which is the same for all effects of this name."""
+        return self.kind
+
     def sky_factor(self, setup: ObservingSetup, sources: Sources, x: FloatArray) -> FloatArray | None:
         """Return what multiplies each source's flux, (Nsrc,), for effects that change those of the sky; else None."""
         return None

@@ -48,7 +48,7 @@ class SkyBlock:
     engine_kind : str
         As in the job.
     integrals : dict of str to ndarray of complex, (Ntimes, Ngroups, K)
-        By kind of effect; see `Effect.sky_columns`.
+        By `Effect.integrated_as`; see `Effect.sky_columns`.
     places : dict, optional
         Keeps what ``positions`` says of each time, for blocks to share where there is room for it.
     keeps_waves : bool
@@ -283,11 +283,11 @@ class SkyBlock:
     def integral(self, effect: Any) -> ComplexArray:
         """Return what an effect needs integrated over the sky, (Ntimes, Ngroups, K); see `Effect.sky_columns`."""
         self.integrate_for([effect])
-        return self.integrals[effect.kind]
+        return self.integrals[effect.integrated_as]
 
     def integrate_for(self, effects: Sequence[Any]) -> None:
         """Fill ``integrals`` for those of these effects that they lack, in one pass over the sky."""
-        lacking = {effect.kind: effect for effect in effects if effect.kind not in self.integrals}
+        lacking = {one.integrated_as: one for one in effects if one.integrated_as not in self.integrals}
         first = self.sources(int(self.times[0])) if lacking and len(self.times) else None
         effects = [one for one in lacking.values() if first is not None and one.sky_columns(first) is not None]
         if not effects:
@@ -295,13 +295,13 @@ class SkyBlock:
         sizes: dict[str, int] = {}
 
         def columns(sources: Sources) -> FloatArray:
-            parts = {one.kind: one.sky_columns(sources) * sources.flux_without(one.kind) for one in effects}
-            sizes.update({kind: len(part) for kind, part in parts.items()})
+            parts = {one.integrated_as: one.sky_columns(sources) * sources.flux_without(one.kind) for one in effects}
+            sizes.update({name: len(part) for name, part in parts.items()})
             return np.concatenate(list(parts.values()))
 
         integrals = self.integrate(columns, flux="within columns")
-        for kind, span in zip(sizes, spans(sizes.values()), strict=True):
-            self.integrals[kind] = integrals[..., span]
+        for name, span in zip(sizes, spans(sizes.values()), strict=True):
+            self.integrals[name] = integrals[..., span]
 
 
 def _by_modes(basis: LinearBasis, design: FloatArray) -> ComplexArray:

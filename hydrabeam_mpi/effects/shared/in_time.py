@@ -145,6 +145,11 @@ class InTime(ScannedEffect):
         """Return what the effect needs integrated over the sky at one time, (K, Nsrc) real."""
         return self.effect.sky_columns(sources)
 
+    @property
+    def integrated_as(self) -> str:
+        """The name of what the effect itself needs."""
+        return self.effect.integrated_as
+
     def added(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return E, (Ntimes, Nbls)."""
         if self.multiplies or self.linear:

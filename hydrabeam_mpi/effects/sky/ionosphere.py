@@ -70,6 +70,11 @@ class Refraction(TurningSky):
         """Return what is needed of the sky to turn it, (7, Nsrc), or to shift it, (6, Nsrc)."""
         return super().sky_columns(sources) if self.away == "turn" else shifting_columns(sources, PATHS[self.away])
 
+    @property
+    def integrated_as(self) -> str:
+        """The name of what its way of shifting needs."""
+        return f"{self.kind} {self.away}"
+
     def rotations(self, block: RowBlock, x: FloatArray) -> FloatArray:
         """Return the rotation of each time at the block's frequency, (Ntimes, 3)."""
         return np.asarray(self._shifts(block, x) @ TILTS.T)

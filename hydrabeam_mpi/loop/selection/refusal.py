@@ -129,11 +129,16 @@ def _margin(one: Constancy, settings: LoopSettings) -> float:
 def rise_of_rms(before: Checked, after: Checked) -> str | None:
     """Say by how much the plain residual of the held-out data rises; None where it does not, beyond its error.
 
-    That is of the paired difference over blocks, see `Rules.decided_sigmas`. A change of the weights claims nothing of
+    That is of the paired difference over blocks, see `Rules.decided_sigmas`. What rises above the data themselves is
+    worse than to predict nothing, however few the blocks that it comes from. A change of the weights claims nothing of
     what is predicted, and is not asked.
     """
+    one, two = before.numbers.of_all, after.numbers.of_all
+    if two["rms"] > max(two["rms_zero"], one["rms"]):
+        return (
+            f"the held-out residual has {two['rms']:.4g} Jy rms, where predicting nothing leaves {two['rms_zero']:.4g}"
+        )
     if not after.numbers.rise_sigma(before.numbers) > RULES.decided_sigmas:
         return None
-    one, two = before.numbers.of_all, after.numbers.of_all
     change = f"the rms of the held-out residual rises from {one['rms']:.4g} to {two['rms']:.4g} Jy"
     return f"{change}, by more than its error (noise {two['rms_noise']:.4g} Jy, the data {two['rms_zero']:.4g} Jy)"

@@ -199,3 +199,18 @@ def test_the_threshold_is_the_jobs() -> None:
     faint = fit(after={"chi2": 1.9, "log_spread": WIDER - 8.0})
     assert judged(faint) is None
     assert NO_BETTER in str(judged(faint, Loop(min_log_bayes_factor=8.5)))
+
+
+def test_what_predicts_worse_than_nothing_is_refused_however_few_blocks_that_comes_from() -> None:
+    """Of the data's 10 Jy rms; where one time has all of the rise there is no scatter to tell it from chance."""
+    before = checked(5.0, rms=6.0)
+    times, groups = before.numbers.times.copy(), before.numbers.groups.copy()
+    rise = (12.0**2 - 6.0**2) * times[1].sum()
+    times[0, 3] += rise
+    groups[0, 2] += rise
+    after = checked(1.2, rms=12.0)
+    after = replace(after, numbers=replace(after.numbers, times=times, groups=groups))
+    assert after.numbers.rise_sigma(before.numbers) < 1.1
+    assert rise_of_rms(before, after) == "the held-out residual has 12 Jy rms, where predicting nothing leaves 10"
+    # What was worse still gets better.
+    assert rise_of_rms(checked(5.0, rms=13.0), after) is None
