@@ -86,12 +86,12 @@ def _look(
 
 
 def _not_looked_for(excess: Excess, partners: Excess) -> list[Finding]:
-    """Say so where bad integrations can be compared with nothing but the model beam."""
+    """Say so where integrations can be compared with nothing but the model beam, beside which only gross ones show."""
     if excess.differenced or partners.times.any():
         return []
-    why = "times lie too far apart to be compared and no two baselines are redundant, so that only gross ones are found"
+    why = "times lie too far apart to be compared, and no two baselines are redundant"
     remedy = "after a fit `hydrabeam loop` looks for them again"
-    return [Finding("bad integrations cannot be looked for", "before a fit", why, remedy, is_fault=False)]
+    return [Finding("only gross bad integrations can be found", "before a fit", why, remedy, is_fault=False)]
 
 
 def _without(problem: Problem, found: Sequence[Finding]) -> Kept:

@@ -230,7 +230,8 @@ def _round(context: FitContext, one: Round, at_last: _AtLast) -> dict[str, Any]:
     # What explains the data together with it is no rival.
     of_set = {candidate.name, *(other.name for other in one.together)}
     others = [other for other in ranking if other.name not in of_set]
-    as_good = indistinguishable(candidate, others, context.problem.job.loop, one.evidence_of_rest)
+    of_heldout = one.evidence_of_all - candidate.log_bayes_factor
+    as_good = indistinguishable(candidate, others, context.problem.job.loop, one.evidence_of_rest, of_heldout)
     parameters, not_told = parameters_of(setup, one, at_last.fitted, at_last.scale)
     leaves_out = candidate.weights is not None and candidate.weights.change.leaves_out
     told = {

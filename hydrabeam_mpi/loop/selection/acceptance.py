@@ -285,11 +285,20 @@ def verdict_of(last: Checked, control: Round | None, added: bool) -> str:
 
 
 def indistinguishable(
-    candidate: Candidate, ranking: Sequence[Candidate], settings: LoopSettings, of_rest: float = 0.0
+    candidate: Candidate,
+    ranking: Sequence[Candidate],
+    settings: LoopSettings,
+    of_rest: float = 0.0,
+    of_heldout: float = 0.0,
 ) -> list[Candidate]:
     """Return what explains the residual as well as the candidate: by less than the evidence asked for.
 
-    ``of_rest`` is the evidence of what explains, beside the candidate, what those in the ranking have to explain too.
+    ``of_rest`` is the evidence of what explains, beside the candidate, what those in the ranking have to explain too,
+    and ``of_heldout`` that of the held-out data for the candidate, which bad integrations have in theirs already.
     """
     near = candidate.log_bayes_factor + of_rest - settings.min_log_bayes_factor
-    return [one for one in ranking if one.name != candidate.name and one.log_bayes_factor > near]
+
+    def is_near(one: Candidate) -> bool:
+        return one.log_bayes_factor > near + (of_heldout if one.is_of_integrations else 0.0)
+
+    return [one for one in ranking if one.name != candidate.name and is_near(one)]

@@ -221,6 +221,11 @@ def test_what_explains_as_much_is_named() -> None:
     # Others have to explain what the rest of a set explains beside it, too.
     assert [one.name for one in indistinguishable(chosen, ranking, LOOP, of_rest=50.0)] == few[:1]
     assert indistinguishable(chosen, ranking, LOOP, of_rest=300.0) == []
+    # The evidence of bad integrations is of held-out data as well.
+    bad = [integrations_candidate(120.0)]
+    assert indistinguishable(chosen, bad, LOOP) == bad
+    assert indistinguishable(chosen, bad, LOOP, of_heldout=24.0) == bad
+    assert indistinguishable(chosen, bad, LOOP, of_heldout=26.0) == []
 
 
 def test_evidence_of_the_rest_counts_where_the_ranking_was_made_without_it() -> None:
