@@ -150,10 +150,10 @@ def _again(effect: Effect, setup: ObservingSetup) -> Effect | None:
 
 
 def _integrated(effects: Sequence[Effect], setup: ObservingSetup, beam: Beam) -> int:
-    """Return how many numbers of each group are integrated for effects; laws of one kind have theirs in common."""
+    """Return how many numbers of each group are integrated for effects; see `Effect.integrated_as`."""
     one, at = np.ones(1), np.full(1, 0.5)
     source = Sources(np.zeros(1, int), at, at, one, beam, freq=float(setup.observation.freqs[0]))
-    columns = {effect.kind: effect.sky_columns(source) for effect in effects}
+    columns = {effect.integrated_as: effect.sky_columns(source) for effect in effects}
     of_sky = sum(len(found) for found in columns.values() if found is not None)
     # Functions of the beam are kept beside what other skies change of them.
     functions = [effect.beam_functions(setup) for effect in effects]

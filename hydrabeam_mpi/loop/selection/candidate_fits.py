@@ -148,8 +148,7 @@ def _fit_in_some_form(context: FitContext, before: Fitted, finding: Finding, wor
     It has been weighed in one form alone, and another may explain what that one does not come near to.
     """
     variants = finding.effect.variants(context.setup)
-    # Each by itself, as blocks keep what is integrated for an effect by its kind, which forms have in common.
-    forms = [finding, *(attribute(context, before, [one])[0] for one in variants)]
+    forms = [finding, *(attribute(context, before, variants) if variants else ())]
     forms.sort(key=lambda one: -one.evidence.log_bayes_factor)
     while True:
         form = forms.pop(0)

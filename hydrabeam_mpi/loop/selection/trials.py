@@ -114,16 +114,18 @@ def refusal_of_fit(context: FitContext, before: Checked, after: Checked, fitted:
     return refusal_of(before, after, fitted, settings)
 
 
-class Beside(NamedTuple):
+class BesideRivals(NamedTuple):
     """The least log Bayes factor that an effect has beside a rival, and why that is too little, if it is."""
 
     log_bayes_factor: float
     refusal: str | None
 
 
-def least_beside(context: FitContext, fitted: Fitted, rivals: Mapping[int, Sequence[Candidate]]) -> dict[int, Beside]:
+def least_beside(
+    context: FitContext, fitted: Fitted, rivals: Mapping[int, Sequence[Candidate]]
+) -> dict[int, BesideRivals]:
     """Weigh effects of the model, by their places in it, each beside its rivals. Collective: all ranks of the grid."""
-    least = {place: Beside(np.inf, None) for place in rivals}
+    least = {place: BesideRivals(np.inf, None) for place in rivals}
     every = {rival.name: rival for of_one in rivals.values() for rival in of_one}
     for rival in every.values():
         assert rival.finding is not None
@@ -131,7 +133,7 @@ def least_beside(context: FitContext, fitted: Fitted, rivals: Mapping[int, Seque
         for place, left in zip(places, reconsider_each(context, fitted, places, rival.finding), strict=True):
             if left.log_bayes_factor < least[place].log_bayes_factor:
                 reason = refusal_beside(rival, left.log_bayes_factor, context.problem.job.loop)
-                least[place] = Beside(left.log_bayes_factor, reason)
+                least[place] = BesideRivals(left.log_bayes_factor, reason)
     return least
 
 
