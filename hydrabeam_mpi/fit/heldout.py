@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,10 +15,11 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.local_parameters import fit_local, fold_of, untold
 from hydrabeam_mpi.fit.room import COMPLEX, KEPT_BYTES
 from hydrabeam_mpi.fit.rows import Rows
+from hydrabeam_mpi.fit.shared_errors import Felt, SharedErrors, whitening_coefficients
 from hydrabeam_mpi.fit.state import Fitted
-from hydrabeam_mpi.fit.whitening import Felt, SharedErrors, TimeWhitener, root_of
+from hydrabeam_mpi.fit.whitening import TimeWhitener, root_of
 from hydrabeam_mpi.fit.whole_beams import with_whole_beams
-from hydrabeam_mpi.mpi import allreduce_sum, together
+from hydrabeam_mpi.mpi import together
 
 MAX_FOLLOWED = 2000
 """With more parameters than this only their variances count, not their covariances nor the response of the beam.
@@ -26,7 +27,7 @@ MAX_FOLLOWED = 2000
 Without the response of the beam, predictions get the wider the more of an effect the beam absorbs.
 """
 SHARED_BYTES = KEPT_BYTES / 2
-"""Errors of the effects shared by rows are whitened if the columns of a channel's held-out rows take less than this.
+"""Errors of the effects shared by rows are whitened if the columns of their held-out rows take less than this.
 
 On all ranks together, as the same is to be predicted on any number of them.
 """
@@ -79,7 +80,8 @@ def whiten(context: FitContext, fitted: Fitted) -> Whitened:
 
 def _predict(context: FitContext, fitted: Fitted) -> Whitened:
     """Predict the rank's held-out rows. Collective: all ranks of the grid."""
-    fitted = with_whole_beams(context, fitted)
+    if not _is_over_channels(context, fitted):
+        fitted = with_whole_beams(context, fitted)
     local = untold(context, fitted.values)
     if local is None:
         return _whiten(context, fitted)
@@ -101,16 +103,18 @@ def _with_total(context: FitContext, whitened: Whitened) -> Whitened:
 
 
 def _whiten(context: FitContext, fitted: Fitted) -> Whitened:
-    """Whiten the rank's rows with what has been fitted, beams as a whole. Collective: all ranks of the grid."""
+    """Whiten the rank's rows with what has been fitted. Collective: all ranks of the grid."""
     share, has_effects = context.test, bool(fitted.values.active)
     with together(context.grid.world):
         rows, added = share.calibrated(fitted.estimate)
     root, noise = np.sqrt(2 * rows.inv_noise_var), share.noise_variance(rows)
     z, model = np.zeros_like(rows.data), np.zeros_like(rows.data)
     share_of_model, power, uncertain = np.zeros((3, *noise.shape))
+    is_shared, errors_of = _is_shared(context, fitted), list[SharedErrors]()
+    shared = fitted.values.shared & _is_over_channels(context, fitted)
     for channel in range(len(context.channels)):
         covariance = fitted.fit.covariances[channel] if has_effects else np.zeros((0, 0))
-        errors = SharedErrors(covariance) if _is_shared(context, fitted) else None
+        errors = SharedErrors(covariance) if is_shared else None
         own_root = errors.root if errors else _followed_root(covariance)
         with together(context.grid.group):
             for span, block, design in share.row_blocks(channel, fitted.estimate, added[channel], rows):
@@ -132,24 +136,52 @@ def _whiten(context: FitContext, fitted: Fitted) -> Whitened:
                     if errors is not None and columns is not None:
                         errors.add(time, z[channel, row], columns)
         if errors is not None:
-            errors.flush()
-            allreduce_sum(context.grid.group, errors.gram)
-            allreduce_sum(context.grid.group, errors.projection)
-            for row, change in enumerate(errors.changes()):
-                z[channel, row] += change
-            used = rows.inv_noise_var[channel] > 0
-            n_used = int(context.grid.group.allreduce(np.count_nonzero(used)))
-            share_of_model[channel] += errors.n_shared / (2 * max(n_used, 1))
+            errors_of.append(errors.complete(context.grid.group))
+        if errors_of and not shared.any():
+            # Columns of a channel are let go before those of the next one.
+            span = slice(channel, channel + 1)
+            _add_shared(context, errors_of, shared, rows.inv_noise_var[span] > 0, z[span], share_of_model[span])
+            errors_of = []
+    if errors_of:
+        _add_shared(context, errors_of, shared, rows.inv_noise_var > 0, z, share_of_model)
     return Whitened(z, rows.inv_noise_var > 0, share_of_model, model, root, power, noise, uncertain)
 
 
-def _is_shared(context: FitContext, fitted: Fitted) -> bool:
-    """Whether rows are whitened by what they share of the effects' errors."""
+def _add_shared(
+    context: FitContext,
+    errors_of: Sequence[SharedErrors],
+    shared: BoolArray,
+    used: BoolArray,
+    z: ComplexArray,
+    share_of_model: FloatArray,
+) -> None:
+    """Whiten rows by the errors of the effects, in place: those of all channels where these share some.
+
+    Collective: all ranks that have rows of these channels.
+    """
+    grid = context.grid
+    comm = grid.world if shared.any() else grid.group
+    coefficients, felt = whitening_coefficients(errors_of, shared, comm, grid.is_group_root)
+    for channel, errors in enumerate(errors_of):
+        for row, change in enumerate(errors.changes(coefficients[channel])):
+            z[channel, row] += change
+        n_used = int(grid.group.allreduce(np.count_nonzero(used[channel])))
+        share_of_model[channel] += felt[channel] / (2 * max(n_used, 1))
+
+
+def _is_over_channels(context: FitContext, fitted: Fitted) -> bool:
+    """Whether rows are whitened by what those of all channels share of the effects' errors."""
+    n_channels = context.setup.observation.Nfreqs
+    return n_channels > 1 and bool(fitted.values.shared.any()) and _is_shared(context, fitted, n_channels)
+
+
+def _is_shared(context: FitContext, fitted: Fitted, n_channels: int = 1) -> bool:
+    """Whether rows are whitened by what those of so many channels share of the effects' errors."""
     rows, active = context.problem.test, fitted.values.active
     n_groups = len(np.unique(context.problem.redundant.group[rows.bls]))
     n_columns = sum((n_groups if one.effect.is_by_group else len(rows.bls)) * one.size for one in active)
     n_params = sum(one.size for one in active)
-    return 0 < n_params <= MAX_FOLLOWED and COMPLEX * len(rows.times) * n_columns <= SHARED_BYTES
+    return 0 < n_params <= MAX_FOLLOWED and COMPLEX * n_channels * len(rows.times) * n_columns <= SHARED_BYTES
 
 
 def _felt(

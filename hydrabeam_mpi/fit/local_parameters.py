@@ -17,9 +17,11 @@ from hydrabeam_mpi.data.observation import BoolArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.by_time import columns_by_time, of_baselines
 from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.grown import adds_coefficients
 from hydrabeam_mpi.fit.marginal import in_parts
 from hydrabeam_mpi.fit.state import Active, Estimate, Fitted, Values
 from hydrabeam_mpi.fit.whitening import TimeWhitener
+from hydrabeam_mpi.fit.whole_beams import with_whole_beams
 from hydrabeam_mpi.mpi import allreduce_sum, together
 
 LOCAL_STEPS = 4
@@ -50,15 +52,28 @@ def fit_local(context: FitContext, fitted: Fitted, local: str, kept: BoolArray) 
 
     Returns the fit and which of the parameters in use these are, (q,). Collective: all ranks of the grid.
     """
-    values, posteriors = fitted.values, fitted.fit.posteriors
+    # What effects add to the beams is as uncertain as the rest of these.
+    whole = with_whole_beams(context, fitted)
+    values, posteriors = whole.values, whole.fit.posteriors
     for _ in range(LOCAL_STEPS):
         step = _local_step(context, Estimate(values, posteriors), local, kept)
         values = step.values
         if step.moved < MOVED:
             break
+    outside = np.concatenate([np.full(one.size, not _is_inside(context, one)) for one in fitted.values.active])
+    free = np.zeros(len(outside), dtype=bool)
+    free[outside] = step.free
+    left = iter(values.active)
+    active = tuple(one if _is_inside(context, one) else next(left) for one in fitted.values.active)
     pairs = zip(fitted.fit.covariances, context.channels, strict=True)
-    covariances = tuple(with_own(covariance, step.free, step.covariances[number]) for covariance, number in pairs)
-    return replace(fitted, values=values, fit=replace(fitted.fit, covariances=covariances)), step.free
+    covariances = tuple(with_own(covariance, free, step.covariances[number]) for covariance, number in pairs)
+    fit = replace(fitted.fit, covariances=covariances)
+    return replace(fitted, values=replace(fitted.values, active=active), fit=fit), free
+
+
+def _is_inside(context: FitContext, one: Active) -> bool:
+    """Whether an effect is part of the whole beams."""
+    return adds_coefficients(context.setup, one)
 
 
 def with_own(covariance: FloatArray, free: BoolArray, own: FloatArray) -> FloatArray:

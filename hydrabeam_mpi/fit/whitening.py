@@ -4,23 +4,20 @@ What the model is uncertain of is the same for redundant baselines and alike for
 off is off for many rows at once. Dividing each row by its own standard deviation would leave that in, and chi^2 would
 be far more uncertain than that of independent data. Of the rows of one time the part that the members of each group
 have in common is therefore whitened together with that of the other groups. Errors of effects, which may be the same
-at all times, are whitened over all rows. Either takes the symmetric root, which changes a row as little as whitening
-can.
+at all times, are whitened over all rows: see `shared_errors`. Either takes the symmetric root, which changes a row as
+little as whitening can.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.sparse import csr_array
 
-from hydrabeam_mpi.data.observation import Array, BoolArray, ComplexArray, FloatArray, IntArray
-from hydrabeam_mpi.fit.marginal import in_parts
-from hydrabeam_mpi.fit.row_buffer import CAPACITY
+from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.inference.posterior import Posterior
 
 LEAST_LEFT = 1e-9
@@ -164,94 +161,6 @@ def root_of(covariance: FloatArray) -> FloatArray:
         # Parameters that are held, or know nothing beyond others, leave eigenvalues of zero.
         values, vectors = np.linalg.eigh(covariance)
         return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
-
-
-@dataclass(frozen=True)
-class Felt:
-    """How the predictions of one time feel some parameters.
-
-    Attributes
-    ----------
-    own : ndarray of complex, (Nbls, k)
-        By those that members of a group feel each in its own way.
-    of_groups : ndarray of complex, (Ngroups, l)
-        By those that they feel alike. There are fewer groups than baselines, and most effects of the sky are such.
-    is_of_groups : ndarray of bool, (k + l,)
-        Which of all are the latter.
-    """
-
-    own: ComplexArray
-    of_groups: ComplexArray
-    is_of_groups: BoolArray
-
-
-class SharedErrors:
-    """Whitens rows of many times by what they share of the errors of some parameters.
-
-    With the columns B of these parameters, in units of their posterior errors, the whitened residuals have covariance
-    1 + B B^T, whose root needs only B^T B and B^T z: sums over rows, hence over ranks.
-
-    Parameters
-    ----------
-    covariance : ndarray, (q, q)
-        Of the parameters; ``root`` is its root.
-    """
-
-    def __init__(self, covariance: FloatArray) -> None:
-        self.root = root_of(covariance)
-        # Of the columns as they are: those in units of their errors would be a product of large matrices each time.
-        self.gram = np.zeros((len(covariance), len(covariance)))
-        self.projection = np.zeros(len(covariance))
-        self._kept: list[tuple[csr_array, Felt]] = []
-        self._held: list[list[FloatArray]] = []
-
-    def add(self, time: TimeWhitener, z: ComplexArray, felt: Felt) -> None:
-        """Take the residuals of one time as it whitens them, (Nbls,), and how its rows feel the parameters."""
-        felt = replace(felt, own=time.rows(felt.own), of_groups=time.of_groups(felt.of_groups))
-        self._kept.append((time.gather, felt))
-        parts = felt.own, time.gather @ felt.own, felt.of_groups, z, time.gather @ z
-        self._held.append([in_parts(one) for one in parts])
-        if sum(len(own) for own, *_ in self._held) >= CAPACITY:
-            self.flush()
-
-    def flush(self) -> None:
-        """Add the products of all rows so far to the sums: those of several times at once take less time."""
-        if not self._held:
-            return
-        of_groups = self._kept[-1][1].is_of_groups
-        one, two = np.flatnonzero(~of_groups), np.flatnonzero(of_groups)
-        own, common, groups, z, common_z = (np.concatenate(parts) for parts in zip(*self._held, strict=True))
-        self._held = []
-        mixed = common.T @ groups
-        self.gram[np.ix_(one, one)] += own.T @ own
-        self.gram[np.ix_(one, two)] += mixed
-        self.gram[np.ix_(two, one)] += mixed.T
-        self.gram[np.ix_(two, two)] += groups.T @ groups
-        self.projection[one] += own.T @ z
-        self.projection[two] += groups.T @ common_z
-
-    @cached_property
-    def _spectrum(self) -> tuple[FloatArray, FloatArray]:
-        """Eigenvalues, none negative, and eigenvectors of B^T B, once the sums are complete."""
-        values, vectors = np.linalg.eigh(self.root.T @ self.gram @ self.root)
-        return np.maximum(values, 0.0), vectors
-
-    def changes(self) -> list[ComplexArray]:
-        """Return what is to be added to the rows of each time, (Nbls,), once the sums are complete."""
-        values, vectors = self._spectrum
-        values = np.maximum(values, 1e-12 * max(float(values.max(initial=0.0)), 1e-300))
-        factor = (1 / np.sqrt(1 + values) - 1) / values
-        coefficients = self.root @ (vectors @ (factor * (vectors.T @ (self.root.T @ self.projection))))
-        return [
-            felt.own @ coefficients[~felt.is_of_groups] + gather.T @ (felt.of_groups @ coefficients[felt.is_of_groups])
-            for gather, felt in self._kept
-        ]
-
-    @property
-    def n_shared(self) -> float:
-        """How many parameters the predictions feel."""
-        values, _ = self._spectrum
-        return float(np.sum(values / (1 + values)))
 
 
 def model_root(posterior: Posterior, design: Array) -> FloatArray:

@@ -6,12 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from mpi4py import MPI
 
-from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray
-from hydrabeam_mpi.fit.whitening import Felt, SharedErrors, TimeWhitener, model_root, root_of
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.fit.whitening import TimeWhitener, model_root, root_of
 from hydrabeam_mpi.inference.posterior import Posterior
-from hydrabeam_mpi.mpi import allreduce_sum
 from hydrabeam_mpi.random import complex_normal, generator
 
 MEMBER = np.array([0, 0, 0, 1, 2, 2, 3, 1])
@@ -156,75 +154,6 @@ def test_a_fitted_time_is_whitened_as_the_others_predict_it(n_modes: int, is_com
     beside, of_all = whitened(*fit([1, 2]), False), whitened(*fit([0, 1, 2]), True)
     np.testing.assert_allclose(of_all, beside, rtol=0, atol=1e-9)
     assert np.abs(of_all - whitened(*fit([0, 1, 2]), False)).max() > 0.1
-
-
-COLUMNS = {
-    "fewer parameters than rows": (3, 3),
-    "more parameters than rows": (40, 40),
-    "parameters that are the same": (4, 2),
-    "one parameter": (1, 1),
-}
-
-
-ALONE = TimeWhitener.of(np.full(5, 0.5), np.array([0, 0, 1, 2, 2]), np.zeros((0, 6)))
-"""Rows whose noise has variance one in either part, with no beam; some of them are redundant."""
-
-
-def shared_rows(q: int, rank: int, is_of_groups: BoolArray) -> tuple[list[ComplexArray], list[Felt], FloatArray]:
-    """Rows of four times, how they feel the parameters, and the covariance of these."""
-    rng = generator(4, "shared", q)
-    mixed = rng.standard_normal((rank, q))
-    felt = [
-        Felt(
-            (complex_normal(rng, (5, rank)) @ mixed)[:, ~is_of_groups],
-            (complex_normal(rng, (3, rank)) @ mixed)[:, is_of_groups],
-            is_of_groups,
-        )
-        for _ in range(4)
-    ]
-    root = rng.standard_normal((q, q))
-    return [complex_normal(rng, (5,)) for _ in range(4)], felt, root @ root.T
-
-
-def columns(felt: Felt) -> ComplexArray:
-    """Return how each of the five rows feels all parameters, in their order."""
-    every = np.zeros((5, len(felt.is_of_groups)), dtype=complex)
-    every[:, ~felt.is_of_groups], every[:, felt.is_of_groups] = felt.own, felt.of_groups[[0, 0, 1, 2, 2]]
-    return every
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("alike", [0.0, 0.5, 1.0], ids=["no column of groups", "some", "all columns of groups"])
-@pytest.mark.parametrize(("q", "rank"), COLUMNS.values(), ids=COLUMNS)
-def test_shared_errors_are_whitened_over_all_rows(q: int, rank: int, alike: float, comm: MPI.Comm) -> None:
-    """Whichever rank has which times."""
-    is_of_groups = generator(6, "of groups", q).random(q) < alike
-    z, felt, covariance = shared_rows(q, rank, is_of_groups)
-    errors = SharedErrors(covariance)
-    mine = range(comm.rank, 4, comm.size)
-    for t in mine:
-        errors.add(ALONE, z[t], felt[t])
-    errors.flush()
-    allreduce_sum(comm, errors.gram)
-    allreduce_sum(comm, errors.projection)
-    jacobian = parts(np.concatenate(list(map(columns, felt))))
-    whole = jacobian @ covariance @ jacobian.T
-    white = symmetric_root(whole) @ parts(np.concatenate(z))
-    expected = (white[:20] + 1j * white[20:]).reshape(4, 5)
-    for t, change in zip(mine, errors.changes(), strict=True):
-        np.testing.assert_allclose(z[t] + change, expected[t], rtol=0, atol=1e-9)
-    n_felt = np.trace(np.linalg.solve(np.eye(40) + whole, whole))
-    assert errors.n_shared == pytest.approx(n_felt, rel=1e-9)
-    assert errors.n_shared <= (rank if alike in (0.0, 1.0) else 2 * rank)
-
-
-def test_errors_that_nothing_feels_change_nothing() -> None:
-    errors = SharedErrors(np.eye(2))
-    nothing = Felt(np.zeros((5, 1), complex), np.zeros((3, 1), complex), np.array([False, True]))
-    errors.add(ALONE, np.ones(5, complex), nothing)
-    errors.flush()
-    assert not errors.changes()[0].any()
-    assert errors.n_shared == 0
 
 
 COVARIANCES = {
