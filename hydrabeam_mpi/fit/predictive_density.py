@@ -13,8 +13,9 @@ the beam open would pay for that once a time.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -34,6 +35,8 @@ from hydrabeam_mpi.inference.gaussian import Block
 from hydrabeam_mpi.inference.matrices import cholesky_lower, inverse_of_covariance, inverse_where_it_varies
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.mpi import bcast_object, gather_objects, together
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -125,35 +128,38 @@ def _density(context: FitContext, fitted: Fitted) -> Density:
         here, unknown = fit_local(context, fitted, local, np.ones((1, 1), dtype=bool))
         fitted = replace(fitted, values=here.values)
     values = fitted.values
-    gathered = gather_objects(context.grid.world, _left_of_channels(context, fitted))
-    found = None
-    if gathered is not None:
-        by_channel = {number: (left, covariance) for part in gathered for number, left, covariance in part}
-        found = _without_effects(values, unknown, [by_channel[f] for f in sorted(by_channel)])
+    channels = of_each_channel(context, fitted, _without_beam)
+    found = _without_effects(values, unknown, channels) if channels is not None else None
     density: Density = bcast_object(context.grid.world, found)
     return density
 
 
-def _left_of_channels(context: FitContext, fitted: Fitted) -> list[tuple[int, _Left, FloatArray]]:
-    """Return number, what is left with the beam integrated over, and covariance of the effects, of each channel.
+def of_each_channel(
+    context: FitContext, fitted: Fitted, told: Callable[[NormalEquations, Posterior, BoolArray, Array], T]
+) -> list[tuple[T, FloatArray]] | None:
+    """Return what is ``told`` of each channel's held-out rows and the covariance of its effects, on rank 0.
 
-    Of the rank group's channels, on its root; none on the others. Collective: all ranks of the grid.
+    ``told`` gets the products of the columns of beam and effects, the beam, and how that follows the effects; see
+    `_without_beam`. None on the other ranks. Collective: all ranks of the grid.
     """
     values, setup, grid = fitted.values, context.setup, context.grid
     inside = [adds_coefficients(setup, one) for one in values.active]
     effects = {name: one for (name, one), is_in in zip(values.blocks.items(), inside, strict=True) if not is_in}
     seen = ~np.repeat(inside, [one.size for one in values.active]).astype(bool)
-    follow = added_response(setup, values)
-    found = []
+    follow, found = added_response(setup, values), {}
     for channel, sums in enumerate(_sums(context, fitted, effects)):
         response, covariance = follow, np.zeros((0, 0))
         if values.active:
             response, covariance = follow + fitted.fit.beam_response[channel], fitted.fit.covariances[channel]
         with together(grid.group):
             if grid.is_group_root:
-                left = _without_beam(sums, fitted.fit.posteriors[channel], seen, response)
-                found.append((context.channels[channel], left, covariance))
-    return found
+                of_channel = told(sums, fitted.fit.posteriors[channel], seen, response)
+                found[context.channels[channel]] = of_channel, covariance
+    gathered = gather_objects(grid.world, found)
+    if gathered is None:
+        return None
+    every = {number: one for part in gathered for number, one in part.items()}
+    return [every[number] for number in sorted(every)]
 
 
 def _sums(context: FitContext, fitted: Fitted, effects: Mapping[str, Active]) -> Iterator[NormalEquations]:
@@ -220,7 +226,7 @@ def _without_effects(values: Values, unknown: BoolArray, channels: Sequence[tupl
             precision = values.prior_precision(number)[np.ix_(unknown, unknown)]
             covariance = with_own(covariance, unknown, inverse_of_covariance(precision))
             left = left.moved(_from_prior(values, unknown, number))
-        root = _root(covariance, shared)
+        root = root_by_shared(covariance, shared)
         parts.append(left.seen_through(root).integrated(~shared))
     signal, score = (np.sum([getattr(one, name) for one in parts], axis=0) for name in ("signal", "score"))
     common = _Left(0.0, 0.0, signal, score).integrated(np.ones(len(score), dtype=bool))
@@ -234,7 +240,7 @@ def _from_prior(values: Values, unknown: BoolArray, number: int) -> FloatArray:
     return np.where(unknown, means - values.x[number], 0.0)
 
 
-def _root(covariance: FloatArray, shared: BoolArray) -> FloatArray:
+def root_by_shared(covariance: FloatArray, shared: BoolArray) -> FloatArray:
     """Return a root of a covariance, (q, q), by which shared parameters follow the first of all numbers alone.
 
     Rows are parameters as they come, and columns independent numbers, one for each parameter: those of shared ones

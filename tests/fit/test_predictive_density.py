@@ -25,6 +25,7 @@ from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.local_parameters import fit_local, untold
+from hydrabeam_mpi.fit.predicted_power import squares_of_model
 from hydrabeam_mpi.fit.predictive_density import predictive_density
 from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.state import Fitted, Values
@@ -123,15 +124,17 @@ def posterior_of(context: FitContext, fitted: Fitted) -> FloatArray:
     return np.asarray(follow @ np.linalg.inv(unknowns.T @ unknowns + np.diag(widths**-2.0)) @ follow.T)
 
 
-def of_one_gaussian(context: FitContext, fitted: Fitted, about: FloatArray) -> tuple[float, float]:
-    """Misfit and spread of all held-out rows and channels in a model that is linear about some parameters."""
+def of_one_gaussian(context: FitContext, fitted: Fitted, about: FloatArray) -> tuple[float, float, float]:
+    """Misfit, spread and tr(M^2) of all held-out rows and channels in a model that is linear about some parameters."""
     rows = Dense(context.test, fitted, about)
     jacobian, posterior = rows.jacobian(), posterior_of(context, fitted)
     expected = np.zeros(jacobian.shape[1])
     expected[jacobian.shape[1] - about.size :] = (parameters(fitted) - about).ravel()
     residual = rows.root * parts(rows.share.rows.data - rows.predicted(about)) - jacobian @ expected
-    covariance = np.eye(len(residual)) + jacobian @ posterior @ jacobian.T
-    return float(0.5 * residual @ np.linalg.solve(covariance, residual)), float(0.5 * np.linalg.slogdet(covariance)[1])
+    of_model = jacobian @ posterior @ jacobian.T
+    covariance = np.eye(len(residual)) + of_model
+    misfit = float(0.5 * residual @ np.linalg.solve(covariance, residual))
+    return misfit, float(0.5 * np.linalg.slogdet(covariance)[1]), float(np.sum(of_model**2))
 
 
 GAIN = {"kind": "antenna_gains", "parameters": {"antenna 2 ln amplitude": 0.03}}
@@ -198,8 +201,13 @@ def test_the_density_is_that_of_one_gaussian(
     if local is not None:
         about = fit_local(context, fitted, local, np.ones((1, 1), dtype=bool))[0].values.x
     density = predictive_density(context, fitted)
-    found = float(density.misfit.sum()), float(density.log_spread.sum())
-    np.testing.assert_allclose(found, of_one_gaussian(context, fitted, about), rtol=rtol)
+    found, expected = (
+        (float(density.misfit.sum()), float(density.log_spread.sum())),
+        of_one_gaussian(context, fitted, about),
+    )
+    np.testing.assert_allclose(found, expected[:2], rtol=rtol)
+    if local is None:
+        assert squares_of_model(context, fitted) == pytest.approx(expected[2], rel=max(rtol, 1e-5))
 
 
 @pytest.mark.parametrize("form", ["real", "complex"])

@@ -76,13 +76,14 @@ def numbers(rms: float, expected: float = 1.0, n_freqs: int = 2, n_data: int = N
         "n": n_data, "weight": weight, "data": 100 * weight, "residual": rms**2 * weight, "noise": weight,
         "uncertain": (expected**2 - 1) * weight, "model_residual": 25 * weight, "overlap_real": 0.0,
         "overlap_imag": 84 * weight, "model": 84 * weight, "noise_only": rms**2 * weight,
-        "predictive": (rms / expected) ** 2 * weight, "misfit": (rms / expected) ** 2 * weight,
+        "uncertain_only": (expected**2 - 1) * weight, "predictive": (rms / expected) ** 2 * weight,
+        "misfit": (rms / expected) ** 2 * weight,
     }  # fmt: skip
     rng, axes = generator(seed, "numbers"), []
     for n_blocks in (20, 10):
         of_block = np.full(n_blocks, weight / n_blocks)
         scatter = rng.normal(1, 0.1, n_blocks)
-        axes.append(np.array([rms**2 * of_block * scatter / scatter.mean(), of_block, expected**2 * of_block]))
+        axes.append(np.array([rms**2 * of_block * scatter / scatter.mean(), of_block]))
     channels = np.tile(np.array([sums[name] for name in SUMS])[:, np.newaxis] / n_freqs, n_freqs)
     return HeldoutNumbers(channels, axes[0], axes[1])
 
@@ -107,11 +108,9 @@ def checked(
     of_channels = np.array([chi2]) if train_chi2 is None else train_chi2
     effective, n_data = np.zeros_like(of_channels), np.full_like(of_channels, N_DATA)
     diagnostics = Diagnostics(of_channels, effective_parameters=effective, n_data=n_data)
+    made = numbers(chi2**0.5 if rms is None else rms, expected)
     return Checked(
-        replace(fitted, diagnostics=diagnostics),
-        blocks(chi2, log_spread),
-        remains,
-        numbers(chi2**0.5 if rms is None else rms, expected),
+        replace(fitted, diagnostics=diagnostics), blocks(chi2, log_spread), remains, made, made.excess_sigma(0.0)
     )
 
 

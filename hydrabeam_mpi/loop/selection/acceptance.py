@@ -12,6 +12,7 @@ from hydrabeam_mpi.config.effects import Loop as LoopSettings
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.fit.gauss_newton import Underway
 from hydrabeam_mpi.fit.state import Active, Fitted
+from hydrabeam_mpi.inference.significance import SIGNIFICANT_P, sigma_of_log_p
 from hydrabeam_mpi.loop.attribution.constancy import Constancy
 from hydrabeam_mpi.loop.attribution.score_effects import Finding
 from hydrabeam_mpi.loop.attribution.score_noise import WeightsFound
@@ -23,12 +24,29 @@ from hydrabeam_mpi.loop.selection.heldout_score import HeldoutScore, gain_of, ga
 
 @dataclass(frozen=True)
 class Checked:
-    """A fit and its held-out data."""
+    """A fit and its held-out data.
+
+    Attributes
+    ----------
+    fitted : Fitted
+    score : HeldoutScore
+    remains : Remains
+    numbers : HeldoutNumbers
+    excess_sigma : float
+        By how many standard errors the power of the residual is more than noise and model give; see
+        `HeldoutNumbers.excess_sigma`. Not a number where what remains is more than noise anyway.
+    """
 
     fitted: Fitted
     score: HeldoutScore
     remains: Remains
     numbers: HeldoutNumbers
+    excess_sigma: float
+
+    @property
+    def at_noise(self) -> bool:
+        """Whether the residual is as small as noise and model allow, by the probability that all else is held to."""
+        return self.excess_sigma < sigma_of_log_p(float(np.log(SIGNIFICANT_P)))
 
 
 @dataclass(frozen=True)
@@ -267,7 +285,7 @@ def why_unexplained(last: Checked, control: Round | None) -> str | None:
             f"predictions are not calibrated: what is left is more than they expect (predictive chi^2 "
             f"{last.score.chi2:.4g}), and {rms} where the noise has {now['rms_noise']:.4g} Jy"
         )
-    if not last.numbers.at_noise:
+    if not last.at_noise:
         return (
             f"predictions are calibrated, but only as they are wide: {rms}, where the noise has "
             f"{now['rms_noise']:.4g} Jy and, with what the data leave uncertain of the model, "

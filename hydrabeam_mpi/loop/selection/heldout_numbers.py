@@ -11,13 +11,12 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.predictive_density import density_of_channels
 from hydrabeam_mpi.fit.state import Fitted
-from hydrabeam_mpi.inference.significance import SIGNIFICANT_P, sigma_of_log_p
 from hydrabeam_mpi.loop.selection.heldout_score import falls_of_blocks
 from hydrabeam_mpi.mpi import allreduce_sum, together
 
 SUMS = (
     "n", "weight", "data", "residual", "noise", "uncertain", "model_residual", "overlap_real", "overlap_imag", "model",
-    "noise_only", "predictive", "log_noise", "misfit", "log_spread",
+    "noise_only", "uncertain_only", "predictive", "log_noise", "misfit", "log_spread",
 )  # fmt: skip
 
 IN_SUMMARY = {
@@ -51,11 +50,11 @@ class HeldoutNumbers:
     channels : ndarray, (len(SUMS), Nfreqs)
         Of each channel: the number of d; sums of w, of w |d|^2, of w |r|^2, of w times the variance of the noise (by
         the model's weights) and of w times that by what is uncertain of the model; of w |d - m|^2, w m* d (two parts)
-        and w |m|^2; |r|^2 over the variance of the noise; |z|^2 / 2 under the posterior predictive, see `Whitened`;
-        and of the logarithm of the density of all of them -ln(pi variance of the noise), the misfit and the spread, see
-        `Density`.
-    times, groups : ndarray, (3, N)
-        For each time and each redundant group the sums of w |r|^2, of w, and of w times what noise and model give.
+        and w |m|^2; of |r|^2 over the variance of the noise, and of the variance by what is uncertain of the model over
+        that; |z|^2 / 2 under the posterior predictive, see `Whitened`; and of the logarithm of the density of all of
+        them -ln(pi variance of the noise), the misfit and the spread, see `Density`.
+    times, groups : ndarray, (2, N)
+        For each time and each redundant group the sums of w |r|^2 and of w.
     """
 
     channels: FloatArray
@@ -86,27 +85,18 @@ class HeldoutNumbers:
         Of those that scatter more: what beam and sky lack at one time is the same in many groups, which are then no
         draws of their own.
         """
-        pairs = (self.times[:2], before.times[:2]), (self.groups[:2], before.groups[:2])
+        pairs = (self.times, before.times), (self.groups, before.groups)
         return min(falls_of_blocks(pairs), default=0.0)
 
-    @property
-    def excess_sigma(self) -> float:
-        """Significance of the residual power beyond what the noise, and what is uncertain of beam and effects, give.
+    def excess_sigma(self, squares: float) -> float:
+        """Return the significance of residual power beyond what the noise, and what is uncertain of the model, give.
 
-        Over blocks of times or of redundant groups, whichever scatter more: errors of beams are the same in many. Below
-        four blocks of either kind there is no scatter to tell.
+        ``squares`` is tr(M^2) with M the covariance of the predictions over that of the noise: see `predicted_power`.
         """
-        sigmas = []
-        for power, weight, expected in (self.times, self.groups):
-            excess = (power - expected)[weight > 0]
-            if len(excess) >= 4 and (spread := float(np.std(excess, ddof=1)) * np.sqrt(len(excess))) > 0:
-                sigmas.append(float(excess.sum()) / spread)
-        return min(sigmas, default=0.0)
-
-    @property
-    def at_noise(self) -> bool:
-        """Whether the residual is as small as noise and model allow, by the probability that all else is held to."""
-        return self.excess_sigma < sigma_of_log_p(float(np.log(SIGNIFICANT_P)))
+        n, power, uncertain = (
+            float(self.channels[SUMS.index(name)].sum()) for name in ("n", "noise_only", "uncertain_only")
+        )
+        return float((power - n - uncertain) / np.sqrt(n + 2 * uncertain + squares / 2)) if n else 0.0
 
 
 def _numbers(channels: FloatArray) -> dict[str, float]:
@@ -149,19 +139,19 @@ def heldout_numbers(context: FitContext, fitted: Fitted) -> HeldoutNumbers:
     whitened, density = whiten(context, fitted), density_of_channels(context, fitted)
     observation, rows, world = context.setup.observation, context.test.rows, context.grid.world
     channels = np.zeros((len(SUMS), observation.Nfreqs))
-    times, groups = np.zeros((3, observation.Ntimes)), np.zeros((3, context.setup.redundant.Ngroups))
+    times, groups = np.zeros((2, observation.Ntimes)), np.zeros((2, context.setup.redundant.Ngroups))
     with together(world):
         used = whitened.used
         weight = np.where(used, rows.inv_noise_var, 0.0)
         data, model = rows.data, context.test.model_beam[:, :, rows.member]
         overlap = weight * model.conj() * data
         noise = np.where(used, whitened.noise, 1.0)
-        powers = (weight * whitened.power, weight, weight * (whitened.noise + whitened.uncertain))
+        powers = (weight * whitened.power, weight)
         terms = (
             used, weight, weight * np.abs(data) ** 2, powers[0], weight * whitened.noise, weight * whitened.uncertain,
             weight * np.abs(data - model) ** 2, overlap.real, overlap.imag, weight * np.abs(model) ** 2,
-            np.where(used, whitened.power / noise, 0.0), np.where(used, 0.5 * np.abs(whitened.z) ** 2, 0.0),
-            np.where(used, -np.log(np.pi * noise), 0.0),
+            np.where(used, whitened.power / noise, 0.0), np.where(used, whitened.uncertain / noise, 0.0),
+            np.where(used, 0.5 * np.abs(whitened.z) ** 2, 0.0), np.where(used, -np.log(np.pi * noise), 0.0),
         )  # fmt: skip
         for row, term in enumerate(terms):
             channels[row, context.channels] = term.sum(axis=(1, 2))

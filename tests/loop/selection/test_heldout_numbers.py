@@ -15,10 +15,11 @@ from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Active, Fit, Values, independent_prior
 from hydrabeam_mpi.inference.posterior import Posterior
-from hydrabeam_mpi.loop.selection.heldout_numbers import HeldoutNumbers
+from hydrabeam_mpi.loop.selection.heldout_numbers import SUMS, HeldoutNumbers
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.rounds import begin
-from tests.loop.made import numbers
+from hydrabeam_mpi.random import generator
+from tests.loop.made import checked, numbers
 from tests.loop.mock import FREQ, context_of, mock_job
 
 FREQS = (FREQ, FREQ + 8e6)
@@ -131,25 +132,38 @@ def gaussian(posterior: Posterior, rows: FloatArray, data: FloatArray, noise: Fl
     return float(left @ np.linalg.solve(covariance, left)), float(np.linalg.slogdet(2 * np.pi * covariance)[1])
 
 
+@pytest.mark.parametrize("squares", [0.0, 5000.0])
+def test_excess_is_told_in_standard_errors_of_what_noise_and_model_give(squares: float) -> None:
+    """Draws of residuals whose model is uncertain in one direction of all data together."""
+    n, rng = 2000, generator(5, "excess")
+    direction = np.sqrt(squares**0.5 / (2 * n)) * np.ones(2 * n)
+    sigmas = []
+    for _ in range(2000):
+        rows = rng.standard_normal(2 * n) + direction * rng.standard_normal()
+        sums = {"n": n, "noise_only": 0.5 * np.sum(rows**2), "uncertain_only": 0.5 * np.sum(direction**2)}
+        channels = np.array([[sums.get(name, 0.0)] for name in SUMS])
+        sigmas.append(HeldoutNumbers(channels, np.zeros((2, 0)), np.zeros((2, 0))).excess_sigma(squares))
+    assert np.mean(sigmas) == pytest.approx(0, abs=0.1)
+    assert np.std(sigmas) == pytest.approx(1, abs=0.1)
+
+
+def test_nothing_is_beyond_what_is_expected_of_no_data() -> None:
+    empty = HeldoutNumbers(np.zeros((len(SUMS), 1)), np.zeros((2, 0)), np.zeros((2, 0)))
+    assert empty.excess_sigma(0.0) == 0
+
+
 @pytest.mark.parametrize(
     ("rms", "expected", "at_noise"),
     [
         pytest.param(1.0, 1.0, True, id="noise alone"),
-        pytest.param(1.02, 1.0, True, id="within the scatter of the blocks"),
+        pytest.param(1.01, 1.0, True, id="within the error"),
         pytest.param(1.3, 1.0, False, id="beyond it"),
         pytest.param(1.3, 1.3, True, id="as uncertain as the beam is"),
         pytest.param(0.8, 1.0, True, id="less than the noise"),
     ],
 )
 def test_what_is_at_the_noise(rms: float, expected: float, at_noise: bool) -> None:
-    assert numbers(rms, expected).at_noise == at_noise
-
-
-def test_few_blocks_have_no_scatter() -> None:
-    made = numbers(3.0)
-    few = replace(made, times=made.times[:, :3], groups=made.groups[:, :3])
-    assert few.excess_sigma == 0
-    assert few.at_noise
+    assert checked(1.0, rms=rms, expected=expected).at_noise == at_noise
 
 
 def test_a_rise_at_one_time_is_none_however_many_groups_it_is_in() -> None:
