@@ -110,7 +110,7 @@ def checked(
     diagnostics = Diagnostics(of_channels, effective_parameters=effective, n_data=n_data)
     made = numbers(chi2**0.5 if rms is None else rms, expected)
     return Checked(
-        replace(fitted, diagnostics=diagnostics), blocks(chi2, log_spread), remains, made, made.excess_sigma(0.0)
+        replace(fitted, diagnostics=diagnostics), blocks(chi2, log_spread), remains, made, made.excess_sigma(0.0) < 4.9
     )
 
 

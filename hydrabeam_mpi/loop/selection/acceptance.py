@@ -12,7 +12,6 @@ from hydrabeam_mpi.config.effects import Loop as LoopSettings
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.fit.gauss_newton import Underway
 from hydrabeam_mpi.fit.state import Active, Fitted
-from hydrabeam_mpi.inference.significance import SIGNIFICANT_P, sigma_of_log_p
 from hydrabeam_mpi.loop.attribution.constancy import Constancy
 from hydrabeam_mpi.loop.attribution.score_effects import Finding
 from hydrabeam_mpi.loop.attribution.score_noise import WeightsFound
@@ -32,21 +31,16 @@ class Checked:
     score : HeldoutScore
     remains : Remains
     numbers : HeldoutNumbers
-    excess_sigma : float
-        By how many standard errors the power of the residual is more than noise and model give; see
-        `HeldoutNumbers.excess_sigma`. Not a number where what remains is more than noise anyway.
+    at_noise : bool
+        Whether the residual is as small as noise and model allow, by the probability that all else is held to; see
+        `HeldoutNumbers.excess_sigma`. Not asked where what remains is more than noise anyway.
     """
 
     fitted: Fitted
     score: HeldoutScore
     remains: Remains
     numbers: HeldoutNumbers
-    excess_sigma: float
-
-    @property
-    def at_noise(self) -> bool:
-        """Whether the residual is as small as noise and model allow, by the probability that all else is held to."""
-        return self.excess_sigma < sigma_of_log_p(float(np.log(SIGNIFICANT_P)))
+    at_noise: bool
 
 
 @dataclass(frozen=True)

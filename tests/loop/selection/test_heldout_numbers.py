@@ -13,13 +13,15 @@ from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.predicted_power import squares_of_model
 from hydrabeam_mpi.fit.state import Active, Fit, Values, independent_prior
 from hydrabeam_mpi.inference.posterior import Posterior
+from hydrabeam_mpi.inference.significance import SIGNIFICANT_P, sigma_of_log_p
 from hydrabeam_mpi.loop.selection.heldout_numbers import SUMS, HeldoutNumbers
-from hydrabeam_mpi.loop.selection.predictions import check
+from hydrabeam_mpi.loop.selection.predictions import check, is_at_noise
 from hydrabeam_mpi.loop.selection.rounds import begin
 from hydrabeam_mpi.random import generator
-from tests.loop.made import checked, numbers
+from tests.loop.made import numbers
 from tests.loop.mock import FREQ, context_of, mock_job
 
 FREQS = (FREQ, FREQ + 8e6)
@@ -152,18 +154,29 @@ def test_nothing_is_beyond_what_is_expected_of_no_data() -> None:
     assert empty.excess_sigma(0.0) == 0
 
 
-@pytest.mark.parametrize(
-    ("rms", "expected", "at_noise"),
-    [
-        pytest.param(1.0, 1.0, True, id="noise alone"),
-        pytest.param(1.01, 1.0, True, id="within the error"),
-        pytest.param(1.3, 1.0, False, id="beyond it"),
-        pytest.param(1.3, 1.3, True, id="as uncertain as the beam is"),
-        pytest.param(0.8, 1.0, True, id="less than the noise"),
-    ],
-)
-def test_what_is_at_the_noise(rms: float, expected: float, at_noise: bool) -> None:
-    assert checked(1.0, rms=rms, expected=expected).at_noise == at_noise
+@pytest.mark.mpi
+def test_whether_a_residual_is_at_the_noise_is_told_by_what_errors_of_the_beam_have_in_common(
+    contexts: tuple[FitContext, FitContext],
+) -> None:
+    context = contexts[0]
+    made = begin(context, Values(), Clock()).last
+    assert made.at_noise
+    squares = context.grid.world.bcast(squares_of_model(context, made.fitted))
+
+    def raised(sigmas: float) -> HeldoutNumbers:
+        """By so many standard errors."""
+        n, power, uncertain = (
+            made.numbers.channels[SUMS.index(k)].sum() for k in ("n", "noise_only", "uncertain_only")
+        )
+        channels = made.numbers.channels.copy()
+        more = sigmas * np.sqrt(n + 2 * uncertain + squares / 2) + n + uncertain - power
+        channels[SUMS.index("noise_only")] += more / channels.shape[1]
+        return replace(made.numbers, channels=channels)
+
+    most = sigma_of_log_p(float(np.log(SIGNIFICANT_P)))
+    assert raised(most - 0.1).excess_sigma(0.0) > most
+    assert is_at_noise(context, made.fitted, raised(most - 0.1))
+    assert not is_at_noise(context, made.fitted, raised(most + 0.1))
 
 
 def test_a_rise_at_one_time_is_none_however_many_groups_it_is_in() -> None:
