@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
-from typing import Self
+from dataclasses import dataclass
 
-import numpy as np
-from scipy.linalg import block_diag
-
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.data.observation import ComplexArray
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.blocks import ColumnBlock, add_block, sums_of
 from hydrabeam_mpi.fit.context import FitContext
@@ -18,44 +14,8 @@ from hydrabeam_mpi.fit.kept import Kept
 from hydrabeam_mpi.fit.marginal import Marginal
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Estimate, Fitted, Values
-from hydrabeam_mpi.inference.likelihood import Likelihood
+from hydrabeam_mpi.loop.attribution.beside import Beside
 from hydrabeam_mpi.mpi import gather_objects, together
-
-
-@dataclass(frozen=True)
-class Beside:
-    """What a channel says of the model's effects and a candidate after them; what it says of the former all share.
-
-    Attributes
-    ----------
-    model : Likelihood
-        Of the q parameters of the model's effects.
-    across : ndarray, (q, p)
-        Information on these with the candidate's.
-    own : Likelihood
-        Of the candidate's p.
-    """
-
-    model: Likelihood
-    across: FloatArray
-    own: Likelihood
-
-    @classmethod
-    def of(cls, model: Likelihood, whole: Likelihood) -> Self:
-        """Take what is about the candidate out of the likelihood of all."""
-        q = len(model.score)
-        own = whole.information[q:, q:].copy(), whole.score[q:].copy(), whole.signal[q:, q:].copy()
-        return cls(model, whole.information[:q, q:].copy(), Likelihood(*own))
-
-    def of_first(self, n: int) -> Self:
-        """Return the same with the first ``n`` of the candidate's parameters, the others at zero."""
-        return replace(self, across=self.across[:, :n], own=self.own.first(n))
-
-    def whole(self) -> Likelihood:
-        """Return the likelihood of all; its ``signal`` is of each of both by itself."""
-        information = np.block([[self.model.information, self.across], [self.across.T, self.own.information]])
-        signal = block_diag(self.model.signal, self.own.signal)
-        return Likelihood(information, np.concatenate([self.model.score, self.own.score]), signal)
 
 
 def likelihoods(

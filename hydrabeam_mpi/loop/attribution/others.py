@@ -57,7 +57,7 @@ class Others:
         shared, n_freqs, own = self.shared, len(by_channel), np.flatnonzero(~self.shared)
         blocks = [
             one.marginalised(own, precision[np.ix_(own, own)])
-            for one, precision in zip(self._with_prior_score(by_channel), self.precision, strict=True)
+            for one, precision in zip(self.with_prior_score(by_channel), self.precision, strict=True)
         ]
         n_shared = int(shared.sum())
         common = self.precision[0][np.ix_(shared, shared)]
@@ -71,7 +71,7 @@ class Others:
         shared, own, n = self.shared, np.flatnonzero(~self.shared), len(self.shared)
         cut = [
             replace(one, information=one.information[:n, :n], score=one.score[:n], signal=one.signal[:n, :n])
-            for one in self._with_prior_score(by_channel)
+            for one in self.with_prior_score(by_channel)
         ]
         left = [one.marginalised(own, p[np.ix_(own, own)]) for one, p in zip(cut, self.precision, strict=True)]
         total = sum(left[1:], start=left[0])
@@ -88,7 +88,8 @@ class Others:
             found.append(x)
         return found
 
-    def _with_prior_score(self, by_channel: Sequence[Likelihood]) -> list[Likelihood]:
+    def with_prior_score(self, by_channel: Sequence[Likelihood]) -> list[Likelihood]:
+        """Return the same with the gradient of the prior, of which each channel counts its part for what they share."""
         share, found = np.where(self.shared, 1 / len(by_channel), 1.0), []
         for one, of_prior in zip(by_channel, self.score, strict=True):
             score = one.score.copy()

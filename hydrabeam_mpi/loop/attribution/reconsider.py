@@ -15,6 +15,7 @@ from hydrabeam_mpi.fit.state import Active, Fitted, Values
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.loop.attribution.candidate_rows import marginal_of
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
+from hydrabeam_mpi.loop.attribution.others import beside_model
 from hydrabeam_mpi.loop.attribution.score_effects import Finding, weigh
 from hydrabeam_mpi.mpi import bcast_object, gather_objects, together
 
@@ -121,6 +122,7 @@ def _reweigh(
     with together(context.grid.world):
         if known.by_channel is not None:
             likelihoods = known.of_one(context, place)
-            weighed = [weigh(context, rest, last.effect, likelihoods, prior_var) for prior_var in priors]
+            left = beside_model(rest, last.effect, likelihoods)
+            weighed = [weigh(context, rest, last.effect, left, likelihoods, prior_var) for prior_var in priors]
     result: list[Evidence] = bcast_object(context.grid.world, weighed)
     return result

@@ -17,8 +17,8 @@ from hydrabeam_mpi.fit.blocks import CandidateBlock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.inference.likelihood import RANK_RTOL
+from hydrabeam_mpi.loop.attribution.beside import KnownModel
 from hydrabeam_mpi.loop.attribution.candidate_rows import CachedRowBlocks, likelihoods
-from hydrabeam_mpi.loop.attribution.others import beside_model
 from hydrabeam_mpi.mpi import allreduce_sum, bcast_object, together
 
 
@@ -65,10 +65,11 @@ def _drops_beside(
     with together(context.grid.world):
         if by_name is not None:
             found = []
+            model = KnownModel.of(fitted.values, next(iter(by_name.values())))
             for key, effect in effects.items():
                 element = effect.parameters(context.setup).element
                 drop = np.zeros(int(element.max(initial=-1)) + 1)
-                for one in beside_model(fitted.values, effect, [one.whole() for one in by_name[str(key)]]):
+                for one in model.left(by_name[str(key)], effect.shared):
                     seen, present = np.diag(one.information), np.diag(one.signal)
                     told = seen > RANK_RTOL * present
                     drop += np.bincount(element, np.where(told, one.score**2 / np.where(told, seen, 1.0), 0.0))

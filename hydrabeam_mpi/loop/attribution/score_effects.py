@@ -14,10 +14,10 @@ from hydrabeam_mpi.fit.blocks import CandidateBlock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Fitted, Values
 from hydrabeam_mpi.inference.likelihood import Likelihood
-from hydrabeam_mpi.loop.attribution.candidate_rows import Beside, CachedRowBlocks, likelihoods
+from hydrabeam_mpi.loop.attribution.beside import Beside, KnownModel
+from hydrabeam_mpi.loop.attribution.candidate_rows import CachedRowBlocks, likelihoods
 from hydrabeam_mpi.loop.attribution.evidence import Evidence, evidence_of, find_evidence, find_possible
 from hydrabeam_mpi.loop.attribution.limits import Limits
-from hydrabeam_mpi.loop.attribution.others import beside_model
 from hydrabeam_mpi.loop.attribution.scan import pick
 from hydrabeam_mpi.mpi import bcast_object, gather_objects, scatter_objects, together
 
@@ -115,9 +115,12 @@ def _weigh_all(
     mine: list[tuple[int, list[Beside]]] = scatter_objects(world, shares)
     weighed = []
     with together(world):
+        model = KnownModel.of(values, mine[0][1]) if mine else None
         for number, told in mine:
-            whole = [one.whole() for one in told]
-            weighed.append((number, weigh(context, values, effects[number], whole, limits=limits)))
+            left = model.left(told, effects[number].shared) if model else []
+            weighed.append(
+                (number, weigh(context, values, effects[number], left, [one.own for one in told], limits=limits))
+            )
     gathered = gather_objects(world, weighed)
     if gathered is None:
         return None
@@ -140,27 +143,28 @@ def weigh(
     context: FitContext,
     values: Values,
     effect: Effect,
+    left: list[Likelihood],
     by_channel: list[Likelihood],
     prior_var: FloatArray | None = None,
     limits: Limits | None = None,
 ) -> Evidence:
     """Weigh one effect over all channels, with the active effects marginalised and without what is part of them.
 
-    With ``prior_var``, (n_params,), by that prior; else by the one that has the most evidence, of what can be within
-    ``limits``.
+    ``left`` is what is said of it with these marginalised, of each channel or of all, and ``by_channel`` what each says
+    with none; the effect comes last there. With ``prior_var``, (n_params,), by that prior; else by the one that has the
+    most evidence, of what can be within ``limits``.
     """
     parameters = effect.parameters(context.setup)
     scale = parameters.scale.copy()
     scale[taken(values, effect)] = 0.0
-    blocks = beside_model(values, effect, by_channel)
     parameters, degenerate = replace(parameters, scale=scale), effect.degenerate_directions(context.setup)
     if prior_var is not None:
-        evidence = evidence_of(blocks, parameters, prior_var, degenerate)
+        evidence = evidence_of(left, parameters, prior_var, degenerate)
     elif limits is not None:
         beyond = partial(limits.beyond, effect, np.arange(len(parameters)))
-        evidence = find_possible(blocks, parameters, degenerate, beyond)
+        evidence = find_possible(left, parameters, degenerate, beyond)
     else:
-        evidence = find_evidence(blocks, parameters, degenerate)
+        evidence = find_evidence(left, parameters, degenerate)
     return replace(evidence, absorbed=_absorbed(evidence, by_channel)) if values.active else evidence
 
 
