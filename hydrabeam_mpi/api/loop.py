@@ -100,8 +100,10 @@ def run_loop(
         Whether a result in ``out`` may be replaced.
     """
     clock, world, job = Clock(), setup.comm, setup.job
-    grid, problem, mine = prepare_checked(setup, folder, clock, mended, loop_bytes)
-    context = read_context(grid, problem, mine, clock)
+    grid, problem, _ = prepare_checked(setup, folder, clock, mended, loop_bytes)
+    with clock.time("prepare"):
+        problem = problem.with_shape(world)
+    context = read_context(grid, problem, problem.of_channels(grid.channels), clock)
     _check_can_confirm(context)
     known = context.setup
     with together(world):

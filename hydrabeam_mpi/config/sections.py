@@ -233,6 +233,11 @@ class Prior(Section):
     widths: Literal["stated", "evidence"] | None = key(
         None, "whether the data adapt the widths; by default 'stated' in infer, 'evidence' in the loop"
     )
+    shape: bool | None = key(
+        None,
+        "whether beams may also differ from their model as a whole, by usual errors of amplitude, size, pointing and "
+        "sidelobes; by default where the data adapt the widths",
+    )
     file: File | None = key(None, "mean and covariance, or a result's folder: what other data have told is known")
     frequency: OverFrequency = OverFrequency()
 
@@ -256,6 +261,7 @@ class Prior(Section):
             ("neighbours", self.neighbours),
             ("azimuthal", self.azimuthal),
             ("smooth", self.smooth.amplitude),
+            ("shape", self.shape),
         ):
             if is_given and self.kind != "fraction":
                 refuse_unused(self, name, "kind = 'fraction'", f"'{self.kind}'")
@@ -264,12 +270,22 @@ class Prior(Section):
                 "widths = 'evidence' is for independent coefficients of independent channels; set widths = 'stated'"
                 ", or kind = 'fraction' and [prior.frequency] kind = 'independent'"
             )
+        if self.shape and self.frequency.couples:
+            raise ValueError(
+                "channels hang together by widths of independent coefficients, and those of shape = true are not"
+                "; set shape = false, or [prior.frequency] kind = 'independent'"
+            )
         if self.frequency.couples and self.kind != "fraction":
             raise ValueError(
                 f"channels hang together by widths of independent coefficients, which kind = '{self.kind}' has not"
                 "; set kind = 'fraction', or [prior.frequency] kind = 'independent'"
             )
         return self
+
+    @property
+    def has_shape(self) -> bool:
+        """Whether beams may differ from their model as a whole, where a job says so or its default does."""
+        return self.widths == "evidence" if self.shape is None else self.shape
 
 
 class Solver(Section):

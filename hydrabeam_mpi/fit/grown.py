@@ -122,8 +122,9 @@ def _with_added_variances(problem: Problem, setup: ObservingSetup, values: Value
     squares, priors = np.square(np.abs(added_response(setup, values))), []
     for prior, number in zip(problem.priors, problem.channel_numbers, strict=True):
         variances = np.concatenate([one.prior.of(int(number)).std() ** 2 for one in values.active])
-        wider = np.sqrt(prior.std() ** 2 + squares @ variances)
-        priors.append(DiagonalPrior(prior.mean, wider) if isinstance(prior, DiagonalPrior) else prior)
+        if isinstance(prior, DiagonalPrior):
+            prior = replace(prior, sigma=np.sqrt(prior.sigma**2 + squares @ variances), sizes=None)
+        priors.append(prior)
     return replace(problem, priors=tuple(priors))
 
 

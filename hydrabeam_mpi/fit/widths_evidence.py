@@ -1,12 +1,13 @@
 """How wide the prior of the beams is, by the evidence (MacKay 1992, Neural Computation 4, 415).
 
-With the data's information H on the coefficients and their pull g from the prior's mean, the effects as they have been
-fitted, a prior with the standard deviations sigma_n has the evidence
+With the data's information H on the coefficients, their pull g at the fitted ones, which are d from the prior's mean,
+and the effects as they have been fitted, a prior with the standard deviations sigma_n has the evidence
 
-    ln p(d | sigma) = kappa / 2 [ -ln |W| + y^H W^-1 y ] + const,        W = 1 + sigma H sigma,        y = sigma g,
+    ln p(d | sigma) = kappa / 2 [ -ln |W| - |e|^2 + y^H W^-1 y ] + const,    W = 1 + sigma H sigma,    e = d / sigma,
 
-where kappa is 1 for real coefficients and 2 for complex ones. With z = W^-1 y its gradient in ln sigma_n, and what the
-data tell of ln sigma if it is right (Fisher's information), are
+where y = sigma g - e, and kappa is 1 for real coefficients and 2 for complex ones. Counted from the prior's mean all of
+chi^2 that the beam explains would be a term of it, and rounding errors would be nats. With z = e + W^-1 y its gradient
+in ln sigma_n, and what the data tell of ln sigma if it is right (Fisher's information), are
 
     kappa [ |z_n|^2 + (W^-1)_nn - 1 ]        and        2 kappa |1 - W^-1|^2_nm.
 
@@ -89,7 +90,7 @@ class WidthsEvidence:
     def _add(self, own: Array, beam: Posterior, prior: DiagonalPrior) -> None:
         """Take a posterior, of which ``own`` is the data's part of the precision."""
         self._channels.append(ToldOfBeam.of(own, beam, prior))
-        self._alone.append(ToldOfBeam.alone(beam, prior))
+        self._alone.append(self._channels[-1].alone(prior))
 
     def best(self, wider: bool = False) -> WidthsFound:
         """Return the widths with the most evidence, or the stated ones where theirs is not less by what the job asks.
@@ -171,36 +172,58 @@ class WidthsEvidence:
 
 @dataclass(frozen=True)
 class ToldOfBeam:
-    """What the data say of one channel's beam, H, (n, n) or its diagonal, and g, (n,), and the model's sizes."""
+    """What the data say of one channel's beam, and the model's sizes.
+
+    Attributes
+    ----------
+    information : ndarray, (n, n) or (n,)
+        H or its diagonal: of the coefficients, and after them of the numbers of variance one by which many coefficients
+        go together (`DiagonalPrior.shape`), if there are such.
+    pull, away : ndarray, (n,)
+        g and d of the same.
+    sizes : ModeSizes
+        Of the coefficients.
+    """
 
     information: Array
     pull: Array
+    away: Array
     sizes: ModeSizes
 
     @classmethod
     def of(cls, own: Array, beam: Posterior, prior: DiagonalPrior) -> ToldOfBeam:
         """Take the prior out of a posterior, of which ``own`` is the data's part of the precision."""
         assert prior.sizes is not None
-        return cls(own, beam.factor @ (beam.factor.conj().T @ (beam.mean - prior.mean)), prior.sizes)
+        away = beam.mean - prior.mean
+        # At the posterior's mean data and prior pull alike.
+        pull = prior.precision_times(away)
+        if prior.shape is not None:
+            across, numbers = own @ prior.shape, prior.shape.conj().T @ pull
+            own = np.block([[own, across], [across.conj().T, prior.shape.conj().T @ across]])
+            away, pull = np.append(away - prior.shape @ numbers, numbers), np.append(pull, numbers)
+        return cls(own, pull, away, prior.sizes)
 
-    @classmethod
-    def alone(cls, beam: Posterior, prior: DiagonalPrior) -> ToldOfBeam:
+    def alone(self, prior: DiagonalPrior) -> ToldOfBeam:
         """Return what they would say were each coefficient told by itself, as its mean and variance are."""
-        assert prior.sizes is not None
-        variance = np.diag(beam.covariance).real
-        told = np.maximum(1 / variance - prior.sigma**-2.0, 0.0)
-        return cls(told, (beam.mean - prior.mean) / variance, prior.sizes)
+        n, precision = len(prior.sigma), self.information.copy()
+        precision[np.diag_indices_from(precision)] += self._with_shape(prior.sigma) ** -2.0
+        variance = np.diag(Posterior(self.pull, cholesky_lower(precision)).covariance).real[:n]
+        told, away = np.maximum(1 / variance - prior.sigma**-2.0, 0.0), self.away[:n]
+        return ToldOfBeam(told, away / prior.sigma**2, away, self.sizes)
 
     def log_evidence(self, sigma: FloatArray) -> float:
         """Return ln evidence of a prior with any standard deviations, (n,), of what has the whole of H."""
-        pull, given = sigma * self.pull, self._given(sigma)
-        return _log_evidence(pull, given.covariance @ pull, _log_det(given))
+        sigma = self._with_shape(sigma)
+        away, given = self.away / sigma, self._given(sigma)
+        pull = sigma * self.pull - away
+        return _log_evidence(away, pull, given.covariance @ pull, _log_det(given))
 
     def at(self, widths: PriorWidths, n: int) -> Told:
         """Return what is told of the numbers of widths, (n,)."""
         parts = self.sizes.widths(widths)
-        sigma = np.hypot(*parts)
-        pull = sigma * self.pull
+        sigma = self._with_shape(np.hypot(*parts))
+        away = self.away / sigma
+        pull = sigma * self.pull - away
         kappa = _kappa(pull)
         slopes = self._slopes(*parts, n)
         if self.information.ndim == 1:
@@ -214,8 +237,12 @@ class ToldOfBeam:
             squares = given.covariance.real**2 + given.covariance.imag**2
             squares[np.diag_indices_from(squares)] = (1 - left) ** 2
             expected = slopes @ squares @ slopes.T
-        slope = slopes @ (kappa * (np.abs(moved) ** 2 + left - 1))
-        return Told(_log_evidence(pull, moved, log_det), slope, 2 * kappa * expected)
+        slope = slopes @ (kappa * (np.abs(away + moved) ** 2 + left - 1))
+        return Told(_log_evidence(away, pull, moved, log_det), slope, 2 * kappa * expected)
+
+    def _with_shape(self, sigma: FloatArray) -> FloatArray:
+        """Return standard deviations with those of the numbers after the coefficients, which are one."""
+        return np.append(sigma, np.ones(len(self.pull) - len(sigma)))
 
     def _given(self, sigma: FloatArray) -> Posterior:
         """Return W^-1 as the covariance of coefficients in units of ``sigma``, (n,)."""
@@ -224,11 +251,12 @@ class ToldOfBeam:
         return Posterior(np.zeros_like(self.pull), cholesky_lower(matrix))
 
     def _slopes(self, proportional: FloatArray, smooth: FloatArray, n: int) -> FloatArray:
-        """Return the derivatives of ln sigma by each number, (n, n_modes), for the two parts of sigma."""
+        """Return the derivatives of ln sigma by each number, (n, len(pull)), for the two parts of sigma."""
         shares = np.square([proportional, smooth]) / (proportional**2 + smooth**2)
         orders = self.sizes.orders.T
         of_orders = np.arange(n - N_SHARED)[:, np.newaxis] == orders[1]
-        return np.vstack([shares, -orders * shares[1], of_orders])
+        slopes = np.vstack([shares, -orders * shares[1], of_orders])
+        return np.pad(slopes, [(0, 0), (0, len(self.pull) - slopes.shape[1])])
 
 
 def _kappa(pull: Array) -> float:
@@ -240,6 +268,6 @@ def _log_det(given: Posterior) -> float:
     return 2 * float(np.sum(np.log(np.diag(given.factor).real)))
 
 
-def _log_evidence(pull: Array, moved: Array, log_det: float) -> float:
-    """Return ln evidence but for a constant, of y, z = W^-1 y and ln|W|."""
-    return _kappa(pull) / 2 * float(np.vdot(pull, moved).real - log_det)
+def _log_evidence(away: Array, pull: Array, moved: Array, log_det: float) -> float:
+    """Return ln evidence but for a constant, of e, y, W^-1 y and ln|W|."""
+    return _kappa(pull) / 2 * (float(np.vdot(pull, moved).real) - float(np.vdot(away, away).real) - log_det)

@@ -61,36 +61,59 @@ class FlatPrior:
 
 @dataclass(frozen=True)
 class DiagonalPrior:
-    """Independent coefficients with standard deviations ``sigma`` (E|x - mean|^2 = sigma^2).
+    """Independent coefficients with standard deviations ``sigma`` (E|x - mean|^2 = sigma^2), and some that go together.
 
-    ``sizes`` are what these may be adapted by; None where they are as they are.
+    Attributes
+    ----------
+    mean : ndarray, (n,)
+    sigma : ndarray, (n,)
+    sizes : ModeSizes, optional
+        What these may be adapted by; None where they are as they are.
+    shape : ndarray, (n, k), optional
+        What the coefficients have beside that of k numbers of variance one, which move many together: the covariance
+        is diag(sigma^2) + V V^H.
     """
 
     mean: Array
     sigma: FloatArray
     sizes: ModeSizes | None = None
+    shape: Array | None = None
 
     @classmethod
-    def of(cls, mean: Array, sizes: ModeSizes, widths: PriorWidths) -> DiagonalPrior:
+    def of(cls, mean: Array, sizes: ModeSizes, widths: PriorWidths, shape: Array | None = None) -> DiagonalPrior:
         """Return the prior about a mean, (n,), whose widths follow from sizes."""
-        return cls(mean, np.hypot(*sizes.widths(widths)), sizes)
+        return cls(mean, np.hypot(*sizes.widths(widths)), sizes, shape)
+
+    @cached_property
+    def _of_shape(self) -> tuple[Array, Array, float]:
+        """sigma^-2 V, (n, k), the same times (1 + V^H sigma^-2 V)^-1, and ln|1 + V^H sigma^-2 V|."""
+        columns = np.zeros((len(self.mean), 0)) if self.shape is None else self.shape
+        pulled = columns / self.sigma[:, np.newaxis] ** 2
+        inner = np.eye(columns.shape[1]) + columns.conj().T @ pulled
+        return pulled, np.linalg.solve(inner, pulled.conj().T).conj().T, float(np.linalg.slogdet(inner)[1])
 
     @property
     def log_det_precision(self) -> float | None:
         """ln|Sigma^-1|."""
-        return float(-2 * np.sum(np.log(self.sigma)))
+        return float(-2 * np.sum(np.log(self.sigma))) - self._of_shape[2]
 
     def add_precision(self, matrix: Array) -> None:
-        """Add the inverse variances to the diagonal of the (n, n) matrix."""
+        """Add Sigma^-1 to the (n, n) matrix."""
         matrix[np.diag_indices_from(matrix)] += self.sigma**-2.0
+        if self.shape is not None:
+            pulled, solved, _ = self._of_shape
+            matrix -= pulled @ solved.conj().T
 
     def precision_times(self, vector: Array) -> Array:
-        """Return ``vector`` over the variances, (n,)."""
-        return vector / self.sigma**2
+        """Return Sigma^-1 ``vector``, (n,)."""
+        pulled, solved, _ = self._of_shape
+        return (vector.T / self.sigma**2).T - solved @ (pulled.conj().T @ vector)
 
     def std(self) -> FloatArray:
-        """Return ``sigma``, (n,)."""
-        return self.sigma
+        """Return the standard deviations, (n,)."""
+        if self.shape is None:
+            return self.sigma
+        return np.sqrt(self.sigma**2 + np.sum(np.abs(self.shape) ** 2, axis=1))
 
     def adapted(self, widths: PriorWidths) -> DiagonalPrior:
         """Return the same with other widths.
@@ -102,7 +125,7 @@ class DiagonalPrior:
         """
         if self.sizes is None:
             raise ValueError("the widths of this prior cannot be adapted")
-        return self.of(self.mean, self.sizes, widths)
+        return self.of(self.mean, self.sizes, widths, self.shape)
 
 
 class CovariancePrior:

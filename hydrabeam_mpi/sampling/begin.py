@@ -214,11 +214,12 @@ def _groups(context: FitContext, wanted: Sample) -> IntArray:
     if PRIOR_WIDTH not in wanted.blocks:
         return np.zeros(0, dtype=int)
     basis, field = context.problem.basis, "[sample] blocks"
-    if context.learned or not all(isinstance(one, DiagonalPrior) for one in context.problem.priors):
+    independent = [isinstance(one, DiagonalPrior) and one.shape is None for one in context.problem.priors]
+    if context.learned or not all(independent):
         raise InputError(
             f"{PRIOR_WIDTH} is of a prior with independent coefficients, and this one has none",
             field=field,
-            remedy="leave it out, or set [prior] kind = 'fraction'",
+            remedy="leave it out, or set [prior] kind = 'fraction' and shape = false",
         )
     if wanted.width_groups == "all":
         return np.zeros(basis.n_modes, dtype=int)

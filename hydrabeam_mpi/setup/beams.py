@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from pyuvdata import BeamInterface, UVBeam
@@ -23,6 +23,7 @@ from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.beam import Beam, BeamInfo, analytic_beam, of_formula
 from hydrabeam_mpi.model.fit import FittedBeam, fit_beam
 from hydrabeam_mpi.model.perturb import PerturbedBeam
+from hydrabeam_mpi.model.shape import shape_of
 from hydrabeam_mpi.tables import embedded_beam
 
 
@@ -185,6 +186,12 @@ def make_prior(job: Job, fit: FittedBeam) -> Prior:
     floor = max(settings.floor, 1e-12) * amplitudes.max()
     sizes = ModeSizes(np.maximum(amplitudes, floor), orders, largest)
     return DiagonalPrior.of(fit.coeffs, sizes, stated_widths(job))
+
+
+def shaped(priors: Sequence[Prior], beams: Sequence[Beam], basis: LinearBasis) -> tuple[Prior, ...]:
+    """Return priors of independent coefficients with what beams differ by as a whole beside; see `model.shape`."""
+    pairs = zip(priors, beams, strict=True)
+    return tuple(replace(cast(DiagonalPrior, prior), shape=shape_of(beam, basis)) for prior, beam in pairs)
 
 
 def stated_widths(job: Job) -> PriorWidths:

@@ -27,7 +27,7 @@ from hydrabeam_mpi.model.engines.smearing import smearing_of
 from hydrabeam_mpi.model.rime import ForwardModel
 from hydrabeam_mpi.model.sky import Sky
 from hydrabeam_mpi.mpi import Comm, together
-from hydrabeam_mpi.setup.beams import fit_model_beams, given_priors, load_beams, make_prior
+from hydrabeam_mpi.setup.beams import fit_model_beams, given_priors, load_beams, make_prior, shaped
 from hydrabeam_mpi.setup.cautions import cautions_of_basis, cautions_of_data
 from hydrabeam_mpi.setup.earlier import beam_priors, find_earlier
 from hydrabeam_mpi.setup.findings import Finding
@@ -148,6 +148,24 @@ class Problem:
             return self
         return replace(self, priors=tuple(cast(DiagonalPrior, prior).adapted(widths) for prior in self.priors))
 
+    def with_shape(self, comm: Comm) -> Problem:
+        """Return the same with beams that may differ from their models as a whole, as its job then states.
+
+        Where their prior is one that the data adapt, and the job does not state otherwise. The problem has all of the
+        job's channels. Collective: all ranks of `comm`.
+        """
+        settings = self.job.prior
+        adaptable = [isinstance(prior, DiagonalPrior) and prior.sizes is not None for prior in self.priors]
+        is_stated = settings.widths == "stated" or settings.shape is not None
+        if is_stated or settings.has_shape or self.coupling is not None or not all(adaptable):
+            return self
+        numbers = range(comm.rank, len(self.priors), comm.size)
+        with together(comm):
+            mine = shaped([self.priors[f] for f in numbers], [self.beams[f] for f in numbers], self.basis)
+        found = {f: one for part in comm.allgather(dict(zip(numbers, mine, strict=True))) for f, one in part.items()}
+        job = self.job.model_copy(update={"prior": settings.model_copy(update={"shape": True})})
+        return replace(self, job=job, priors=tuple(found[f] for f in sorted(found)))
+
     def tile_of(self, rows: Tile, rank: int, size: int, whole_times: bool = False) -> Tile:
         """Return a rank's share of some rows, among ``size`` ranks; ``whole_times`` keeps those of a time together."""
         costs, group = self.time_costs[rows.times], self.redundant.group[rows.bls]
@@ -233,6 +251,8 @@ def _known_of_beams(
         priors: tuple[Prior, ...] = beam_priors(earlier)
     else:
         priors = given_priors(given.priors, fits) if given.priors else tuple(make_prior(job, fit) for fit in fits)
+        if job.prior.has_shape and not given.priors:
+            priors = shaped(priors, beams, basis)
     is_made = earlier is None and not given.priors
     return {
         "basis": basis,

@@ -189,6 +189,7 @@ neighbours = true
 azimuthal = [0.5, 2.0]
 smooth = { amplitude = 1e-3, decay = [0.1, 0.5] }
 widths = "evidence"
+shape = false
 
 [solver]
 precision = "mixed"

@@ -33,20 +33,29 @@ def normal(rng: np.random.Generator, shape: tuple[int, ...], is_complex: bool) -
     return complex_normal(rng, shape) if is_complex else rng.standard_normal(shape)
 
 
-def linear_data(true: PriorWidths, is_complex: bool, seed: int = 5) -> dict[str, Any]:
-    """Return a design and data of unit noise, whose coefficients have widths ``true``."""
+def linear_data(true: PriorWidths, is_complex: bool, seed: int = 5, n_shape: int = 0) -> dict[str, Any]:
+    """Return a design and data of unit noise.
+
+    Coefficients have widths ``true``, and beside that follow ``n_shape`` numbers together.
+    """
     rng = np.random.default_rng(seed)
     design = 300 * normal(rng, (150, len(ORDERS)), is_complex)
     mean = normal(rng, (len(ORDERS),), is_complex)
     prior = DiagonalPrior.of(mean, SIZES, true)
     b = mean + prior.sigma * normal(rng, mean.shape, is_complex)
-    return {"design": design, "data": design @ b + normal(rng, (150,), is_complex), "mean": mean}
+    shape = 0.3 * normal(rng, (len(ORDERS), n_shape), is_complex) if n_shape else None
+    if shape is not None:
+        b = b + shape @ normal(rng, (n_shape,), is_complex)
+    return {"design": design, "data": design @ b + normal(rng, (150,), is_complex), "mean": mean, "shape": shape}
 
 
 def log_density(made: dict[str, Any], widths: PriorWidths) -> float:
     """Return ln of the density of the data, as a Gaussian with all coefficients integrated over."""
     signal = made["design"] * DiagonalPrior.of(made["mean"], SIZES, widths).sigma
     covariance = np.eye(len(signal)) + signal @ signal.conj().T
+    if made["shape"] is not None:
+        together = made["design"] @ made["shape"]
+        covariance = covariance + together @ together.conj().T
     away = made["data"] - made["design"] @ made["mean"]
     quadratic = np.vdot(away, np.linalg.solve(covariance, away)).real
     return float(-(quadratic + np.linalg.slogdet(covariance)[1]) * (1.0 if np.iscomplexobj(signal) else 0.5))
@@ -54,17 +63,19 @@ def log_density(made: dict[str, Any], widths: PriorWidths) -> float:
 
 def channel_of(made: dict[str, Any], widths: PriorWidths) -> ToldOfBeam:
     """Return what a posterior with these widths tells."""
-    design, prior = made["design"], DiagonalPrior.of(made["mean"], SIZES, widths)
+    design, prior = made["design"], DiagonalPrior.of(made["mean"], SIZES, widths, made["shape"])
     own = design.conj().T @ design
-    precision = own + np.diag(prior.sigma**-2.0)
-    mean = np.linalg.solve(precision, design.conj().T @ made["data"] + prior.mean / prior.sigma**2)
+    precision = own.copy()
+    prior.add_precision(precision)
+    mean = np.linalg.solve(precision, design.conj().T @ made["data"] + prior.precision_times(prior.mean))
     return ToldOfBeam.of(own, Posterior(mean, np.linalg.cholesky(precision)), prior)
 
 
+@pytest.mark.parametrize("n_shape", [0, 3])
 @pytest.mark.parametrize("is_complex", [False, True])
-def test_evidence_is_that_of_the_data(is_complex: bool) -> None:
+def test_evidence_is_that_of_the_data(is_complex: bool, n_shape: int) -> None:
     """Against the density of the data themselves, whatever widths the posterior had."""
-    made = linear_data(TRUE, is_complex)
+    made = linear_data(TRUE, is_complex, n_shape=n_shape)
     expected = log_density(made, TRUE) - log_density(made, STATED)
     assert expected > 50
     for at in (STATED, TRUE, PriorWidths(1.0, 1e-5, (0.0, 2.0))):

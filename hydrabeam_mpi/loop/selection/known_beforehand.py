@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 
 from hydrabeam_mpi.config import Job
@@ -11,6 +13,7 @@ from hydrabeam_mpi.effects.registry import EFFECTS, make_effect
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.prior_widths import is_adaptable
 from hydrabeam_mpi.fit.state import Active, Values
+from hydrabeam_mpi.inference.prior import DiagonalPrior
 from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.mpi import together
 from hydrabeam_mpi.terminal.progress import say
@@ -44,7 +47,11 @@ def with_what_is_known(context: FitContext, values: Values) -> Values:
     known = [one for one in known_effects(context.problem.job, setup) if one.kind not in present]
     if not known or not is_adaptable(context):
         return values
-    mine = [prior.std() ** 2 for prior in context.problem.priors] if context.grid.is_group_root else []
+    mine = (
+        [cast(DiagonalPrior, prior).sigma ** 2 for prior in context.problem.priors]
+        if context.grid.is_group_root
+        else []
+    )
     of_beam = np.array([one for part in context.grid.world.allgather(mine) for one in part])
     for effect in known:
         with together(context.grid.world):

@@ -132,8 +132,10 @@ def _widened(
     gain = gain_of(one.score, two.score)
     numbers = f"held-out chi^2 {after.score.chi2:.4g}, rms {after.numbers.of_all['rms']:.4g} Jy, ln density"
     told = f"{numbers} changes by {gain:.4g}"
-    say(f"    {f'refused: {told}' if gain < 0 else told}", speaks)
-    return after if gain >= 0 else None, found.log_bayes_factor
+    # Less than what a job asks for is neither better nor worse, and the evidence has decided.
+    is_worse = gain <= -context.problem.job.loop.min_log_bayes_factor
+    say(f"    {f'refused: {told}' if is_worse else told}", speaks)
+    return None if is_worse else after, found.log_bayes_factor
 
 
 def describe(widths: PriorWidths | None) -> str:

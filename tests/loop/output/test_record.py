@@ -133,12 +133,12 @@ def test_the_verdict(n_rounds: int, consistent: bool, control: bool, verdict: st
 
 def test_calibrated_but_wide_is_unexplained_with_the_reason(context: FitContext) -> None:
     """And the same as wide as the data leave the beam is explained."""
-    for expected, verdict in ((1.0, "unexplained"), (3.0, "explained")):
+    for expected, at_noise, verdict in ((1.0, False, "unexplained"), (3.0, True, "explained")):
         made = history(context)
-        made.last = replace(made.last, numbers=numbers(3.0, expected))
+        made.last = replace(made.last, numbers=numbers(3.0, expected), at_noise=at_noise)
         record = record_of(context, made)
         assert record["verdict"] == verdict
-    made.last = replace(made.last, numbers=numbers(3.0))
+    made.last = replace(made.last, numbers=numbers(3.0), at_noise=False)
     record = record_of(context, made)
     assert record["why"].startswith(
         "predictions are calibrated, but only as they are wide: the held-out residual has 3 Jy"

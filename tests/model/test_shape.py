@@ -1,0 +1,71 @@
+"""How beams differ from their models as a whole, against such beams."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
+from hydrabeam_mpi.model.bases.rings import Pixels, degree_grid
+from hydrabeam_mpi.model.beam import Beam, BeamInfo, analytic_beam
+from hydrabeam_mpi.model.fit import fit_basis
+from hydrabeam_mpi.model.shape import AMPLITUDE, POINTING, SIDELOBE_LEVEL, SIDELOBES, SIZE, shape_of
+
+MODEL = analytic_beam("airy", 131e6, "ee", diameter=14.0)
+BASIS = FourierBessel([(k, m) for k in range(1, 41) for m in range(-4, 5)], form="real")
+
+
+class Another:
+    """A dish of another shape, as direction cosines of the model's."""
+
+    info = BeamInfo("another", 131e6, "ee")
+
+    def __init__(self, turn: FloatArray, tilt: tuple[float, float] = (0.0, 0.0), beam: Beam = MODEL) -> None:
+        self.turn, self.tilt, self.beam = turn, np.array(tilt), beam
+
+    def __call__(self, za: FloatArray, az: FloatArray) -> FloatArray:
+        l = np.stack([np.sin(za) * np.cos(az), np.sin(za) * np.sin(az)])
+        east, north = self.turn @ l - self.tilt[:, np.newaxis]
+        return self.beam(np.arcsin(np.minimum(np.hypot(east, north), 1)), np.arctan2(north, east))
+
+
+def coefficients(beam: Beam) -> FloatArray:
+    za, az = degree_grid()
+    return fit_basis(BASIS, Pixels(za, az, beam(za, az))).coeffs
+
+
+def size(*rows: tuple[float, float]) -> FloatArray:
+    """The identity less this."""
+    return np.eye(2) - np.array(rows)
+
+
+S, P = 0.3 * SIZE, 0.3 * POINTING
+CASES = {
+    "larger from East to West": (0, Another(size((S, 0), (0, 0)))),
+    "larger from North to South": (1, Another(size((0, 0), (0, S)))),
+    "larger along the diagonal": (2, Another(size((0, S), (S, 0)))),
+    "pointing East": (3, Another(np.eye(2), (P, 0))),
+    "pointing North": (4, Another(np.eye(2), (0, P))),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_dish_of_another_shape_is_off_by_it(name: str) -> None:
+    """To first order: of another size, or pointing elsewhere, by 0.3 of what is usual."""
+    place, beam = CASES[name]
+    changed = coefficients(beam) - coefficients(MODEL)
+    left = changed - 0.3 * shape_of(MODEL, BASIS)[:, place]
+    assert np.linalg.norm(left) < 0.05 * np.linalg.norm(changed)
+
+
+def test_amplitude_and_sidelobes() -> None:
+    found = shape_of(MODEL, BASIS)
+    np.testing.assert_allclose(found[:, 5], AMPLITUDE * coefficients(MODEL), rtol=0, atol=1e-12)
+    za, az = degree_grid()
+    model = MODEL(za, az)
+    in_sidelobes = BASIS.synthesize(found[:, 6], za, az)
+    assert in_sidelobes == pytest.approx(SIDELOBES * model / (1 + model / SIDELOBE_LEVEL), abs=3e-4)
+    by_azimuth = BASIS.synthesize(found[:, 9], za, az)
+    assert by_azimuth == pytest.approx(in_sidelobes * np.cos(2 * az), abs=3e-4)
+    assert found.shape == (BASIS.n_modes, 11)
