@@ -162,7 +162,7 @@ def _found(
         if world.rank == 0:
             gains = gains_told(problem, records, known, written.values)
             run = {"phases_s": clock.seconds, "peak_rss_mb": memory, **gains}
-            run |= prior_told(setup, context.carried, fitted.values) | over_frequency_told(results)
+            run |= prior_told(context.problem.job, context.carried, fitted.values) | over_frequency_told(results)
             effects = effects_found(problem.job, written, known)
             result = make_result(setup, problem, records, integrations, origin(), run, record["warnings"], effects)
             told = {**record, "warnings": result.summary["warnings"], "seconds": clock.seconds}

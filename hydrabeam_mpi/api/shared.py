@@ -11,6 +11,7 @@ from typing import Any
 
 from hydrabeam_mpi.api.result import Result
 from hydrabeam_mpi.api.setup import Setup
+from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.sizes import check_sizes
 from hydrabeam_mpi.fit.carried_over import CarriedOver
 from hydrabeam_mpi.fit.channels import ChannelResult
@@ -76,13 +77,16 @@ def origin_of(setup: Setup, problem: Problem, threads: int) -> dict[str, Any]:
     return about if problem.earlier is None else {**about, "sha256_before": problem.earlier.made_from}
 
 
-def prior_told(setup: Setup, carried: CarriedOver | None, values: Values) -> dict[str, Any]:
-    """Return what a summary says of effects of the result that is the prior, and of widths that were adapted."""
+def prior_told(job: Job, carried: CarriedOver | None, values: Values) -> dict[str, Any]:
+    """Return what a summary says of effects of the result that is the prior, and of widths that were adapted.
+
+    The ``job`` says whether beams may differ from their models as a whole.
+    """
     told: dict[str, Any] = {}
     if carried:
-        told["prior"] = {"result": str(setup.job.prior.file), **carried.summary}
+        told["prior"] = {"result": str(job.prior.file), **carried.summary}
     if values.prior_widths is not None:
-        told["prior_adapted"] = as_stated(values.prior_widths)
+        told["prior_adapted"] = as_stated(values.prior_widths) | {"shape": job.prior.has_shape}
     return told
 
 

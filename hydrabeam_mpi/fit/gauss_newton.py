@@ -66,8 +66,8 @@ class Underway:
 
 Worth = Callable[[Underway], bool]
 """Whether a fit is worth going on with."""
-NO_BEAMS = "its fit was broken off, as no beams can be solved for where it begins"
-"""Why a fit ends before it has begun."""
+NO_BEAMS = "its fit was broken off, as no beams can be solved for where it begins or leads"
+"""Why a fit has no end: with such effects next to nothing of the data is left that tells of a beam."""
 
 
 class BrokenOff(Exception):
@@ -110,7 +110,8 @@ def refit(
     Raises
     ------
     BrokenOff
-        On all ranks, where it is not worth it, or no beams can be solved for with the effects as they are at first.
+        On all ranks, where it is not worth it, or no beams can be solved for with the effects as they are at first or
+        in the end.
     """
     start = _start(values, before)
     if not values.active and not values.reweighted:
@@ -121,12 +122,12 @@ def refit(
             # Those before are none, or belong to effects that have been left out.
             start = with_own_beams(context, start, MAX_STEPS, STEP_SIGMAS)
         end, step, ended = _search(context, start, first_step, worth, for_evidence, within)
+        # Not converged: the beams that E is seen by stay, as E may be another one with those solved for.
+        solved = solve_beams(context, end, keep=ended is not Ended.CONVERGED and end.values.adds)
     except InputError as error:
         if before is None:
             raise
         raise BrokenOff(NO_BEAMS) from error
-    # Not converged: the beams that E is seen by stay, as E may be another one with those solved for.
-    solved = solve_beams(context, end, keep=ended is not Ended.CONVERGED and end.values.adds)
     diagnostics = replace(diagnostics_of(context, solved), ended=ended)
     return Fitted(end.values, step.fit.with_beams(solved.beams), diagnostics)
 

@@ -22,6 +22,7 @@ def adapted_told(context: FitContext, one: Adapted) -> dict[str, Any]:
         "log_bayes_factor": one.log_bayes_factor,
         "n_rounds": one.n_rounds,
         **as_stated(one.widths or stated_widths(context.problem.job)),
+        "shape": context.problem.job.prior.has_shape,
         "wider": one.wider,
         "n_beyond": one.beyond.n,
         "log_bayes_factor_beyond": one.beyond.log_bayes_factor,

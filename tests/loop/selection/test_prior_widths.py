@@ -72,7 +72,10 @@ def test_the_amended_job_states_what_was_found(narrow: Path, tmp_path: Path) -> 
     assert amended["prior"]["smooth"] == last["smooth"]
     assert amended["prior"]["widths"] == "stated"
     summary = json.loads((narrow / "out" / "summary.json").read_text())
-    assert summary["prior_adapted"] == {name: last[name] for name in ("fraction", "neighbours", "azimuthal", "smooth")}
+    assert summary["prior_adapted"] == {
+        name: last[name] for name in ("fraction", "neighbours", "azimuthal", "smooth", "shape")
+    }
+    assert last["shape"]
     assert main(["infer", str(narrow / "out" / "amended.toml"), "-o", str(tmp_path / "again")]) == 0
     one, two = (load_posterior(folder / "posterior.h5") for folder in (narrow / "out", tmp_path / "again"))
     assert np.max(np.abs(one.mean - two.mean) / one.std) < 1e-6
