@@ -11,6 +11,11 @@ def joined(words: Sequence[str]) -> str:
     return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
 
 
+def counted(n: int, what: str) -> str:
+    """Count things: "1 parameter", "3 parameters"."""
+    return f"{n} {what}{'' if n == 1 else 's'}"
+
+
 def effect_words(kind: str, law: str | None = None) -> str:
     """Name an effect by its kind, and by the law by which it changes in time if it does: "antenna gains, smooth"."""
     name = kind.replace("_", " ")

@@ -38,7 +38,7 @@ from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.prior import ChannelPrior
 from hydrabeam_mpi.io.inferred import REMEDY, Inferred
 from hydrabeam_mpi.mpi import ProcessGrid, bcast_array, together
-from hydrabeam_mpi.words import joined
+from hydrabeam_mpi.words import counted, joined
 
 Array = NDArray[Any]
 
@@ -81,15 +81,16 @@ class CarriedOver:
     @property
     def lines(self) -> list[str]:
         """What is said of the effects."""
-        lines = [f"carried over: {one['title']} ({len(one['parameters'])} parameters)" for one in self.carried]
+        counts = [(one["title"], counted(len(one["parameters"]), "parameter")) for one in self.carried]
+        lines = [f"carried over: {title} ({n})" for title, n in counts]
         for one in self.left:
             n = len(one["parameters"])
-            what = f" ({', '.join(one['parameters']) if n <= MOST_NAMED else f'{n} parameters'})" if n else ""
+            what = f" ({', '.join(one['parameters']) if n <= MOST_NAMED else counted(n, 'parameter')})" if n else ""
             lines.append(f"not carried over: {one['title']}{what}, which {one['reason']}")
         if self.assumed:
             lines.insert(0, self.assumed)
         of = Counter(name.split(": ", 1)[0] for name in self.at_prior)
-        unknown = joined([f"{title} ({n} parameters)" for title, n in of.items()])
+        unknown = joined([f"{title} ({counted(n, 'parameter')})" for title, n in of.items()])
         told = "not known from the result: what may be so counts as an error, by its prior, and is not predicted"
         return [*lines, f"{told}: {unknown}"] if unknown else lines
 

@@ -89,7 +89,8 @@ def _warnings_of_heldout(channels: list[dict[str, Any]], by_evidence: bool) -> l
         span = " to ".join(dict.fromkeys(f"{limit:.3g}" for limit in (min(amplitudes), max(amplitudes))))
         said.append(
             f"The model beam fits the held-out data best when it is {span} times as large: "
-            "flux scale and beam amplitude cannot be told apart, so the peak of the inferred beam need not be one."
+            "flux scale and beam amplitude cannot be told apart, so the peak of the inferred beam need not be one. If "
+            "it should be, the data are on another flux scale than the sky ([data] flux_scale)."
         )
         if any(abs(amplitude / factor - 1) < 0.05 for amplitude in amplitudes for factor in (0.5, 2.0)):
             said.append(

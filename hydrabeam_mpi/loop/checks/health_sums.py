@@ -15,6 +15,7 @@ from hydrabeam_mpi.fit.rows import Rows, read_rows
 from hydrabeam_mpi.inference.robust import LOG_MEAN
 from hydrabeam_mpi.io.noise import amid_neighbours
 from hydrabeam_mpi.io.uvdata import Block, read_autos
+from hydrabeam_mpi.loop.checks.brightest import brightest_source
 from hydrabeam_mpi.loop.checks.partner_means import partner_means
 from hydrabeam_mpi.mpi import ProcessGrid, allreduce_sum, together
 from hydrabeam_mpi.setup.problem import Problem
@@ -194,8 +195,9 @@ def _median(values: NDArray[np.complexfloating] | FloatArray) -> complex:
 class Excess:
     """Logs of |residual|^2 over its expectation, summed over ranks: a mean of logs feels few wild samples little.
 
-    The residual is the data minus the scaled model; where times have neighbours, its second difference in time; or else
-    the data minus the mean of their redundant partners.
+    The residual is the data minus the scaled model and minus the brightest source in what that leaves of a time; where
+    times have neighbours, the second difference in time of data minus scaled model; or else the data minus the mean of
+    their redundant partners.
 
     Attributes
     ----------
@@ -240,6 +242,9 @@ class Excess:
         if differenced:
             residual, model = second_differences(residual, middle, SECOND), second_differences(model, middle, SECOND)
             variance = second_differences(variance, middle, SECOND**2)
+        else:
+            # A source that the model lacks is no bad integration.
+            residual = residual - brightest_source(grid, problem, (sample.channels, sample.bls), weights, residual)
         moving = np.abs(model) ** 2
         expected = variance + left[:, np.newaxis, np.newaxis] * moving
         power = np.abs(residual) ** 2

@@ -20,10 +20,12 @@ from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.inference.robust import LOG_STD, outliers
 from hydrabeam_mpi.io.reading import quiet
 from hydrabeam_mpi.loop.checks.bad_ends import by_antenna
+from hydrabeam_mpi.loop.checks.brightest import brightest_source
 from hydrabeam_mpi.loop.checks.health import check_health
 from hydrabeam_mpi.loop.checks.health_sums import Excess, Sums, read_sample
 from hydrabeam_mpi.loop.checks.scale import flux_scale
 from hydrabeam_mpi.mpi import ProcessGrid
+from hydrabeam_mpi.random import generator
 from hydrabeam_mpi.setup.findings import Finding, mended_job
 from hydrabeam_mpi.setup.problem import estimate_noise, prepare
 from hydrabeam_mpi.simulation.mock import simulate_to
@@ -274,6 +276,33 @@ def test_without_redundancy_it_is_said_that_of_integrations_minutes_apart_only_g
     (one,) = found(job, tmp_path, exclude_antennas=[1, 4, 5, 6])
     assert one.line.startswith("Only gross bad integrations can be found (before a fit)")
     assert not one.is_fault
+
+
+@pytest.mark.mpi
+def test_one_source_in_what_the_model_leaves_is_no_fault_of_an_integration(
+    comm: MPI.Comm, common_tmp_path: Path
+) -> None:
+    """It is taken out of the residual, which noise of the same power stays in; whichever rank has which baselines."""
+    if comm.rank == 0:
+        made(common_tmp_path, close=False, hex=[3, 5])
+    comm.Barrier()
+    job = {**mock_job(), "data": {"files": ["data.uvh5"]}}
+    write_job(job, common_tmp_path / f"rank{comm.rank}")
+    problem = prepare(load_job(common_tmp_path / f"rank{comm.rank}" / "job.toml"), (common_tmp_path / "data.uvh5",))
+    grid = ProcessGrid.split(comm, problem.observation.Nfreqs)
+    sample = read_sample(grid, problem)
+    ahead = problem.redundant.vectors[problem.redundant.group[sample.bls]] @ np.array([0.31, -0.52, 0.8])
+    freqs = problem.observation.freqs[sample.channels, np.newaxis]
+    residual = np.zeros_like(sample.data)
+    residual[:, 3] = 5 * np.exp(2j * np.pi * freqs * ahead / 299792458.0)
+    phases = generator(1, "phases", int(sample.channels[0]), *sample.bls.tolist()).uniform(0, 2 * np.pi, ahead.shape)
+    residual[:, 7] = 5 * np.exp(1j * phases)
+    rows = sample.channels, sample.bls
+    left = np.abs(residual - brightest_source(grid, problem, rows, np.ones(residual.shape), residual)) ** 2
+    power = comm.allreduce(left.sum(axis=(0, 2))) / comm.allreduce(np.prod(residual[:, 0].shape))
+    assert power[3] < 0.1 * 25
+    assert power[7] > 0.5 * 25
+    assert not np.delete(power, [3, 7]).any()
 
 
 def test_a_noisy_baseline(job: dict[str, Any], folder: Path) -> None:
