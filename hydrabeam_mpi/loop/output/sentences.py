@@ -20,7 +20,7 @@ GOES_ON = "The same command goes on from here."
 def say_round(told: dict[str, Any]) -> str:
     """Tell a round in a few sentences: what, how sure, and what it changed."""
     named, more = _say_parameters(told)
-    what = f"{capital(told['title'])}: {'; '.join(named)}{f'; and {more} more' if more > 0 else ''}"
+    what = f"{capital(told['title'])}: {'; '.join(named)}{_say_others(more, len(told['parameters_not_told']))}"
     sure = f"log Bayes factor {told['log_bayes_factor']:,.0f}; the beam can absorb {told['absorbed_by_beam']:.0%} of it"
     error = f"Held-out reduced chi^2 {told['heldout_before']:.3g} -> {told['heldout_after']:.3g}"
     rms = f"rms {told['rms_before']:.3g} -> {told['rms_after']:.3g} Jy (noise {told['rms_noise']:.3g} Jy)"
@@ -32,6 +32,12 @@ def say_round(told: dict[str, Any]) -> str:
     added = "Added at first, and not claimed: it stays in the model for prediction" if told["predicts"] else added
     more_said = f"{_say_left_out(told)}{_say_widened(told)}{unsure}{_say_elsewhere(told)}"
     return f"{what} ({sure}). {added}. {error}; {rms}; {beam}.{more_said}"
+
+
+def _say_others(more: int, not_told: int) -> str:
+    """Count the parameters that are not named, and those that the data do not tell."""
+    others = f"; and {more} more" if more > 0 else ""
+    return f"{others}; and {not_told} that these data do not tell" if not_told > 0 else others
 
 
 def _say_elsewhere(told: dict[str, Any]) -> str:
@@ -58,8 +64,7 @@ def _say_parameters(told: dict[str, Any]) -> tuple[list[str], int]:
     named = [
         _say_over(head, each, ones) if len(ones) > 1 else say_parameter(ones[0]) for (head, each, _), ones in foremost
     ]
-    more = len(told["parameters"]) - sum(len(ones) for _, ones in foremost) + len(told["parameters_not_told"])
-    return named, more
+    return named, len(told["parameters"]) - sum(len(ones) for _, ones in foremost)
 
 
 def _common_name(name: str) -> tuple[str, str]:

@@ -85,15 +85,16 @@ ROUNDS: dict[str, tuple[dict[str, Any], str]] = {
     "what has a value at each of several times": (
         {"parameters": TIMES, "parameters_not_told": FEW[:2]},
         "Antenna gains: antenna 2 phase 4.08 rms over 3 times; antenna 2 phase, jump at JD 1.5 3 +- 1; "
-        "antenna 2 phase, jump at JD 2.5 3 +- 1; antenna 3 phase at JD 1.5 2 +- 1; and 2 more (",
+        "antenna 2 phase, jump at JD 2.5 3 +- 1; antenna 3 phase at JD 1.5 2 +- 1; "
+        "and 2 that these data do not tell (",
     ),
     "what has a value in each of several directions": (
         {"parameters": [parameter(f"flux towards ra={ra:.3f} dec=-30.000", ra - 11) for ra in (8.0, 15.0)]},
         "Antenna gains: flux 3.54 rms over 2 directions (",
     ),
-    "those that are not told are among the others": (
+    "those that are not told are counted": (
         {"parameters_not_told": FEW[:2]},
-        "Antenna gains: one 2 +- 1; and 2 more (",
+        "Antenna gains: one 2 +- 1; and 2 that these data do not tell (",
     ),
     "what is chosen, without an error, comes last": (
         {"parameters": [parameter("threshold", 25, 0.0), *FEW[:2]]},
