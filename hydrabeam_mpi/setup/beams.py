@@ -20,7 +20,7 @@ from hydrabeam_mpi.io.prior_file import read_prior
 from hydrabeam_mpi.io.reading import check_file
 from hydrabeam_mpi.model.bases import basis_from_settings
 from hydrabeam_mpi.model.bases.base import LinearBasis
-from hydrabeam_mpi.model.beam import Beam, BeamInfo, analytic_beam, of_formula
+from hydrabeam_mpi.model.beam import Beam, BeamInfo, CoefficientBeam, analytic_beam, of_formula
 from hydrabeam_mpi.model.fit import FittedBeam, fit_beam
 from hydrabeam_mpi.model.perturb import PerturbedBeam
 from hydrabeam_mpi.model.shape import shape_of
@@ -189,9 +189,13 @@ def make_prior(job: Job, fit: FittedBeam) -> Prior:
 
 
 def shaped(priors: Sequence[Prior], beams: Sequence[Beam], basis: LinearBasis) -> tuple[Prior, ...]:
-    """Return priors of independent coefficients with what beams differ by as a whole beside; see `model.shape`."""
-    pairs = zip(priors, beams, strict=True)
-    return tuple(replace(cast(DiagonalPrior, prior), shape=shape_of(beam, basis)) for prior, beam in pairs)
+    """Return priors of independent coefficients with what beams differ by as a whole beside; see `model.shape`.
+
+    Models are taken as they were fitted: samples of a file may end before the horizon.
+    """
+    models = [CoefficientBeam(basis, prior.mean, beam.info) for prior, beam in zip(priors, beams, strict=True)]
+    pairs = zip(priors, models, strict=True)
+    return tuple(replace(cast(DiagonalPrior, prior), shape=shape_of(model, basis)) for prior, model in pairs)
 
 
 def stated_widths(job: Job) -> PriorWidths:

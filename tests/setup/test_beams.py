@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 
 from hydrabeam_mpi.config import Job
-from hydrabeam_mpi.setup.beams import fit_model_beams, load_beams, make_prior
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.model.bases.rings import Pixels, degree_grid
+from hydrabeam_mpi.model.beam import SampledBeam
+from hydrabeam_mpi.model.interpolate import AzZaGrid
+from hydrabeam_mpi.setup.beams import fit_model_beams, load_beams, make_prior, shaped
 
 FREQ = 131e6
 
@@ -50,3 +54,28 @@ def test_a_prior_that_lets_them_move_keeps_them(prior):
     modes, widths = modes_and_widths(prior)
     assert len(modes) >= 199
     assert widths.min() >= 1e-4 * np.sort(widths)[-2] or np.isinf(widths).all()
+
+
+def test_shape_is_that_of_the_fitted_model():
+    """Whose samples may end before the horizon."""
+    job = Job.model_validate(
+        {
+            "data": {"simulate": {"freqs": ("131 MHz",)}},
+            "beam": {"source": "airy", "diameter": "14 m"},
+            "basis": {"n_modes": 200, "k_max": 30, "m_max": 4},
+            "prior": {"fraction": 0.1, "floor": 0.1},
+        }
+    )
+    (beam,) = load_beams(job, np.array([FREQ]), "ee")
+    za, az = degree_grid()
+    some = za <= np.deg2rad(80)
+    rings, turns = np.unique(za[some]), np.unique(az)
+    values = beam(*(one.ravel() for one in np.meshgrid(rings, turns, indexing="ij")))
+    grid = AzZaGrid(rings, turns, values.reshape(len(rings), len(turns)))
+    ending = SampledBeam(grid, Pixels(za[some], az[some], beam(za, az)[some]), beam.info)
+    with pytest.raises(InputError, match="end at a zenith angle of 80 deg"):
+        ending(np.array([1.5]), np.zeros(1))
+    basis, fits = fit_model_beams(job, [beam])
+    whole, short = (shaped([make_prior(job, fits[0])], [one], basis)[0].shape for one in (beam, ending))
+    np.testing.assert_array_equal(short, whole)
+    assert whole.shape == (basis.n_modes, 11)
