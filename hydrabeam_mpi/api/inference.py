@@ -130,10 +130,10 @@ def _with_effects(setup: Setup, grid: ProcessGrid, problem: Problem, clock: Cloc
     context = read_context(grid, problem, problem.of_channels(grid.channels), clock)
     fitted = fit_with_effects(context, clock)
     with clock.time("heldout"):
-        results, written = channel_results(context, fitted), with_whole_beams(context, fitted)
-        # As the result knows beams: each channel's by itself.
-        numbers = heldout_numbers(context, written)
+        results = channel_results(context, fitted)
+        numbers = heldout_numbers(context, fitted)
     problem = grown_problem(problem, context.setup, fitted.values, context.learned)
+    written = with_whole_beams(context, fitted)
     found, gains = effects_found(setup.job, written, context.setup), (context.setup, written.values)
     told = prior_told(context.problem.job, context.carried, fitted.values)
     return _Fit(problem, results, numbers, found, gains, told)

@@ -38,7 +38,6 @@ from hydrabeam_mpi.loop.output.resume import Keeper
 from hydrabeam_mpi.loop.selection.again import run_search
 from hydrabeam_mpi.loop.selection.choice import Choice, choose
 from hydrabeam_mpi.loop.selection.elsewhere import tell_elsewhere
-from hydrabeam_mpi.loop.selection.heldout_numbers import heldout_numbers
 from hydrabeam_mpi.loop.selection.history import History
 from hydrabeam_mpi.loop.selection.rounds import Search, begin, settle_last
 from hydrabeam_mpi.mpi import bcast_object, peak_rss_mb, together
@@ -152,12 +151,11 @@ def _found(
     """
     world, known, fitted = setup.comm, context.setup, history.last.fitted
     with clock.time("describe"):
-        results, written = channel_results(context, fitted), with_whole_beams(context, fitted)
+        results = channel_results(context, fitted)
         problem = grown_problem(problem, known, fitted.values, context.learned)
-        # As the result knows beams: each channel's by itself.
-        numbers = history.last.numbers if written is fitted else heldout_numbers(context, written)
-        records = gather_records(context.grid, problem, results, numbers)
+        records = gather_records(context.grid, problem, results, history.last.numbers)
         integrations = integrations_of(world, problem.files, problem.observation)
+    written = with_whole_beams(context, fitted)
     scale, memory = error_scale(context, fitted), peak_rss_mb(world)
     found = Found(Result(setup.job))
     with together(world):

@@ -62,7 +62,7 @@ def test_what_a_loop_has_found_is_drawn(tmp_path: Path) -> None:
 def test_beams_are_drawn_with_the_widths_that_the_data_want(tmp_path: Path) -> None:
     """Where the job asks for them; they are those of `infer`."""
     job = small_job(n_modes=12, blocks=())
-    job["prior"] = {"fraction": 300.0, "widths": "evidence"}
+    job["prior"] = {"fraction": 300.0, "widths": "evidence", "shape": False}
     context = context_of(job, tmp_path)
     walk = begin(context)
     wanted = fit_with_effects(context, Clock())

@@ -11,6 +11,7 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.predictive_density import density_of_channels
 from hydrabeam_mpi.fit.state import Fitted
+from hydrabeam_mpi.fit.whole_beams import with_whole_beams
 from hydrabeam_mpi.loop.selection.heldout_score import falls_of_blocks
 from hydrabeam_mpi.mpi import allreduce_sum, together
 
@@ -135,8 +136,11 @@ def _numbers(channels: FloatArray) -> dict[str, float]:
 
 
 def heldout_numbers(context: FitContext, fitted: Fitted) -> HeldoutNumbers:
-    """Sum over the held-out rows as a fit predicts them. Collective: all ranks of the grid."""
-    whitened, density = whiten(context, fitted), density_of_channels(context, fitted)
+    """Sum over the held-out rows as a fit predicts them, each channel by its own beam as a result knows that.
+
+    Collective: all ranks of the grid.
+    """
+    whitened, density = whiten(context, with_whole_beams(context, fitted)), density_of_channels(context, fitted)
     observation, rows, world = context.setup.observation, context.test.rows, context.grid.world
     channels = np.zeros((len(SUMS), observation.Nfreqs))
     times, groups = np.zeros((2, observation.Ntimes)), np.zeros((2, context.setup.redundant.Ngroups))

@@ -17,10 +17,11 @@ from hydrabeam_mpi.loop.selection.heldout_score import HeldoutScore, heldout_sco
 
 def check(context: FitContext, fitted: Fitted) -> Checked:
     """Predict the held-out rows. Collective: all ranks of the grid."""
-    remains, numbers = remains_of(context, fitted, whiten(context, fitted)), heldout_numbers(context, fitted)
+    remains, score = remains_of(context, fitted, whiten(context, fitted)), heldout_score(context, fitted)
+    numbers = heldout_numbers(context, fitted)
     # That is only asked where the rest may be noise.
     at_noise = remains.consistent and is_at_noise(context, fitted, numbers)
-    return Checked(fitted, heldout_score(context, fitted), remains, numbers, at_noise)
+    return Checked(fitted, score, remains, numbers, at_noise)
 
 
 def is_at_noise(context: FitContext, fitted: Fitted, numbers: HeldoutNumbers) -> bool:
