@@ -60,20 +60,17 @@ def fit_local(context: FitContext, fitted: Fitted, local: str, kept: BoolArray) 
         values = step.values
         if step.moved < MOVED:
             break
-    outside = np.concatenate([np.full(one.size, not _is_inside(context, one)) for one in fitted.values.active])
+    inside = [adds_coefficients(context.setup, one) for one in fitted.values.active]
+    outside = ~np.repeat(inside, [one.size for one in fitted.values.active])
     free = np.zeros(len(outside), dtype=bool)
     free[outside] = step.free
-    left = iter(values.active)
-    active = tuple(one if _is_inside(context, one) else next(left) for one in fitted.values.active)
+    others = iter(values.active)
+    pairs_of = zip(fitted.values.active, inside, strict=True)
+    active = tuple(one if is_inside else next(others) for one, is_inside in pairs_of)
     pairs = zip(fitted.fit.covariances, context.channels, strict=True)
     covariances = tuple(with_own(covariance, free, step.covariances[number]) for covariance, number in pairs)
     fit = replace(fitted.fit, covariances=covariances)
     return replace(fitted, values=replace(fitted.values, active=active), fit=fit), free
-
-
-def _is_inside(context: FitContext, one: Active) -> bool:
-    """Whether an effect is part of the whole beams."""
-    return adds_coefficients(context.setup, one)
 
 
 def with_own(covariance: FloatArray, free: BoolArray, own: FloatArray) -> FloatArray:

@@ -19,8 +19,9 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.local_parameters import untold, with_own
 from hydrabeam_mpi.fit.marginal import in_parts
-from hydrabeam_mpi.fit.predictive_density import of_each_channel, root_by_shared
+from hydrabeam_mpi.fit.predictive_density import of_each_channel, products_that_follow
 from hydrabeam_mpi.fit.state import Fitted
+from hydrabeam_mpi.fit.whitening import root_by_shared
 from hydrabeam_mpi.inference.posterior import Posterior
 
 
@@ -66,16 +67,9 @@ class _Channel:
 
 def _by_channel(sums: NormalEquations, beam: Posterior, seen: BoolArray, response: Array) -> _Channel:
     """Work them out. Arguments are those of `predictive_density.of_each_channel`."""
-    kappa, names = 1.0 if beam.is_complex else 2.0, [name for name in sums.blocks if name != BEAM]
-    gram, factor = sums.own(BEAM), beam.factor
-    half = solve_triangular(factor, kappa * gram, lower=True)
+    kappa, factor = 1.0 if beam.is_complex else 2.0, beam.factor
+    half = solve_triangular(factor, kappa * sums.own(BEAM), lower=True)
     whole = solve_triangular(factor, half.conj().T, lower=True)
-    response = response.astype(gram.dtype, copy=False)
-    across, by_effects = np.zeros_like(response), np.zeros((len(seen), len(seen)))
-    across[:, seen] = sums.gather([BEAM], names)
-    by_effects[np.ix_(seen, seen)] = sums.likelihood_alone(names).signal
-    follow = gram @ response
-    by_both = in_parts(solve_triangular(factor, across + follow, lower=True))
-    by_effects += 2 * (in_parts(response).T @ in_parts(follow + 2 * across))
-    by_effects = 0.5 * (by_effects + by_effects.T)
+    across, by_effects = products_that_follow(sums, seen, response)
+    by_both = in_parts(solve_triangular(factor, across, lower=True))
     return _Channel(2 / kappa * float(np.sum(np.abs(whole) ** 2)), 2 * kappa * by_both.T @ by_both, by_effects)

@@ -29,10 +29,10 @@ from hydrabeam_mpi.fit.known_precision import Key, KnownPrecision
 from hydrabeam_mpi.fit.local_parameters import fit_local, untold, with_own
 from hydrabeam_mpi.fit.marginal import in_parts
 from hydrabeam_mpi.fit.state import Active, Fitted, Values
-from hydrabeam_mpi.fit.whitening import root_of
+from hydrabeam_mpi.fit.whitening import root_by_shared
 from hydrabeam_mpi.fit.whole_beams import with_whole_beams
 from hydrabeam_mpi.inference.gaussian import Block
-from hydrabeam_mpi.inference.matrices import cholesky_lower, inverse_of_covariance, inverse_where_it_varies
+from hydrabeam_mpi.inference.matrices import cholesky_lower, inverse_of_covariance
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.mpi import bcast_object, gather_objects, together
 
@@ -153,6 +153,7 @@ def of_each_channel(
             response, covariance = follow + fitted.fit.beam_response[channel], fitted.fit.covariances[channel]
         with together(grid.group):
             if grid.is_group_root:
+                response = response.astype(sums.own(BEAM).dtype, copy=False)
                 of_channel = told(sums, fitted.fit.posteriors[channel], seen, response)
                 found[context.channels[channel]] = of_channel, covariance
     gathered = gather_objects(grid.world, found)
@@ -192,25 +193,32 @@ def _without_beam(sums: NormalEquations, beam: Posterior, seen: BoolArray, respo
 
     Of these effects those that are ``seen``, (q,), have columns in the sums; the others are in the response alone.
     """
-    kappa, names = 1.0 if beam.is_complex else 2.0, [name for name in sums.blocks if name != BEAM]
-    gram, pull = sums.own(BEAM), sums.projection[BEAM]
-    response = response.astype(gram.dtype, copy=False)
-    factor = cholesky_lower(beam.precision + kappa * gram)
+    kappa, pull = 1.0 if beam.is_complex else 2.0, sums.projection[BEAM]
+    factor = cholesky_lower(beam.precision + kappa * sums.own(BEAM))
     white = solve_triangular(factor, kappa * pull, lower=True)
     misfit = sums.data_norm - float(np.vdot(white, white).real) / kappa
     log_spread = 2 / kappa * float(np.log(np.diag(factor).real / np.diag(beam.factor).real).sum())
-    across, alone = np.zeros_like(response), sums.likelihood_alone(names)
-    across[:, seen] = sums.gather([BEAM], names)
-    signal, score = np.zeros((len(seen), len(seen))), np.zeros(len(seen))
-    signal[np.ix_(seen, seen)], score[seen] = alone.signal, alone.score
-    follow = gram @ response
-    half = in_parts(solve_triangular(factor, across + follow, lower=True))
-    follow += 2 * across
-    moved = in_parts(response)
-    # Of products with complex numbers the real parts alone count.
-    signal += 2 * (moved.T @ in_parts(follow) - kappa * half.T @ half)
-    score += 2 * (moved.T @ in_parts(pull) - half.T @ in_parts(white))
+    across, signal = products_that_follow(sums, seen, response)
+    half = in_parts(solve_triangular(factor, across, lower=True))
+    signal -= 2 * kappa * half.T @ half
+    score = 2 * (in_parts(response).T @ in_parts(pull) - half.T @ in_parts(white))
+    score[seen] += sums.likelihood_alone([name for name in sums.blocks if name != BEAM]).score
     return _Left(misfit, log_spread, 0.5 * (signal + signal.T), score)
+
+
+def products_that_follow(sums: NormalEquations, seen: BoolArray, response: Array) -> tuple[Array, FloatArray]:
+    """Return products of the effects' columns, which the beam follows by its ``response``: D = C + A R.
+
+    They are A^H N^-1 D, (n_modes, q), and 2 Re D^H N^-1 D, (q, q); ``seen`` effects have columns C in the sums.
+    """
+    names = [name for name in sums.blocks if name != BEAM]
+    across, signal = np.zeros_like(response), np.zeros((len(seen), len(seen)))
+    across[:, seen] = sums.gather([BEAM], names)
+    signal[np.ix_(seen, seen)] = sums.likelihood_alone(names).signal
+    follow = sums.own(BEAM) @ response
+    # Of products with complex numbers the real parts alone count.
+    signal += 2 * (in_parts(response).T @ in_parts(follow + 2 * across))
+    return across + follow, 0.5 * (signal + signal.T)
 
 
 def _without_effects(values: Values, unknown: BoolArray, channels: Sequence[tuple[_Left, FloatArray]]) -> Density:
@@ -238,21 +246,3 @@ def _from_prior(values: Values, unknown: BoolArray, number: int) -> FloatArray:
     """Return how far the centre of the prior of ``unknown`` parameters is from their values, (q,), else zero."""
     means = np.concatenate([one.prior.of(number).mean for one in values.active])
     return np.where(unknown, means - values.x[number], 0.0)
-
-
-def root_by_shared(covariance: FloatArray, shared: BoolArray) -> FloatArray:
-    """Return a root of a covariance, (q, q), by which shared parameters follow the first of all numbers alone.
-
-    Rows are parameters as they come, and columns independent numbers, one for each parameter: those of shared ones
-    stand where these do.
-    """
-    first, rest = np.flatnonzero(shared), np.flatnonzero(~shared)
-    root, own = np.zeros_like(covariance), covariance[np.ix_(rest, rest)]
-    of_first = covariance[np.ix_(first, first)]
-    root[np.ix_(first, first)] = root_of(of_first)
-    if len(first) and len(rest):
-        follow = covariance[np.ix_(rest, first)] @ inverse_where_it_varies(of_first)
-        root[np.ix_(rest, first)] = follow @ root[np.ix_(first, first)]
-        own = own - follow @ of_first @ follow.T
-    root[np.ix_(rest, rest)] = root_of(0.5 * (own + own.T))
-    return root

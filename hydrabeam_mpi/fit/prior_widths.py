@@ -12,7 +12,6 @@ from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.fit.widths_evidence import WidthsEvidence, WidthsFound
 from hydrabeam_mpi.inference.mode_widths import PriorWidths
-from hydrabeam_mpi.inference.prior import DiagonalPrior
 
 MOST_TIMES = 3
 """That widths and effects are adapted to each other; without effects the first is exact."""
@@ -20,9 +19,7 @@ MOST_TIMES = 3
 
 def is_adaptable(context: FitContext) -> bool:
     """Whether the beams' prior is of independent coefficients whose widths the job states."""
-    problem = context.problem
-    known = [isinstance(prior, DiagonalPrior) and prior.sizes is not None for prior in problem.priors]
-    return all(known) and problem.coupling is None and context.learned is None
+    return context.problem.has_adaptable_widths and context.learned is None
 
 
 def as_stated(widths: PriorWidths) -> dict[str, Any]:

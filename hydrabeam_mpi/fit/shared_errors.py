@@ -20,8 +20,7 @@ from scipy.sparse import csr_array
 from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.fit.marginal import in_parts
 from hydrabeam_mpi.fit.row_buffer import CAPACITY
-from hydrabeam_mpi.fit.whitening import TimeWhitener, root_of
-from hydrabeam_mpi.inference.matrices import inverse_where_it_varies
+from hydrabeam_mpi.fit.whitening import TimeWhitener, root_by_shared, root_of
 from hydrabeam_mpi.mpi import Comm, allreduce_sum
 
 
@@ -134,80 +133,80 @@ def whitening_coefficients(
         projection += one.projection
     allreduce_sum(world, gram)
     allreduce_sum(world, projection)
-    root = root_of(channels[0].covariance[np.ix_(shared, shared)])
-    values, vectors = _spectrum(root.T @ gram @ root)
-    vectors = root @ vectors
-    common = vectors @ (_change(values) * (vectors.T @ projection))
-    return [one.coefficients(common) for one in given], [
-        one.n_felt((vectors / (1 + values)) @ vectors.T) for one in given
-    ]
+    values, vectors = _spectrum(gram)
+    common, left = vectors @ (_change(values) * (vectors.T @ projection)), (vectors / (1 + values)) @ vectors.T
+    return [one.coefficients(common) for one in given], [one.n_felt(left) for one in given]
 
 
 @dataclass(frozen=True)
 class _Given:
     """A channel's rows whitened by the errors that it does not share, given those that it does.
 
+    Errors are numbers of variance one, by which parameters follow as `root_by_shared` says: those of shared parameters
+    first of all, so that the others add what is the channel's own.
+
     Attributes
     ----------
-    follow : ndarray, (q, n)
-        How all parameters follow the n shared ones.
+    root : ndarray, (q, q)
+        How the parameters follow the numbers.
+    products, projection_of_all : ndarray, (q, q) and (q,)
+        Of the columns of the numbers with each other and with the residuals.
+    own, common : ndarray of int
+        The numbers of the channel alone and the n shared ones.
     gram, projection : ndarray, (n, n) and (n,)
-        Products of the columns of these, which the others follow, with each other and with the residuals, whitened.
-    own : ndarray of int
-        The parameters that are not shared.
+        Products of the columns of the shared ones with each other and with the residuals, whitened.
     change, left : ndarray, (Nown, Nown)
-        By which combinations of their columns rows are whitened, and the covariance of their errors where the rows are
-        known.
-    errors : SharedErrors
-        Of all of them.
+        By which combinations of the own columns rows are whitened, and the covariance of these numbers where the rows
+        are known.
     """
 
-    follow: FloatArray
+    root: FloatArray
+    products: FloatArray
+    projection_of_all: FloatArray
+    own: IntArray
+    common: IntArray
     gram: FloatArray
     projection: FloatArray
-    own: IntArray
     change: FloatArray
     left: FloatArray
-    errors: SharedErrors
 
     @classmethod
     def of(cls, errors: SharedErrors, shared: BoolArray) -> Self:
         """Work them out; see the top of this module."""
         own, common = np.flatnonzero(~shared), np.flatnonzero(shared)
-        covariance, gram = errors.covariance, errors.gram
-        across = covariance[np.ix_(own, common)] @ inverse_where_it_varies(covariance[np.ix_(common, common)])
-        follow = np.zeros((len(shared), len(common)))
-        follow[common], follow[own] = np.eye(len(common)), across
-        root = root_of(covariance[np.ix_(own, own)] - across @ covariance[np.ix_(common, own)])
-        values, vectors = _spectrum(root.T @ gram[np.ix_(own, own)] @ root)
-        vectors = root @ vectors
-        left = (vectors / (1 + values)) @ vectors.T
-        seen = gram[own] @ follow
+        root = root_by_shared(errors.covariance, shared)
+        products, projection = root.T @ errors.gram @ root, root.T @ errors.projection
+        values, vectors = _spectrum(products[np.ix_(own, own)])
+        left, across = (vectors / (1 + values)) @ vectors.T, products[np.ix_(own, common)]
         return cls(
-            follow,
-            follow.T @ gram @ follow - seen.T @ left @ seen,
-            follow.T @ errors.projection - seen.T @ left @ errors.projection[own],
+            root,
+            products,
+            projection,
             own,
+            common,
+            products[np.ix_(common, common)] - across.T @ left @ across,
+            projection[common] - across.T @ left @ projection[own],
             (vectors * _change(values)) @ vectors.T,
             left,
-            errors,
         )
 
     def coefficients(self, common: FloatArray) -> FloatArray:
-        """Return those of all columns, (q,), where those of the shared parameters' whitened columns are given, (n,)."""
-        found = self.follow @ common
-        found[self.own] += self.change @ (self.errors.projection[self.own] + self.errors.gram[self.own] @ found)
-        return found
+        """Return those of all columns, (q,), where those of the shared numbers' whitened columns are given, (n,)."""
+        found = np.zeros(len(self.root))
+        found[self.common] = common
+        found[self.own] = self.change @ (self.projection_of_all[self.own] + self.products[self.own] @ found)
+        return self.root @ found
 
     def n_felt(self, common: FloatArray) -> float:
         """Return how many parameters the rows feel, where ``common``, (n, n), is left of the errors of the shared ones.
 
-        That is tr(C^T C S'), with S' the covariance of all of them where the rows of all channels are known.
+        That is the trace of the products times the covariance of all numbers where the rows of all channels are known.
         """
-        gram, follow = self.errors.gram, self.follow.copy()
-        follow[self.own] -= self.left @ gram[self.own] @ self.follow
-        of_own = np.sum(gram[np.ix_(self.own, self.own)] * self.left)
-        return float(of_own + np.sum((follow.T @ gram @ follow) * common))
+        across = self.products[np.ix_(self.own, self.common)]
+        follow = np.zeros((len(self.root), len(self.common)))
+        follow[self.common], follow[self.own] = np.eye(len(self.common)), -self.left @ across
+        of_own = np.sum(self.products[np.ix_(self.own, self.own)] * self.left)
+        return float(of_own + np.sum((follow.T @ self.products @ follow) * common))
 
 
 def _spectrum(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -17,7 +17,8 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.sparse import csr_array
 
-from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import Array, BoolArray, ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.inference.matrices import inverse_where_it_varies
 from hydrabeam_mpi.inference.posterior import Posterior
 
 LEAST_LEFT = 1e-9
@@ -161,6 +162,24 @@ def root_of(covariance: FloatArray) -> FloatArray:
         # Parameters that are held, or know nothing beyond others, leave eigenvalues of zero.
         values, vectors = np.linalg.eigh(covariance)
         return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def root_by_shared(covariance: FloatArray, shared: BoolArray) -> FloatArray:
+    """Return a root of a covariance, (q, q), by which shared parameters follow the first of all numbers alone.
+
+    Rows are parameters as they come, and columns independent numbers, one for each parameter: those of shared ones
+    stand where these do.
+    """
+    first, rest = np.flatnonzero(shared), np.flatnonzero(~shared)
+    root, own = np.zeros_like(covariance), covariance[np.ix_(rest, rest)]
+    of_first = covariance[np.ix_(first, first)]
+    root[np.ix_(first, first)] = root_of(of_first)
+    if len(first) and len(rest):
+        follow = covariance[np.ix_(rest, first)] @ inverse_where_it_varies(of_first)
+        root[np.ix_(rest, first)] = follow @ root[np.ix_(first, first)]
+        own = own - follow @ of_first @ follow.T
+    root[np.ix_(rest, rest)] = root_of(0.5 * (own + own.T))
+    return root
 
 
 def model_root(posterior: Posterior, design: Array) -> FloatArray:

@@ -41,6 +41,9 @@ class Rules:
         much the rms of their residual has risen, paired over blocks of times or of groups, those that scatter more. One
         would be a sixth of all that is neither better nor worse, and refuses parts of the beam that the data want; more
         would cost time where the answer is clear.
+    no_worse : float
+        Nats by which held-out data may be less likely with other widths of the beam's prior, where these have the
+        evidence of the fitted data: odds of less than e to one are not worth a mention (Kass and Raftery 1995).
     first_step : float
         Part of a step with which a fit that got stuck is begun again, with damped steps. Those that succeed are
         doubled, so that a sixteenth costs four steps more where a whole one would do.
@@ -55,6 +58,7 @@ class Rules:
     near_if_linear: float = 0.7
     element_nats: float = 4.0
     decided_sigmas: float = 2.0
+    no_worse: float = 1.0
     first_step: float = 0.0625
 
 

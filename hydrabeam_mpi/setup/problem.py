@@ -148,6 +148,12 @@ class Problem:
             return self
         return replace(self, priors=tuple(cast(DiagonalPrior, prior).adapted(widths) for prior in self.priors))
 
+    @property
+    def has_adaptable_widths(self) -> bool:
+        """Whether the beams' priors are of independent coefficients, whose widths the job states, in each channel."""
+        known = [isinstance(prior, DiagonalPrior) and prior.sizes is not None for prior in self.priors]
+        return all(known) and self.coupling is None
+
     def with_shape(self, comm: Comm) -> Problem:
         """Return the same with beams that may differ from their models as a whole, as its job then states.
 
@@ -155,9 +161,8 @@ class Problem:
         job's channels. Collective: all ranks of `comm`.
         """
         settings = self.job.prior
-        adaptable = [isinstance(prior, DiagonalPrior) and prior.sizes is not None for prior in self.priors]
         is_stated = settings.widths == "stated" or settings.shape is not None
-        if is_stated or settings.has_shape or self.coupling is not None or not all(adaptable):
+        if is_stated or settings.has_shape or not self.has_adaptable_widths:
             return self
         numbers = range(comm.rank, len(self.priors), comm.size)
         with together(comm):

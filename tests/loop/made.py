@@ -13,6 +13,7 @@ from hydrabeam_mpi.effects.interface.reweighting import ReweightingFit
 from hydrabeam_mpi.effects.noise.bad_integrations import BadIntegrations
 from hydrabeam_mpi.effects.noise.noise_level import NoiseLevel
 from hydrabeam_mpi.fit.state import Diagnostics, Fitted
+from hydrabeam_mpi.inference.significance import SIGNIFICANT_P, sigma_of_log_p
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.attribution.score_effects import Finding
 from hydrabeam_mpi.loop.attribution.score_noise import WeightsFound
@@ -108,10 +109,9 @@ def checked(
     of_channels = np.array([chi2]) if train_chi2 is None else train_chi2
     effective, n_data = np.zeros_like(of_channels), np.full_like(of_channels, N_DATA)
     diagnostics = Diagnostics(of_channels, effective_parameters=effective, n_data=n_data)
-    made = numbers(chi2**0.5 if rms is None else rms, expected)
-    return Checked(
-        replace(fitted, diagnostics=diagnostics), blocks(chi2, log_spread), remains, made, made.excess_sigma(0.0) < 4.9
-    )
+    made, most = numbers(chi2**0.5 if rms is None else rms, expected), sigma_of_log_p(float(np.log(SIGNIFICANT_P)))
+    fitted = replace(fitted, diagnostics=diagnostics)
+    return Checked(fitted, blocks(chi2, log_spread), remains, made, made.excess_sigma(0.0) < most)
 
 
 def round_of(candidate: Candidate, before: Checked, after: Checked, *ranking: Candidate) -> Round:

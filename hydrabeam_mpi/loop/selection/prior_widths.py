@@ -29,10 +29,6 @@ from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refits import fit_patiently
 from hydrabeam_mpi.terminal.progress import say
 
-NO_WORSE = 1.0
-"""Nats by which held-out data may be less likely: odds of less than three to one are no difference, and the evidence of
-the fitted data has decided."""
-
 
 @dataclass(frozen=True)
 class Adapted:
@@ -136,7 +132,7 @@ def _widened(
     gain = gain_of(one.score, two.score)
     numbers = f"held-out chi^2 {after.score.chi2:.4g}, rms {after.numbers.of_all['rms']:.4g} Jy, ln density"
     told = f"{numbers} changes by {gain:.4g}"
-    is_worse = gain < -NO_WORSE
+    is_worse = gain < -RULES.no_worse
     say(f"    {f'refused: {told}' if is_worse else told}", speaks)
     return None if is_worse else after, found.log_bayes_factor
 

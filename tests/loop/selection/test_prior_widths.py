@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,8 @@ import pytest
 from hydrabeam_mpi import load_posterior
 from hydrabeam_mpi.cli import main
 from hydrabeam_mpi.inference.mode_widths import PriorWidths
+from hydrabeam_mpi.loop.rules import RULES
+from hydrabeam_mpi.loop.selection import prior_widths
 from hydrabeam_mpi.loop.selection.prior_widths import describe
 from tests.loop.mock import mock_job, write_job
 
@@ -108,6 +111,16 @@ def test_a_prior_that_is_too_wide_gets_narrower_in_the_end(tmp_path: Path) -> No
     assert loop["error_after"] == last["predictive_chi2_after"]
     assert loop["error_claimed"] == loop["error_after"]
     assert last["n_beyond"] == 0
+
+
+def test_widths_by_which_held_out_data_are_less_likely_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By more than the rules let them be: with the prior of the test above it is by a fifth of a nat."""
+    monkeypatch.setattr(prior_widths, "RULES", replace(RULES, no_worse=0.0))
+    loop = loop_over(tmp_path, fraction=1000.0)
+    assert loop["verdict"] == "consistent"
+    assert loop["prior_widths"] == []
 
 
 def test_widths_that_explain_more_than_any_effect_come_first_even_if_narrower(tmp_path: Path) -> None:
