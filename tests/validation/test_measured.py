@@ -124,6 +124,7 @@ def test_conjugated_data_are_not_explained(write_job, files, summary, tmp_path):
     assert conjugated["heldout_explained"] < summary["heldout_explained"] - 0.4
 
 
+@pytest.mark.study
 def test_unseen_baselines_tell_an_error_of_the_beam_from_one_of_the_antennas(write_job, files):
     """Mock data of the measured array, sky and noise: the beam is right about unseen baselines if gains are."""
     job = load_job(write_job("baselines.toml", files))
