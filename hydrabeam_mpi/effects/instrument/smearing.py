@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+from scipy.special import spherical_jn
 
 from hydrabeam_mpi.data.observation import C_M_PER_S, EARTH_RATE, BoolArray, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
@@ -14,7 +15,6 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.interface.told import Told
-from hydrabeam_mpi.effects.shared.beam_visibilities import integrate_on
 from hydrabeam_mpi.effects.shared.displaced import (
     need_real_beam,
     rotate,
@@ -23,6 +23,8 @@ from hydrabeam_mpi.effects.shared.displaced import (
     turning_columns,
     turning_rates,
 )
+from hydrabeam_mpi.model.engines.gemm import GemmEngine
+from hydrabeam_mpi.model.engines.smearing import Smearing as FringeMeans
 from hydrabeam_mpi.model.engines.smearing import mean_steps
 
 Axis = Literal["time", "frequency"]
@@ -37,6 +39,23 @@ SHORT = 0.1
 long as what is stated loses a few percent."""
 STEP = 3e-4
 """Radians, of numerical second derivatives of beams."""
+
+
+class ChannelMeans(FringeMeans):
+    """Fringes as means over a channel, of a width in MHz."""
+
+    def __init__(self, width: float) -> None:
+        super().__init__(turn=(0.0, 0.0, 0.0), bandwidth=width * HZ)
+
+
+class SlopeOfChannelMeans(ChannelMeans):
+    """Their derivatives by the square of the width, MHz^2, in the place of the fringes themselves."""
+
+    def left(self, vectors: FloatArray, directions: FloatArray, freq: float) -> FloatArray:
+        """Return the derivative of sin(x) / x, (Nvectors, Nsrc), where the fringe turns by 2 x over the channel."""
+        x = (np.pi * self.bandwidth / C_M_PER_S * vectors) @ directions
+        # x d/dx of it is -x j_1(x), of the spherical Bessel function.
+        return np.asarray(-x * spherical_jn(1, x) / (2 * (self.bandwidth / HZ) ** 2))
 
 
 @dataclass(frozen=True)
@@ -127,12 +146,6 @@ class Smearing(Effect):
         return Smearing(tuple(self.over[number] for number in left.tolist())), left
 
 
-def _steps(block: RowBlock, axis: Axis, length: float) -> list[tuple[float, float]]:
-    """Return steps from the middle of a mean, in lengths of it, with their weights."""
-    turns = length * (EARTH_RATE * block.freq if axis == "time" else HZ) / C_M_PER_S
-    return mean_steps(block.vectors, turns)
-
-
 def _later(block: RowBlock, seconds: float) -> RowBlock:
     """Return the block with the sky as it is some seconds later."""
     if not seconds:
@@ -140,30 +153,36 @@ def _later(block: RowBlock, seconds: float) -> RowBlock:
     return turned_sky(block, np.tile(seconds * turn_per_second(block), (len(block.times), 1)))
 
 
+def _in_time(block: RowBlock, seconds: float) -> list[tuple[float, float]]:
+    """Return steps from the middle of a mean over time, in lengths of it, with their weights."""
+    return mean_steps(block.vectors, seconds * EARTH_RATE * block.freq / C_M_PER_S)
+
+
 def _mean(block: RowBlock, axis: Axis, length: float) -> ComplexArray:
     """Return the visibilities as means over a length, (Ntimes, Ngroups)."""
+    if axis == "frequency":
+        return _with_fringes(block, ChannelMeans(length))
     total: Any = 0.0
-    for step, weight in _steps(block, axis, length):
-        if axis == "time":
-            seen = _later(block, step * length).integrate(_beam)
-        else:
-            seen = integrate_on(block, _beam, block.vectors * (1 + step * length * HZ / block.freq))
-        total = total + weight * seen[..., 0]
+    for step, weight in _in_time(block, length):
+        total = total + weight * _later(block, step * length).integrate(_beam)[..., 0]
     return np.asarray(total)
+
+
+def _with_fringes(block: RowBlock, fringes: ChannelMeans) -> ComplexArray:
+    """Return the visibilities of other fringes, (Ntimes, Ngroups)."""
+    engine = GemmEngine(block.vectors)
+    engine.smearing = fringes
+    return np.asarray(block.integrate(_beam, engine=engine)[..., 0])
 
 
 def _slope(block: RowBlock, axis: Axis, length: float) -> ComplexArray:
     """Return the derivative of `_mean` by the square of the length, (Ntimes, Ngroups)."""
+    if axis == "frequency":
+        return _with_fringes(block, SlopeOfChannelMeans(length))
     total: Any = 0.0
-    for step, weight in _steps(block, axis, length):
-        if axis == "time":
-            rates = turning_rates(block, _later(block, step * length).integrate(turning_columns))
-            rate = rates @ turn_per_second(block)
-        else:
-            vectors = block.vectors * (1 + step * length * HZ / block.freq)
-            moments = integrate_on(block, lambda sources: sources.exact_beam * sources.enu, vectors)
-            rate = 2j * np.pi * HZ / C_M_PER_S * np.einsum("tgk,gk->tg", moments, block.vectors)
-        total = total + weight * step * rate
+    for step, weight in _in_time(block, length):
+        rates = turning_rates(block, _later(block, step * length).integrate(turning_columns))
+        total = total + weight * step * (rates @ turn_per_second(block))
     return np.asarray(total / (2 * length))
 
 

@@ -152,6 +152,7 @@ class SkyBlock:
         columns: Callable[[Sources], FloatArray],
         vectors: FloatArray | None = None,
         flux: Literal["within columns"] | None = None,
+        engine: Engine | None = None,
     ) -> ComplexArray:
         """Integrate real columns over the sky at every time of the block, with the point sources that effects add.
 
@@ -163,13 +164,16 @@ class SkyBlock:
             Baseline vectors, metres ENU; the groups' own by default.
         flux : "within columns", optional
             Where the columns hold the fluxes already.
+        engine : Engine, optional
+            In place of the job's one on these vectors.
 
         Returns
         -------
         ndarray of complex, (Ntimes, N, K)
             1/2 sum_s I_s column_k(s) exp(2 pi i nu b.s / c), Jy.
         """
-        engine = self.engine if vectors is None else self.engine_on(vectors)
+        is_own = vectors is None and engine is None
+        engine = engine or (self.engine if vectors is None else self.engine_on(vectors))
         freqs = np.array([self.freq])
         out = []
         for itime in self.times.tolist():
@@ -178,7 +182,7 @@ class SkyBlock:
             for sources in (of_model, further) if further else (of_model,):
                 weights = sources.flux_without() if flux is None else np.ones(len(sources.za))
                 values, keeps = columns(sources), self.keeps_waves and itime not in self._sources
-                if vectors is None and keeps and sources is of_model:
+                if is_own and keeps and sources is of_model:
                     waves = self._place(itime).waves(self.channel, engine, self.freq)
                     design = (waves @ (amplitude(weights) * values).T).reshape(2, engine.n_vectors, -1)
                 else:
