@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import combinations
+from typing import Self
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.inference.robust import known_median
-from hydrabeam_mpi.loop.checks.alternatives import Alternative
+from hydrabeam_mpi.loop.checks.alternatives import Alternative, predictions
 from hydrabeam_mpi.loop.checks.bad_antennas import NOISE_SIGMAS
 from hydrabeam_mpi.loop.checks.conventions import LEFT, Score, score_alternatives, score_model
 from hydrabeam_mpi.loop.checks.health_sums import Sample, Sums, scale_of_half
-from hydrabeam_mpi.mpi import ProcessGrid
+from hydrabeam_mpi.mpi import ProcessGrid, allreduce_sum, together
 from hydrabeam_mpi.setup.findings import Finding, antenna_words
 from hydrabeam_mpi.setup.problem import Problem
 
@@ -22,7 +25,7 @@ MOST_ASKED = 4
 
 
 def exchanged_antennas(grid: ProcessGrid, problem: Problem, sample: Sample, sums: Sums) -> list[Finding]:
-    """Find pairs of antennas that have been exchanged, by their labels or by their cables.
+    """Find pairs of antennas that have been exchanged, by their labels or by their cables, throughout or for a while.
 
     Of both the model beam explains less than of the others, and most of it once their places are exchanged. That is
     asked of those of which it explains least. Where it leaves no more of them than exchanged ones may leave, they are
@@ -45,9 +48,12 @@ def exchanged_antennas(grid: ProcessGrid, problem: Problem, sample: Sample, sums
     for pair in combinations(sorted(free), 2):
         if free.issuperset(pair):
             # Baselines with what is wrong in itself tell nothing of where these two are.
-            stated, other = _exchanged(grid, problem, sample, pair, sorted(free.difference(pair)))
-            if other.leaves_less(stated, LEFT):
-                found.append(_of_pair(pair, stated, other))
+            asked = _Pair.of(problem, sample, pair, sorted(free.difference(pair)))
+            stated, other = asked.compared(grid, problem)
+            one = _of_pair(pair, stated, other) if other.leaves_less(stated, LEFT) else None
+            one = one or asked.for_a_while(grid, problem, scale_of_half(sums.bl_products))
+            if one is not None:
+                found.append(one)
                 free -= set(pair)
     return found
 
@@ -106,34 +112,103 @@ def _bad_ends(problem: Problem, found: Sequence[Finding]) -> dict[int, tuple[int
         bad = {pair for pair in bad if worst not in pair}
 
 
-def _exchanged(
-    grid: ProcessGrid, problem: Problem, sample: Sample, pair: tuple[int, int], without: Sequence[int]
-) -> tuple[Score, Score]:
-    """Compare the baselines of two antennas with the model beam, as stated and with the antennas' places exchanged.
+@dataclass(frozen=True)
+class _Pair:
+    """The baselines of two antennas, and the array with the places of these exchanged.
 
-    Those with some other antennas are left ``without``. Collective: all ranks of the grid.
+    Attributes
+    ----------
+    pair : tuple of int
+        Their numbers.
+    rows : Rows
+        Of a rank.
+    model : ndarray of complex, (Nlocal, Ntimes, Nbls)
+        The model beam's visibilities as stated, Jy.
+    exchanged : Alternative
     """
-    observation = problem.observation
-    one, two = (int(np.flatnonzero(observation.antenna_numbers == ant)[0]) for ant in pair)
-    antpos = observation.antpos.copy()
-    antpos[[one, two]] = antpos[[two, one]]
-    antpairs = observation.antpairs[sample.bls]
-    theirs = np.asarray(np.isin(antpairs, pair).any(axis=1) & ~np.isin(antpairs, without).any(axis=1))
-    rows = sample.rows(problem, theirs)
-    stated = score_model(grid, problem, rows, sample.model[..., theirs])
-    exchanged = [Alternative("exchanged", antpos=antpos)]
-    (other,) = score_alternatives(grid, problem.of_channels(grid.channels), rows, exchanged)
-    return stated, other
+
+    pair: tuple[int, int]
+    rows: Rows
+    model: ComplexArray
+    exchanged: Alternative
+
+    @classmethod
+    def of(cls, problem: Problem, sample: Sample, pair: tuple[int, int], without: Sequence[int]) -> Self:
+        """Choose the baselines of two antennas; those with some other antennas are left ``without``."""
+        observation = problem.observation
+        one, two = (int(np.flatnonzero(observation.antenna_numbers == ant)[0]) for ant in pair)
+        antpos = observation.antpos.copy()
+        antpos[[one, two]] = antpos[[two, one]]
+        antpairs = observation.antpairs[sample.bls]
+        theirs = np.asarray(np.isin(antpairs, pair).any(axis=1) & ~np.isin(antpairs, without).any(axis=1))
+        alternative = Alternative("exchanged", antpos=antpos)
+        return cls(pair, sample.rows(problem, theirs), sample.model[..., theirs], alternative)
+
+    def compared(self, grid: ProcessGrid, problem: Problem) -> tuple[Score, Score]:
+        """Compare them with the model beam, as stated and exchanged, at a few times. Collective: all ranks."""
+        stated = score_model(grid, problem, self.rows, self.model)
+        (other,) = score_alternatives(grid, problem.of_channels(grid.channels), self.rows, [self.exchanged])
+        return stated, other
+
+    def for_a_while(self, grid: ProcessGrid, problem: Problem, scale: ComplexArray) -> Finding | None:
+        """Tell whether they were exchanged for a part of the times only, and rightly named in all others.
+
+        That is the run of times of which the exchanged model, on the ``scale`` of all data, (Nfreqs,), leaves less than
+        the stated one by most. Collective: all ranks of the grid.
+        """
+        stated, other = self._by_time(grid, problem)
+        amplitude = float(np.median(scale.real))
+        first, last = _run_of_most(amplitude * (2 * (other - stated)[2] - amplitude * (other - stated)[3]))
+        within = np.zeros(stated.shape[1], dtype=bool)
+        within[first:last] = True
+        then, rest = (
+            [Score(*one[:, some].sum(axis=1).tolist()) for one in (stated, other)] for some in (within, ~within)
+        )
+        if not (then[1].leaves_less(then[0], LEFT) and rest[0].leaves_less(rest[1], LEFT)):
+            return None
+        times = problem.observation.times[self.rows.tile.times]
+        return _of_pair(self.pair, then[0], then[1], during=(float(times[first]), float(times[last - 1])))
+
+    def _by_time(self, grid: ProcessGrid, problem: Problem) -> tuple[FloatArray, FloatArray]:
+        """Return what a `Score` has, of each time by itself, as stated and exchanged, (4, Ntimes) each. Collective."""
+        weights, data = self.rows.inv_noise_var, self.rows.data
+        sums = np.zeros((2, 4, len(self.rows.tile.times)))
+        with together(grid.world):
+            exchanged = np.zeros_like(self.model)
+            if len(self.rows.tile.bls):
+                every = np.arange(len(self.rows.tile.times))
+                of_group = problem.of_channels(grid.channels)
+                for _, t, vis in predictions(of_group, self.rows, [self.exchanged], every):
+                    exchanged[:, t] = vis
+            for one, model in zip(sums, (self.model, exchanged), strict=True):
+                products = (data.conj() * model).real, np.abs(model) ** 2
+                one[0] = np.count_nonzero(weights, axis=(0, 2))
+                one[1:] = [np.sum(weights * part, axis=(0, 2)) for part in (np.abs(data) ** 2, *products)]
+        allreduce_sum(grid.world, sums)
+        return sums[0], sums[1]
 
 
-def _of_pair(pair: tuple[int, int], stated: Score, other: Score) -> Finding:
+def _run_of_most(gain: FloatArray) -> tuple[int, int]:
+    """Return where the run of entries with the largest sum begins, and where it has ended; at least one entry."""
+    sums = np.concatenate([[0.0], np.cumsum(gain)])
+    lowest = np.minimum.accumulate(sums[:-1])
+    end = int(np.argmax(sums[1:] - lowest)) + 1
+    return int(np.argmin(sums[:end])), end
+
+
+def _of_pair(pair: tuple[int, int], stated: Score, other: Score, during: tuple[float, float] | None = None) -> Finding:
     one, two = pair
     why = (
-        f"with their places exchanged the model beam explains {other.explained:.1%} of their visibilities, and "
-        f"{max(stated.explained, 0):.1%} as stated"
+        f"with their places exchanged the model beam explains {other.explained:.1%} of their visibilities"
+        f"{' then' if during else ''}, and {max(stated.explained, 0):.1%} as stated"
     )
-    remedy = f"exchange their positions in the files, or exclude_antennas = [{one}, {two}] in [data]"
-    return Finding("two antennas exchanged", f"antennas {one} and {two}", why, remedy, antennas=pair)
+    where = f"antennas {one} and {two}"
+    mending = "exchange their positions in the files"
+    if during is not None:
+        where += f", JD {during[0]:.6f} to {during[1]:.6f}"
+        mending = "exchange their numbers in the files of these times"
+    remedy = f"{mending}, or exclude_antennas = [{one}, {two}] in [data]"
+    return Finding("two antennas exchanged", where, why, remedy, antennas=pair)
 
 
 def _of_antenna(number: int, n_bad: int, n_all: int) -> Finding:

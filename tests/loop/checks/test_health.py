@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -342,13 +342,16 @@ def test_baselines_that_effects_make_differ_from_their_partners(
     assert found(made(tmp_path, {"kind": kind, "settings": settings, "strength": strength}), tmp_path) == []
 
 
-def exchanged(uv: UVData) -> None:
-    """Exchange the labels of antennas 1 and 4."""
+def exchanged(uv: UVData, times: Sequence[int] = range(N_TIMES)) -> None:
+    """Exchange the labels of antennas 1 and 4, at some times."""
     label = {1: 4, 4: 1}
+    then = at_times(uv, *times)
     uv.ant_1_array, uv.ant_2_array = (
-        np.array([label.get(ant, ant) for ant in ants.tolist()]) for ants in (uv.ant_1_array, uv.ant_2_array)
+        np.array([label.get(ant, ant) if now else ant for ant, now in zip(ants.tolist(), then, strict=True)])
+        for ants in (uv.ant_1_array, uv.ant_2_array)
     )
     uv.baseline_array = uv.antnums_to_baseline(uv.ant_1_array, uv.ant_2_array)
+    uv.conjugate_bls("ant1<ant2")  # as some times have a baseline one way round, and others the other
 
 
 @pytest.mark.parametrize("phase", [0.0, 1.5])
@@ -359,6 +362,19 @@ def test_exchanged_antennas(phase: float, tmp_path: Path) -> None:
     (one,) = found(job, tmp_path, files=damaged(tmp_path, exchanged))
     assert (one.what, one.where, one.antennas) == ("two antennas exchanged", "antennas 1 and 4", (1, 4))
     assert "exclude_antennas = [1, 4]" in one.remedy
+
+
+@pytest.mark.parametrize("first", [0, 5, N_TIMES - 6])
+def test_antennas_that_are_exchanged_for_a_while(first: int, tmp_path: Path) -> None:
+    """As where cables were changed during the night."""
+    during = range(first, first + 6)
+    job = made(tmp_path)
+    (one,) = found(job, tmp_path, files=damaged(tmp_path, lambda uv: exchanged(uv, during)))
+    with quiet():
+        jd = np.unique(UVData.from_file(tmp_path / "data.uvh5", read_data=False).time_array)
+    where = f"antennas 1 and 4, JD {jd[during[0]]:.6f} to {jd[during[-1]]:.6f}"
+    assert (one.what, one.where, one.antennas) == ("two antennas exchanged", where, (1, 4))
+    assert "exchange their numbers in the files of these times" in one.remedy
 
 
 def test_an_antenna_is_named_instead_of_most_of_its_baselines(job: dict[str, Any], folder: Path) -> None:
