@@ -9,27 +9,33 @@ from typing import Self
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.inference.robust import known_median
 from hydrabeam_mpi.loop.checks.alternatives import Alternative, predictions
 from hydrabeam_mpi.loop.checks.bad_antennas import NOISE_SIGMAS
-from hydrabeam_mpi.loop.checks.conventions import LEFT, Score, score_alternatives, score_model
-from hydrabeam_mpi.loop.checks.health_sums import Sample, Sums, scale_of_half
+from hydrabeam_mpi.loop.checks.conventions import LEFT, Score
+from hydrabeam_mpi.loop.checks.health_sums import Sample
 from hydrabeam_mpi.mpi import ProcessGrid, allreduce_sum, together
 from hydrabeam_mpi.setup.findings import Finding, antenna_words
 from hydrabeam_mpi.setup.problem import Problem
 
 MOST_ASKED = 4
 """Antennas among which exchanged ones are looked for at a time: two pairs, or one beside two others that are bad."""
+SCALES = 64
+"""Baselines whose own scale of the data over the model is tried for all."""
+PARTS = (1, 8)
+"""Of the times: antennas are asked that are worse than others in all of them, or else in an eighth of them."""
 
 
-def exchanged_antennas(grid: ProcessGrid, problem: Problem, sample: Sample, sums: Sums) -> list[Finding]:
+def exchanged_antennas(
+    grid: ProcessGrid, problem: Problem, sample: Sample, weights: FloatArray, products: ComplexArray
+) -> list[Finding]:
     """Find pairs of antennas that have been exchanged, by their labels or by their cables, throughout or for a while.
 
-    Of both the model beam explains less than of the others, and most of it once their places are exchanged. That is
-    asked of those of which it explains least. Where it leaves no more of them than exchanged ones may leave, they are
-    where they should be, and no other place is tried.
+    Of both the model beam explains less than of the others then, and most of it once their places are exchanged. That
+    is asked of those of which it explains least. Where it leaves no more of them than exchanged ones may leave, they
+    are where they should be, and no other place is tried.
     Collective: all ranks of the grid.
 
     Parameters
@@ -38,41 +44,83 @@ def exchanged_antennas(grid: ProcessGrid, problem: Problem, sample: Sample, sums
     problem : Problem
         Of all channels.
     sample : Sample
-    sums : Sums
+    weights : ndarray, (Nlocal, Ntimes, Nbls)
         Of what counts of it.
+    products : ndarray of complex, (3, Nfreqs, Nbls)
+        Of data and model; see `Sums`.
     """
-    left = _unexplained(problem, sums)
-    worst = [ant for ant in np.argsort(-left, kind="stable")[:MOST_ASKED].tolist() if left[ant] > np.log(LEFT)]
+    scale = _scale_of_quarter(products)
+    known: list[set[int]] = []
+    for n_parts in PARTS:
+        left = _unexplained(grid, problem, sample, weights, scale, n_parts)
+        worst = [ant for ant in np.argsort(-left, kind="stable")[:MOST_ASKED].tolist() if left[ant] > np.log(LEFT)]
+        free = set(problem.observation.antenna_numbers[worst].tolist())
+        found = [] if free in known else _exchanged_among(grid, problem, sample, free, scale)
+        if found:
+            return found
+        known.append(free)
+    return []
+
+
+def _scale_of_quarter(products: ComplexArray) -> ComplexArray:
+    """Return the complex scale of data over model that leaves least of a quarter of the baselines, (Nfreqs,).
+
+    Of a small array two exchanged antennas, and one with a wrong phase, have more than half of the baselines.
+    """
+    found = np.zeros(products.shape[1], dtype=complex)
+    for channel, (overlap, model, data) in enumerate(products.swapaxes(0, 1)):
+        known = (model.real > 0) & (data.real > 0)
+        overlap, model, data = overlap[known], model.real[known], data.real[known]
+        if not len(model):
+            continue
+        own = overlap / model
+        asked = own[:: -(-len(own) // SCALES)]
+        shares = [(data - 2 * (one.conjugate() * overlap).real + abs(one) ** 2 * model) / data for one in asked]
+        found[channel] = asked[np.argmin(np.quantile(shares, 0.25, axis=1))]
+    return found
+
+
+def _exchanged_among(
+    grid: ProcessGrid, problem: Problem, sample: Sample, free: set[int], scale: ComplexArray
+) -> list[Finding]:
+    """Find pairs among some antennas, whose numbers are ``free``. Collective: all ranks of the grid."""
     found: list[Finding] = []
-    free = set(problem.observation.antenna_numbers[worst].tolist())
     for pair in combinations(sorted(free), 2):
         if free.issuperset(pair):
             # Baselines with what is wrong in itself tell nothing of where these two are.
             asked = _Pair.of(problem, sample, pair, sorted(free.difference(pair)))
-            stated, other = asked.compared(grid, problem)
-            one = _of_pair(pair, stated, other) if other.leaves_less(stated, LEFT) else None
-            one = one or asked.for_a_while(grid, problem, scale_of_half(sums.bl_products))
+            one = asked.exchanged_when(grid, problem, scale)
             if one is not None:
                 found.append(one)
-                free -= set(pair)
+                free = free - set(pair)
     return found
 
 
-def _unexplained(problem: Problem, sums: Sums) -> FloatArray:
-    """Return ln of the share of the power beyond the noise that the scaled model leaves, (Nants,).
+def _unexplained(
+    grid: ProcessGrid, problem: Problem, sample: Sample, weights: FloatArray, scale: ComplexArray, n_parts: int
+) -> FloatArray:
+    """Return ln of the share of the power beyond the noise that the scaled model leaves where that is most, (Nants,).
 
-    The scale is that of half of the baselines, and so is what is left of an antenna: a few exchanged ones move neither.
+    That is in one of ``n_parts`` of the times. Baselines count where noise alone leaves less than these.
     """
-    overlap, model, data = sums.bl_products
-    scale = scale_of_half(sums.bl_products)[:, np.newaxis]
-    left = data.real - 2 * (scale.conj() * overlap).real + np.abs(scale) ** 2 * model.real
-    beyond = data.real - sums.bl_counts
-    hidden = NOISE_SIGMAS * np.sqrt(sums.bl_counts)
-    shares = np.maximum(left - sums.bl_counts, hidden) / np.where(beyond > hidden, beyond, np.nan)
-    logs = np.log(shares)
-    index = problem.observation.antenna_index
-    by_antenna = [logs[:, (index == ant).any(axis=1)] for ant in range(problem.observation.Nants)]
-    return np.array([known_median(one.ravel()) for one in by_antenna])
+    observation = problem.observation
+    left, data, n = sums = np.zeros((3, n_parts, observation.Nbls))
+    part = np.arange(len(sample.times)) * n_parts // max(len(sample.times), 1)
+    residual = sample.data - scale[sample.channels, np.newaxis, np.newaxis] * sample.model
+    for number in range(n_parts):
+        some = weights[:, part == number]
+        left[number, sample.bls] = np.sum(some * np.abs(residual[:, part == number]) ** 2, axis=(0, 1))
+        data[number, sample.bls] = np.sum(some * np.abs(sample.data[:, part == number]) ** 2, axis=(0, 1))
+        n[number, sample.bls] = np.count_nonzero(some, axis=(0, 1))
+    allreduce_sum(grid.world, sums)
+    hidden = NOISE_SIGMAS * np.sqrt(n)
+    known = data - n > hidden / LEFT
+    shares = np.where(known, np.maximum(left - n, hidden) / np.where(known, data - n, 1.0), np.nan)
+    index = observation.antenna_index
+    medians = [
+        [known_median(of_part[(index == ant).any(axis=1)]) for ant in range(observation.Nants)] for of_part in shares
+    ]
+    return np.log(np.fmax.reduce(medians, axis=0))
 
 
 def by_antenna(problem: Problem, found: Sequence[Finding]) -> list[Finding]:
@@ -144,30 +192,26 @@ class _Pair:
         alternative = Alternative("exchanged", antpos=antpos)
         return cls(pair, sample.rows(problem, theirs), sample.model[..., theirs], alternative)
 
-    def compared(self, grid: ProcessGrid, problem: Problem) -> tuple[Score, Score]:
-        """Compare them with the model beam, as stated and exchanged, at a few times. Collective: all ranks."""
-        stated = score_model(grid, problem, self.rows, self.model)
-        (other,) = score_alternatives(grid, problem.of_channels(grid.channels), self.rows, [self.exchanged])
-        return stated, other
-
-    def for_a_while(self, grid: ProcessGrid, problem: Problem, scale: ComplexArray) -> Finding | None:
-        """Tell whether they were exchanged for a part of the times only, and rightly named in all others.
+    def exchanged_when(self, grid: ProcessGrid, problem: Problem, scale: ComplexArray) -> Finding | None:
+        """Tell whether they were exchanged, and for how long.
 
         That is the run of times of which the exchanged model, on the ``scale`` of all data, (Nfreqs,), leaves less than
-        the stated one by most. Collective: all ranks of the grid.
+        the stated one by most. At all others they are where they should be, or nothing tells that they are.
+        Collective: all ranks of the grid.
         """
         stated, other = self._by_time(grid, problem)
         amplitude = float(np.median(scale.real))
         first, last = _run_of_most(amplitude * (2 * (other - stated)[2] - amplitude * (other - stated)[3]))
         within = np.zeros(stated.shape[1], dtype=bool)
         within[first:last] = True
-        then, rest = (
-            [Score(*one[:, some].sum(axis=1).tolist()) for one in (stated, other)] for some in (within, ~within)
-        )
-        if not (then[1].leaves_less(then[0], LEFT) and rest[0].leaves_less(rest[1], LEFT)):
+        then, rest = ([_score(one, some) for one in (stated, other)] for some in (within, ~within))
+        if not then[1].leaves_less(then[0], LEFT):
             return None
         times = problem.observation.times[self.rows.tile.times]
-        return _of_pair(self.pair, then[0], then[1], during=(float(times[first]), float(times[last - 1])))
+        if rest[0].leaves_less(rest[1], LEFT):
+            return _of_pair(self.pair, then[0], then[1], during=(float(times[first]), float(times[last - 1])))
+        of_all = [_score(one, np.ones_like(within)) for one in (stated, other)]
+        return _of_pair(self.pair, of_all[0], of_all[1]) if of_all[1].leaves_less(of_all[0], LEFT) else None
 
     def _by_time(self, grid: ProcessGrid, problem: Problem) -> tuple[FloatArray, FloatArray]:
         """Return what a `Score` has, of each time by itself, as stated and exchanged, (4, Ntimes) each. Collective."""
@@ -186,6 +230,11 @@ class _Pair:
                 one[1:] = [np.sum(weights * part, axis=(0, 2)) for part in (np.abs(data) ** 2, *products)]
         allreduce_sum(grid.world, sums)
         return sums[0], sums[1]
+
+
+def _score(by_time: FloatArray, some: BoolArray) -> Score:
+    """Add up what `_Pair._by_time` returns of some times, (Ntimes,)."""
+    return Score(*by_time[:, some].sum(axis=1).tolist())
 
 
 def _run_of_most(gain: FloatArray) -> tuple[int, int]:

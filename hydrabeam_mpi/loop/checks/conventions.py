@@ -175,21 +175,6 @@ def sample_times(times: IntArray, most: int = N_TIMES) -> IntArray:
     return times[np.unique(np.linspace(0, len(times) - 1, min(most, len(times))).round().astype(int))]
 
 
-def score_model(grid: ProcessGrid, problem: Problem, rows: Rows, model: ComplexArray) -> Score:
-    """Compare the same few times of the data with visibilities that are known already, (Nlocal, Ntimes, Nbls).
-
-    Collective: all ranks of `grid.world`.
-    """
-    sums = np.zeros(4)
-    with together(grid.world):
-        chosen = np.flatnonzero(np.isin(rows.tile.times, sample_times(problem.train.times)))
-        weight, data, seen = rows.inv_noise_var[:, chosen], rows.data[:, chosen], model[:, chosen]
-        power = float(np.sum(weight * np.abs(data) ** 2))
-        sums += np.array([np.count_nonzero(weight), power, *_products(weight, data, seen)])
-    allreduce_sum(grid.world, sums)
-    return Score(*sums.tolist())
-
-
 def _products(weight: FloatArray, data: ComplexArray, model: ComplexArray) -> tuple[float, float]:
     """Return sum w Re(d* m) and sum w |m|^2."""
     return float(np.sum(weight * (data.conj() * model).real)), float(np.sum(weight * np.abs(model) ** 2))

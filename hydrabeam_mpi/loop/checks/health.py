@@ -60,7 +60,7 @@ def _look(
     kept = _without(problem, found)
     weights = kept.weights(sample, problem.observation.antenna_index)
     sums = Sums.of(grid, problem, sample, weights)
-    antennas = absurd_antennas(problem, sums) or exchanged_antennas(grid, problem, sample, sums)
+    antennas = absurd_antennas(problem, sums) or exchanged_antennas(grid, problem, sample, weights, sums.bl_products)
     if antennas:
         return antennas, []
     excess = Excess.of(grid, problem, sample, weights, sums)
