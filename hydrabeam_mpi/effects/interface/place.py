@@ -34,6 +34,7 @@ class Place:
     index: IntArray
     za: FloatArray
     az: FloatArray
+    _flux: dict[int, FloatArray] = field(default_factory=dict)
     _seen: dict[int, list[tuple[Beam, SkyEffects, Sources]]] = field(default_factory=dict)
     _waves: dict[int, FloatArray] = field(default_factory=dict)
 
@@ -41,6 +42,12 @@ class Place:
     def enu(self) -> FloatArray:
         """Unit vectors, (3, Nsrc)."""
         return enu(self.za, self.az)
+
+    def flux(self, channel: int, of_all: FloatArray) -> FloatArray:
+        """Return their fluxes in a channel, (Nsrc,), of those of the sky's sources in all channels, (Nfreqs, Nall)."""
+        if channel not in self._flux:
+            self._flux[channel] = of_all[channel, self.index]
+        return self._flux[channel]
 
     def waves(self, channel: int, engine: Engine, freq: float) -> FloatArray:
         """Return real parts, then imaginary ones, of the fringes of an engine's vectors, (2 Nvectors, Nsrc)."""

@@ -112,7 +112,7 @@ class SkyBlock:
         known = place.seen(self.channel, self.beam, self.sky_effects)
         if known is not None:
             return known
-        flux = setup.sky.flux[self.channel, place.index]
+        flux = place.flux(self.channel, setup.sky.flux)
         sources = Sources(place.index, place.za, place.az, flux, self.beam, freq=self.freq, itime=itime)
         # A cached property that is known already.
         vars(sources)["enu"] = place.enu

@@ -15,6 +15,8 @@ from hydrabeam_mpi.model.beam import CoefficientBeam
 from hydrabeam_mpi.model.engines.base import amplitude
 from hydrabeam_mpi.model.rime import Beam
 
+FEW = 512
+"""Directions for which a table of the beam is not worth while: it has tens of thousands of nodes."""
 VECTORS_AT_ONCE = 2048
 """Whose fringes are held together."""
 
@@ -81,9 +83,15 @@ def _total_power(block: RowBlock) -> FloatArray:
             of_model = amplitude(sources.flux_without()) @ sources.beam
         else:
             which, change = sources.changed
-            of_model = known + amplitude(change) @ power_of(block.beam, sources.za[which], sources.az[which])
-        power.append(of_model + (amplitude(further.flux) @ further.beam if further else 0.0))
+            of_model = known + amplitude(change) @ _power_of_some(block.beam, sources.za[which], sources.az[which])
+        of_further = amplitude(further.flux) @ _power_of_some(block.beam, further.za, further.az) if further else 0.0
+        power.append(of_model + of_further)
     return np.array(power)
+
+
+def _power_of_some(beam: Beam, za: FloatArray, az: FloatArray) -> FloatArray:
+    """Return the real part of a beam at some points, (Npoints,); of a few without its table, which takes far longer."""
+    return power_of(beam, za, az) if len(za) > FEW else np.asarray(beam(za, az)).real
 
 
 def _power_of_model(block: RowBlock) -> list[float | None]:
