@@ -48,7 +48,8 @@ def cautions_of_basis(job: Job, model: FittedBeam) -> tuple[str, ...]:
     return (
         f"The model beam has no part in {n_lacking} of the {model.basis.n_modes} functions, as a round beam has none "
         "in those that vary with azimuth, and a symmetric one none in those of odd orders. How large these may be is "
-        "guessed from the functions next to them in order and from simulated beams; [prior] floor states it.",
+        "guessed from the functions next to them in order and from simulated beams, which mostly serves: [prior] floor "
+        "states another size.",
     )
 
 
@@ -117,5 +118,5 @@ def _of_smearing(observation: Observation) -> str | None:
     told = [f"a mean over {length} loses up to {part:.0%}" for part, length in lost if part >= SMEARED]
     return (
         f"Of a source on the longest baselines {' and '.join(told)}. The model takes data as of one instant and one "
-        "frequency. If yours are such means: [data] smearing = true."
+        "frequency, as most simulators write them. Correlators write such means: [data] smearing = true."
     )
