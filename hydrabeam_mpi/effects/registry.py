@@ -29,6 +29,7 @@ EFFECTS: Registry[Effect] = Registry(
     "instrument.closure_errors",
     "instrument.gain_jitter",
     "instrument.compression",
+    "instrument.saturation",
     "instrument.ground_emitter",
     "sky.missing_sources",
     "sky.faint_sources",

@@ -33,6 +33,7 @@ from hydrabeam_mpi.fit.shares import read_shares
 from hydrabeam_mpi.fit.state import Active, Fitted, Reweighted, Values, independent_prior
 from hydrabeam_mpi.fit.whole_beams import with_whole_beams
 from hydrabeam_mpi.inference.prior import ChannelPrior, FactoredPrior
+from hydrabeam_mpi.io.autos import median_power
 from hydrabeam_mpi.io.uvmeta import read_observation
 from hydrabeam_mpi.mpi import ProcessGrid, bcast_object, together
 from hydrabeam_mpi.setup.problem import Problem
@@ -44,11 +45,12 @@ AS_WRITTEN = "use the job as 'hydrabeam loop' wrote it, with the same data, or r
 
 def find_setup(problem: Problem) -> ObservingSetup:
     """Return what effects may know before any visibility is read. Serial."""
-    return setup_of(problem, read_observation(problem.files, Selection()).pols)
+    setup = setup_of(problem, read_observation(problem.files, Selection()).pols)
+    return replace(setup, measured_power=median_power(problem.files, problem.observation))
 
 
 def setup_of(problem: Problem, file_pols: tuple[str, ...]) -> ObservingSetup:
-    """Return the same where it is known which polarisations the files have."""
+    """Return the same where it is known which polarisations the files have, without what they have measured."""
     return ObservingSetup(
         observation=problem.observation,
         redundant=problem.redundant,

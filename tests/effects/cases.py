@@ -62,6 +62,7 @@ CASES = {
     "resolved_source": Case(strengths=(1.0, 400.0)),  # up to three degrees
     "elongated_source": Case(strengths=(1.0, 400.0)),
     "source_positions": Case(strengths=(1.0, 60.0), step=1e-2),  # up to a degree
+    "saturation": Case(n_times=8),
     "smearing": Case(strengths=(1.0, 300.0), step=1e-2),
     "timestamp": Case(strengths=(1.0, 200.0), step=3e-3),
 }

@@ -157,8 +157,8 @@ def test_it_multiplies_or_adds_or_changes_the_sky(kind: str) -> None:
     assert_same(seen_by_the_beam(effect, block, x), expected, block, rtol=1e-12)
 
 
-# Compression is zero at what the model beam sees of the catalogue in the mean.
-@pytest.mark.parametrize("kind", [kind for kind in (*EFFECTS, *IN_TIME) if kind != "compression"])
+# Compression and saturation are zero at what the model beam sees of the catalogue in the mean.
+@pytest.mark.parametrize("kind", [kind for kind in (*EFFECTS, *IN_TIME) if kind not in {"compression", "saturation"}])
 def test_sources_that_are_added_to_the_sky_are_seen_like_those_of_the_catalogue(kind: str) -> None:
     """A clock, antennas elsewhere or other beams do the same to either."""
     effect, block, case = set_up(kind)
@@ -242,6 +242,8 @@ REFUSED = {
     ("polarised_sources", "unlike feeds"): "'en'",
     ("compression", "one time"): "several times",
     ("compression", "unlike feeds"): "equal feeds",
+    ("saturation", "one time"): "5 times",
+    ("saturation", "unlike feeds"): "equal feeds",
     ("mutual_coupling", "unlike feeds"): "equal feeds",
     ("antenna_positions", "unlike feeds"): "'en'",
     ("antenna_pointing", "unlike feeds"): "'en'",

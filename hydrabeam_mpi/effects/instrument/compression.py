@@ -68,13 +68,13 @@ class Compression(Effect):
 def _gains(block: RowBlock, x: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return P - P_0 in kJy, (Ntimes,), and the gains of each row's two antennas, (Ntimes, Nbls, 2)."""
     power = beam_visibilities(block, np.zeros((1, 3)))[:, 0].real
-    more = (power - _usual_power(block.setup, block.channel)) / KJY
+    more = (power - usual_powers(block.setup, block.channel).mean()) / KJY
     kappa = x[0] + x[1:][row_antennas(block)]
     return more, 1 - more[:, np.newaxis, np.newaxis] * kappa
 
 
-def _usual_power(setup: ObservingSetup, channel: int) -> float:
-    """Return the mean autocorrelation of the sky in the model beam, Jy, found once for a setup and channel."""
+def usual_powers(setup: ObservingSetup, channel: int) -> FloatArray:
+    """Return what the model beam sees of the sky at the times in use, (Ntimes in use,), Jy; found once."""
     key = (Compression.kind, float(channel))
     if key not in setup.kept:
         info = BeamInfo("model", float(setup.observation.freqs[channel]), setup.observation.pols[0])
@@ -83,6 +83,6 @@ def _usual_power(setup: ObservingSetup, channel: int) -> float:
         for itime in setup.times.tolist():
             index, za, az = positions.above_horizon(itime)
             powers.append(np.sum(amplitude(setup.sky.flux[channel, index] * power_of(beam, za, az))))
-        setup.kept[key] = float(np.mean(powers))
-    usual: float = setup.kept[key]
+        setup.kept[key] = np.array(powers)
+    usual: FloatArray = setup.kept[key]
     return usual

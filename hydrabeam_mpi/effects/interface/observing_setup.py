@@ -43,6 +43,8 @@ class ObservingSetup:
         Those of them that are fitted; all by default.
     positions : callable
         From a sky and the observation to the `SourcePositions` by the job's rule.
+    measured_power : ndarray, (Nfreqs, Ntimes), optional
+        Median autocorrelation at all times, in the data's units, where files have such.
     """
 
     observation: Observation
@@ -54,6 +56,7 @@ class ObservingSetup:
     times: IntArray
     positions: Callable[[Sky, Observation], SourcePositions] = ApparentPositions
     fitted: IntArray | None = None
+    measured_power: FloatArray | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out what is kept, which other ranks make anew."""

@@ -49,6 +49,7 @@ EFFECTS = {
         Kind("auto_coupling", coupling.auto_coupling, 1e-3, 0.1, "", FINE),
         Kind("closure_errors", closure.closure_errors, 3e-3, 0.3, ""),
         Kind("compression", strange.compression, 0.003, 0.1, ""),
+        Kind("saturation", strange.saturating_receivers, 0.003, 0.3, "", FINE),
         Kind("ground_emitter", coupling.ground_emitter, 0.01, 3.0, "Jy", FINE),
         Kind("mutual_coupling", coupling.mutual_coupling, 1e-4, 0.03, ""),
         Kind("missing_sources", skies.missing_sources, 0.015, 10.0, "Jy"),

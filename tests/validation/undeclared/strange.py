@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.validation.undeclared.answer import Drawn, Parameter, Where, antenna, numbers, pairs
+from tests.validation.undeclared.answer import Drawn, Parameter, Where, antenna, numbers, pairs, some_antennas
 from tests.validation.undeclared.beams import FloatArray, Shape
 from tests.validation.undeclared.gains import multiplied
 from tests.validation.undeclared.setting import altaz
@@ -41,6 +41,24 @@ def compression(truth: Truth, rng: np.random.Generator, strength: float, alike: 
         Parameter(antenna(truth, index), "compression", "1/kJy", value) for index, value in enumerate(per_kjy.tolist())
     ]
     return Drawn(parameters, n_params=1 if alike else n)
+
+
+def saturating_receivers(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:
+    """Receivers of one or three antennas lose the part ``strength`` of their gain at the largest power, less below it.
+
+    The loss goes with the cube of the power, of which a half is their own noise, on average.
+    """
+    some = some_antennas(truth, rng, (1, 3))
+
+    def corruption(vis: ComplexArray) -> ComplexArray:
+        sky = np.einsum("ftjj->ftj", vis).real
+        power = sky + sky.mean(axis=1, keepdims=True)
+        gains = np.ones(power.shape)
+        gains[..., some] -= strength * (power / power.max(axis=1, keepdims=True))[..., some] ** 3
+        return multiplied(gains + 0j)(vis)
+
+    truth.corruptions.append(corruption)
+    return Drawn(n_params=3 * len(some))
 
 
 def ambient_temperature(truth: Truth, rng: np.random.Generator, strength: float) -> Drawn:

@@ -20,6 +20,7 @@ FURTHER = [
     ("outliers", 511),  # so strong that all rows stand out of the first fit
     ("cable_reflections", 368),  # gains of each channel would leave as little
     ("antenna_delays", 1001),
+    ("saturation", 5000),
     ("decorrelation", 393),
     ("antenna_positions", 10),
     ("antenna_pointing", 12),
