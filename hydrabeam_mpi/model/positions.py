@@ -1,7 +1,7 @@
 """Where the sources stand: zenith angle and azimuth of those above the horizon, one time after another.
 
 The horizon is a hard cut at za = 90 deg without refraction, as in pyuvsim, matvis and fftvis. Nothing of size
-sources x times is kept.
+sources x times is kept but where that is small.
 """
 
 from __future__ import annotations
@@ -18,6 +18,9 @@ from astropy.time import Time
 from hydrabeam_mpi.data.observation import FloatArray, IntArray, Observation
 from hydrabeam_mpi.model.sky import Sky
 from hydrabeam_mpi.random import generator
+
+MOST_KEPT = 2_000_000
+"""Places that `ApparentPositions` keep: 32 MB."""
 
 
 class SourcePositions(Protocol):
@@ -67,18 +70,20 @@ class Followed:
 class ApparentPositions:
     """Catalogue places (ICRS) as seen from the observatory: precession, nutation, aberration, polar motion.
 
-    One ERFA context per time serves all sources of all skies that are followed. The atmosphere does not refract.
+    One ERFA context per time serves all sources of all skies that are followed. The atmosphere does not refract. Places
+    at a time that is asked for again, as fits do that turn the sky, are kept as long as there are not too many.
     """
 
     def __init__(self, sky: Sky, observation: Observation) -> None:
         self._ra, self._dec = sky.ra, sky.dec
+        self._asked: set[int] = set()
+        self._kept: dict[int, tuple[FloatArray, FloatArray]] = {}
         times = Time(observation.times, format="jd", scale="utc")
         self._contexts = erfa_astrom.get().apco(AltAz(obstime=times, location=observation.location))
 
     def above_horizon(self, itime: int, below: float = 0.0) -> tuple[IntArray, FloatArray, FloatArray]:
         """Find the sources above the horizon, each (Nup,); see `SourcePositions.above_horizon`."""
-        context = self._contexts[itime]
-        az_from_north, za, *_ = erfa.atioq(*erfa.atciqz(self._ra, self._dec, context), context)
+        az_from_north, za = self._kept.get(itime) or self._find(itime)
         index = np.flatnonzero(za <= np.pi / 2 + below)
         return index, za[index], (np.pi / 2 - az_from_north[index]) % (2 * np.pi)
 
@@ -86,7 +91,17 @@ class ApparentPositions:
         """Follow another sky; see `SourcePositions.follow`."""
         other = copy(self)
         other._ra, other._dec = sky.ra, sky.dec
+        other._asked, other._kept = set(), {}
         return other
+
+    def _find(self, itime: int) -> tuple[FloatArray, FloatArray]:
+        """Return azimuths from North and zenith angles of all sources at a time, (Nsrc,) each."""
+        context = self._contexts[itime]
+        az_from_north, za, *_ = erfa.atioq(*erfa.atciqz(self._ra, self._dec, context), context)
+        if itime in self._asked and (len(self._kept) + 1) * len(za) <= MOST_KEPT:
+            self._kept[itime] = az_from_north, za
+        self._asked.add(itime)
+        return az_from_north, za
 
 
 class RotatedPositions:

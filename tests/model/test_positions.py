@@ -142,3 +142,21 @@ def test_count_above_horizon_follows_the_true_counts():
     few = dense_south.select(np.arange(500))
     exact_few = [len(RotatedPositions(few, observation(times)).above_horizon(i)[0]) for i in range(8)]
     np.testing.assert_array_equal(count_above_horizon(few, observation(times)), exact_few)
+
+
+@pytest.mark.parametrize("most", [0, 1500, 10**6])
+def test_places_that_are_asked_for_again_are_the_same(most, monkeypatch):
+    """Whether there is room to keep those of none, one or both of the times; another sky has places of its own."""
+    monkeypatch.setattr("hydrabeam_mpi.model.positions.MOST_KEPT", most)
+    sky = mock_sky(1, FREQS, n_sources=1000)
+    positions = ApparentPositions(sky, observation([JD_2017, JD_2025]))
+    for below in (0.0, 0.1):
+        first = [positions.above_horizon(itime, below) for itime in (0, 1)]
+        for _ in range(2):
+            for itime in (0, 1):
+                for one, again in zip(first[itime], positions.above_horizon(itime, below), strict=True):
+                    np.testing.assert_array_equal(again, one)
+    assert sum(len(za) for _, za in positions._kept.values()) == min(most // 1000, 2) * 1000
+    other = Sky(sky.ra[:10], sky.dec[:10], sky.flux[:, :10])
+    _, za, _ = positions.follow(other).above_horizon(0, np.pi / 2)
+    np.testing.assert_array_equal(za, positions.above_horizon(0, np.pi / 2)[1][:10])
