@@ -17,7 +17,6 @@ from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
 from tests.effects.cases import IN_TIME, Case, draw, experiment_of, set_up
 from tests.effects.small import small_block, with_effect
 
-
 OF_THESE_DATA = {"common_beam", "saturation"}
 """What other data do not have as it was found."""
 
