@@ -74,7 +74,9 @@ class BadIntegrations(Reweighting):
     def fit(self, setup: ObservingSetup, sums: FloatArray, effective_parameters: FloatArray) -> ReweightingFit:
         """Find the integrations that stand out and weigh them, with ``sums`` (Nfreqs, n_sums)."""
         by_time = sums.reshape(len(sums), 2, 3, -1)[..., setup.times]
-        found = [_fit_channel(*of_channel.swapaxes(0, 1)) for of_channel in by_time]
+        numbers, logs, powers = by_time.transpose(2, 0, 1, 3)
+        bad = _stand_out(logs, numbers)
+        found = [_fit_channel(*of_channel) for of_channel in zip(numbers, powers, bad, strict=True)]
         evidence, names = float(sum(one.log_bayes_factor for one in found)), tuple(self.neutral(setup))
         many = any(one.many for one in found)
         return ReweightingFit(
@@ -121,11 +123,11 @@ class _Found(NamedTuple):
     many: bool
 
 
-def _fit_channel(n: FloatArray, logs: FloatArray, power: FloatArray) -> _Found:
-    """Find the bad integrations of a channel and weigh them, from its sums, (2, Ntimes) each."""
+def _fit_channel(n: FloatArray, power: FloatArray, stand_out: BoolArray) -> _Found:
+    """Weigh the bad integrations of a channel, (Ntimes,), from its sums, (2, Ntimes) each."""
     rows = np.maximum(n.sum(axis=0), 1)
     ratio = power.sum(axis=0) / rows
-    bad = _stand_out(logs, n) & (ratio > 1)
+    bad = stand_out & (ratio > 1)
     scales = np.where(bad, np.sqrt(ratio), 1.0)
     gain = (rows * (ratio - 1 - np.log(np.maximum(ratio, 1))))[bad].sum()
     freedom = np.log(np.sqrt(2 * np.pi / rows[bad]) / (2 * np.log(LARGEST))).sum()
@@ -136,22 +138,48 @@ def _fit_channel(n: FloatArray, logs: FloatArray, power: FloatArray) -> _Found:
 
 
 def _stand_out(logs: FloatArray, n: FloatArray) -> BoolArray:
-    """Return which times are of another kind than most, (Ntimes,).
+    """Return which times of which channels are of another kind than most, (Nfreqs, Ntimes).
 
-    The mean logs of most have a Gaussian distribution, whatever its width, wider by the error of each; those of a few,
-    `MOST_EXCEPTIONS` at most, are anywhere above its middle, up to `LARGEST`. Width and share are those of the greatest
-    likelihood, found by expectation and maximisation. Of another kind are those for which the odds are `STRONG`.
+    Those are for which the odds are `STRONG`, in a channel by itself or in all of those together in which they are not.
+    A time is as likely bad in all channels as in a few, where it is bad at all.
 
     Parameters
     ----------
-    logs, n : ndarray, (2, Ntimes)
+    logs, n : ndarray, (Nfreqs, 2, Ntimes)
         Sums of ln |z|^2, and of how many rows: fitted and held-out ones, each beside their median.
+    """
+    each = [_beside_most(*of_channel) for of_channel in zip(logs, n, strict=True)]
+    ratios = np.array([one.log_ratios for one in each])
+    prior = np.array([[np.log(one.share / (1 - one.share))] for one in each])
+    own = ratios + prior > STRONG
+    known, n_times = n.any(axis=1), max(int(np.count_nonzero(n.any(axis=(0, 1)))), 1)
+    rest = known & ~own
+    together = np.where(rest, ratios, 0.0).sum(axis=0)
+    n_bad = max(int(np.count_nonzero(own.any(axis=0))), 1)
+    share = min(n_bad / (n_times + 1), MOST_EXCEPTIONS)
+    together += np.where(own.any(axis=0), 0.0, np.log(share / (1 - share)))
+    return own | (rest & (known.sum(axis=0) > 1) & (together > STRONG))
+
+
+class _BesideMost(NamedTuple):
+    """Ln of how much likelier each time is of another kind than of that of most, (Ntimes,), and the share of such."""
+
+    log_ratios: FloatArray
+    share: float
+
+
+def _beside_most(logs: FloatArray, n: FloatArray) -> _BesideMost:
+    """Compare the times of a channel with most of them, by its sums, (2, Ntimes) each.
+
+    The mean logs of most have a Gaussian distribution, whatever its width, wider by the error of each; those of a few,
+    `MOST_EXCEPTIONS` at most, are anywhere above its middle, up to `LARGEST`. Width and share are those of the greatest
+    likelihood, found by expectation and maximisation.
     """
     rows = n.sum(axis=0)
     known = rows > 0
-    found = np.zeros(len(known), dtype=bool)
+    ratios = np.full(len(known), -np.inf)
     if not known.any():
-        return found
+        return _BesideMost(ratios, 0.5)
     means = np.where(n > 0, logs / np.maximum(n, 1), np.nan)
     beside = np.where(n > 0, beside_median(means), 0.0)
     at, error2 = np.sum(n * beside, axis=0)[known] / rows[known], LOG_STD**2 / rows[known]
@@ -160,13 +188,14 @@ def _stand_out(logs: FloatArray, n: FloatArray) -> BoolArray:
     for _ in range(STEPS):
         variance = width2 + error2
         log_usual = -0.5 * ((at - middle) ** 2 / variance + np.log(2 * np.pi * variance))
-        log_odds = np.where(at > middle, np.log(share / (1 - share)) + log_broad - log_usual, -np.inf)
-        usual = expit(-log_odds)
+        log_ratios = np.where(at > middle, log_broad - log_usual, -np.inf)
+        last = share
+        usual = expit(-log_ratios - np.log(share / (1 - share)))
         middle = float(np.average(at, weights=usual))
         width2 = max(float(np.average((at - middle) ** 2 - error2, weights=usual)), 0.0)
         share = float(np.clip(1 - usual.mean(), 1 / (len(at) + 1), MOST_EXCEPTIONS))
-    found[known] = log_odds > STRONG
-    return found
+    ratios[known] = log_ratios
+    return _BesideMost(ratios, last)
 
 
 def _by_time(setup: ObservingSetup, times: IntArray, z: ComplexArray) -> FloatArray:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.reweighting import ReweightingFit
+from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.noise.bad_integrations import BadIntegrations
 from hydrabeam_mpi.random import complex_normal, generator
 from tests.effects.small import small_block, small_setup
@@ -64,6 +68,40 @@ def test_the_evidence_is_that_of_the_marginal_likelihood() -> None:
     top = log_likelihood.max()
     integral = np.log(np.sum(np.exp(log_likelihood - top)) * (log_s[1] - log_s[0]) / np.log(1e5))
     assert found.log_bayes_factor == pytest.approx(top + integral - np.log(40), abs=0.01)
+
+
+@pytest.mark.parametrize("n_freqs", [2, 8])
+def test_what_hardly_shows_in_one_channel_shows_in_all(n_freqs: int) -> None:
+    """Noise larger by 1.6 in all channels; another integration is bad in one of them, and in no other."""
+    setup = small_setup(freqs=tuple(131e6 + 1e6 * np.arange(n_freqs)), n_times=40)
+    change = BadIntegrations()
+    told, alone, elsewhere, false = [], [], [], []
+    for seed in range(30):
+        rng = generator(seed, "channels")
+        z = [complex_normal(rng, (40, 60)) for _ in range(n_freqs)]
+        for one in z:
+            one[19] *= 1.6
+        z[0][5] *= 5.0
+        sums = np.array(
+            [
+                change.sums(block_of(setup, channel), np.where(np.isin(np.arange(40), FITTED)[:, np.newaxis], one, 0))
+                + change.heldout_sums(setup, HELD, one[HELD])
+                for channel, one in enumerate(z)
+            ]
+        )
+        found = change.fit(setup, sums, np.zeros(n_freqs)).x > 1
+        told.append(found[:, 19].mean())
+        alone.append(found[0, 5])
+        elsewhere.append(found[1:, 5].any())
+        false.append(found[:, np.delete(np.arange(40), [5, 19])].any())
+    assert np.mean(told) > 0.8
+    assert all(alone)
+    assert not any(elsewhere)
+    assert sum(false) <= 1
+
+
+def block_of(setup: ObservingSetup, channel: int) -> RowBlock:
+    return replace(small_block(EXPERIMENT), setup=setup, channel=channel)
 
 
 def test_an_effect_that_explains_them_gains_more() -> None:
