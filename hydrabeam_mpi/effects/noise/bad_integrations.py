@@ -75,7 +75,7 @@ class BadIntegrations(Reweighting):
         """Find the integrations that stand out and weigh them, with ``sums`` (Nfreqs, n_sums)."""
         by_time = sums.reshape(len(sums), 2, 3, -1)[..., setup.times]
         numbers, logs, powers = by_time.transpose(2, 0, 1, 3)
-        bad = _stand_out(logs, numbers)
+        bad = _stand_out(logs, powers, numbers)
         found = [_fit_channel(*of_channel) for of_channel in zip(numbers, powers, bad, strict=True)]
         evidence, names = float(sum(one.log_bayes_factor for one in found)), tuple(self.neutral(setup))
         many = any(one.many for one in found)
@@ -137,7 +137,7 @@ def _fit_channel(n: FloatArray, power: FloatArray, stand_out: BoolArray) -> _Fou
     return _Found(scales, std, evidence, float(gain), n_bad > MOST_EXCEPTIONS * n_times)
 
 
-def _stand_out(logs: FloatArray, n: FloatArray) -> BoolArray:
+def _stand_out(logs: FloatArray, power: FloatArray, n: FloatArray) -> BoolArray:
     """Return which times of which channels are of another kind than most, (Nfreqs, Ntimes).
 
     Those are for which the odds are `STRONG`, in a channel by itself or in all of those together in which they are not.
@@ -145,10 +145,10 @@ def _stand_out(logs: FloatArray, n: FloatArray) -> BoolArray:
 
     Parameters
     ----------
-    logs, n : ndarray, (Nfreqs, 2, Ntimes)
-        Sums of ln |z|^2, and of how many rows: fitted and held-out ones, each beside their median.
+    logs, power, n : ndarray, (Nfreqs, 2, Ntimes)
+        Sums of ln |z|^2, of |z|^2, and of how many rows: fitted and held-out ones, each beside their median.
     """
-    each = [_beside_most(*of_channel) for of_channel in zip(logs, n, strict=True)]
+    each = [_beside_most(*of_channel) for of_channel in zip(logs, power, n, strict=True)]
     ratios = np.array([one.log_ratios for one in each])
     prior = np.array([[np.log(one.share / (1 - one.share))] for one in each])
     own = ratios + prior > STRONG
@@ -168,27 +168,29 @@ class _BesideMost(NamedTuple):
     share: float
 
 
-def _beside_most(logs: FloatArray, n: FloatArray) -> _BesideMost:
+def _beside_most(logs: FloatArray, power: FloatArray, n: FloatArray) -> _BesideMost:
     """Compare the times of a channel with most of them, by its sums, (2, Ntimes) each.
 
-    The mean logs of most have a Gaussian distribution, whatever its width, wider by the error of each; those of a few,
-    `MOST_EXCEPTIONS` at most, are anywhere above its middle, up to `LARGEST`. Width and share are those of the greatest
-    likelihood, found by expectation and maximisation.
+    The mean logs of most have a Gaussian distribution, whatever its width, wider by the error of each, and so has the
+    log of their power, of which the error is less; those of a few, `MOST_EXCEPTIONS` at most, are anywhere above its
+    middle, up to `LARGEST`. Width and share are those of the greatest likelihood, found by expectation and
+    maximisation. But a few wild rows have a power, too: where all rows have more noise, their mean log is that of their
+    power, and where a few are wild it is that of most times. What counts is the lesser of both ratios.
     """
     rows = n.sum(axis=0)
     known = rows > 0
     ratios = np.full(len(known), -np.inf)
     if not known.any():
         return _BesideMost(ratios, 0.5)
-    means = np.where(n > 0, logs / np.maximum(n, 1), np.nan)
-    beside = np.where(n > 0, beside_median(means), 0.0)
-    at, error2 = np.sum(n * beside, axis=0)[known] / rows[known], LOG_STD**2 / rows[known]
-    middle, width2, share = 0.0, (GAUSSIAN * float(np.median(np.abs(at)))) ** 2, 1 / (len(at) + 1)
+    rows = rows[known]
+    at, size = (_beside_median(means, n)[known] for means in (_mean(logs, n), np.log(_mean(power, n))))
+    error2, width2 = LOG_STD**2 / rows, (GAUSSIAN * float(np.median(np.abs(at)))) ** 2
+    middle, share, last = 0.0, 1 / (len(at) + 1), 0.0
     log_broad = -np.log(2 * np.log(LARGEST))
     for _ in range(STEPS):
-        variance = width2 + error2
-        log_usual = -0.5 * ((at - middle) ** 2 / variance + np.log(2 * np.pi * variance))
-        log_ratios = np.where(at > middle, log_broad - log_usual, -np.inf)
+        of_all = log_broad - _log_gauss(size, width2 + 1 / rows)
+        not_of_few = _log_gauss(at - middle - size, error2) - _log_gauss(at - middle, width2 + error2)
+        log_ratios = np.where((at > middle) & (size > 0), np.minimum(of_all, not_of_few), -np.inf)
         last = share
         usual = expit(-log_ratios - np.log(share / (1 - share)))
         middle = float(np.average(at, weights=usual))
@@ -196,6 +198,21 @@ def _beside_most(logs: FloatArray, n: FloatArray) -> _BesideMost:
         share = float(np.clip(1 - usual.mean(), 1 / (len(at) + 1), MOST_EXCEPTIONS))
     ratios[known] = log_ratios
     return _BesideMost(ratios, last)
+
+
+def _mean(total: FloatArray, n: FloatArray) -> FloatArray:
+    """Return means by their sums and numbers; NaN where there is nothing."""
+    return np.divide(total, n, out=np.full(n.shape, np.nan), where=n > 0)
+
+
+def _beside_median(means: FloatArray, n: FloatArray) -> FloatArray:
+    """Return the means of all rows of each time, (Ntimes,), fitted and held-out ones each beside their median."""
+    beside = np.where(n > 0, beside_median(means), 0.0)
+    return np.asarray(np.sum(n * beside, axis=0) / np.maximum(n.sum(axis=0), 1))
+
+
+def _log_gauss(x: FloatArray, variance: FloatArray) -> FloatArray:
+    return np.asarray(-0.5 * (x**2 / variance + np.log(2 * np.pi * variance)))
 
 
 def _by_time(setup: ObservingSetup, times: IntArray, z: ComplexArray) -> FloatArray:
