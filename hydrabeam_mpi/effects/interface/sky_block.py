@@ -88,12 +88,12 @@ class SkyBlock:
 
     @cached_property
     def engine(self) -> Engine:
-        """The job's engine on the groups' vectors."""
-        return self.engine_on(self.vectors)
+        """The job's engine on the groups' vectors, most of which are differences of antennas' places."""
+        return self.engine_on(self.vectors, self.setup.observation.antpos)
 
-    def engine_on(self, vectors: FloatArray) -> Engine:
-        """Return the job's engine on other baseline vectors, (N, 3), metres ENU."""
-        return make_engine(self.engine_kind, vectors, smearing=smearing_of(self.setup.observation))
+    def engine_on(self, vectors: FloatArray, points: FloatArray | None = None) -> Engine:
+        """Return the job's engine on baseline vectors, (N, 3), which may be differences of ``points``; metres ENU."""
+        return make_engine(self.engine_kind, vectors, points, smearing_of(self.setup.observation))
 
     def follow(self, ra: FloatArray, dec: FloatArray) -> Followed:
         """Follow a few sources, (Nsrc,) each, radians: channels have their places in common."""
