@@ -162,14 +162,8 @@ class Engine(ABC):
         ndarray, (Nsrc,)
             Re sum_u conj(responses[u, s]) V_u.
         """
-        n_vectors, n_sources = self.n_vectors, directions.shape[1]
-        parts = np.concatenate([visibilities.real, visibilities.imag])
-        weights = amplitude(flux)
-        out = np.empty(n_sources)
-        space = np.empty(2 * n_vectors * SOURCES_AT_ONCE)
-        for lo in range(0, n_sources, SOURCES_AT_ONCE):
-            hi = min(lo + SOURCES_AT_ONCE, n_sources)
-            rows = space[: 2 * n_vectors * (hi - lo)].reshape(2 * n_vectors, hi - lo)
-            self.fringes.fill(rows.reshape(2, n_vectors, hi - lo), directions[:, lo:hi], weights[lo:hi], freq)
-            out[lo:hi] = parts @ rows
+        out = amplitude(flux)
+        for lo in range(0, len(out), SOURCES_AT_ONCE):
+            some = slice(lo, lo + SOURCES_AT_ONCE)
+            out[some] *= self.fringes.correlate(visibilities, directions[:, some], freq)
         return out

@@ -126,6 +126,44 @@ class Fringes:
         if self.smearing is not None:
             out *= self.smearing.left(self.vectors, directions, freq).astype(out.dtype, copy=False)
 
+    def correlate(self, values: ComplexArray, directions: FloatArray, freq: float) -> FloatArray:
+        """Return Re sum_u conj(fringe_u) V_u for every source, (Nsrc,).
+
+        Where fringes are products of two factors the sum is one over each of these, one of which is a matrix product.
+
+        Parameters
+        ----------
+        values : ndarray of complex, (Nvectors,)
+            V.
+        directions, freq
+            As for `fill`.
+        """
+        if self.smearing is not None or (self.lattice is None and self.pairs is None):
+            return self._correlate_each(values, directions, freq)
+        if self.pairs is not None:
+            pairs, waves = self.pairs, plane_waves(self.pairs.points, directions, freq)
+            by_points = np.zeros((len(waves), len(waves)), dtype=complex)
+            np.add.at(by_points, (pairs.second, pairs.first), values[pairs.rows])
+            found = np.einsum("ps,ps->s", waves.conj(), by_points @ waves).real
+            rest = Fringes(self.vectors[pairs.rest])
+            return found + rest._correlate_each(values[pairs.rest], directions, freq) if len(pairs.rest) else found
+        assert self.lattice is not None
+        steps = np.exp(1j * ((2 * np.pi * freq / C_M_PER_S * self.lattice.generators) @ directions))
+        along, across = (dict(_powers(step, index)) for step, index in zip(steps, self.lattice.index.T, strict=True))
+        rows, columns = ({n: number for number, n in enumerate(powers)} for powers in (along, across))
+        on_lattice = np.zeros((len(rows), len(columns)), dtype=complex)
+        places = [(rows[i], columns[j]) for i, j in self.lattice.index.tolist()]
+        np.add.at(on_lattice, tuple(np.transpose(places)), values.conj())
+        summed = on_lattice @ np.array(list(across.values()))
+        return np.asarray(np.einsum("ps,ps->s", np.array(list(along.values())), summed).real)
+
+    def _correlate_each(self, values: ComplexArray, directions: FloatArray, freq: float) -> FloatArray:
+        """Do as `correlate` by the fringe of each vector."""
+        rows = np.empty((2, len(self.vectors), directions.shape[1]))
+        self.fill(rows, directions, np.ones(directions.shape[1]), freq)
+        parts = np.concatenate([values.real, values.imag])
+        return np.asarray(parts @ rows.reshape(len(parts), -1))
+
     def _fill_sharp(self, out: FloatArray, directions: FloatArray, weights: FloatArray, freq: float) -> None:
         """Do as `fill` for one instant and frequency."""
         wavenumber = 2 * np.pi * freq / C_M_PER_S

@@ -140,3 +140,18 @@ def test_nufft_keeps_to_its_share_of_the_cores():
         assert NufftEngine(HEX).threads == 1
     with threadpool_limits(2):
         assert NufftEngine(HEX).threads == 2
+
+
+@pytest.mark.parametrize("n_rest", [0, 2])
+def test_the_adjoint_by_antennas_is_that_by_vectors(n_rest):
+    """Also of vectors that are no difference of two antennas' places."""
+    rng = generator(3, "antennas")
+    points = 50 * rng.standard_normal((7, 3))
+    one, two = np.triu_indices(7, 1)
+    vectors = np.concatenate([points[two] - points[one], 30 * rng.standard_normal((n_rest, 3))])
+    za, az, flux = sources(2100)
+    vis = rng.standard_normal(len(vectors)) + 1j * rng.standard_normal(len(vectors))
+    by_antennas, by_vectors = make_engine("gemm", vectors, points), GemmEngine(vectors)
+    assert by_antennas.fringes.pairs is not None
+    told, expected = (one.adjoint(vis, enu(za, az), flux[1], FREQS[1]) for one in (by_antennas, by_vectors))
+    np.testing.assert_allclose(told, expected, atol=1e-10 * flux.max())
