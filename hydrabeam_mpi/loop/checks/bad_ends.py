@@ -105,13 +105,12 @@ def _unexplained(
     """
     observation = problem.observation
     left, data, n = sums = np.zeros((3, n_parts, observation.Nbls))
-    part = np.arange(len(sample.times)) * n_parts // max(len(sample.times), 1)
-    residual = sample.data - scale[sample.channels, np.newaxis, np.newaxis] * sample.model
-    for number in range(n_parts):
-        some = weights[:, part == number]
-        left[number, sample.bls] = np.sum(some * np.abs(residual[:, part == number]) ** 2, axis=(0, 1))
-        data[number, sample.bls] = np.sum(some * np.abs(sample.data[:, part == number]) ** 2, axis=(0, 1))
-        n[number, sample.bls] = np.count_nonzero(some, axis=(0, 1))
+    for t in range(len(sample.times)):
+        part, some = t * n_parts // len(sample.times), weights[:, t]
+        residual = sample.data[:, t] - scale[sample.channels, np.newaxis] * sample.model[:, t]
+        left[part, sample.bls] += np.sum(some * np.abs(residual) ** 2, axis=0)
+        data[part, sample.bls] += np.sum(some * np.abs(sample.data[:, t]) ** 2, axis=0)
+        n[part, sample.bls] += np.count_nonzero(some, axis=0)
     allreduce_sum(grid.world, sums)
     hidden = NOISE_SIGMAS * np.sqrt(n)
     known = data - n > hidden / LEFT
