@@ -22,6 +22,8 @@ from hydrabeam_mpi.setup.problem import Problem
 
 MOST_ASKED = 4
 """Antennas among which exchanged ones are looked for at a time: two pairs, or one beside two others that are bad."""
+QUARTER = 0.25
+"""Of the baselines, which are right at least: of seven antennas of which three are wrong, six of 21."""
 SCALES = 64
 """Baselines whose own scale of the data over the model is tried for all."""
 PARTS = (1, 8)
@@ -76,7 +78,7 @@ def _scale_of_quarter(products: ComplexArray) -> ComplexArray:
         own = overlap / model
         asked = own[:: -(-len(own) // SCALES)]
         shares = [(data - 2 * (one.conjugate() * overlap).real + abs(one) ** 2 * model) / data for one in asked]
-        found[channel] = asked[np.argmin(np.quantile(shares, 0.25, axis=1))]
+        found[channel] = asked[np.argmin(np.quantile(shares, QUARTER, axis=1))]
     return found
 
 
@@ -101,7 +103,8 @@ def _unexplained(
 ) -> FloatArray:
     """Return ln of the share of the power beyond the noise that the scaled model leaves where that is most, (Nants,).
 
-    That is in one of ``n_parts`` of the times. Baselines count where noise alone leaves less than these.
+    That is in one of ``n_parts`` of the times. Baselines count where noise alone leaves less than exchanged antennas
+    may, and times at which the model leaves less than that of a quarter of the baselines: else it is the model's fault.
     """
     observation = problem.observation
     left, data, n = sums = np.zeros((3, n_parts, observation.Nbls))
@@ -115,11 +118,13 @@ def _unexplained(
     hidden = NOISE_SIGMAS * np.sqrt(n)
     known = data - n > hidden / LEFT
     shares = np.where(known, np.maximum(left - n, hidden) / np.where(known, data - n, 1.0), np.nan)
-    index = observation.antenna_index
-    medians = [
-        [known_median(of_part[(index == ant).any(axis=1)]) for ant in range(observation.Nants)] for of_part in shares
-    ]
-    return np.log(np.fmax.reduce(medians, axis=0))
+    index, most = observation.antenna_index, np.full(observation.Nants, np.nan)
+    for of_part in shares:
+        told = of_part[~np.isnan(of_part)]
+        if len(told) and np.quantile(told, QUARTER) < LEFT:
+            medians = [known_median(of_part[(index == ant).any(axis=1)]) for ant in range(observation.Nants)]
+            most = np.fmax(most, medians)
+    return np.log(most)
 
 
 def by_antenna(problem: Problem, found: Sequence[Finding]) -> list[Finding]:
