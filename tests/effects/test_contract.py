@@ -242,7 +242,7 @@ REFUSED = {
     ("polarised_sources", "unlike feeds"): "'en'",
     ("compression", "one time"): "several times",
     ("compression", "unlike feeds"): "equal feeds",
-    ("saturation", "one time"): "5 times",
+    ("saturation", "one time"): "3 times",
     ("saturation", "unlike feeds"): "equal feeds",
     ("mutual_coupling", "unlike feeds"): "equal feeds",
     ("antenna_positions", "unlike feeds"): "'en'",

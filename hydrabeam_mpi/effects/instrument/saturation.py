@@ -30,11 +30,11 @@ class Saturation(Effect):
     has_gains = False
 
     def not_applicable(self, setup: ObservingSetup) -> str | None:
-        """Ask for equal feeds, and for more times than the polynomials have coefficients."""
+        """Ask for equal feeds, and for as many times as there are polynomials."""
         if not setup.observation.is_copolar:
             return "the power that saturates is that of equal feeds, such as 'ee'; there is none of these"
-        if len(setup.times) < ORDERS + 2:
-            return f"a curve of the power shows only at {ORDERS + 2} times or more; there are {len(setup.times)}"
+        if len(setup.times) < ORDERS:
+            return f"a curve of the power shows only at {ORDERS} times or more; there are {len(setup.times)}"
         return None
 
     def carried_over(self, setup: ObservingSetup) -> str:

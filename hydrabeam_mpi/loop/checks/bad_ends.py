@@ -9,12 +9,12 @@ from typing import Self
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray
+from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.inference.robust import known_median
 from hydrabeam_mpi.loop.checks.alternatives import Alternative, predictions
 from hydrabeam_mpi.loop.checks.bad_antennas import NOISE_SIGMAS
-from hydrabeam_mpi.loop.checks.conventions import LEFT, Score
+from hydrabeam_mpi.loop.checks.conventions import LEFT, Score, sample_times
 from hydrabeam_mpi.loop.checks.health_sums import Sample
 from hydrabeam_mpi.mpi import ProcessGrid, allreduce_sum, together
 from hydrabeam_mpi.setup.findings import Finding, antenna_words
@@ -26,6 +26,8 @@ QUARTER = 0.25
 """Of the baselines, which are right at least: of seven antennas of which three are wrong, six of 21."""
 SCALES = 64
 """Baselines whose own scale of the data over the model is tried for all."""
+FEW_TIMES = 16
+"""At which a pair is asked first: two in each of `PARTS`."""
 PARTS = (1, 8)
 """Of the times: antennas are asked that are worse than others in all of them, or else in an eighth of them."""
 
@@ -197,38 +199,48 @@ class _Pair:
         return cls(pair, sample.rows(problem, theirs), sample.model[..., theirs], alternative)
 
     def exchanged_when(self, grid: ProcessGrid, problem: Problem, scale: ComplexArray) -> Finding | None:
-        """Tell whether they were exchanged, and for how long.
+        """Tell whether they were exchanged, and for how long: at a few times, and where that is so at all.
 
-        That is the run of times of which the exchanged model, on the ``scale`` of all data, (Nfreqs,), leaves less than
-        the stated one by most. At all others they are where they should be, or nothing tells that they are.
-        Collective: all ranks of the grid.
+        ``scale``, (Nfreqs,), is that of all data over the model. Collective: all ranks of the grid.
         """
-        stated, other = self._by_time(grid, problem)
+        every = np.arange(len(self.rows.tile.times))
+        found = self._exchanged_at(grid, problem, scale, sample_times(every, FEW_TIMES))
+        return found and (self._exchanged_at(grid, problem, scale, every) or found)
+
+    def _exchanged_at(
+        self, grid: ProcessGrid, problem: Problem, scale: ComplexArray, chosen: IntArray
+    ) -> Finding | None:
+        """Look at some of the rows' times, (Nchosen,).
+
+        They were exchanged in that run of times of which the exchanged model leaves less than the stated one by most.
+        At all others they are where they should be, or nothing tells that they are.
+        """
+        stated, other = self._by_time(grid, problem, chosen)
         amplitude = float(np.median(scale.real))
         first, last = _run_of_most(amplitude * (2 * (other - stated)[2] - amplitude * (other - stated)[3]))
-        within = np.zeros(stated.shape[1], dtype=bool)
+        within = np.zeros(len(chosen), dtype=bool)
         within[first:last] = True
         then, rest = ([_score(one, some) for one in (stated, other)] for some in (within, ~within))
         if not then[1].leaves_less(then[0], LEFT):
             return None
-        times = problem.observation.times[self.rows.tile.times]
+        times = problem.observation.times[self.rows.tile.times[chosen]]
         if rest[0].leaves_less(rest[1], LEFT):
             return _of_pair(self.pair, then[0], then[1], during=(float(times[first]), float(times[last - 1])))
         of_all = [_score(one, np.ones_like(within)) for one in (stated, other)]
         return _of_pair(self.pair, of_all[0], of_all[1]) if of_all[1].leaves_less(of_all[0], LEFT) else None
 
-    def _by_time(self, grid: ProcessGrid, problem: Problem) -> tuple[FloatArray, FloatArray]:
-        """Return what a `Score` has, of each time by itself, as stated and exchanged, (4, Ntimes) each. Collective."""
-        weights, data = self.rows.inv_noise_var, self.rows.data
-        sums = np.zeros((2, 4, len(self.rows.tile.times)))
+    def _by_time(self, grid: ProcessGrid, problem: Problem, chosen: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return what a `Score` has, of each of some times, as stated and exchanged, (4, Nchosen) each. Collective."""
+        weights, data, stated = self.rows.inv_noise_var[:, chosen], self.rows.data[:, chosen], self.model[:, chosen]
+        sums = np.zeros((2, 4, len(chosen)))
         with together(grid.world):
-            exchanged = np.zeros_like(self.model)
+            exchanged = np.zeros_like(stated)
             if len(self.rows.tile.bls):
-                every = np.arange(len(self.rows.tile.times))
+                place = {t: number for number, t in enumerate(chosen.tolist())}
                 of_group = problem.of_channels(grid.channels)
-                for _, t, vis in predictions(of_group, self.rows, [self.exchanged], every):
-                    exchanged[:, t] = vis
-            for one, model in zip(sums, (self.model, exchanged), strict=True):
+                for _, t, vis in predictions(of_group, self.rows, [self.exchanged], chosen):
+                    exchanged[:, place[t]] = vis
+            for one, model in zip(sums, (stated, exchanged), strict=True):
                 products = (data.conj() * model).real, np.abs(model) ** 2
                 one[0] = np.count_nonzero(weights, axis=(0, 2))
                 one[1:] = [np.sum(weights * part, axis=(0, 2)) for part in (np.abs(data) ** 2, *products)]
