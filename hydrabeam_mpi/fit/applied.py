@@ -96,5 +96,4 @@ def _setup_in(result: Inferred, problem: Problem, numbers: IntArray) -> Observin
         sky=problem.sky.channels(places),
         basis=result.basis,
         prior_mean=result.model_means,
-        measured_power=None,
     )

@@ -45,12 +45,11 @@ AS_WRITTEN = "use the job as 'hydrabeam loop' wrote it, with the same data, or r
 
 def find_setup(problem: Problem) -> ObservingSetup:
     """Return what effects may know before any visibility is read. Serial."""
-    setup = setup_of(problem, read_observation(problem.files, Selection()).pols)
-    return replace(setup, measured_power=median_power(problem.files, problem.observation))
+    return setup_of(problem, read_observation(problem.files, Selection()).pols)
 
 
 def setup_of(problem: Problem, file_pols: tuple[str, ...]) -> ObservingSetup:
-    """Return the same where it is known which polarisations the files have, without what they have measured."""
+    """Return the same where it is known which polarisations the files have."""
     return ObservingSetup(
         observation=problem.observation,
         redundant=problem.redundant,
@@ -90,7 +89,8 @@ def read_context(grid: ProcessGrid, problem: Problem, mine: Problem, clock: Cloc
         known = None
         with together(grid.world):
             if grid.is_world_root:
-                known = find_setup(problem)
+                power = median_power(problem.files, problem.observation)
+                known = replace(find_setup(problem), measured_power=power)
         setup = bcast_object(grid.world, known)
         carried, learned = _learn(grid, problem, setup)
     with clock.time("read"):

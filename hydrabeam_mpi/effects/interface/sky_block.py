@@ -172,7 +172,6 @@ class SkyBlock:
         ndarray of complex, (Ntimes, N, K)
             1/2 sum_s I_s column_k(s) exp(2 pi i nu b.s / c), Jy.
         """
-        is_own = vectors is None and engine is None
         engine = engine or (self.engine if vectors is None else self.engine_on(vectors))
         freqs = np.array([self.freq])
         out = []
@@ -182,7 +181,7 @@ class SkyBlock:
             for sources in (of_model, further) if further else (of_model,):
                 weights = sources.flux_without() if flux is None else np.ones(len(sources.za))
                 values, keeps = columns(sources), self.keeps_waves and itime not in self._sources
-                if is_own and keeps and sources is of_model:
+                if engine is self.engine and keeps and sources is of_model:
                     waves = self._place(itime).waves(self.channel, engine, self.freq)
                     design = (waves @ (amplitude(weights) * values).T).reshape(2, engine.n_vectors, -1)
                 else:

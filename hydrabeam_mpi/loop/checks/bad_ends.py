@@ -28,7 +28,7 @@ SCALES = 64
 """Baselines whose own scale of the data over the model is tried for all."""
 FEW_TIMES = 16
 """At which a pair is asked first: two in each of `PARTS`."""
-PARTS = (1, 8)
+PARTS = 8
 """Of the times: antennas are asked that are worse than others in all of them, or else in an eighth of them."""
 
 
@@ -54,9 +54,10 @@ def exchanged_antennas(
         Of data and model; see `Sums`.
     """
     scale = _scale_of_quarter(products)
+    by_part = _power_by_part(grid, problem, sample, weights, scale)
     known: list[set[int]] = []
-    for n_parts in PARTS:
-        left = _unexplained(grid, problem, sample, weights, scale, n_parts)
+    for sums in (by_part.sum(axis=1, keepdims=True), by_part):
+        left = _unexplained(problem, sums)
         worst = [ant for ant in np.argsort(-left, kind="stable")[:MOST_ASKED].tolist() if left[ant] > np.log(LEFT)]
         free = set(problem.observation.antenna_numbers[worst].tolist())
         found = [] if free in known else _exchanged_among(grid, problem, sample, free, scale)
@@ -100,23 +101,29 @@ def _exchanged_among(
     return found
 
 
-def _unexplained(
-    grid: ProcessGrid, problem: Problem, sample: Sample, weights: FloatArray, scale: ComplexArray, n_parts: int
+def _power_by_part(
+    grid: ProcessGrid, problem: Problem, sample: Sample, weights: FloatArray, scale: ComplexArray
 ) -> FloatArray:
-    """Return ln of the share of the power beyond the noise that the scaled model leaves where that is most, (Nants,).
-
-    That is in one of ``n_parts`` of the times. Baselines count where noise alone leaves less than exchanged antennas
-    may, and times at which the model leaves less than that of a quarter of the baselines: else it is the model's fault.
-    """
-    observation = problem.observation
-    left, data, n = sums = np.zeros((3, n_parts, observation.Nbls))
+    """Return sum w |d - scale m|^2, sum w |d|^2 and the number of visibilities, (3, `PARTS`, Nbls). Collective."""
+    left, data, n = sums = np.zeros((3, PARTS, problem.observation.Nbls))
     for t in range(len(sample.times)):
-        part, some = t * n_parts // len(sample.times), weights[:, t]
+        part, some = t * PARTS // len(sample.times), weights[:, t]
         residual = sample.data[:, t] - scale[sample.channels, np.newaxis] * sample.model[:, t]
         left[part, sample.bls] += np.sum(some * np.abs(residual) ** 2, axis=0)
         data[part, sample.bls] += np.sum(some * np.abs(sample.data[:, t]) ** 2, axis=0)
         n[part, sample.bls] += np.count_nonzero(some, axis=0)
     allreduce_sum(grid.world, sums)
+    return sums
+
+
+def _unexplained(problem: Problem, sums: FloatArray) -> FloatArray:
+    """Return ln of the share of the power beyond the noise that the scaled model leaves where that is most, (Nants,).
+
+    That is in one of the parts of `_power_by_part`. Baselines count where noise alone leaves less than exchanged
+    antennas may, and parts in which the model leaves less than that of a quarter of the baselines: else it is the
+    model's fault.
+    """
+    observation, (left, data, n) = problem.observation, sums
     hidden = NOISE_SIGMAS * np.sqrt(n)
     known = data - n > hidden / LEFT
     shares = np.where(known, np.maximum(left - n, hidden) / np.where(known, data - n, 1.0), np.nan)
@@ -199,7 +206,7 @@ class _Pair:
         return cls(pair, sample.rows(problem, theirs), sample.model[..., theirs], alternative)
 
     def exchanged_when(self, grid: ProcessGrid, problem: Problem, scale: ComplexArray) -> Finding | None:
-        """Tell whether they were exchanged, and for how long: at a few times, and where that is so at all.
+        """Tell whether they were exchanged, and for how long: at a few times, then at all of them if they were.
 
         ``scale``, (Nfreqs,), is that of all data over the model. Collective: all ranks of the grid.
         """

@@ -145,8 +145,8 @@ class Fringes:
             by_points = np.zeros((len(waves), len(waves)), dtype=complex)
             np.add.at(by_points, (pairs.second, pairs.first), values[pairs.rows])
             found = np.einsum("ps,ps->s", waves.conj(), by_points @ waves).real
-            rest = Fringes(self.vectors[pairs.rest])
-            return found + rest._correlate_each(values[pairs.rest], directions, freq) if len(pairs.rest) else found
+            rest = plane_waves(self.vectors[pairs.rest], directions, freq)
+            return np.asarray(found + (values[pairs.rest].conj() @ rest).real)
         assert self.lattice is not None
         steps = np.exp(1j * ((2 * np.pi * freq / C_M_PER_S * self.lattice.generators) @ directions))
         along, across = (dict(_powers(step, index)) for step, index in zip(steps, self.lattice.index.T, strict=True))
