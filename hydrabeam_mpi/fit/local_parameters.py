@@ -24,11 +24,15 @@ from hydrabeam_mpi.fit.whitening import TimeWhitener
 from hydrabeam_mpi.fit.whole_beams import with_whole_beams
 from hydrabeam_mpi.mpi import allreduce_sum, together
 
-LOCAL_STEPS = 4
-"""Newton steps at most, each of which about squares what the one before has left: all else stays as it is."""
+LOCAL_STEPS = 8
+"""Newton steps at most, each of which about squares what the one before has left: all else stays as it is. Three are
+enough near the end; far from it some fail, and are taken again shorter."""
 MOVED = 1e-3
 """Of their standard deviations, by which parameters move in the last step that is worth taking: as steps square what is
 left, that is a millionth of these then."""
+SHORTER = 0.25
+"""Part of a step that is taken once it has led to something less likely. Gains are exponentials: a step of their
+logarithms that is a few times too long is of no use, whichever it is."""
 
 
 def untold(context: FitContext, values: Values) -> str | None:
@@ -54,21 +58,16 @@ def fit_local(context: FitContext, fitted: Fitted, local: str, kept: BoolArray) 
     """
     # What effects add to the beams is as uncertain as the rest of these.
     whole = with_whole_beams(context, fitted)
-    values, posteriors = whole.values, whole.fit.posteriors
-    for _ in range(LOCAL_STEPS):
-        step = _local_step(context, Estimate(values, posteriors), local, kept)
-        values = step.values
-        if step.moved < MOVED:
-            break
+    values, told, own = _most_likely(context, Estimate(whole.values, whole.fit.posteriors), local, kept)
     inside = [adds_coefficients(context.setup, one) for one in fitted.values.active]
     outside = ~np.repeat(inside, [one.size for one in fitted.values.active])
     free = np.zeros(len(outside), dtype=bool)
-    free[outside] = step.free
+    free[outside] = told
     others = iter(values.active)
     pairs_of = zip(fitted.values.active, inside, strict=True)
     active = tuple(one if is_inside else next(others) for one, is_inside in pairs_of)
     pairs = zip(fitted.fit.covariances, context.channels, strict=True)
-    covariances = tuple(with_own(covariance, free, step.covariances[number]) for covariance, number in pairs)
+    covariances = tuple(with_own(covariance, free, own[number]) for covariance, number in pairs)
     fit = replace(fitted.fit, covariances=covariances)
     return replace(fitted, values=replace(fitted.values, active=active), fit=fit), free
 
@@ -81,51 +80,104 @@ def with_own(covariance: FloatArray, free: BoolArray, own: FloatArray) -> FloatA
 
 
 @dataclass(frozen=True)
-class _LocalStep:
-    """Where a step has led: the values, which parameters it has moved, (q,), and their covariances in each channel.
+class _LocalSums:
+    """What held-out rows say of all parameters in use, for all that is uncertain of the beam, in each channel.
 
-    ``moved`` is by how many standard deviations one of them moved at most.
+    Attributes
+    ----------
+    information : ndarray, (Nfreqs, q, q)
+    score : ndarray, (Nfreqs, q)
+    loss : ndarray, (Nfreqs, q)
+        Minus ln(likelihood x prior) of the rows that tell each parameter, and of the others that these rows tell.
     """
 
-    values: Values
-    free: BoolArray
-    covariances: list[FloatArray]
-    moved: float
+    information: FloatArray
+    score: FloatArray
+    loss: FloatArray
 
 
-def _local_step(context: FitContext, at: Estimate, local: str, kept: BoolArray) -> _LocalStep:
-    """Take a Newton step of these parameters, with the beams as they are. Collective: all ranks of the grid."""
-    x, shared = at.values.x, at.values.shared
-    signals, scores = _local_sums(context, at, local, kept)
-    of_kind = np.concatenate([np.full(one.size, one.effect.local == local) for one in at.values.active])
-    free = of_kind & (np.diag(signals.sum(axis=0)) > 0)
-    covariances, moved = [], 0.0
-    for f in range(len(x)):
-        signal = np.where(np.outer(shared, shared), signals.sum(axis=0), signals[f])[np.ix_(free, free)]
-        score = np.where(shared, scores.sum(axis=0), scores[f])[free] + at.values.prior_score(f)[free]
-        covariance = np.asarray(np.linalg.inv(signal + at.values.prior_precision(f)[np.ix_(free, free)]), dtype=float)
-        step = covariance @ score
-        x[f, free] += step
-        covariances.append(covariance)
-        moved = max(moved, float(np.max(np.abs(step) / np.sqrt(np.diag(covariance)), initial=0.0)))
-    # Rank 0 says whether to go on, so that rounding cannot let ranks differ.
-    return _LocalStep(at.values.at(x), free, covariances, context.grid.world.bcast(moved))
+def _most_likely(
+    context: FitContext, at: Estimate, local: str, kept: BoolArray
+) -> tuple[Values, BoolArray, list[FloatArray]]:
+    """Take Newton steps of these parameters, with the beams as they are, until they move no further.
 
+    Those of a time go back, and on by a part of the step, where that has made the rows of this time less likely.
+    Collective: all ranks of the grid.
 
-def _local_sums(context: FitContext, at: Estimate, local: str, kept: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Return what the held-out rows ``kept`` say, for all that is uncertain of the beam: information and score.
-
-    Those of all channels, (Nfreqs, q, q) and (Nfreqs, q).
+    Returns
+    -------
+    Values
+    ndarray of bool, (q,)
+        Which parameters these are.
+    list of ndarray
+        Their covariance in each channel.
     """
-    share = context.test
-    with together(context.grid.world):
+    world, values = context.grid.world, at.values
+    sums = _local_sums(context, at, local, kept)
+    of_kind = np.concatenate([np.full(one.size, one.effect.local == local) for one in values.active])
+    free = of_kind & (np.diag(sums.information.sum(axis=0)) > 0)
+    covariances, step = _newton_step(values, sums, free)
+    for _ in range(LOCAL_STEPS):
+        x = values.x
+        x[:, free] += step
+        # Rank 0 says whether to go on, so that rounding cannot let ranks differ.
+        if world.bcast(_moved(step, covariances)) < MOVED:
+            return values.at(x), free, covariances
+        with np.errstate(over="ignore", invalid="ignore"):
+            there = replace(at, values=values.at(x))
+            after = _local_sums(context, there, local, kept)
+        is_better = world.bcast((after.loss <= sums.loss)[:, free])
+        shorter = SHORTER * step
+        x[:, free] = np.where(is_better, x[:, free], values.x[:, free])
+        sums = _where(is_better, free, after, sums)
+        values = values.at(x)
+        covariances, step = _newton_step(values, sums, free)
+        step = np.where(is_better, step, shorter)
+    return values, free, covariances
+
+
+def _where(is_better: BoolArray, free: BoolArray, after: _LocalSums, before: _LocalSums) -> _LocalSums:
+    """Return sums of the parameters, (Nfreqs, n) of those that are ``free``, that go on, and of those that go back."""
+    goes_on = np.zeros(before.score.shape, dtype=bool)
+    goes_on[:, free] = is_better
+    return _LocalSums(
+        np.where(goes_on[:, :, np.newaxis], after.information, before.information),
+        np.where(goes_on, after.score, before.score),
+        np.where(goes_on, after.loss, before.loss),
+    )
+
+
+def _moved(step: FloatArray, covariances: list[FloatArray]) -> float:
+    """Return by how many standard deviations one of the parameters moves at most."""
+    std = np.sqrt([np.diag(one) for one in covariances])
+    return float(np.max(np.abs(step) / std, initial=0.0))
+
+
+def _newton_step(values: Values, sums: _LocalSums, free: BoolArray) -> tuple[list[FloatArray], FloatArray]:
+    """Return the covariance of the parameters that are ``free`` in each channel, and by what they move, (Nfreqs, n)."""
+    shared, covariances, steps = values.shared, [], []
+    for f, (information, score) in enumerate(zip(sums.information, sums.score, strict=True)):
+        both = np.where(np.outer(shared, shared), sums.information.sum(axis=0), information)[np.ix_(free, free)]
+        pull = np.where(shared, sums.score.sum(axis=0), score)[free] + values.prior_score(f)[free]
+        covariances.append(np.asarray(np.linalg.inv(both + values.prior_precision(f)[np.ix_(free, free)]), dtype=float))
+        steps.append(covariances[-1] @ pull)
+    return covariances, np.array(steps)
+
+
+def _local_sums(context: FitContext, at: Estimate, local: str, kept: BoolArray) -> _LocalSums:
+    """Sum over the held-out rows ``kept``. Collective: all ranks of the grid."""
+    share, world, values = context.test, context.grid.world, at.values
+    with together(world):
         rows, added = share.calibrated(at)
     rows = replace(rows, inv_noise_var=rows.inv_noise_var * kept)
-    n_freqs, q = at.values.x.shape
+    n_freqs, q = values.x.shape
     signals, scores = np.zeros((n_freqs, q, q)), np.zeros((n_freqs, q))
-    chosen = [
-        (one, span) for one, span in zip(at.values.active, at.values.spans, strict=True) if one.effect.local == local
-    ]
+    # Parameters of baselines are told by all times together.
+    by_time, n_times = local == "times", context.setup.observation.Ntimes
+    misfit, of_time = np.zeros((n_freqs, n_times if by_time else 1)), np.zeros(q, dtype=int)
+    # A row that is multiplied by nothing has no weight once that is taken out; it is not explained all the same.
+    lost = np.where(rows.inv_noise_var > 0, 0.0, kept * share.rows.inv_noise_var * np.abs(share.rows.data) ** 2)
+    chosen = [(one, span) for one, span in zip(values.active, values.spans, strict=True) if one.effect.local == local]
     for channel, number in enumerate(context.channels):
         with together(context.grid.group):
             for span, block, design in share.row_blocks(channel, at, added[channel], rows):
@@ -135,9 +187,22 @@ def _local_sums(context: FitContext, at: Estimate, local: str, kept: BoolArray) 
                     white = in_parts(time.rows(np.column_stack([columns, block.residual[t]])))
                     signals[number][np.ix_(which, which)] += white[:, :-1].T @ white[:, :-1]
                     scores[number][which] += white[:, :-1].T @ white[:, -1]
-    allreduce_sum(context.grid.world, signals)
-    allreduce_sum(context.grid.world, scores)
-    return signals, scores
+                    place = int(block.times[t]) if by_time else 0
+                    misfit[number, place] += 0.5 * np.sum(white[:, -1] ** 2) + lost[channel, span.start + t].sum()
+                    of_time[which] = place
+    for sums in (signals, scores, misfit):
+        allreduce_sum(world, sums)
+    of_time = np.max(world.allgather(of_time), axis=0)
+    for f in range(n_freqs):
+        np.add.at(misfit[f], of_time, _price(values, f))
+    misfit = misfit[:, of_time]
+    return _LocalSums(signals, scores, np.where(values.shared, misfit.sum(axis=0), misfit))
+
+
+def _price(values: Values, channel: int) -> FloatArray:
+    """Return what each parameter costs in ln of the prior, (q,); of those that hang together its part of theirs."""
+    mean = np.concatenate([np.zeros(0), *(one.prior.of(channel).mean for one in values.active)])
+    return np.asarray(-0.5 * (values.x[channel] - mean) * values.prior_score(channel))
 
 
 def _columns(

@@ -12,8 +12,9 @@ from dataclasses import replace
 import numpy as np
 
 from hydrabeam_mpi.loop.checks.bad_antennas import absurd_antennas, absurd_autocorrelations
-from hydrabeam_mpi.loop.checks.bad_ends import by_antenna, exchanged_antennas
+from hydrabeam_mpi.loop.checks.bad_ends import by_antenna
 from hydrabeam_mpi.loop.checks.bad_rows import bad_baselines, bad_times
+from hydrabeam_mpi.loop.checks.exchanged import exchanged_antennas
 from hydrabeam_mpi.loop.checks.filtered import filtered
 from hydrabeam_mpi.loop.checks.health_sums import Excess, Kept, Sample, Sums, read_sample
 from hydrabeam_mpi.loop.checks.partners import noise_beside_partners, noisy_baselines

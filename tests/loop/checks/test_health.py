@@ -364,6 +364,18 @@ def test_exchanged_antennas(phase: float, tmp_path: Path) -> None:
     assert "exclude_antennas = [1, 4]" in one.remedy
 
 
+def test_exchanged_antennas_beside_what_one_baseline_sees(tmp_path: Path) -> None:
+    """The shortest may have most of all power, from emission that the model lacks, and says nothing of their places."""
+
+    def on_top(uv: UVData) -> None:
+        exchanged(uv)
+        rows = uv.antpair2ind(0, 1)
+        uv.data_array[rows] += 5 * np.abs(uv.data_array[rows]).mean()
+
+    (one,) = found(made(tmp_path), tmp_path, files=damaged(tmp_path, on_top))
+    assert (one.what, one.where) == ("two antennas exchanged", "antennas 1 and 4")
+
+
 @pytest.mark.parametrize("first", [0, 5, N_TIMES - 6])
 def test_antennas_that_are_exchanged_for_a_while(first: int, tmp_path: Path) -> None:
     """As where cables were changed during the night."""
