@@ -57,6 +57,10 @@ class MayChange:
 class ScannedInTime:
     """Something with candidates that are scanned one by one, and that may change in time."""
 
+    functions_in_time: ClassVar[int] = 4
+    """Functions of time with which each candidate, such as a baseline, is looked at: two swings, in each night that has
+    its own. The more functions each has, the fewer are weighed together."""
+
     @abstractmethod
     def scan(self, block: RowBlock) -> tuple[FloatArray, FloatArray]:
         """Return the sums of every candidate, each (n_hypotheses, p)."""

@@ -32,9 +32,6 @@ MOST_COLUMNS = 300
 many as take the time of a few other effects. More come a round later."""
 LEAST_FUNCTIONS = 2
 """However many antennas there are: with one alone nothing is chosen."""
-SCANNED_FUNCTIONS = 4
-"""With each of the baselines or sources that are picked, whose number they divide: two swings, in each night that has
-its own."""
 
 Times = IntArray | Sequence[int] | slice
 EVERY = slice(None)
@@ -269,7 +266,7 @@ class InTime(ScannedEffect):
     def _candidates(self, setup: ObservingSetup) -> TimeLaw:
         """Return the law with all functions that are looked at."""
         law = self.time_law.over(setup.jd).candidates(setup.fitted_jd, setup.jd)
-        return law.first(SCANNED_FUNCTIONS) if isinstance(self.effect, ScannedEffect) else law
+        return law.first(self.effect.functions_in_time) if isinstance(self.effect, ScannedEffect) else law
 
     def _functions(self, setup: ObservingSetup) -> FloatArray:
         """Return the functions at all times of the observation, (Ntimes, n); not to be changed."""
@@ -289,7 +286,8 @@ class InTime(ScannedEffect):
     def _own_parameters(self, setup: ObservingSetup) -> Parameters:
         """Return the parameters of the effect, and what they have in common as elements of its own, n_own."""
         own, (names, common) = self.effect.parameters(setup), self.effect.common_in_time(setup)
-        first = np.argmax(common != 0, axis=1)
+        # An effect whose elements are not known yet has nothing in common.
+        first = np.argmax(common != 0, axis=1) if len(common) else np.zeros(0, dtype=int)
         units = (*own.units, *(own.units[i] for i in first))
         element = np.concatenate([own.element, own.element.max(initial=-1) + 1 + np.arange(len(names))])
         scale = np.concatenate([own.scale, own.scale[first]])

@@ -14,8 +14,8 @@ from pydantic import Field
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 
-MOST_ORDERS = 8
-"""Orders of polynomials that are looked at: four swings in a night. What changes faster needs jumps."""
+MOST_ORDERS = 16
+"""Orders of polynomials that are looked at: eight swings in a night. What changes faster needs jumps."""
 LEVEL = "level"
 """What the number of the function that is one at all times is called."""
 SECOND = 1 / 86400

@@ -24,6 +24,7 @@ from hydrabeam_mpi.effects.shared.point_sources import (
     resolution,
     responses,
 )
+from hydrabeam_mpi.effects.shared.time_laws import MOST_ORDERS
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.positions import RotatedPositions
 from hydrabeam_mpi.model.sky import Sky, separation
@@ -49,6 +50,8 @@ class CatalogueFlux(PointSources):
     linear = True
     most: ClassVar[int] = 20_000
     """Sources that are looked at, the brightest ones."""
+    functions_in_time: ClassVar[int] = MOST_ORDERS
+    """All: sources scintillate, some times an hour or faster, and few do at once."""
     laws: ClassVar = {"smooth": "catalogue sources that vary", "nightly": "catalogue sources that vary anew each night"}
 
     def carried_over(self, setup: ObservingSetup) -> Self:

@@ -65,7 +65,7 @@ def test_one_law_over_all_nights_has_no_swing_within_one() -> None:
     for n in (2, 3):
         times = nights(*range(n))
         assert Smooth().over(times).candidates(times, times).orders == tuple(range(1, n))
-        assert len(Sidereal().over(times).candidates(times, times).orders) == 8
+        assert len(Sidereal().over(times).candidates(times, times).orders) == 10
     assert Smooth().over(HOURS).candidates(HOURS[::2], HOURS).orders == (1, 2, 3, 4, 5)
 
 
