@@ -11,7 +11,7 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Worth, refit, stepped
 from hydrabeam_mpi.fit.state import Fitted, Reweighted, Values
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
-from hydrabeam_mpi.loop.attribution.reconsider import reconsider
+from hydrabeam_mpi.loop.attribution.reconsider import Known, compare_priors
 from hydrabeam_mpi.loop.attribution.score_effects import Finding, attribute, attribute_sizes
 from hydrabeam_mpi.loop.attribution.score_noise import refit_reweighting
 from hydrabeam_mpi.loop.rules import RULES
@@ -95,7 +95,10 @@ def _told(effect: Effect) -> str:
 
 @dataclass(frozen=True)
 class TriedFit:
-    """A fit of an effect, what weighing it again there says, and ln of its Bayes factor over the model without it."""
+    """A fit of an effect, what weighing it again there says, and ln of its Bayes factor over the model without it.
+
+    The Bayes factor is that of the prior with which it has been fitted. What weighing says may be of another one.
+    """
 
     fitted: Fitted
     evidence: Evidence
@@ -104,9 +107,11 @@ class TriedFit:
     @classmethod
     def of(cls, context: FitContext, before: Fitted, fitted: Fitted) -> TriedFit:
         """Weigh the effect again where it has been fitted. Collective: all ranks of the grid."""
-        evidence, gained = reconsider(context, fitted), rise(context, before, fitted)
-        price = price_of_fitted(context, fitted)
-        return cls(fitted, evidence, evidence.log_bayes_factor - evidence.linear_gain + gained - price)
+        place, known = len(fitted.values.active) - 1, Known.of(context, fitted)
+        own = fitted.values.active[place].prior_var(context.setup)
+        wanted, given = compare_priors(context, fitted, known, place, own)
+        gained, price = rise(context, before, fitted), price_of_fitted(context, fitted)
+        return cls(fitted, wanted, given.log_bayes_factor - given.linear_gain + gained - price)
 
     def is_better(self, other: TriedFit) -> bool:
         """Whether it has more evidence than another one; a fit that has not converged is no evidence."""
