@@ -135,16 +135,15 @@ class Gaussian:
         own, unit = _in_units(self.precision[np.ix_(gone, gone)])
         pulled = unit[:, np.newaxis] * np.column_stack([self.precision[np.ix_(gone, rest)], self.source[gone]])
         try:
-            solved = np.linalg.solve(own, pulled)
+            taken, log_det = _seen_through(own, pulled)
         except LinAlgError as error:
             names = ", ".join(out)
             raise InputError(
                 f"data and prior leave some of the unknowns of {names} free", remedy="use a prior that is not flat"
             ) from error
-        taken = pulled.conj().T @ solved
         log_scale = self.log_scale
         if log_scale is not None:
-            log_det = float(np.linalg.slogdet(own)[1]) - 2 * float(np.sum(np.log(unit)))
+            log_det -= 2 * float(np.sum(np.log(unit)))
             log_scale += _log_volume(len(gone), log_det, float(taken[-1, -1].real), self.kappa)
         precision = self.precision[np.ix_(rest, rest)] - taken[:-1, :-1]
         source = self.source[rest] - taken[:-1, -1]
@@ -257,11 +256,28 @@ def _rows_of(spans: Mapping[str, slice], names: Sequence[str]) -> IntArray:
     return np.concatenate([np.zeros(0, dtype=int), *(np.arange(spans[name].start, spans[name].stop) for name in names)])
 
 
-def _in_units(precision: Array) -> tuple[Array, FloatArray]:
-    """Return a precision in units in which its diagonal is one, (n, n), and these, (n,): what is solved for by LU.
+def _seen_through(precision: Array, columns: Array) -> tuple[Array, float]:
+    """Return columns^H P^-1 columns, (k, k), and ln|P| of a Hermitian P, (n, n), with columns (n, k).
 
-    Its directions that are determined by no more than rounding errors of either sign are no obstacle to that.
+    By LU where directions of P are determined by no more than rounding errors of either sign: they are no obstacle to
+    that, and it takes twice as long.
+
+    Raises
+    ------
+    LinAlgError
+        If P is singular.
     """
+    try:
+        factor = cholesky_lower(precision)
+    except LinAlgError:
+        solved = np.linalg.solve(precision, columns)
+        return columns.conj().T @ solved, float(np.linalg.slogdet(precision)[1])
+    half = solve_triangular(factor, columns, lower=True, check_finite=False)
+    return half.conj().T @ half, 2 * float(np.sum(np.log(np.diag(factor).real)))
+
+
+def _in_units(precision: Array) -> tuple[Array, FloatArray]:
+    """Return a precision in units in which its diagonal is one, (n, n), and these, (n,)."""
     own = np.diag(precision).real
     unit = 1 / np.sqrt(np.where(own > 0, own, 1.0))
     return unit[:, np.newaxis] * precision * unit, unit

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -99,7 +100,7 @@ class JointLikelihood:
 
     def gain(self, state: State) -> float:
         """Return by how much all of a set together raise ln likelihood."""
-        others, order = self._others(state)
+        others, order = self._others(self.model, state)
         blocks = [_part(one, order) for one in self.by_channel]
         each = zip(others.best(blocks), blocks, strict=True)
         return float(sum(one.score @ x - 0.5 * x @ one.information @ x for x, one in each))
@@ -108,23 +109,32 @@ class JointLikelihood:
         """Return the likelihood of each of some competitors, with those of a set marginalised."""
         if not numbers:
             return []
-        others, order = self._others(state)
-        own = [self._span(i) for i in numbers]
-        left = others.marginalised([_part(one, np.concatenate([order, *own])) for one in self.by_channel], shared)
+        model, by_channel = self._beside_model[shared]
+        others, order = self._others(model, state)
+        own = [self._span(model, i) for i in numbers]
+        left = others.marginalised([_part(one, np.concatenate([order, *own])) for one in by_channel], shared)
         ends = np.cumsum([0, *map(len, own)])
         return [[_part(one, np.arange(*pair)) for one in left] for pair in pairwise(ends)]
 
-    def _others(self, state: State) -> tuple[Others, np.ndarray]:
-        """Return what is in the model and a set, and where that is in the matrix."""
-        others, order = self.model, [np.arange(len(self.model.shared))]
+    @cached_property
+    def _beside_model(self) -> dict[bool, tuple[Others, list[Likelihood]]]:
+        """What of the model has to be marginalised with a set, and each channel's likelihood without all else of it.
+
+        For what channels share, and for what each has for itself: the model is the same beside every set.
+        """
+        return {shared: self.model.taken_out(self.by_channel, shared) for shared in (False, True)}
+
+    def _others(self, model: Others, state: State) -> tuple[Others, np.ndarray]:
+        """Return what is there of the model and a set, and where that is in a matrix that begins with this model."""
+        others, order = model, [np.arange(len(model.shared))]
         for i, one in state.items():
             used = np.flatnonzero(one.prior_var)
             others = others.and_more(self.competitors[i].shared, one.prior_var[used])
-            order.append(self._span(i)[used])
+            order.append(self._span(model, i)[used])
         return others, np.concatenate(order)
 
-    def _span(self, number: int) -> np.ndarray:
-        start = len(self.model.shared) + sum(len(one.parameters) for one in self.competitors[:number])
+    def _span(self, model: Others, number: int) -> np.ndarray:
+        start = len(model.shared) + sum(len(one.parameters) for one in self.competitors[:number])
         return np.arange(start, start + len(self.competitors[number].parameters))
 
 

@@ -48,6 +48,27 @@ class Others:
             tuple(np.append(one, np.zeros(n)) for one in self.score),
         )
 
+    def taken_out(self, by_channel: Sequence[Likelihood], for_shared: bool) -> tuple[Others, list[Likelihood]]:
+        """Marginalise those that what is added by `and_more` has nothing to do with; say which are left, and do so.
+
+        What channels share waits for the sum over several channels, where that is asked for; see `marginalised`.
+        """
+        waits = self.shared if for_shared and len(by_channel) > 1 else np.zeros_like(self.shared)
+        if not waits.any():
+            return self._some(waits), self.marginalised(by_channel, for_shared=False)
+        now, rest, left = np.flatnonzero(~waits), self._some(~waits), []
+        for one, precision, of_prior in zip(by_channel, rest.precision, rest.score, strict=True):
+            score = one.score.copy()
+            score[now] += of_prior
+            left.append(replace(one, score=score).marginalised(now, precision))
+        return self._some(waits), left
+
+    def _some(self, which: BoolArray) -> Others:
+        """Return some of these, which (p,) says."""
+        square = np.ix_(which, which)
+        precision, score = (one[square] for one in self.precision), (one[which] for one in self.score)
+        return Others(self.shared[which], tuple(precision), tuple(score))
+
     def marginalised(self, by_channel: Sequence[Likelihood], for_shared: bool) -> list[Likelihood]:
         """Return what is left for the unknowns that come after them: of each channel, or ``for_shared`` ones of all.
 

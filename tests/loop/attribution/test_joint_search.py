@@ -174,3 +174,31 @@ def test_best_values_of_own_and_shared_unknowns_solve_the_equations_of_all_chann
     precision = whole.T @ whole + np.diag(1 / np.array([0.3, 2.0, 0.1, 2.0, 0.1]))
     x = np.linalg.solve(precision, whole.T @ np.concatenate(data))
     np.testing.assert_allclose(found, [[x[0], x[1], x[2]], [x[0], x[3], x[4]]], rtol=1e-9)
+
+
+@pytest.mark.parametrize("n_freqs", [1, 2])
+def test_the_model_that_is_taken_out_once_is_as_beside_each_set(n_freqs: int) -> None:
+    """Of what channels share of it, and of what each has its own, whose priors have gradients of their own."""
+    shared, precision = np.array([True, False, False, True, True]), np.diag([0.5, 3.0, 1.0, 7.0, 0.1])
+    precision[1, 2] = precision[2, 1] = 0.4
+    scores = tuple(np.where(shared, 0.7, draw(5, seed=20 + f)) for f in range(n_freqs))
+    model = Others(shared, (precision,) * n_freqs, scores)
+    columns = draw(N_DATA, 9, seed=16) + draw(N_DATA, 1, seed=17)
+    data = [draw(N_DATA, seed=18 + f) for f in range(n_freqs)]
+    by_channel = [Likelihood(columns.T @ columns, columns.T @ one, columns.T @ columns) for one in data]
+    joint = JointLikelihood(by_channel, model, [competitor(2, shared=True), competitor(2)])
+    state = {0: joint.weigh({}, [0])[0]}
+    for number, in_set in ((1, state), (0, {})):
+        is_shared = joint.competitors[number].shared
+        found = joint._beside(in_set, [number], is_shared)[0]
+        others, order = model, [*range(5)]
+        if in_set:
+            used = np.flatnonzero(state[0].prior_var)
+            others, order = model.and_more(True, state[0].prior_var[used]), [*range(5), *(5 + used).tolist()]
+        which = np.array([*order, 7, 8] if number else [*order, 5, 6])
+        square = np.ix_(which, which)
+        whole = [Likelihood(one.information[square], one.score[which], one.signal[square]) for one in by_channel]
+        for one, other in zip(found, others.marginalised(whole, is_shared), strict=True):
+            np.testing.assert_allclose(one.information, other.information, rtol=1e-9)
+            np.testing.assert_allclose(one.score, other.score, rtol=1e-9)
+            np.testing.assert_array_equal(one.signal, other.signal)
