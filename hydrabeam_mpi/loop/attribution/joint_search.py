@@ -165,20 +165,25 @@ def search(joint: JointLikelihood, least: float) -> JointSet:
 
     There is none if a control model is wanted beside the effects: then none of these is what it says.
     """
-    state = _added(joint, {}, (), least)
+    state, total = State(), -np.inf
+    further: State | None = _added(joint, {}, (), least)
     for _ in range(MOST_SWEEPS):
-        if any(joint.competitors[i].is_control for i in state):
-            return JointSet()
-        state = _settled(joint, state)
-        better = _exchanged(joint, state, least) or _shared_out(joint, state, least)
-        if better is None:
+        if further is None:
             break
-        state = better
+        if any(joint.competitors[i].is_control for i in further):
+            return JointSet()
+        further = _settled(joint, further)
+        # Settled, a set may have less evidence than when it was put together: beside others, some of it cannot be.
+        now = _of_all(joint, further)
+        if now <= total + LEAST_GAIN:
+            break
+        state, total = further, now
+        further = _exchanged(joint, state, least) or _shared_out(joint, state, least)
     free = _free(joint, state)
     beside = {m: joint.weigh(_without(state, m), [m, *free]) for m in state}
     order = [m for m in state if beside[m][m].log_bayes_factor >= least]
     order.sort(key=lambda m: -beside[m][m].log_bayes_factor)
-    return JointSet(tuple(order), beside, _of_all(joint, state), joint.gain(state))
+    return JointSet(tuple(order), beside, total, joint.gain(state))
 
 
 def _free(joint: JointLikelihood, state: State, banned: Collection[int] = ()) -> list[int]:
