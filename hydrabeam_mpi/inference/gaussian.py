@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import LinAlgError, solve_triangular
+from scipy.linalg import LinAlgError, cholesky, solve_triangular
 
 from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray
 from hydrabeam_mpi.errors import InputError
@@ -268,7 +268,7 @@ def _seen_through(precision: Array, columns: Array) -> tuple[Array, float]:
         If P is singular.
     """
     try:
-        factor = cholesky_lower(precision)
+        factor = cholesky(precision, lower=True, check_finite=False)
     except LinAlgError:
         solved = np.linalg.solve(precision, columns)
         return columns.conj().T @ solved, float(np.linalg.slogdet(precision)[1])
