@@ -18,10 +18,13 @@ from pyuvdata.utils import polnum2str
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.data.selection import match
 from hydrabeam_mpi.errors import InputError, printable
+from hydrabeam_mpi.io.compiled import keep_compiled
 from hydrabeam_mpi.io.reading import check_file, mute, reading
 from hydrabeam_mpi.io.uvcheck import check_metadata
 from hydrabeam_mpi.io.uvformat import FORMATS, READ_IN_PART
 from hydrabeam_mpi.io.uvwhole import check_survives
+
+keep_compiled()
 
 # Stamps closer than this are one integration or one channel; both far exceed the rounding of any format.
 TIME_TOLERANCE = 1e-3 / 86400  # days
