@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from hydrabeam_mpi.data.observation import Array
+from hydrabeam_mpi.report.page.ticks import plain_ticks
 
 # Colours of Okabe and Ito, told apart by colour-blind readers and in grey.
 INFERRED = "#d55e00"
@@ -32,7 +33,6 @@ STYLE: Any = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.axisbelow": True,
-    "axes.formatter.use_mathtext": True,
     "grid.color": "0.9",
     "grid.linewidth": 0.6,
     "xtick.labelsize": 8,
@@ -98,6 +98,7 @@ def decades(values: Array, low: float = 0.0, high: float = 100.0) -> tuple[float
 def render(figure: Figure) -> dict[str, bytes]:
     """Return a figure as "png" and as "pdf"; the same figure gives the same bytes at any time."""
     pixels, pages = BytesIO(), BytesIO()
+    plain_ticks(figure)
     figure.savefig(pixels, format="rgba", dpi=DPI)
     figure.set_layout_engine("none")  # it is laid out; once is enough
     figure.savefig(pages, format="pdf", dpi=DPI, metadata={"CreationDate": None})
