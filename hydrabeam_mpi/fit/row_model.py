@@ -35,6 +35,10 @@ SKIES_OF_A_FIT = 30
 and it is made again with other widths of the prior. Those of skies that do not turn are made once for all of them, and
 for all fits that follow, by as many products on each ring as there are functions of azimuth."""
 
+STANDING_BYTES = 2**26
+"""Of the designs of several times that are made of such skies at once: the skies are gone through once for all of
+them."""
+
 
 @dataclass
 class RowModel:
@@ -142,13 +146,29 @@ class RowModel:
         stands = [self._keeps_skies(one, blocks[0]) for one, _ in blocks[0].sky_effects] if times else []
         skies = (changed_sky(blocks, time, stands) for time in times)
         designs = design_of_each(engine, basis, skies, freqs)
-        for time, turning in zip(times, designs, strict=True):
-            for channel, block in enumerate(blocks):
-                for (one, x), is_standing in zip(block.sky_effects, stands, strict=True):
-                    if is_standing:
-                        numbers = one.standing_numbers(block, time, x)
-                        turning[channel] += np.tensordot(numbers, self._design_of_skies(one, channel, block), axes=1)
+        standing = [
+            [
+                self._of_standing(one, x, channel, block)
+                for (one, x), is_it in zip(block.sky_effects, stands, strict=True)
+                if is_it
+            ]
+            for channel, block in enumerate(blocks)
+        ]
+        for turning in designs:
+            for of_channel, skies_of_channel in zip(turning, standing, strict=True):
+                for seen in skies_of_channel:
+                    of_channel += next(seen)
             yield mixed(basis, turning)
+
+    def _of_standing(self, effect: Effect, x: FloatArray, channel: int, block: RowBlock) -> Iterator[FloatArray]:
+        """Yield the design of what an effect adds of skies that do not turn, (2, Ngroups, n_columns), at each time."""
+        of_skies = self._design_of_skies(effect, channel, block)
+        flat = of_skies.reshape(len(of_skies), -1)
+        at_once = max(1, int(STANDING_BYTES // (8 * flat.shape[1])))
+        times = block.times.tolist()
+        for first in range(0, len(times), at_once):
+            numbers = np.array([effect.standing_numbers(block, t, x) for t in times[first : first + at_once]])
+            yield from (numbers @ flat).reshape(-1, *of_skies.shape[1:])
 
     def _keeps_skies(self, effect: Effect, block: RowBlock) -> bool:
         """Whether designs of an effect's skies that do not turn take less time, and room, than one at each time."""

@@ -54,8 +54,13 @@ class SkiesOnRings:
             fringes = fringes.reshape(n_rows, *za.shape)
             seen = np.empty((n_functions, len(za), n_rows * n_columns))
             for ring in range(len(za)):
-                terms = self.along[:, np.newaxis] * fringes[:, ring]
-                seen[:, ring] = (terms.reshape(-1, len(self.az)) @ columns[:, ring].T).reshape(n_functions, -1)
+                # What is multiplied out first is what there is less of: functions of azimuth, or columns.
+                if n_columns < n_functions:
+                    terms = fringes[:, np.newaxis, ring] * columns[:, ring]
+                    seen[:, ring] = self.along @ terms.reshape(-1, len(self.az)).T
+                else:
+                    terms = self.along[:, np.newaxis] * fringes[:, ring]
+                    seen[:, ring] = (terms.reshape(-1, len(self.az)) @ columns[:, ring].T).reshape(n_functions, -1)
             for j, of_function in enumerate(seen):
                 own = np.flatnonzero(self.function == j)
                 out[own] += self.across[own, rings] @ of_function
