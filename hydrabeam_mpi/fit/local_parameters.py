@@ -117,6 +117,8 @@ def _most_likely(
     of_kind = np.concatenate([np.full(one.size, one.effect.local == local) for one in values.active])
     free = of_kind & (np.diag(sums.information.sum(axis=0)) > 0)
     covariances, step = _newton_step(values, sums, free)
+    if not values.x[:, free].any():
+        step = _begun(context, values, step, free)
     for _ in range(LOCAL_STEPS):
         x = values.x
         x[:, free] += step
@@ -134,6 +136,14 @@ def _most_likely(
         covariances, step = _newton_step(values, sums, free)
         step = np.where(is_better, step, shorter)
     return values, free, covariances
+
+
+def _begun(context: FitContext, values: Values, step: FloatArray, free: BoolArray) -> FloatArray:
+    """Return where the first step from zero, (Nfreqs, n), leads effects that are not linear, such as logarithms."""
+    x = values.x
+    x[:, free] = step
+    begun = [one.effect.begun(context.setup, one.x)[:, one.used] for one in values.at(x).active]
+    return np.concatenate(begun, axis=1)[:, free]
 
 
 def _where(is_better: BoolArray, free: BoolArray, after: _LocalSums, before: _LocalSums) -> _LocalSums:
@@ -188,7 +198,9 @@ def _local_sums(context: FitContext, at: Estimate, local: str, kept: BoolArray) 
                     signals[number][np.ix_(which, which)] += white[:, :-1].T @ white[:, :-1]
                     scores[number][which] += white[:, :-1].T @ white[:, -1]
                     place = int(block.times[t]) if by_time else 0
-                    misfit[number, place] += 0.5 * np.sum(white[:, -1] ** 2) + lost[channel, span.start + t].sum()
+                    # What the model is uncertain of grows with the gains: its share is part of the density.
+                    misfit[number, place] += 0.5 * np.sum(white[:, -1] ** 2) - np.sum(np.log(time.scales))
+                    misfit[number, place] += lost[channel, span.start + t].sum()
                     of_time[which] = place
     for sums in (signals, scores, misfit):
         allreduce_sum(world, sums)
