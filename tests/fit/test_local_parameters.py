@@ -29,6 +29,7 @@ def test_gains_of_each_time(strength: float, tmp_path: Path) -> None:
     found, which = fit_local(context, fitted, "times", every)
     assert np.array_equal(found.values.x[0, ~which], fitted.values.x[0, ~which])
     (truth,) = truth_of(tmp_path)
+    assert context.setup.fitted is not None
     is_heldout = np.tile(~np.isin(context.setup.times, context.setup.fitted), 2)
     assert np.array_equal(which, is_heldout)
     off = found.values.x[0, which] - np.array(truth["values"][0])[which]
