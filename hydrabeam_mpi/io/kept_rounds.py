@@ -13,6 +13,7 @@ import pickle
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from enum import Enum
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -128,7 +129,7 @@ def read_object(path: Path) -> Any:
         if hashlib.sha256(content[size:]).digest() != content[:size]:
             raise pickle.UnpicklingError("its checksum does not match")
         return _OwnClasses(io.BytesIO(content[size:])).load()
-    except (OSError, pickle.UnpicklingError, EOFError, AttributeError, ImportError) as error:
+    except (OSError, pickle.UnpicklingError, EOFError, AttributeError, ImportError, KeyError) as error:
         remedy = "remove that folder to begin anew"
         raise InputError(f"cannot be read ({error})", file=path, remedy=remedy) from error
 
@@ -139,6 +140,8 @@ class _OwnClasses(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Any:
         """Return a class of this package, or what NumPy makes arrays with."""
         root = module.split(".")[0]
+        if (module, name) == ("builtins", "getattr"):
+            return _member
         if root == "numpy" and name in OF_NUMPY:
             return super().find_class(module, name)
         if root == PACKAGE:
@@ -146,6 +149,13 @@ class _OwnClasses(pickle.Unpickler):
             if isinstance(found, type):
                 return found
         raise pickle.UnpicklingError(f"{module}.{name} has no business here")
+
+
+def _member(of: Any, name: str) -> Enum:
+    """Return a member of an enumeration, which some versions of Python write as an attribute of that."""
+    if not (isinstance(of, type) and issubclass(of, Enum)):
+        raise pickle.UnpicklingError(f"an attribute {name} has no business here")
+    return of[name]
 
 
 def _numbered(folder: Path) -> list[Path]:

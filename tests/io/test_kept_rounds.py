@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.fit.state import Ended
 from hydrabeam_mpi.io.kept_rounds import (
     READABLE,
     drop_rounds,
@@ -94,7 +95,24 @@ class _Evil:
         return print, ("anything",)
 
 
-@pytest.mark.parametrize("value", [_Evil(), np.linalg.inv, json.loads, {"a": [pickle.Unpickler]}])
+class _Attribute:
+    """What is written as an attribute of something."""
+
+    def __init__(self, of: Any, name: str) -> None:
+        self.of = of, name
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return getattr, self.of
+
+
+def test_members_of_enumerations_are_read_as_any_python_writes_them(tmp_path: Path) -> None:
+    write_object(tmp_path / "value", [Ended.STUCK, _Attribute(Ended, "STUCK")])
+    assert read_object(tmp_path / "value") == [Ended.STUCK, Ended.STUCK]
+
+
+@pytest.mark.parametrize(
+    "value", [_Evil(), _Attribute(np.ndarray, "tofile"), np.linalg.inv, json.loads, {"a": [pickle.Unpickler]}]
+)
 def test_nothing_but_our_own_objects_are_read(value: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     write_object(tmp_path / "value", value)
     with pytest.raises(InputError, match=r"value\.object: cannot be read \(.* has no business here\)"):
