@@ -31,8 +31,8 @@ MOVED = 1e-3
 """Of their standard deviations, by which parameters move in the last step that is worth taking: as steps square what is
 left, that is a millionth of these then."""
 SHORTER = 0.25
-"""Part of a step that is taken once it has led to something less likely. Gains are exponentials: a step of their
-logarithms that is a few times too long is of no use, whichever it is."""
+"""Part of a step that is tried after all of it has led to something less likely. Gains are exponentials, so that a step
+of their logarithms may be too long by some tens: two or three quarters bring it back."""
 
 
 def untold(context: FitContext, values: Values) -> str | None:

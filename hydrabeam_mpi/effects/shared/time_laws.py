@@ -15,7 +15,8 @@ from pydantic import Field
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 
 MOST_ORDERS = 16
-"""Orders of polynomials that are looked at: eight swings in a night. What changes faster needs jumps."""
+"""Orders of polynomials that are looked at: eight swings in a night. The data's own limit is half of the fitted times;
+this one is for time alone: of twenty antennas no more functions can be weighed together anyway."""
 LEVEL = "level"
 """What the number of the function that is one at all times is called."""
 SECOND = 1 / 86400

@@ -49,18 +49,19 @@ class Others:
         )
 
     def taken_out(self, by_channel: Sequence[Likelihood], for_shared: bool) -> tuple[Others, list[Likelihood]]:
-        """Marginalise those that what is added by `and_more` has nothing to do with; say which are left, and do so.
+        """Marginalise, once for all sets that `and_more` may add, what does not have to wait for these.
 
         What channels share waits for the sum over several channels, where that is asked for; see `marginalised`.
+        Returns what waits, and what is left for it and for the unknowns that come after it.
         """
         waits = self.shared if for_shared and len(by_channel) > 1 else np.zeros_like(self.shared)
         if not waits.any():
             return self._some(waits), self.marginalised(by_channel, for_shared=False)
-        now, rest, left = np.flatnonzero(~waits), self._some(~waits), []
-        for one, precision, of_prior in zip(by_channel, rest.precision, rest.score, strict=True):
-            score = one.score.copy()
-            score[now] += of_prior
-            left.append(replace(one, score=score).marginalised(now, precision))
+        now, own = np.flatnonzero(~waits), replace(self, score=tuple(np.where(waits, 0.0, one) for one in self.score))
+        left = [
+            one.marginalised(now, precision[np.ix_(now, now)])
+            for one, precision in zip(own.with_prior_score(by_channel), self.precision, strict=True)
+        ]
         return self._some(waits), left
 
     def _some(self, which: BoolArray) -> Others:
