@@ -15,10 +15,10 @@ from astropy.coordinates import EarthLocation
 from pyuvdata import UVData
 from pyuvdata.utils import polnum2str
 
+from hydrabeam_mpi.compiled import keep_compiled
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.data.selection import match
 from hydrabeam_mpi.errors import InputError, printable
-from hydrabeam_mpi.io.compiled import keep_compiled
 from hydrabeam_mpi.io.reading import check_file, mute, reading
 from hydrabeam_mpi.io.uvcheck import check_metadata
 from hydrabeam_mpi.io.uvformat import FORMATS, READ_IN_PART

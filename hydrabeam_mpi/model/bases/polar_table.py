@@ -13,6 +13,7 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.ndimage import spline_filter1d
 
+from hydrabeam_mpi.compiled import Compiled
 from hydrabeam_mpi.data.observation import FloatArray
 
 ORDER = 5
@@ -22,7 +23,9 @@ MARGIN = 16
 few."""
 HORIZON = np.sin(np.pi / 4)
 """The radius sin(za / 2) there."""
-_POINTS_AT_ONCE = 1024  # of which what is near stays in cache
+LANES = 8
+"""Nodes of a row that are summed together, of which those beyond the spline's own count nothing: as many as processors
+take at once."""
 
 
 def radii(per_unit: int) -> FloatArray:
@@ -55,56 +58,63 @@ class PolarTable:
         values = np.concatenate([beyond[MARGIN:0:-1], values])
         around = spline_filter1d(values, ORDER, axis=1, mode="grid-wrap")
         coeffs = spline_filter1d(around, ORDER, axis=0, mode="mirror")[MARGIN - HALF :]
-        self._coeffs = np.pad(coeffs, ((0, 0), (HALF, ORDER - HALF + 1)), mode="wrap")
+        self._coeffs = np.pad(coeffs, ((0, 0), (HALF, LANES - HALF)), mode="wrap")
 
     def __call__(self, za: FloatArray, az: FloatArray) -> FloatArray:
         """Interpolate at zenith angles up to the horizon and azimuths in [0, 2 pi], (Npoints,)."""
-        return np.asarray(self._evaluate(za, az, slopes=False)[0])
+        return self._evaluate(za, az)[0]
 
     def slopes(self, za: FloatArray, az: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the derivatives by zenith angle and by azimuth, per radian, (Npoints,) each."""
-        _, by_radius, by_az = self._evaluate(za, az, slopes=True)
+        _, by_radius, by_az = self._evaluate(za, az)
         return by_radius * (0.5 * self.per_unit * np.cos(0.5 * za)), by_az * (self.n_az / (2 * np.pi))
 
-    def _evaluate(self, za: FloatArray, az: FloatArray, slopes: bool) -> FloatArray:
-        """Return the value, and with ``slopes`` the derivatives by either number of nodes, (1 or 3, Npoints)."""
-        out = np.empty((3 if slopes else 1, len(za)))
-        coeffs, stride = self._coeffs.reshape(-1), self._coeffs.shape[1]
-        square = (np.arange(ORDER + 1)[:, np.newaxis] * stride + np.arange(ORDER + 1))[..., np.newaxis]
-        for start in range(0, len(za), _POINTS_AT_ONCE):
-            part = slice(start, start + _POINTS_AT_ONCE)
-            along, across = np.sin(0.5 * za[part]) * self.per_unit, az[part] * (self.n_az / (2 * np.pi))
-            row, column = along.astype(np.intp), across.astype(np.intp)
-            by_row, by_column = _weights(along - row, slopes), _weights(across - column, slopes)
-            # All are within the table; to clip is several times as fast as to check.
-            near = coeffs.take(square + (row * stride + column), mode="clip")
-            # For either set of weights of the columns, the sum over the nodes of a row.
-            around = [np.einsum("pqn,qn->pn", near, weights) for weights in by_column]
-            out[0, part] = np.einsum("pn,pn->n", by_row[0], around[0])
-            if slopes:
-                out[1, part] = np.einsum("pn,pn->n", by_row[1], around[0])
-                out[2, part] = np.einsum("pn,pn->n", by_row[0], around[1])
+    def _evaluate(self, za: FloatArray, az: FloatArray) -> FloatArray:
+        """Return the value and the derivatives by either number of nodes, (3, Npoints)."""
+        out = np.empty((3, len(za)))
+        _interpolate(self._coeffs, np.sin(0.5 * za) * self.per_unit, az * (self.n_az / (2 * np.pi)), out)
         return out
 
 
-def _weights(fraction: FloatArray, slopes: bool) -> FloatArray:
-    """Return the weights of the nodes around each point, and their derivatives, (1 or 2, `ORDER` + 1, Npoints).
+@Compiled
+def _interpolate(coeffs: FloatArray, along: FloatArray, across: FloatArray, out: FloatArray) -> None:
+    """Find the value and the derivatives at numbers of rows and columns, (Npoints,); ``out`` is (3, Npoints).
 
-    ``fraction`` is how far the point is beyond the last node before it.
+    Loops over nodes of a row are what a processor does in one go.
     """
-    powers = np.ones((ORDER + 1, len(fraction)))
-    for power in range(ORDER):
-        np.multiply(powers[power], fraction, out=powers[power + 1])
-    if not slopes:
-        return (_PIECES @ powers)[np.newaxis]
-    return np.stack([_PIECES @ powers, (_PIECES[:, 1:] * np.arange(1, ORDER + 1)) @ powers[:-1]])
+    weights = np.empty((4, LANES))
+    for point in range(len(along)):
+        row, column = int(along[point]), int(across[point])
+        beyond_row, beyond_column = along[point] - row, across[point] - column
+        for node in range(LANES):
+            # Horner's scheme, of the polynomials and of their derivatives.
+            by_row = by_column = _PIECES[0, node]
+            row_slope = column_slope = 0.0
+            for power in range(1, ORDER + 1):
+                row_slope = row_slope * beyond_row + by_row
+                column_slope = column_slope * beyond_column + by_column
+                by_row = by_row * beyond_row + _PIECES[power, node]
+                by_column = by_column * beyond_column + _PIECES[power, node]
+            weights[0, node], weights[1, node] = by_row, by_column
+            weights[2, node], weights[3, node] = row_slope, column_slope
+        value = by_along = by_across = 0.0
+        for near in range(ORDER + 1):
+            in_row = slope_in_row = 0.0
+            for node in range(LANES):
+                in_row += weights[1, node] * coeffs[row + near, column + node]
+                slope_in_row += weights[3, node] * coeffs[row + near, column + node]
+            value += weights[0, near] * in_row
+            by_along += weights[2, near] * in_row
+            by_across += weights[0, near] * slope_in_row
+        out[0, point], out[1, point], out[2, point] = value, by_along, by_across
 
 
 def _pieces() -> FloatArray:
-    """Return the polynomials that a B-spline consists of, last one first, by rising powers, (`ORDER` + 1,) squared."""
+    """Return the polynomials that a B-spline consists of, by falling powers, last one first, (`ORDER` + 1, `LANES`)."""
     spline = BSpline.basis_element(np.arange(ORDER + 2.0))
     powers = range(ORDER + 1)
-    return np.array([[spline(float(m), nu=j) / factorial(j) for j in powers] for m in reversed(powers)])
+    pieces = np.array([[spline(float(m), nu=j) / factorial(j) for m in reversed(powers)] for j in reversed(powers)])
+    return np.pad(pieces, ((0, 0), (0, LANES - ORDER - 1)))
 
 
 _PIECES = _pieces()
