@@ -119,14 +119,18 @@ def _block(name: str, one: Active, channel: int) -> Block:
 
 def _prior(name: str, one: Active, channels: range, prior: Prior) -> Gaussian:
     """Return the prior of some channels' steps from where an effect is; what is degenerate is held at zero."""
-    precision = precision_of(prior)
-    std = prior.std()
-    combinations = np.kron(np.eye(len(channels)), one.held)
-    # In units of the prior's width, and in the parameters' own where it is flat.
-    weight = HELD / np.sum((combinations * np.where(np.isfinite(std), std, 1.0)) ** 2, axis=1)
-    precision += combinations.T @ (weight[:, np.newaxis] * combinations)
+    precision = precision_of(prior) + precision_of_held(np.kron(np.eye(len(channels)), one.held), prior.std())
     source = prior.precision_times(prior.mean) - precision @ one.x[channels][:, one.used].reshape(-1)
     return Gaussian(tuple(_block(name, one, f) for f in channels), precision, source, None)
+
+
+def precision_of_held(combinations: FloatArray, std: FloatArray) -> FloatArray:
+    """Return the precision, (n, n), with which ``combinations`` of unknowns, (k, n), are held at zero.
+
+    In units of the prior's width, ``std``, and in the unknowns' own where that is flat.
+    """
+    weight = HELD / np.sum((combinations * np.where(np.isfinite(std), std, 1.0)) ** 2, axis=1)
+    return np.asarray(combinations.T @ (weight[:, np.newaxis] * combinations))
 
 
 def limited(values: Values, step: FloatArray) -> FloatArray:

@@ -10,6 +10,7 @@ from scipy.linalg import block_diag
 
 from hydrabeam_mpi.data.observation import BoolArray, FloatArray
 from hydrabeam_mpi.effects.interface.effect import Effect
+from hydrabeam_mpi.fit.joint_step import precision_of_held
 from hydrabeam_mpi.fit.state import Values
 from hydrabeam_mpi.inference.likelihood import Likelihood
 
@@ -34,10 +35,17 @@ class Others:
 
     @classmethod
     def of(cls, values: Values, n_freqs: int) -> Others:
-        """Return the active effects."""
-        channels = range(n_freqs)
-        precision = tuple(values.prior_precision(f) for f in channels)
-        return cls(values.shared, precision, tuple(values.prior_score(f) for f in channels))
+        """Return the active effects, of which what a fit holds at zero is held here as well.
+
+        Free to move within its prior, what all gains have in common would make all that they act on as uncertain.
+        """
+        precision, score = [], []
+        for f in range(n_freqs):
+            of_held = [precision_of_held(one.held, one.prior.of(f).std()) for one in values.active]
+            held = block_diag(np.zeros((0, 0)), *of_held)
+            precision.append(values.prior_precision(f) + held)
+            score.append(values.prior_score(f) - held @ values.x[f] if values.active else values.prior_score(f))
+        return cls(values.shared, tuple(precision), tuple(score))
 
     def and_more(self, shared: bool, prior_var: FloatArray) -> Others:
         """Return these and more after them, independent and around zero; ``prior_var`` is (n,), all above zero."""
