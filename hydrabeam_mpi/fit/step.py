@@ -13,7 +13,7 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.coupled_step import share_step, step_together
 from hydrabeam_mpi.fit.joint_step import solve_jointly
 from hydrabeam_mpi.fit.linearised import linearised, sums_at
-from hydrabeam_mpi.fit.state import Estimate, Fit, Fitted, Values
+from hydrabeam_mpi.fit.state import Ended, Estimate, Fit, Fitted, Values
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.mpi import bcast_object, together
@@ -72,12 +72,19 @@ def _take_step_together(context: FitContext, at: Estimate, solved: Solved) -> St
     return Step(Estimate(values.at(x), beams), fit, moved, gain, at)
 
 
-def solved_at(context: FitContext, values: Values, before: Fitted) -> Fitted:
-    """Solve for the beams alone, with the effects at ``values``. Collective: all ranks of the grid."""
+def solved_at(context: FitContext, values: Values, before: Fitted, keep: bool = False) -> Fitted:
+    """Solve for the beams alone, with the effects at ``values``; with ``keep`` the beams stay as they were.
+
+    These are not the likeliest then, and the fit counts as one that has not converged. Collective: all ranks of the
+    grid.
+    """
     at = Estimate(values, before.fit.posteriors)
-    solved = solve_beams(context, at)
+    solved = solve_beams(context, at, keep)
     step = take_step(context, replace(at, beams=solved.beams), solved)
-    return Fitted(values, step.fit.with_beams(solved.beams), diagnostics_of(context, solved))
+    diagnostics = diagnostics_of(context, solved)
+    if keep:
+        diagnostics = replace(diagnostics, ended=Ended.STUCK)
+    return Fitted(values, step.fit.with_beams(solved.beams), diagnostics)
 
 
 def beam_moved(context: FitContext, before: Sequence[Posterior], after: Sequence[Posterior]) -> float:

@@ -222,8 +222,7 @@ def may_be_better(candidate: Candidate, best: Round, enough: bool) -> bool:
     """
     if candidate.finding is None:
         return candidate.is_of_integrations and candidate.log_bayes_factor > best.evidence_of_all
-    near = RULES.near_if_linear if candidate.finding.effect.linear else RULES.near
-    if candidate.log_bayes_factor < near * best.candidate.log_bayes_factor:
+    if not is_near(candidate, best.candidate.log_bayes_factor):
         return False
     if not enough or best.candidate.is_of_integrations or _complexity(candidate) < _complexity(best.candidate):
         return True
@@ -231,6 +230,13 @@ def may_be_better(candidate: Candidate, best: Round, enough: bool) -> bool:
         return True
     simpler = candidate.finding.effect.gets_simpler_when_fitted
     return simpler and candidate.log_bayes_factor > RULES.near_if_linear * best.candidate.log_bayes_factor
+
+
+def is_near(candidate: Candidate, log_bayes_factor: float) -> bool:
+    """Whether an effect may have that much evidence once it is fitted; see `Rules.near`."""
+    assert candidate.finding is not None
+    near = RULES.near_if_linear if candidate.finding.effect.linear else RULES.near
+    return candidate.log_bayes_factor >= near * log_bayes_factor
 
 
 def may_still_come_to(least: float, candidate: Candidate, at: Underway, start: float, nonlinear: bool) -> bool:

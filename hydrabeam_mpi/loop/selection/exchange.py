@@ -8,10 +8,11 @@ from dataclasses import replace
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.step import solved_at
+from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.attribution.reconsider import reconsider
 from hydrabeam_mpi.loop.attribution.score_effects import Finding, attribute
 from hydrabeam_mpi.loop.rules import RULES
-from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
+from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round, is_near
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refits import rise
 from hydrabeam_mpi.loop.selection.refusal import rise_of_rms
@@ -88,15 +89,19 @@ def _better_than(
     """Fit what came near an effect in its place; return the best if it is better. Collective: all ranks of the grid."""
     assert found.place is not None
     active = last.fitted.values.active
+    own = reconsider(context, last.fitted, found.place)
+    rivals = in_place_of(context, last, found.place, own, near)
+    if not rivals:
+        return None
     title = active[found.place].effect.title
-    say(f"  in the place of {title}, beside what was found since:", context.grid.is_world_root)
+    told = f"  in the place of {title} (ln BF {own.log_bayes_factor:.4g}), beside what was found since:"
+    say(told, context.grid.is_world_root)
     # The others stay where they are: left alone, they would make up for it.
     without = check(context, solved_at(context, last.fitted.values.without(found.place), last.fitted))
-    own = reconsider(context, last.fitted, found.place)
-    evidence = own.log_bayes_factor - own.linear_gain + rise(context, without.fitted, last.fitted)
-    now = replace(Candidate.of(Finding(active[found.place].effect, own)), log_bayes_factor=evidence)
+    risen = rise(context, without.fitted, last.fitted) - own.linear_gain
+    now = replace(Candidate.of(Finding(active[found.place].effect, own)), log_bayes_factor=own.log_bayes_factor + risen)
     present = replace(found, candidate=now, before=without, after=last)
-    ranking = list(map(Candidate.of, attribute(context, without.fitted, near)))
+    ranking = [replace(one, log_bayes_factor=one.log_bayes_factor + risen) for one in rivals]
     best = try_effects(context, without, ranking, tried, present)
     if best is None or best is present:
         return None
@@ -106,6 +111,21 @@ def _better_than(
     say(f"  {told}", context.grid.is_world_root)
     added = round_of(context, last, best.after, best.candidate, best.ranking)
     return replace(added, revised=(told,), place=len(active))
+
+
+def in_place_of(
+    context: FitContext, last: Checked, place: int, own: Evidence, near: Sequence[Effect]
+) -> list[Candidate]:
+    """Return those effects that come near the one at a place, in that place; the best first.
+
+    ``own`` is what the linear model of the fit says of the one that is there. It is asked of the others in the same
+    way: with beams and all else linearised where they are, and what the one explains in the residual again. Solved for
+    without it the beams would be far from there, and any effect would seem to explain much of that.
+    Collective: all ranks of the grid.
+    """
+    there = solved_at(context, last.fitted.values.without(place), last.fitted, keep=True)
+    found = list(map(Candidate.of, attribute(context, there, near)))
+    return [one for one in found if is_near(one, own.log_bayes_factor)]
 
 
 def places_without(gone: int, n: int) -> dict[int, int | None]:

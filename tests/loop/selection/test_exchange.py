@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,8 +15,9 @@ from hydrabeam_mpi.effects.registry import make_effect
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Active, Values
+from hydrabeam_mpi.loop.attribution.reconsider import reconsider
 from hydrabeam_mpi.loop.selection.acceptance import Round
-from hydrabeam_mpi.loop.selection.exchange import exchange
+from hydrabeam_mpi.loop.selection.exchange import exchange, in_place_of
 from hydrabeam_mpi.loop.selection.predictions import check
 from tests.loop.made import effect_candidate, round_of
 from tests.loop.mock import context_of, mock_job
@@ -82,6 +85,19 @@ def test_a_law_of_a_constant_effect_is_looked_for_beside_it_not_in_its_place(con
     so_far, tried = rounds(context, GAINS, drifting, COUPLING), []  # type: tuple[list[Round], list[Any]]
     assert exchange(context, so_far[-1].after, so_far, [drifting, COUPLING], tried) is None
     assert not tried
+
+
+def test_in_its_own_place_an_effect_has_the_evidence_that_it_has(context: FitContext) -> None:
+    """The beam is as free to follow as where the effect is weighed as part of the model.
+
+    Where fits have converged is known to a few percent of a standard deviation, of which these are 17,000.
+    """
+    last = rounds(context, COUPLING, None, CrossCoupling([[0, 2]]))[-1].after
+    own = reconsider(context, last.fitted, 0)
+    (found,) = in_place_of(context, last, 0, own, [COUPLING])
+    assert own.log_bayes_factor > 50
+    assert found.log_bayes_factor == pytest.approx(own.log_bayes_factor, rel=1e-4)
+    assert in_place_of(context, last, 0, replace(own, log_bayes_factor=1.5 * own.log_bayes_factor), [COUPLING]) == []
 
 
 def test_what_is_right_keeps_its_place(context: FitContext) -> None:
