@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -12,9 +11,9 @@ from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
-from hydrabeam_mpi.effects.shared.antenna_beams import added_by_beams
+from hydrabeam_mpi.effects.shared.antenna_beams import added_by_beams, slopes_by_beams
 from hydrabeam_mpi.effects.shared.displaced import TILTS, need_real_beam, rotate, rotation_rate, seen_at
-from hydrabeam_mpi.effects.shared.per_antenna import antenna_parameters, common_values, row_antennas, row_parameters
+from hydrabeam_mpi.effects.shared.per_antenna import antenna_parameters, common_values, row_parameters
 
 DEGREE = np.pi / 180
 
@@ -22,10 +21,9 @@ DEGREE = np.pi / 180
 class AntennaPointing(Effect):
     """Each antenna's beam is tilted towards East and North, the same at all times and frequencies.
 
-    The power beam of a baseline is the product of its antennas' voltage beams (`antenna_beams`). It is linearised as
-    half the sum of the two antennas' power beams, which for small tilts it is; tilts are exact rotations of the beam
-    about a horizontal axis. A tilt that all antennas have in common is a beam that points elsewhere, which the beam's
-    own freedom takes up.
+    The power beam of a baseline is the product of its antennas' voltage beams (`antenna_beams`), for small tilts half
+    the sum of the two antennas' power beams; tilts are exact rotations of the beam about a horizontal axis. A tilt that
+    all antennas have in common is a beam that points elsewhere, which the beam's own freedom takes up.
     """
 
     kind = "antenna_pointing"
@@ -55,32 +53,28 @@ class AntennaPointing(Effect):
         return names, np.tile(np.eye(2), len(setup.antennas_in_use))
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
-        """Return half of what tilting further does, for a row's first and second antenna; ``x`` is (n_params,)."""
-        values: ComplexArray = np.repeat(block.spread(block.integral(self))[:, :, np.newaxis], 2, axis=2)
+        """Return what tilting a row's first and second antenna further does; ``x`` is (n_params,)."""
         rotations = _rotations(x)
         tilted, distinct, which = _tilted(rotations)
-        place = np.full(len(rotations), -1)
-        place[tilted] = which
-        of_row = place[row_antennas(block)]
-        rows, side = np.nonzero(of_row >= 0)
+        by_side: ComplexArray
+        if len(tilted):
 
-        def rates(sources: Sources) -> FloatArray:
-            return np.concatenate([_rates(sources, rotation) for rotation in distinct])
+            def beams(sources: Sources) -> tuple[FloatArray, FloatArray]:
+                seen = [_seen_by(sources, rotation) for rotation in distinct]
+                slopes = [-(rotation_rate(-r) @ TILTS).T @ one.torque for r, one in zip(distinct, seen, strict=True)]
+                return np.array([one.beam for one in seen])[which], np.array(slopes)[which]
 
-        for t in range(len(block.times) if len(tilted) else 0):
-            integrals = replace(block, times=block.times[t : t + 1]).integrate(rates)[0]
-            integrals = integrals.reshape(len(block.groups), len(distinct), 2)
-            values[t, rows, side] = integrals[block.member[rows], of_row[rows, side]]
-        values = (0.5 * DEGREE * values).reshape(*block.shape, 4)
-        return Columns(values, 2 * len(rotations), row_parameters(block, 2))
+            by_side = slopes_by_beams(block, tilted, beams, self.sky_columns)
+        else:
+            by_side = np.repeat(0.5 * block.spread(block.integral(self))[:, :, np.newaxis], 2, axis=2)
+        return Columns(DEGREE * by_side.reshape(*block.shape, 4), 2 * len(rotations), row_parameters(block, 2))
 
     def added(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return what the antennas' tilts change, (Ntimes, Nbls)."""
         tilted, distinct, which = _tilted(_rotations(x))
 
         def beams(sources: Sources) -> FloatArray:
-            seen = [seen_at(sources, rotate(sources.enu, -rotation)).beam for rotation in distinct]
-            return np.array(seen)[which]
+            return np.array([_seen_by(sources, rotation).beam for rotation in distinct])[which]
 
         return added_by_beams(block, tilted, beams)
 
@@ -100,7 +94,6 @@ def _tilted(rotations: FloatArray) -> tuple[IntArray, FloatArray, IntArray]:
     return tilted, distinct, which.reshape(-1)
 
 
-def _rates(sources: Sources, rotation: FloatArray) -> FloatArray:
-    """Return how the beam of a tilted antenna changes as it is tilted further, (2, Nsrc) per radian."""
-    tilted = seen_at(sources, rotate(sources.enu, -rotation))
-    return -(rotation_rate(-rotation) @ TILTS).T @ tilted.torque
+def _seen_by(sources: Sources, rotation: FloatArray) -> Sources:
+    """Return the sources as a tilted antenna's beam sees them."""
+    return seen_at(sources, rotate(sources.enu, -rotation))

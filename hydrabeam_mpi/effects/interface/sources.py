@@ -71,7 +71,8 @@ class Sources:
     @cached_property
     def beam(self) -> FloatArray:
         """Real part of the power beam, (Nsrc,); from the beam's table, where it has one."""
-        return power_of(self.beam_function, self.za, self.az)
+        found = self._by_table
+        return np.asarray(self.beam_function(self.za, self.az)).real if found is None else found[0]
 
     @cached_property
     def exact_beam(self) -> FloatArray:
@@ -95,9 +96,8 @@ class Sources:
 
         From the beam's table, or where it has none by central differences.
         """
-        table = table_of(self.beam_function)
-        if table is not None:
-            by_za, by_az = table.slopes(np.minimum(self.za, np.pi / 2), self.az)
+        if self._by_table is not None:
+            _, by_za, by_az = self._by_table
             sin_za = np.hypot(self.enu[0], self.enu[1])
             return np.where(self.za <= np.pi / 2, by_za, 0.0), by_az / np.maximum(sin_za, STEP)
         down, around = (
@@ -105,6 +105,12 @@ class Sources:
             for tangent in self.tangents
         )
         return down, around
+
+    @cached_property
+    def _by_table(self) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+        """The beam and its derivatives by zenith angle and azimuth, (Nsrc,) each, to the horizon, in one go."""
+        table = table_of(self.beam_function)
+        return None if table is None else table.with_slopes(np.minimum(self.za, np.pi / 2), self.az)
 
     @property
     def slope(self) -> FloatArray:

@@ -18,6 +18,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.inference.matrices import eigen
 
 # Bins of |z|^2; the last has no end. Half of the good rows lie above 0.7, and one in 1e10 above 23.
 EDGES: FloatArray = np.concatenate([[0.0], np.geomspace(0.05, 1e12, 241)])
@@ -74,7 +75,7 @@ def fit_mixture(counts: FloatArray, bulk: float) -> Mixture:
     found = minimize(lambda at: -_log_likelihood(counts, bulk, *at), start, method="Nelder-Mead", bounds=bounds)
     gain = float(-found.fun - counts @ _log_bulk(bulk))
     curvature = _hessian(lambda at: -_log_likelihood(counts, bulk, *at), found.x)
-    values, vectors = np.linalg.eigh(curvature)
+    values, vectors = eigen(curvature)
     # No error is wider than the prior, flat in the logarithms.
     values = np.maximum(values, 1 / max(high - low for low, high in bounds) ** 2)
     covariance = (vectors / values) @ vectors.T

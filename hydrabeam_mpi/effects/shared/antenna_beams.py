@@ -6,7 +6,7 @@ The power beam of a baseline is the product of its antennas' voltage beams. With
 
 With D_i = sqrt B_i - sqrt B, the second part has a D_i^2 for each antenna, and D_i D_j for pairs of antennas that both
 differ. The former are integrated for redundant groups; the latter, small of second order, as the products of antennas
-that they are.
+that they are. So it is with what a further change of a beam does, dB_i / 2 - D_i d(sqrt B_i) + D_j d(sqrt B_i).
 """
 
 from __future__ import annotations
@@ -23,6 +23,9 @@ from hydrabeam_mpi.effects.shared.per_antenna import row_antennas
 from hydrabeam_mpi.model.engines.base import amplitude
 from hydrabeam_mpi.model.engines.fringes import plane_waves
 
+NOTHING = 1e-6
+"""Of a voltage beam: a root has an infinite slope where its power is zero."""
+
 
 def added_by_beams(block: RowBlock, antennas: IntArray, beams: Callable[[Sources], FloatArray]) -> ComplexArray:
     """Return what is added by antennas whose beams are not the common one, (Ntimes, Nbls), Jy.
@@ -35,21 +38,18 @@ def added_by_beams(block: RowBlock, antennas: IntArray, beams: Callable[[Sources
     beams : callable
         From `Sources` to the power beams of these, (n, Nsrc). Where beams are negative they count as zero in products.
     """
-    setup = block.setup
     out = np.zeros(block.shape, dtype=complex)
     if not len(antennas):
         return out
-    place = np.full(len(setup.antennas_in_use), -1)
-    place[antennas] = np.arange(len(antennas))
-    of_row = place[row_antennas(block)]
+    of_row = _places(block, antennas)
     both = np.flatnonzero((of_row >= 0).all(axis=1))
-    positions = setup.observation.antpos[setup.antennas_in_use[antennas]]
+    positions = block.setup.observation.antpos[block.setup.antennas_in_use[antennas]]
     for t in range(len(block.times)):
         seen: list[tuple[Sources, FloatArray]] = []
 
         def single(sources: Sources, seen: list[tuple[Sources, FloatArray]] = seen) -> FloatArray:
             own = beams(sources)
-            roots = np.sqrt(np.maximum(own, 0.0)) - np.sqrt(np.maximum(sources.beam, 0.0))
+            roots = _root(own) - _root(sources.beam)
             seen.append((sources, roots))
             return np.asarray((own - sources.beam) - roots**2)
 
@@ -62,3 +62,95 @@ def added_by_beams(block: RowBlock, antennas: IntArray, beams: Callable[[Sources
             pairs = (voltages.conj() * amplitude(sources.flux_without())) @ voltages.T
             out[t, both] += pairs[of_row[both, 0], of_row[both, 1]]
     return out
+
+
+def slopes_by_beams(
+    block: RowBlock,
+    antennas: IntArray,
+    beams: Callable[[Sources], tuple[FloatArray, FloatArray]],
+    common: Callable[[Sources], FloatArray],
+) -> ComplexArray:
+    """Return what further changes of its first and of its second antenna's beam add to each row.
+
+    Parameters
+    ----------
+    block : RowBlock
+    antennas : ndarray of int, (n,)
+        As for `added_by_beams`.
+    beams : callable
+        From `Sources` to the power beams of these, (n, Nsrc), and to how they change, (n, k, Nsrc).
+    common : callable
+        From `Sources` to how the common power beam changes, (k, Nsrc).
+
+    Returns
+    -------
+    ndarray of complex, (Ntimes, Nbls, 2, k)
+        Jy.
+    """
+    in_use, of_row = block.setup.antennas_in_use, _places(block, antennas)
+    positions, values = block.setup.observation.antpos[in_use], []
+    for t in range(len(block.times)):
+        seen: list[tuple[Sources, FloatArray, FloatArray]] = []
+
+        def single(sources: Sources, seen: list[tuple[Sources, FloatArray, FloatArray]] = seen) -> FloatArray:
+            # The common beam comes last, as which antennas with no beam of their own are numbered.
+            own = beams(sources)
+            powers = np.concatenate([own[0], sources.beam[np.newaxis]])
+            changes = np.concatenate([own[1], common(sources)[np.newaxis]])
+            roots = _root(powers)
+            differences, of_roots = roots - roots[-1], _slope_of_root(roots, changes)
+            seen.append((sources, differences, of_roots))
+            singles = 0.5 * changes - differences[:, np.newaxis] * of_roots
+            return np.asarray(singles.reshape(-1, singles.shape[-1]))
+
+        integrals = replace(block, times=block.times[t : t + 1]).integrate(single)[0]
+        value = integrals.reshape(len(block.groups), len(antennas) + 1, -1)[block.member[:, np.newaxis], of_row]
+        for sources, differences, of_roots in seen if len(antennas) else ():
+            waves = plane_waves(positions, sources.enu, block.freq)
+            value += _further_of_pairs(block, of_row, waves, amplitude(sources.flux_without()), differences, of_roots)
+        values.append(value)
+    return np.array(values)
+
+
+def _further_of_pairs(
+    block: RowBlock,
+    of_row: IntArray,
+    waves: ComplexArray,
+    flux: FloatArray,
+    differences: FloatArray,
+    slopes: FloatArray,
+) -> ComplexArray:
+    """Return what the product of one antenna's change and the other's difference adds to rows, (Nbls, 2, k)."""
+    rows = row_antennas(block)
+    place = np.full(len(waves), -1)
+    place[rows] = of_row
+    differing = np.flatnonzero(place >= 0)
+    other = flux * differences[place[differing]] * waves[differing]
+    number = np.full(len(waves), -1)
+    number[differing] = np.arange(len(differing))
+    out = np.zeros((*rows.shape, slopes.shape[1]), dtype=complex)
+    for antenna, wave in enumerate(waves):
+        products = (slopes[place[antenna]] * wave.conj()) @ other.T
+        for side in range(2):
+            mine = np.flatnonzero((rows[:, side] == antenna) & (number[rows[:, 1 - side]] >= 0))
+            found = products[:, number[rows[mine, 1 - side]]].T
+            out[mine, side] = found.conj() if side else found
+    return out
+
+
+def _places(block: RowBlock, antennas: IntArray) -> IntArray:
+    """Return which of some antennas a row's first and second ones are, (Nbls, 2); -1 for others."""
+    place = np.full(len(block.setup.antennas_in_use), -1)
+    place[antennas] = np.arange(len(antennas))
+    return place[row_antennas(block)]
+
+
+def _root(power: FloatArray) -> FloatArray:
+    """Return the voltage beam; zero where the power beam is negative."""
+    return np.asarray(np.sqrt(np.maximum(power, 0.0)))
+
+
+def _slope_of_root(roots: FloatArray, changes: FloatArray) -> FloatArray:
+    """Return how roots, (n, Nsrc), change as their powers do, (n, k, Nsrc); not at all where they are next to zero."""
+    roots = roots[:, np.newaxis]
+    return np.divide(0.5 * changes, roots, out=np.zeros_like(changes), where=roots > NOTHING)

@@ -64,10 +64,12 @@ class PolarTable:
         """Interpolate at zenith angles up to the horizon and azimuths in [0, 2 pi], (Npoints,)."""
         return self._evaluate(za, az)[0]
 
-    def slopes(self, za: FloatArray, az: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the derivatives by zenith angle and by azimuth, per radian, (Npoints,) each."""
-        _, by_radius, by_az = self._evaluate(za, az)
-        return by_radius * (0.5 * self.per_unit * np.cos(0.5 * za)), by_az * (self.n_az / (2 * np.pi))
+    def with_slopes(self, za: FloatArray, az: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return that and the derivatives by zenith angle and by azimuth, per radian, (Npoints,) each."""
+        value, by_radius, by_az = self._evaluate(za, az)
+        by_radius *= 0.5 * self.per_unit * np.cos(0.5 * za)
+        by_az *= self.n_az / (2 * np.pi)
+        return value, by_radius, by_az
 
     def _evaluate(self, za: FloatArray, az: FloatArray) -> FloatArray:
         """Return the value and the derivatives by either number of nodes, (3, Npoints)."""

@@ -64,3 +64,18 @@ def test_product_of_voltage_beams_agrees_at_small_tilts() -> None:
     change = np.abs(effect.added(block, 0.1 * direction.ravel())).max()
     assert worst[1] < 0.05 * change
     assert 3.5 < worst[1] / worst[0] < 4.5
+
+
+def test_columns_are_the_derivative_of_the_product_where_antennas_are_tilted() -> None:
+    """Of tilted antennas with each other, with straight ones and the other way round, near nulls of beams as well."""
+    block = replace(small_block(small_setup()), beam=lambda za, az: np.sinc(za / 0.2) ** 2 + 1e-3)
+    effect, step = AntennaPointing(), 1e-4
+    block.integrate_for([effect])
+    x = np.zeros((7, 2))
+    x[[0, 2, 3, 6]] = 2.0 * generator(5, "tilts").standard_normal((4, 2))
+    x = x.ravel()
+    found = effect.columns(block, x).matrix().toarray()
+    for number in range(len(x)):
+        more = step * np.eye(len(x))[number]
+        slope = (effect.added(block, x + more) - effect.added(block, x - more)) / (2 * step)
+        assert np.abs(found[:, number] - slope.ravel()).max() < 1e-5 * np.abs(found).max()

@@ -40,5 +40,5 @@ def _check_table(basis: LinearBasis) -> None:
     step = 2e-6
     inside = (za > step) & (za < np.pi / 2)
     expected = (beam(step) - beam(-step)) / (2 * step), (beam(0.0, step) - beam(0.0, -step)) / (2 * step)
-    for found, numerical in zip(table.slopes(za, az), expected, strict=True):
+    for found, numerical in zip(table.with_slopes(za, az)[1:], expected, strict=True):
         assert np.abs(found - numerical)[inside].max() < 5e-6 * np.abs(numerical[inside]).max() + 1e-9
