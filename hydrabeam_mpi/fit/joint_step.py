@@ -119,7 +119,8 @@ def _block(name: str, one: Active, channel: int) -> Block:
 
 def _prior(name: str, one: Active, channels: range, prior: Prior) -> Gaussian:
     """Return the prior of some channels' steps from where an effect is; what is degenerate is held at zero."""
-    precision = precision_of(prior) + precision_of_held(np.kron(np.eye(len(channels)), one.held), prior.std())
+    combinations = np.asarray(np.kron(np.eye(len(channels)), one.held), dtype=float)
+    precision: FloatArray = precision_of(prior) + precision_of_held(combinations, prior.std())
     source = prior.precision_times(prior.mean) - precision @ one.x[channels][:, one.used].reshape(-1)
     return Gaussian(tuple(_block(name, one, f) for f in channels), precision, source, None)
 

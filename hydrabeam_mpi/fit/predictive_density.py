@@ -32,7 +32,7 @@ from hydrabeam_mpi.fit.state import Active, Fitted, Values
 from hydrabeam_mpi.fit.whitening import root_by_shared
 from hydrabeam_mpi.fit.whole_beams import with_whole_beams
 from hydrabeam_mpi.inference.gaussian import Block
-from hydrabeam_mpi.inference.matrices import cholesky_lower, inverse_of_covariance
+from hydrabeam_mpi.inference.matrices import cholesky_lower, eigen, inverse_of_covariance
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.mpi import bcast_object, gather_objects, together
 
@@ -97,7 +97,7 @@ def _factor_of(signal: FloatArray) -> FloatArray:
     try:
         return np.asarray(np.linalg.cholesky(np.eye(len(signal)) + signal))
     except np.linalg.LinAlgError:
-        values, vectors = np.linalg.eigh(signal)
+        values, vectors = eigen(signal)
         return np.asarray(np.linalg.cholesky(np.eye(len(signal)) + (vectors * np.maximum(values, 0.0)) @ vectors.T))
 
 

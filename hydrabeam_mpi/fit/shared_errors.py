@@ -21,6 +21,7 @@ from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, 
 from hydrabeam_mpi.fit.marginal import in_parts
 from hydrabeam_mpi.fit.row_buffer import CAPACITY
 from hydrabeam_mpi.fit.whitening import TimeWhitener, root_by_shared, root_of
+from hydrabeam_mpi.inference.matrices import eigen
 from hydrabeam_mpi.mpi import Comm, allreduce_sum
 
 
@@ -211,7 +212,7 @@ class _Given:
 
 def _spectrum(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return eigenvalues, none negative, and eigenvectors."""
-    values, vectors = np.linalg.eigh(matrix)
+    values, vectors = eigen(matrix)
     return np.maximum(values, 0.0), vectors
 
 

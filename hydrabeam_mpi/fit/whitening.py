@@ -18,7 +18,7 @@ from scipy.linalg import solve_triangular
 from scipy.sparse import csr_array
 
 from hydrabeam_mpi.data.observation import Array, BoolArray, ComplexArray, FloatArray, IntArray
-from hydrabeam_mpi.inference.matrices import inverse_where_it_varies
+from hydrabeam_mpi.inference.matrices import eigen, inverse_where_it_varies
 from hydrabeam_mpi.inference.posterior import Posterior
 
 LEAST_LEFT = 1e-9
@@ -147,9 +147,9 @@ def _spectrum(root: FloatArray) -> tuple[FloatArray, FloatArray]:
     With fewer rows than columns R R^T has the others, and is the smaller matrix.
     """
     if len(root) >= root.shape[1]:
-        values, vectors = np.linalg.eigh(root.T @ root)
+        values, vectors = eigen(root.T @ root)
         return np.maximum(values, 0.0), vectors
-    values, vectors = np.linalg.eigh(root @ root.T)
+    values, vectors = eigen(root @ root.T)
     told = values > ZERO_RTOL * values.max(initial=0.0)
     return values[told], root.T @ (vectors[:, told] / np.sqrt(values[told]))
 
@@ -160,7 +160,7 @@ def root_of(covariance: FloatArray) -> FloatArray:
         return np.asarray(np.linalg.cholesky(covariance))
     except np.linalg.LinAlgError:
         # Parameters that are held, or know nothing beyond others, leave eigenvalues of zero.
-        values, vectors = np.linalg.eigh(covariance)
+        values, vectors = eigen(covariance)
         return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.inference.gaussian import Block, Gaussian
+from hydrabeam_mpi.inference.matrices import eigen
 
 RANK_RTOL = 1e-9
 """Eigenvalues of K below this times the largest are rounding errors, and count as zero."""
@@ -74,7 +75,7 @@ class Likelihood:
         present = np.sqrt(combinations**2 @ np.maximum(np.diag(self.signal), 0.0))
         combinations = combinations[present > 0] / present[present > 0, np.newaxis]
         across = self.information @ combinations.T
-        values, vectors = np.linalg.eigh(combinations @ across)
+        values, vectors = eigen(combinations @ across)
         told = values > max(ROUNDING, RANK_RTOL * values.max(initial=0.0))
         inverse = (vectors[:, told] / values[told]) @ vectors[:, told].T
         information = self.information - across @ inverse @ across.T

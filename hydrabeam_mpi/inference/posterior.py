@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import eigh, solve_triangular
+from scipy.linalg import solve_triangular
 from scipy.linalg.blas import dtrmm, ztrmm
 from scipy.linalg.lapack import dpotri, zpotri
 from scipy.sparse.linalg import ArpackNoConvergence, eigsh
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
-from hydrabeam_mpi.inference.matrices import complete_hermitian
+from hydrabeam_mpi.inference.matrices import complete_hermitian, eigen
 from hydrabeam_mpi.random import complex_normal
 
 DENSE = 64
@@ -139,8 +139,8 @@ def _largest(matrix: Array, k: int) -> tuple[FloatArray, Array]:
             # Begun from the same vector, so that the same matrix gives the same.
             values, vectors = eigsh(matrix, k, which="LA", v0=np.ones(n, dtype=matrix.dtype))
         except ArpackNoConvergence:
-            values, vectors = eigh(matrix, driver="evd", check_finite=False)
+            values, vectors = eigen(matrix)
     else:
-        values, vectors = eigh(matrix, driver="evd", check_finite=False)
+        values, vectors = eigen(matrix)
     order = np.argsort(values)[: -k - 1 : -1]
     return np.asarray(values[order].real), np.asarray(vectors[:, order])

@@ -16,6 +16,7 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.inference.matrices import eigen
 from hydrabeam_mpi.model.bases.base import NEGLIGIBLE, LinearBasis, Selection, has_part
 from hydrabeam_mpi.model.bases.ring_fit import RCOND
 from hydrabeam_mpi.model.bases.rings import Pixels, RingGrid, degree_grid
@@ -166,7 +167,7 @@ def _fit_points(basis: LinearBasis, pixels: Pixels) -> tuple[Array, int]:
     # With A = C^T M the matrix of the functions, C that of the columns: A^H A = M^H (C C^T) M.
     normal_of_modes = basis.mix(basis.mix(normal).conj().T)
     rhs = basis.mix(projection.conj()).conj()
-    values, vectors = np.linalg.eigh(normal_of_modes)
+    values, vectors = eigen(normal_of_modes)
     keep = values > RCOND**2 * values[-1]
     solution = vectors[:, keep] @ ((vectors[:, keep].conj().T @ rhs) / values[keep])
     return solution, basis.n_modes - int(keep.sum())

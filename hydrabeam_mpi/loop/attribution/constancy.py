@@ -31,7 +31,7 @@ from scipy.optimize import minimize_scalar
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.inference.likelihood import RANK_RTOL, Likelihood
-from hydrabeam_mpi.inference.matrices import cholesky_lower
+from hydrabeam_mpi.inference.matrices import cholesky_lower, eigen
 
 SPREADS: FloatArray = np.exp(np.arange(np.log(1e-5), np.log(1e3)))
 """Spreads tried, in units of the prior's width: from far below what data tell to far above the parameters. The best is
@@ -87,7 +87,7 @@ class Spectrum:
     @classmethod
     def of(cls, information: FloatArray, score: FloatArray, q: int) -> Spectrum:
         """Decompose the information of the parameters in all parts, (Kq, Kq)."""
-        values, vectors = np.linalg.eigh(information)
+        values, vectors = eigen(information)
         told = values > RANK_RTOL * max(values[-1], 0.0)
         values, vectors = values[told], vectors[:, told]
         common = vectors.reshape(len(vectors) // q, q, len(values)).sum(axis=0).T

@@ -24,6 +24,7 @@ from hydrabeam_mpi.data.observation import BoolArray, FloatArray
 from hydrabeam_mpi.effects.interface.effect import Parameters
 from hydrabeam_mpi.inference.gaussian import Block, Gaussian
 from hydrabeam_mpi.inference.likelihood import RANK_RTOL, Likelihood
+from hydrabeam_mpi.inference.matrices import eigen
 from hydrabeam_mpi.loop.attribution.few_elements import TAUS, each_alone, few_elements, log_bayes_factors
 from hydrabeam_mpi.loop.attribution.price import price_of, rarity, sets_of
 
@@ -152,7 +153,7 @@ def evidence_of(
 
 def _spectrum(information: FloatArray, score: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the eigenvalues of K, zero where they count as that, and u along its eigenvectors."""
-    values, vectors = np.linalg.eigh(information)
+    values, vectors = eigen(information)
     values = np.where(values > RANK_RTOL * max(values[-1], 0.0), values, 0.0)
     return values, np.where(values > 0, vectors.T @ score, 0.0)
 

@@ -15,7 +15,7 @@ import numpy as np
 from hydrabeam_mpi.data.observation import BoolArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Parameters
 from hydrabeam_mpi.inference.likelihood import RANK_RTOL
-from hydrabeam_mpi.inference.matrices import inverse_hermitian
+from hydrabeam_mpi.inference.matrices import eigen, inverse_hermitian
 from hydrabeam_mpi.loop.attribution.price import rarity
 from hydrabeam_mpi.loop.rules import RULES
 
@@ -183,7 +183,7 @@ def _condition(
     Directions that the data do not constrain are skipped: their entries are rounding errors of either sign, which would
     outweigh the precision of a wide prior.
     """
-    values, vectors = np.linalg.eigh(information[np.ix_(chosen, chosen)])
+    values, vectors = eigen(information[np.ix_(chosen, chosen)])
     told = values > RANK_RTOL * max(values[-1], 0.0)
     values, vectors = values[told], vectors[:, told]
     across = information[:, chosen] @ vectors

@@ -21,6 +21,7 @@ from numpy.polynomial.legendre import legvander
 from scipy.special import gammainc
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.inference.matrices import eigen
 from hydrabeam_mpi.inference.robust import ABSURD_P
 from hydrabeam_mpi.mpi import Comm, allreduce_sum
 
@@ -166,7 +167,7 @@ def _told(sums: ComplexArray, n: int, noise: float, least: float) -> Lacking | N
         Probability below which a mode lacks noise.
     """
     k = len(sums[0])
-    powers, directions = np.linalg.eigh(sums[0])
+    powers, directions = eigen(sums[0])
     powers = np.maximum(powers, 0.0)
     chance = k * gammainc(n - k + 1, k * powers / noise)
     lacking = int(np.count_nonzero(chance < least))

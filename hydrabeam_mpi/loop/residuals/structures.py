@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
+from hydrabeam_mpi.inference.matrices import eigen
 from hydrabeam_mpi.inference.significance import LARGEST
 from hydrabeam_mpi.loop.residuals.cube import Cube, Layout
 from hydrabeam_mpi.mpi import Comm, allreduce_sum
@@ -69,7 +70,7 @@ def decompose(comm: Comm, cube: Cube) -> Decomposition:
     left = z @ basis.astype(np.complex64)
     gram = np.ascontiguousarray(left.conj().T @ left, dtype=complex)
     allreduce_sum(comm, gram)
-    squares, mixing = np.linalg.eigh(gram)
+    squares, mixing = eigen(gram)
     order = np.argsort(-squares)
     values = np.sqrt(np.maximum(squares[order], 0.0))
     by_baseline = np.zeros((k, n_bls))
