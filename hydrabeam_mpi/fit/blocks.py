@@ -135,7 +135,7 @@ class CandidateBlock:
 
     def columns(self, rows: RowSet, block: RowBlock) -> Columns:
         """Return the effect's columns."""
-        return effect_columns(rows, self.effect.columns(block, self.x), self.only)
+        return effect_columns(rows, block.derivative(self.effect, self.x), self.only)
 
 
 def sums_of(model: Mapping[str, ColumnBlock], candidates: Mapping[str, ColumnBlock] | None = None) -> NormalEquations:

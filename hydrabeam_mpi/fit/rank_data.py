@@ -146,7 +146,7 @@ class RankData(RowModel):
                     if one.effect.multiplies:
                         factor[channel, span] *= one.effect.factor(block, one.x[number])
                     else:
-                        added[channel, span] += one.effect.added(block, one.x[number])
+                        added[channel, span] += block.added_by(one.effect, one.x[number])
         return factor, added
 
     def calibrated(self, at: Estimate) -> tuple[Rows, ComplexArray]:

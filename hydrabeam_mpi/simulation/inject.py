@@ -20,6 +20,7 @@ from hydrabeam_mpi.effects.interface.effect import Cause, Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.registry import REWEIGHTINGS, SEPARATE, make_cause, make_reweighting
+from hydrabeam_mpi.effects.shared.moved_antennas import with_moved_antennas
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.beam import Beam
@@ -93,12 +94,12 @@ class Injection:
         """Return C (V + E), (Nfreqs, Ntimes, Nbls)."""
         data = crosses.copy()
         for f in range(len(data)):
-            block = self._scene(pol, f, crosses[f])
+            block = with_moved_antennas(self._scene(pol, f, crosses[f]), [(one, x[f]) for one, x in effects.values()])
             added, factor = np.zeros(block.shape, dtype=complex), np.ones(block.shape, dtype=complex)
             block.integrate_for([effect for effect, _ in effects.values()])
             for number, (effect, x) in effects.items():
                 with _told_of(number, self.entries[number]), _finite():
-                    added += effect.added(block, x[f])
+                    added += block.added_by(effect, x[f])
                     factor *= effect.factor(block, x[f])
             data[f] = self._as_measured(factor * (block.vis + added))
         return data

@@ -25,6 +25,7 @@ class AntennaPositions(Effect):
     title = "antenna positions"
     of_both_feeds = True
     shared = True
+    moves_antennas = True
 
     def not_applicable(self, setup: ObservingSetup) -> str | None:
         """Refuse complex beams."""
@@ -65,11 +66,14 @@ class AntennaPositions(Effect):
             change[:, moved] = after - block.integral(self)[:, block.member[moved], 0]
         return change
 
-    @staticmethod
-    def _moved(block: RowBlock, x: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Return the rows whose vector is not what it should be, and their true vectors, (Nmoved, 3)."""
+    def displacements(self, block: RowBlock, x: FloatArray) -> FloatArray:
+        """Return by how much each row's second antenna is further on than its first one, (Nbls, 3)."""
         first, second = row_antennas(block).T
         shifts = x.reshape(-1, 3)
-        change = shifts[second] - shifts[first]
+        return np.asarray(shifts[second] - shifts[first])
+
+    def _moved(self, block: RowBlock, x: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Return the rows whose vector is not what it should be, and their true vectors, (Nmoved, 3)."""
+        change = self.displacements(block, x)
         moved = np.flatnonzero(change.any(axis=1))
         return moved, block.vectors[block.member[moved]] + change[moved]

@@ -5,10 +5,10 @@ The data are modelled as
     d = C (A b + E) + n
 
 with A b the visibilities that the beam sees, E what an effect adds and C what it multiplies each visibility with; all
-but b are functions of the effects' real parameters x. Effects that add are summed, effects that multiply are
-multiplied, and effects that change the sky change A. Everything that follows works on the calibrated data d/C - E with
-weights w|C|^2, in which the derivative of the model is dE/dx, d ln C/dx (A b + E) or dA/dx b: the *columns* of the
-effect.
+but b are functions of the effects' real parameters x. Effects that add are summed, each as it is where antennas are by
+those that move them; effects that multiply are multiplied, and effects that change the sky change A. Everything that
+follows works on the calibrated data d/C - E with weights w|C|^2, in which the derivative of the model is dE/dx,
+d ln C/dx (A b + E) or dA/dx b: the *columns* of the effect.
 """
 
 from __future__ import annotations
@@ -132,6 +132,8 @@ class Effect(InBeam, InOtherData, HasLimits, MayChange, Cause):
     """Whether what it multiplies with depends on the current beam, as what effects add may."""
     changes_sky: bool = False
     """Whether the effect changes the sky (see `sky_factor`, `extra_sky`), by which it is part of A rather than of E."""
+    moves_antennas: bool = False
+    """Whether the effect is that antennas are elsewhere, where all others then see the sky; see `displacements`."""
     linear: bool = False
     """Whether the data are so nearly linear in the parameters that a fit gains about what the linear model predicts."""
     comes_in_parts: ClassVar[bool] = False
@@ -184,6 +186,13 @@ class Effect(InBeam, InOtherData, HasLimits, MayChange, Cause):
     def standing_skies(self, block: RowBlock) -> SkiesOnRings | None:
         """Return these skies; None if there are none."""
         return None
+
+    def displacements(self, block: RowBlock, x: FloatArray) -> FloatArray:
+        """Return by how much the vectors of a block's rows are other ones, (Nbls, 3), metres ENU; see `moves_antennas`.
+
+        ``x`` is (n_params,).
+        """
+        return np.zeros((len(block.bls), 3))
 
     @abstractmethod
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -29,6 +32,8 @@ class RowBlock(SkyBlock):
         The model A b + E of each baseline, Jy.
     design : ndarray
         Design rows of the groups, (Ntimes, 2, Ngroups, n) or complex (Ntimes, Ngroups, n).
+    moved : ndarray, (Nbls, 3), optional
+        True vectors of the baselines, where effects in the model move antennas; metres ENU.
     """
 
     bls: IntArray
@@ -37,6 +42,7 @@ class RowBlock(SkyBlock):
     residual: ComplexArray = field(default_factory=lambda: np.zeros((0, 0), dtype=complex))
     vis: ComplexArray = field(default_factory=lambda: np.zeros((0, 0), dtype=complex))
     design: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
+    moved: FloatArray | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -64,6 +70,57 @@ class RowBlock(SkyBlock):
         now = slice(t, t + 1)
         rows = {name: getattr(self, name)[now] for name in ("times", "weights", "residual", "vis", "design")}
         return replace(self, **rows, integrals={kind: values[now] for kind, values in self.integrals.items()})
+
+    def seen_by(self, effect: Any) -> RowBlock:
+        """Return the rows as an effect has them: where antennas are elsewhere, what turns the sky turns it there.
+
+        Each baseline is then a group of its own. What moves antennas begins from where they should be, what multiplies
+        has the visibilities as they are, and what is about the beam that all share the design as it is.
+        """
+        of_design = effect.is_about_the_beam or effect.is_control_model
+        if self.moved is None or effect.moves_antennas or effect.multiplies or of_design:
+            return self
+        return self._where_antennas_are
+
+    @cached_property
+    def _where_antennas_are(self) -> RowBlock:
+        each = np.arange(len(self.bls))
+        # What is kept of groups, and design rows, are of other vectors.
+        return replace(
+            self,
+            own_vectors=self.moved,
+            moved=None,
+            groups=each,
+            member=each,
+            integrals={},
+            memo=None,
+            keeps_waves=False,
+            design=np.zeros((0, 0, 0)),
+        )
+
+    def added_by(self, effect: Any, x: FloatArray) -> ComplexArray:
+        """Return what an effect of the model adds, (Ntimes, Nbls)."""
+        return np.asarray(effect.added(self.seen_by(effect), x))
+
+    def derivative(self, effect: Any, x: FloatArray) -> Any:
+        """Return the columns of an effect, `Columns`, of baselines where they are not where their group is."""
+        seen = self.seen_by(effect)
+        columns = effect.columns(seen, x)
+        return columns if seen is self else replace(columns, by_group=False)
+
+    def columns_of(self, effect: Any, x: FloatArray) -> Any:
+        """Return the columns of an effect of the model, `Columns`, as A b has them; see `SkyBlock.columns_of`."""
+        seen = self.seen_by(effect)
+        if seen is self:
+            return super().columns_of(effect, x)
+        return replace(seen.columns_of(effect, x), by_group=False)
+
+    def integrate_for(self, effects: Sequence[Any]) -> None:
+        """Fill ``integrals`` for those of these effects that they lack, in one pass over the sky for all of a place."""
+        self._integrate_here([one for one in effects if self.seen_by(one) is self])
+        elsewhere = [one for one in effects if self.seen_by(one) is not self]
+        if elsewhere:
+            self._where_antennas_are._integrate_here(elsewhere)
 
     def spread(self, by_group: Array) -> Array:
         """Give every baseline what its group has: (Ntimes, Ngroups, ...) to (Ntimes, Nbls, ...)."""

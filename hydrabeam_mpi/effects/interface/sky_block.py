@@ -59,6 +59,8 @@ class SkyBlock:
         Places of a few sources by the same ``positions``, which blocks share; see `follow`.
     memo : dict, optional
         Keeps what `fixed_integral` has found, for blocks to share where there is room for it.
+    own_vectors : ndarray, (Ngroups, 3), optional
+        Where baseline vectors are not those of the setup's groups, metres ENU.
     """
 
     setup: ObservingSetup
@@ -74,6 +76,7 @@ class SkyBlock:
     sky_effects: Sequence[tuple[Any, FloatArray]] = ()
     followed: dict[bytes, Followed] = field(default_factory=dict)
     memo: dict[tuple[int, str], tuple[dict[int, ComplexArray], dict[int, tuple[bytes, ComplexArray]]]] | None = None
+    own_vectors: FloatArray | None = None
     _sources: dict[int, Sources] = field(default_factory=dict, init=False)
 
     @property
@@ -84,7 +87,7 @@ class SkyBlock:
     @property
     def vectors(self) -> FloatArray:
         """Baseline vectors of the groups, (Ngroups, 3), metres ENU."""
-        return self.setup.redundant.vectors[self.groups]
+        return self.setup.redundant.vectors[self.groups] if self.own_vectors is None else self.own_vectors
 
     @cached_property
     def engine(self) -> Engine:
@@ -285,11 +288,14 @@ class SkyBlock:
 
     def integral(self, effect: Any) -> ComplexArray:
         """Return what an effect needs integrated over the sky, (Ntimes, Ngroups, K); see `Effect.sky_columns`."""
-        self.integrate_for([effect])
+        self._integrate_here([effect])
         return self.integrals[effect.integrated_as]
 
     def integrate_for(self, effects: Sequence[Any]) -> None:
         """Fill ``integrals`` for those of these effects that they lack, in one pass over the sky."""
+        self._integrate_here(effects)
+
+    def _integrate_here(self, effects: Sequence[Any]) -> None:
         lacking = {one.integrated_as: one for one in effects if one.integrated_as not in self.integrals}
         first = self.sources(int(self.times[0])) if lacking and len(self.times) else None
         effects = [one for one in lacking.values() if first is not None and one.sky_columns(first) is not None]

@@ -49,9 +49,9 @@ def simplified(
             # What jumps and is zero at most times is nothing that is constant.
             if effect.kind not in kinds or not gone[active.used].any() or not x.any():
                 continue
-            # What it is worth only its fit tells, which begins where the other has ended.
-            n_used = int(np.count_nonzero(x))
-            size = Evidence(0.0, x**2, x[np.newaxis], 0.0, n_used, 0.0, n_used, 0.0)
+            # What it is worth only its fit tells, which begins where the other has ended. It is simpler even with as
+            # many parameters, as what is constant than what jumps at a time that was picked: weighed, none count yet.
+            size = Evidence(0.0, x**2, x[np.newaxis], 0.0, 0.0, 0.0, int(np.count_nonzero(x)), 0.0)
             added = _instead(context, last, place, gone, Finding(effect, size), tried)
             if added is not None:
                 n = len(fitted.values.active)
