@@ -11,7 +11,7 @@ from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.shared.beam_visibilities import integrate_on
 from hydrabeam_mpi.effects.shared.displaced import need_real_beam
-from hydrabeam_mpi.effects.shared.per_antenna import antenna_parameters, common_values, row_antennas, row_parameters
+from hydrabeam_mpi.effects.shared.per_antenna import antenna_parameters, common_values, row_parameters
 
 
 class AntennaPositions(Effect):
@@ -66,14 +66,15 @@ class AntennaPositions(Effect):
             change[:, moved] = after - block.integral(self)[:, block.member[moved], 0]
         return change
 
-    def displacements(self, block: RowBlock, x: FloatArray) -> FloatArray:
-        """Return by how much each row's second antenna is further on than its first one, (Nbls, 3)."""
-        first, second = row_antennas(block).T
-        shifts = x.reshape(-1, 3)
-        return np.asarray(shifts[second] - shifts[first])
+    def displacements(self, setup: ObservingSetup, x: FloatArray) -> FloatArray:
+        """Return by how much each of the observation's antennas is elsewhere, (Nants, 3), metres ENU."""
+        shifts: FloatArray = np.zeros_like(setup.observation.antpos)
+        shifts[setup.antennas_in_use] = x.reshape(-1, 3)
+        return shifts
 
     def _moved(self, block: RowBlock, x: FloatArray) -> tuple[IntArray, FloatArray]:
         """Return the rows whose vector is not what it should be, and their true vectors, (Nmoved, 3)."""
-        change = self.displacements(block, x)
+        shifts = self.displacements(block.setup, x)
+        change = shifts[block.ant2] - shifts[block.ant1]
         moved = np.flatnonzero(change.any(axis=1))
         return moved, block.vectors[block.member[moved]] + change[moved]

@@ -187,12 +187,12 @@ class Effect(InBeam, InOtherData, HasLimits, MayChange, Cause):
         """Return these skies; None if there are none."""
         return None
 
-    def displacements(self, block: RowBlock, x: FloatArray) -> FloatArray:
-        """Return by how much the vectors of a block's rows are other ones, (Nbls, 3), metres ENU; see `moves_antennas`.
+    def displacements(self, setup: ObservingSetup, x: FloatArray) -> FloatArray:
+        """Return by how much each of the observation's antennas is elsewhere, (Nants, 3), metres ENU.
 
-        ``x`` is (n_params,).
+        See `moves_antennas`; ``x`` is (n_params,).
         """
-        return np.zeros((len(block.bls), 3))
+        return np.zeros_like(setup.observation.antpos)
 
     @abstractmethod
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:

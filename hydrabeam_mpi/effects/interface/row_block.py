@@ -32,8 +32,8 @@ class RowBlock(SkyBlock):
         The model A b + E of each baseline, Jy.
     design : ndarray
         Design rows of the groups, (Ntimes, 2, Ngroups, n) or complex (Ntimes, Ngroups, n).
-    moved : ndarray, (Nbls, 3), optional
-        True vectors of the baselines, where effects in the model move antennas; metres ENU.
+    moved : ndarray, (Nants, 3), optional
+        By how much antennas are elsewhere, where effects in the model move them; metres ENU.
     """
 
     bls: IntArray
@@ -84,11 +84,13 @@ class RowBlock(SkyBlock):
 
     @cached_property
     def _where_antennas_are(self) -> RowBlock:
+        assert self.moved is not None
         each = np.arange(len(self.bls))
         # What is kept of groups, and design rows, are of other vectors.
         return replace(
             self,
-            own_vectors=self.moved,
+            own_vectors=self.vectors[self.member] + self.moved[self.ant2] - self.moved[self.ant1],
+            own_antpos=self.antpos + self.moved,
             moved=None,
             groups=each,
             member=each,

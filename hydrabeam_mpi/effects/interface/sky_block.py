@@ -61,6 +61,8 @@ class SkyBlock:
         Keeps what `fixed_integral` has found, for blocks to share where there is room for it.
     own_vectors : ndarray, (Ngroups, 3), optional
         Where baseline vectors are not those of the setup's groups, metres ENU.
+    own_antpos : ndarray, (Nants, 3), optional
+        Where antennas are not where the observation has them, metres ENU.
     """
 
     setup: ObservingSetup
@@ -77,6 +79,7 @@ class SkyBlock:
     followed: dict[bytes, Followed] = field(default_factory=dict)
     memo: dict[tuple[int, str], tuple[dict[int, ComplexArray], dict[int, tuple[bytes, ComplexArray]]]] | None = None
     own_vectors: FloatArray | None = None
+    own_antpos: FloatArray | None = None
     _sources: dict[int, Sources] = field(default_factory=dict, init=False)
 
     @property
@@ -89,10 +92,15 @@ class SkyBlock:
         """Baseline vectors of the groups, (Ngroups, 3), metres ENU."""
         return self.setup.redundant.vectors[self.groups] if self.own_vectors is None else self.own_vectors
 
+    @property
+    def antpos(self) -> FloatArray:
+        """Places of the antennas, (Nants, 3), metres ENU."""
+        return self.setup.observation.antpos if self.own_antpos is None else self.own_antpos
+
     @cached_property
     def engine(self) -> Engine:
         """The job's engine on the groups' vectors, most of which are differences of antennas' places."""
-        return self.engine_on(self.vectors, self.setup.observation.antpos)
+        return self.engine_on(self.vectors, self.antpos)
 
     def engine_on(self, vectors: FloatArray, points: FloatArray | None = None) -> Engine:
         """Return the job's engine on baseline vectors, (N, 3), which may be differences of ``points``; metres ENU."""

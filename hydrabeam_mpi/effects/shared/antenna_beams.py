@@ -43,7 +43,7 @@ def added_by_beams(block: RowBlock, antennas: IntArray, beams: Callable[[Sources
         return out
     of_row = _places(block, antennas)
     both = np.flatnonzero((of_row >= 0).all(axis=1))
-    positions = block.setup.observation.antpos[block.setup.antennas_in_use[antennas]]
+    positions = block.antpos[block.setup.antennas_in_use[antennas]]
     for t in range(len(block.times)):
         seen: list[tuple[Sources, FloatArray]] = []
 
@@ -88,7 +88,7 @@ def slopes_by_beams(
         Jy.
     """
     in_use, of_row = block.setup.antennas_in_use, _places(block, antennas)
-    positions, values = block.setup.observation.antpos[in_use], []
+    positions, values = block.antpos[in_use], []
     for t in range(len(block.times)):
         seen: list[tuple[Sources, FloatArray, FloatArray]] = []
 

@@ -11,9 +11,6 @@ from hydrabeam_mpi.effects.interface.row_block import RowBlock
 
 
 def with_moved_antennas(block: RowBlock, effects: Iterable[tuple[Effect, FloatArray]]) -> RowBlock:
-    """Return a block with the true vectors of its baselines, if effects with their parameters move antennas."""
-    moving = [(effect, x) for effect, x in effects if effect.moves_antennas and x.any()]
-    if not moving:
-        return block
-    moved = block.vectors[block.member] + sum(effect.displacements(block, x) for effect, x in moving)
-    return replace(block, moved=moved)
+    """Return a block that knows where its antennas are, if effects with their parameters move them."""
+    shifts = [effect.displacements(block.setup, x) for effect, x in effects if effect.moves_antennas and x.any()]
+    return replace(block, moved=sum(shifts[1:], start=shifts[0])) if shifts else block

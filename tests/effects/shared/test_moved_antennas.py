@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -42,6 +44,19 @@ def test_a_sky_that_is_turned_is_seen_from_where_antennas_are() -> None:
     block = small_block(small_setup())
     apart = block.vis + POSITIONS.added(block, SHIFTS.ravel()) + effect.added(block, turn)
     assert np.abs(apart - expected).max() > 0.01 * np.abs(block.vis).max()
+
+
+def test_tilted_antennas_have_the_product_of_their_beams_where_they_are() -> None:
+    """As of antennas whose positions are the true ones."""
+    effect, x = AntennaPointing(), generator(9, "tilts").standard_normal(14)
+    block = block_with((effect, x))
+    found = block.added_by(effect, x)
+    setup = small_setup()
+    moved = replace(setup.observation, antpos=setup.observation.antpos + SHIFTS)
+    there = small_block(replace(setup, observation=moved))
+    # In the sense of the groups that they were in.
+    there = replace(there, own_vectors=true_vectors(block), groups=np.arange(21), member=np.arange(21))
+    assert_same(found, effect.added(there, x), block)
 
 
 @pytest.mark.parametrize("effect", [AntennaPointing(), Orientation()])
