@@ -67,6 +67,15 @@ class Columns:
         matrix.sum_duplicates()
         return matrix
 
+    def of_rows(self, member: IntArray) -> Columns:
+        """Return the same of each baseline, which belong to the groups ``member``, (Nbls,)."""
+        if not self.by_group:
+            return self
+        index = self.index
+        if index is not None and index.ndim > 1 and index.shape[-2] > 1:
+            index = index[..., member, :]
+        return Columns(self.values[:, member], self.n_params, index)
+
     def apply(self, x: FloatArray) -> ComplexArray:
         """Return the change of the model for a small ``x``, (Ntimes, Nrows)."""
         return np.asarray(self.matrix() @ x).reshape(self.values.shape[:2])

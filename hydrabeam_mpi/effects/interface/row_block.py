@@ -74,8 +74,8 @@ class RowBlock(SkyBlock):
     def seen_by(self, effect: Any) -> RowBlock:
         """Return the rows as an effect has them: where antennas are elsewhere, what turns the sky turns it there.
 
-        Each baseline is then a group of its own. What moves antennas begins from where they should be, what multiplies
-        has the visibilities as they are, and what is about the beam that all share the design as it is.
+        What moves antennas begins from where they should be, what multiplies has the visibilities as they are, and what
+        is about the beam that all share the design as it is.
         """
         of_design = effect.is_about_the_beam or effect.is_control_model
         if self.moved is None or effect.moves_antennas or effect.multiplies or of_design:
@@ -84,16 +84,20 @@ class RowBlock(SkyBlock):
 
     @cached_property
     def _where_antennas_are(self) -> RowBlock:
+        """The same rows, of which those of antennas that are elsewhere are groups of their own, after all others."""
         assert self.moved is not None
-        each = np.arange(len(self.bls))
+        further = self.moved[self.ant2] - self.moved[self.ant1]
+        own = np.flatnonzero(further.any(axis=1))
+        member = self.member.copy()
+        member[own] = len(self.groups) + np.arange(len(own))
         # What is kept of groups, and design rows, are of other vectors.
         return replace(
             self,
-            own_vectors=self.vectors[self.member] + self.moved[self.ant2] - self.moved[self.ant1],
+            own_vectors=np.concatenate([self.vectors, self.vectors[self.member[own]] + further[own]]),
             own_antpos=self.antpos + self.moved,
             moved=None,
-            groups=each,
-            member=each,
+            groups=np.arange(len(self.groups) + len(own)),
+            member=member,
             integrals={},
             memo=None,
             keeps_waves=False,
@@ -105,17 +109,17 @@ class RowBlock(SkyBlock):
         return np.asarray(effect.added(self.seen_by(effect), x))
 
     def derivative(self, effect: Any, x: FloatArray) -> Any:
-        """Return the columns of an effect, `Columns`, of baselines where they are not where their group is."""
+        """Return the columns of an effect, `Columns`, of each baseline where antennas are elsewhere."""
         seen = self.seen_by(effect)
         columns = effect.columns(seen, x)
-        return columns if seen is self else replace(columns, by_group=False)
+        return columns if seen is self else columns.of_rows(seen.member)
 
     def columns_of(self, effect: Any, x: FloatArray) -> Any:
         """Return the columns of an effect of the model, `Columns`, as A b has them; see `SkyBlock.columns_of`."""
         seen = self.seen_by(effect)
         if seen is self:
             return super().columns_of(effect, x)
-        return replace(seen.columns_of(effect, x), by_group=False)
+        return seen.columns_of(effect, x).of_rows(seen.member)
 
     def integrate_for(self, effects: Sequence[Any]) -> None:
         """Fill ``integrals`` for those of these effects that they lack, in one pass over the sky for all of a place."""

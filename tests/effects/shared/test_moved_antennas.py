@@ -75,6 +75,15 @@ def test_columns_are_of_baselines_as_they_are(effect: Effect) -> None:
         assert np.abs(dense[:, number] - slope.ravel()).max() < 2e-5 * np.abs(dense).max()
 
 
+def test_redundant_baselines_of_other_antennas_stay_one() -> None:
+    block = block_with()
+    seen = block.seen_by(Orientation())
+    moved = np.isin(block.ant1, (2, 5)) | np.isin(block.ant2, (2, 5))
+    assert len(seen.groups) == len(block.groups) + moved.sum()
+    np.testing.assert_array_equal(seen.member[~moved], block.member[~moved])
+    np.testing.assert_allclose(seen.vectors[seen.member], true_vectors(block), rtol=0, atol=1e-9)
+
+
 def test_what_multiplies_and_what_moves_them_have_the_rows_as_they_are() -> None:
     block = block_with()
     assert block.seen_by(AntennaGains()) is block
