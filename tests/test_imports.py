@@ -11,7 +11,7 @@ import pytest
 PACKAGE = "hydrabeam_mpi"
 ROOT = Path(__file__).parents[1]
 LAYERS = (
-    ("errors", "launchers", "memory", "random", "registry", "version", "words"),
+    ("compiled", "eigen", "errors", "launchers", "memory", "random", "registry", "version", "words"),
     ("extras",),
     ("data",),
     ("mpi", "terminal"),

@@ -21,6 +21,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from hydrabeam_mpi.data.observation import Array, BoolArray, FloatArray
+from hydrabeam_mpi.eigen import eigen
 from hydrabeam_mpi.fit.blocks import ColumnBlock, add_block
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
@@ -32,7 +33,7 @@ from hydrabeam_mpi.fit.state import Active, Fitted, Values
 from hydrabeam_mpi.fit.whitening import root_by_shared
 from hydrabeam_mpi.fit.whole_beams import with_whole_beams
 from hydrabeam_mpi.inference.gaussian import Block
-from hydrabeam_mpi.inference.matrices import cholesky_lower, eigen, inverse_of_covariance
+from hydrabeam_mpi.inference.matrices import cholesky_lower, inverse_of_covariance
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.mpi import bcast_object, gather_objects, together
 

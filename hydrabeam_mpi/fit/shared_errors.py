@@ -18,10 +18,10 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.eigen import eigen
 from hydrabeam_mpi.fit.marginal import in_parts
 from hydrabeam_mpi.fit.row_buffer import CAPACITY
 from hydrabeam_mpi.fit.whitening import TimeWhitener, root_by_shared, root_of
-from hydrabeam_mpi.inference.matrices import eigen
 from hydrabeam_mpi.mpi import Comm, allreduce_sum
 
 

@@ -18,7 +18,8 @@ from scipy.linalg import solve_triangular
 from scipy.sparse import csr_array
 
 from hydrabeam_mpi.data.observation import Array, BoolArray, ComplexArray, FloatArray, IntArray
-from hydrabeam_mpi.inference.matrices import eigen, inverse_where_it_varies
+from hydrabeam_mpi.eigen import eigen
+from hydrabeam_mpi.inference.matrices import inverse_where_it_varies
 from hydrabeam_mpi.inference.posterior import Posterior
 
 LEAST_LEFT = 1e-9

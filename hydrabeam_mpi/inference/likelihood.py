@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.eigen import eigen
 from hydrabeam_mpi.inference.gaussian import Block, Gaussian
-from hydrabeam_mpi.inference.matrices import eigen
 
 RANK_RTOL = 1e-9
 """Eigenvalues of K below this times the largest are rounding errors, and count as zero."""

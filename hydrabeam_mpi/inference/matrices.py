@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import LinAlgError, cholesky, eigh
+from scipy.linalg import LinAlgError, cholesky
 from scipy.linalg.lapack import dpotrf, dpotri, zpotrf, zpotri
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
@@ -17,19 +17,6 @@ def complete_hermitian(matrix: Array, block: int = 128) -> None:
         corner = np.triu(matrix[lo:hi, lo:hi])
         matrix[lo:hi, lo:hi] = corner + np.triu(corner, 1).conj().T
         matrix[hi:, lo:hi] = matrix[lo:hi, hi:].conj().T
-
-
-def eigen(matrix: Array) -> tuple[FloatArray, Array]:
-    """Return the eigenvalues, rising, and the eigenvectors of a Hermitian matrix, (n,) and (n, n).
-
-    By the fast driver of LAPACK, and where that fails by the one that goes step by step: some builds of OpenBLAS do not
-    come to an end for some well-conditioned matrices of a few hundred rows.
-    """
-    try:
-        values, vectors = np.linalg.eigh(matrix)
-    except np.linalg.LinAlgError:
-        values, vectors = eigh(matrix, driver="ev")
-    return values, vectors
 
 
 def inverse_of_covariance(covariance: FloatArray) -> FloatArray:

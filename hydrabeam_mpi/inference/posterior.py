@@ -13,7 +13,8 @@ from scipy.linalg.lapack import dpotri, zpotri
 from scipy.sparse.linalg import ArpackNoConvergence, eigsh
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
-from hydrabeam_mpi.inference.matrices import complete_hermitian, eigen
+from hydrabeam_mpi.eigen import eigen
+from hydrabeam_mpi.inference.matrices import complete_hermitian
 from hydrabeam_mpi.random import complex_normal
 
 DENSE = 64

@@ -15,8 +15,8 @@ from typing import Protocol
 import numpy as np
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
+from hydrabeam_mpi.eigen import eigen
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.inference.matrices import eigen
 from hydrabeam_mpi.model.bases.base import NEGLIGIBLE, LinearBasis, Selection, has_part
 from hydrabeam_mpi.model.bases.ring_fit import RCOND
 from hydrabeam_mpi.model.bases.rings import Pixels, RingGrid, degree_grid

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from hydrabeam_mpi.data.observation import FloatArray
-from hydrabeam_mpi.inference.matrices import eigen
+from hydrabeam_mpi.eigen import eigen
 
 # Bins of |z|^2; the last has no end. Half of the good rows lie above 0.7, and one in 1e10 above 23.
 EDGES: FloatArray = np.concatenate([[0.0], np.geomspace(0.05, 1e12, 241)])

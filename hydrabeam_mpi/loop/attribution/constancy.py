@@ -30,8 +30,9 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import minimize_scalar
 
 from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.eigen import eigen
 from hydrabeam_mpi.inference.likelihood import RANK_RTOL, Likelihood
-from hydrabeam_mpi.inference.matrices import cholesky_lower, eigen
+from hydrabeam_mpi.inference.matrices import cholesky_lower
 
 SPREADS: FloatArray = np.exp(np.arange(np.log(1e-5), np.log(1e3)))
 """Spreads tried, in units of the prior's width: from far below what data tell to far above the parameters. The best is

@@ -22,9 +22,9 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import BoolArray, FloatArray
 from hydrabeam_mpi.effects.interface.effect import Parameters
+from hydrabeam_mpi.eigen import eigen
 from hydrabeam_mpi.inference.gaussian import Block, Gaussian
 from hydrabeam_mpi.inference.likelihood import RANK_RTOL, Likelihood
-from hydrabeam_mpi.inference.matrices import eigen
 from hydrabeam_mpi.loop.attribution.few_elements import TAUS, each_alone, few_elements, log_bayes_factors
 from hydrabeam_mpi.loop.attribution.price import price_of, rarity, sets_of
 

@@ -14,8 +14,9 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import BoolArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Parameters
+from hydrabeam_mpi.eigen import eigen
 from hydrabeam_mpi.inference.likelihood import RANK_RTOL
-from hydrabeam_mpi.inference.matrices import eigen, inverse_hermitian
+from hydrabeam_mpi.inference.matrices import inverse_hermitian
 from hydrabeam_mpi.loop.attribution.price import rarity
 from hydrabeam_mpi.loop.rules import RULES
 

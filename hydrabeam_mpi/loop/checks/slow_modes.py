@@ -21,7 +21,7 @@ from numpy.polynomial.legendre import legvander
 from scipy.special import gammainc
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
-from hydrabeam_mpi.inference.matrices import eigen
+from hydrabeam_mpi.eigen import eigen
 from hydrabeam_mpi.inference.robust import ABSURD_P
 from hydrabeam_mpi.mpi import Comm, allreduce_sum
 

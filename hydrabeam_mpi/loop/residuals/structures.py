@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
-from hydrabeam_mpi.inference.matrices import eigen
+from hydrabeam_mpi.eigen import eigen
 from hydrabeam_mpi.inference.significance import LARGEST
 from hydrabeam_mpi.loop.residuals.cube import Cube, Layout
 from hydrabeam_mpi.mpi import Comm, allreduce_sum
