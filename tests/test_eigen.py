@@ -14,8 +14,3 @@ def test_eigenvectors_make_the_matrix(is_complex: bool) -> None:
     assert np.all(np.diff(values) >= 0)
     np.testing.assert_allclose((vectors * values) @ vectors.conj().T, matrix, rtol=0, atol=1e-12 * values[-1])
     np.testing.assert_allclose(vectors.conj().T @ vectors, np.eye(40), rtol=0, atol=1e-12)
-
-
-def test_what_is_no_number_has_none() -> None:
-    with pytest.raises((np.linalg.LinAlgError, ValueError)):
-        eigen(np.full((30, 30), np.nan))
