@@ -40,3 +40,10 @@ def test_so_does_what_needs_a_function_of_our_own(tmp_path: Path) -> None:
     kept = {"NUMBA_CACHE_DIR": str(tmp_path)}
     assert run(OWN, **kept).split() == ["1.0"]
     assert run(OWN, **kept).split() == ["1.0", "1"]
+
+
+def test_what_is_needed_works_where_nothing_can_be_kept(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    kept = {"NUMBA_CACHE_DIR": str(tmp_path / "file")}
+    assert run(USE, **kept).split()[:2] == ["[67587,", "69636]"]
+    assert run(OWN, **kept).split()[0] == "1.0"

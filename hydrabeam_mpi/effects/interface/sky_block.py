@@ -299,11 +299,8 @@ class SkyBlock:
         self._integrate_here([effect])
         return self.integrals[effect.integrated_as]
 
-    def integrate_for(self, effects: Sequence[Any]) -> None:
-        """Fill ``integrals`` for those of these effects that they lack, in one pass over the sky."""
-        self._integrate_here(effects)
-
     def _integrate_here(self, effects: Sequence[Any]) -> None:
+        """Fill ``integrals`` for those of these effects that they lack, in one pass over the sky."""
         lacking = {one.integrated_as: one for one in effects if one.integrated_as not in self.integrals}
         first = self.sources(int(self.times[0])) if lacking and len(self.times) else None
         effects = [one for one in lacking.values() if first is not None and one.sky_columns(first) is not None]

@@ -71,8 +71,7 @@ class Sources:
     @cached_property
     def beam(self) -> FloatArray:
         """Real part of the power beam, (Nsrc,); from the beam's table, where it has one."""
-        found = self._by_table
-        return np.asarray(self.beam_function(self.za, self.az)).real if found is None else found[0]
+        return self.exact_beam if self._by_table is None else self._by_table[0]
 
     @cached_property
     def exact_beam(self) -> FloatArray:

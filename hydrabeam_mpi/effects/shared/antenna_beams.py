@@ -23,9 +23,6 @@ from hydrabeam_mpi.effects.shared.per_antenna import row_antennas
 from hydrabeam_mpi.model.engines.base import amplitude
 from hydrabeam_mpi.model.engines.fringes import plane_waves
 
-NOTHING = 1e-6
-"""Of a voltage beam: a root has an infinite slope where its power is zero."""
-
 
 def added_by_beams(block: RowBlock, antennas: IntArray, beams: Callable[[Sources], FloatArray]) -> ComplexArray:
     """Return what is added by antennas whose beams are not the common one, (Ntimes, Nbls), Jy.
@@ -41,7 +38,7 @@ def added_by_beams(block: RowBlock, antennas: IntArray, beams: Callable[[Sources
     out = np.zeros(block.shape, dtype=complex)
     if not len(antennas):
         return out
-    of_row = _places(block, antennas)
+    of_row = _places(block, antennas)[row_antennas(block)]
     both = np.flatnonzero((of_row >= 0).all(axis=1))
     positions = block.antpos[block.setup.antennas_in_use[antennas]]
     for t in range(len(block.times)):
@@ -87,8 +84,8 @@ def slopes_by_beams(
     ndarray of complex, (Ntimes, Nbls, 2, k)
         Jy.
     """
-    in_use, of_row = block.setup.antennas_in_use, _places(block, antennas)
-    positions, values = block.antpos[in_use], []
+    place, positions = _places(block, antennas), block.antpos[block.setup.antennas_in_use]
+    of_row, values = place[row_antennas(block)], []
     for t in range(len(block.times)):
         seen: list[tuple[Sources, FloatArray, FloatArray]] = []
 
@@ -107,42 +104,36 @@ def slopes_by_beams(
         value = integrals.reshape(len(block.groups), len(antennas) + 1, -1)[block.member[:, np.newaxis], of_row]
         for sources, differences, of_roots in seen if len(antennas) else ():
             waves = plane_waves(positions, sources.enu, block.freq)
-            value += _further_of_pairs(block, of_row, waves, amplitude(sources.flux_without()), differences, of_roots)
+            others = amplitude(sources.flux_without()) * differences[:-1] * waves[antennas]
+            value += _further_of_pairs(block, of_row, waves, others, of_roots[place])
         values.append(value)
     return np.array(values)
 
 
 def _further_of_pairs(
-    block: RowBlock,
-    of_row: IntArray,
-    waves: ComplexArray,
-    flux: FloatArray,
-    differences: FloatArray,
-    slopes: FloatArray,
+    block: RowBlock, of_row: IntArray, waves: ComplexArray, others: ComplexArray, slopes: FloatArray
 ) -> ComplexArray:
-    """Return what the product of one antenna's change and the other's difference adds to rows, (Nbls, 2, k)."""
+    """Return what the product of one antenna's change and the other's difference adds to rows, (Nbls, 2, k).
+
+    ``waves``, (Nants, Nsrc), and ``slopes``, (Nants, k, Nsrc), are of the antennas in use, ``others``, (n, Nsrc), what
+    those that differ have with their waves and the fluxes; ``of_row``, (Nbls, 2), says which of these a row has.
+    """
     rows = row_antennas(block)
-    place = np.full(len(waves), -1)
-    place[rows] = of_row
-    differing = np.flatnonzero(place >= 0)
-    other = flux * differences[place[differing]] * waves[differing]
-    number = np.full(len(waves), -1)
-    number[differing] = np.arange(len(differing))
     out = np.zeros((*rows.shape, slopes.shape[1]), dtype=complex)
-    for antenna, wave in enumerate(waves):
-        products = (slopes[place[antenna]] * wave.conj()) @ other.T
+    for antenna, (wave, slope) in enumerate(zip(waves, slopes, strict=True)):
+        products = (slope * wave.conj()) @ others.T
         for side in range(2):
-            mine = np.flatnonzero((rows[:, side] == antenna) & (number[rows[:, 1 - side]] >= 0))
-            found = products[:, number[rows[mine, 1 - side]]].T
+            mine = np.flatnonzero((rows[:, side] == antenna) & (of_row[:, 1 - side] >= 0))
+            found = products[:, of_row[mine, 1 - side]].T
             out[mine, side] = found.conj() if side else found
     return out
 
 
 def _places(block: RowBlock, antennas: IntArray) -> IntArray:
-    """Return which of some antennas a row's first and second ones are, (Nbls, 2); -1 for others."""
+    """Return the number among some antennas of each in use, (Nants,); -1 for others."""
     place = np.full(len(block.setup.antennas_in_use), -1)
     place[antennas] = np.arange(len(antennas))
-    return place[row_antennas(block)]
+    return place
 
 
 def _root(power: FloatArray) -> FloatArray:
@@ -151,6 +142,6 @@ def _root(power: FloatArray) -> FloatArray:
 
 
 def _slope_of_root(roots: FloatArray, changes: FloatArray) -> FloatArray:
-    """Return how roots, (n, Nsrc), change as their powers do, (n, k, Nsrc); not at all where they are next to zero."""
+    """Return how roots, (n, Nsrc), change as their powers do, (n, k, Nsrc); not at all where they are zero."""
     roots = roots[:, np.newaxis]
-    return np.divide(0.5 * changes, roots, out=np.zeros_like(changes), where=roots > NOTHING)
+    return np.divide(0.5 * changes, roots, out=np.zeros_like(changes), where=roots > 0)

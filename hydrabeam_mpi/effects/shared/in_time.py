@@ -313,12 +313,11 @@ class InTime(ScannedEffect):
 
     def _sums_of_times(self, block: RowBlock) -> tuple[FloatArray, FloatArray]:
         """Return Re sum w s* r and sum w |s|^2 of the effect's own columns at each time, (Ntimes, n_own)."""
-        own = self._own_columns(block)
-        values = block.spread(own.values) if own.by_group else own.values
+        own = self._own_columns(block).of_rows(block.member)
         index = np.arange(own.n_params) if own.index is None else own.index
         n_times = len(block.times)
         place = np.arange(n_times)[:, np.newaxis, np.newaxis] * own.n_params + index
-        told, power = sums_by(place, values, block, n_times * own.n_params)
+        told, power = sums_by(place, own.values, block, n_times * own.n_params)
         return told.reshape(n_times, -1), power.reshape(n_times, -1)
 
 
