@@ -9,13 +9,14 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray
 from hydrabeam_mpi.fit.beams_given import Solved
-from hydrabeam_mpi.fit.blocks import EffectBlock, add_block, sums_of
+from hydrabeam_mpi.fit.blocks import ColumnBlock, EffectBlock, add_block, sums_of
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
 from hydrabeam_mpi.fit.marginal import Marginal
 from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Estimate, Values
+from hydrabeam_mpi.fit.with_the_beam import ADDED, AddedBlock, WithTheBeam
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.prior import Prior
@@ -34,7 +35,8 @@ def linearised(
     names = list(values.blocks)
     each, priors = sums_at(context, at, solved.rows, solved.added, values), context.given(at.values).priors
     for channel, (sums, posterior) in enumerate(zip(each, at.beams, strict=True)):
-        marginal = Marginal(sums, BEAM, posterior)
+        follows = WithTheBeam.of(sums, posterior, priors[channel])
+        marginal = Marginal(sums, BEAM, posterior, follows=follows)
         response.append(marginal.response(names))
         if context.grid.is_group_root:
             told = marginal.likelihood(names)
@@ -88,7 +90,10 @@ def active_sums(
     ``added`` is E of the channel's rows, (Ntimes, Nbls). What a result says that is the prior counts as fitted rows.
     Collective: all ranks of `grid.group`; groups may have different numbers of channels.
     """
-    model = {BEAM: context.beam, **effects}
+    model: dict[str, ColumnBlock] = {BEAM: context.beam, **effects}
+    scale = AddedBlock.of(share, at, channel, added) if context.problem.coupling is None else None
+    if scale is not None:
+        model[ADDED] = scale
     total = sums_of(model)
     with together(context.grid.group):
         for _, block, _ in share.row_blocks(channel, at, added, rows):

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.effect import Cause, Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
@@ -155,6 +156,23 @@ def test_it_multiplies_or_adds_or_changes_the_sky(kind: str) -> None:
     # What changes the sky is seen by the beam: its fluxes and further sources give what it adds.
     expected = with_effect(effect, block, x) if effect.changes_sky else block.vis
     assert_same(seen_by_the_beam(effect, block, x), expected, block, rtol=1e-12)
+
+
+@pytest.mark.parametrize("kind", [*EFFECTS, *IN_TIME])
+def test_it_says_whether_what_it_adds_is_in_proportion_to_the_beam(kind: str) -> None:
+    effect, block, case = set_up(kind)
+    if effect.multiplies or effect.changes_sky:
+        return
+    x, beam = draw(effect, block.setup, case.strengths[0]), block.beam
+
+    def larger(za: FloatArray, az: FloatArray) -> FloatArray:
+        return 1.3 * np.asarray(beam(za, az))
+
+    other = replace(block, beam=larger, vis=1.3 * block.vis, design=1.3 * block.design, integrals={})
+    scale = 1.3 if effect.is_seen_by_beam else 1.0
+    # Where the sidelobes of one antenna are higher, its beam is still one at its peak.
+    rtol = 2e-3 if kind == "nonredundant_beams" else 1e-9
+    assert_same(effect.added(other, x), scale * effect.added(block, x), block, rtol)
 
 
 # Compression and saturation are zero at what the model beam sees of the catalogue in the mean.

@@ -39,6 +39,7 @@ class BasisTruncation(Effect):
 
     kind = "basis_truncation"
     title = "a basis that is too small"
+    is_seen_by_beam = False
     of_both_feeds = True
     linear = True
     is_about_the_beam = True

@@ -23,6 +23,7 @@ class CommonBeam(Effect):
 
     kind = "common_beam"
     title = "what the beams of all channels have in common"
+    is_seen_by_beam = False
     of_both_feeds = True
     linear = True
     shared = True

@@ -22,6 +22,7 @@ class CrossCoupling(PerBaseline):
 
     kind = "cross_coupling"
     title = "constant cross-coupling"
+    is_seen_by_beam = False
     linear = True
     units = ("Jy", "Jy")
     scale = 1.0

@@ -42,6 +42,7 @@ class GroundEmitter(ScannedEffect):
 
     kind = "ground_emitter"
     title = "emitters fixed to the ground"
+    is_seen_by_beam = False
     unphysical = "a power below zero"
 
     def __init__(self, azimuths: Sequence[Azimuth] = ()) -> None:

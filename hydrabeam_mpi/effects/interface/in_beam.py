@@ -14,6 +14,8 @@ class InBeam:
 
     is_about_the_beam: ClassVar[bool] = False
     """Whether it is a fault of the beam's model itself, so that it may well look like another beam."""
+    is_seen_by_beam: bool = True
+    """Whether what it adds to the visibilities is in proportion to the beam, or nearly so, as the sky's are."""
     is_sought: ClassVar[bool] = True
     """Whether a loop looks for it, as for what may be wrong; else it is known beforehand."""
 

@@ -57,6 +57,7 @@ class InTime(ScannedEffect):
         self.kind, self.title, self.law = effect.kind, effect.laws[law.name], law.name
         self.shared, self.local, self.of_the_sky = effect.shared, effect.local, effect.of_the_sky
         self.of_both_feeds, self.unphysical = effect.of_both_feeds, effect.unphysical
+        self.is_seen_by_beam = effect.is_seen_by_beam
         self.multiplies, self.changes_sky, self.linear = effect.multiplies, effect.changes_sky, effect.linear
 
     def describe(self) -> dict[str, Any]:

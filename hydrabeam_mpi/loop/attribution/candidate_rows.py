@@ -14,6 +14,7 @@ from hydrabeam_mpi.fit.kept import Kept
 from hydrabeam_mpi.fit.marginal import Marginal
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Estimate, Fitted, Values
+from hydrabeam_mpi.fit.with_the_beam import ADDED, AddedBlock, WithTheBeam
 from hydrabeam_mpi.loop.attribution.beside import Beside
 from hydrabeam_mpi.mpi import gather_objects, together
 
@@ -46,12 +47,11 @@ def marginal_of(context: FitContext, fitted: Fitted, sums: NormalEquations, chan
     Where a fit has not converged its beam is not the likeliest given the effects. What it would take up of the residual
     by moving there is no evidence for anything else.
     """
-    beam, pull = fitted.fit.posteriors[channel], None
+    beam, pull, prior = fitted.fit.posteriors[channel], None, context.given(fitted.values).priors[channel]
     if not fitted.diagnostics.converged and context.problem.coupling is None:
-        prior = context.given(fitted.values).priors[channel]
         kappa = 1.0 if beam.is_complex else 2.0
         pull = kappa * sums.projection[BEAM] + prior.precision_times(prior.mean - beam.mean)
-    return Marginal(sums, BEAM, beam, pull)
+    return Marginal(sums, BEAM, beam, pull, WithTheBeam.of(sums, beam, prior))
 
 
 def candidate_sums(
@@ -67,6 +67,9 @@ def candidate_sums(
     Their products are those of each candidate by itself, or with ``by_pairs`` those of any two as well.
     """
     model: dict[str, ColumnBlock] = {BEAM: context.beam, **values.blocks}
+    scale = AddedBlock.of(context.train, cached.at, channel, cached.added[channel])
+    if scale is not None and context.problem.coupling is None:
+        model[ADDED] = scale
     if by_pairs:
         model, candidates = {**model, **candidates}, {}
     total = sums_of(model, candidates)

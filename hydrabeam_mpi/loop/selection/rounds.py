@@ -125,7 +125,7 @@ class _Rounds:
         left = context.problem.job.loop.max_rounds - len(history.rounds)
         weighed = self._weighed(left)
         if left <= 0:
-            return False
+            return self._exchange()
         if self.adapt(weighed.ranking):
             return True
         outlook = Outlook(context, self.effects, self.search.changes, left, weighed)
@@ -155,6 +155,19 @@ class _Rounds:
         self.effects, self.known = next_of(context, self.effects, fitted.values), outlook.after(fitted)
         self.search.save()
         self._grow(added)
+        return True
+
+    def _exchange(self) -> bool:
+        """Exchange an effect where no more may be added, which adds none; whether one was. Collective: all ranks."""
+        context, history = self.search.context, self.search.history
+        with self.search.clock.time("trials"):
+            added = _exchanged(context, history, self.effects)
+            if added is not None:
+                added = _accept(context, history, added)
+        if added is None:
+            return False
+        self.effects = next_of(context, self.effects, added.after.fitted.values)
+        self.search.save()
         return True
 
     def _grow(self, added: Round) -> None:

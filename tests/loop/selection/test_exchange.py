@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,13 +13,16 @@ from hydrabeam_mpi.effects.instrument.closure_errors import ClosureErrors
 from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.registry import make_effect
+from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Active, Values
 from hydrabeam_mpi.loop.attribution.reconsider import reconsider
 from hydrabeam_mpi.loop.selection.acceptance import Round
 from hydrabeam_mpi.loop.selection.exchange import exchange, in_place_of
+from hydrabeam_mpi.loop.selection.history import History
 from hydrabeam_mpi.loop.selection.predictions import check
+from hydrabeam_mpi.loop.selection.rounds import Search, run_round
 from tests.loop.made import effect_candidate, round_of
 from tests.loop.mock import context_of, mock_job
 
@@ -66,6 +70,15 @@ def test_one_gain_in_the_place_of_the_factors_of_all_its_baselines(context: FitC
     assert added.before is last
     assert added.after.score.log_density > last.score.log_density - 5
     assert added.revised[0].startswith("closure errors: taken back")
+
+
+def test_it_is_asked_where_no_more_effects_may_be_added(tmp_path: Path) -> None:
+    full = context_of(mock_job(GAIN, COUPLED, loop={"max_rounds": 2}), tmp_path)
+    so_far = rounds(full, factors(full), GAINS, COUPLING)
+    history = History(so_far[0].before, so_far[-1].after, list(so_far))
+    assert run_round(Search(full, history, [GAINS, COUPLING], [], Clock(), lambda _: None))
+    assert {one.kind for one in history.last.fitted.values.active} == {"antenna_gains", "cross_coupling"}
+    assert not run_round(Search(full, history, [GAINS, COUPLING], [], Clock(), lambda _: None))
 
 
 def test_a_law_in_the_place_of_another_of_the_same_effect(context: FitContext) -> None:
