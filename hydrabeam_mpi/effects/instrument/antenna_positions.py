@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import C_M_PER_S, ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import C_M_PER_S, BoolArray, ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.instrument.orientation import Orientation
 from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.shared.beam_visibilities import integrate_on
-from hydrabeam_mpi.effects.shared.displaced import need_real_beam
+from hydrabeam_mpi.effects.shared.displaced import ARCMIN, need_real_beam
 from hydrabeam_mpi.effects.shared.per_antenna import antenna_parameters, common_values, row_parameters
+
+LEAST_OF_ARRAY = 4
+"""Antennas that may be said to be turned together: three can be anywhere by a turn, a shift and little else."""
+MOST_BESIDE_TURN = 3
+"""Antennas of an array that is turned that may stand elsewhere besides: each number of them is a fit."""
+ROUNDS_OF_WEIGHTS = 20
+"""Of the least sum of distances, which is found by weights of one over these: it is told to a thousandth by then."""
 
 
 class AntennaPositions(Effect):
@@ -72,9 +80,44 @@ class AntennaPositions(Effect):
         shifts[setup.antennas_in_use] = x.reshape(-1, 3)
         return shifts
 
+    def simpler_elements(
+        self, setup: ObservingSetup, x: FloatArray, std: FloatArray
+    ) -> list[tuple[BoolArray, Effect, FloatArray]]:
+        """Return all antennas as those of an array that is turned, and all but those that fit least into it."""
+        places, shifts = setup.observation.antpos[setup.antennas_in_use], x[0].reshape(-1, 3)
+        turn, away = _turn_of(places, shifts)
+        furthest = np.argsort(-away)[: min(MOST_BESIDE_TURN, len(away) - LEAST_OF_ARRAY)]
+        found: list[tuple[BoolArray, Effect, FloatArray]] = []
+        for n_beside in range(len(furthest) + 1 if len(away) >= LEAST_OF_ARRAY else 0):
+            together = ~np.isin(np.arange(len(away)), furthest[:n_beside])
+            turn, _ = _turn_of(places[together], shifts[together])
+            found.append((np.repeat(together, 3), Orientation("array").in_full(setup), turn / ARCMIN))
+        return found
+
     def _moved(self, block: RowBlock, x: FloatArray) -> tuple[IntArray, FloatArray]:
         """Return the rows whose vector is not what it should be, and their true vectors, (Nmoved, 3)."""
         shifts = self.displacements(block.setup, x)
         change = shifts[block.ant2] - shifts[block.ant1]
         moved = np.flatnonzero(change.any(axis=1))
         return moved, block.vectors[block.member[moved]] + change[moved]
+
+
+def _turn_of(places: FloatArray, shifts: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return by which turn of the sky (radians) antennas are displaced alike, (3,), and how far each is from that.
+
+    The turn is that with the least sum of distances, metres, (Nants,), so that a few that are elsewhere do not count
+    more than others do; a shift of all is free. ``places`` and ``shifts`` are (Nants, 3).
+    """
+    east, north, up = (places - places.mean(axis=0)).T
+    zero, one = np.zeros_like(east), np.ones_like(east)
+    # An array seen by a sky that is turned by w has moved by -w x r.
+    turned = np.array([[zero, -up, north], [up, zero, -east], [-north, east, zero]])
+    shifted = np.eye(3)[:, :, np.newaxis] * one
+    design = np.concatenate([turned, shifted], axis=1).transpose(2, 0, 1)
+    weights = one
+    for _ in range(ROUNDS_OF_WEIGHTS):
+        root = np.sqrt(weights)[:, np.newaxis]
+        found = np.linalg.lstsq((root[..., np.newaxis] * design).reshape(-1, 6), (root * shifts).ravel(), rcond=None)[0]
+        away = np.linalg.norm(shifts - design @ found, axis=1)
+        weights = 1 / np.maximum(away, 1e-3 * max(float(away.max()), 1e-12))
+    return found[:3], away

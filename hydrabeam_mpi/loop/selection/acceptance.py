@@ -45,13 +45,17 @@ class Checked:
 
 @dataclass(frozen=True)
 class Candidate:
-    """Something to try: an effect or a change of weights."""
+    """Something to try: an effect or a change of weights.
+
+    The fit of an effect begins where the linear model says that it is, or at a fit with it that has ``begun``.
+    """
 
     kind: str
     title: str
     log_bayes_factor: float
     finding: Finding | None = None
     weights: WeightsFound | None = None
+    begun: Fitted | None = None
 
     @classmethod
     def of(cls, finding: Finding) -> Candidate:

@@ -128,8 +128,11 @@ def _fit_effect(
     is raised where that is all of the first.
     """
     assert candidate.finding is not None
-    fitted = fit_foremost(context, before, candidate.finding, worth)
-    if fitted is None:
+    if candidate.begun is not None:
+        fitted = _fit_physically(context, candidate.begun.values, candidate.begun, worth)
+    elif (foremost := fit_foremost(context, before, candidate.finding, worth)) is not None:
+        fitted = foremost
+    else:
         fitted = _fit_in_some_form(context, before, candidate.finding, worth)
     best = latest = TriedFit.of(context, before, with_best_variant(context, fitted))
     for _ in range(RULES.most_refits):

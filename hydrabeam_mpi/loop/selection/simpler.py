@@ -10,7 +10,7 @@ import numpy as np
 from hydrabeam_mpi.data.observation import BoolArray
 from hydrabeam_mpi.effects.interface.effect import Effect, Parameters
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.state import Active
+from hydrabeam_mpi.fit.state import Active, Fitted, Values
 from hydrabeam_mpi.fit.step import solved_at
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.attribution.reconsider import reconsider
@@ -79,7 +79,8 @@ def _instead(
     # The others stay where they are: left alone, they would make up for it.
     without = check(context, solved_at(context, replace(last.fitted.values, active=kept), last.fitted))
     present = _present(context, last, without, own, finding.effect)
-    candidate = replace(Candidate.of(finding), log_bayes_factor=present.candidate.log_bayes_factor)
+    begun = _begun(context, replace(last.fitted.values, active=kept), last.fitted, finding)
+    candidate = replace(Candidate.of(finding), log_bayes_factor=present.candidate.log_bayes_factor, begun=begun)
     best = try_effects(context, without, [candidate], tried, present)
     if best is None or best is present:
         return None
@@ -87,6 +88,16 @@ def _instead(
     say(f"  {told}", context.grid.is_world_root)
     added = round_of(context, last, best.after, best.candidate, best.ranking)
     return replace(added, revised=(told,), place=len(active))
+
+
+def _begun(context: FitContext, kept: Values, last: Fitted, finding: Finding) -> Fitted | None:
+    """Return where the simpler effect is to be what the other was; None where a fit begins there anyway.
+
+    What is seen by the beam is small at first in any other fit, as it is not known how the beam gives way. Here it is.
+    Collective: all ranks of the grid.
+    """
+    start = Active.start(finding.effect, context.setup, finding.evidence.prior_var, finding.evidence.x)
+    return solved_at(context, kept.extended(start), last, keep=True) if start.adds else None
 
 
 def _part(context: FitContext, one: Active, which: BoolArray) -> Active:

@@ -10,7 +10,9 @@ import pytest
 
 from hydrabeam_mpi.effects.instrument.antenna_delays import AntennaDelays
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
+from hydrabeam_mpi.effects.instrument.antenna_positions import AntennaPositions
 from hydrabeam_mpi.effects.instrument.cable_reflections import CableReflections
+from hydrabeam_mpi.effects.instrument.orientation import Orientation
 from hydrabeam_mpi.effects.instrument.timestamp import Timestamp
 from hydrabeam_mpi.effects.shared.in_time import InTime
 from hydrabeam_mpi.effects.shared.time_laws import Piecewise
@@ -24,7 +26,9 @@ from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Active, Values
 from hydrabeam_mpi.loop.selection.acceptance import Round
 from hydrabeam_mpi.loop.selection.predictions import check
+from hydrabeam_mpi.loop.selection.refits import fit_patiently
 from hydrabeam_mpi.loop.selection.simpler import simplified
+from hydrabeam_mpi.random import generator
 from tests.loop.made import effect_candidate, round_of
 from tests.loop.mock import context_of, mock_job
 
@@ -295,3 +299,42 @@ def test_delays_and_an_echo_in_the_place_of_gains_in_each_channel(tmp_path: Path
     told = of_echo.effect.told(context.setup, of_echo.x, again.after.fitted.fit.std[2])
     np.testing.assert_array_less(np.abs(told.values[0] - [0.1, 0.0, 200.0]), 4 * told.std[0])
     assert simplified(context, again.after, [replace(again, place=place) for place in range(3)], wanted, []) is None
+
+
+@pytest.mark.parametrize("elsewhere", [0.0, 0.4])
+def test_an_array_that_is_turned_in_the_place_of_the_positions_of_all_antennas(
+    elsewhere: float, tmp_path: Path
+) -> None:
+    """Beside it one antenna may stand higher than it should."""
+    turned = {"kind": "orientation", "settings": {"fixed": "array"}, "parameters": {"turn about Up": 30.0}}
+    higher = {"kind": "antenna_positions", "parameters": {"antenna 2 displaced Up": elsewhere}}
+    context = context_of(mock_job(turned, higher), tmp_path)
+    positions = AntennaPositions()
+    n = len(positions.parameters(context.setup))
+    first = check(context, refit(context, Values()))
+    start = Active.start(positions, context.setup, np.full(n, 0.1**2), np.zeros((1, n)))
+    now = check(context, fit_patiently(context, Values((start,)), first.fitted))
+    assert now.score.chi2 == pytest.approx(1, abs=0.2)
+    so_far = [round_of(effect_candidate(positions), first, now)]
+    found = simplified(context, now, so_far, [Orientation(), positions], [])
+    assert found is not None
+    *others, turn = found[0].after.fitted.values.active
+    assert turn.effect.describe()["fixed"] == "array"
+    assert turn.x[0] == pytest.approx([0.0, 0.0, 30.0], abs=0.5)
+    assert len(others) == (elsewhere > 0)
+    if others:
+        used = others[0].used
+        assert set(used) <= {6, 7, 8}
+        assert others[0].x[0, 8] == pytest.approx(elsewhere, abs=0.05)
+
+
+def test_antennas_that_stand_anywhere_are_no_array_that_is_turned(tmp_path: Path) -> None:
+    names = AntennaPositions().parameters(context_of(mock_job(), tmp_path).setup).names
+    shifts = dict(zip(names, 0.1 * generator(3, "anywhere").standard_normal(len(names)), strict=True))
+    context = context_of(mock_job({"kind": "antenna_positions", "parameters": shifts}), tmp_path)
+    positions = AntennaPositions()
+    first = check(context, refit(context, Values()))
+    start = Active.start(positions, context.setup, np.full(len(names), 0.1**2), np.zeros((1, len(names))))
+    now = check(context, fit_patiently(context, Values((start,)), first.fitted))
+    so_far = [round_of(effect_candidate(positions), first, now)]
+    assert simplified(context, now, so_far, [Orientation(), positions], []) is None
