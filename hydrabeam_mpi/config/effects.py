@@ -74,7 +74,7 @@ class Loop(Section):
 
     effects: tuple[Kind, ...] = key((), "only these; all by default")
     skip: tuple[Kind, ...] = key((), "not these")
-    max_rounds: int = key(6, "effects added at most", ge=0)
+    max_rounds: int = key(6, "effects added at most; others may still take their place", ge=0)
     min_log_bayes_factor: float = key(
         5.0, "nats by which an effect must raise the evidence, and the density of held-out data", gt=0
     )

@@ -191,6 +191,43 @@ class NormalEquations:
         )
         return scaled
 
+    def has(self, one: str, two: str) -> bool:
+        """Whether there is the product of two blocks."""
+        pairs = (one, two), (two, one)
+        return any(pair in self.gram or pair in self._known for pair in pairs)
+
+    def with_part(self, part: str, weights: Mapping[str, Array]) -> NormalEquations:
+        """Return the sums where columns of some blocks have a part of a single other one, A_k + A_part w_k^H.
+
+        Parameters
+        ----------
+        part : str
+            A block with one unknown.
+        weights : mapping of str to ndarray, (size,)
+            w_k of those blocks.
+        """
+        names, known, of_part = list(self.blocks), dict[tuple[str, str], Array](), self.own(part)[0, 0].real
+        w = {name: weights.get(name, np.zeros(one.size))[:, np.newaxis] for name, one in self.blocks.items()}
+
+        def by_part(one: str, two: str) -> Array:
+            """Return what a product gets by the part in the first block."""
+            return w[one] * self.gather([part], [two]) if one in weights and self.has(part, two) else np.zeros((1, 1))
+
+        for i, one in enumerate(names):
+            for two in names[i:]:
+                if not self.has(one, two):
+                    continue
+                total = self._pair(one, two) + by_part(one, two) + by_part(two, one).conj().T
+                total = total + of_part * (w[one] @ w[two].conj().T)
+                is_complex = self.blocks[one].is_complex or self.blocks[two].is_complex
+                known[one, two] = total if is_complex else total.real
+        changed = NormalEquations(list(self.blocks.values()), pairs=(), known=known, about=self.about)
+        for name, projection in self.projection.items():
+            total = projection + w[name][:, 0] * self.projection[part]
+            changed.projection[name] = total if self.blocks[name].is_complex else total.real
+        changed.scalars = self.scalars
+        return changed
+
     def gather(self, rows: Sequence[str], columns: Sequence[str]) -> Array:
         """Return G of some blocks with some, side by side, (n_rows, n_columns); not to be changed."""
         if len(rows) == len(columns) == 1:
@@ -202,6 +239,10 @@ class NormalEquations:
     def _pair(self, one: str, two: str) -> Array:
         if one == two:
             return self.own(one)
+        if (one, two) in self._known:
+            return self._known[one, two]
+        if (two, one) in self._known:
+            return self._known[two, one].conj().T
         return self.gram[one, two] if (one, two) in self.gram else self.gram[two, one].conj().T
 
     def likelihood_alone(self, names: Sequence[str]) -> Likelihood:

@@ -18,6 +18,7 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import Array, BoolArray, FloatArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.fit.blocks import CandidateBlock
 from hydrabeam_mpi.fit.equations import BEAM
 from hydrabeam_mpi.fit.learned import Learned
 from hydrabeam_mpi.fit.state import Active, Fit, Fitted, Values
@@ -37,12 +38,12 @@ def growth_of(setup: ObservingSetup, values: Values) -> list[tuple[Active, Linea
     return [(one, join([functions], one.used.tolist())) for one, functions in found if functions is not None]
 
 
-def is_of_the_beam(setup: ObservingSetup, one: Active) -> bool:
+def is_of_the_beam(setup: ObservingSetup, one: Active | CandidateBlock) -> bool:
     """Whether an effect's parameters are part of the beam that all antennas have."""
     return one.effect.beam_functions(setup) is not None or adds_coefficients(setup, one)
 
 
-def adds_coefficients(setup: ObservingSetup, one: Active) -> bool:
+def adds_coefficients(setup: ObservingSetup, one: Active | CandidateBlock) -> bool:
     """Whether an effect adds to the coefficients of the beam in the job's basis."""
     return one.effect.beam_coefficients(setup, one.x) is not None
 

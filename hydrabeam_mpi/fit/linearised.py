@@ -9,14 +9,13 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray
 from hydrabeam_mpi.fit.beams_given import Solved
-from hydrabeam_mpi.fit.blocks import ColumnBlock, EffectBlock, add_block, sums_of
+from hydrabeam_mpi.fit.blocks import EffectBlock, add_block, sums_of
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
-from hydrabeam_mpi.fit.marginal import Marginal
 from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Estimate, Values
-from hydrabeam_mpi.fit.with_the_beam import ADDED, AddedBlock, WithTheBeam
+from hydrabeam_mpi.fit.with_the_beam import with_added, without_beam
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.prior import Prior
@@ -35,13 +34,13 @@ def linearised(
     names = list(values.blocks)
     each, priors = sums_at(context, at, solved.rows, solved.added, values), context.given(at.values).priors
     for channel, (sums, posterior) in enumerate(zip(each, at.beams, strict=True)):
-        follows = WithTheBeam.of(sums, posterior, priors[channel])
-        marginal = Marginal(sums, BEAM, posterior, follows=follows)
+        number, prior = context.channels[channel], priors[channel]
+        marginal = without_beam(context, sums, number, posterior, prior, values.blocks)
         response.append(marginal.response(names))
         if context.grid.is_group_root:
             told = marginal.likelihood(names)
-            score = told.score + _rounding(context, values, sums, posterior, priors[channel])
-            mine.append((context.channels[channel], replace(told, score=score)))
+            score = told.score + _rounding(context, values, sums, posterior, prior)
+            mine.append((number, replace(told, score=score)))
     gathered = gather_objects(context.grid.world, mine)
     if gathered is None:
         return None, response
@@ -90,10 +89,7 @@ def active_sums(
     ``added`` is E of the channel's rows, (Ntimes, Nbls). What a result says that is the prior counts as fitted rows.
     Collective: all ranks of `grid.group`; groups may have different numbers of channels.
     """
-    model: dict[str, ColumnBlock] = {BEAM: context.beam, **effects}
-    scale = AddedBlock.of(share, at, channel, added) if context.problem.coupling is None else None
-    if scale is not None:
-        model[ADDED] = scale
+    model = with_added(context, share, at, channel, added, effects)
     total = sums_of(model)
     with together(context.grid.group):
         for _, block, _ in share.row_blocks(channel, at, added, rows):

@@ -9,7 +9,6 @@ from scipy.linalg import solve_triangular
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.fit.equations import NormalEquations
-from hydrabeam_mpi.fit.with_the_beam import WithTheBeam
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.inference.posterior import Posterior
 
@@ -27,22 +26,10 @@ class Marginal:
         Its posterior given the others, of which the factor counts.
     pull : ndarray, (n,), optional
         Towards where it is likeliest given the others, its precision times how far that is; none where it is there.
-    follows : WithTheBeam, optional
-        What changes as the block does, beside its own columns.
     """
 
-    def __init__(
-        self,
-        sums: NormalEquations,
-        without: str,
-        posterior: Posterior,
-        pull: Array | None = None,
-        follows: WithTheBeam | None = None,
-    ) -> None:
-        if follows is not None:
-            pull = follows.pull if pull is None else pull + follows.pull
-        self.sums, self._without, self._pull, self._follows = sums, without, pull, follows
-        self._factor, self._is_complex = follows.factor if follows else posterior.factor, posterior.is_complex
+    def __init__(self, sums: NormalEquations, without: str, posterior: Posterior, pull: Array | None = None) -> None:
+        self.sums, self._without, self._posterior, self._pull = sums, without, posterior, pull
         self._halves: dict[str, FloatArray] = {}
         self._taken: dict[tuple[str, str], FloatArray] = {}
 
@@ -53,28 +40,28 @@ class Marginal:
         taken = np.concatenate(lines) if lines else known.signal
         score = known.score
         if self._pull is not None and names:
-            white = in_parts(solve_triangular(self._factor, self._pull, lower=True, check_finite=False))
+            white = in_parts(solve_triangular(self._posterior.factor, self._pull, lower=True, check_finite=False))
             score = score - 2 * np.concatenate([self._half(name).T @ white for name in names])
         return Likelihood(known.signal - taken, score, known.signal)
 
     def response(self, names: Sequence[str]) -> Array:
         """Return by how much the best values of the block move with each unknown of others, (n, q)."""
+        posterior = self._posterior
         half = np.concatenate([self._half(name) for name in names], axis=1) if names else self._across([])
-        if names and self._is_complex:
+        if names and posterior.is_complex:
             real, imag = np.split(half, 2)
             half = real + 1j * imag
-        kappa = 1.0 if self._is_complex else 2.0
-        return np.asarray(-kappa * solve_triangular(self._factor, half, lower=True, trans="C", check_finite=False))
+        kappa = 1.0 if posterior.is_complex else 2.0
+        return np.asarray(-kappa * solve_triangular(posterior.factor, half, lower=True, trans="C", check_finite=False))
 
     def _across(self, names: Sequence[str]) -> Array:
-        own = self.sums.gather([self._without], names)
-        return own + self._follows.across(names) if self._follows and names else own
+        return self.sums.gather([self._without], names)
 
     def _half(self, name: str) -> FloatArray:
         """Return L^-1 G of a block in parts, with L the factor of the marginalised one's precision."""
         if name not in self._halves:
             across = self._across([name])
-            half = solve_triangular(self._factor, across, lower=True, check_finite=False)
+            half = solve_triangular(self._posterior.factor, across, lower=True, check_finite=False)
             self._halves[name] = in_parts(half)
         return self._halves[name]
 
@@ -83,7 +70,7 @@ class Marginal:
         if (two, one) in self._taken:
             return self._taken[two, one].T
         if (one, two) not in self._taken:
-            kappa = 2.0 if self._is_complex else 4.0
+            kappa = 2.0 if self._posterior.is_complex else 4.0
             # Of a matrix with itself NumPy works out one triangle.
             self._taken[one, two] = kappa * (self._half(one).T @ self._half(two))
         return self._taken[one, two]

@@ -1,10 +1,11 @@
 """What effects add goes with the beam: it is in proportion to it, as all visibilities of the sky are.
 
-E of a tilted antenna, or of one that is elsewhere, is linear in the beam's coefficients b. Near b it is known without
-another pass over the sky along one direction, that in which the beam becomes larger or smaller as a whole:
-E(a b) = a E(b). Along others it is taken to change as the visibilities A b do, so that the columns of the beam are
+E of a tilted antenna, or of one that is elsewhere, is linear in the beam. How it changes is known without another pass
+over the sky where all of the beam becomes larger or smaller: E(a B) = a E(B). Else it is taken to change as the beam's
+visibilities do. With m = sum_k A_k y_k what the beam sees, by its coefficients and by all else that is part of it (what
+channels have in common, functions beyond the basis), the columns of each of these are
 
-    A + E w^H,   w = A^H N^-1 A b / (b^H A^H N^-1 A b).
+    A_k + E w_k^H,   w_k = A_k^H N^-1 m / (m^H N^-1 m).
 
 Without that a scale that all gains have in common, which no data can tell from another beam, would seem to be told by
 the visibilities of a tilted antenna.
@@ -12,20 +13,23 @@ the visibilities of a tilted antenna.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy.linalg import cholesky
 
-from hydrabeam_mpi.data.observation import Array, ComplexArray
+from hydrabeam_mpi.data.observation import Array, ComplexArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.fit.blocks import CandidateBlock, ColumnBlock
 from hydrabeam_mpi.fit.columns import Columns, RowSet
+from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.equations import BEAM, NormalEquations
+from hydrabeam_mpi.fit.grown import is_of_the_beam
+from hydrabeam_mpi.fit.marginal import Marginal
 from hydrabeam_mpi.fit.rank_data import RankData
-from hydrabeam_mpi.fit.state import Estimate
+from hydrabeam_mpi.fit.state import Active, Estimate
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.prior import Prior
 
@@ -48,21 +52,10 @@ class AddedBlock:
     """
 
     added: ComplexArray
-    times: Array
+    times: IntArray
     is_complex: bool
     size: int = 1
     effects: tuple[Effect, ...] = ()
-
-    @classmethod
-    def of(cls, share: RankData, at: Estimate, channel: int, added: ComplexArray) -> AddedBlock | None:
-        """Return that of a model, of whose effects all add E, (Ntimes, Nbls); None where nothing goes with the beam."""
-        adding = [one for one in at.values.active if not one.effect.multiplies and not one.effect.changes_sky]
-        others = [one for one in adding if not one.effect.is_seen_by_beam]
-        if len(others) == len(adding):
-            return None
-        if others:
-            added = added - share.effects_of(at, others)[1][channel]
-        return cls(added, share.rows.tile.times, at.beams[channel].is_complex)
 
     def columns(self, rows: RowSet, block: RowBlock) -> Columns:
         """Return E at the block's rows."""
@@ -70,50 +63,96 @@ class AddedBlock:
         return Columns(rows, some.reshape(-1, 1), by_group=False)
 
 
-@dataclass(frozen=True)
-class WithTheBeam:
-    """What changes as the beam does, beside its own columns.
+def with_added(
+    context: FitContext,
+    share: RankData,
+    at: Estimate,
+    channel: int,
+    added: ComplexArray,
+    effects: Mapping[str, ColumnBlock],
+) -> dict[str, ColumnBlock]:
+    """Return the blocks of the model: its beam and effects, and what these add where that goes with the beam.
 
-    Attributes
-    ----------
-    sums : NormalEquations
-        With the block `ADDED`.
-    weights : ndarray, (n_modes,)
-        w: by how much E is larger is w^H times by how much each coefficient is.
-    posterior : Posterior
-        Of the beam, with E as it is.
+    Of beams that hang together over frequency it is taken to be the same. All that effects add are ``added``, (Ntimes,
+    Nbls), of one of the group's channels.
     """
+    model: dict[str, ColumnBlock] = {BEAM: context.beam, **effects}
+    adding = [one for one in at.values.active if not one.effect.multiplies and not one.effect.changes_sky]
+    others = [one for one in adding if not one.effect.is_seen_by_beam]
+    if context.problem.coupling is None and len(others) < len(adding):
+        if others:
+            added = added - share.effects_of(at, others)[1][channel]
+        model[ADDED] = AddedBlock(added, share.rows.tile.times, context.beam.is_complex)
+    return model
 
-    sums: NormalEquations
-    weights: Array
-    posterior: Posterior
 
-    @classmethod
-    def of(cls, sums: NormalEquations, posterior: Posterior, prior: Prior) -> WithTheBeam | None:
-        """Tell from sums over rows at the mean of a beam's ``posterior``; None where nothing goes with it."""
-        if ADDED not in sums.blocks:
-            return None
-        b, factor = posterior.mean, posterior.factor
-        seen = factor @ (factor.conj().T @ b) - prior.precision_times(b)
-        norm = float(np.vdot(b, seen).real)
-        return cls(sums, seen / norm, posterior) if norm > 0 else None
+def without_beam(
+    context: FitContext,
+    sums: NormalEquations,
+    channel: int,
+    beam: Posterior,
+    prior: Prior,
+    effects: Mapping[str, ColumnBlock],
+    pull: Array | None = None,
+) -> Marginal:
+    """Return a channel's sums with its beam marginalised, and what goes with it.
 
-    @cached_property
-    def factor(self) -> Array:
-        """The factor of the beam's precision with what goes with it, (n_modes, n_modes)."""
-        kappa = 1.0 if self.posterior.is_complex else 2.0
-        across, own = self.sums.gather([BEAM], [ADDED]), self.sums.own(ADDED).real
-        both = (across + 0.5 * self.weights[:, np.newaxis] * own) @ self.weights.conj()[np.newaxis]
-        return cholesky(
-            self.posterior.precision + kappa * (both + both.conj().T), lower=True, overwrite_a=True, check_finite=False
-        )
+    Parameters
+    ----------
+    context : FitContext
+    sums : NormalEquations
+        At the mean of the beam, of the blocks of `with_added`.
+    channel : int
+        Among the job's.
+    beam : Posterior
+        With E as it is.
+    prior : Prior
+        Of the beam.
+    effects : mapping of str to ColumnBlock
+        Of which there are sums.
+    pull : ndarray, (n_modes,), optional
+        As of `Marginal`.
+    """
+    weights = _weights(context, sums, channel, beam, prior, effects) if ADDED in sums.blocks else {}
+    if not weights:
+        return Marginal(sums, BEAM, beam, pull)
+    kappa, own = 1.0 if beam.is_complex else 2.0, weights[BEAM]
+    # E was as it is when the beam was fitted, so that its best value is another one.
+    by_added = kappa * own * sums.projection[ADDED]
+    across, square = sums.gather([BEAM], [ADDED]), sums.own(ADDED).real
+    both = (across + 0.5 * own[:, np.newaxis] * square) @ own.conj()[np.newaxis]
+    factor = cholesky(beam.precision + kappa * (both + both.conj().T), lower=True, overwrite_a=True, check_finite=False)
+    followed = sums.with_part(ADDED, weights)
+    return Marginal(followed, BEAM, Posterior(beam.mean, factor), by_added if pull is None else pull + by_added)
 
-    @property
-    def pull(self) -> Array:
-        """How the data pull on the beam by what goes with it, (n_modes,): E was taken as it is when it was fitted."""
-        kappa = 1.0 if self.posterior.is_complex else 2.0
-        return kappa * self.weights * self.sums.projection[ADDED]
 
-    def across(self, names: Sequence[str]) -> Array:
-        """Return w E^H N^-1 A of some blocks, (n_modes, q), which the beam's own products with them lack."""
-        return self.weights[:, np.newaxis] * self.sums.gather([ADDED], names)
+def _weights(
+    context: FitContext,
+    sums: NormalEquations,
+    channel: int,
+    beam: Posterior,
+    prior: Prior,
+    effects: Mapping[str, ColumnBlock],
+) -> dict[str, Array]:
+    """Return w_k of each block that is of the beam, (size,); none where the beam sees nothing."""
+    setup, kappa = context.setup, 1.0 if beam.is_complex else 2.0
+    parts = {name: one for name, one in effects.items() if isinstance(one, Active | CandidateBlock)}
+    parts = {name: one for name, one in parts.items() if is_of_the_beam(setup, one)}
+    y: dict[str, Array] = {BEAM: beam.mean}
+    for name, one in parts.items():
+        y[name] = (one.x[channel] if isinstance(one, Active) else one.x)[one.used]
+    # The products of the beam's columns with each other are what its precision has beyond its prior.
+    told = beam.factor @ (beam.factor.conj().T @ beam.mean) - prior.precision_times(beam.mean)
+    found = {BEAM: told / kappa + _times(sums, BEAM, {name: y[name] for name in parts})}
+    for name, one in parts.items():
+        units = np.eye(len(one.effect.parameters(setup)))[one.used]
+        coefficients = one.effect.beam_coefficients(setup, units)
+        found[name] = _times(sums, name, y) if coefficients is None else coefficients.conj() @ found[BEAM]
+    norm = sum(float(np.vdot(y[name], found[name]).real) for name in found)
+    return {name: one / norm for name, one in found.items()} if norm > 0 else {}
+
+
+def _times(sums: NormalEquations, name: str, y: Mapping[str, Array]) -> Array:
+    """Return A_k^H N^-1 of what some blocks see at ``y``, as far as there are sums of their products, (size,)."""
+    seen = [sums.gather([name], [other]) @ x for other, x in y.items() if sums.has(name, other)]
+    return np.asarray(sum(seen, start=np.zeros(sums.blocks[name].size)))

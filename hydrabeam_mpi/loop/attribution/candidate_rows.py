@@ -14,7 +14,7 @@ from hydrabeam_mpi.fit.kept import Kept
 from hydrabeam_mpi.fit.marginal import Marginal
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Estimate, Fitted, Values
-from hydrabeam_mpi.fit.with_the_beam import ADDED, AddedBlock, WithTheBeam
+from hydrabeam_mpi.fit.with_the_beam import with_added, without_beam
 from hydrabeam_mpi.loop.attribution.beside import Beside
 from hydrabeam_mpi.mpi import gather_objects, together
 
@@ -29,7 +29,7 @@ def likelihoods(
     group, mine, names = context.grid.group, {}, list(fitted.values.blocks)
     for channel, number in enumerate(context.channels):
         sums = candidate_sums(context, fitted.values, cached, channel, candidates)
-        marginal = marginal_of(context, fitted, sums, channel)
+        marginal = marginal_of(context, fitted, sums, channel, {**fitted.values.blocks, **candidates})
         model = marginal.likelihood(names)
         for one in list(candidates)[group.rank :: group.size]:
             mine[one, number] = Beside.of(model, marginal.likelihood([*names, one]))
@@ -41,8 +41,10 @@ def likelihoods(
     return {name: [found[name, number] for number in channels] for name in candidates}
 
 
-def marginal_of(context: FitContext, fitted: Fitted, sums: NormalEquations, channel: int) -> Marginal:
-    """Return a channel's sums with its beam marginalised, wherever that is; serial.
+def marginal_of(
+    context: FitContext, fitted: Fitted, sums: NormalEquations, channel: int, effects: Mapping[str, ColumnBlock]
+) -> Marginal:
+    """Return a channel's sums, of ``effects``, with its beam marginalised, wherever that is; serial.
 
     Where a fit has not converged its beam is not the likeliest given the effects. What it would take up of the residual
     by moving there is no evidence for anything else.
@@ -51,7 +53,7 @@ def marginal_of(context: FitContext, fitted: Fitted, sums: NormalEquations, chan
     if not fitted.diagnostics.converged and context.problem.coupling is None:
         kappa = 1.0 if beam.is_complex else 2.0
         pull = kappa * sums.projection[BEAM] + prior.precision_times(prior.mean - beam.mean)
-    return Marginal(sums, BEAM, beam, pull, WithTheBeam.of(sums, beam, prior))
+    return without_beam(context, sums, context.channels[channel], beam, prior, effects, pull)
 
 
 def candidate_sums(
@@ -66,10 +68,7 @@ def candidate_sums(
 
     Their products are those of each candidate by itself, or with ``by_pairs`` those of any two as well.
     """
-    model: dict[str, ColumnBlock] = {BEAM: context.beam, **values.blocks}
-    scale = AddedBlock.of(context.train, cached.at, channel, cached.added[channel])
-    if scale is not None and context.problem.coupling is None:
-        model[ADDED] = scale
+    model = with_added(context, context.train, cached.at, channel, cached.added[channel], values.blocks)
     if by_pairs:
         model, candidates = {**model, **candidates}, {}
     total = sums_of(model, candidates)

@@ -56,7 +56,7 @@ class Known:
             blocks = {name: CandidateBlock(one.effect, one.x[number]) for name, one in named}
             sums = active_sums(context, context.train, fitted.estimate, channel, rows, added[channel], blocks)
             if context.grid.is_group_root:
-                marginal = marginal_of(context, fitted, sums, channel)
+                marginal = marginal_of(context, fitted, sums, channel, blocks)
                 found.append((number, marginal.likelihood(list(blocks))))
         gathered = gather_objects(context.grid.world, found)
         if gathered is None:
