@@ -17,7 +17,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cholesky
+from scipy.linalg import LinAlgError, cholesky
 
 from hydrabeam_mpi.data.observation import Array, ComplexArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Effect
@@ -121,7 +121,11 @@ def without_beam(
     by_added = kappa * own * sums.projection[ADDED]
     across, square = sums.gather([BEAM], [ADDED]), sums.own(ADDED).real
     both = (across + 0.5 * own[:, np.newaxis] * square) @ own.conj()[np.newaxis]
-    factor = cholesky(beam.precision + kappa * (both + both.conj().T), lower=True, overwrite_a=True, check_finite=False)
+    try:
+        factor = cholesky(beam.precision + kappa * (both + both.conj().T), lower=True, overwrite_a=True)
+    except LinAlgError:
+        # Of a beam of which some combinations are hardly told rounding may leave no more than that.
+        return Marginal(sums, BEAM, beam, pull)
     followed = sums.with_part(ADDED, weights)
     return Marginal(followed, BEAM, Posterior(beam.mean, factor), by_added if pull is None else pull + by_added)
 

@@ -7,6 +7,7 @@ from scipy.linalg import LinAlgError, cholesky
 from scipy.linalg.lapack import dpotrf, dpotri, zpotrf, zpotri
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
+from hydrabeam_mpi.eigen import eigen
 from hydrabeam_mpi.errors import InputError
 
 
@@ -40,12 +41,18 @@ def inverse_where_it_varies(covariance: FloatArray) -> FloatArray:
 def inverse_hermitian(matrix: Array) -> Array:
     """Invert a Hermitian matrix, (n, n), also where rounding has left it not quite positive.
 
-    Where it is positive its Cholesky factor tells the inverse, in a third of the time that one of any sort takes.
+    Where it is positive its Cholesky factor tells the inverse, in a third of the time that one of any sort takes. Where
+    it is singular, directions in which it is zero are left out.
     """
     factorise, invert = (zpotrf, zpotri) if np.iscomplexobj(matrix) else (dpotrf, dpotri)
     factor, failed = factorise(matrix, lower=1) if len(matrix) else (matrix, 1)
     if failed:
-        return np.asarray(np.linalg.inv(matrix))
+        try:
+            return np.asarray(np.linalg.inv(matrix))
+        except LinAlgError:
+            values, vectors = eigen(matrix)
+            told = np.abs(values) > len(values) * np.finfo(float).eps * np.abs(values).max()
+            return np.asarray((vectors[:, told] / values[told]) @ vectors[:, told].conj().T)
     lower, _ = invert(factor, lower=1, overwrite_c=1)
     complete_hermitian(lower.T)
     return np.asarray(lower)

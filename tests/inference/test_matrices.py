@@ -35,3 +35,12 @@ def test_a_covariance_is_inverted_where_it_varies() -> None:
     covariance = root @ root.T
     inverse = inverse_where_it_varies(covariance)
     np.testing.assert_allclose(covariance @ inverse @ covariance, covariance, rtol=1e-9)
+
+
+@pytest.mark.parametrize("dtype", [float, complex])
+def test_a_singular_matrix_is_inverted_where_it_is_not_zero(dtype: type) -> None:
+    matrix = np.zeros((3, 3), dtype=dtype)
+    matrix[:2, :2] = [[2.0, 0.5], [0.5, 1.0]]
+    found = inverse_hermitian(matrix)
+    np.testing.assert_allclose(found[:2, :2], np.linalg.inv(matrix[:2, :2]), atol=1e-14)
+    assert not found[2].any()
