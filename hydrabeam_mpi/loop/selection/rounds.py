@@ -137,7 +137,7 @@ class _Rounds:
             history.tried += tried
             control = try_control(context, history.last, weighed.ranking, added)
             if added is None:
-                added = _exchanged(context, history, self.effects)
+                added = self._exchanged_or_simplified()
             elif added is best:
                 for one in of_set[:-1]:
                     history.add(one, {place: place for place in range(len(one.after.fitted.values.active))})
@@ -161,14 +161,20 @@ class _Rounds:
         """Exchange an effect where no more may be added, which adds none; whether one was. Collective: all ranks."""
         context, history = self.search.context, self.search.history
         with self.search.clock.time("trials"):
-            added = _exchanged(context, history, self.effects)
-            if added is not None:
-                added = _accept(context, history, added)
-        if added is None:
-            return False
+            found = exchange(context, history.last, history.rounds, self.effects, history.tried)
+            if found is None:
+                return False
+            added = _accept(context, history, _with_exchange(history, *found))
         self.effects = next_of(context, self.effects, added.after.fitted.values)
         self.search.save()
         return True
+
+    def _exchanged_or_simplified(self) -> Round | None:
+        """Return an exchange of an effect for a better one, or for a simpler one. Collective: all ranks of the grid."""
+        context, history = self.search.context, self.search.history
+        given = context, history.last, history.rounds, self.effects, history.tried
+        found = exchange(*given) or simplified(*given)
+        return None if found is None else _with_exchange(history, *found)
 
     def _grow(self, added: Round) -> None:
         """Add more of what comes in parts, as long as the data want it. Collective: all ranks of the grid.
@@ -259,13 +265,8 @@ def _accept(context: FitContext, history: History, added: Round) -> Round:
     return added
 
 
-def _exchanged(context: FitContext, history: History, effects: Sequence[Effect]) -> Round | None:
-    """Exchange an effect for a better one where there is one; return the round. Collective: all ranks of the grid."""
-    found = exchange(context, history.last, history.rounds, effects, history.tried)
-    found = found or simplified(context, history.last, history.rounds, effects, history.tried)
-    if found is None:
-        return None
-    added, places = found
+def _with_exchange(history: History, added: Round, places: dict[int, int | None]) -> Round:
+    """Tell the rounds so far where their effects are after an exchange, which is one more; return that."""
     history.rounds = [_asked(one, history.last.fitted, places, {}) for one in history.rounds]
     history.add(added, places)
     return history.rounds.pop()
