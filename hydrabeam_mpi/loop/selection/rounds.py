@@ -123,9 +123,11 @@ class _Rounds:
         """Weigh all effects and add the best; whether there is more to look for. Collective: all ranks of the grid."""
         context, history = self.search.context, self.search.history
         left = context.problem.job.loop.max_rounds - len(history.rounds)
+        if left <= 0 and self._exchange():
+            return True
         weighed = self._weighed(left)
         if left <= 0:
-            return self._exchange()
+            return False
         if self.adapt(weighed.ranking):
             return True
         outlook = Outlook(context, self.effects, self.search.changes, left, weighed)
@@ -165,7 +167,7 @@ class _Rounds:
             if found is None:
                 return False
             added = _accept(context, history, _with_exchange(history, *found))
-        self.effects = next_of(context, self.effects, added.after.fitted.values)
+        self.effects, self.known = next_of(context, self.effects, added.after.fitted.values), None
         self.search.save()
         return True
 
