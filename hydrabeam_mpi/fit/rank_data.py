@@ -136,11 +136,18 @@ class RankData(RowModel):
             self._latest[:] = [(at, *self.effects_of(at, others))]
         return self._latest[0][1:]
 
-    def effects_of(self, at: Estimate, others: Sequence[Active]) -> tuple[ComplexArray, ComplexArray]:
-        """Return C and E, (Nlocal, Ntimes, Nbls) each, of some of the effects, none of which changes the sky."""
+    def effects_of(
+        self, at: Estimate, others: Sequence[Active], only: int | None = None
+    ) -> tuple[ComplexArray, ComplexArray]:
+        """Return C and E, (Nlocal, Ntimes, Nbls) each, of some of the effects, none of which changes the sky.
+
+        They are one and zero but in the channel ``only``, where one is given.
+        """
         factor = np.ones(self.rows.data.shape, dtype=complex)
         added = np.zeros_like(factor)
         for channel, number in enumerate(self.problem.channel_numbers.tolist() if others else ()):
+            if only not in (None, channel):
+                continue
             for span, block, _ in self.row_blocks(channel, at, added[channel], self.rows):
                 for one in others:
                     if one.effect.multiplies:

@@ -81,7 +81,7 @@ def with_added(
     others = [one for one in adding if not one.effect.is_seen_by_beam]
     if context.problem.coupling is None and len(others) < len(adding):
         if others:
-            added = added - share.effects_of(at, others)[1][channel]
+            added = added - share.effects_of(at, others, channel)[1][channel]
         model[ADDED] = AddedBlock(added, share.rows.tile.times, context.beam.is_complex)
     return model
 
