@@ -217,6 +217,9 @@ class NormalEquations:
             for two in names[i:]:
                 if not self.has(one, two):
                     continue
+                if one not in weights and two not in weights:
+                    known[one, two] = self._pair(one, two)
+                    continue
                 total = self._pair(one, two) + by_part(one, two) + by_part(two, one).conj().T
                 total = total + of_part * (w[one] @ w[two].conj().T)
                 is_complex = self.blocks[one].is_complex or self.blocks[two].is_complex

@@ -29,7 +29,7 @@ def likelihoods(
     group, mine, names = context.grid.group, {}, list(fitted.values.blocks)
     for channel, number in enumerate(context.channels):
         sums = candidate_sums(context, fitted.values, cached, channel, candidates)
-        marginal = marginal_of(context, fitted, sums, channel, {**fitted.values.blocks, **candidates})
+        marginal = marginal_of(context, fitted, sums, channel, candidates)
         model = marginal.likelihood(names)
         for one in list(candidates)[group.rank :: group.size]:
             mine[one, number] = Beside.of(model, marginal.likelihood([*names, one]))
@@ -42,9 +42,9 @@ def likelihoods(
 
 
 def marginal_of(
-    context: FitContext, fitted: Fitted, sums: NormalEquations, channel: int, effects: Mapping[str, ColumnBlock]
+    context: FitContext, fitted: Fitted, sums: NormalEquations, channel: int, further: Mapping[str, ColumnBlock]
 ) -> Marginal:
-    """Return a channel's sums, of ``effects``, with its beam marginalised, wherever that is; serial.
+    """Return a channel's sums, of the model and what is weighed ``further``, with its beam marginalised; serial.
 
     Where a fit has not converged its beam is not the likeliest given the effects. What it would take up of the residual
     by moving there is no evidence for anything else.
@@ -53,6 +53,7 @@ def marginal_of(
     if not fitted.diagnostics.converged and context.problem.coupling is None:
         kappa = 1.0 if beam.is_complex else 2.0
         pull = kappa * sums.projection[BEAM] + prior.precision_times(prior.mean - beam.mean)
+    effects = {**fitted.values.blocks, **further}
     return without_beam(context, sums, context.channels[channel], beam, prior, effects, pull)
 
 

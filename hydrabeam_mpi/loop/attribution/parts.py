@@ -185,7 +185,7 @@ def likelihoods_of(
         blocks = {f"parts of {place}": block for place, block in parted.items()}
         sums = candidate_sums(context, values, cached, channel, blocks)
         if context.grid.is_group_root:
-            marginal = marginal_of(context, fitted, sums, channel, {**values.blocks, **blocks})
+            marginal = marginal_of(context, fitted, sums, channel, blocks)
             for place, block in parted.items():
                 one = marginal.likelihood([*names[:place], *names[place + 1 :], f"parts of {place}"])
                 score = one.score + one.information[:, -block.size :] @ block.x[number]

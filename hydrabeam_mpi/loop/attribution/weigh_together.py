@@ -158,7 +158,7 @@ def _likelihoods(
     for channel, number in enumerate(context.channels):
         sums = candidate_sums(context, values, cached, channel, blocks, by_pairs=True)
         if context.grid.is_group_root:
-            marginal = marginal_of(context, fitted, sums, channel, {**values.blocks, **blocks})
+            marginal = marginal_of(context, fitted, sums, channel, blocks)
             found.append((number, marginal.likelihood([*values.blocks, *blocks])))
     gathered = gather_objects(context.grid.world, found)
     if gathered is None:

@@ -139,7 +139,7 @@ class _Rounds:
             history.tried += tried
             control = try_control(context, history.last, weighed.ranking, added)
             if added is None:
-                added = self._exchanged_or_simplified()
+                added = self._exchanged(or_simpler=True)
             elif added is best:
                 for one in of_set[:-1]:
                     history.add(one, {place: place for place in range(len(one.after.fitted.values.active))})
@@ -153,9 +153,7 @@ class _Rounds:
         history.compare(control)
         if added is None:
             return self.adapt()
-        fitted = added.after.fitted
-        self.effects, self.known = next_of(context, self.effects, fitted.values), outlook.after(fitted)
-        self.search.save()
+        self._keep(added, outlook.after(added.after.fitted))
         self._grow(added)
         return True
 
@@ -163,20 +161,29 @@ class _Rounds:
         """Exchange an effect where no more may be added, which adds none; whether one was. Collective: all ranks."""
         context, history = self.search.context, self.search.history
         with self.search.clock.time("trials"):
-            found = exchange(context, history.last, history.rounds, self.effects, history.tried)
-            if found is None:
-                return False
-            added = _accept(context, history, _with_exchange(history, *found))
-        self.effects, self.known = next_of(context, self.effects, added.after.fitted.values), None
-        self.search.save()
-        return True
+            found = self._exchanged()
+            added = _accept(context, history, found) if found is not None else None
+        if added is not None:
+            self._keep(added)
+        return added is not None
 
-    def _exchanged_or_simplified(self) -> Round | None:
-        """Return an exchange of an effect for a better one, or for a simpler one. Collective: all ranks of the grid."""
+    def _exchanged(self, or_simpler: bool = False) -> Round | None:
+        """Exchange an effect for a better one, or for a simpler one; return the round. Collective: all ranks."""
         context, history = self.search.context, self.search.history
         given = context, history.last, history.rounds, self.effects, history.tried
-        found = exchange(*given) or simplified(*given)
-        return None if found is None else _with_exchange(history, *found)
+        found = exchange(*given) or (simplified(*given) if or_simpler else None)
+        if found is None:
+            return None
+        added, places = found
+        history.rounds = [_asked(one, history.last.fitted, places, {}) for one in history.rounds]
+        history.add(added, places)
+        return history.rounds.pop()
+
+    def _keep(self, added: Round, known: Weighed | None = None) -> None:
+        """Go on from a round, with what is ``known`` of what there is to try beside it. Collective: all ranks."""
+        self.effects = next_of(self.search.context, self.effects, added.after.fitted.values)
+        self.known = known
+        self.search.save()
 
     def _grow(self, added: Round) -> None:
         """Add more of what comes in parts, as long as the data want it. Collective: all ranks of the grid.
@@ -197,8 +204,7 @@ class _Rounds:
                 if further is None:
                     return
                 added = _accept(context, history, further)
-            self.effects, self.known = next_of(context, self.effects, added.after.fitted.values), None
-            self.search.save()
+            self._keep(added)
 
     def _weighed(self, left: int) -> Weighed:
         """Weigh what may be tried where ``left`` effects may still be added."""
@@ -265,13 +271,6 @@ def _accept(context: FitContext, history: History, added: Round) -> Round:
     history.add(added, places)
     history.tell_again(told)
     return added
-
-
-def _with_exchange(history: History, added: Round, places: dict[int, int | None]) -> Round:
-    """Tell the rounds so far where their effects are after an exchange, which is one more; return that."""
-    history.rounds = [_asked(one, history.last.fitted, places, {}) for one in history.rounds]
-    history.add(added, places)
-    return history.rounds.pop()
 
 
 def _take_back(context: FitContext, history: History) -> None:

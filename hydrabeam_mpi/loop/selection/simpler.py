@@ -75,11 +75,12 @@ def _instead(
     names = own.effect.parameters(context.setup).names
     named = f"{names[own.used[0]]}{f' and {own.size - 1} more' if own.size > 1 else ''}"
     say(f"  in the place of {named}:", context.grid.is_world_root)
-    kept = (*active[:place], *([rest] if rest.size else []), *active[place + 1 :])
+    left = (*active[:place], *([rest] if rest.size else []), *active[place + 1 :])
+    kept = replace(last.fitted.values, active=left)
     # The others stay where they are: left alone, they would make up for it.
-    without = check(context, solved_at(context, replace(last.fitted.values, active=kept), last.fitted))
+    without = check(context, solved_at(context, kept, last.fitted))
     present = _present(context, last, without, own, finding.effect)
-    begun = _begun(context, replace(last.fitted.values, active=kept), last.fitted, finding)
+    begun = _begun(context, kept, last.fitted, finding)
     candidate = replace(Candidate.of(finding), log_bayes_factor=present.candidate.log_bayes_factor, begun=begun)
     best = try_effects(context, without, [candidate], tried, present)
     if best is None or best is present:
