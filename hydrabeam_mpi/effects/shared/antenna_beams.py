@@ -6,7 +6,8 @@ The power beam of a baseline is the product of its antennas' voltage beams. With
 
 With D_i = sqrt B_i - sqrt B, the second part has a D_i^2 for each antenna, and D_i D_j for pairs of antennas that both
 differ. The former are integrated for redundant groups; the latter, small of second order, as the products of antennas
-that they are. So it is with what a further change of a beam does, dB_i / 2 - D_i d(sqrt B_i) + D_j d(sqrt B_i).
+that they are. So it is with what a further change of a beam does, dB_i / 2 - D_i d(sqrt B_i) + D_j d(sqrt B_i), the
+last of which is a product of antennas where both differ.
 """
 
 from __future__ import annotations
@@ -84,46 +85,47 @@ def slopes_by_beams(
     ndarray of complex, (Ntimes, Nbls, 2, k)
         Jy.
     """
-    place, positions = _places(block, antennas), block.antpos[block.setup.antennas_in_use]
-    of_row, values = place[row_antennas(block)], []
+    n = len(antennas)
+    of_row = _places(block, antennas)[row_antennas(block)]
+    both = np.flatnonzero((of_row >= 0).all(axis=1))
+    # What a row's side needs: an antenna that differs; the common beam beside such a one; or the common beam alone.
+    of_side = np.where(of_row >= 0, of_row, np.where(of_row[:, ::-1] >= 0, n + of_row[:, ::-1], 2 * n))
+    needed, of_side = np.unique(of_side, return_inverse=True)
+    positions, values = block.antpos[block.setup.antennas_in_use[antennas]], []
     for t in range(len(block.times)):
         seen: list[tuple[Sources, FloatArray, FloatArray]] = []
 
         def single(sources: Sources, seen: list[tuple[Sources, FloatArray, FloatArray]] = seen) -> FloatArray:
-            # The common beam comes last, as which antennas with no beam of their own are numbered.
-            own = beams(sources)
-            powers = np.concatenate([own[0], sources.beam[np.newaxis]])
-            changes = np.concatenate([own[1], common(sources)[np.newaxis]])
-            roots = _root(powers)
-            differences, of_roots = roots - roots[-1], _slope_of_root(roots, changes)
-            seen.append((sources, differences, of_roots))
-            singles = 0.5 * changes - differences[:, np.newaxis] * of_roots
-            return np.asarray(singles.reshape(-1, singles.shape[-1]))
+            own, root, of_common = beams(sources), _root(sources.beam), common(sources)
+            roots = _root(own[0])
+            differences, of_roots = (roots - root)[:, np.newaxis], _slope_of_root(roots, own[1])
+            seen.append((sources, differences[:, 0], of_roots))
+            alone = 0.5 * own[1] - differences * of_roots
+            beside = 0.5 * of_common + differences * _slope_of_root(root[np.newaxis], of_common[np.newaxis])
+            functions = np.concatenate([alone, beside, 0.5 * of_common[np.newaxis]])
+            return np.asarray(functions[needed].reshape(-1, functions.shape[-1]))
 
         integrals = replace(block, times=block.times[t : t + 1]).integrate(single)[0]
-        value = integrals.reshape(len(block.groups), len(antennas) + 1, -1)[block.member[:, np.newaxis], of_row]
-        for sources, differences, of_roots in seen if len(antennas) else ():
+        value = integrals.reshape(len(block.groups), len(needed), -1)[block.member[:, np.newaxis], of_side]
+        for sources, differences, of_roots in seen if len(both) else ():
             waves = plane_waves(positions, sources.enu, block.freq)
-            others = amplitude(sources.flux_without()) * differences[:-1] * waves[antennas]
-            value += _further_of_pairs(block, of_row, waves, others, of_roots[place])
+            others = amplitude(sources.flux_without()) * differences * waves
+            value[both] += _further_of_pairs(of_row[both], waves, others, of_roots)
         values.append(value)
     return np.array(values)
 
 
-def _further_of_pairs(
-    block: RowBlock, of_row: IntArray, waves: ComplexArray, others: ComplexArray, slopes: FloatArray
-) -> ComplexArray:
-    """Return what the product of one antenna's change and the other's difference adds to rows, (Nbls, 2, k).
+def _further_of_pairs(of_row: IntArray, waves: ComplexArray, others: ComplexArray, slopes: FloatArray) -> ComplexArray:
+    """Return what the product of one antenna's change and the other's difference adds to rows, (Nrows, 2, k).
 
-    ``waves``, (Nants, Nsrc), and ``slopes``, (Nants, k, Nsrc), are of the antennas in use, ``others``, (n, Nsrc), what
-    those that differ have with their waves and the fluxes; ``of_row``, (Nbls, 2), says which of these a row has.
+    ``waves``, (n, Nsrc), and ``slopes``, (n, k, Nsrc), are of the antennas that differ, ``others``, (n, Nsrc), what
+    these have with their waves and the fluxes; ``of_row``, (Nrows, 2), says which of them a row has.
     """
-    rows = row_antennas(block)
-    out = np.zeros((*rows.shape, slopes.shape[1]), dtype=complex)
+    out = np.zeros((*of_row.shape, slopes.shape[1]), dtype=complex)
     for antenna, (wave, slope) in enumerate(zip(waves, slopes, strict=True)):
         products = (slope * wave.conj()) @ others.T
         for side in range(2):
-            mine = np.flatnonzero((rows[:, side] == antenna) & (of_row[:, 1 - side] >= 0))
+            mine = np.flatnonzero(of_row[:, side] == antenna)
             found = products[:, of_row[mine, 1 - side]].T
             out[mine, side] = found.conj() if side else found
     return out
