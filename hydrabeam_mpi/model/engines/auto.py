@@ -11,13 +11,13 @@ from hydrabeam_mpi.model.engines.base import Columns, Engine, Precision
 from hydrabeam_mpi.model.engines.gemm import GemmEngine
 from hydrabeam_mpi.model.engines.nufft import NufftEngine
 
-PRODUCT = 8.4e-11
-"""Seconds of a source, vector and column in a matrix product: four operations at 48 per nanosecond, measured."""
-FRINGE = 7e-9
+PRODUCT = 7.3e-11
+"""Seconds of a source, vector and column in a matrix product: four operations at 55 per nanosecond, measured."""
+FRINGE = 4.5e-9
 """Seconds of the fringe of a source on a vector of a lattice, measured."""
-SPREAD = 6.6e-8
+SPREAD = 5.3e-8
 """Seconds in which a source and column are spread onto the grid of an FFT to 1e-12, measured."""
-CELL = 2.2e-8
+CELL = 2.0e-8
 """Seconds of an FFT for each cell of the lattice and column, measured."""
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from functools import cached_property
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -41,6 +42,19 @@ def amplitude(flux: FloatArray) -> FloatArray:
         Jy.
     """
     return 0.5 * flux
+
+
+def chunks(n_sources: int, most: int) -> list[tuple[int, int]]:
+    """Return first and last but one of chunks of sources, at least one: of equal size, as a short one costs as much.
+
+    Parameters
+    ----------
+    n_sources : int
+    most : int
+        In a chunk.
+    """
+    edges = np.linspace(0, n_sources, max(-(-n_sources // most), 1) + 1).astype(int).tolist()
+    return list(pairwise(edges))
 
 
 class Columns(Protocol):
@@ -81,6 +95,7 @@ class Engine(ABC):
     def __init__(self, vectors: FloatArray, tol: float = 1e-7) -> None:
         self.vectors = np.ascontiguousarray(vectors, dtype=float)
         self.tol = tol
+        self._space = np.empty(0)
 
     @property
     def n_vectors(self) -> int:
@@ -91,6 +106,12 @@ class Engine(ABC):
     def fringes(self) -> Fringes:
         """The vectors' fringes, source by source."""
         return Fringes(self.vectors, self.tol, self.points, self.smearing)
+
+    def _work_space(self, size: int) -> FloatArray:
+        """Return the same one for all chunks and times: fresh pages cost as much as what is computed in them."""
+        if self._space.size < size:
+            self._space = np.empty(size)
+        return self._space
 
     @abstractmethod
     def design(

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 from scipy.linalg.blas import dgemm
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
-from hydrabeam_mpi.model.engines.base import Columns, Engine, Precision, amplitude
+from hydrabeam_mpi.model.engines.base import Columns, Engine, Precision, amplitude, chunks
 from hydrabeam_mpi.model.engines.fringes import enu
 
 
@@ -28,7 +26,6 @@ class GemmEngine(Engine):
     def __init__(self, vectors: FloatArray, tol: float = 1e-7, chunk: int = 1024) -> None:
         super().__init__(vectors, tol)
         self.chunk = chunk
-        self._space = np.empty(0)
 
     def design(
         self,
@@ -45,10 +42,7 @@ class GemmEngine(Engine):
         out = np.zeros((len(freqs), 2 * n_vectors, n_columns))
         directions = enu(za, az)
         space: Array = self._work_space(n_rows * self.chunk).view(precision)
-        # Chunks of equal size: a short last one would cost nearly as much as a full one.
-        n_chunks = max(-(-len(za) // (self.chunk * 8 // space.itemsize)), 1)
-        edges = np.linspace(0, len(za), n_chunks + 1).astype(int)
-        for lo, hi in pairwise(edges.tolist()):
+        for lo, hi in chunks(len(za), self.chunk * 8 // space.itemsize):
             rows = space[: n_rows * (hi - lo)].reshape(n_rows, hi - lo)
             columns = basis.columns(za[lo:hi], az[lo:hi], out=rows[:n_columns])
             fringes = rows[n_columns:]
@@ -57,12 +51,6 @@ class GemmEngine(Engine):
                 self.fringes.fill(parts, directions[:, lo:hi], amplitude(flux[f, lo:hi]), float(freq))
                 _add_product(out[f], fringes, columns)
         return out.reshape(len(freqs), 2, n_vectors, n_columns)
-
-    def _work_space(self, size: int) -> FloatArray:
-        """Return the same one for all chunks and times: fresh pages cost as much as what is computed in them."""
-        if self._space.size < size:
-            self._space = np.empty(size)
-        return self._space
 
 
 def _add_product(out: FloatArray, a: FloatArray, b: FloatArray) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 from threadpoolctl import threadpool_info
 
 from hydrabeam_mpi.data.observation import C_M_PER_S, ComplexArray, FloatArray
-from hydrabeam_mpi.model.engines.base import Columns, Engine, Precision, amplitude
+from hydrabeam_mpi.model.engines.base import Columns, Engine, Precision, amplitude, chunks
 from hydrabeam_mpi.model.engines.fringes import enu
 
 
@@ -25,12 +25,16 @@ class NufftEngine(Engine):
         Relative precision asked of the transform.
     batch : int
         Columns transformed at once.
+    chunk : int
+        Sources of which the columns are held at once on a lattice; more where there are fewer than two of them a cell
+        of the FFT, which is made anew for each chunk. Elsewhere that is so large that all are held.
     """
 
-    def __init__(self, vectors: FloatArray, eps: float = 1e-12, batch: int = 64) -> None:
+    def __init__(self, vectors: FloatArray, eps: float = 1e-12, batch: int = 64, chunk: int = 1 << 14) -> None:
         super().__init__(vectors)
         self.eps = eps
         self.batch = batch
+        self.chunk = chunk
         self.coplanar = bool(np.abs(self.vectors[:, 2]).max(initial=0.0) < 1e-9)
         # finufft would take all cores, whatever share of them OpenMP has been limited to; 0 leaves it to finufft.
         pools = threadpool_info()
@@ -49,26 +53,42 @@ class NufftEngine(Engine):
 
         In double precision whatever is asked: in single one would lose the phases.
         """
-        n_vectors, n_columns = self.n_vectors, basis.n_columns
-        out = np.zeros((len(freqs), 2, n_vectors, n_columns))
+        out = np.zeros((len(freqs), 2, self.n_vectors, basis.n_columns))
         if not len(za):
             return out
-        columns = basis.columns(za, az)
-        directions = enu(za, az)
-        transform = self._anywhere if self.fringes.lattice is None else self._on_lattice
-        for f, freq in enumerate(freqs):
-            weights, wavenumber = amplitude(flux[f]), 2 * np.pi * freq / C_M_PER_S
-            for lo in range(0, n_columns, self.batch):
-                part = weights * columns[lo : lo + self.batch]
-                # Two real columns are one complex one: what they give at b and at -b tells them apart.
-                pairs = np.zeros((-(-len(part) // 2), len(za)), dtype=complex)
-                pairs.real, pairs.imag[: len(part) // 2] = part[::2], part[1::2]
-                plus, minus = transform(directions, pairs, wavenumber)
-                for first, values in ((0, plus + minus.conj()), (1, -1j * (plus - minus.conj()))):
-                    target = out[f, :, :, lo + first : lo + len(part) : 2]
-                    of_columns = 0.5 * values[: target.shape[2]].T
-                    target[0], target[1] = of_columns.real, of_columns.imag
+        most = max(self.chunk, 2 * int(np.prod(self._cells))) if self.fringes.lattice else len(za)
+        for lo, hi in chunks(len(za), most):
+            space = self._work_space(basis.n_columns * (hi - lo))[: basis.n_columns * (hi - lo)]
+            columns = basis.columns(za[lo:hi], az[lo:hi], out=space.reshape(basis.n_columns, hi - lo))
+            directions = enu(za[lo:hi], az[lo:hi])
+            for f, freq in enumerate(freqs):
+                self._add(out[f], columns, directions, amplitude(flux[f, lo:hi]), 2 * np.pi * freq / C_M_PER_S)
         return out
+
+    def _add(
+        self, out: FloatArray, columns: FloatArray, directions: FloatArray, weights: FloatArray, wavenumber: float
+    ) -> None:
+        """Add what sources with some ``weights``, (Nsrc,), are seen as, to ``out``, (2, Nvectors, n_columns)."""
+        transform = self._anywhere if self.fringes.lattice is None else self._on_lattice
+        for lo in range(0, len(columns), self.batch):
+            part = weights * columns[lo : lo + self.batch]
+            # Two real columns are one complex one: what they give at b and at -b tells them apart.
+            pairs = np.zeros((-(-len(part) // 2), len(weights)), dtype=complex)
+            pairs.real, pairs.imag[: len(part) // 2] = part[::2], part[1::2]
+            plus, minus = transform(directions, pairs, wavenumber)
+            for first, values in ((0, plus + minus.conj()), (1, -1j * (plus - minus.conj()))):
+                target = out[:, :, lo + first : lo + len(part) : 2]
+                of_columns = 0.5 * values[: target.shape[2]].T
+                target[0] += of_columns.real
+                target[1] += of_columns.imag
+
+    @property
+    def _cells(self) -> tuple[int, int]:
+        """Points of the lattice along either generator that an FFT over all vectors and their negatives has."""
+        lattice = self.fringes.lattice
+        assert lattice is not None
+        along, across = (2 * np.abs(lattice.index).max(axis=0) + 1).tolist()
+        return along, across
 
     def _on_lattice(self, directions: FloatArray, strengths: ComplexArray, wavenumber: float) -> list[ComplexArray]:
         """Return the sums, (Nstrengths, Nvectors), at the vectors and at their negatives, by one FFT of the lattice."""
@@ -76,10 +96,8 @@ class NufftEngine(Engine):
         assert lattice is not None
         most = np.abs(lattice.index).max(axis=0)
         phases = np.mod(wavenumber * (lattice.generators @ directions), 2 * np.pi)
-        modes = finufft.nufft2d1(
-            *phases, strengths, tuple((2 * most + 1).tolist()), isign=1, eps=self.eps, nthreads=self.threads
-        )
-        modes = np.asarray(modes).reshape(len(strengths), *(2 * most + 1))
+        modes = finufft.nufft2d1(*phases, strengths, self._cells, isign=1, eps=self.eps, nthreads=self.threads)
+        modes = np.asarray(modes).reshape(len(strengths), *self._cells)
         return [modes[:, i, j] for i, j in ((most + lattice.index).T, (most - lattice.index).T)]
 
     def _anywhere(self, directions: FloatArray, strengths: ComplexArray, wavenumber: float) -> list[ComplexArray]:
