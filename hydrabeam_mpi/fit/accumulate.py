@@ -102,7 +102,6 @@ def check_heldout(
     basis: LinearBasis,
     posteriors: Sequence[Posterior],
     beams: Sequence[Beam],
-    show: bool = False,
 ) -> list[HeldoutStatistics]:
     """Compare a rank's held-out rows with the posterior predictive (HDBI II, eq. 14) and with the model beam.
 
@@ -114,15 +113,13 @@ def check_heldout(
         Its engine holds the vectors of ``rows.groups``.
     basis : LinearBasis
         The beam basis.
-    show : bool
-        Whether to report progress.
     posteriors : list of Posterior
         One a channel.
     beams : list of callable
         The model beam of each channel, before the inference.
     """
     before = model.visibilities(beams, rows.tile.times)
-    return check_designs(rows, designs(rows, model, basis, "held-out rows", show), posteriors, before)[0]
+    return check_designs(rows, designs(rows, model, basis, "held-out rows", show=False), posteriors, before)[0]
 
 
 def check_designs(

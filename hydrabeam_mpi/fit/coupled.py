@@ -185,7 +185,8 @@ def _solve_dense(
     if len(candidates) > 1:
         solved = (assemble(grid, problem, modes, told) for modes in candidates)
         evidences = np.array([_evidence(grid, one) for one in solved])
-    weights = _weights(evidences, coupling.settings.evidence == "marginalise")
+    marginalises = coupling.settings.evidence == "marginalise"
+    weights = _weights(evidences, marginalises)
     chosen = choose_length(weights, seed, n_draws)
     parts = []
     for number in np.flatnonzero(weights):
@@ -204,7 +205,7 @@ def _solve_dense(
         "covariances": "exact",
         "n_modes": candidates[best].shape[1],
         "n_unknowns": candidates[best].shape[1] * problem.basis.n_modes,
-        "log_evidence": float(_log_mean(evidences) if len(parts) > 1 else evidences[best]),
+        "log_evidence": float(_log_mean(evidences) if marginalises else evidences[best]),
     }
     if coupling.lengths:
         summary["length"] = coupling.lengths[best]

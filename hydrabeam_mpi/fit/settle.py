@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from hydrabeam_mpi.fit.acceleration import MEMORY, EarlierSteps, accelerated
 from hydrabeam_mpi.fit.beams_given import Solved, diagnostics_of, solve_beams
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.gauss_newton import misfit_of, refit
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff, misfit_of, refit
 from hydrabeam_mpi.fit.state import Active, Ended, Fitted
 from hydrabeam_mpi.fit.step import beam_moved, take_step
 
@@ -55,8 +56,9 @@ def settle(context: FitContext, fitted: Fitted) -> Fitted:
     if not fitted.values.active:
         return fitted
     if fitted.diagnostics.ended is Ended.FLAT:
-        # It went no further than evidence tells.
-        fitted = refit(context, fitted.values, fitted)
+        # It went no further than evidence tells. Where there are no beams further on it stays where it is.
+        with suppress(BrokenOff):
+            fitted = refit(context, fitted.values, fitted)
     at, earlier = fitted.estimate, EarlierSteps()
     shortest, lowest, waited = np.inf, -np.inf, 0
     stillest: tuple[Fitted, Solved] | None = None

@@ -76,8 +76,8 @@ class WidthNumbers:
 
     def price(self, numbers: FloatArray) -> float:
         """Return what the numbers cost, in nats: half of ln(n) each for n coefficients that tell it (Schwarz 1978)."""
-        shared = N_SHARED * np.log(self.counts.sum())
-        return float(0.5 * (shared + np.sum(np.log(self.counts[numbers[N_SHARED:] != 0]))))
+        shared, uneven = N_SHARED * np.log(self.counts.sum()), (numbers[N_SHARED:] != 0) & (self.counts > 0)
+        return float(0.5 * (shared + np.sum(np.log(self.counts[uneven]))))
 
     def told_before(self, numbers: FloatArray) -> Told:
         """Return what is known of the numbers beforehand, ln of which is zero at the likeliest ones."""

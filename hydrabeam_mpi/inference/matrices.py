@@ -10,11 +10,14 @@ from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.eigen import eigen
 from hydrabeam_mpi.errors import InputError
 
+AT_ONCE = 128
+"""Rows and columns of a block that stays in cache while it is transposed."""
 
-def complete_hermitian(matrix: Array, block: int = 128) -> None:
+
+def complete_hermitian(matrix: Array) -> None:
     """Fill the lower triangle of a Hermitian matrix from its upper one, in place and block by block; (n, n)."""
-    for lo in range(0, len(matrix), block):
-        hi = lo + block
+    for lo in range(0, len(matrix), AT_ONCE):
+        hi = lo + AT_ONCE
         corner = np.triu(matrix[lo:hi, lo:hi])
         matrix[lo:hi, lo:hi] = corner + np.triu(corner, 1).conj().T
         matrix[hi:, lo:hi] = matrix[lo:hi, hi:].conj().T

@@ -28,18 +28,20 @@ def chi2_sigma(chi2: ArrayLike, dof: ArrayLike) -> FloatArray:
     Returns
     -------
     ndarray
-        Positive for an excess, negative for a deficit; N(0, 1) under the null.
+        Positive for an excess, negative for a deficit; N(0, 1) under the null. Zero with no degrees of freedom.
     """
     chi2, dof = np.broadcast_arrays(np.asarray(chi2, dtype=float), np.asarray(dof, dtype=float))
-    chi2 = np.maximum(chi2, 1e-300)
-    above = special.chdtrc(dof, chi2)
-    sigma = _from_tails(above, special.chdtr(dof, chi2))
-    far = ~((above > np.exp(SMALLEST_LOG_P)) & (above < 1 - 1e-12)) & (chi2 > dof)
-    # Saddlepoint approximation (Barndorff-Nielsen's r*), whose error vanishes far out in the tail.
+    known = dof > 0
+    chi2, dof = np.maximum(chi2, 1e-300), np.where(known, dof, 1.0)
+    above, below = special.chdtrc(dof, chi2), special.chdtr(dof, chi2)
+    tail = np.where(chi2 > dof, above, below)
+    far = ~((tail > np.exp(SMALLEST_LOG_P)) & (tail < 1 - 1e-12)) & (chi2 != dof)
+    # Saddlepoint approximation (Barndorff-Nielsen's r*), whose error vanishes far out in either tail.
     ratio = np.where(far, chi2 / dof, 2.0)
-    root = np.sqrt(dof * (ratio - 1 - np.log(ratio)))
+    root = np.sign(ratio - 1) * np.sqrt(dof * (ratio - 1 - np.log(ratio)))
     root_star = root + np.log((ratio - 1) * np.sqrt(dof / 2) / root) / root
-    return np.clip(np.where(far, root_star, sigma), -LARGEST, LARGEST)
+    sigma = np.where(far, root_star, _from_tails(above, below))
+    return np.where(known, np.clip(sigma, -LARGEST, LARGEST), 0.0)
 
 
 def f_sigma(ratio: float, dof: tuple[float, float]) -> float:

@@ -103,6 +103,7 @@ def weighing_bytes(candidates: Candidates, share: Share) -> int:
     blocks = COMPLEX * share.groups * n_kept * candidates.integrated
     # A block of one time is the design as it is kept.
     blocks += share.design // share.channels * n_kept if n_times > 1 else 0
+    blocks *= share.channels if share.room(share.train_times).designs else 1
     made = 0 if share.room(share.train_times).designs else share.making_design
     columns = made + AT_ONCE * COMPLEX * share.groups * n_times * candidates.by_group
     return blocks + max(

@@ -162,3 +162,11 @@ def test_a_beam_that_is_its_model_keeps_a_width(tmp_path: Path) -> None:
     assert np.all(prior.std() > 0)
     assert np.all(prior.std() < context.problem.priors[0].std())
     assert replace(fitted.values, prior_widths=None) == Values()
+
+
+def test_azimuthal_orders_that_a_basis_lacks_cost_nothing() -> None:
+    """A beam that is symmetric under reflections has no odd ones; a job may state factors of all of them."""
+    numbers, without = WidthNumbers(np.array([3, 0, 4])), WidthNumbers(np.array([3, 4]))
+    stated = PriorWidths(0.1, azimuthal=(1.0, 2.0, 0.5))
+    price = numbers.price(numbers.of(stated))
+    assert price == without.price(without.of(replace(stated, azimuthal=(1.0, 0.5))))

@@ -39,6 +39,21 @@ def test_chi2_sigma_of_two_degrees_of_freedom_far_out() -> None:
     np.testing.assert_allclose(chi2_sigma(4000.0, 2), -special.ndtri_exp(-2000.0), rtol=1e-4)
 
 
+@pytest.mark.parametrize("dof", [300.0, 17280.0, 1e6])
+def test_deficits_of_chi2_go_on_where_probabilities_underflow(dof: float) -> None:
+    """Smooth over the border, and in proportion to the root of the degrees of freedom beyond it."""
+    chi2 = dof * np.linspace(1.0, 0.3, 2001)
+    sigma = chi2_sigma(chi2, dof)
+    steps = np.diff(sigma)
+    assert (steps < 0).all()
+    assert np.abs(np.diff(steps)).max() < 0.02 * np.abs(steps).max()
+    assert sigma[-1] == pytest.approx(-np.sqrt(dof * (0.3 - 1 - np.log(0.3))), rel=0.01)
+
+
+def test_nothing_is_significant_without_degrees_of_freedom() -> None:
+    np.testing.assert_array_equal(chi2_sigma([0.0, 1.0], 0.0), 0.0)
+
+
 def test_chi2_sigma_of_nothing_is_finite() -> None:
     assert np.isfinite(chi2_sigma(0.0, 4000))
     assert chi2_sigma(0.0, 4000) < -30

@@ -99,3 +99,15 @@ def test_posterior_and_amendment_on_any_number_of_ranks(job: str, on_one_rank: P
 def test_the_amended_job_on_any_number_of_ranks(on_one_rank: Path, on_many_ranks: Path) -> None:
     """As the loop has it on one."""
     assert_reproduced(on_one_rank / "two channels", on_many_ranks / "again")
+
+
+def test_more_ranks_than_groups_of_baselines(tmp_path: Path, mpiexec_python: Any) -> None:
+    """Two antennas have one baseline: two of three ranks have nothing of it when the data themselves are checked."""
+    job = mock_job(n_times=6, data={"exclude_antennas": [0, 1, 2, 3, 4]}, loop={"effects": ["antenna_gains"]})
+    path = write_job(job, tmp_path)
+    assert main(["infer", str(path), "-o", str(tmp_path / "one")]) == 0
+    code = "import sys; from hydrabeam_mpi.cli import main; sys.exit(main(sys.argv[1:]))"
+    done = mpiexec_python(3, code, "infer", path, "-o", tmp_path / "three")
+    assert done.returncode == 0, done.stderr
+    (one,), (three,) = (channels_of(tmp_path / name) for name in ("one", "three"))
+    assert np.all(np.abs(three["mean"] - one["mean"]) < 1e-8 * one["std"])

@@ -93,12 +93,13 @@ class CachedRowBlocks:
     at: Estimate
     rows: Rows
     added: ComplexArray
-    kept: Kept[RowBlock]
+    kept: tuple[Kept[RowBlock], ...]
 
     @classmethod
     def of(cls, context: FitContext, at: Estimate) -> CachedRowBlocks:
         """Calibrate the rank's rows by the model's effects."""
-        return cls(context, at, *context.train.calibrated(at), Kept(context.train.room.designs))
+        kept = tuple(Kept[RowBlock](context.train.room.designs) for _ in context.channels)
+        return cls(context, at, *context.train.calibrated(at), kept)
 
     def row_blocks(self, channel: int) -> Iterator[RowBlock]:
         """Yield the blocks of one channel."""
@@ -107,4 +108,4 @@ class CachedRowBlocks:
             blocks = self.context.train.row_blocks(channel, self.at, self.added[channel], self.rows)
             return (block for _, block, _ in blocks)
 
-        return self.kept.of(channel, made)
+        return self.kept[channel].of(None, made)

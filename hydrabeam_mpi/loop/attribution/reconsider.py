@@ -85,21 +85,24 @@ class Known:
         return found
 
 
-def reconsider(context: FitContext, fitted: Fitted, number: int = -1, beside: Finding | None = None) -> Evidence:
+def reconsider(context: FitContext, fitted: Fitted, number: int = -1) -> Evidence:
     """Weigh one of the active effects again, by default the last, linearised where it has been fitted.
 
     Collective: all ranks of the grid. What the linear model expects of it is replaced by what the fit has gained, which
-    is `log_joint` beyond that of a fit without it; see `Evidence.linear_gain`. What is weighed ``beside`` it, and is
-    not part of the model, is marginalised as well, with the prior that was found for it.
+    is `log_joint` beyond that of a fit without it; see `Evidence.linear_gain`.
     """
-    (found,) = reconsider_each(context, fitted, [number], beside)
+    (found,) = reconsider_each(context, fitted, [number])
     return found
 
 
 def reconsider_each(
     context: FitContext, fitted: Fitted, numbers: Sequence[int], beside: Finding | None = None
 ) -> list[Evidence]:
-    """Do as `reconsider` with several effects, each given all others. Collective: all ranks of the grid."""
+    """Do as `reconsider` with several effects, each given all others. Collective: all ranks of the grid.
+
+    What is weighed ``beside`` them, and is not part of the model, is marginalised as well, with the prior that was
+    found for it.
+    """
     known, places = Known.of(context, fitted, beside), range(len(fitted.values.active))
     return [_reweigh(context, fitted, known, places[number], None)[0] for number in numbers]
 

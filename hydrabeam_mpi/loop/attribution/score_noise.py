@@ -13,7 +13,7 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.effects.interface.reweighting import Reweighting, ReweightingFit
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.gauss_newton import refit
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff, refit
 from hydrabeam_mpi.fit.heldout import whiten
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Fitted, Reweighted
@@ -71,7 +71,10 @@ def looked_for_again(context: FitContext, fitted: Fitted, found: Sequence[Weight
         if one.change.searched_again_with_heavy_tails and one.fit.reason is not None:
             reweighted = fitted.values.reweighted
             values = replace(fitted.values, reweighted=(*reweighted, heavy_tails(context)))
-            robust = refit(context, values, fitted, within=ROBUST_SIGMAS)
+            try:
+                robust = refit(context, values, fitted, within=ROBUST_SIGMAS)
+            except BrokenOff:
+                continue
             again = _fit_once(context, _reweighted(robust, reweighted), one.change)
             if again.fit.reason is None:
                 told[i] = again

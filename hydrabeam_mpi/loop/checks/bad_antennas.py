@@ -51,7 +51,7 @@ def absurd_antennas(problem: Problem, sums: Sums) -> list[Finding]:
             why[ant] = "all its visibilities are zero"
         elif constant[mine].all():
             why[ant] = "all its visibilities are constant"
-        by_antenna[ant] = np.median(power[mine])
+        by_antenna[ant] = known_median(power[mine])
     absurd = outliers(by_antenna)
     for ant in np.flatnonzero(absurd).tolist():
         ratio = np.exp(by_antenna[ant] - known_median(by_antenna))

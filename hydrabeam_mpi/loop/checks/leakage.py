@@ -12,6 +12,7 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.loop.attribution.evidence import Evidence, find_evidence, log_evidence, solve
 from hydrabeam_mpi.loop.checks.leakage_rows import CrossRows, LeakageSums, read_cross, sum_cross
+from hydrabeam_mpi.loop.output.parameters import prior_scale
 from hydrabeam_mpi.loop.output.sentences import say_parameter
 from hydrabeam_mpi.loop.selection.heldout_score import HeldoutScore, gain_significance
 from hydrabeam_mpi.mpi import ProcessGrid, allreduce_sum, bcast_object, together
@@ -158,7 +159,7 @@ def _entry(
         "effective_parameters": evidence.effective_parameters,
         "chi2_drop": evidence.chi2_drop,
         "rank": evidence.rank,
-        "prior_scale": float(np.sqrt(evidence.prior_var.max())),
+        "prior_scale": prior_scale(check.parameters(setup), evidence),
         "attenuation": noise / regressors,
         "ranking": [],
         "residual": None,

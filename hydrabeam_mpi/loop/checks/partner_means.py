@@ -49,8 +49,8 @@ def partner_means(
         Inverse noise variance of what counts, else zero.
     least_partners : int
     """
-    member = np.unique(group, return_inverse=True)[1]
-    summed = csr_array((np.ones(len(member)), (member, np.arange(len(member)))))
+    groups, member = np.unique(group, return_inverse=True)
+    summed = csr_array((np.ones(len(member)), (member, np.arange(len(member)))), shape=(len(groups), len(member)))
     for values, inverse in zip(data, weights, strict=True):
         total = (summed @ inverse.T).T[:, member] - inverse
         weighted = (summed @ (inverse * values).T).T[:, member] - inverse * values

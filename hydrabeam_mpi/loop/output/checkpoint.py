@@ -124,10 +124,12 @@ def _lightened(context: FitContext, history: History) -> History:
     tried = [(_light(candidate), reason) for candidate, reason in history.tried]
     control = history.control and _light_round(context, history.control, before)
     ranking = tuple(map(_light, history.ranking))
-    adapted = [
-        replace(one, before=_light_check(context, one.before), after=_light_check(context, one.after))
-        for one in history.adapted
-    ]
+
+    def light(checked: Checked) -> Checked:
+        # The last fit stays one and the same: whether its prior has been adapted is told by that.
+        return before if checked is history.last else _light_check(context, checked)
+
+    adapted = [replace(one, before=light(one.before), after=light(one.after)) for one in history.adapted]
     return History(first, before, rounds, tried, ranking, control, history.control_since, adapted=adapted)
 
 
@@ -198,9 +200,15 @@ def _complete(context: FitContext, history: History, mine: list[KeptChannel]) ->
         np.array([one.n_data for one in mine]),
         before.fitted.diagnostics.ended,
     )
-    last = Fitted(before.fitted.values, fit, diagnostics)
-    whole = replace(before, fitted=last)
-    if not rounds:
-        return replace(history, first=whole, last=whole)
-    rounds[-1] = replace(rounds[-1], after=whole)
-    return replace(history, first=first, last=whole, rounds=rounds)
+    whole = replace(before, fitted=Fitted(before.fitted.values, fit, diagnostics))
+
+    def found(checked: Checked) -> Checked:
+        return whole if checked is history.last else local(checked)
+
+    adapted = [replace(one, before=found(one.before), after=found(one.after)) for one in history.adapted]
+    control = history.control and replace(history.control, before=before, after=local(history.control.after))
+    if rounds:
+        rounds[-1] = replace(rounds[-1], after=whole)
+    else:
+        first = whole
+    return replace(history, first=first, last=whole, rounds=rounds, adapted=adapted, control=control)

@@ -8,9 +8,11 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.parameters import Parameters
 from hydrabeam_mpi.effects.interface.told import Told
 from hydrabeam_mpi.fit.error_scale import ErrorScale
 from hydrabeam_mpi.fit.state import Active, Fitted
+from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.selection.acceptance import Round
 
 LEAST_TOLD = 0.5
@@ -22,6 +24,13 @@ def widened(one: Round, scale: ErrorScale) -> list[float]:
     if one.candidate.finding is None:
         return [1.0] * len(scale.channels)
     return [scale.together] if one.candidate.finding.effect.shared else scale.channels.tolist()
+
+
+def prior_scale(parameters: Parameters, evidence: Evidence) -> float | None:
+    """Return the width of the prior in units of the parameters' natural sizes, where it is one for all in use."""
+    used = evidence.prior_var > 0
+    widths = np.sqrt(evidence.prior_var[used]) / parameters.scale[used]
+    return float(widths[0]) if widths.size and np.allclose(widths, widths[0]) else None
 
 
 def parameters_of(

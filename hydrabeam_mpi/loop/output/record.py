@@ -14,7 +14,7 @@ from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.io.formats import FORMAT, LOOP_FORMAT
 from hydrabeam_mpi.loop.output.adapted_prior import adapted_told, rounds_alone
 from hydrabeam_mpi.loop.output.heldout_change import heldout_change
-from hydrabeam_mpi.loop.output.parameters import counted, parameters_of, widened
+from hydrabeam_mpi.loop.output.parameters import counted, parameters_of, prior_scale, widened
 from hydrabeam_mpi.loop.output.sentences import say_predicting, say_round, say_verdict, still_there
 from hydrabeam_mpi.loop.residuals.left_out import rows_left_out
 from hydrabeam_mpi.loop.selection.acceptance import (
@@ -225,7 +225,7 @@ def _train_chi2(context: FitContext, checked: Checked) -> float:
 
 def _round(context: FitContext, one: Round, at_last: _AtLast) -> dict[str, Any]:
     """Tell one round. Collective: all ranks of the grid."""
-    setup, candidate = context.setup, one.candidate
+    setup, candidate, finding = context.setup, one.candidate, one.candidate.finding
     ranking = known_effects(one.ranking)
     # What explains the data together with it is no rival.
     of_set = {candidate.name, *(other.name for other in one.together)}
@@ -243,7 +243,7 @@ def _round(context: FitContext, one: Round, at_last: _AtLast) -> dict[str, Any]:
         "errors_widened_by": widened(one, at_last.scale),
         "left_out": at_last.left_out if leaves_out else None,
         "log_bayes_factor": candidate.log_bayes_factor,
-        "absorbed_by_beam": candidate.finding.evidence.absorbed if candidate.finding else 0.0,
+        "absorbed_by_beam": finding.evidence.absorbed if finding else 0.0,
         "chi2_before": _train_chi2(context, one.before),
         "chi2_after": _train_chi2(context, one.after),
         "heldout_before": one.before.score.chi2,
@@ -266,9 +266,9 @@ def _round(context: FitContext, one: Round, at_last: _AtLast) -> dict[str, Any]:
             {"effect": other.kind, "law": other.law, "log_bayes_factor": other.log_bayes_factor}
             for other in one.together
         ],
-        "prior_scale": _prior_scale(one),
+        "prior_scale": prior_scale(finding.effect.parameters(setup), finding.evidence) if finding else None,
         **_size(candidate),
-        **(counted(one, at_last.fitted) if candidate.finding else {}),
+        **(counted(one, at_last.fitted) if finding else {}),
         "ranking": [_ranked(other) for other in ranking],
         "residual": one.before.remains.statistics,
     }
@@ -314,11 +314,3 @@ def _ranked(candidate: Candidate) -> dict[str, Any]:
     if candidate.weights is not None and candidate.weights.fit.reason:
         line["reason"] = candidate.weights.fit.reason
     return line
-
-
-def _prior_scale(one: Round) -> float | None:
-    """Return the prior's width where it is one for all, in units of the effect's natural scale."""
-    if one.candidate.finding is None:
-        return None
-    widths = np.sqrt(one.candidate.finding.evidence.prior_var)
-    return float(widths.max()) if widths.size else None

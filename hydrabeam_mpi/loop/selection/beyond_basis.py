@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff
 from hydrabeam_mpi.fit.state import Active
 from hydrabeam_mpi.loop.attribution.score_effects import attribute
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked
@@ -52,7 +53,10 @@ def with_functions_beyond(
         if evidence.log_bayes_factor < least:
             continue
         start = Active.start(found.effect, setup, evidence.prior_var, evidence.x)
-        after = check(context, fit_patiently(context, checked.fitted.values.extended(start), checked.fitted))
+        try:
+            after = check(context, fit_patiently(context, checked.fitted.values.extended(start), checked.fitted))
+        except BrokenOff:
+            continue
         one, two = compared(context, checked, after)
         gain = gain_of(one.score, two.score)
         numbers = f"ln BF {evidence.log_bayes_factor:.4g}, held-out ln density changes by {gain:.4g}"

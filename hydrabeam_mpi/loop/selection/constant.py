@@ -9,6 +9,7 @@ import numpy as np
 
 from hydrabeam_mpi.effects.interface.reweighting import ReweightingFit
 from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff
 from hydrabeam_mpi.fit.state import Active, Fitted, Reweighted
 from hydrabeam_mpi.loop.attribution.constancy import Constancy
 from hydrabeam_mpi.loop.attribution.parts import Affected, ask_constancy
@@ -50,9 +51,10 @@ def take_back_unphysical(context: FitContext, last: Round, n_given: int) -> Take
     fitted, told = last.after.fitted, last.revised
     places: dict[int, int | None] = {place: place for place in range(len(fitted.values.active))}
     while found := leave_out_unphysical(context, fitted, n_given, by_likelihood=True):
+        without = fit_patiently(context, found.values, fitted)
         for line in found.told:
             say(f"  {line}", context.grid.is_world_root)
-        fitted, told = fit_patiently(context, found.values, fitted), (*told, *found.told)
+        fitted, told = without, (*told, *found.told)
         places = {old: None if now is None else found.places[now] for old, now in places.items()}
     if fitted is not last.after.fitted:
         last = replace(last, after=check(context, fitted), revised=told)
@@ -172,7 +174,10 @@ def beside_noise(context: FitContext, last: Round, n_given: int) -> tuple[Round,
             reweighted[place] = Reweighted(one.change.beside_noise, fit.x, fit.std)
     if found:
         values = replace(fitted.values, reweighted=tuple(reweighted))
-        last = replace(last, after=check(context, fit_patiently(context, values, fitted)))
+        try:
+            last = replace(last, after=check(context, fit_patiently(context, values, fitted)))
+        except BrokenOff:
+            return last, {}
     return last, found
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff
 from hydrabeam_mpi.loop.selection.acceptance import verdict_of
 from hydrabeam_mpi.loop.selection.folds import compared
 from hydrabeam_mpi.loop.selection.history import History
@@ -35,7 +36,10 @@ def keep_for_prediction(context: FitContext, history: History) -> None:
             continue
         before, (active, _) = history.last, one.taken_back
         values = before.fitted.values.extended(active)
-        after = check(context, fit_patiently(context, values, before.fitted))
+        try:
+            after = check(context, fit_patiently(context, values, before.fitted))
+        except BrokenOff:
+            continue
         if refusal_by_heldout(*compared(context, before, after), settings) is not None:
             continue
         told = f"{one.candidate.title}: not claimed, but in the model again, which predicts held-out data better so"

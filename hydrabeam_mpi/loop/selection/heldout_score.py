@@ -100,7 +100,7 @@ def gain_of(before: HeldoutScore, after: HeldoutScore) -> float:
 def gain_error(before: HeldoutScore, after: HeldoutScore) -> float:
     """Return the standard error of `gain_of`, over blocks of times or of groups.
 
-    The greater of the two; infinite where there is but one block of either kind.
+    The greater of the two. Of a kind with but one block nothing is known; infinite where that is so of both.
     """
     errors = []
     for one, two in ((before.times, after.times), (before.groups, after.groups)):

@@ -16,6 +16,7 @@ import numpy as np
 
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff
 from hydrabeam_mpi.fit.prior_widths import adapted, is_adaptable
 from hydrabeam_mpi.fit.widths_evidence import WidthsEvidence, WidthsFound
 from hydrabeam_mpi.inference.mode_widths import PriorWidths
@@ -126,7 +127,10 @@ def _widened(
     """Return the fit with widths that were found and their log Bayes factor; no fit where held-out data refuse it."""
     speaks = context.grid.is_world_root
     say(f"  widths of the beam's prior: {describe(found.widths)} (ln BF {found.log_bayes_factor:.4g})", speaks)
-    fitted, found = adapted(context, checked.fitted, found, fit_patiently, none_less)
+    try:
+        fitted, found = adapted(context, checked.fitted, found, fit_patiently, none_less)
+    except BrokenOff:
+        return None, 0.0
     after = check(context, fitted)
     one, two = compared(context, checked, after)
     gain = gain_of(one.score, two.score)

@@ -10,6 +10,7 @@ import numpy as np
 from hydrabeam_mpi.data.observation import IntArray
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff
 from hydrabeam_mpi.fit.state import Active, Fitted
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.attribution.reconsider import Known, compare_priors
@@ -105,7 +106,10 @@ def _with_revisions(
     by_place = {one.place: one for one in revisions}
     kept = [place for place in range(len(active)) if place not in by_place or by_place[place].new is not None]
     values = replace(fitted.values, active=tuple(_revised(context, active[i], by_place.get(i)) for i in kept))
-    again = fit_anew(context, values, fitted)
+    try:
+        again = fit_anew(context, values, fitted)
+    except BrokenOff:
+        return None
     gain = sum(one.gain for one in revisions) + rise(context, fitted, again)
     n_left_out = len(active) - len(kept)
     if not (gain >= -least * n_left_out and again.diagnostics.converged):

@@ -9,7 +9,7 @@ from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.reweighting import Reweighting
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.gauss_newton import refit
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff, refit
 from hydrabeam_mpi.fit.settle import refined, settle
 from hydrabeam_mpi.fit.state import Fitted, Values
 from hydrabeam_mpi.loop.attribution.constancy import Constancy
@@ -89,14 +89,20 @@ class Search:
 
 
 def run_rounds(search: Search) -> None:
-    """Look for effects until no further one improves the model. Collective: all ranks of the grid."""
+    """Look for effects until no further one improves the model. Collective: all ranks of the grid.
+
+    Where a step on the way has no beam that can be solved for, the search ends with what has been found before it.
+    """
     context, history = search.context, search.history
     rounds = _Rounds(search, next_of(context, search.effects, history.last.fitted.values))
-    while rounds.go_on():
-        pass
-    with search.clock.time("trials"):
-        _take_back(context, history)
-    rounds.adapt()
+    try:
+        while rounds.go_on():
+            pass
+        with search.clock.time("trials"):
+            _take_back(context, history)
+        rounds.adapt()
+    except BrokenOff as why:
+        say(f"the search ends with what has been found so far: {why}", context.grid.is_world_root)
 
 
 def run_round(search: Search) -> bool:

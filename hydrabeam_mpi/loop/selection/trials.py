@@ -147,7 +147,10 @@ def try_control(
     controls = [one for one in _wanted(context, ranking) if one.is_control]
     if not controls or (found is not None and not may_be_better(controls[0], found, found.after.remains.consistent)):
         return None
-    fitted, after = fit_candidate(context, checked, controls[0])
+    try:
+        fitted, after = fit_candidate(context, checked, controls[0])
+    except BrokenOff:
+        return None
     reason = refusal_of_fit(context, checked, after, fitted)
     say(f"    refused: {reason}", context.grid.is_world_root and reason is not None)
     return None if reason is not None else round_of(context, checked, after, fitted, ranking)

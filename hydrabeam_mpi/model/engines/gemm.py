@@ -40,6 +40,8 @@ class GemmEngine(Engine):
         n_vectors, n_columns = self.n_vectors, basis.n_columns
         n_rows = n_columns + 2 * n_vectors
         out = np.zeros((len(freqs), 2 * n_vectors, n_columns))
+        if not n_vectors:
+            return out.reshape(len(freqs), 2, 0, n_columns)
         directions = enu(za, az)
         space: Array = self._work_space(n_rows * self.chunk).view(precision)
         for lo, hi in chunks(len(za), self.chunk * 8 // space.itemsize):

@@ -54,7 +54,7 @@ class NufftEngine(Engine):
         In double precision whatever is asked: in single one would lose the phases.
         """
         out = np.zeros((len(freqs), 2, self.n_vectors, basis.n_columns))
-        if not len(za):
+        if not (len(za) and self.n_vectors):
             return out
         most = max(self.chunk, 2 * int(np.prod(self._cells))) if self.fringes.lattice else len(za)
         for lo, hi in chunks(len(za), most):
