@@ -41,7 +41,7 @@ def chi2_sigma(chi2: ArrayLike, dof: ArrayLike) -> FloatArray:
     root = np.sign(ratio - 1) * np.sqrt(dof * (ratio - 1 - np.log(ratio)))
     root_star = root + np.log((ratio - 1) * np.sqrt(dof / 2) / root) / root
     sigma = np.where(far, root_star, _from_tails(above, below))
-    return np.where(known, np.clip(sigma, -LARGEST, LARGEST), 0.0)
+    return np.clip(np.where(known, sigma, 0.0), -LARGEST, LARGEST)
 
 
 def f_sigma(ratio: float, dof: tuple[float, float]) -> float:

@@ -35,9 +35,9 @@ def evidence(log_bayes_factor: float, absorbed: float = 0.1, effective: float = 
 
 
 def effect_candidate(
-    effect: Effect, log_bayes_factor: float = 100.0, absorbed: float = 0.1, effective: float = 2.0, **given: Any
+    effect: Effect, log_bayes_factor: float = 100.0, absorbed: float = 0.1, effective: float = 2.0
 ) -> Candidate:
-    found = evidence(log_bayes_factor, absorbed, effective, **given)
+    found = evidence(log_bayes_factor, absorbed, effective)
     return Candidate(effect.kind, effect.title, log_bayes_factor, Finding(effect, found))
 
 

@@ -13,13 +13,15 @@ from typing import Any, Literal, Self
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
-from hydrabeam_mpi.effects.interface.effect import Columns, Parameters
+from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
+from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.scanned import ScannedEffect, sums_by
-from hydrabeam_mpi.effects.shared.in_time import MOST_COLUMNS
+from hydrabeam_mpi.effects.shared.in_time import MOST_COLUMNS, InTime
 from hydrabeam_mpi.effects.shared.per_antenna import antennas_named, logarithm_of, product_of_gains
+from hydrabeam_mpi.effects.shared.time_laws import Smooth
 from hydrabeam_mpi.errors import InputError
 
 Part = Literal["ln amplitude", "phase"]
@@ -83,6 +85,24 @@ class GainJitter(ScannedEffect):
         """Return the effect of those antennas that other data have: what was found of a time holds at that time."""
         here = setup.observation.antenna_numbers.tolist()
         return type(self)([one for one in self.gains_of if one[0] in here])
+
+    def simpler_elements(
+        self, setup: ObservingSetup, x: FloatArray, std: FloatArray
+    ) -> list[tuple[BoolArray, Effect, FloatArray]]:
+        """Return all of it as gains that drift about levels of their own: a law has fewer numbers than there are times.
+
+        Only fitted times tell what it is.
+        """
+        gains, fitted = AntennaGains(), setup.times if setup.fitted is None else setup.fitted
+        law = Smooth().over(setup.jd).candidates(setup.fitted_jd, setup.jd).with_level()
+        values = x.mean(axis=0).reshape(len(self.gains_of), -1)[:, np.searchsorted(setup.times, fitted)]
+        numbers = np.linalg.lstsq(law.functions(setup.observation.times[fitted]), values.T, rcond=None)[0].T
+        places, parts = self._places(setup)
+        drift = InTime(gains, law)
+        begun = np.zeros(len(drift.parameters(setup)))
+        own = len(PARTS) * np.searchsorted(setup.antennas_in_use, places) + parts
+        begun[own[:, np.newaxis] * numbers.shape[1] + np.arange(numbers.shape[1])] = numbers
+        return [(np.ones(x.shape[1], dtype=bool), drift, begun)]
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return m or i m for the first antenna of a row, m or -i m for the second; ``x`` is (n_params,)."""

@@ -22,14 +22,14 @@ class GainLaw:
     ----------
     gains : ndarray, (Nfreqs, Nants, 2)
         ln amplitude and phase.
-    n_each : int
-        Parameters of an antenna.
+    n_each : ndarray of int, (Nants,)
+        Parameters of each antenna.
     of : callable
         From the positions of antennas in use, (n,), to the effect of these and its parameters, (n_params,).
     """
 
     gains: FloatArray
-    n_each: int
+    n_each: IntArray
     of: Callable[[IntArray], tuple[Effect, FloatArray]]
 
 
@@ -45,7 +45,7 @@ def laws_followed(
     ----------
     setup : ObservingSetup
     x, std : ndarray, (Nfreqs, 2 Nants)
-        ln amplitudes and phases of the antennas in use, and their standard deviations.
+        ln amplitudes and phases of the antennas in use, and their standard deviations; zero for those held at zero.
     alike : Effect
         Gains that all channels have.
 
@@ -55,19 +55,22 @@ def laws_followed(
         Which are those of the antennas, the effect of the law, and its parameters, where they are about.
     """
     gains, sigma = x.reshape(len(x), -1, 2), std.reshape(len(x), -1, 2)
-    told = np.flatnonzero((sigma > 0).all(axis=(0, 2)))
+    used = sigma > 0
+    told = np.flatnonzero(used.any(axis=(0, 2)))
     if len(gains) < 2 or not len(told):
         return []
     every = _alike(gains, sigma, alike), _delays(setup, gains), _echoes(setup, gains)
     laws = [law for law in every if law is not None]
-    size = np.sqrt(np.mean(gains[:, told] ** 2))
-    narrower = np.log(np.maximum(size / sigma[:, told], 1.0)).sum(axis=(0, 2))
+    size, known = np.sqrt(np.mean(gains[used] ** 2)), np.where(used, sigma, 1.0)
+    narrower = np.where(used, np.log(np.maximum(size / known, 1.0)), 0.0).sum(axis=(0, 2))
     lost = []
     for law in laws:
         away = law.gains - gains
         away[..., 1] = np.angle(np.exp(1j * away[..., 1]))
-        chi2 = np.sum((away[:, told] / sigma[:, told]) ** 2, axis=(0, 2))
-        lost.append(0.5 * chi2 - (1 - law.n_each / (2 * len(x))) * narrower)
+        # What is held at zero the law must leave there: its error is as large as those of the others at most.
+        chi2 = np.sum((away / np.where(used, known, sigma.max())) ** 2, axis=(0, 2))
+        spared = 1 - law.n_each / np.maximum(np.count_nonzero(used, axis=(0, 2)), 1)
+        lost.append((0.5 * chi2 - spared * narrower)[told])
     best = np.where(np.min(lost, axis=0) < 0, np.argmin(lost, axis=0), len(laws))
     found = []
     for number, law in enumerate(laws):
@@ -86,7 +89,7 @@ def _alike(gains: FloatArray, sigma: FloatArray, effect: Effect) -> GainLaw:
     def of(antennas: IntArray) -> tuple[Effect, FloatArray]:
         return effect, np.where(np.isin(np.arange(len(mean)), antennas)[:, np.newaxis], mean, 0.0).ravel()
 
-    return GainLaw(np.broadcast_to(mean, gains.shape), 2, of)
+    return GainLaw(np.broadcast_to(mean, gains.shape), np.count_nonzero((sigma > 0).any(axis=0), axis=1), of)
 
 
 def _delays(setup: ObservingSetup, gains: FloatArray) -> GainLaw | None:
@@ -99,7 +102,7 @@ def _delays(setup: ObservingSetup, gains: FloatArray) -> GainLaw | None:
     def of(antennas: IntArray) -> tuple[Effect, FloatArray]:
         return effect, np.where(np.isin(np.arange(len(x)) // 2, antennas), x, 0.0)
 
-    return GainLaw(np.stack([np.zeros_like(phases), phases], axis=-1), 2, of)
+    return GainLaw(np.stack([np.zeros_like(phases), phases], axis=-1), np.full(phases.shape[1], 2), of)
 
 
 def _echoes(setup: ObservingSetup, gains: FloatArray) -> GainLaw | None:
@@ -115,4 +118,4 @@ def _echoes(setup: ObservingSetup, gains: FloatArray) -> GainLaw | None:
             list(zip(numbers[antennas].tolist(), delays[antennas].tolist(), strict=True))
         ), x.ravel()
 
-    return GainLaw(np.stack([np.log(np.abs(made)), np.angle(made)], axis=-1), 3, of)
+    return GainLaw(np.stack([np.log(np.abs(made)), np.angle(made)], axis=-1), np.full(made.shape[1], 3), of)

@@ -38,6 +38,8 @@ class Parameters:
         Numbers of sets across all elements, such as what changes with one function of time, each of a width of its own.
     across_trials : int
         Number of sets from which these were picked.
+    sort : ndarray of int, (n_params,), optional
+        Numbers of the sorts that each element has one of, such as amplitude and phase. All of a sort may be zero.
     """
 
     names: tuple[str, ...]
@@ -50,6 +52,7 @@ class Parameters:
     rare_above: float = np.inf
     across: IntArray | None = None
     across_trials: int = 0
+    sort: IntArray | None = None
 
     @classmethod
     def of(

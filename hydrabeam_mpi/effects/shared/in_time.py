@@ -117,6 +117,7 @@ class InTime(ScannedEffect):
         element = (n * own.element[:, np.newaxis] + number).reshape(-1)
         of_functions = len(of.names()) if len(own) and n else 0
         parameters = Parameters.of(names, units, np.repeat(own.scale, n), element, trials=own.trials * of_functions)
+        parameters = replace(parameters, sort=None if own.sort is None else np.repeat(own.sort, n))
         if isinstance(self.effect, ScannedEffect):
             return parameters
         n_common = len(self.effect.common_in_time(setup)[0])
@@ -292,7 +293,8 @@ class InTime(ScannedEffect):
         units = (*own.units, *(own.units[i] for i in first))
         element = np.concatenate([own.element, own.element.max(initial=-1) + 1 + np.arange(len(names))])
         scale = np.concatenate([own.scale, own.scale[first]])
-        return Parameters.of((*own.names, *names), units, scale, element, trials=own.trials + len(names))
+        of_all = Parameters.of((*own.names, *names), units, scale, element, trials=own.trials + len(names))
+        return replace(of_all, sort=None if own.sort is None else np.concatenate([own.sort, own.sort[first]]))
 
     def _own_columns(self, block: RowBlock, x: FloatArray | None = None) -> Columns:
         """Return the columns of these, where there is nothing yet, or at ``x``, (n_params,)."""

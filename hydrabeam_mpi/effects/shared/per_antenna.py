@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -65,7 +66,8 @@ def antenna_parameters(
     numbers = setup.observation.antenna_numbers[antennas]
     names = [f"antenna {number} {name}" for number in numbers for name in what]
     units = unit if isinstance(unit, str) else [*unit] * len(antennas)
-    return Parameters.of(names, units, scale, np.repeat(np.arange(len(antennas)), len(what)))
+    parameters = Parameters.of(names, units, scale, np.repeat(np.arange(len(antennas)), len(what)))
+    return replace(parameters, sort=np.tile(np.arange(len(what)), len(antennas)) if len(what) > 1 else None)
 
 
 def row_antennas(block: RowBlock) -> IntArray:

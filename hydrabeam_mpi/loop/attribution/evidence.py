@@ -10,7 +10,8 @@ only some elements (an antenna, a source) are at fault (`few_elements`), each wi
 of ln(trials); where elements are nested, those before the last one are then in use as well. Widths maximise the
 evidence, which overrates it by about one nat each; that is taken off. An element that is larger than any that is
 expected costs as much more as there are fewer of its size, ln 1/N(> tau). Effects that change in time have a third
-prior, in which whole sets of parameters are taken so: those of all antennas with one function of time.
+prior, in which whole sets of parameters are taken so: those of all antennas with one function of time. Where elements
+have parameters of several sorts (amplitude and phase, or East, North and Up), some of these may be zero in all of them.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from hydrabeam_mpi.eigen import eigen
 from hydrabeam_mpi.inference.gaussian import Block, Gaussian
 from hydrabeam_mpi.inference.likelihood import RANK_RTOL, Likelihood
 from hydrabeam_mpi.loop.attribution.few_elements import TAUS, each_alone, few_elements, log_bayes_factors
-from hydrabeam_mpi.loop.attribution.price import price_of, rarity, sets_of
+from hydrabeam_mpi.loop.attribution.price import price_of, price_of_sorts, rarity, sets_of, without_sorts
 
 
 @dataclass(frozen=True)
@@ -91,14 +92,21 @@ def find_evidence(
     """
     if degenerate_directions is not None and len(degenerate_directions):
         blocks = [block.freed(degenerate_directions) for block in blocks]
+    log_bayes_factor, prior_var, rank = _best_prior(blocks, parameters)
+    if parameters.sort is not None:
+        log_bayes_factor, prior_var = _of_fewer_sorts(blocks, parameters, log_bayes_factor, prior_var)
+    alone = each_alone(_in_natural_sizes(blocks, parameters), parameters)
+    return replace(_describe(blocks, log_bayes_factor, prior_var, rank), alone=alone)
+
+
+def _best_prior(blocks: Sequence[Likelihood], parameters: Parameters) -> tuple[float, FloatArray, int]:
+    """Return ln BF and the variances, (q,), of the prior that has the most evidence, of those above, and K's rank."""
     scale = np.where(parameters.nonlinear, 0.0, parameters.scale)
-    scaled = [(scale[:, np.newaxis] * block.information * scale, scale * block.score) for block in blocks]
+    scaled = _in_natural_sizes(blocks, parameters)
     spectra = [_spectrum(*block) for block in scaled]
-    rank = sum(int(np.count_nonzero(values)) for values, _ in spectra)
     n_elements = len(np.unique(parameters.element))
     dense_log, tau = _dense(spectra, n_elements * rarity(parameters, TAUS))
-    dense_var = np.where(scale > 0, (tau * scale) ** 2, 0.0)
-    best = (dense_log, dense_var)
+    best = (dense_log, np.where(scale > 0, (tau * scale) ** 2, 0.0))
     if n_elements > 1 or parameters.trials > 1:
         sparse_log, widths = few_elements(scaled, parameters, tau)
         if parameters.nested and widths.any():
@@ -112,9 +120,33 @@ def find_evidence(
         across_log, widths = few_elements(scaled, sets, tau)
         if across_log > best[0]:
             best = (across_log, (widths[sets.element] * scale) ** 2)
-    log_bayes_factor, prior_var = best
-    found = _describe(blocks, log_bayes_factor, prior_var, rank)
-    return replace(found, alone=each_alone(scaled, parameters))
+    return *best, sum(int(np.count_nonzero(values)) for values, _ in spectra)
+
+
+def _of_fewer_sorts(
+    blocks: Sequence[Likelihood], parameters: Parameters, log_bayes_factor: float, prior_var: FloatArray
+) -> tuple[float, FloatArray]:
+    """Leave out sorts of parameters, such as all phases, the one first without which there is most evidence.
+
+    Arguments and what is returned are ln BF and variances, (q,).
+    """
+    best, price = (log_bayes_factor, prior_var), price_of_sorts(parameters)
+    while parameters.sort is not None and len(sorts := np.unique(parameters.sort[prior_var > 0])) > 1:
+        left = [log_evidence(blocks, np.where(parameters.sort == one, 0.0, prior_var)) for one in sorts]
+        if max(left) <= log_evidence(blocks, prior_var):
+            break
+        kept = np.flatnonzero(np.arange(len(sorts)) != int(np.argmax(left)))
+        parameters = without_sorts(parameters, np.setdiff1d(parameters.sort, sorts[kept]))
+        log_bayes_factor, prior_var, _ = _best_prior(blocks, parameters)
+        if log_bayes_factor - price > best[0]:
+            best = (log_bayes_factor - price, prior_var)
+    return best
+
+
+def _in_natural_sizes(blocks: Sequence[Likelihood], parameters: Parameters) -> list[tuple[FloatArray, FloatArray]]:
+    """Return K and u of each block for parameters in units of their natural sizes; zero for what is not weighed."""
+    scale = np.where(parameters.nonlinear, 0.0, parameters.scale)
+    return [(scale[:, np.newaxis] * block.information * scale, scale * block.score) for block in blocks]
 
 
 def find_possible(

@@ -24,10 +24,12 @@ def price_of(parameters: Parameters, prior_var: FloatArray) -> float:
     ``prior_var`` is (q,), zero for parameters that are left out.
     """
     can = (parameters.scale > 0) & ~parameters.nonlinear
-    widths = np.sqrt(prior_var[can]) / parameters.scale[can]
     n_taken = len(np.unique(parameters.element[prior_var > 0]))
     if n_taken == 0:
         return 0.0
+    if parameters.sort is not None and len(gone := np.setdiff1d(parameters.sort[can], parameters.sort[prior_var > 0])):
+        return price_of_sorts(parameters) + price_of(without_sorts(parameters, gone), prior_var)
+    widths = np.sqrt(prior_var[can]) / parameters.scale[can]
     widest = np.zeros(int(parameters.element.max()) + 1)
     np.maximum.at(widest, parameters.element[can], widths)
     rare = float(np.sum(rarity(parameters, widest)))
@@ -36,6 +38,21 @@ def price_of(parameters: Parameters, prior_var: FloatArray) -> float:
     if parameters.across is not None and _is_of_sets(parameters.across[can], widths):
         return price_of(sets_of(parameters), prior_var)
     return rare + float(sum(1 + np.log(max(parameters.trials - n, 1)) - np.log(n + 1) for n in range(n_taken)))
+
+
+def price_of_sorts(parameters: Parameters) -> float:
+    """Return what it costs that some sorts of parameters are left out: ln of the number of ways to do so."""
+    assert parameters.sort is not None
+    n = len(np.unique(parameters.sort[(parameters.scale > 0) & ~parameters.nonlinear]))
+    return float(np.log(max(2.0**n - 2, 1.0)))
+
+
+def without_sorts(parameters: Parameters, gone: IntArray) -> Parameters:
+    """Return the parameters with those of some sorts held at zero."""
+    assert parameters.sort is not None
+    scale = np.where(np.isin(parameters.sort, gone), 0.0, parameters.scale)
+    several = len(np.unique(parameters.sort[scale > 0])) > 1
+    return replace(parameters, scale=scale, sort=parameters.sort if several else None)
 
 
 def rarity(parameters: Parameters, widths: FloatArray | float) -> Any:

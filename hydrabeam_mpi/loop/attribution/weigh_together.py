@@ -112,8 +112,10 @@ def _in_use(context: FitContext, fitted: Fitted, one: Finding) -> tuple[IntArray
     parameters = one.effect.parameters(context.setup)
     can = (parameters.scale > 0) & ~parameters.nonlinear
     can[taken(fitted.values, one.effect)] = False
-    whole = len(one.effect.degenerate_directions(context.setup)) > 0
-    used = can & ((one.evidence.prior_var > 0) | whole)
+    # What no data tell of those in use are combinations with others.
+    in_use, combined = one.evidence.prior_var > 0, one.effect.degenerate_directions(context.setup) != 0
+    with_others = combined[combined[:, in_use].any(axis=1)].any(axis=0)
+    used = can & (in_use | with_others)
     return np.flatnonzero(used), np.flatnonzero(can & ~used & (one.evidence.alone > 0))
 
 
@@ -138,6 +140,7 @@ def _some_of(parameters: Parameters, which: IntArray) -> Parameters:
         element=numbered(parameters.element),
         nonlinear=parameters.nonlinear[which],
         across=None if parameters.across is None else numbered(parameters.across),
+        sort=None if parameters.sort is None else parameters.sort[which],
     )
 
 

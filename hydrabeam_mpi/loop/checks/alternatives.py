@@ -210,13 +210,14 @@ def _view(problem: Problem, rows: Rows, alternative: Alternative, times: IntArra
         lsts=observation.lsts[times] + shift * SIDEREAL_RATE,
         integration_time=observation.integration_time[times],
     )
+    antpos = observation.antpos if alternative.antpos is None else alternative.antpos
     if alternative.antpos is None:
         vectors, index, flipped = problem.redundant.vectors[rows.groups], rows.member, np.zeros(len(rows.member), bool)
     else:
         sign = np.where(problem.redundant.flipped[rows.tile.bls], -1.0, 1.0)[:, np.newaxis]
-        of_rows = sign * replace(observation, antpos=alternative.antpos).bl_vectors[rows.tile.bls]
+        of_rows = sign * replace(observation, antpos=antpos).bl_vectors[rows.tile.bls]
         found = find_redundant_groups(of_rows, job.data.redundancy_tol, either_sign=observation.is_copolar)
         vectors, index, flipped = found.vectors, found.group, found.flipped
-    engine = make_engine(job.solver.engine, vectors, smearing=smearing_of(observation))
+    engine = make_engine(job.solver.engine, vectors, antpos, smearing_of(observation))
     positions = source_positions(job, problem.sky, moments)
     return _View(ForwardModel(positions, problem.sky.flux, observation.freqs, engine), index, flipped)

@@ -159,7 +159,7 @@ def _entry(
         "effective_parameters": evidence.effective_parameters,
         "chi2_drop": evidence.chi2_drop,
         "rank": evidence.rank,
-        "prior_scale": prior_scale(check.parameters(setup), evidence),
+        "prior_scale": prior_scale(check.parameters(setup), evidence.prior_var),
         "attenuation": noise / regressors,
         "ranking": [],
         "residual": None,

@@ -12,7 +12,6 @@ from hydrabeam_mpi.effects.interface.parameters import Parameters
 from hydrabeam_mpi.effects.interface.told import Told
 from hydrabeam_mpi.fit.error_scale import ErrorScale
 from hydrabeam_mpi.fit.state import Active, Fitted
-from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.selection.acceptance import Round
 
 LEAST_TOLD = 0.5
@@ -24,13 +23,6 @@ def widened(one: Round, scale: ErrorScale) -> list[float]:
     if one.candidate.finding is None:
         return [1.0] * len(scale.channels)
     return [scale.together] if one.candidate.finding.effect.shared else scale.channels.tolist()
-
-
-def prior_scale(parameters: Parameters, evidence: Evidence) -> float | None:
-    """Return the width of the prior in units of the parameters' natural sizes, where it is one for all in use."""
-    used = evidence.prior_var > 0
-    widths = np.sqrt(evidence.prior_var[used]) / parameters.scale[used]
-    return float(widths[0]) if widths.size and np.allclose(widths, widths[0]) else None
 
 
 def parameters_of(
@@ -76,6 +68,19 @@ def counted(one: Round, last: Fitted) -> dict[str, float]:
     decided = 1 - np.minimum(std[:, active.used] / [active.prior.of(f).std() for f in range(len(std))], 1.0) ** 2
     n_blocks = 1 if active.effect.shared else len(std)
     return {"n_parameters": active.size * n_blocks, "effective_parameters": float(decided[:n_blocks].sum())}
+
+
+def prior_scale_of(setup: ObservingSetup, one: Round, last: Fitted) -> float | None:
+    """Return the width of the prior of a round's effect in the last fit, as `prior_scale` does."""
+    active, _ = _at_last(one, last)
+    return prior_scale(active.effect.parameters(setup), active.prior_var(setup))
+
+
+def prior_scale(parameters: Parameters, prior_var: FloatArray) -> float | None:
+    """Return the width of a prior of variances, (n_params,), in natural sizes, where it is one for all in use."""
+    used = prior_var > 0
+    widths = np.sqrt(prior_var[used]) / parameters.scale[used]
+    return float(widths[0]) if widths.size and np.allclose(widths, widths[0]) else None
 
 
 def _at_last(one: Round, last: Fitted) -> tuple[Active, FloatArray]:

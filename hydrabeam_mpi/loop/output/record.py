@@ -14,7 +14,7 @@ from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.io.formats import FORMAT, LOOP_FORMAT
 from hydrabeam_mpi.loop.output.adapted_prior import adapted_told, rounds_alone
 from hydrabeam_mpi.loop.output.heldout_change import heldout_change
-from hydrabeam_mpi.loop.output.parameters import counted, parameters_of, prior_scale, widened
+from hydrabeam_mpi.loop.output.parameters import counted, parameters_of, prior_scale_of, widened
 from hydrabeam_mpi.loop.output.sentences import say_predicting, say_round, say_verdict, still_there
 from hydrabeam_mpi.loop.residuals.left_out import rows_left_out
 from hydrabeam_mpi.loop.selection.acceptance import (
@@ -266,7 +266,7 @@ def _round(context: FitContext, one: Round, at_last: _AtLast) -> dict[str, Any]:
             {"effect": other.kind, "law": other.law, "log_bayes_factor": other.log_bayes_factor}
             for other in one.together
         ],
-        "prior_scale": prior_scale(finding.effect.parameters(setup), finding.evidence) if finding else None,
+        "prior_scale": prior_scale_of(setup, one, at_last.fitted) if finding else None,
         **_size(candidate),
         **(counted(one, at_last.fitted) if finding else {}),
         "ranking": [_ranked(other) for other in ranking],

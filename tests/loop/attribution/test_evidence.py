@@ -366,3 +366,38 @@ def test_elements_larger_than_any_that_is_expected_cost_their_rarity(rare_above:
     dense = np.full(5, 4.0)
     alike = of_elements(5, 1)
     assert price_of(replace(alike, rare_above=0.5), dense) == pytest.approx(1 + 5 * 1.5 * np.log(4))
+
+
+def of_two_sorts(n: int) -> Parameters:
+    return replace(of_elements(n, each=2), sort=np.tile([0, 1], n))
+
+
+@pytest.mark.parametrize("few", [False, True])
+def test_a_sort_that_is_zero_in_all_elements_is_left_out(few: bool) -> None:
+    """Its numbers would cost what the data tell of them; that it was chosen costs ln 2."""
+    n = 6
+    x = np.zeros((n, 2))
+    x[: 2 if few else n, 0] = 3.0
+    model = make_model(2 * n, seed=8, x=x.ravel())
+    parameters = of_two_sorts(n)
+    found, of_all = (find_evidence([model.likelihood], one) for one in (parameters, replace(parameters, sort=None)))
+    assert np.array_equal(found.prior_var > 0, x.ravel() > 0)
+    assert found.log_bayes_factor > of_all.log_bayes_factor + 2
+    price = price_of(parameters, found.prior_var)
+    assert found.log_bayes_factor == pytest.approx(model.log_bayes_factor(found.prior_var) - price)
+    amplitudes = replace(parameters, scale=np.tile([1.0, 0.0], n), sort=None)
+    assert price == pytest.approx(np.log(2) + price_of(amplitudes, found.prior_var))
+
+
+def test_sorts_that_are_both_there_are_both_told() -> None:
+    model = make_model(12, seed=9, x=np.tile([3.0, -2.0], 6))
+    found, of_all = (
+        find_evidence([model.likelihood], one) for one in (of_two_sorts(6), replace(of_two_sorts(6), sort=None))
+    )
+    assert found.log_bayes_factor == of_all.log_bayes_factor
+    assert (found.prior_var > 0).all()
+
+
+def test_sorts_of_noise_are_no_evidence() -> None:
+    found = [find_evidence([make_model(12, seed).likelihood], of_two_sorts(6)) for seed in range(40)]
+    assert max(one.log_bayes_factor for one in found) < 5

@@ -12,6 +12,7 @@ from hydrabeam_mpi.effects.instrument.antenna_delays import AntennaDelays
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.instrument.antenna_positions import AntennaPositions
 from hydrabeam_mpi.effects.instrument.cable_reflections import CableReflections
+from hydrabeam_mpi.effects.instrument.gain_jitter import GainJitter
 from hydrabeam_mpi.effects.instrument.orientation import Orientation
 from hydrabeam_mpi.effects.instrument.timestamp import Timestamp
 from hydrabeam_mpi.effects.shared.in_time import InTime
@@ -180,6 +181,35 @@ def test_gains_that_were_taken_for_jumping_ones(before: int, jumps: bool, plain:
     if found is not None:
         (constant,) = found[0].after.fitted.values.active
         assert constant.effect.law == "constant"
+        assert found[0].after.score.chi2 == pytest.approx(1, abs=0.1)
+
+
+@pytest.mark.parametrize("jitters", [False, True])
+def test_gains_that_were_taken_for_jittering_ones(jitters: bool, tmp_path: Path) -> None:
+    """They drift where a law has what each time has a number for, and jitter where it has not."""
+    gains_of = [(2, "ln amplitude")]
+    drift = {
+        "kind": "antenna_gains",
+        "settings": {"law": "smooth", "orders": [0, 1]},
+        "parameters": {
+            "antenna 2 ln amplitude, level": 0.02,
+            "antenna 2 ln amplitude, drift from first to last time": 0.06,
+        },
+    }
+    jitter = {"kind": "gain_jitter", "settings": {"gains_of": gains_of}, "strength": 3.0}
+    context = context_of(mock_job(jitter if jitters else drift, n_times=18), tmp_path)
+    effect = GainJitter(gains_of)
+    n = len(effect.parameters(context.setup))
+    first = check(context, refit(context, Values()))
+    start = Active.start(effect, context.setup, np.full(n, 0.01), np.zeros((1, n)))
+    now = check(context, refit(context, Values((start,)), first.fitted))
+    found = simplified(context, now, [round_of(effect_candidate(effect), first, now)], [AntennaGains()], [])
+    assert (found is None) == jitters
+    if found is not None:
+        (drifting,) = found[0].after.fitted.values.active
+        told = dict(zip(drifting.effect.parameters(context.setup).names, drifting.x[0], strict=True))
+        in_use = {name: x for name, x in told.items() if x}
+        assert in_use == pytest.approx(drift["parameters"], abs=5e-3)
         assert found[0].after.score.chi2 == pytest.approx(1, abs=0.1)
 
 
