@@ -59,7 +59,8 @@ def solve_jointly(
         of_channels.append(Gaussian(blocks, information, likelihood.score, None) * own[f])
         common *= of_channels[f].marginalise([one.name for one in own[f].blocks])
     steps, covariances = zip(*(one.moments_given(common) for one in of_channels), strict=True)
-    std = np.sqrt([np.diag(one) for one in covariances])
+    # Rounding may leave a variance of nearly nothing, as of what a very wide prior lets the beam be, below zero.
+    std = np.sqrt([np.maximum(np.diag(one), 0.0) for one in covariances])
     new, moved, gain = _moved(values, np.array(steps), std, np.array([one.score for one in likelihoods]))
     return new, std, list(covariances), moved, gain
 
@@ -109,7 +110,8 @@ def _moved(values: Values, steps: FloatArray, std: FloatArray, scores: FloatArra
     gain = 0.5 * sum(float(step @ pull) for step, pull in zip(steps, pulls, strict=True))
     x = values.x
     new = x + np.array([limited(values, step) for step in steps])
-    return new, float(np.max(np.abs(new - x) / std, initial=0.0)), gain
+    moved = np.divide(np.abs(new - x), std, out=np.zeros_like(std), where=std > 0)
+    return new, float(np.max(moved, initial=0.0)), gain
 
 
 def _block(name: str, one: Active, channel: int) -> Block:

@@ -1,4 +1,7 @@
-"""All numbers by which the loop decides, in one place. What data can decide is not among them."""
+"""The numbers by which the search decides what is tried and kept. What data can decide is not among them.
+
+Those by which single effects and checks tell what they look for stand beside these, each with its reason.
+"""
 
 from __future__ import annotations
 
