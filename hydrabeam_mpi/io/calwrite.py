@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,9 @@ SAME_FREQ = 1.0
 """Days and Hz by which pyuvdata takes times and channels as the same."""
 
 
-def write_gains(folder: Path, observation: Observation, gains: ComplexArray, history: str) -> None:
+def write_gains(
+    folder: Path, observation: Observation, gains: ComplexArray, history: str, bad_antennas: Collection[int] = ()
+) -> None:
     """Write gains that are the same for all feeds, by which data are divided: V / (g_i g_j*).
 
     ``gains.calfits`` holds channels and times that are evenly spaced, and of others only the first and how far the
@@ -35,6 +38,8 @@ def write_gains(folder: Path, observation: Observation, gains: ComplexArray, his
         Their antennas, channels, times and feeds.
     gains : ndarray of complex, (Nfreqs, Ntimes, Nants)
     history : str
+    bad_antennas : collection of int
+        Numbers of antennas whose gains are flagged.
     """
     telescope, orientation = telescope_of(observation)
     feeds = feeds_of(observation.pols)
@@ -43,6 +48,8 @@ def write_gains(folder: Path, observation: Observation, gains: ComplexArray, his
         history += " Where feeds point is not known; x is written as East."
     shape = (observation.Nants, observation.Nfreqs, observation.Ntimes, len(feeds))
     values = np.broadcast_to(np.moveaxis(gains, 2, 0)[..., np.newaxis], shape).copy()
+    flags = np.zeros(shape, bool)
+    flags[np.isin(observation.antenna_numbers, list(bad_antennas))] = True
     with quiet():
         cal = UVCal.new(
             cal_style="redundant",
@@ -55,7 +62,7 @@ def write_gains(folder: Path, observation: Observation, gains: ComplexArray, his
             freq_array=observation.freqs,
             channel_width=observation.channel_width,
             update_telescope_from_known=False,
-            data={"gain_array": values, "flag_array": np.zeros(shape, bool), "quality_array": np.zeros(shape)},
+            data={"gain_array": values, "flag_array": flags, "quality_array": np.zeros(shape)},
             history=history,
             pol_convention="sum",
             gain_scale="Jy",

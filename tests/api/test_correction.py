@@ -130,3 +130,23 @@ def test_other_data_in_python(nights: Nights, monkeypatch: pytest.MonkeyPatch) -
         np.testing.assert_allclose(corrected[:, :, number, 0], expected * off, rtol=0.01)
     assert [one["effect"] for one in correction.summary["carried_over"]] == ["antenna_gains", "missing_sources"]
     assert correction.autos.shape[2] == 7
+
+
+def test_autocorrelations_keep_flags_and_samples(nights: Nights) -> None:
+    uvd = UVData.from_file(str(nights.data("second")))
+    uvd.flag_array[uvd.antpair2ind(1, 1, ordered=False)][3:5] = True
+    uvd.nsample_array[uvd.antpair2ind(4, 4, ordered=False)] = 0.25
+    path = nights.folder / "bad_autos.uvh5"
+    uvd.write_uvh5(str(path), clobber=True)
+    job = nights.job("second", "_bad_autos", files=[str(path)])
+    out = nights.folder / "bad_autos"
+    hb.correct(hb.load(nights.result), hb.Setup.from_job(job), bad_antennas=[5]).write(out)
+    own = UVData.from_file(str(out / "corrected.uvh5"))
+    for antenna in range(7):
+        expected = uvd.get_flags(antenna, antenna) | (antenna == 5)
+        np.testing.assert_array_equal(own.get_flags(antenna, antenna), expected)
+        np.testing.assert_array_equal(own.get_data(antenna, antenna) == 0, expected)
+        np.testing.assert_array_equal(own.get_nsamples(antenna, antenna), uvd.get_nsamples(antenna, antenna))
+    cal = UVCal.from_file(str(out / "gains.calfits"))
+    np.testing.assert_array_equal(cal.flag_array.all(axis=(1, 2, 3)), cal.ant_array == 5)
+    assert cal.flag_array.sum() == cal.flag_array[0].size
