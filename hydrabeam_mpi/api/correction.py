@@ -190,12 +190,14 @@ def run_correction(
             with together(world):
                 if gathered is not None:
                     add(times, _joined(problem, gathered, times, correction))
-    with together(world):
-        if world.rank == 0 and into is not None:
-            history = correction.histories["gains"]
-            write_gains(into, problem.observation, correction.gains, history, correction.bad_antennas)
-            return replace(correction, observation=None)
-    return parts.joined(correction) if world.rank == 0 else correction
+        with together(world):
+            stack.close()  # what is written last, and the files' renaming, may fail
+            if world.rank == 0 and into is not None:
+                history = correction.histories["gains"]
+                write_gains(into, problem.observation, correction.gains, history, correction.bad_antennas)
+    if world.rank or into is not None:
+        return replace(correction, observation=None)
+    return parts.joined(correction)
 
 
 def _take_out(context: FitContext, fitted: Fitted) -> _Part:
