@@ -31,7 +31,6 @@ def write_uvh5(
     flags: BoolArray,
     nsamples: FloatArray,
     autos: FloatArray | None = None,
-    history: str = "Written by hydrabeam_mpi.",
 ) -> None:
     """Write drift-scan visibilities in Jy; the file appears whole or not at all.
 
@@ -46,14 +45,13 @@ def write_uvh5(
     autos : ndarray, (Nfreqs, Ntimes, Nants, Nfeeds), optional
         Autocorrelations of the feeds ``feeds_of(observation.pols)`` in Jy; flagged where not finite, and for
         cross-hand polarisations.
-    history : str
 
     Raises
     ------
     InputError
         If the file cannot be written.
     """
-    with uvh5_in_parts(path, observation, autos is not None, history) as write:
+    with uvh5_in_parts(path, observation, autos is not None, "Written by hydrabeam_mpi.") as write:
         block = None if autos is None else Block.of_power(autos)
         write(np.arange(observation.Ntimes), data, flags, nsamples, block)
 
