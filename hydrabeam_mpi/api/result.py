@@ -103,9 +103,9 @@ class Result:
             If the folder exists and may not be replaced, or cannot be written.
         """
         if (inputs := self.inputs) is not None:
-            from hydrabeam_mpi.io.staging import write_whole
+            from hydrabeam_mpi.io.staging import write_folder
 
-            write_whole(Path(folder), self.fill, overwrite, inputs)
+            write_folder(Path(folder), self.fill, overwrite, inputs)
 
     @property
     def inputs(self) -> list[Path] | None:

@@ -114,11 +114,11 @@ def _write_page(directory: Path, page: str, contents: dict[Path, bytes]) -> None
     """Write the page and its figures."""
     contents[directory / "report.html"] = page.encode()
     for path, content in contents.items():
-        _write_whole(path, content)
+        _write_file(path, content)
     _list_files(directory, contents)
 
 
-def _write_whole(path: Path, content: bytes) -> None:
+def _write_file(path: Path, content: bytes) -> None:
     """Write a file under another name and rename it."""
     with _to_folder(path):
         path.parent.mkdir(exist_ok=True)

@@ -22,7 +22,7 @@ from hydrabeam_mpi.sampling.storage.chain_files import ChainFiles, retried
 from hydrabeam_mpi.sampling.storage.identity import check_same
 from hydrabeam_mpi.sampling.storage.segment import FORMAT, last_state
 from hydrabeam_mpi.sampling.storage.variable import Variable
-from hydrabeam_mpi.sampling.storage.whole_file import write_whole
+from hydrabeam_mpi.sampling.storage.whole_file import write_file
 from hydrabeam_mpi.sampling.storage.writer import ChainWriter
 
 CHAINS = "chains.json"
@@ -258,7 +258,7 @@ class ChainStore:
             "about": self.about,
         }
         with writing(self.folder / CHAINS):
-            write_whole(self.folder / CHAINS, (json.dumps(table, indent=1) + "\n").encode())
+            write_file(self.folder / CHAINS, (json.dumps(table, indent=1) + "\n").encode())
 
 
 def _as_json(table: Mapping[str, Any]) -> dict[str, Any]:
