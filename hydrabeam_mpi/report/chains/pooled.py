@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from hydrabeam_mpi.config.sample import BEAM
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases import basis_from_description
@@ -14,7 +15,6 @@ from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.sampling.storage.store import ChainStore
 from hydrabeam_mpi.sampling.storage.variable import Variable
 
-BEAM = "beam"
 MOST = 800
 """Draws of all chains together: standard deviations of as many have errors of 2.5%."""
 AT_ONCE = 256
