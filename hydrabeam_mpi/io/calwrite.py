@@ -14,8 +14,8 @@ from hydrabeam_mpi.io.reading import quiet
 from hydrabeam_mpi.io.uvdata import feeds_of
 from hydrabeam_mpi.io.uvwrite import telescope_of
 
-SAME_TIME = 1e-3 / 86400
-SAME_FREQ = 1.0
+EVEN_WITHIN_DAYS = 1e-3 / 86400
+EVEN_WITHIN_HZ = 1.0
 """Days and Hz by which pyuvdata takes times and channels as the same."""
 
 
@@ -67,7 +67,7 @@ def write_gains(
             pol_convention="sum",
             gain_scale="Jy",
         )
-        if _is_even(observation.times, SAME_TIME) and _is_even(observation.freqs, SAME_FREQ):
+        if _is_even(observation.times, EVEN_WITHIN_DAYS) and _is_even(observation.freqs, EVEN_WITHIN_HZ):
             cal.write_calfits(str(folder / "gains.calfits"), run_check=False, clobber=True)
         else:
             cal.write_calh5(str(folder / "gains.calh5"), run_check=False, clobber=True)
