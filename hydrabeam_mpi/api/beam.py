@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 class InferredBeam:
     """The posterior of the beam's coefficients, a Gaussian in each channel.
 
+    Beams are power relative to the peak of the model beam as it was given, and coefficients likewise.
+
     Parameters
     ----------
     content : PosteriorFile
@@ -32,6 +34,7 @@ class InferredBeam:
     freqs : ndarray, (Nfreqs,)
         Hz.
     polarization : str
+        The two feeds: "ee", "nn", "en", "ne", or with x and y where their directions are not known.
     """
 
     def __init__(self, content: PosteriorFile, path: Path | None = None) -> None:
@@ -50,7 +53,10 @@ class InferredBeam:
 
     @cached_property
     def std(self) -> FloatArray:
-        """Posterior standard deviation of the coefficients, (Nfreqs, n_modes)."""
+        """Posterior standard deviation of the coefficients, sqrt(E|b - mean|^2), (Nfreqs, n_modes).
+
+        Of complex ones that is of real and imaginary part together, each of which has 1/sqrt(2) of it.
+        """
         return self._stacked("std")
 
     @cached_property
@@ -78,7 +84,8 @@ class InferredBeam:
     def maps(self) -> dict[str, Array]:
         """Beams on the one-degree grid, (Nfreqs, 91, 360), zenith angle first: mean, std, model and any truth.
 
-        The mean is that which the beam itself returns when it is called.
+        The mean is that which the beam itself returns when it is called, the standard deviation sqrt(E|B - mean|^2),
+        of the complex form of real and imaginary part together.
         """
         names = ("mean", "std", "model", "truth")
         held = self._content.channels[0].arrays

@@ -48,9 +48,13 @@ class Setup:
         This process alone by default.
     noise : array_like, str, Path or mapping, optional
         Variances E|n|^2 of the visibilities in Jy^2, in a shape that broadcasts to that of ``uvd.data_array``,
-        (Nblts, Nfreqs, Npols); or as in a job. From the autocorrelations by default.
+        (Nblts, Nfreqs, Npols); or the keys of the table ``[noise]`` of a job: ``kind`` ("autocorrelations", which is
+        the default, "constant", "file", "time-differences" or "frequency-differences"), with ``sigma`` (Jy, root of
+        E|n|^2) of a constant one, and ``file``, whose name alone will do.
     holdout : mapping, optional
-        As in a job, such as ``{"kind": "times", "every": 2}``.
+        The keys of the table ``[holdout]``: ``kind`` ("times", "lst", "jd", "baselines" or "none"), with ``every`` (the
+        last of every so many times), ``lst_ranges`` (h), ``jd_ranges`` (days) or ``antpairs`` (numbers of antennas).
+        ``{"kind": "times", "every": 2}`` by default.
     **tables
         ``data``, ``solver``, ``output``, ``loop``, ``sample``: the keys of these tables of a job. ``name``, ``seed``.
 
