@@ -9,7 +9,7 @@ from hydrabeam_mpi.errors import InputError
 EXTRAS = {
     "chains": ("arviz_base", "arviz_stats", "xarray"),
     "nufft": ("finufft",),
-    "plot": ("matplotlib", "PIL", "jinja2"),
+    "plot": ("matplotlib", "PIL", "jinja2", "markupsafe"),
 }
 """Modules by extra. Together they are a quarter of an installation (228 MB), and few jobs on a cluster need them."""
 

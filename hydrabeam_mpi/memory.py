@@ -27,19 +27,24 @@ def own_bytes() -> int:
 
 
 def free_bytes() -> int | None:
-    """Return what this process has and may still get; None where the system does not tell."""
+    """Return what this process has allocated and may still get; None where the system does not tell.
+
+    Of what a batch system or a container lets it have counts what it has filled itself.
+    """
     known = _bytes_listed("/proc/meminfo") | _bytes_listed("/proc/self/status")
-    needed = [known.get(key) for key in ("MemAvailable", "SwapFree", "VmData")]
-    return None if None in needed else sum(size for size in needed if size is not None)
+    if not known.keys() >= {"MemAvailable", "SwapFree", "VmData", "VmRSS"}:
+        return None
+    left = [known["MemAvailable"] + known["SwapFree"], *(limit - known["VmRSS"] for limit in _group_limits())]
+    return known["VmData"] + max(min(left), 0)
 
 
 def machine_bytes() -> int:
     """Return what the machine has, or what a batch system or a container lets its processes have of it."""
-    return min(_limits())
+    return min([os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"), *_group_limits()])
 
 
-def _limits() -> Iterator[int]:
-    yield os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+def _group_limits() -> Iterator[int]:
+    """Yield the limits of all groups of processes that this one is in."""
     groups = Path("/proc/self/cgroup")
     for line in groups.read_text().splitlines() if groups.exists() else ():
         _, controllers, path = line.split(":", 2)

@@ -1,9 +1,13 @@
-"""Small pieces of sentences."""
+"""Small pieces of sentences, and tables for a terminal."""
 
 from __future__ import annotations
 
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from itertools import pairwise
+
+DURATIONS = (("d", 86400), ("h", 3600), ("min", 60), ("s", 1))
+SIZES = (("ZB", 1e21), ("EB", 1e18), ("PB", 1e15), ("TB", 1e12), ("GB", 1e9), ("MB", 1e6), ("kB", 1e3))
 
 
 def joined(words: Sequence[str]) -> str:
@@ -25,6 +29,30 @@ def effect_words(kind: str, law: str | None = None) -> str:
 def capital(text: str) -> str:
     """Begin a sentence, leaving all other letters as they are."""
     return f"{text[:1].upper()}{text[1:]}"
+
+
+def duration(seconds: float) -> str:
+    """Write a time as people say it: "3 d 4 h", "12 min", "8.3 s"."""
+    for (large, of_large), (small, of_small) in pairwise(DURATIONS):
+        if seconds >= of_large:
+            whole, rest = divmod(seconds, of_large)
+            return f"{whole:.0f} {large}" + (f" {rest // of_small:.0f} {small}" if rest >= of_small else "")
+    return f"{round(max(0.0, seconds), 2):.2g} s"
+
+
+def size(n_bytes: float) -> str:
+    """Write a number of bytes in three digits: "656 MB"."""
+    for unit, many in SIZES:
+        if n_bytes >= 0.9995 * many:
+            return f"{n_bytes / many:.3g} {unit}"
+    return f"{n_bytes:.0f} B"
+
+
+def text_table(rows: Sequence[Sequence[str]], right: Collection[int] = ()) -> str:
+    """Align columns: to the left, but for those of the numbers ``right``."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    ways = [f"{'>' if number in right else '<'}{width}" for number, width in enumerate(widths)]
+    return "\n".join("  ".join(map(format, row, ways)).rstrip() for row in rows)
 
 
 def in_ascii(text: str) -> str:

@@ -25,6 +25,26 @@ step() {
     return "$status"
 }
 
+# macOS has bash 3.2, Perl and shasum, but nothing of GNU's coreutils.
+if ! command -v timeout >/dev/null; then
+    timeout() {
+        while [[ $1 == --* ]]; do shift; done
+        perl -e 'alarm shift; exec @ARGV or exit 127' "$@"
+    }
+fi
+
+absolute() {
+    realpath -m "$1" 2>/dev/null && return
+    case $1 in
+        /*) echo "$1" ;;
+        *) echo "$PWD/$1" ;;
+    esac
+}
+
+checksum() {
+    sha256sum 2>/dev/null || shasum -a 256
+}
+
 is_recent_python() {
     "$1" -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' 2>/dev/null
 }
@@ -115,7 +135,7 @@ if world.rank == 0:
 
 set_up() {
     local venv mpi key target
-    venv=$(realpath -m "${HYDRABEAM_VENV:-.venv}")
+    venv=$(absolute "${HYDRABEAM_VENV:-.venv}")
     [[ -e $venv ]] || make_environment
     is_recent_python "$venv/bin/python" ||
         fail "$venv is no environment of Python 3.11 or later; remove it, or name another place in HYDRABEAM_VENV"
@@ -125,7 +145,7 @@ set_up() {
     export PATH=$venv/bin:$PATH VIRTUAL_ENV=$venv
     permit_open_mpi
 
-    key="$mpi $(cat requirements.lock pyproject.toml tools/setup.sh | sha256sum)"
+    key="$mpi $(cat requirements.lock pyproject.toml tools/setup.sh | checksum)"
     if [[ -f $venv/hydrabeam.$1 && $(<"$venv/hydrabeam.$1") == "$key" ]]; then
         return
     fi

@@ -22,7 +22,7 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.io.disk import writing
 from hydrabeam_mpi.io.inferred import Inferred
-from hydrabeam_mpi.io.staging import write_whole
+from hydrabeam_mpi.io.staging import write_folder
 from hydrabeam_mpi.io.together import check_of_one
 from hydrabeam_mpi.loop.checks.health import told
 from hydrabeam_mpi.mpi import Comm, together
@@ -60,7 +60,7 @@ class Applied:
             If the folder exists and may not be replaced, or cannot be written.
         """
         if self.summary:
-            write_whole(Path(folder), self.fill, overwrite, map(Path, self.about["sha256"]))
+            write_folder(Path(folder), self.fill, overwrite, map(Path, self.about["sha256"]))
 
     def fill(self, folder: Path) -> None:
         """Write all files into an empty folder."""

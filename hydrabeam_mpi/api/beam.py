@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 class InferredBeam:
     """The posterior of the beam's coefficients, a Gaussian in each channel.
 
+    Beams are power relative to the peak of the model beam as it was given, and coefficients likewise.
+
     Parameters
     ----------
     content : PosteriorFile
@@ -32,6 +34,7 @@ class InferredBeam:
     freqs : ndarray, (Nfreqs,)
         Hz.
     polarization : str
+        The two feeds: "ee", "nn", "en", "ne", or with x and y where their directions are not known.
     """
 
     def __init__(self, content: PosteriorFile, path: Path | None = None) -> None:
@@ -50,7 +53,10 @@ class InferredBeam:
 
     @cached_property
     def std(self) -> FloatArray:
-        """Posterior standard deviation of the coefficients, (Nfreqs, n_modes)."""
+        """Posterior standard deviation of the coefficients, sqrt(E|b - mean|^2), (Nfreqs, n_modes).
+
+        Of complex ones that is of real and imaginary part together, each of which has 1/sqrt(2) of it.
+        """
         return self._stacked("std")
 
     @cached_property
@@ -76,10 +82,14 @@ class InferredBeam:
 
     @property
     def maps(self) -> dict[str, Array]:
-        """Beams on the one-degree grid, (Nfreqs, 91, 360), zenith angle first: mean, std, model and any truth."""
+        """Beams on the one-degree grid, (Nfreqs, 91, 360), zenith angle first: mean, std, model and any truth.
+
+        The mean is that which the beam itself returns when it is called, the standard deviation sqrt(E|B - mean|^2),
+        of the complex form of real and imaginary part together.
+        """
         names = ("mean", "std", "model", "truth")
         held = self._content.channels[0].arrays
-        return {name: self._stacked(f"map_{name}") for name in names if f"map_{name}" in held}
+        return {name: self._as_power(self._stacked(f"map_{name}")) for name in names if f"map_{name}" in held}
 
     def __call__(self, za: FloatArray, az: FloatArray) -> Array:
         """Return the mean beam in some directions.
@@ -92,8 +102,14 @@ class InferredBeam:
         Returns
         -------
         ndarray, (Nfreqs, Npoints)
+            Real where both feeds are the same, also of complex coefficients: a power beam is.
         """
-        return np.array([self.basis.synthesize(mean, np.asarray(za), np.asarray(az)) for mean in self.mean])
+        beams = [self.basis.synthesize(mean, np.asarray(za), np.asarray(az)) for mean in self.mean]
+        return self._as_power(np.array(beams))
+
+    def _as_power(self, values: Array) -> Array:
+        """Return the real part where both feeds are the same; of the complex form the imaginary one is an error."""
+        return values.real if self.polarization[0] == self.polarization[1] else values
 
     def draw(self, n: int, seed: int = 0) -> Array:
         """Draw coefficients from the posterior: those of ``posterior.h5`` where the seed is the job's.

@@ -22,7 +22,7 @@ from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.fit.taken_out import Parts, antenna_gains, take_out
 from hydrabeam_mpi.io.calwrite import write_gains
 from hydrabeam_mpi.io.noise import calibrated_autos
-from hydrabeam_mpi.io.uvdata import read_autos, read_visibilities
+from hydrabeam_mpi.io.uvdata import Block, read_autos, read_visibilities
 from hydrabeam_mpi.io.uvsource import as_source
 from hydrabeam_mpi.io.uvwrite import uvh5_in_parts
 from hydrabeam_mpi.mpi import gather_objects, together
@@ -56,10 +56,21 @@ class Correction(Applied):
     visibilities : dict
         ``corrected``, ``model``, ``residual`` and ``added``, each (Nfreqs, Ntimes, Nbls, 1), Jy, in the convention
         V = 1/2 I B; zero where flagged.
-    flags, nsamples : ndarray, same shape
+    flags : ndarray of bool, same shape
+        True where nothing is known: where the data, or the gains that the job names, are flagged or have no samples or
+        noise, in what the job excludes, and on all baselines of bad antennas.
+    nsamples : ndarray, same shape
+        As the data have them.
     autos : ndarray, (Nfreqs, Ntimes, Nants, Nfeeds)
-        Corrected autocorrelations, Jy; NaN where there are none.
+        Corrected autocorrelations, Jy; zero where flagged, NaN where there are none.
+    auto_flags, auto_nsamples : ndarray, same shape as ``autos``
+        Likewise.
     gains : ndarray of complex, (Nfreqs, Ntimes, Nants)
+        The factors g of the feed or feeds of the setup's polarisation, of antennas in the order of
+        ``observation.antenna_numbers``. Relative to the gains that ``[data] gains`` of the job names, by which, and by
+        ``flux_scale``, data have been calibrated before; total where it names none.
+    bad_antennas : frozenset of int
+        Numbers of antennas of which all is flagged, in ``gains.calfits``, too.
     summary : dict
         What ``correction.json`` says: which effects hold in these data, and warnings.
     about : dict
@@ -72,7 +83,16 @@ class Correction(Applied):
     flags: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
     nsamples: FloatArray = field(default_factory=lambda: np.zeros(0))
     autos: FloatArray = field(default_factory=lambda: np.zeros(0))
+    auto_flags: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    auto_nsamples: FloatArray = field(default_factory=lambda: np.zeros(0))
     gains: ComplexArray = field(default_factory=lambda: np.zeros(0, dtype=complex))
+    bad_antennas: frozenset[int] = frozenset()
+
+    @property
+    def auto_block(self) -> Block:
+        """The autocorrelations as they are written."""
+        stored = ~np.isnan(self.autos)
+        return Block(np.nan_to_num(self.autos).astype(complex), self.auto_flags, self.auto_nsamples, stored)
 
     @property
     def histories(self) -> dict[str, str]:
@@ -89,7 +109,7 @@ class Correction(Applied):
             return  # it is there already
         with _in_files(self, folder, self.observation, bool(np.isfinite(self.autos).any())) as add:
             add(np.arange(self.observation.Ntimes), self)
-        write_gains(folder, self.observation, self.gains, self.histories["gains"])
+        write_gains(folder, self.observation, self.gains, self.histories["gains"], self.bad_antennas)
 
 
 def correct(result: Result, setup: Setup, bad_antennas: Collection[int] = ()) -> Correction:
@@ -107,7 +127,7 @@ def correct(result: Result, setup: Setup, bad_antennas: Collection[int] = ()) ->
     setup : Setup
         Its channels must be among those of the result, and its polarisation that one.
     bad_antennas : collection of int
-        Numbers of antennas whose baselines are flagged.
+        Numbers of antennas whose baselines, autocorrelations and gains are flagged.
 
     Returns
     -------
@@ -169,21 +189,23 @@ def run_correction(
         add: Add = parts.add
         with together(world):
             if world.rank == 0:
-                correction = _begun(setup, problem, context, fitted, summary_of(result, problem, carried), threads)
+                begun = _begun(setup, problem, context, fitted, summary_of(result, problem, carried), threads)
+                correction = replace(begun, bad_antennas=frozenset(bad_antennas))
                 if into is not None:
                     add = stack.enter_context(_in_files(correction, into, problem.observation, _has_autos(problem)))
         for times in _blocks(problem.observation):
             gathered = gather_objects(world, _at(mine, times))
             with together(world):
                 if gathered is not None:
-                    gains = correction.gains[:, times]
-                    add(times, _joined(problem, gathered, times, gains, bad_antennas))
-    with together(world):
-        if world.rank == 0 and into is not None:
-            history = correction.histories["gains"]
-            write_gains(into, problem.observation, correction.gains, history)
-            return replace(correction, observation=None)
-    return parts.joined(correction) if world.rank == 0 else correction
+                    add(times, _joined(problem, gathered, times, correction))
+        with together(world):
+            stack.close()  # what is written last, and the files' renaming, may fail
+            if world.rank == 0 and into is not None:
+                history = correction.histories["gains"]
+                write_gains(into, problem.observation, correction.gains, history, correction.bad_antennas)
+    if world.rank or into is not None:
+        return replace(correction, observation=None)
+    return parts.joined(correction)
 
 
 def _take_out(context: FitContext, fitted: Fitted) -> _Part:
@@ -226,9 +248,7 @@ def _at(mine: _Part, times: IntArray) -> _Part:
     return _Part((channels, own[here] - times[0], bls), parts, mine.flags[:, here], mine.nsamples[:, here])
 
 
-def _joined(
-    problem: Problem, gathered: list[_Part], times: IntArray, gains: ComplexArray, bad_antennas: Collection[int]
-) -> Correction:
+def _joined(problem: Problem, gathered: list[_Part], times: IntArray, correction: Correction) -> Correction:
     """Put together what all ranks have of some times. Serial."""
     observation = problem.observation
     shape = (observation.Nfreqs, len(times), observation.Nbls, 1)
@@ -239,12 +259,17 @@ def _joined(
         flags[index], nsamples[index] = one.flags, one.nsamples
         for name, values in one.parts._asdict().items():
             visibilities[name][index] = np.where(one.flags, 0.0, values)
-    flags[:, :, np.isin(observation.antpairs, list(bad_antennas)).any(axis=1)] = True
+    bad_antennas = list(correction.bad_antennas)
+    flags[:, :, np.isin(observation.antpairs, bad_antennas).any(axis=1)] = True
     for values in visibilities.values():
         values[flags] = 0.0
     autos = calibrated_autos(read_autos(problem.files, observation, times), observation, times, problem.gain_files)
-    autos = autos * problem.flux_scale.reshape(-1, 1, 1, 1) / np.abs(gains[..., np.newaxis]) ** 2
-    return Correction(problem.job, visibilities=visibilities, flags=flags, nsamples=nsamples, autos=autos)
+    bad = np.isin(observation.antenna_numbers, bad_antennas)
+    autos.data[:, :, bad], autos.flags[:, :, bad] = 0.0, True
+    gains = correction.gains[:, times, :, np.newaxis]
+    power = autos.power * problem.flux_scale.reshape(-1, 1, 1, 1) / np.abs(gains) ** 2
+    of_autos = {"autos": power, "auto_flags": autos.flags, "auto_nsamples": autos.nsamples}
+    return Correction(problem.job, visibilities=visibilities, flags=flags, nsamples=nsamples, **of_autos)
 
 
 class _InMemory:
@@ -265,7 +290,7 @@ class _InMemory:
 
         names = Parts._fields
         visibilities = {name: np.concatenate([one.visibilities[name] for one in self._parts], axis=1) for name in names}
-        arrays = {name: whole(name) for name in ("flags", "nsamples", "autos")}
+        arrays = {name: whole(name) for name in ("flags", "nsamples", "autos", "auto_flags", "auto_nsamples")}
         return replace(correction, visibilities=visibilities, **arrays)
 
 
@@ -284,7 +309,7 @@ def _in_files(correction: Correction, folder: Path, observation: Observation, ha
 
         def add(times: IntArray, part: Correction) -> None:
             for name, write in writers.items():
-                autos = part.autos if has_autos and name == "corrected" else None
+                autos = part.auto_block if has_autos and name == "corrected" else None
                 write(times, part.visibilities[name], part.flags, part.nsamples, autos)
 
         yield add

@@ -47,7 +47,7 @@ def prepare_checked(
     ----------
     setup : Setup
     folder : Path, optional
-        As of `prepare_shared`.
+        As of `prepare_shared_each`.
     clock : Clock
         Receives the phases "prepare" and "health".
     check : callable
@@ -93,12 +93,6 @@ def prepare_checked_each(
             say(f"looking at {problem.observation.pols[0]}", grid.is_world_root and len(problems) > 1)
             checked.append(check(grid, problem))
     return grid, checked
-
-
-def prepare_shared(world: Comm, job: Job, folder: Path | None, given: Given = NOTHING) -> Problem:
-    """Do as `prepare_shared_each` for a job of one polarisation."""
-    (problem,) = prepare_shared_each(world, job, folder, given)
-    return problem
 
 
 def prepare_shared_each(world: Comm, job: Job, folder: Path | None, given: Given = NOTHING) -> list[Problem]:

@@ -78,14 +78,24 @@ class Result:
 
     @property
     def summary(self) -> dict[str, Any]:
-        """What ``summary.json`` says: key numbers of the first channel, ``channels`` for all, ``warnings``."""
+        """What ``summary.json`` says: key numbers of the first channel, ``channels`` for all, ``warnings``.
+
+        Among the numbers are ``freq_hz``, ``n_data``, ``n_modes``, ``log_evidence``, ``posterior_std_median``,
+        ``condition_number``, ``beam_std_median``, ``beam_update_max``, and those of `heldout` with ``heldout_`` before
+        their names; the documentation of result files explains them all.
+        """
         return self._summary
 
     @property
     def heldout(self) -> dict[str, FloatArray]:
-        """How held-out data are predicted: ``chi2_predictive``, ``chi2_noise_only`` and others, (Nfreqs,) each.
+        """How held-out data are predicted, (Nfreqs,) each; NaN where a channel has no such data.
 
-        Reduced chi^2 under the posterior predictive is 1 for a right posterior. NaN where a channel has no such data.
+        ``n`` counts the visibilities. ``chi2_predictive`` is their reduced chi^2 under the posterior predictive, 1 for
+        a right posterior, ``chi2_noise_only`` that over the noise alone, and ``log_density`` the ln of the predictive
+        density. ``rms_jy`` is the rms of the residual, Jy, and ``explained`` the fraction of the variance that is
+        explained; ``rms_jy_data`` and ``rms_jy_noise`` are of the data and of the noise. With ``_unperturbed`` behind
+        its name a number is of the model beam, with ``_unperturbed_scaled`` of that times ``amplitude_unperturbed``,
+        its best real scale, and with ``_unperturbed_complex`` of that times its best complex one.
         """
         channels = [record.summary for record in self.content.channels]
         names = dict.fromkeys(name for channel in channels for name in channel if name.startswith("heldout_"))
@@ -103,9 +113,9 @@ class Result:
             If the folder exists and may not be replaced, or cannot be written.
         """
         if (inputs := self.inputs) is not None:
-            from hydrabeam_mpi.io.staging import write_whole
+            from hydrabeam_mpi.io.staging import write_folder
 
-            write_whole(Path(folder), self.fill, overwrite, inputs)
+            write_folder(Path(folder), self.fill, overwrite, inputs)
 
     @property
     def inputs(self) -> list[Path] | None:

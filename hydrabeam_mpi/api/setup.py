@@ -26,7 +26,8 @@ class Setup:
     linear in the coefficients b (HDBI II, eqs 2 to 9).
 
     With a communicator of several ranks all of them make the Setup together. What rank 0 has counts, and the others
-    may pass None: of data in memory each rank gets its own rows from there, as it reads them out of files.
+    may pass None: of data in memory each rank gets its own rows from there, as it reads them out of files. From then on
+    an exception that nothing catches on one rank ends all of them, after a `sys.excepthook` of the caller's own.
 
     Parameters
     ----------
@@ -48,9 +49,13 @@ class Setup:
         This process alone by default.
     noise : array_like, str, Path or mapping, optional
         Variances E|n|^2 of the visibilities in Jy^2, in a shape that broadcasts to that of ``uvd.data_array``,
-        (Nblts, Nfreqs, Npols); or as in a job. From the autocorrelations by default.
+        (Nblts, Nfreqs, Npols); or the keys of the table ``[noise]`` of a job: ``kind`` ("autocorrelations", which is
+        the default, "constant", "file", "time-differences" or "frequency-differences"), with ``sigma`` (Jy, root of
+        E|n|^2) of a constant one, and ``file``, whose name alone will do.
     holdout : mapping, optional
-        As in a job, such as ``{"kind": "times", "every": 2}``.
+        The keys of the table ``[holdout]``: ``kind`` ("times", "lst", "jd", "baselines" or "none"), with ``every`` (the
+        last of every so many times), ``lst_ranges`` (h), ``jd_ranges`` (days) or ``antpairs`` (numbers of antennas).
+        ``{"kind": "times", "every": 2}`` by default.
     **tables
         ``data``, ``solver``, ``output``, ``loop``, ``sample``: the keys of these tables of a job. ``name``, ``seed``.
 
@@ -82,6 +87,7 @@ class Setup:
     ) -> None:
         arguments = {"uvd": uvd, "beam": beam, "sky": sky, "prior": prior, "basis": basis}
         made: tuple[Job, Given] | None = None
+        _end_together(comm)
         with _together(comm), arguments_named():
             if comm is None or comm.rank == 0:
                 made = job_of(arguments, tables)
@@ -108,6 +114,7 @@ class Setup:
     @classmethod
     def of(cls, job: Job, comm: Comm | None = None, given: Given = NOTHING, path: Path | None = None) -> Self:
         """Return what a job, with what is in memory, describes."""
+        _end_together(comm)
         setup = cls.__new__(cls)
         setup.job, setup.given, setup.path, setup._comm = job, given, path, comm
         return setup
@@ -139,6 +146,14 @@ class Setup:
             if self.path is not None:
                 error.locate(self.path)
             raise
+
+
+def _end_together(comm: Comm | None) -> None:
+    """Let a script that ends with an exception on one rank end on all."""
+    if comm is not None:
+        from hydrabeam_mpi.mpi import install_abort_hook
+
+        install_abort_hook(comm)
 
 
 @contextmanager

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from hydrabeam_mpi.config.job import Job
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.words import size
 
 REAL, COMPLEX = 8, 16
 PER_SOURCE = 3 * REAL
@@ -48,7 +49,7 @@ def check_fits(field: str, n_bytes: int, memory: int) -> None:
     """
     if n_bytes > memory:
         raise InputError(
-            f"takes {_in_words(n_bytes)} of memory in each rank at least, and here a rank has {_in_words(memory)}",
+            f"takes {size(n_bytes)} of memory in each rank at least, and here a rank has {size(memory)}",
             field=field,
             remedy="ask for less, or use fewer ranks on each machine or machines with more",
         )
@@ -89,7 +90,3 @@ def _needed(job: Job) -> Iterator[tuple[str, int]]:
 def _hexagon(side: int, diagonal: int) -> int:
     """Return how many antennas it has: the longest row, and all shorter ones twice."""
     return diagonal + (diagonal - side) * (side + diagonal - 1)
-
-
-def _in_words(n_bytes: int) -> str:
-    return f"{n_bytes / 1e9:.3g} GB"

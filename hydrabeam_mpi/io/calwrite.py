@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +14,14 @@ from hydrabeam_mpi.io.reading import quiet
 from hydrabeam_mpi.io.uvdata import feeds_of
 from hydrabeam_mpi.io.uvwrite import telescope_of
 
-SAME_TIME = 1e-3 / 86400
-SAME_FREQ = 1.0
+EVEN_WITHIN_DAYS = 1e-3 / 86400
+EVEN_WITHIN_HZ = 1.0
 """Days and Hz by which pyuvdata takes times and channels as the same."""
 
 
-def write_gains(folder: Path, observation: Observation, gains: ComplexArray, history: str) -> None:
+def write_gains(
+    folder: Path, observation: Observation, gains: ComplexArray, history: str, bad_antennas: Collection[int] = ()
+) -> None:
     """Write gains that are the same for all feeds, by which data are divided: V / (g_i g_j*).
 
     ``gains.calfits`` holds channels and times that are evenly spaced, and of others only the first and how far the
@@ -35,6 +38,8 @@ def write_gains(folder: Path, observation: Observation, gains: ComplexArray, his
         Their antennas, channels, times and feeds.
     gains : ndarray of complex, (Nfreqs, Ntimes, Nants)
     history : str
+    bad_antennas : collection of int
+        Numbers of antennas whose gains are flagged.
     """
     telescope, orientation = telescope_of(observation)
     feeds = feeds_of(observation.pols)
@@ -43,6 +48,8 @@ def write_gains(folder: Path, observation: Observation, gains: ComplexArray, his
         history += " Where feeds point is not known; x is written as East."
     shape = (observation.Nants, observation.Nfreqs, observation.Ntimes, len(feeds))
     values = np.broadcast_to(np.moveaxis(gains, 2, 0)[..., np.newaxis], shape).copy()
+    flags = np.zeros(shape, bool)
+    flags[np.isin(observation.antenna_numbers, list(bad_antennas))] = True
     with quiet():
         cal = UVCal.new(
             cal_style="redundant",
@@ -55,12 +62,12 @@ def write_gains(folder: Path, observation: Observation, gains: ComplexArray, his
             freq_array=observation.freqs,
             channel_width=observation.channel_width,
             update_telescope_from_known=False,
-            data={"gain_array": values, "flag_array": np.zeros(shape, bool), "quality_array": np.zeros(shape)},
+            data={"gain_array": values, "flag_array": flags, "quality_array": np.zeros(shape)},
             history=history,
             pol_convention="sum",
             gain_scale="Jy",
         )
-        if _is_even(observation.times, SAME_TIME) and _is_even(observation.freqs, SAME_FREQ):
+        if _is_even(observation.times, EVEN_WITHIN_DAYS) and _is_even(observation.freqs, EVEN_WITHIN_HZ):
             cal.write_calfits(str(folder / "gains.calfits"), run_check=False, clobber=True)
         else:
             cal.write_calh5(str(folder / "gains.calh5"), run_check=False, clobber=True)

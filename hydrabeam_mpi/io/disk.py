@@ -11,9 +11,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from tqdm import tqdm
-
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.words import size
 
 DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EIO}
 """What the system says when a disk takes no more."""
@@ -31,12 +30,8 @@ def check_space(folder: Path, needed: int) -> None:
     """
     free = shutil.disk_usage(folder).free
     if free < needed:
-        message = f"needs at least {_size(needed)}, and its disk has {_size(free)} left"
+        message = f"needs at least {size(needed)}, and its disk has {size(free)} left"
         raise InputError(message, file=folder.parent, field="-o", remedy=REMEDY)
-
-
-def _size(n_bytes: int) -> str:
-    return f"{tqdm.format_sizeof(n_bytes)}B"
 
 
 @contextmanager

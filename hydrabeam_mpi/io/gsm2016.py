@@ -24,7 +24,7 @@ NSIDE = 64
 JY_PER_MJY = 1e6
 
 
-def read_gsm2016(folder: Path, freqs: FloatArray, nside: int = NSIDE) -> Sky:
+def read_gsm2016(folder: Path, freqs: FloatArray) -> Sky:
     """Read the diffuse sky as one point source a pixel.
 
     Parameters
@@ -33,33 +33,27 @@ def read_gsm2016(folder: Path, freqs: FloatArray, nside: int = NSIDE) -> Sky:
         With ``lowres_maps.txt`` and ``spectra.txt`` of the public model.
     freqs : ndarray, (Nfreqs,)
         Hz, from 10 MHz to 5 THz.
-    nside : int
-        Power of two up to 64; coarser pixels hold the mean of those that they cover.
 
     Returns
     -------
     Sky
-        12 ``nside``^2 unnamed sources in ICRS.
+        12 `NSIDE`^2 unnamed sources in ICRS.
 
     Raises
     ------
     InputError
-        If a file is missing or not of the expected shape, or ``freqs`` or ``nside`` are out of range.
+        If a file is missing or not of the expected shape, or ``freqs`` are out of range.
     """
-    if nside not in (1, 2, 4, 8, 16, 32, NSIDE):
-        raise InputError(f"{nside} is not a power of two up to {NSIDE}", field="nside", remedy=f"use {NSIDE}")
     maps = _read_table(folder / "lowres_maps.txt", columns=nside_to_npix(NSIDE))
     spectra = _read_table(folder / "spectra.txt")
     if len(spectra) != len(maps) + 2:
         message = f"{len(spectra)} rows do not fit {len(maps)} component maps"
         raise InputError(message, file=folder / "spectra.txt", remedy="fetch both files anew")
     weights = _weights(spectra, freqs, folder / "spectra.txt")
-    # In nested order the pixels inside a coarser one are neighbours.
-    coarse = maps.reshape(len(maps), nside_to_npix(nside), -1).mean(axis=2)
-    pixel_area = nside_to_pixel_area(nside).to_value("sr")
-    lon, lat = healpix_to_lonlat(np.arange(coarse.shape[1]), nside, order="nested")
+    pixel_area = nside_to_pixel_area(NSIDE).to_value("sr")
+    lon, lat = healpix_to_lonlat(np.arange(maps.shape[1]), NSIDE, order="nested")
     centres = SkyCoord(lon, lat, frame="galactic").icrs
-    return Sky(centres.ra.rad, centres.dec.rad, weights @ coarse * (JY_PER_MJY * pixel_area))
+    return Sky(centres.ra.rad, centres.dec.rad, weights @ maps * (JY_PER_MJY * pixel_area))
 
 
 def _weights(spectra: FloatArray, freqs: FloatArray, path: Path) -> FloatArray:

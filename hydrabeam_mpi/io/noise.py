@@ -66,7 +66,7 @@ def radiometer_weights(
         if not np.all(getattr(observation, field) > 0):
             raise InputError("not positive", file=files[0], field=field, remedy="choose another [noise] kind")
     autos = autos or read_autos(files, observation, tile.times)
-    power = calibrated_autos(autos, observation, tile.times, gain_files)
+    power = calibrated_autos(autos, observation, tile.times, gain_files).power
     feeds = feeds_of(observation.pols)
     ants = match(observation.antpairs[tile.bls], observation.antenna_numbers, 0)
     first, second = (
@@ -81,15 +81,14 @@ def radiometer_weights(
     return np.where(usable, weights, 0.0)
 
 
-def calibrated_autos(autos: Block, observation: Observation, times: IntArray, gain_files: Sequence[Path]) -> FloatArray:
-    """Return autocorrelations, Jy, with gains divided out: zero where flagged, NaN where there are none."""
+def calibrated_autos(autos: Block, observation: Observation, times: IntArray, gain_files: Sequence[Path]) -> Block:
+    """Return autocorrelations, as of `read_autos`, with gains divided out; flagged where these are, too."""
     if not gain_files:
-        return autos.power
+        return autos
     antpairs = np.repeat(observation.antenna_numbers[:, None], 2, axis=1)
     pols = tuple(2 * feed for feed in feeds_of(observation.pols))
-    bad = np.zeros(autos.data.shape, bool)
-    data, *_ = calibrate(autos.power.astype(complex), bad, observation, times, antpairs, gain_files, pols)
-    return np.asarray(data.real)
+    data, flags, _ = calibrate(autos.data, autos.flags, observation, times, antpairs, gain_files, pols)
+    return autos._replace(data=data, flags=flags)
 
 
 def _check_autos_stored(

@@ -167,7 +167,7 @@ class StagedDirectory:
         return InputError(error.message, file=error.file, remedy=f"{error.remedy}; {where}")
 
 
-def write_whole(path: Path, fill: Callable[[Path], None], overwrite: bool = False, kept: Iterable[Path] = ()) -> None:
+def write_folder(path: Path, fill: Callable[[Path], None], overwrite: bool = False, kept: Iterable[Path] = ()) -> None:
     """Let ``fill`` write a folder, which appears when all is in it; parameters and errors as of `StagedDirectory`."""
     staged = StagedDirectory(path, overwrite, kept=kept)
     try:

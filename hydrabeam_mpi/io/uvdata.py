@@ -44,6 +44,12 @@ class Block(NamedTuple):
     nsamples: FloatArray
     stored: BoolArray
 
+    @classmethod
+    def of_power(cls, power: FloatArray) -> Block:
+        """Return autocorrelations, Jy, as of one sample each; flagged where not finite."""
+        known = np.isfinite(power)
+        return cls(np.where(known, power, 0.0).astype(np.complex128), ~known, known.astype(float), known)
+
     @property
     def power(self) -> FloatArray:
         """Of autocorrelations, Jy: zero where flagged, NaN where no file holds it."""

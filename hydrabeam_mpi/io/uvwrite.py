@@ -31,7 +31,6 @@ def write_uvh5(
     flags: BoolArray,
     nsamples: FloatArray,
     autos: FloatArray | None = None,
-    history: str = "Written by hydrabeam_mpi.",
 ) -> None:
     """Write drift-scan visibilities in Jy; the file appears whole or not at all.
 
@@ -46,15 +45,15 @@ def write_uvh5(
     autos : ndarray, (Nfreqs, Ntimes, Nants, Nfeeds), optional
         Autocorrelations of the feeds ``feeds_of(observation.pols)`` in Jy; flagged where not finite, and for
         cross-hand polarisations.
-    history : str
 
     Raises
     ------
     InputError
         If the file cannot be written.
     """
-    with uvh5_in_parts(path, observation, autos is not None, history) as write:
-        write(np.arange(observation.Ntimes), data, flags, nsamples, autos)
+    with uvh5_in_parts(path, observation, autos is not None, "Written by hydrabeam_mpi.") as write:
+        block = None if autos is None else Block.of_power(autos)
+        write(np.arange(observation.Ntimes), data, flags, nsamples, block)
 
 
 @contextmanager
@@ -73,7 +72,8 @@ def uvh5_in_parts(path: Path, observation: Observation, has_autos: bool, history
     Yields
     ------
     callable
-        Called with indices of successive times, and with what `write_uvh5` is given, of these times.
+        Called with indices of successive times, and with what `write_uvh5` is given, of these times; autocorrelations
+        are a `Block`.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def _write_part(
     data: ComplexArray,
     flags: BoolArray,
     nsamples: FloatArray,
-    autos: FloatArray | None = None,
+    autos: Block | None = None,
 ) -> None:
     """Write successive times, of which the file has ``n_rows`` rows each."""
     block = Block(data, flags, nsamples, ~flags)
@@ -128,13 +128,16 @@ def _joined(cross: Array, auto: Array) -> Array:
     return np.concatenate([cross, auto], axis=2)
 
 
-def _auto_block(observation: Observation, autos: FloatArray) -> Block:
+def _auto_block(observation: Observation, autos: Block) -> Block:
     """Give autocorrelations by feed the polarisation axis of the visibilities."""
     feeds = feeds_of(observation.pols)
-    nothing = np.full(autos.shape[:3], np.nan)
-    values = np.stack([autos[..., feeds.index(p[0])] if p[0] == p[1] else nothing for p in observation.pols], axis=-1)
-    known = np.isfinite(values)
-    return Block(np.where(known, values, 0.0).astype(np.complex128), ~known, known.astype(float), known)
+    nothing = Block.of_power(np.full(autos.data.shape[:3], np.nan))
+
+    def by_pol(values: Array, none: Array) -> Array:
+        of_each = [values[..., feeds.index(pol[0])] if pol[0] == pol[1] else none for pol in observation.pols]
+        return np.stack(of_each, axis=-1)
+
+    return Block(*map(by_pol, autos, nothing))
 
 
 def telescope_of(observation: Observation) -> tuple[Telescope, dict[str, str]]:

@@ -150,10 +150,17 @@ class AnalyticBeam:
         orientation = self.formula.get_x_orientation_from_feeds()
         number = polstr2num(self.info.pol, x_orientation=orientation)
         index = list(self.formula.polarization_array).index(number)
-        power: Array = self.formula.power_eval(az_array=az, za_array=za, freq_array=np.array([self.info.freq]))
-        return power[0, index, 0]
+        at = {"az_array": az, "za_array": za, "freq_array": np.array([self.info.freq])}
+        if not hasattr(self.formula, "_efield_eval"):
+            return np.asarray(self.formula.power_eval(**at)[0, index, 0])
+        # Not by power_eval, which in pyuvdata 3.2 takes a short dipole's first feed for East wherever it points.
+        field = self.formula.efield_eval(**at)[:, :, 0]
+        one, two = _FEEDS[index]
+        return np.asarray(np.sum(field[:, one] * field[:, two].conj(), axis=0))
 
 
+_FEEDS = ((0, 0), (1, 1), (0, 1), (1, 0))
+"""Of each polarisation of pyuvdata's analytic beams, in their order."""
 _FORMULAE = {
     "airy": AiryBeam,
     "gaussian": GaussianBeam,

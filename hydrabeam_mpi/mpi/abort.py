@@ -8,7 +8,10 @@ import sys
 import threading
 import time
 import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
 from types import TracebackType
+from typing import Any
 
 from mpi4py import MPI
 
@@ -29,19 +32,31 @@ HEARD_S = 0.2
 _saying = threading.Lock()
 
 
+@dataclass
+class _AbortHook:
+    """Ends all ranks of ``comm``, after what another hook does that was there before."""
+
+    comm: MPI.Comm
+    before: Callable[[type[BaseException], BaseException, TracebackType | None], Any]
+
+    def __call__(self, kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+        try:
+            if self.before is not sys.__excepthook__:  # which says what is said here
+                self.before(kind, error, trace)
+        finally:
+            _end_all(self.comm or MPI.COMM_WORLD, error)  # the caller may have freed the communicator
+
+
 def install_abort_hook(comm: MPI.Comm) -> None:
-    """Let an uncaught exception on any rank of ``comm`` end them all.
+    """Let an uncaught exception on any rank of ``comm`` end them all; again is as good as once.
 
     Without it, a rank that fails waits at its exit for the others, and they wait for it in their next
-    collective.
+    collective. A hook that the caller has set is called first.
     """
     if comm.size == 1:
         return
-
-    def hook(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-        _end_all(comm, error)
-
-    sys.excepthook = hook
+    hook = sys.excepthook
+    sys.excepthook = _AbortHook(comm, hook.before if isinstance(hook, _AbortHook) else hook)
 
 
 def refuse(comm: MPI.Comm, error: InputError) -> int:

@@ -70,12 +70,8 @@ class Shares:
         if most is not None:
             times = sample_times(self.outline.problem.train.times, most)
             tiles = [replace(tile, times=np.intersect1d(tile.times, times)) for tile in tiles]
-        of_ranks = [self._seconds(cost, tile) for tile in tiles]
-        return cost.once + self.channels * (cost.fixed + max(of_ranks))
-
-    def _seconds(self, cost: Cost, tile: Tile) -> float:
-        times = self.outline.times_of(tile)
-        return times * (cost.by_time + cost.by_group * self.groups_of(tile)) if tile.size else 0.0
+        sizes = ((self.outline.times_of(tile) if tile.size else 0.0, self.groups_of(tile)) for tile in tiles)
+        return max(cost.seconds(*size, self.channels) for size in sizes)
 
     @cached_property
     def largest(self) -> Tile:

@@ -7,6 +7,7 @@ from typing import Any
 
 from hydrabeam_mpi.planning.network import Network
 from hydrabeam_mpi.planning.told import Forecast
+from hydrabeam_mpi.words import duration, size, text_table
 
 HEADINGS = ("command", "ranks", "wall time", "memory/rank", "sent/rank", "files", "groups x ranks", "rows of a rank")
 
@@ -14,9 +15,8 @@ HEADINGS = ("command", "ranks", "wall time", "memory/rank", "sent/rank", "files"
 def as_text(forecasts: Sequence[Forecast], assumed: Sequence[str]) -> str:
     """Return a table, a line a forecast, and beneath it what was assumed."""
     lines = [HEADINGS, *map(_cells, forecasts)]
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    table = ["  ".join(map(str.ljust, line, widths)).rstrip() for line in lines]
-    return "\n".join([*table, "", *map(_of_loop, (one for one in forecasts if one.command == "loop")), *assumed]) + "\n"
+    of_loops = map(_of_loop, (one for one in forecasts if one.command == "loop"))
+    return "\n".join([text_table(lines), "", *of_loops, *assumed]) + "\n"
 
 
 def as_table(forecasts: Sequence[Forecast], assumed: Sequence[str]) -> dict[str, Any]:
@@ -82,19 +82,3 @@ def _cells(one: Forecast) -> tuple[str, ...]:
         f"{parts.groups} x {parts.ranks_per_group}",
         f"{parts.channels} ch x {parts.times} times x {parts.baseline_groups} bls{uneven}",
     )
-
-
-def duration(seconds: float) -> str:
-    """Return a time in two or three digits."""
-    for unit, length in (("d", 86400), ("h", 3600), ("min", 60)):
-        if seconds >= 2 * length:
-            return f"{seconds / length:.3g} {unit}"
-    return f"{seconds:.3g} s"
-
-
-def size(n_bytes: float) -> str:
-    """Return a number of bytes in two or three digits."""
-    for unit, many in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
-        if n_bytes >= many:
-            return f"{n_bytes / many:.3g} {unit}"
-    return f"{n_bytes:.0f} B"

@@ -24,7 +24,7 @@ from hydrabeam_mpi.report.gains import gains_body
 from hydrabeam_mpi.report.loop.record import as_written, load_loop
 from hydrabeam_mpi.report.loop.section import loop_answer, loop_sections
 from hydrabeam_mpi.report.loop.words import verdict_words
-from hydrabeam_mpi.report.page.key_numbers import table, text_table
+from hydrabeam_mpi.report.page.key_numbers import as_text, table
 from hydrabeam_mpi.report.page.parts import Answer, Section, part, set_page, together
 from hydrabeam_mpi.report.page.result import Channel, Result, load_result
 from hydrabeam_mpi.report.page.sections import channel_table, errors_table, finding, key_numbers, provenance
@@ -84,7 +84,7 @@ def write_report(directory: Path, other_gains: Sequence[Path] = ()) -> None:
         sections += [*_channels(result, album), Section("Provenance", provenance(result))]
     _write_page(directory, set_page(f"Beam posterior: {result.name}", answer, sections, FOOTER), contents)
     print(introduction(result), end="\n\n")
-    print(text_table(table(result.numbers, result.name)), end="\n\n")
+    print(as_text(table(result.numbers, result.name)), end="\n\n")
     for remark in remarks(result):
         print(f"Note: {remark}")
     if loop is not None:
@@ -114,11 +114,11 @@ def _write_page(directory: Path, page: str, contents: dict[Path, bytes]) -> None
     """Write the page and its figures."""
     contents[directory / "report.html"] = page.encode()
     for path, content in contents.items():
-        _write_whole(path, content)
+        _write_file(path, content)
     _list_files(directory, contents)
 
 
-def _write_whole(path: Path, content: bytes) -> None:
+def _write_file(path: Path, content: bytes) -> None:
     """Write a file under another name and rename it."""
     with _to_folder(path):
         path.parent.mkdir(exist_ok=True)

@@ -17,6 +17,8 @@ from hydrabeam_mpi.mpi import Comm
 # The one-degree grid of HDBI II: zenith angle 0..90, azimuth 0..359.
 GRID_ZA: FloatArray = np.deg2rad(np.arange(91.0))
 GRID_AZ: FloatArray = np.deg2rad(np.arange(360.0))
+N_EIGENBEAMS = 4
+"""As many as a row of maps has room for."""
 ROUNDING = 1e-14
 """Harmonics smaller than this fraction of the largest are zero but for rounding."""
 
@@ -192,16 +194,16 @@ def full_width(forward: FloatArray, backward: FloatArray) -> float:
     return float(width)
 
 
-def eigenbeams(posterior: Posterior, basis: LinearBasis, n: int = 4) -> tuple[FloatArray, Array]:
-    """Return the ``n`` best-constrained eigenvectors of the posterior covariance on the sky.
+def eigenbeams(posterior: Posterior, basis: LinearBasis) -> tuple[FloatArray, Array]:
+    """Return the best-constrained eigenvectors of the posterior covariance on the sky.
 
     Returns
     -------
     variances : ndarray, (n,)
-        Smallest eigenvalues, ascending.
+        Smallest eigenvalues, ascending, `N_EIGENBEAMS` of them or all.
     beams : ndarray, (n, 91, 360)
     """
-    n = min(n, len(posterior.mean))
+    n = min(N_EIGENBEAMS, len(posterior.mean))
     values, vectors = posterior.largest(n)
     variances = 1 / values
     beams = np.empty((n, len(GRID_ZA), len(GRID_AZ)), dtype=vectors.dtype)

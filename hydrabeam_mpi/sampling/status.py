@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +10,7 @@ import numpy as np
 from hydrabeam_mpi.sampling.convergence import Diagnosis, diagnose
 from hydrabeam_mpi.sampling.heldout import HeldOut, heldout_of
 from hydrabeam_mpi.sampling.storage.store import ChainStore
+from hydrabeam_mpi.words import duration, text_table
 
 LATEST = 100
 """Draws from which the pace is taken."""
@@ -133,23 +133,3 @@ def _seconds_left(store: ChainStore, chains: tuple[Progress, ...]) -> float:
 def number(value: float) -> str:
     """Write a number with three digits; a dash where it is not known."""
     return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}" if np.isfinite(value) else "-"
-
-
-def duration(seconds: float) -> str:
-    """Write a time as people say it: "3 d 4 h", "12 min 5 s"."""
-    for (large, of_large), (small, of_small) in (
-        (("d", 86400), ("h", 3600)),
-        (("h", 3600), ("min", 60)),
-        (("min", 60), ("s", 1)),
-    ):
-        if seconds >= of_large:
-            whole, rest = divmod(seconds, of_large)
-            return f"{whole:.0f} {large} {rest // of_small:.0f} {small}"
-    return f"{max(0.0, seconds):.0f} s"
-
-
-def text_table(rows: Sequence[tuple[str, ...]]) -> str:
-    """Align columns."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = ("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in rows)
-    return "\n".join(line.rstrip() for line in lines)

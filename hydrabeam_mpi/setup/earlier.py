@@ -114,12 +114,14 @@ def check_not_counted(world: Comm, files: Sequence[Data], observation: Observati
     Raises
     ------
     InputError
-        On all ranks, if it does.
+        On all ranks, if it does, or does not tell what it was made from.
     """
+    with together(world), result.telling():
+        known = result.integrations
     for data in files:
         own = integrations_of(world, [data], observation)
-        n_known = sum(one in result.integrations for one in own)
         with together(world), result.telling():
+            n_known = sum(one in known for one in own)
             if n_known:
                 raise InputError(
                     f"was made from the same data, {data}, which would count twice ({n_known} of {len(own)} "

@@ -11,6 +11,8 @@ from typing import TypeVar
 
 from tqdm import tqdm
 
+from hydrabeam_mpi.words import duration
+
 T = TypeVar("T")
 SECONDS = 30.0
 """At most so long nothing is said where work goes on."""
@@ -82,13 +84,6 @@ def _lines(items: Iterable[T], total: int, label: str) -> Iterator[T]:
         yield item
         left = (time.monotonic() - began) * (total / done - 1)
         say_meanwhile(f"{label}: {done} of {total}, about {duration(left)} left", show=done < total)
-
-
-def duration(seconds: float) -> str:
-    """Write a time as one glances at it: 40 s, 12 min, 3.5 h."""
-    if seconds < 100:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
 
 
 def tell(line: str) -> None:

@@ -23,6 +23,20 @@ import sys
 from hydrabeam_mpi.cli import main
 assert main(["correct", sys.argv[1], "-o", sys.argv[2]]) == 0
 """
+RUN_INTO = """
+import sys
+from pathlib import Path
+from mpi4py.MPI import COMM_WORLD as world
+import hydrabeam_mpi as hb
+from hydrabeam_mpi.api.applied import setup_for
+from hydrabeam_mpi.api.correction import run_correction
+result = hb.load(sys.argv[1])
+setup = setup_for(result, hb.Setup.from_job(sys.argv[2], world))
+try:
+    run_correction(result, setup, None, 1, into=Path(sys.argv[3]))
+except hb.InputError as error:
+    print(f"{world.rank}: {error}", flush=True)
+"""
 PARTS = ("corrected", "model", "residual", "added")
 GAIN = np.exp(0.06 - 0.05j)
 """Of antenna 2, by which the data of both nights are off."""
@@ -130,3 +144,32 @@ def test_other_data_in_python(nights: Nights, monkeypatch: pytest.MonkeyPatch) -
         np.testing.assert_allclose(corrected[:, :, number, 0], expected * off, rtol=0.01)
     assert [one["effect"] for one in correction.summary["carried_over"]] == ["antenna_gains", "missing_sources"]
     assert correction.autos.shape[2] == 7
+
+
+def test_files_that_cannot_be_finished_end_all_ranks(nights: Nights, tmp_path: Path, mpiexec_python: Any) -> None:
+    (tmp_path / "residual.uvh5").mkdir()  # no file can be renamed to that
+    done = mpiexec_python(2, RUN_INTO, nights.result, nights.job("first"), tmp_path, timeout=100)
+    assert done.returncode == 0, done.stderr
+    lines = sorted(done.stdout.splitlines())
+    assert [line[:2] for line in lines] == ["0:", "1:"]
+    assert all("residual.uvh5: cannot be written" in line for line in lines)
+
+
+def test_autocorrelations_keep_flags_and_samples(nights: Nights) -> None:
+    uvd = UVData.from_file(str(nights.data("second")))
+    uvd.flag_array[uvd.antpair2ind(1, 1, ordered=False)][3:5] = True
+    uvd.nsample_array[uvd.antpair2ind(4, 4, ordered=False)] = 0.25
+    path = nights.folder / "bad_autos.uvh5"
+    uvd.write_uvh5(str(path), clobber=True)
+    job = nights.job("second", "_bad_autos", files=[str(path)])
+    out = nights.folder / "bad_autos"
+    hb.correct(hb.load(nights.result), hb.Setup.from_job(job), bad_antennas=[5]).write(out)
+    own = UVData.from_file(str(out / "corrected.uvh5"))
+    for antenna in range(7):
+        expected = uvd.get_flags(antenna, antenna) | (antenna == 5)
+        np.testing.assert_array_equal(own.get_flags(antenna, antenna), expected)
+        np.testing.assert_array_equal(own.get_data(antenna, antenna) == 0, expected)
+        np.testing.assert_array_equal(own.get_nsamples(antenna, antenna), uvd.get_nsamples(antenna, antenna))
+    cal = UVCal.from_file(str(out / "gains.calfits"))
+    np.testing.assert_array_equal(cal.flag_array.all(axis=(1, 2, 3)), cal.ant_array == 5)
+    assert cal.flag_array.sum() == cal.flag_array[0].size

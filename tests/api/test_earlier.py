@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,11 @@ from pyuvdata import UVData
 
 import hydrabeam_mpi as hb
 from hydrabeam_mpi.cli import main
+from hydrabeam_mpi.data.selection import Selection
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.inferred import Inferred, read_inferred
+from hydrabeam_mpi.io.uvdata import read_observation
+from hydrabeam_mpi.setup.earlier import check_not_counted
 from tests.api.nights import JOB as NIGHTS_JOB
 from tests.api.nights import Nights
 from tests.loop.mock import mock_job, write_job
@@ -176,6 +182,23 @@ def test_any_number_of_ranks_says_the_same(comm: MPI.Comm, common_tmp_path: Path
         hb.infer(hb.Setup.from_job(jobs[1])).write(common_tmp_path / "alone")
         assert_same(hb.load(common_tmp_path / "all"), hb.load(common_tmp_path / "alone"), 1e-6)
         assert_same_effects(common_tmp_path / "all", common_tmp_path / "alone", 1e-6)
+
+
+@pytest.mark.mpi
+def test_a_prior_that_does_not_tell_of_its_data_is_refused_on_all_ranks(comm: MPI.Comm, common_tmp_path: Path) -> None:
+    path, first = common_tmp_path / "job.toml", common_tmp_path / "first"
+    if comm.rank == 0:
+        data = {"simulate": {**JOB["data"]["simulate"], **NIGHTS[0], "n_times": 6}}
+        write_job({**JOB, "data": data}, common_tmp_path, path.name)
+    comm.Barrier()
+    assert main(["infer", str(path), "-o", str(first)]) == 0
+    content = read_inferred(first).content
+    about = {key: value for key, value in content.provenance.items() if key != "integrations"}
+    untold = Inferred.of(replace(content, provenance=about), first / "posterior.h5")
+    data = [first / "data.uvh5"]
+    with pytest.raises(InputError, match="does not tell which integrations") as caught:
+        check_not_counted(comm, data, read_observation(data, Selection()), untold)
+    assert caught.value.file == str(first / "posterior.h5")
 
 
 def test_python_takes_a_result_from_memory_and_from_its_folder(files: Files) -> None:

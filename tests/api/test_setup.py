@@ -214,6 +214,32 @@ if world.rank == 0:
 """
 
 
+FAILS = """
+import sys
+from mpi4py.MPI import COMM_WORLD as world
+import hydrabeam_mpi as hb
+if sys.argv[2]:
+    sys.excepthook = lambda kind, *_: print(f"own hook: {kind.__name__}", flush=True)
+for _ in range(2):
+    hb.Setup.from_job(sys.argv[1], world)
+comm = world.Dup()
+setup = hb.Setup(["data.uvh5"], comm=comm)
+comm.Free()
+if world.rank == 1:
+    raise KeyError("of the script itself")
+world.Barrier()
+"""
+
+
+@pytest.mark.parametrize("hook", ["", "own"])
+def test_a_script_that_fails_on_one_rank_ends(hook: str, folder: Path, mpiexec_python: Any) -> None:
+    done = mpiexec_python(2, FAILS, job_text(folder), hook, timeout=60)
+    assert done.returncode == 1
+    assert done.stderr.count("KeyError: 'of the script itself'") == 1
+    assert "rank 1 of 2 failed" in done.stderr
+    assert done.stdout.count("own hook: KeyError") == bool(hook)
+
+
 def test_rank_0_holds_the_data_for_all(folder: Path, tmp_path: Path, mpiexec_python: Any) -> None:
     code = RANKS.replace("BASIS", repr(BASIS)).replace("MODEL", repr(MODEL))
     done = mpiexec_python(2, code, folder / "data.uvh5", tmp_path / "result")

@@ -25,7 +25,7 @@ def load(text: str, folder: Path) -> Job:
 @pytest.mark.parametrize(
     ("text", "field"),
     [
-        (FILES + "[sky]\nn_sources = 1000000000000", "[sky] n_sources = 1000000000000: takes 3.2e+04 GB of memory"),
+        (FILES + "[sky]\nn_sources = 1000000000000", "[sky] n_sources = 1000000000000: takes 32 TB of memory"),
         (SIMULATE + "n_times = 9223372036854775807", "[data.simulate] n_times = 9223372036854775807: takes "),
         (SIMULATE + "array = {hex = [4, 200000]}", "[data.simulate.array] hex = [4, 200000]: takes "),
         (SIMULATE + "array = {hex = [9000000000000000000, 9000000000000000000]}", "[data.simulate.array] hex = ["),

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from hydrabeam_mpi.api.preparation import prepare_shared
+from hydrabeam_mpi.api.preparation import prepare_shared_each
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.channels import ChannelResult, infer_channels
 from hydrabeam_mpi.fit.clock import Clock
@@ -29,7 +29,8 @@ def problem_of(world: MPI.Comm, folder: Path, **changes: Any) -> Problem:
     if world.rank == 0:
         write_job(mock_job(**changes), folder)
     world.Barrier()
-    return prepare_shared(world, load(world, folder / "job.toml"), folder)
+    (problem,) = prepare_shared_each(world, load(world, folder / "job.toml"), folder)
+    return problem
 
 
 def infer(world: MPI.Comm, problem: Problem, precision: str) -> list[ChannelResult]:

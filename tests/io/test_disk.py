@@ -64,7 +64,7 @@ def test_space_is_checked_in_time(tmp_path: Path) -> None:
     check_space(tmp_path, free // 2)
     with pytest.raises(InputError) as raised:
         check_space(tmp_path / ".", 10**21)
-    assert str(raised.value).startswith(f"{tmp_path.parent}: -o: needs at least 1.00ZB, and its disk has ")
+    assert str(raised.value).startswith(f"{tmp_path.parent}: -o: needs at least 1 ZB, and its disk has ")
 
 
 def write_much(folder: Path) -> None:

@@ -10,7 +10,7 @@ import h5py
 import tomli_w
 from mpi4py import MPI
 
-from hydrabeam_mpi.api.preparation import prepare_shared
+from hydrabeam_mpi.api.preparation import prepare_shared_each
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.joint import read_context
@@ -61,7 +61,7 @@ def context_of(job: dict[str, Any], folder: Path, world: MPI.Comm = MPI.COMM_SEL
     if world.rank == 0:
         write_job(job, folder)
     world.Barrier()
-    problem = prepare_shared(world, load(world, folder / "job.toml"), folder)
+    (problem,) = prepare_shared_each(world, load(world, folder / "job.toml"), folder)
     grid = ProcessGrid.split(world, problem.observation.Nfreqs)
     return read_context(grid, problem, problem.of_channels(grid.channels), Clock())
 

@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+from pyuvdata import ShortDipoleBeam
+from pyuvdata.analytic_beam import UnpolarizedAnalyticBeam
 from scipy.constants import c
 from scipy.special import j1
 
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
-from hydrabeam_mpi.model.beam import BeamInfo, CoefficientBeam, analytic_beam
+from hydrabeam_mpi.model.beam import BeamInfo, CoefficientBeam, analytic_beam, of_formula
 
 ZA = np.deg2rad(np.array([0.0, 3, 10, 40, 89]))
 AZ = np.array([0.0, 1, 2, 3, 4])
@@ -30,6 +32,26 @@ def test_east_west_dipole_is_blind_along_east_west():
     za, az = np.full(2, np.pi / 2), np.array([0.0, np.pi / 2])
     np.testing.assert_allclose(beam(za, az), [0, 1], atol=1e-12)
     np.testing.assert_allclose(analytic_beam("short_dipole", 150e6, "nn")(za, az), [1, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize("pol", ["ee", "nn", "en", "ne"])
+@pytest.mark.parametrize("feeds", [["x", "y"], ["y", "x"]])
+@pytest.mark.parametrize("x_orientation", ["east", "north"])
+def test_dipole_is_the_same_whatever_its_feeds_are_called(pol: str, feeds: list[str], x_orientation: str) -> None:
+    dipole = ShortDipoleBeam(x_orientation=x_orientation, feed_array=feeds)
+    values = of_formula(dipole, "dipole", 150e6, pol)(ZA, AZ)
+    np.testing.assert_allclose(values, analytic_beam("short_dipole", 150e6, pol)(ZA, AZ), atol=1e-12)
+
+
+def test_formula_of_power_alone_is_taken_as_it_is() -> None:
+    class Cosine(UnpolarizedAnalyticBeam):
+        def _power_eval(self, *, az_grid: np.ndarray, za_grid: np.ndarray, f_grid: np.ndarray) -> np.ndarray:
+            power = self._get_empty_data_array(az_grid.shape, beam_type="power")
+            power[:] = np.cos(za_grid)
+            return power
+
+    for pol in ("ee", "en"):
+        np.testing.assert_allclose(of_formula(Cosine(), "cosine", 150e6, pol)(ZA, AZ), np.cos(ZA), atol=1e-12)
 
 
 def test_cross_polarised_beam_is_conjugate_when_feeds_swap():

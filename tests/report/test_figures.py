@@ -12,6 +12,7 @@ import pytest
 from scipy.stats import halfnorm, rayleigh
 
 from hydrabeam_mpi.inference.predictive_checks import Z_EDGES
+from hydrabeam_mpi.report.beam import correlation
 from hydrabeam_mpi.report.beam.coefficients import draw_coefficients
 from hydrabeam_mpi.report.beam.correlation import draw_correlation, strongest
 from hydrabeam_mpi.report.beam.eigenbeams import draw_eigenbeams, with_real_peak
@@ -89,8 +90,9 @@ def test_a_large_matrix_is_reduced_to_its_strongest_entries() -> None:
     assert strongest(matrix, 1) is matrix
 
 
-def test_the_reduced_picture_says_so(paper_channel: Channel) -> None:
-    drawing = draw_correlation(paper_channel, paper_channel.covariance(), largest=15)
+def test_the_reduced_picture_says_so(paper_channel: Channel, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(correlation, "MOST_PIXELS", 15)
+    drawing = draw_correlation(paper_channel, paper_channel.covariance())
     n = len(paper_channel.arrays["mean"])
     block = -(-n // 15)
     assert images(drawing)[0].shape == (-(-n // block),) * 2

@@ -8,7 +8,7 @@ import pytest
 
 from hydrabeam_mpi.commands.sample_status import print_status
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.sampling.status import duration, number, status_of
+from hydrabeam_mpi.sampling.status import number, status_of
 from hydrabeam_mpi.sampling.storage.store import ChainStore
 from tests.sampling.made import add, draw_of, new_store
 
@@ -59,4 +59,3 @@ def test_numbers_and_times_in_words() -> None:
         "-",
         "-",
     ]
-    assert [duration(s) for s in (0.4, 59, 61, 3700, 90000)] == ["0 s", "59 s", "1 min 1 s", "1 h 1 min", "1 d 1 h"]

@@ -9,15 +9,7 @@ import pytest
 
 from hydrabeam_mpi.terminal import progress
 from hydrabeam_mpi.terminal.console import console
-from hydrabeam_mpi.terminal.progress import duration, loudness, say, tell, track, warn
-
-
-@pytest.mark.parametrize(
-    ("seconds", "words"),
-    [(0.4, "0 s"), (42.3, "42 s"), (99.9, "100 s"), (100, "2 min"), (5400, "90 min"), (12600, "3.5 h")],
-)
-def test_durations_as_one_glances_at_them(seconds: float, words: str) -> None:
-    assert duration(seconds) == words
+from hydrabeam_mpi.terminal.progress import loudness, say, tell, track, warn
 
 
 def test_time_left_is_told_where_work_goes_on(

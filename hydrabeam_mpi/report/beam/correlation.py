@@ -11,9 +11,11 @@ from hydrabeam_mpi.report.page.result import Channel
 from hydrabeam_mpi.report.page.style import Drawing, colour_map, new_figure
 
 _STEP = 0.05  # of the colour scale
+MOST_PIXELS = 1040
+"""Of the picture's side, about what a figure has: a larger matrix is reduced to the strongest entry of each block."""
 
 
-def draw_correlation(channel: Channel, covariance: Array, largest: int = 1040) -> Drawing:
+def draw_correlation(channel: Channel, covariance: Array) -> Drawing:
     """Draw the correlation matrix (real part), ordered by azimuthal number where the basis has one.
 
     Parameters
@@ -21,15 +23,13 @@ def draw_correlation(channel: Channel, covariance: Array, largest: int = 1040) -
     channel : Channel
     covariance : ndarray, (n, n)
         The channel's.
-    largest : int
-        Pixels of the picture's side; a larger matrix is reduced to the strongest entry of each block.
     """
     n = len(covariance)
     m = _azimuthal_numbers(channel, n)
     order = np.arange(n) if m is None else np.argsort(m, kind="stable")
     std = np.sqrt(np.diag(covariance).real)
     correlation = (covariance.real / np.outer(std, std))[np.ix_(order, order)]
-    block = -(-n // largest)
+    block = -(-n // MOST_PIXELS)
     figure = new_figure(6.7)
     axes = figure.subplots()
     norm = _colour_steps(correlation)

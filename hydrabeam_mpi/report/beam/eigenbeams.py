@@ -26,9 +26,7 @@ def draw_eigenbeams(channel: Channel, covariance: Array) -> Drawing | None:
     halves: Any = figure.subfigures(2, 1, height_ratios=[1.8 * parts, 2.0])
     maps, spectrum = halves
     _draw_beams(maps, channel, parts)
-    variances = channel.arrays.get("eigenvalues")
-    if variances is None:
-        variances = eigvalsh(covariance, check_finite=False)
+    variances = eigvalsh(covariance, check_finite=False)
     axes = spectrum.subplots()
     axes.plot(np.arange(1, len(variances) + 1), np.sqrt(np.abs(variances)), color=UNCERTAINTY)
     axes.set(yscale="log", xlim=(0, len(variances) + 1))

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 from markupsafe import Markup
 
 from hydrabeam_mpi.config.sample import NOISE
-from hydrabeam_mpi.data.observation import Array
 from hydrabeam_mpi.report.chains.pooled import beam_of, pool
 from hydrabeam_mpi.report.chains.uncertainty import marginal_std, spread_of
 from hydrabeam_mpi.report.page.parts import set_table
@@ -27,7 +24,7 @@ COLUMNS = (
 )
 
 
-def channel_rows(store: ChainStore, diagnosis: Diagnosis, kept: Mapping[str, Array]) -> Markup:
+def channel_rows(store: ChainStore, diagnosis: Diagnosis) -> Markup:
     """Set key numbers of each channel, where there are several and draws of them.
 
     Parameters
@@ -35,8 +32,6 @@ def channel_rows(store: ChainStore, diagnosis: Diagnosis, kept: Mapping[str, Arr
     store : ChainStore
     diagnosis : Diagnosis
         Of it.
-    kept : mapping
-        See `spread_of`.
     """
     beam = beam_of(store)
     if beam is None or beam.shape[0] < 2 or not diagnosis.chains:
@@ -48,7 +43,7 @@ def channel_rows(store: ChainStore, diagnosis: Diagnosis, kept: Mapping[str, Arr
         pooled = pool(store, channel)
         if pooled is None:
             return Markup()
-        spread = spread_of(pooled, kept)
+        spread = spread_of(pooled)
         ratio = np.full(1, np.nan) if spread is None else spread.ratio[np.isfinite(spread.ratio)]
         told = (np.median(marginal_std(pooled)), np.median(ratio), ratio.max())
         noise = [column for name, column in zip(pooled.labels, pooled.others.T, strict=True) if name.startswith(NOISE)]

@@ -9,7 +9,8 @@ from hydrabeam_mpi.report.page.parts import part, set_table, together
 from hydrabeam_mpi.report.page.scales import LOGARITHMIC, scale_values
 from hydrabeam_mpi.report.page.style import INFERRED, MODEL, REFERENCE, Drawing, new_figure
 from hydrabeam_mpi.sampling.convergence import LARGEST_R_HAT, Diagnosis
-from hydrabeam_mpi.sampling.status import Status, duration, number
+from hydrabeam_mpi.sampling.status import Status, number
+from hydrabeam_mpi.words import duration
 
 
 def mixing_rows(diagnosis: Diagnosis) -> Markup:

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from hydrabeam_mpi.config.sample import BEAM
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases import basis_from_description
@@ -14,7 +15,6 @@ from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.sampling.storage.store import ChainStore
 from hydrabeam_mpi.sampling.storage.variable import Variable
 
-BEAM = "beam"
 MOST = 800
 """Draws of all chains together: standard deviations of as many have errors of 2.5%."""
 AT_ONCE = 256
@@ -27,7 +27,6 @@ class Pooled:
 
     Attributes
     ----------
-    channel : int
     freq : float or None
         Of the channel, Hz.
     basis : LinearBasis
@@ -38,7 +37,6 @@ class Pooled:
         Their names.
     """
 
-    channel: int
     freq: float | None
     basis: LinearBasis
     beam: Array
@@ -100,7 +98,7 @@ def pool(store: ChainStore, channel: int = 0) -> Pooled | None:
                 labels += [prefix + name for name, keeps in zip(names, moves, strict=True) if keeps]
     freqs = beam.coords.get("freq", ())
     freq = float(freqs[channel]) if len(freqs) else None
-    return Pooled(channel, freq, basis, read, np.concatenate(others, axis=1), labels)
+    return Pooled(freq, basis, read, np.concatenate(others, axis=1), labels)
 
 
 def _of_channel(variable: Variable, channel: int) -> slice:

@@ -18,8 +18,6 @@ from hydrabeam_mpi.report.page.words import megahertz
 from hydrabeam_mpi.sampling.status import Status
 from hydrabeam_mpi.sampling.storage.store import ChainStore
 
-CONDITIONAL = "conditional"
-"""Name of what chains keep of the beam given all else."""
 Place = Callable[[Drawing], Markup]
 
 
@@ -40,7 +38,7 @@ def chains_page(store: ChainStore, status: Status, place: Place) -> tuple[Answer
         If the chains cannot be read.
     """
     diagnosis, pooled = status.diagnosis, pool(store)
-    spread = spread_of(pooled, store.kept(CONDITIONAL)) if pooled else None
+    spread = spread_of(pooled) if pooled else None
     picture = place(draw_spread(spread)) if spread else Markup()
     answer = Answer(_agreement(status), Markup(), picture, list(status.cautions))
     figures = map(place, _drawn(draw_ess(diagnosis), draw_traces(store, diagnosis)))
@@ -49,7 +47,7 @@ def chains_page(store: ChainStore, status: Status, place: Place) -> tuple[Answer
     return answer, [
         Section("Do the chains agree?", mixing),
         Section(f"The beam and all else{where}", _beam(pooled, spread is not None, place) if pooled else Markup()),
-        Section("All channels", channel_rows(store, status.diagnosis, store.kept(CONDITIONAL))),
+        Section("All channels", channel_rows(store, status.diagnosis)),
         Section("How far they are", together(part("paragraph", introduction(store, status)), progress_rows(status))),
     ]
 

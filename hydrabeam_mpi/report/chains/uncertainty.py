@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,31 +50,22 @@ def marginal_std(pooled: Pooled) -> FloatArray:
     return np.asarray(on_sky(pooled, pooled.beam).std(axis=0, ddof=1))
 
 
-def spread_of(pooled: Pooled, kept: Mapping[str, Array]) -> Spread | None:
+def spread_of(pooled: Pooled) -> Spread | None:
     """Return the two standard deviations; None where the second is not known.
 
-    The second is that of what is left of the draws of the beam after a linear regression on all else. Where there are
-    too few draws for the number of other parameters, it is that of the fit that the chains began at.
-
-    Parameters
-    ----------
-    pooled : Pooled
-    kept : mapping
-        ``map_std_conditional``, (Nfreqs, Nza, Naz), on ``grid_za`` and ``grid_az``, where the chains have it.
+    The second is that of what is left of the draws of the beam after a linear regression on all else. It is not known
+    where there are too few draws for the number of other parameters.
     """
     left, strengths, _ = np.linalg.svd(pooled.standardised, full_matrices=False)
     directions = left[:, strengths > 1e-8 * max(strengths.max(initial=0.0), 1.0)]
     n, rank = directions.shape
-    if not rank or (rank > SHARE * n and not kept):
+    if not rank or rank > SHARE * n:
         return None
     beams = on_sky(pooled, pooled.beam).reshape(n, -1)
-    away, marginal = beams - beams.mean(axis=0), marginal_std(pooled)
-    if rank > SHARE * n:
-        where = np.ix_(*(np.searchsorted(kept[name], at - 1e-6) for name, at in (("grid_za", ZA), ("grid_az", AZ))))
-        return Spread(marginal, kept["map_std_conditional"][pooled.channel][where])
+    away = beams - beams.mean(axis=0)
     remains = away - directions @ (directions.T @ away)
     conditional = np.sqrt(np.sum(np.abs(remains) ** 2, axis=0) / (n - 1 - rank))
-    return Spread(marginal, conditional.reshape(len(ZA), len(AZ)))
+    return Spread(marginal_std(pooled), conditional.reshape(len(ZA), len(AZ)))
 
 
 def draw_spread(spread: Spread) -> Drawing:
@@ -106,8 +96,7 @@ def draw_spread(spread: Spread) -> Drawing:
         "chains_uncertainty",
         "How uncertain the beam is when all else is uncertain, too",
         "Standard deviation of the beam over the draws (marginal), and what is left of it once all other blocks are "
-        "known (conditional: the draws less their linear regression on all other parameters; with few draws, what the "
-        "fit that the chains began at says of the beam with all else at its best). The marginal is wider "
+        "known (conditional: the draws less their linear regression on all other parameters). The marginal is wider "
         f"by a factor of {middle:.2f} in the median over the grid and of {float(ratio[seen].max()):.2f} at most: so "
         f"much a fit that takes the others as known understates the error. {VIEW}",
         "Two maps of the hemisphere, the standard deviation of the beam and its ratio to that with all else known; "

@@ -76,11 +76,6 @@ def sigmas(value: float) -> str:
     return f"{value:,.1f}" if abs(value) < 100 else written(value)
 
 
-def effect_name(kind: str) -> str:
-    """Write the kind of an effect as words: "antenna_gains" as "antenna gains"."""
-    return kind.replace("_", " ")
-
-
 def candidate_name(entry: Entry) -> str:
     """Name what was weighed or tried: the words of its kind, with the law by which it changes in time."""
     law = entry.get("law")
@@ -95,7 +90,7 @@ def runner_up(entry: Entry) -> str | None:
 
 def title_of(entry: Entry) -> str:
     """Return the name of a record's effect, as it is used within sentences."""
-    return str(entry.get("title") or effect_name(str(entry.get("effect", "an effect without a name"))))
+    return str(entry.get("title") or effect_words(str(entry.get("effect", "an effect without a name"))))
 
 
 def first_statistics(loop: Entry) -> Entry | None:

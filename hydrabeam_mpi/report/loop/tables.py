@@ -10,7 +10,6 @@ from markupsafe import Markup
 from hydrabeam_mpi.report.loop.record import (
     Entry,
     candidate_name,
-    effect_name,
     entries,
     number,
     runner_up,
@@ -22,7 +21,7 @@ from hydrabeam_mpi.report.loop.words import round_words
 from hydrabeam_mpi.report.page.key_numbers import Kind
 from hydrabeam_mpi.report.page.parts import part, set_table, together, under
 from hydrabeam_mpi.report.page.words import megahertz
-from hydrabeam_mpi.words import joined
+from hydrabeam_mpi.words import effect_words, joined
 
 LISTED = 12
 """Parameters of an effect that the page lists."""
@@ -126,13 +125,13 @@ def left_out(loop: Entry) -> Markup:
         for entry in entries(loop, "tried")
     ]
     degenerate_directions = [
-        (effect_name(str(entry.get("what", "–"))), str(entry.get("why") or "–"))
+        (effect_words(str(entry.get("what", "–"))), str(entry.get("why") or "–"))
         for entry in entries(loop, "undecidable")
     ]
     skipped = [(title_of(entry), str(entry.get("reason") or "–")) for entry in entries(loop, "skipped")]
     tested = [
         (
-            effect_name(str(entry.get("name", "–"))),
+            effect_words(str(entry.get("name", "–"))),
             written(number(entry, "chi2")),
             written(number(entry, "explained"), "percent"),
         )
@@ -157,5 +156,5 @@ def _titled(title: str, names: Sequence[str], rows: Sequence[Sequence[str]]) -> 
 def seconds(loop: Entry) -> Markup:
     """Tell what took how long."""
     spent = loop.get("seconds") or {}
-    known = [f"{effect_name(name)} {written(number(spent, name))} s" for name in spent if number(spent, name) >= 0]
+    known = [f"{effect_words(name)} {written(number(spent, name))} s" for name in spent if number(spent, name) >= 0]
     return part("paragraph", f"Time: {', '.join(known)}.") if known else Markup()

@@ -7,9 +7,10 @@ from typing import Any
 
 from markupsafe import Markup
 
-from hydrabeam_mpi.report.loop.record import Entry, effect_name, entries, number, sigmas, written
+from hydrabeam_mpi.report.loop.record import Entry, entries, number, sigmas, written
 from hydrabeam_mpi.report.page.parts import part, set_table, together
 from hydrabeam_mpi.report.page.places import place_words
+from hydrabeam_mpi.words import effect_words
 
 NAMED, LISTED = 3, 10
 
@@ -19,7 +20,7 @@ def where_tables(loop: Entry) -> Markup:
     axes = {name: axis for name, axis in (loop.get("where") or {}).items() if isinstance(axis, dict)}
     if not axes:
         return Markup()
-    overview = [(effect_name(name), *_overview(name, axis)) for name, axis in axes.items()]
+    overview = [(effect_words(name), *_overview(name, axis)) for name, axis in axes.items()]
     heads = ["over", "the excess is", "carry 2/3 of it", "unevenness, σ", "the strongest, with their shares"]
     parts = [set_table(heads, overview, (2, 3))]
     rows = [row for name, axis in axes.items() for row in _rows(name, axis)]

@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from hydrabeam_mpi.words import text_table
+
 Kind = Literal["number", "percent", "count"]
 
 
@@ -169,11 +171,9 @@ def _percent(share: float) -> str:
     return f"{100 * share:.1f}%" if abs(share) >= 0.1 else f"{100 * share:.3g}%"
 
 
-def text_table(groups: dict[str, list[Row]]) -> str:
+def as_text(groups: dict[str, list[Row]]) -> str:
     """Set the table in columns for a terminal."""
     rows = [row for lines in groups.values() for row in lines]
     heading = PAPER_HEADING if any(row.paper for row in rows) else ""
-    rows.insert(0, Row("summary.json key", "value", "what it is", heading))
-    key, value, what = (max(len(getattr(row, name)) for row in rows) for name in ("key", "value", "what"))
-    lines = [f"{row.key:<{key}}  {row.value:>{value}}  {row.what:<{what}}  {row.paper}" for row in rows]
-    return "\n".join(line.rstrip() for line in lines)
+    cells = [(row.key, row.value, row.what, row.paper) for row in rows]
+    return text_table([("summary.json key", "value", "what it is", heading), *cells], right=[1])

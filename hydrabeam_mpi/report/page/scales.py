@@ -11,6 +11,7 @@ from matplotlib.ticker import MaxNLocator
 STEPS = ((1, 2, 5), (1, 3), (1,))
 MOST_TICKS = 6
 LOGARITHMIC = 5.0  # ratio of the largest value to the smallest from which a scale is logarithmic
+ROOM = 0.12  # beside the values, as a part of what they span: a line of labels has room above it
 
 
 def ticks_between(low: float, high: float) -> list[float]:
@@ -36,14 +37,14 @@ def tick_label(value: float) -> str:
     return f"${factor}10^{{{int(exponent)}}}$"
 
 
-def scale_values(axes: Axes, values: Sequence[float], room: float = 0.12) -> None:
+def scale_values(axes: Axes, values: Sequence[float]) -> None:
     """Fit the y axis to values, logarithmic where they span a factor of five, with room for labels above them."""
     low, high = min(values), max(values)
     if low <= 0 or high < LOGARITHMIC * low:
-        margin = room * max(high - low, 0.05 * abs(high), 1e-300)
+        margin = ROOM * max(high - low, 0.05 * abs(high), 1e-300)
         axes.set_ylim(low - margin, high + 1.5 * margin)
         return
-    span = (high / low) ** room
+    span = (high / low) ** ROOM
     axes.set_yscale("log")
     axes.set_ylim(low / span, high * span**1.5)
     ticks = ticks_between(low / span, high * span**1.5)

@@ -86,12 +86,12 @@ def colour_map(name: str) -> Colormap:
     return colormaps[name].resampled(49)
 
 
-def decades(values: Array, low: float = 0.0, high: float = 100.0) -> tuple[float, float]:
-    """Return powers of ten that enclose the given percentiles of the positive values; (0.1, 1) without any."""
+def decades(values: Array, low: float = 0.0) -> tuple[float, float]:
+    """Return powers of ten that enclose the positive values from a percentile on; (0.1, 1) without any."""
     positive = values[np.isfinite(values) & (values > 0)]
     if not positive.size:
         return 0.1, 1.0
-    bottom, top = np.log10(np.percentile(positive, [low, high]))
+    bottom, top = np.log10(np.percentile(positive, [low, 100]))
     return float(10 ** np.floor(bottom)), float(10 ** max(np.ceil(top), np.floor(bottom) + 1))
 
 

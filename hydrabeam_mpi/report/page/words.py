@@ -16,7 +16,7 @@ from hydrabeam_mpi.report.page.result import Channel, Result
 
 NEARLY_ONE = 1.1
 """Reduced chi^2 up to which residuals are as large as expected, for words."""
-ORDINALS = {2: "second", 3: "third"}
+OFTEN = {2: "every second time", 3: "every third time"}
 
 
 def megahertz(freq: float) -> str:
@@ -106,7 +106,7 @@ def _holdout(job: dict[str, Any]) -> str:
     holdout = job.get("holdout", {})
     every = holdout.get("every")
     kinds = {
-        "times": f"every {ORDINALS.get(every, f'{every}th')} time was",
+        "times": f"{OFTEN.get(every, f'one time in {every}')} was",
         "lst": "ranges of sidereal time were",
         "jd": "ranges of time were",
         "baselines": "some baselines were",

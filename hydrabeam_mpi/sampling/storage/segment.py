@@ -45,7 +45,7 @@ NAME = re.compile(r"(\d{8,})-(\d{8,})\.h5")
 GROUPS = ("draws", "info", "state")
 END_OF_FILE = slice(28, 36)
 """Where HDF5 writes the length of a file that it has made."""
-LARGEST = 1 << 32
+ASSUMED_BYTES = 1 << 32
 """Bytes of memory to go by where the system does not tell."""
 PADDING = b"\xa5"
 """Stands for what is missing of a file; no draw of it has its checksum."""
@@ -207,7 +207,7 @@ def remains_of(segment: Segment) -> Segment | None:
     """
     image = segment.path.read_bytes()
     length = int.from_bytes(image[END_OF_FILE], "little")
-    if length > (free_bytes() or LARGEST) // 4:
+    if length > (free_bytes() or ASSUMED_BYTES) // 4:
         return None  # it is this number that is damaged
     image += PADDING * (length - len(image))
     told = Segment(segment.path, segment.first, segment.end, image)

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
@@ -23,7 +22,7 @@ from hydrabeam_mpi.sampling.storage.chain_files import ChainFiles, retried
 from hydrabeam_mpi.sampling.storage.identity import check_same
 from hydrabeam_mpi.sampling.storage.segment import FORMAT, last_state
 from hydrabeam_mpi.sampling.storage.variable import Variable
-from hydrabeam_mpi.sampling.storage.whole_file import is_whole, write_hdf5, write_whole
+from hydrabeam_mpi.sampling.storage.whole_file import write_file
 from hydrabeam_mpi.sampling.storage.writer import ChainWriter
 
 CHAINS = "chains.json"
@@ -248,40 +247,6 @@ class ChainStore:
         said = (self.files(chain).caution() for chain in range(self.chains))
         return [line for line in said if line]
 
-    def keep(self, name: str, arrays: Mapping[str, Array]) -> None:
-        """Write arrays that belong to all chains into a file of that name.
-
-        Raises
-        ------
-        InputError
-            If it cannot be written.
-        """
-
-        def fill(file: h5py.File) -> None:
-            for key, values in arrays.items():
-                file[key] = values
-
-        with writing(self.folder / name):
-            write_hdf5(self.folder / f"{name}.h5", fill)
-
-    def kept(self, name: str) -> dict[str, Array]:
-        """Read what `keep` wrote; empty where it has not.
-
-        Raises
-        ------
-        InputError
-            If it is damaged.
-        """
-        path = self.folder / f"{name}.h5"
-        if not path.exists():
-            return {}
-        remedy = "remove it; the same command writes it again"
-        with reading(path, "a part of chains", remedy=remedy):
-            if not is_whole(path):
-                raise InputError("is truncated or damaged", remedy=remedy)
-            with h5py.File(path, "r") as file:
-                return {key: data[()] for key, data in file.items()}
-
     def _write(self) -> None:
         table = {
             "format": FORMAT,
@@ -293,7 +258,7 @@ class ChainStore:
             "about": self.about,
         }
         with writing(self.folder / CHAINS):
-            write_whole(self.folder / CHAINS, (json.dumps(table, indent=1) + "\n").encode())
+            write_file(self.folder / CHAINS, (json.dumps(table, indent=1) + "\n").encode())
 
 
 def _as_json(table: Mapping[str, Any]) -> dict[str, Any]:

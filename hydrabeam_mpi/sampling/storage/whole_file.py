@@ -40,10 +40,10 @@ def write_hdf5(path: Path, fill: Callable[[h5py.File], None]) -> None:
     stream = io.BytesIO()
     with h5py.File(stream, "w", libver=LIBRARIES, **order) as file:
         fill(file)
-    write_whole(path, stream.getvalue(), checked=True)
+    write_file(path, stream.getvalue(), checked=True)
 
 
-def write_whole(path: Path, content: bytes, *, checked: bool = False) -> None:
+def write_file(path: Path, content: bytes, *, checked: bool = False) -> None:
     """Write a file under a temporary name, and rename it once it is on the disk; ``checked`` adds the checksum."""
     with replacing(path) as partial, partial.open("wb") as stream:
         stream.write(content)

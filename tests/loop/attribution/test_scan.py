@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
-from hydrabeam_mpi.api.preparation import prepare_shared
+from hydrabeam_mpi.api.preparation import prepare_shared_each
 from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.gauss_newton import refit
@@ -26,7 +26,7 @@ def test_a_source_that_the_beam_takes_up_is_weighed(tmp_path: Path) -> None:
     """
     generate(41027, tmp_path, "flux_at_transit", "study")
     world = MPI.COMM_SELF
-    problem = prepare_shared(world, load(world, tmp_path / GIVEN / "job.toml"), None)
+    (problem,) = prepare_shared_each(world, load(world, tmp_path / GIVEN / "job.toml"), None)
     context = read_context(ProcessGrid.split(world, 1), problem, problem, Clock())
     (found,) = attribute(context, refit(context, Values()), [CatalogueFlux()])
     used = np.flatnonzero(found.evidence.prior_var)

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from hydrabeam_mpi.report.page.key_numbers import Kind, format_value, table, text_table
+from hydrabeam_mpi.report.page.key_numbers import Kind, as_text, format_value, table
 from hydrabeam_mpi.report.page.parts import as_html
 from hydrabeam_mpi.report.page.words import heldout_words, megahertz
 from hydrabeam_mpi.result.told import warnings_of
@@ -80,7 +80,7 @@ def test_the_papers_result_stands_beside_its_own_experiments(name: str, paper: s
 
 
 def test_columns_of_the_terminal_table_are_aligned() -> None:
-    text = text_table(table({"condition_number": 1600.0, "ppd_z_std": 1.36, "ranks": 2}, "paper"))
+    text = as_text(table({"condition_number": 1600.0, "ppd_z_std": 1.36, "ranks": 2}, "paper"))
     first, *rest = text.splitlines()
     end = first.index("value") + len("value")
     assert [line[:end].split()[-1] for line in rest] == ["1,600", "1.36", "2"]

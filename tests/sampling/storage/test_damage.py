@@ -91,17 +91,6 @@ def test_a_damaged_file_that_was_merged_from_others_falls_back_to_them(tmp_path:
     assert len(list((tmp_path / "chain-0").glob("*.h5"))) == SEGMENTS
 
 
-def test_what_chains_have_in_common_is_refused_where_it_is_damaged(tmp_path: Path) -> None:
-    store = new_store(tmp_path)
-    assert store.kept("conditional") == {}
-    store.keep("conditional", {"std": np.arange(3.0)})
-    np.testing.assert_array_equal(store.kept("conditional")["std"], np.arange(3.0))
-    path = tmp_path / "conditional.h5"
-    path.write_bytes(path.read_bytes()[:-1])
-    with pytest.raises(InputError, match=r"conditional\.h5: is truncated or damaged; remove it"):
-        store.kept("conditional")
-
-
 def test_a_full_disk_leaves_what_is_whole(small_disk: Path) -> None:
     store = new_store(small_disk / "out", draws=10**5)
     with pytest.raises(InputError) as caught, store.writer(0) as writer:
