@@ -57,7 +57,8 @@ def write_gains(folder: Path, observation: Observation, gains: ComplexArray, his
             update_telescope_from_known=False,
             data={"gain_array": values, "flag_array": np.zeros(shape, bool), "quality_array": np.zeros(shape)},
             history=history,
-            pol_convention="sum",
+            # Of the data that they divide.
+            pol_convention=observation.convention,
             gain_scale="Jy",
         )
         if _is_even(observation.times, SAME_TIME) and _is_even(observation.freqs, SAME_FREQ):

@@ -52,8 +52,8 @@ def apply_gains(
     tile : Tile
     gain_files : sequence of Path
         Each must have every antenna and channel; together they must have every feed, and a solution within
-        an integration of every time. A single solution serves all times. Gains said to be in the convention
-        I = (V_xx + V_yy) / 2 leave half the visibility, so that it is V = 1/2 I B.
+        an integration of every time. A single solution serves all times. What they say of the convention of
+        polarisation counts for visibilities whose files say nothing; these end as V = 1/2 I B.
 
     Returns
     -------
@@ -180,9 +180,26 @@ def _picked(cal: UVCal, path: Path, observation: Observation) -> _Solution:
     if cal.gain_convention == "multiply":
         gains = 1 / gains
     if cal.pol_convention is not None:
-        # The convention that the gain file states for calibrated data overrides the job's.
-        gains *= np.sqrt(2) ** ((cal.pol_convention == "avg") - (observation.pol_convention == "avg"))
+        gains *= _left_by_reading(cal.pol_convention, observation, path)
     return _Solution(gains, flags, *_stamps(cal), _feed_names(cal))
+
+
+def _left_by_reading(stated: str, observation: Observation, path: Path) -> float:
+    """Return by what gains are multiplied to calibrate to V = 1/2 I B, given the convention of calibrated data.
+
+    Reading has halved visibilities said to be in the convention I = (V_xx + V_yy) / 2, by their files or by the job.
+    The gains' own statement replaces the job's, and cannot differ from that of files, as in
+    `pyuvdata.utils.uvcalibrate`.
+    """
+    if others := set(observation.stated_conventions) - {stated, None}:
+        message = f'says "{stated}", where visibilities that it is applied to say "{others.pop()}"'
+        remedy = "correct the one that is wrong, UVCal.pol_convention or UVData.pol_convention"
+        raise InputError(message, file=path, field="pol_convention", remedy=remedy)
+    if observation.convention is None:
+        message = f'says "{stated}", as do some files of visibilities, while those that say nothing are taken otherwise'
+        remedy = f'set [data] pol_convention = "{stated}"'
+        raise InputError(message, file=path, field="pol_convention", remedy=remedy)
+    return float(np.sqrt(2) ** ((stated == "avg") - (observation.convention == "avg")))
 
 
 def _check_values(gains: ComplexArray, flags: BoolArray, observation: Observation, path: Path) -> None:

@@ -51,6 +51,7 @@ def read_observation(files: Sequence[Data], selection: Selection) -> Observation
     check_all_survive([Path(data) for data in files if not isinstance(data, Source)])
     surveys = survey(files)
     names, positions = merge_antennas(surveys)
+    stated = tuple({one.header.pol_convention: None for one in surveys})
     surveys = [one for one in surveys if one.antpairs.size]
     if not surveys:
         raise InputError("no cross-correlations", file=files[0], field="ant_2_array", remedy="add their files")
@@ -81,6 +82,7 @@ def read_observation(files: Sequence[Data], selection: Selection) -> Observation
         lsts=lsts,
         integration_time=integration_time,
         pols=_select_pols([one.header for one in surveys], selection),
+        stated_conventions=stated,
         uncalibrated=any(one.header.units == "uncalib" for one in surveys),
     )
     check_covered(observation, surveys)

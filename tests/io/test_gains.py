@@ -163,6 +163,62 @@ def test_the_convention_that_gains_state_replaces_that_of_the_job(read, tmp_path
     np.testing.assert_allclose(found, factor * plain, rtol=1e-14)
 
 
+@pytest.mark.parametrize("of_job", [None, "sum", "avg"])
+@pytest.mark.parametrize(
+    ("of_data", "of_gains"),
+    [("avg", "avg"), ("avg", None), ("sum", "sum"), ("sum", None), (None, "avg"), (None, "sum"), (None, None)],
+)
+def test_statements_of_data_and_gains_are_those_of_pyuvdata(read, tmp_path, of_data, of_gains, of_job):
+    """Only what neither states, the job tells; in the end V = 1/2 I B, once."""
+    uv = make_uvdata()
+    uv.pol_convention = of_data
+    cal = make_uvcal(uv)
+    cal.pol_convention, cal.gain_scale = of_gains, "Jy"
+    obs, *_, files = read(uv, cal, extension="calh5")
+    obs = dataclasses.replace(obs, pol_convention=of_job)
+    data, flags, _ = read_visibilities([tmp_path / "a.uvh5"], obs, whole(obs))
+    found, *_ = apply_gains(data, flags, obs, whole(obs), files)
+    calibrated = uvcalibrate(uv, cal, inplace=False)
+    wanted, *_ = expected(calibrated, obs)
+    factor = 0.5 if (calibrated.pol_convention or of_job) == "avg" else 1.0
+    np.testing.assert_allclose(found, factor * wanted, rtol=1e-12, atol=0)
+
+
+@pytest.mark.parametrize(("of_data", "of_gains"), [("avg", "sum"), ("sum", "avg")])
+def test_data_and_gains_of_two_conventions_are_refused(read, of_data, of_gains):
+    uv = make_uvdata()
+    uv.pol_convention = of_data
+    cal = make_uvcal(uv)
+    cal.pol_convention, cal.gain_scale = of_gains, "Jy"
+    with pytest.raises(ValueError, match="does not match UVCal"):
+        uvcalibrate(uv, cal, inplace=False)
+    obs, data, flags, files = read(uv, cal, extension="calh5")
+    message = f'0.calh5: pol_convention: says "{of_gains}", where visibilities .* say "{of_data}"; correct the one'
+    with pytest.raises(InputError, match=message):
+        apply_gains(data, flags, obs, whole(obs), files)
+
+
+def test_files_that_state_no_convention_beside_others_that_do(read, tmp_path):
+    """Of both together one gain makes what it should only where they were read in the same way."""
+    uv = make_uvdata()
+    cal = make_uvcal(uv)
+    cal.pol_convention, cal.gain_scale = "avg", "Jy"
+    *_, gains = read(uv, cal, extension="calh5")
+    paths = [tmp_path / "early.uvh5", tmp_path / "late.uvh5"]
+    for path, times, stated in zip(paths, (TIMES[:3], TIMES[3:]), ("avg", None), strict=True):
+        part = uv.select(times=times, inplace=False)
+        part.pol_convention = stated
+        part.write_uvh5(str(path), run_check=False)
+    obs = read_observation(paths, Selection())
+    with pytest.raises(InputError, match=r'taken otherwise; set \[data\] pol_convention = "avg"'):
+        read_gains(gains, obs, np.arange(6))
+    obs = dataclasses.replace(obs, pol_convention="avg")
+    data, flags, _ = read_visibilities(paths, obs, whole(obs))
+    found, *_ = apply_gains(data, flags, obs, whole(obs), gains)
+    wanted, *_ = expected(uvcalibrate(uv, cal, inplace=False), obs)
+    np.testing.assert_allclose(found, wanted / 2, rtol=1e-12, atol=0)
+
+
 def test_feeds_are_matched_by_direction(read):
     uv = make_uvdata(x_orientation="north")
     cal = make_uvcal(make_uvdata())
