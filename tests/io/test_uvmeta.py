@@ -196,6 +196,27 @@ def test_baseline_dependent_averaging_is_refused(write):
     assert read_observation([write(uv)], Selection()).integration_time.tolist() == [10.0] * 3 + [20.0] * 3
 
 
+def test_averaging_of_short_baselines_alone_is_refused(write):
+    """Of an even number of integrations: no time stamp is that of both."""
+    uv, mean = make_uvdata(), make_uvdata()
+    uv.select(bls=[(3, 41), (7, 41), (7, 20)])
+    mean.select(bls=[(3, 7), (20, 11), (3, 11)])
+    mean.downsample_in_time(n_times_to_avg=2)
+    with pytest.raises(InputError, match="integrations of 10 to 20 s, depending on the baseline"):
+        read_observation([write(uv + mean)], Selection())
+
+
+def test_an_antenna_that_joins_where_integrations_get_shorter(write):
+    times = 2459866.2 + SECOND * np.array([5.0, 15.0, 22.5])
+    uv = make_uvdata(times=times)
+    uv.integration_time = np.where(uv.time_array > times[1] + SECOND, 5.0, 10.0)
+    late = (uv.ant_1_array == 41) | (uv.ant_2_array == 41)
+    uv.select(blt_inds=np.flatnonzero(~late | (uv.time_array > times[0] + SECOND)))
+    obs = read_observation([write(uv)], Selection())
+    assert obs.integration_time.tolist() == [10.0, 10.0, 5.0]
+    assert 41 in obs.antenna_numbers
+
+
 def test_antenna_without_position_is_refused_if_used(write):
     uv = make_uvdata()
     uv.telescope.antenna_positions[1] = np.nan
