@@ -27,12 +27,15 @@ from hydrabeam_mpi.io.uvfile import FREQ_TOLERANCE, TIME_TOLERANCE
 
 @dataclass(frozen=True)
 class _Solution:
-    """One file's gains at the observation's antennas and channels.
+    """One file's gains at those of the observation's antennas and channels that it has.
 
-    ``gains`` and ``flags`` are (Nfreqs, Nsolutions, Nants, Nfeeds), ``times`` (Nsolutions,) in JD; each
-    solution holds for ``reach`` days about its time.
+    ``channels`` (Nchannels,) and ``ants`` (Nants,) are indices into the observation's, ``gains`` and ``flags`` are
+    (Nchannels, Nsolutions, Nants, Nfeeds), ``times`` (Nsolutions,) in JD; each solution holds for ``reach`` days about
+    its time.
     """
 
+    channels: IntArray
+    ants: IntArray
     gains: ComplexArray
     flags: BoolArray
     times: FloatArray
@@ -51,9 +54,9 @@ def apply_gains(
     observation : Observation
     tile : Tile
     gain_files : sequence of Path
-        Each must have every antenna and channel; together they must have every feed, and a solution within
-        an integration of every time. A single solution serves all times. What they say of the convention of
-        polarisation counts for visibilities whose files say nothing; these end as V = 1/2 I B.
+        Together they must have every antenna, channel and feed, and some solution within an integration of every
+        time. What none of them has there is flagged. A single solution serves all times. What they say of the
+        convention of polarisation counts for visibilities whose files say nothing; these end as V = 1/2 I B.
 
     Returns
     -------
@@ -104,28 +107,34 @@ def read_gains(files: Sequence[Path], observation: Observation, times: IntArray)
     Returns
     -------
     gains, flags : ndarray, (Nfreqs, len(times), Nants, Nfeeds)
-        Of the observation's antennas and of the feeds in its polarisations; one where flagged.
+        Of the observation's antennas and of the feeds in its polarisations; one where flagged or in no file.
     """
     feeds, wanted = feeds_of(observation.pols), observation.times[times]
     shape = (observation.Nfreqs, len(times), observation.Nants, len(feeds))
     gains, flags = np.ones(shape, np.complex128), np.ones(shape, bool)
-    distance = np.full((len(times), len(feeds)), np.inf)
+    distance = np.full(shape, np.inf)
     solutions = [_read_solution(Path(path), observation) for path in files]
+    _check_all_there(solutions, observation, files[0])
     lone = np.ptp(np.concatenate([solution.times for solution in solutions])) <= TIME_TOLERANCE
     for solution in solutions:
         reach = np.maximum(solution.reach, observation.integration_time[times] / 86400)
         near = match(wanted, solution.times, np.inf if lone else reach)
+        at = np.flatnonzero(near >= 0)
+        away = np.abs(solution.times[near[at]] - wanted[at])[:, np.newaxis]
+        here = np.ix_(solution.channels, at, solution.ants)
         for index, feed in enumerate(feeds):
             stored = next((j for j, names in enumerate(solution.feeds) if feed in names), None)
-            away = np.where(near >= 0, np.abs(solution.times[near] - wanted), np.inf)
-            better = away < distance[:, index]
-            if stored is None or not better.any():
+            if stored is None:
                 continue
-            gains[:, better, :, index] = solution.gains[:, near[better], :, stored]
-            flags[:, better, :, index] = solution.flags[:, near[better], :, stored]
-            distance[better, index] = away[better]
-    if np.isinf(distance).any():
-        time, feed = np.argwhere(np.isinf(distance))[0]
+            best = distance[..., index]
+            better = away < best[here]
+            for filled, found in ((gains, solution.gains), (flags, solution.flags)):
+                of_feed = filled[..., index]
+                of_feed[here] = np.where(better, found[..., stored][:, near[at]], of_feed[here])
+            best[here] = np.where(better, away, best[here])
+    nowhere = np.isinf(distance).all(axis=(0, 2))
+    if nowhere.any():
+        time, feed = np.argwhere(nowhere)[0]
         raise InputError(
             f'no gains of feed "{feeds[feed]}" within an integration of JD {wanted[time]:.6f}',
             file=files[0],
@@ -160,28 +169,37 @@ def _read_solution(path: Path, observation: Observation) -> _Solution:
         return _picked(cal, path, observation)
 
 
-def _picked(cal: UVCal, path: Path, observation: Observation) -> _Solution:
-    """Pick the observation's antennas and channels, and make the gains such as multiply the true visibilities."""
-    ants = match(observation.antenna_numbers, cal.ant_array, 0)
-    if np.any(ants < 0):
-        missing = ", ".join(map(str, observation.antenna_numbers[ants < 0]))
+def _check_all_there(solutions: Sequence[_Solution], observation: Observation, path: Path) -> None:
+    """Refuse antennas and channels of which no file has gains."""
+    ants = np.setdiff1d(np.arange(observation.Nants), np.concatenate([solution.ants for solution in solutions]))
+    if ants.size:
+        missing = ", ".join(map(str, observation.antenna_numbers[ants]))
         remedy = "leave it out with exclude_antennas"
         raise InputError(f"no gains of antenna {missing}", file=path, field="ant_array", remedy=remedy)
-    channels = match(observation.freqs, cal.freq_array, FREQ_TOLERANCE)
-    if np.any(channels < 0):
-        missing = f"{observation.freqs[channels < 0][0] / 1e6:.6f} MHz"
+    channels = np.concatenate([solution.channels for solution in solutions])
+    channels = np.setdiff1d(np.arange(observation.Nfreqs), channels)
+    if channels.size:
+        missing = f"{observation.freqs[channels[0]] / 1e6:.6f} MHz"
         remedy = "give gains with the channels of the data"
         raise InputError(f"no gains at {missing}", file=path, field="freq_array", remedy=remedy)
+
+
+def _picked(cal: UVCal, path: Path, observation: Observation) -> _Solution:
+    """Pick the observation's antennas and channels, and make the gains such as multiply the true visibilities."""
+    stored_ants = match(observation.antenna_numbers, cal.ant_array, 0)
+    stored_channels = match(observation.freqs, cal.freq_array, FREQ_TOLERANCE)
+    channels, ants = np.flatnonzero(stored_channels >= 0), np.flatnonzero(stored_ants >= 0)
     # pyuvdata has (Nants, Nfreqs, Ntimes, Njones).
-    gains = cal.gain_array[np.ix_(ants, channels)].transpose(1, 2, 0, 3).astype(np.complex128)
-    flags = cal.flag_array[np.ix_(ants, channels)].transpose(1, 2, 0, 3)
-    _check_values(gains, flags, observation, path)
+    here = np.ix_(stored_ants[ants], stored_channels[channels])
+    gains = cal.gain_array[here].transpose(1, 2, 0, 3).astype(np.complex128)
+    flags = cal.flag_array[here].transpose(1, 2, 0, 3)
+    _check_values(gains, flags, observation.antenna_numbers[ants], path)
     gains[flags] = 1.0
     if cal.gain_convention == "multiply":
         gains = 1 / gains
     if cal.pol_convention is not None:
         gains *= _left_by_reading(cal.pol_convention, observation, path)
-    return _Solution(gains, flags, *_stamps(cal), _feed_names(cal))
+    return _Solution(channels, ants, gains, flags, *_stamps(cal), _feed_names(cal))
 
 
 def _left_by_reading(stated: str, observation: Observation, path: Path) -> float:
@@ -202,12 +220,12 @@ def _left_by_reading(stated: str, observation: Observation, path: Path) -> float
     return float(np.sqrt(2) ** ((stated == "avg") - (observation.convention == "avg")))
 
 
-def _check_values(gains: ComplexArray, flags: BoolArray, observation: Observation, path: Path) -> None:
+def _check_values(gains: ComplexArray, flags: BoolArray, antennas: IntArray, path: Path) -> None:
     """Refuse gains by which no visibility can be divided, unless flagged; (Nfreqs, Ntimes, Nants, ...)."""
     usable = (size(gains) >= 1 / LARGEST) & (size(gains) <= LARGEST)
     unusable = ~flags & ~usable
     if unusable.any():
-        ant = observation.antenna_numbers[np.argwhere(unusable)[0, 2]]
+        ant = antennas[np.argwhere(unusable)[0, 2]]
         message = f"an unflagged gain of antenna {ant} is zero, not finite, or beyond reason ({gains[unusable][0]:.3g})"
         raise InputError(message, file=path, field="gain_array", remedy="flag it")
 

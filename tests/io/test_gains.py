@@ -119,6 +119,52 @@ def test_one_file_a_feed_and_one_a_stretch_of_time(read):
     np.testing.assert_array_equal(gains, np.where(flags, 1.0, cal.gain_array.transpose(1, 2, 0, 3)))
 
 
+def test_one_file_a_part_of_the_band_and_an_antenna_that_one_lacks(read):
+    times = TIMES + np.repeat([0.0, 1.0], 3)
+    uv = make_uvdata(times=times)
+    cal = make_uvcal(uv, times=times)
+    parts = [
+        cal.select(times=times[night], freq_chans=channels, antenna_nums=numbers, inplace=False)
+        for night, channels, numbers in (
+            ([0, 1, 2], [0, 1], NUMBERS),
+            ([0, 1, 2], [2, 3], NUMBERS),
+            ([3, 4, 5], [3, 2], NUMBERS[:3] + NUMBERS[4:]),
+            ([3, 4, 5], [0], NUMBERS),
+        )
+    ]
+    obs, data, data_flags, files = read(uv, cal, extension="calh5")
+    full, full_flags, full_power = apply_gains(data, data_flags, obs, whole(obs), files)
+    files[0].unlink()
+    *_, files = read(uv, *parts, extension="calh5")
+    gains, flags = read_gains(files, obs, np.arange(6))
+    wanted = cal.flag_array.transpose(1, 2, 0, 3).copy()
+    wanted[2:, 3:, 3] = wanted[1, 3:] = True
+    np.testing.assert_array_equal(flags, wanted)
+    np.testing.assert_array_equal(gains, np.where(wanted, 1.0, cal.gain_array.transpose(1, 2, 0, 3)))
+    found, found_flags, power = apply_gains(data, data_flags, obs, whole(obs), files)
+    lost = np.zeros(data.shape, bool)
+    lost[1, 3:] = True
+    lost[2:, 3:, (obs.antpairs == 20).any(axis=1)] = True
+    np.testing.assert_array_equal(found_flags, full_flags | lost)
+    np.testing.assert_array_equal(found, np.where(lost, 0, full))
+    np.testing.assert_array_equal(power[~found_flags], full_power[~found_flags])
+
+
+def test_what_no_file_of_several_has_is_refused(read):
+    uv = make_uvdata()
+    cal = make_uvcal(uv)
+    one, two = ([3, 7, 11], [0, 1, 3]), ([3, 20, 11], [1, 3, 0])
+    parts = [cal.select(antenna_nums=ants, freq_chans=channels, inplace=False) for ants, channels in (one, two)]
+    obs, *_, files = read(uv, *parts, extension="calh5")
+    with pytest.raises(InputError, match=r"0\.calh5: ant_array: no gains of antenna 41; leave it out"):
+        read_gains(files, obs, np.arange(6))
+    for path in files:
+        path.unlink()
+    obs, *_, files = read(uv, *parts, extension="calh5", selection=Selection(exclude_antennas=(41,)))
+    with pytest.raises(InputError, match=r"freq_array: no gains at 122\.000000 MHz; give gains with the channels"):
+        read_gains(files, obs, np.arange(6))
+
+
 def test_the_nearest_solution_is_taken(read):
     uv = make_uvdata()
     cal = make_uvcal(uv, times=TIMES[[1, 4]] + 2 * SECOND, integration_time=30.0)
