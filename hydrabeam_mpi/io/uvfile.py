@@ -66,6 +66,8 @@ class UVHeader:
         Metres ENU.
     freqs, channel_width : ndarray, (Nfreqs,)
         Hz.
+    n_windows : int
+        Spectral windows that the channels are of.
     pols : tuple of str
         Named by the direction of the feeds ("ee") where the file tells it, by the feeds ("xx") otherwise.
     feed_pols : tuple of str
@@ -85,6 +87,7 @@ class UVHeader:
     antpos: FloatArray
     freqs: FloatArray
     channel_width: FloatArray
+    n_windows: int
     pols: tuple[str, ...]
     feed_pols: tuple[str, ...]
     units: str
@@ -210,6 +213,7 @@ def header_of(uv: UVData, path: Path, kind: str) -> UVHeader:
         antpos=np.asarray(telescope.antenna_positions, dtype=float) @ enu_axes(telescope.location).T,
         freqs=np.asarray(uv.freq_array, dtype=float),
         channel_width=np.abs(np.asarray(uv.channel_width, dtype=float)),
+        n_windows=int(uv.Nspws),
         pols=tuple(polnum2str(number, x_orientation=orientation) for number in uv.polarization_array),
         feed_pols=tuple(polnum2str(number) for number in uv.polarization_array),
         units=str(uv.vis_units),
