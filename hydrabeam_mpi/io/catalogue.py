@@ -79,7 +79,6 @@ def read_catalogue(
     reference_freq: float | None = None,
     flux_min: float = 0.0,
     columns: VOTableColumns | None = None,
-    interpolation: str = "cubic",
     of_date: bool = False,
 ) -> Sky:
     """Read a catalogue: skyh5, VOTable, tab-separated text, or an FHD save file with its extended sources.
@@ -96,8 +95,6 @@ def read_catalogue(
         Jy; fainter sources are left out (`Sky.brighter_than`).
     columns : VOTableColumns, optional
         For a VOTable; without it, the 20 subbands of GLEAM are read.
-    interpolation : str
-        How `pyradiosky.SkyModel.at_frequencies` interpolates between subbands.
     of_date : bool
         Take places of date (TETE), such as a simulated sky's, as they are.
 
@@ -119,7 +116,6 @@ def read_catalogue(
         freqs,
         reference_freq=reference_freq,
         flux_min=flux_min,
-        interpolation=interpolation,
         of_date=of_date,
     )
 
@@ -131,7 +127,6 @@ def sky_of(
     *,
     reference_freq: float | None = None,
     flux_min: float = 0.0,
-    interpolation: str = "cubic",
     of_date: bool = False,
 ) -> Sky:
     """Evaluate a catalogue at some frequencies; it stays as it is.
@@ -142,7 +137,7 @@ def sky_of(
         Points or a HEALPix map, in Jy or K sr (a map also in K).
     path : Path
         What messages call it.
-    freqs, reference_freq, flux_min, interpolation, of_date
+    freqs, reference_freq, flux_min, of_date
         As of `read_catalogue`.
 
     Returns
@@ -167,7 +162,7 @@ def sky_of(
         logger.warning("%s: polarised sources are taken as unpolarised (only Stokes I is used)", path.name)
     wanted = freqs if reference_freq is None else np.append(freqs, reference_freq)
     with reading(path, "a catalogue"):
-        flux = _to_jansky(_stokes_i(model, wanted, interpolation, path), model.stokes.unit, wanted)
+        flux = _to_jansky(_stokes_i(model, wanted, path), model.stokes.unit, wanted)
     flux[:, ~np.isfinite(ra + dec)] = np.nan
     usable = _usable(flux, is_map, path)
     sky = Sky(
@@ -240,7 +235,7 @@ def _votable_options(columns: VOTableColumns) -> dict[str, object]:
     return options | {"spectral_index_column": columns.spectral_index}
 
 
-def _stokes_i(model: SkyModel, freqs: FloatArray, interpolation: str, path: Path) -> FloatArray:
+def _stokes_i(model: SkyModel, freqs: FloatArray, path: Path) -> FloatArray:
     """Evaluate Stokes I at ``freqs`` in the catalogue's own unit, (Nfreqs, Nsrc)."""
     stokes_i = np.asarray(model.stokes[0].value, dtype=float)
     if model.spectral_type == "spectral_index":
@@ -263,7 +258,8 @@ def _stokes_i(model: SkyModel, freqs: FloatArray, interpolation: str, path: Path
     at_freqs = model.at_frequencies(
         Quantity(inside, "Hz"),
         inplace=False,
-        freq_interp_kind=interpolation,
+        # A cubic spline needs four of them.
+        freq_interp_kind="cubic" if len(listed) > 3 else "linear",
         nan_handling="interp",
         run_check=False,
     )

@@ -72,9 +72,14 @@ def test_subbands_are_interpolated(tmp_path):
     path = written(subbands(exact), tmp_path / "sky.skyh5")
     sky = read_catalogue(path, FREQS)
     np.testing.assert_allclose(sky.flux, FLUX * (FREQS[:, np.newaxis] / 180e6) ** INDEX, rtol=2e-5)
-    linear = read_catalogue(path, FREQS, interpolation="linear")
-    expected = [np.interp(FREQS, SUBBANDS, exact[:, source]) for source in range(3)]
-    np.testing.assert_allclose(linear.flux, np.transpose(expected), rtol=1e-12)
+
+
+@pytest.mark.parametrize("n_bands", [2, 3])
+def test_between_few_subbands_fluxes_are_linear(tmp_path, n_bands):
+    freqs, flux = np.array([130e6, 140e6, 150e6])[:n_bands], np.random.default_rng(0).uniform(1, 2, (n_bands, 3))
+    sky = read_catalogue(written(subbands(flux, freqs=freqs), tmp_path / "sky.skyh5"), np.array([131e6, 139e6]))
+    expected = [np.interp([131e6, 139e6], freqs, of_source) for of_source in flux.T]
+    np.testing.assert_allclose(sky.flux, np.transpose(expected), rtol=1e-12)
 
 
 def test_listed_frequencies_are_taken_exactly_and_interpolated_between(tmp_path):
@@ -191,9 +196,7 @@ def test_votable_columns(tmp_path):
 def test_votable_subbands(tmp_path):
     columns = PLACES | {"S130": ("Jy", FLUX), "S150": ("Jy", 2 * FLUX)}
     options = VOTableColumns(flux=("S130", "S150"), freqs=(130e6, 150e6))
-    sky = read_catalogue(
-        votable(tmp_path / "sky.vot", columns), np.array([135e6]), columns=options, interpolation="linear"
-    )
+    sky = read_catalogue(votable(tmp_path / "sky.vot", columns), np.array([135e6]), columns=options)
     np.testing.assert_allclose(sky.flux[0], 1.25 * FLUX, rtol=1e-12)
 
 
