@@ -138,6 +138,31 @@ def test_cuts_refer_to_the_reference_frequency(tmp_path):
         read_catalogue(path, FREQS, flux_min=100.0)
 
 
+@pytest.mark.parametrize("spectral_type", ["subband", "full"])
+def test_cuts_refer_to_the_nearest_frequency_that_there_is(tmp_path, spectral_type):
+    flux = np.array([[2.0, 0.5, 30.0], [1.0, 3.0, 20.0]])
+    path = written(subbands(flux, spectral_type, np.array([140e6, 160e6])), tmp_path / "sky.skyh5")
+    freqs = np.array([150e6])
+    sky = read_catalogue(path, freqs, reference_freq=100e6, or_nearest=True, flux_min=1.0)
+    assert sky.names == ("a", "c")
+    np.testing.assert_allclose(sky.reference_flux, [2.0, 30.0])
+    assert sky.reference_freq == 140e6
+    np.testing.assert_allclose(sky.flux, [[1.5, 25.0]])
+    assert read_catalogue(path, freqs, reference_freq=150e6, or_nearest=True).reference_freq == 150e6
+    with pytest.raises(InputError, match=r"\[sky\] reference_freq: no flux at 100 MHz in sky.skyh5, only from 140 to"):
+        read_catalogue(path, freqs, reference_freq=100e6, flux_min=1.0)
+
+
+def test_fluxes_of_one_frequency_are_those_of_a_channel_that_holds_it(tmp_path):
+    path = written(subbands(FLUX[np.newaxis], "full", np.array([150e6])), tmp_path / "sky.skyh5")
+    near = {"reference_freq": 100e6, "or_nearest": True, "channel_width": np.array([1e5])}
+    sky = read_catalogue(path, np.array([150.05e6]), **near)
+    np.testing.assert_array_equal(sky.flux, [FLUX])
+    assert sky.reference_freq == 150e6
+    with pytest.raises(InputError, match=r"no flux at 150\.2 MHz, only from 150 to 150 MHz; select other"):
+        read_catalogue(path, np.array([150.2e6]), **near)
+
+
 def test_only_stokes_i_is_used_and_said_so(tmp_path, caplog):
     model = sky_model()
     model.stokes[1] = 0.3 * units.Jy
