@@ -198,25 +198,33 @@ def is_of_date(model: SkyModel) -> bool:
     return bool(model.skycoord.frame.name == "tete")
 
 
+def file_type(path: Path) -> str | None:
+    """Return what kind of catalogue a file's name says that it is; VOTables may be compressed."""
+    named = FILE_TYPES.get(path.suffix.lower())
+    if path.suffix.lower() == ".gz" and FILE_TYPES.get(path.with_suffix("").suffix.lower()) == "vot":
+        named = "vot"
+    return named
+
+
 def read_model(path: Path, columns: VOTableColumns | None = None) -> SkyModel:
     """Read a catalogue as it is, with the parameters and errors of `read_catalogue`."""
-    file_type = FILE_TYPES.get(path.suffix.lower())
+    kind = file_type(path)
     check_file(path, field="[sky] file")
-    if file_type is None:
+    if kind is None:
         known = ", ".join(FILE_TYPES)
         message = f"unknown kind of catalogue '{path.suffix}'"
         raise InputError(message, file=path, remedy=f"use one of {known}")
-    if columns is not None and file_type != "vot":
+    if columns is not None and kind != "vot":
         raise InputError("has no columns to choose", file=path, field="[sky.columns]", remedy="leave that table out")
-    options: dict[str, object] = {"filetype": file_type}
-    if file_type == "vot" and columns is None:
+    options: dict[str, object] = {"filetype": kind}
+    if kind == "vot" and columns is None:
         options["filetype"] = "gleam"
-    elif file_type == "vot" and columns is not None:
+    elif kind == "vot" and columns is not None:
         options |= _votable_options(columns)
-    remedy = "check the names and units of its columns" if file_type == "vot" else DAMAGED
+    remedy = "check the names and units of its columns" if kind == "vot" else DAMAGED
     # Its warnings are about negative fluxes, which `_usable` sees to, and repeated names, which do no harm.
-    with reading(path, file_type, remedy=remedy):
-        if file_type == "skyh5":
+    with reading(path, kind, remedy=remedy):
+        if kind == "skyh5":
             _check_longitudes(path)
         model: SkyModel = SkyModel.from_file(str(path), **options)
         return model

@@ -1,3 +1,4 @@
+import gzip
 import logging
 import os
 import shutil
@@ -216,6 +217,18 @@ def test_votable_columns(tmp_path):
     # FK5 differs from ICRS by some tens of milliarcseconds.
     assert_in_place(sky, 0.1)
     assert not np.allclose(sky.ra, np.deg2rad(RA), rtol=0, atol=1e-9)
+
+
+def test_a_compressed_votable(tmp_path):
+    columns = PLACES | {"Fintfit200": ("mJy", 1e3 * FLUX), "alpha": (None, INDEX)}
+    plain = votable(tmp_path / "sky.vot", columns)
+    packed = tmp_path / "SKY.VOT.GZ"
+    packed.write_bytes(gzip.compress(plain.read_bytes()))
+    sky = read_catalogue(packed, FREQS, columns=VOTableColumns())
+    np.testing.assert_array_equal(sky.flux, read_catalogue(plain, FREQS, columns=VOTableColumns()).flux)
+    (tmp_path / "sky.txt.gz").touch()
+    with pytest.raises(InputError, match=r"unknown kind of catalogue '\.gz'"):
+        read_catalogue(tmp_path / "sky.txt.gz", FREQS)
 
 
 def test_votable_subbands(tmp_path):
