@@ -8,9 +8,8 @@ the geometric mean of the two co-polarised peaks. An E-field is turned into powe
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from astropy.io import fits
@@ -39,12 +38,9 @@ class BeamFile:
     Parameters
     ----------
     path : Path
-        beamfits, CST (text or the yaml that lists them), FEKO or anything else that pyuvdata recognises.
+        beamfits, the settings yaml of CST files, FEKO or anything else that pyuvdata recognises.
     east_feed : {"x", "y"}, optional
         Feed that points East, instead of what the header says.
-    options : mapping, optional
-        Passed on to ``pyuvdata.UVBeam.read``; CST text files need ``frequency``, ``beam_type``,
-        ``telescope_name``, ...
 
     Raises
     ------
@@ -59,9 +55,9 @@ class BeamFile:
         a co-polarised power beam is negative, as an inferred one may be in places.
     """
 
-    def __init__(self, path: Path, *, east_feed: str | None = None, options: Mapping[str, Any] | None = None) -> None:
+    def __init__(self, path: Path, *, east_feed: str | None = None) -> None:
         self.path = Path(path)
-        self._take(read_uvbeam(self.path, dict(options or {})), east_feed)
+        self._take(read_uvbeam(self.path), east_feed)
 
     @classmethod
     def of(cls, uvbeam: UVBeam, name: str, *, east_feed: str | None = None) -> Self:
