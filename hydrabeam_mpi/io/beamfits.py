@@ -19,7 +19,7 @@ from pyuvdata.utils import polnum2str, polstr2num
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.beamsamples import check_peak, check_values, pixel_directions, read_uvbeam, usable_uvbeam
-from hydrabeam_mpi.io.feeds import orientation_from_field, pol_number, x_orientation
+from hydrabeam_mpi.io.feeds import UNKNOWN, orientation_from_field, pol_number, x_orientation
 from hydrabeam_mpi.io.reading import reading
 from hydrabeam_mpi.model.bases.rings import SAME_ANGLE, Pixels
 from hydrabeam_mpi.model.beam import BeamInfo, SampledBeam
@@ -219,7 +219,8 @@ def write_power_beam(
     freqs : ndarray, (Nfreqs,)
         Hz.
     pols : list of str
-        "ee", "nn", ..., which are labelled with x for the feed that points East, or "xx", "yy", ....
+        "ee", "nn", ..., which are labelled with x for the feed that points East, or "xx", "yy", ..., of which the
+        history says that nobody knows where they point.
     telescope_name, history : str
         For the header, which has ASCII only: see `in_ascii`.
     x_points : {"east", "north"}
@@ -264,6 +265,8 @@ def power_uvbeam(
     if _uneven(numbers):
         order = np.argsort(-numbers)
         numbers, values = numbers[order], values[order]
+    if x_points == "east" and not set("".join(pols)) <= {"e", "n"}:
+        history += f" {UNKNOWN}"
     copol = np.isin(numbers, _COPOLS)
     imag_max = float(np.abs(np.imag(values[copol])).max(initial=0.0))
     data = np.array(values, dtype=np.complex128)

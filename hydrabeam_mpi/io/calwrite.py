@@ -9,6 +9,7 @@ from pyuvdata import UVCal
 from pyuvdata.utils import jstr2num
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, Observation
+from hydrabeam_mpi.io.feeds import UNKNOWN
 from hydrabeam_mpi.io.reading import quiet
 from hydrabeam_mpi.io.uvdata import feeds_of
 from hydrabeam_mpi.io.uvwrite import telescope_of
@@ -40,7 +41,7 @@ def write_gains(folder: Path, observation: Observation, gains: ComplexArray, his
     feeds = feeds_of(observation.pols)
     if telescope.feed_array is None:
         telescope.set_feeds_from_x_orientation("east", feeds=list(feeds))
-        history += " Where feeds point is not known; x is written as East."
+        history += f" {UNKNOWN}"
     shape = (observation.Nants, observation.Nfreqs, observation.Ntimes, len(feeds))
     values = np.broadcast_to(np.moveaxis(gains, 2, 0)[..., np.newaxis], shape).copy()
     with quiet():

@@ -391,6 +391,13 @@ def test_written_beam_is_read_back_by_pyuvdata(tmp_path):
     np.testing.assert_allclose(uvbeam.axis2_array, np.arange(91) * DEG, atol=1e-15)
 
 
+@pytest.mark.parametrize("pols", [("ee",), ("nn", "ee"), ("xx",), ("yy",)])
+def test_a_written_beam_says_where_nobody_knows_where_its_feeds_point(tmp_path, pols):
+    path, *_ = written(tmp_path, pols=pols, history="Made for a test.")
+    told = "Where feeds point is not known; x is written as East." in UVBeam.from_file(str(path)).history
+    assert told == (pols[0][0] in "xy")
+
+
 def test_written_beam_is_read_back_as_a_model_beam(tmp_path):
     path, values, _ = written(tmp_path, scale=0.99)
     beam = quietly(path).beam(160e6, "ee")
