@@ -64,6 +64,8 @@ class UVHeader:
     antenna_names : tuple of str
     antpos : ndarray, (Nants, 3)
         Metres ENU.
+    mounts : tuple of str, (Nants,)
+        As pyuvdata names them; empty where the file does not tell.
     freqs, channel_width : ndarray, (Nfreqs,)
         Hz.
     n_windows : int
@@ -85,6 +87,7 @@ class UVHeader:
     antenna_numbers: IntArray
     antenna_names: tuple[str, ...]
     antpos: FloatArray
+    mounts: tuple[str, ...]
     freqs: FloatArray
     channel_width: FloatArray
     n_windows: int
@@ -211,6 +214,7 @@ def header_of(uv: UVData, path: Path, kind: str) -> UVHeader:
         antenna_numbers=np.asarray(telescope.antenna_numbers, dtype=np.int64),
         antenna_names=tuple(map(str, telescope.antenna_names)),
         antpos=np.asarray(telescope.antenna_positions, dtype=float) @ enu_axes(telescope.location).T,
+        mounts=() if telescope.mount_type is None else tuple(map(str, telescope.mount_type)),
         freqs=np.asarray(uv.freq_array, dtype=float),
         channel_width=np.abs(np.asarray(uv.channel_width, dtype=float)),
         n_windows=int(uv.Nspws),
