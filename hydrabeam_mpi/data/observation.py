@@ -75,6 +75,8 @@ class Observation:
         Whether any of the files says that its visibilities are not calibrated.
     is_smeared : bool
         Whether visibilities are means over their integrations and channels, rather than of one instant and frequency.
+    is_phased : bool
+        Whether any of the files has visibilities that follow a place on the sky, as they are no more once read.
     doubts : tuple of str
         What is odd about the files together.
     exclude_times : tuple of (float, float)
@@ -99,6 +101,7 @@ class Observation:
     stated_conventions: tuple[str | None, ...] = (None,)
     uncalibrated: bool = False
     is_smeared: bool = False
+    is_phased: bool = False
     doubts: tuple[str, ...] = ()
     exclude_times: tuple[tuple[float, float], ...] = ()
     exclude_baselines: tuple[tuple[int, int], ...] = ()

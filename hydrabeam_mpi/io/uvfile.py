@@ -29,6 +29,8 @@ keep_compiled()
 # Stamps closer than this are one integration or one channel; both far exceed the rounding of any format.
 TIME_TOLERANCE = 1e-3 / 86400  # days
 FREQ_TOLERANCE = 1.0  # Hz
+# Phase centres of pyuvdata that keep their place above the ground.
+STANDING = ("unprojected", "driftscan")
 
 
 @dataclass(frozen=True)
@@ -78,6 +80,8 @@ class UVHeader:
         "Jy", or "uncalib" of visibilities that are not calibrated.
     pol_convention : {"sum", "avg"} or None
         As the file states it.
+    is_phased : bool
+        Whether visibilities are stored as those that follow a place on the sky.
     """
 
     path: Path
@@ -95,6 +99,7 @@ class UVHeader:
     feed_pols: tuple[str, ...]
     units: str
     pol_convention: str | None
+    is_phased: bool
 
     def pol_index(self, pol: str) -> int:
         """Return where a polarisation is stored, by either of its names, or -1."""
@@ -222,6 +227,7 @@ def header_of(uv: UVData, path: Path, kind: str) -> UVHeader:
         feed_pols=tuple(polnum2str(number) for number in uv.polarization_array),
         units=str(uv.vis_units),
         pol_convention=uv.pol_convention,
+        is_phased=any(centre["cat_type"] not in STANDING for centre in uv.phase_center_catalog.values()),
     )
 
 

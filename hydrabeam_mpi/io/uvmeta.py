@@ -85,6 +85,7 @@ def read_observation(files: Sequence[Data], selection: Selection) -> Observation
         integration_time=integration_time,
         pols=_select_pols(headers, selection),
         stated_conventions=stated,
+        is_phased=any(header.is_phased for header in headers),
         uncalibrated=any(header.units == "uncalib" for header in headers),
     )
     check_covered(observation, surveys)

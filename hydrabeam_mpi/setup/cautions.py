@@ -116,6 +116,12 @@ def _of_smearing(observation: Observation) -> str | None:
     seconds, khz = observation.integration_time.max(), observation.channel_width.max() / 1e3
     lost = ((by_time, f"{seconds:.4g} s"), (by_channel, f"{khz:.4g} kHz"))
     told = [f"a mean over {length} loses up to {part:.0%}" for part, length in lost if part >= SMEARED]
+    if observation.is_phased:
+        return (
+            f"Of a source on the longest baselines of a drift scan {' and '.join(told)}. The files are phased: if they "
+            "were averaged so, a source loses by its distance from the place that they follow instead. The model takes "
+            "data as of one instant and one frequency, and [data] smearing is of drift scans alone."
+        )
     return (
         f"Of a source on the longest baselines {' and '.join(told)}. The model takes data as of one instant and one "
         "frequency, as most simulators write them. Correlators write such means: [data] smearing = true."

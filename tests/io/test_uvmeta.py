@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from hydrabeam_mpi.data.selection import Selection
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.uvdata import read_observation
 from hydrabeam_mpi.io.uvsurvey import pair_keys
+from hydrabeam_mpi.model.engines.smearing import smearing_of
 from tests.visibilities import CROSS, ENU, LOCATION, NUMBERS, SECOND, make_uvdata
 
 
@@ -255,3 +258,16 @@ def test_autocorrelations_alone_are_refused(write):
 def test_pair_keys_order_like_pairs():
     pairs = np.array([[2, 1], [0, 5000], [0, 3], [70000, 2]])
     np.testing.assert_array_equal(np.argsort(pair_keys(pairs)), [2, 1, 0, 3])
+
+
+def test_an_observation_knows_whether_its_files_were_phased(write):
+    """What means over an integration lose depends on it."""
+    uv = make_uvdata()
+    assert not read_observation([write(uv)], Selection()).is_phased
+    uv.phase(lon=1.3, lat=-0.6, cat_name="somewhere", phase_frame="icrs")
+    observation = read_observation([write(uv)], Selection())
+    assert observation.is_phased
+    with pytest.raises(InputError, match=r"\[data\] smearing: is of means of a drift scan, and the files are phased"):
+        smearing_of(replace(observation, is_smeared=True))
+    uv.phase(lon=0, lat=np.pi / 2, cat_name="zenith", cat_type="driftscan", phase_frame="altaz")
+    assert not read_observation([write(uv)], Selection()).is_phased

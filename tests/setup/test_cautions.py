@@ -80,3 +80,17 @@ def test_what_means_over_integrations_and_channels_lose_is_told(seconds: float, 
         for length, part in ((f"{seconds:g} s", lost[0]), (f"{khz:g} kHz", lost[1])):
             assert (f"a mean over {length} loses up to {part:.0%}" in one) == (part >= 0.01)
             assert (f"a mean over {length}" in one) == (part >= 0.01)
+
+
+def test_smearing_is_not_what_phased_data_are_told_to_use(tmp_path: Path) -> None:
+    """What followed a place on the sky while it was averaged lost something else."""
+    problem = context_of(mock_job(), tmp_path).problem
+    integration_time = np.full(problem.observation.Ntimes, 200.0)
+    observation = replace(problem.observation, integration_time=integration_time, is_phased=True)
+    data = problem.job.data.model_copy(update={"simulate": None})
+    said = [
+        one for one in cautions_of_data(problem.job.model_copy(update={"data": data}), observation) if "mean" in one
+    ]
+    assert len(said) == 1
+    assert "The files are phased: if they were averaged so" in said[0]
+    assert "smearing = true" not in said[0]
