@@ -13,7 +13,8 @@ from pyuvdata.utils import uvcalibrate
 from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.data.selection import Selection
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.io.gains import apply_gains, read_gains
+from hydrabeam_mpi.io import gain_cover
+from hydrabeam_mpi.io.gains import apply_gains, doubt_about_gains, read_gains
 from hydrabeam_mpi.io.uvdata import read_observation, read_visibilities
 from tests.visibilities import NUMBERS, SECOND, TIMES, expected, make_uvcal, make_uvdata, whole
 
@@ -119,7 +120,7 @@ def test_one_file_a_feed_and_one_a_stretch_of_time(read):
     np.testing.assert_array_equal(gains, np.where(flags, 1.0, cal.gain_array.transpose(1, 2, 0, 3)))
 
 
-def test_one_file_a_part_of_the_band_and_an_antenna_that_one_lacks(read):
+def test_one_file_a_part_of_the_band_and_an_antenna_that_one_lacks(read, monkeypatch):
     times = TIMES + np.repeat([0.0, 1.0], 3)
     uv = make_uvdata(times=times)
     cal = make_uvcal(uv, times=times)
@@ -148,6 +149,18 @@ def test_one_file_a_part_of_the_band_and_an_antenna_that_one_lacks(read):
     np.testing.assert_array_equal(found_flags, full_flags | lost)
     np.testing.assert_array_equal(found, np.where(lost, 0, full))
     np.testing.assert_array_equal(power[~found_flags], full_power[~found_flags])
+    told = doubt_about_gains(files, obs)
+    assert told is not None
+    assert f"lack {100 * (15 + 6) / 120:.2g}% of the gains, of all antennas at some times or channels" in told
+    upper = dataclasses.replace(obs, freqs=obs.freqs[2:], channel_width=obs.channel_width[2:])
+    monkeypatch.setattr(gain_cover, "AT_ONCE", 30)  # a time
+    told = doubt_about_gains(files, upper)
+    assert told is not None
+    assert "lack 10% of the gains, of antenna 20 at some times or channels" in told
+    night = dataclasses.replace(
+        upper, times=obs.times[:3], lsts=obs.lsts[:3], integration_time=obs.integration_time[:3]
+    )
+    assert doubt_about_gains(files, night) is None
 
 
 def test_what_no_file_of_several_has_is_refused(read):
