@@ -13,7 +13,7 @@ from astropy.io import fits
 
 from hydrabeam_mpi.config import Job, load_job
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.io.catalogue import FILE_TYPES
+from hydrabeam_mpi.io.catalogue import file_type
 from hydrabeam_mpi.io.manifest import read_manifest
 from hydrabeam_mpi.io.reading import check_file, reading
 from hydrabeam_mpi.simulation.truth import BEAM, SKY
@@ -82,8 +82,7 @@ def role_of(path: Path) -> Role:
         return _role_of_hdf5(path)
     if magic == _FITS:
         return _role_of_fits(path)
-    suffix = path.suffix.lower()
-    return "beam" if suffix in _BEAM_SUFFIXES else "sky" if suffix in FILE_TYPES else "data"
+    return "beam" if path.suffix.lower() in _BEAM_SUFFIXES else "sky" if file_type(path) else "data"
 
 
 def _role_of_hdf5(path: Path) -> Role:

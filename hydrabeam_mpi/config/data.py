@@ -37,7 +37,7 @@ class Data(Section):
         "e, n by direction where the files tell it, else x, y by feed; to infer several at once, a list",
     )
     pol_convention: Literal["sum", "avg"] | None = key(
-        None, "of files that do not state it: 'sum' is V = I B / 2, 'avg' is V = I B"
+        None, "of files that do not state it: 'sum' is V = I B / 2, 'avg' is V = I B; gains that state it overrule this"
     )
     gains: FilePatterns = key((), "calfits or calh5 to apply; wildcards allowed")
     antennas: tuple[int, ...] | None = key(None, "keep only these")

@@ -73,7 +73,7 @@ def expand(patterns: Sequence[str], field: str, kind: Kind = "either") -> tuple[
     Parameters
     ----------
     patterns : sequence of str
-        One that is the name of a file stands for that file, whatever is in it.
+        One that is the name of a file stands for that file, whatever is in it, and so does its beginning for a folder.
     field : str
         Of the job file, for messages.
     kind : {"file", "folder", "either"}
@@ -85,12 +85,15 @@ def expand(patterns: Sequence[str], field: str, kind: Kind = "either") -> tuple[
     """
     paths: list[Path] = []
     for pattern in patterns:
-        found = [] if _is_there(pattern) else sorted(glob.glob(pattern))
-        paths += [_checked(Named(path, field, kind)) for path in map(Path, found or [pattern])]
+        path = Path(pattern)
+        # The folder of the job may have a name with brackets.
+        root = next((parent for parent in (path, *path.parents) if _is_there(parent)), path)
+        found = [] if root == path else sorted(glob.glob(str(path.relative_to(root)), root_dir=root))
+        paths += [_checked(Named(one, field, kind)) for one in [root / name for name in found] or [path]]
     return tuple(dict.fromkeys(paths))
 
 
-def _is_there(name: str) -> bool:
+def _is_there(name: Path) -> bool:
     try:
         return os.path.lexists(name)
     except ValueError:

@@ -104,7 +104,9 @@ class Sky(Section):
     kind: Literal["mock", "catalogue"] = key("mock", "drawn at random, or from a file")
     n_sources: int = key(10000, "mock", MOCK, ge=1)
     flux_range: FluxRange = key((0.1, 100.0), "Jy at reference_freq, log-flat: mock", MOCK)
-    reference_freq: Hertz = key(100e6, "Hz, to which fluxes of the mock and cuts refer")
+    reference_freq: Hertz | None = key(
+        None, "Hz, to which fluxes of the mock and cuts refer; by default 100 MHz, or the nearest that a catalogue has"
+    )
     spectral_index: float = key(-2.7, "mock", MOCK)
     file: File | None = key(None, "skyh5, VOTable, text or FHD .sav: catalogue")
     columns: SkyColumns | None = None

@@ -69,10 +69,14 @@ class Observation:
         Polarisations as the data name them, such as "ee".
     pol_convention : {"sum", "avg"}, optional
         Of files that do not state it: V = 1/2 I B (also where this is None), or V = I B.
+    stated_conventions : tuple of {"sum", "avg", None}
+        What files state of it, None being nothing; distinct.
     uncalibrated : bool
         Whether any of the files says that its visibilities are not calibrated.
     is_smeared : bool
         Whether visibilities are means over their integrations and channels, rather than of one instant and frequency.
+    is_phased : bool
+        Whether any of the files has visibilities that follow a place on the sky, as they are no more once read.
     doubts : tuple of str
         What is odd about the files together.
     exclude_times : tuple of (float, float)
@@ -94,8 +98,10 @@ class Observation:
     integration_time: FloatArray
     pols: tuple[str, ...]
     pol_convention: str | None = None
+    stated_conventions: tuple[str | None, ...] = (None,)
     uncalibrated: bool = False
     is_smeared: bool = False
+    is_phased: bool = False
     doubts: tuple[str, ...] = ()
     exclude_times: tuple[tuple[float, float], ...] = ()
     exclude_baselines: tuple[tuple[int, int], ...] = ()
@@ -109,6 +115,16 @@ class Observation:
         pairs = {frozenset(pair) for pair in self.exclude_baselines}
         bad_bls = np.array([frozenset(pair) in pairs for pair in antpairs.tolist()], dtype=bool)
         return bad_times[:, np.newaxis] | bad_bls
+
+    @property
+    def conventions(self) -> frozenset[str]:
+        """The conventions of polarisation in which visibilities were, before reading made all of them V = 1/2 I B."""
+        return frozenset(stated or self.pol_convention or "sum" for stated in self.stated_conventions)
+
+    @property
+    def convention(self) -> str | None:
+        """The one of `conventions`, None where files differ."""
+        return next(iter(self.conventions)) if len(self.conventions) == 1 else None
 
     @cached_property
     def latitude(self) -> float:

@@ -8,9 +8,8 @@ the geometric mean of the two co-polarised peaks. An E-field is turned into powe
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from astropy.io import fits
@@ -20,7 +19,7 @@ from pyuvdata.utils import polnum2str, polstr2num
 from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.beamsamples import check_peak, check_values, pixel_directions, read_uvbeam, usable_uvbeam
-from hydrabeam_mpi.io.feeds import orientation_from_field, pol_number, x_orientation
+from hydrabeam_mpi.io.feeds import UNKNOWN, orientation_from_field, pol_number, x_orientation
 from hydrabeam_mpi.io.reading import reading
 from hydrabeam_mpi.model.bases.rings import SAME_ANGLE, Pixels
 from hydrabeam_mpi.model.beam import BeamInfo, SampledBeam
@@ -39,12 +38,9 @@ class BeamFile:
     Parameters
     ----------
     path : Path
-        beamfits, CST (text or the yaml that lists them), FEKO or anything else that pyuvdata recognises.
+        beamfits, the settings yaml of CST files, FEKO or anything else that pyuvdata recognises.
     east_feed : {"x", "y"}, optional
         Feed that points East, instead of what the header says.
-    options : mapping, optional
-        Passed on to ``pyuvdata.UVBeam.read``; CST text files need ``frequency``, ``beam_type``,
-        ``telescope_name``, ...
 
     Raises
     ------
@@ -59,9 +55,9 @@ class BeamFile:
         a co-polarised power beam is negative, as an inferred one may be in places.
     """
 
-    def __init__(self, path: Path, *, east_feed: str | None = None, options: Mapping[str, Any] | None = None) -> None:
+    def __init__(self, path: Path, *, east_feed: str | None = None) -> None:
         self.path = Path(path)
-        self._take(read_uvbeam(self.path, dict(options or {})), east_feed)
+        self._take(read_uvbeam(self.path), east_feed)
 
     @classmethod
     def of(cls, uvbeam: UVBeam, name: str, *, east_feed: str | None = None) -> Self:
@@ -223,7 +219,8 @@ def write_power_beam(
     freqs : ndarray, (Nfreqs,)
         Hz.
     pols : list of str
-        "ee", "nn", ..., which are labelled with x for the feed that points East, or "xx", "yy", ....
+        "ee", "nn", ..., which are labelled with x for the feed that points East, or "xx", "yy", ..., of which the
+        history says that nobody knows where they point.
     telescope_name, history : str
         For the header, which has ASCII only: see `in_ascii`.
     x_points : {"east", "north"}
@@ -268,6 +265,8 @@ def power_uvbeam(
     if _uneven(numbers):
         order = np.argsort(-numbers)
         numbers, values = numbers[order], values[order]
+    if x_points == "east" and not set("".join(pols)) <= {"e", "n"}:
+        history += f" {UNKNOWN}"
     copol = np.isin(numbers, _COPOLS)
     imag_max = float(np.abs(np.imag(values[copol])).max(initial=0.0))
     data = np.array(values, dtype=np.complex128)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from astropy_healpix import HEALPix
@@ -24,7 +23,7 @@ Samples farther apart than that do not describe a beam, and a single one that st
 _TOLERANCE = 1e-6
 
 
-def read_uvbeam(path: Path, options: dict[str, Any]) -> UVBeam:
+def read_uvbeam(path: Path) -> UVBeam:
     """Read a beam of any kind that pyuvdata knows.
 
     Raises
@@ -33,12 +32,19 @@ def read_uvbeam(path: Path, options: dict[str, Any]) -> UVBeam:
         If there is no such file, or it is no E-field or power beam.
     """
     check_file(path, field="[beam] source")
+    if path.suffix.lower() == ".txt":
+        raise InputError(
+            "a text file, and those of CST tell neither their frequency nor their feed",
+            file=path,
+            field="[beam] source",
+            remedy="name the settings yaml that lists them with both, as pyuvdata has it",
+        )
     remedy = (
         "give a file that pyuvdata reads, or write this one again; a power beam with one polarisation or all four, as "
         "pyuvdata writes beamfits of two that it does not read"
     )
     with reading(path, "a beam", remedy=remedy):
-        return usable_uvbeam(UVBeam.from_file(str(path), **options))
+        return usable_uvbeam(UVBeam.from_file(str(path)))
 
 
 def usable_uvbeam(uvbeam: UVBeam) -> UVBeam:

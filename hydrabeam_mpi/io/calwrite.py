@@ -10,6 +10,7 @@ from pyuvdata import UVCal
 from pyuvdata.utils import jstr2num
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, Observation
+from hydrabeam_mpi.io.feeds import UNKNOWN
 from hydrabeam_mpi.io.reading import quiet
 from hydrabeam_mpi.io.uvdata import feeds_of
 from hydrabeam_mpi.io.uvwrite import telescope_of
@@ -45,7 +46,7 @@ def write_gains(
     feeds = feeds_of(observation.pols)
     if telescope.feed_array is None:
         telescope.set_feeds_from_x_orientation("east", feeds=list(feeds))
-        history += " Where feeds point is not known; x is written as East."
+        history += f" {UNKNOWN}"
     shape = (observation.Nants, observation.Nfreqs, observation.Ntimes, len(feeds))
     values = np.broadcast_to(np.moveaxis(gains, 2, 0)[..., np.newaxis], shape).copy()
     flags = np.zeros(shape, bool)
@@ -64,7 +65,8 @@ def write_gains(
             update_telescope_from_known=False,
             data={"gain_array": values, "flag_array": flags, "quality_array": np.zeros(shape)},
             history=history,
-            pol_convention="sum",
+            # Of the data that they divide.
+            pol_convention=observation.convention,
             gain_scale="Jy",
         )
         if _is_even(observation.times, EVEN_WITHIN_DAYS) and _is_even(observation.freqs, EVEN_WITHIN_HZ):

@@ -77,9 +77,10 @@ def read_catalogue(
     freqs: FloatArray,
     *,
     reference_freq: float | None = None,
+    or_nearest: bool = False,
     flux_min: float = 0.0,
+    channel_width: FloatArray | float = 0.0,
     columns: VOTableColumns | None = None,
-    interpolation: str = "cubic",
     of_date: bool = False,
 ) -> Sky:
     """Read a catalogue: skyh5, VOTable, tab-separated text, or an FHD save file with its extended sources.
@@ -92,12 +93,14 @@ def read_catalogue(
         Hz.
     reference_freq : float, optional
         Hz; gives the sky the reference fluxes that brightness cuts compare.
+    or_nearest : bool
+        Whether that may be the nearest frequency at which there are fluxes.
     flux_min : float
         Jy; fainter sources are left out (`Sky.brighter_than`).
+    channel_width : ndarray, (Nfreqs,), or float
+        Hz, within which the fluxes of a catalogue of a single frequency are taken.
     columns : VOTableColumns, optional
         For a VOTable; without it, the 20 subbands of GLEAM are read.
-    interpolation : str
-        How `pyradiosky.SkyModel.at_frequencies` interpolates between subbands.
     of_date : bool
         Take places of date (TETE), such as a simulated sky's, as they are.
 
@@ -118,8 +121,9 @@ def read_catalogue(
         path,
         freqs,
         reference_freq=reference_freq,
+        or_nearest=or_nearest,
         flux_min=flux_min,
-        interpolation=interpolation,
+        channel_width=channel_width,
         of_date=of_date,
     )
 
@@ -130,8 +134,9 @@ def sky_of(
     freqs: FloatArray,
     *,
     reference_freq: float | None = None,
+    or_nearest: bool = False,
     flux_min: float = 0.0,
-    interpolation: str = "cubic",
+    channel_width: FloatArray | float = 0.0,
     of_date: bool = False,
 ) -> Sky:
     """Evaluate a catalogue at some frequencies; it stays as it is.
@@ -142,7 +147,7 @@ def sky_of(
         Points or a HEALPix map, in Jy or K sr (a map also in K).
     path : Path
         What messages call it.
-    freqs, reference_freq, flux_min, interpolation, of_date
+    freqs, reference_freq, or_nearest, flux_min, channel_width, of_date
         As of `read_catalogue`.
 
     Returns
@@ -165,9 +170,13 @@ def sky_of(
         ra, dec = coordinates.ra.rad, coordinates.dec.rad
     if is_polarised:
         logger.warning("%s: polarised sources are taken as unpolarised (only Stokes I is used)", path.name)
-    wanted = freqs if reference_freq is None else np.append(freqs, reference_freq)
+    wanted = freqs
     with reading(path, "a catalogue"):
-        flux = _to_jansky(_stokes_i(model, wanted, interpolation, path), model.stokes.unit, wanted)
+        _check_covered(model, freqs, channel_width, path)
+        if reference_freq is not None:
+            reference_freq = _reference_freq(model, reference_freq, or_nearest, path)
+            wanted = np.append(freqs, reference_freq)
+        flux = _to_jansky(_stokes_i(model, wanted, path), model.stokes.unit, wanted)
     flux[:, ~np.isfinite(ra + dec)] = np.nan
     usable = _usable(flux, is_map, path)
     sky = Sky(
@@ -176,6 +185,7 @@ def sky_of(
         flux=np.take(flux[: len(freqs)], usable, axis=1),
         names=None if is_map else tuple(str(name) for name in model.name[usable]),
         reference_flux=None if reference_freq is None else flux[-1, usable],
+        reference_freq=reference_freq,
     ).brighter_than(flux_min)
     if not sky.Nsrc:
         message = f"no source of {flux_min:g} Jy or more"
@@ -188,25 +198,33 @@ def is_of_date(model: SkyModel) -> bool:
     return bool(model.skycoord.frame.name == "tete")
 
 
+def file_type(path: Path) -> str | None:
+    """Return what kind of catalogue a file's name says that it is; VOTables may be compressed."""
+    named = FILE_TYPES.get(path.suffix.lower())
+    if path.suffix.lower() == ".gz" and FILE_TYPES.get(path.with_suffix("").suffix.lower()) == "vot":
+        named = "vot"
+    return named
+
+
 def read_model(path: Path, columns: VOTableColumns | None = None) -> SkyModel:
     """Read a catalogue as it is, with the parameters and errors of `read_catalogue`."""
-    file_type = FILE_TYPES.get(path.suffix.lower())
+    kind = file_type(path)
     check_file(path, field="[sky] file")
-    if file_type is None:
+    if kind is None:
         known = ", ".join(FILE_TYPES)
         message = f"unknown kind of catalogue '{path.suffix}'"
         raise InputError(message, file=path, remedy=f"use one of {known}")
-    if columns is not None and file_type != "vot":
+    if columns is not None and kind != "vot":
         raise InputError("has no columns to choose", file=path, field="[sky.columns]", remedy="leave that table out")
-    options: dict[str, object] = {"filetype": file_type}
-    if file_type == "vot" and columns is None:
+    options: dict[str, object] = {"filetype": kind}
+    if kind == "vot" and columns is None:
         options["filetype"] = "gleam"
-    elif file_type == "vot" and columns is not None:
+    elif kind == "vot" and columns is not None:
         options |= _votable_options(columns)
-    remedy = "check the names and units of its columns" if file_type == "vot" else DAMAGED
+    remedy = "check the names and units of its columns" if kind == "vot" else DAMAGED
     # Its warnings are about negative fluxes, which `_usable` sees to, and repeated names, which do no harm.
-    with reading(path, file_type, remedy=remedy):
-        if file_type == "skyh5":
+    with reading(path, kind, remedy=remedy):
+        if kind == "skyh5":
             _check_longitudes(path)
         model: SkyModel = SkyModel.from_file(str(path), **options)
         return model
@@ -240,7 +258,38 @@ def _votable_options(columns: VOTableColumns) -> dict[str, object]:
     return options | {"spectral_index_column": columns.spectral_index}
 
 
-def _stokes_i(model: SkyModel, freqs: FloatArray, interpolation: str, path: Path) -> FloatArray:
+def _span(model: SkyModel) -> tuple[float, float]:
+    """Return the lowest and the highest frequency (Hz) at which a catalogue has fluxes."""
+    if model.spectral_type in ("spectral_index", "flat"):
+        return 0.0, np.inf
+    listed = model.freq_array.to_value("Hz")
+    return float(listed.min()), float(listed.max())
+
+
+def _check_covered(model: SkyModel, freqs: FloatArray, channel_width: FloatArray | float, path: Path) -> None:
+    """Refuse frequencies (Hz), (Nfreqs,), at which there are no fluxes."""
+    low, high = _span(model)
+    # Fluxes of one channel are those of a channel beside it too.
+    tolerance = np.maximum(FREQ_TOLERANCE_HZ, channel_width if low == high else 0.0)
+    outside = np.abs(np.clip(freqs, low, high) - freqs) > tolerance
+    if outside.any():
+        message = f"no flux at {freqs[outside][0] / 1e6:g} MHz, only from {low / 1e6:g} to {high / 1e6:g} MHz"
+        raise InputError(message, file=path, remedy="select other frequencies or another catalogue")
+
+
+def _reference_freq(model: SkyModel, asked: float, or_nearest: bool, path: Path) -> float:
+    """Return the frequency (Hz) that cuts refer to."""
+    low, high = _span(model)
+    nearest = float(np.clip(asked, low, high))
+    if nearest != asked and or_nearest:
+        logger.info("%s: cuts refer to fluxes at %g MHz, the nearest to %g MHz", path.name, nearest / 1e6, asked / 1e6)
+    elif abs(nearest - asked) > FREQ_TOLERANCE_HZ:
+        message = f"no flux at {asked / 1e6:g} MHz in {path.name}, only from {low / 1e6:g} to {high / 1e6:g} MHz"
+        raise InputError(message, field="[sky] reference_freq", remedy="choose one of these, or leave it out")
+    return nearest
+
+
+def _stokes_i(model: SkyModel, freqs: FloatArray, path: Path) -> FloatArray:
     """Evaluate Stokes I at ``freqs`` in the catalogue's own unit, (Nfreqs, Nsrc)."""
     stokes_i = np.asarray(model.stokes[0].value, dtype=float)
     if model.spectral_type == "spectral_index":
@@ -250,11 +299,6 @@ def _stokes_i(model: SkyModel, freqs: FloatArray, interpolation: str, path: Path
         return np.repeat(stokes_i, len(freqs), axis=0)
     listed = model.freq_array.to_value("Hz")
     inside = np.clip(freqs, listed.min(), listed.max())
-    outside = np.abs(inside - freqs) > FREQ_TOLERANCE_HZ
-    if outside.any():
-        span = f"from {listed.min() / 1e6:g} to {listed.max() / 1e6:g} MHz"
-        message = f"no flux at {freqs[outside][0] / 1e6:g} MHz, only {span}"
-        raise InputError(message, file=path, remedy="select other frequencies or another catalogue")
     if len(listed) == 1:
         return np.repeat(stokes_i, len(freqs), axis=0)
     if model.spectral_type == "full":
@@ -263,7 +307,8 @@ def _stokes_i(model: SkyModel, freqs: FloatArray, interpolation: str, path: Path
     at_freqs = model.at_frequencies(
         Quantity(inside, "Hz"),
         inplace=False,
-        freq_interp_kind=interpolation,
+        # A cubic spline needs four of them.
+        freq_interp_kind="cubic" if len(listed) > 3 else "linear",
         nan_handling="interp",
         run_check=False,
     )

@@ -15,6 +15,8 @@ from pyuvdata.utils import polnum2str, polstr2num
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.errors import InputError
 
+UNKNOWN = "Where feeds point is not known; x is written as East."
+"""What files that have to tell it say of themselves where the data do not."""
 # The field is looked at within this zenith angle (radians), where East and North are well defined.
 _NEAR_ZENITH = np.deg2rad(15)
 

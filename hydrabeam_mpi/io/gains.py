@@ -20,24 +20,17 @@ from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, 
 from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.data.selection import match
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.gain_cover import Cover, check_all_there, cover_of, nearest, say_lacking
 from hydrabeam_mpi.io.reading import check_file, reading
 from hydrabeam_mpi.io.uvdata import feeds_of, size
-from hydrabeam_mpi.io.uvfile import FREQ_TOLERANCE, TIME_TOLERANCE
 
 
 @dataclass(frozen=True)
-class _Solution:
-    """One file's gains at the observation's antennas and channels.
-
-    ``gains`` and ``flags`` are (Nfreqs, Nsolutions, Nants, Nfeeds), ``times`` (Nsolutions,) in JD; each
-    solution holds for ``reach`` days about its time.
-    """
+class _Solution(Cover):
+    """The gains of one file, ``gains`` and ``flags`` being (Nchannels, Nsolutions, Nants, Nfeeds)."""
 
     gains: ComplexArray
     flags: BoolArray
-    times: FloatArray
-    reach: float
-    feeds: tuple[frozenset[str], ...]
 
 
 def apply_gains(
@@ -51,9 +44,9 @@ def apply_gains(
     observation : Observation
     tile : Tile
     gain_files : sequence of Path
-        Each must have every antenna and channel; together they must have every feed, and a solution within
-        an integration of every time. A single solution serves all times. Gains said to be in the convention
-        I = (V_xx + V_yy) / 2 leave half the visibility, so that it is V = 1/2 I B.
+        Together they must have every antenna, channel and feed, and some solution within an integration of every
+        time. What none of them has there is flagged. A single solution serves all times. What they say of the
+        convention of polarisation counts for visibilities whose files say nothing; these end as V = 1/2 I B.
 
     Returns
     -------
@@ -104,28 +97,31 @@ def read_gains(files: Sequence[Path], observation: Observation, times: IntArray)
     Returns
     -------
     gains, flags : ndarray, (Nfreqs, len(times), Nants, Nfeeds)
-        Of the observation's antennas and of the feeds in its polarisations; one where flagged.
+        Of the observation's antennas and of the feeds in its polarisations; one where flagged or in no file.
     """
     feeds, wanted = feeds_of(observation.pols), observation.times[times]
     shape = (observation.Nfreqs, len(times), observation.Nants, len(feeds))
     gains, flags = np.ones(shape, np.complex128), np.ones(shape, bool)
-    distance = np.full((len(times), len(feeds)), np.inf)
+    distance = np.full(shape, np.inf)
     solutions = [_read_solution(Path(path), observation) for path in files]
-    lone = np.ptp(np.concatenate([solution.times for solution in solutions])) <= TIME_TOLERANCE
-    for solution in solutions:
-        reach = np.maximum(solution.reach, observation.integration_time[times] / 86400)
-        near = match(wanted, solution.times, np.inf if lone else reach)
+    check_all_there(solutions, observation, files[0])
+    for solution, near in nearest(solutions, observation, times):
+        at = np.flatnonzero(near >= 0)
+        away = np.abs(solution.times[near[at]] - wanted[at])[:, np.newaxis]
+        here = np.ix_(solution.channels, at, solution.ants)
         for index, feed in enumerate(feeds):
-            stored = next((j for j, names in enumerate(solution.feeds) if feed in names), None)
-            away = np.where(near >= 0, np.abs(solution.times[near] - wanted), np.inf)
-            better = away < distance[:, index]
-            if stored is None or not better.any():
+            stored = solution.place(feed)
+            if stored is None:
                 continue
-            gains[:, better, :, index] = solution.gains[:, near[better], :, stored]
-            flags[:, better, :, index] = solution.flags[:, near[better], :, stored]
-            distance[better, index] = away[better]
-    if np.isinf(distance).any():
-        time, feed = np.argwhere(np.isinf(distance))[0]
+            best = distance[..., index]
+            better = away < best[here]
+            for filled, found in ((gains, solution.gains), (flags, solution.flags)):
+                of_feed = filled[..., index]
+                of_feed[here] = np.where(better, found[..., stored][:, near[at]], of_feed[here])
+            best[here] = np.where(better, away, best[here])
+    nowhere = np.isinf(distance).all(axis=(0, 2))
+    if nowhere.any():
+        time, feed = np.argwhere(nowhere)[0]
         raise InputError(
             f'no gains of feed "{feeds[feed]}" within an integration of JD {wanted[time]:.6f}',
             file=files[0],
@@ -148,9 +144,26 @@ def mean_gains(files: Sequence[Path], observation: Observation) -> ComplexArray:
     return np.where(number > 0, total / np.maximum(number, 1), np.nan)
 
 
+def doubt_about_gains(files: Sequence[Path], observation: Observation) -> str | None:
+    """Say of how much no file has gains, by what they say of themselves.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read, or an antenna or a channel is in none.
+    """
+    covers = []
+    for path in map(Path, files):
+        cal = _read_uvcal(path, observation, read_data=False)
+        with reading(path, "gains"):
+            covers.append(cover_of(cal, observation))
+    check_all_there(covers, observation, files[0])
+    return say_lacking(covers, observation)
+
+
 def antennas_of(path: Path, observation: Observation) -> IntArray:
     """Return the numbers of the antennas that a file has gains of."""
-    return np.asarray(_read_uvcal(path, observation).ant_array)
+    return np.asarray(_read_uvcal(path, observation, read_data=False).ant_array)
 
 
 def _read_solution(path: Path, observation: Observation) -> _Solution:
@@ -162,77 +175,87 @@ def _read_solution(path: Path, observation: Observation) -> _Solution:
 
 def _picked(cal: UVCal, path: Path, observation: Observation) -> _Solution:
     """Pick the observation's antennas and channels, and make the gains such as multiply the true visibilities."""
-    ants = match(observation.antenna_numbers, cal.ant_array, 0)
-    if np.any(ants < 0):
-        missing = ", ".join(map(str, observation.antenna_numbers[ants < 0]))
-        remedy = "leave it out with exclude_antennas"
-        raise InputError(f"no gains of antenna {missing}", file=path, field="ant_array", remedy=remedy)
-    channels = match(observation.freqs, cal.freq_array, FREQ_TOLERANCE)
-    if np.any(channels < 0):
-        missing = f"{observation.freqs[channels < 0][0] / 1e6:.6f} MHz"
-        remedy = "give gains with the channels of the data"
-        raise InputError(f"no gains at {missing}", file=path, field="freq_array", remedy=remedy)
+    cover = cover_of(cal, observation)
     # pyuvdata has (Nants, Nfreqs, Ntimes, Njones).
-    gains = cal.gain_array[np.ix_(ants, channels)].transpose(1, 2, 0, 3).astype(np.complex128)
-    flags = cal.flag_array[np.ix_(ants, channels)].transpose(1, 2, 0, 3)
-    _check_values(gains, flags, observation, path)
+    here = np.ix_(*cover.stored[::-1])
+    gains = cal.gain_array[here].transpose(1, 2, 0, 3).astype(np.complex128)
+    flags = cal.flag_array[here].transpose(1, 2, 0, 3)
+    _check_values(gains, flags, observation.antenna_numbers[cover.ants], path)
     gains[flags] = 1.0
     if cal.gain_convention == "multiply":
         gains = 1 / gains
     if cal.pol_convention is not None:
-        # The convention that the gain file states for calibrated data overrides the job's.
-        gains *= np.sqrt(2) ** ((cal.pol_convention == "avg") - (observation.pol_convention == "avg"))
-    return _Solution(gains, flags, *_stamps(cal), _feed_names(cal))
+        gains *= _left_by_reading(cal.pol_convention, observation, path)
+    return _Solution(**vars(cover), gains=gains, flags=flags)
 
 
-def _check_values(gains: ComplexArray, flags: BoolArray, observation: Observation, path: Path) -> None:
+def _left_by_reading(stated: str, observation: Observation, path: Path) -> float:
+    """Return by what gains are multiplied to calibrate to V = 1/2 I B, given the convention of calibrated data.
+
+    Reading has halved visibilities said to be in the convention I = (V_xx + V_yy) / 2, by their files or by the job.
+    The gains' own statement replaces the job's, and cannot differ from that of files, as in
+    `pyuvdata.utils.uvcalibrate`.
+    """
+    if others := set(observation.stated_conventions) - {stated, None}:
+        message = f'says "{stated}", where visibilities that it is applied to say "{others.pop()}"'
+        remedy = "correct the one that is wrong, UVCal.pol_convention or UVData.pol_convention"
+        raise InputError(message, file=path, field="pol_convention", remedy=remedy)
+    if observation.convention is None:
+        message = f'says "{stated}", as do some files of visibilities, while those that say nothing are taken otherwise'
+        remedy = f'set [data] pol_convention = "{stated}"'
+        raise InputError(message, file=path, field="pol_convention", remedy=remedy)
+    return float(np.sqrt(2) ** ((stated == "avg") - (observation.convention == "avg")))
+
+
+def _check_values(gains: ComplexArray, flags: BoolArray, antennas: IntArray, path: Path) -> None:
     """Refuse gains by which no visibility can be divided, unless flagged; (Nfreqs, Ntimes, Nants, ...)."""
     usable = (size(gains) >= 1 / LARGEST) & (size(gains) <= LARGEST)
     unusable = ~flags & ~usable
     if unusable.any():
-        ant = observation.antenna_numbers[np.argwhere(unusable)[0, 2]]
+        ant = antennas[np.argwhere(unusable)[0, 2]]
         message = f"an unflagged gain of antenna {ant} is zero, not finite, or beyond reason ({gains[unusable][0]:.3g})"
         raise InputError(message, file=path, field="gain_array", remedy="flag it")
 
 
-def _stamps(cal: UVCal) -> tuple[FloatArray, float]:
-    """Return the solutions' times and how far from them they hold, in days."""
-    if cal.time_range is not None:
-        return np.mean(cal.time_range, axis=1), float(np.ptp(cal.time_range, axis=1).max() / 2)
-    return np.asarray(cal.time_array), float(np.max(cal.integration_time) / 86400)
-
-
-def _feed_names(cal: UVCal) -> tuple[frozenset[str], ...]:
-    """Return the names of each Jones element's feed: "x", and "e" where the file tells its direction."""
-    orientation = cal.telescope.get_x_orientation_from_feeds()
-    names = ({jnum2str(j)[1:], jnum2str(j, x_orientation=orientation)[1:]} for j in cal.jones_array)
-    return tuple(frozenset(name[0] for name in both if name[0] == name[1]) for both in names)
-
-
-def _read_uvcal(path: Path, observation: Observation) -> UVCal:
-    """Read a gain file through pyuvdata, never asking the network where the telescope is."""
+def _read_uvcal(path: Path, observation: Observation, read_data: bool = True) -> UVCal:
+    """Read a gain file, or what it says of itself, never asking the network where the telescope is."""
     check_file(path, field="[data] gains")
     with reading(path, "gains", remedy="give calfits or calh5 files, or write this one again"):
         with path.open("rb") as file:
             is_hdf5 = file.read(4) == b"\x89HDF"
         if is_hdf5:
             cal = UVCal()
-            cal.read_calh5(str(path), run_check=False, background_lsts=False)
+            cal.read_calh5(str(path), read_data=read_data, run_check=False, background_lsts=False)
         else:
             # Older calfits files do not say where the telescope is, and pyuvdata would look its name up
             # on the network. It does not where the object that reads knows the place already.
             cal = CALFITS()
             cal.telescope.location = observation.location
-            cal.read_calfits(str(path), run_check=False, background_lsts=False)
-        _check_parts(cal)
+            cal.read_calfits(str(path), read_data=read_data, run_check=False, background_lsts=False)
+        _check_header(cal)
+        if read_data:
+            _check_parts(cal)
     return cal
 
 
-def _check_parts(cal: UVCal) -> None:
-    """Make sure that the file holds gains by channel, in arrays that fit together."""
+def _check_header(cal: UVCal) -> None:
+    """Make sure that the file holds gains by channel, of feeds that there are."""
     if cal.cal_type != "gain" or cal.wide_band:
         remedy = "convert it with UVCal.convert_to_gain()"
         raise InputError("not gains by channel", field="cal_type", remedy=remedy)
+    if cal.gain_convention not in ("divide", "multiply"):
+        told = f'is "{cal.gain_convention}", not "divide" or "multiply"'
+        raise InputError(told, field="gain_convention", remedy="correct the file")
+    for code in cal.jones_array:
+        try:
+            jnum2str(int(code))
+        except KeyError:
+            told = f"no feeds have the code {int(code)}"
+            raise InputError(told, field="jones_array", remedy="correct the file") from None
+
+
+def _check_parts(cal: UVCal) -> None:
+    """Make sure that the arrays fit together."""
     shape = (len(cal.ant_array), len(cal.freq_array), cal.Ntimes, len(cal.jones_array))
     n_times = len(cal.time_array if cal.time_range is None else cal.time_range)
     for field in ("gain_array", "flag_array"):
@@ -244,12 +267,3 @@ def _check_parts(cal: UVCal) -> None:
         raise InputError("is not true or false", field="flag_array", remedy="write the file again with pyuvdata")
     if cal.gain_array.dtype.kind != "c":
         raise InputError("is not complex", field="gain_array", remedy="write the file again with pyuvdata")
-    if cal.gain_convention not in ("divide", "multiply"):
-        told = f'is "{cal.gain_convention}", not "divide" or "multiply"'
-        raise InputError(told, field="gain_convention", remedy="correct the file")
-    for code in cal.jones_array:
-        try:
-            jnum2str(int(code))
-        except KeyError:
-            told = f"no feeds have the code {int(code)}"
-            raise InputError(told, field="jones_array", remedy="correct the file") from None

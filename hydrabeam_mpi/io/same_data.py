@@ -13,7 +13,7 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import IntArray, Observation
 from hydrabeam_mpi.data.selection import match
-from hydrabeam_mpi.io.uvfile import FREQ_TOLERANCE, TIME_TOLERANCE
+from hydrabeam_mpi.io.uvfile import FREQ_TOLERANCE, TIME_TOLERANCE, UVHeader
 from hydrabeam_mpi.io.uvformat import FORMATS
 from hydrabeam_mpi.io.uvrows import SAMPLE_BYTES, WINDOW_BYTES
 from hydrabeam_mpi.io.uvsource import Data, Source, as_source
@@ -39,6 +39,7 @@ def _checksums_of(source: Source, observation: Observation, lo: int, hi: int) ->
     header, stored = source.metadata()
     channels = np.flatnonzero(match(header.freqs, observation.freqs, FREQ_TOLERANCE) >= 0)
     pols = np.array([pol for pol in map(header.pol_index, observation.pols) if pol >= 0], dtype=int)
+    other_way = _other_way(header, pols)
     keys = pair_keys(np.sort(stored.antpairs, axis=1))
     time = match(stored.times, observation.times, TIME_TOLERANCE)
     time[stored.antpairs[:, 0] == stored.antpairs[:, 1]] = -1
@@ -51,13 +52,21 @@ def _checksums_of(source: Source, observation: Observation, lo: int, hi: int) ->
     for rows in _parts(order, time, at_once):
         data = source.samples(header, rows, channels, pols, None)[0]
         turned = stored.antpairs[rows, 0] > stored.antpairs[rows, 1]
-        data[turned] = data[turned].conj()
+        data[turned] = data[turned][..., other_way].conj()
         # Adding zero takes the sign off zeros.
         values = (data + 0).astype(np.complex64)
         for one in _parts(np.arange(len(rows)), time[rows], 1):
             for block in values[one].swapaxes(0, 1):
                 if block.any():
                     yield hashlib.sha256(keys[rows[one]].tobytes() + block.tobytes()).hexdigest()[:DIGITS]
+
+
+def _other_way(header: UVHeader, pols: IntArray) -> IntArray:
+    """Return where among some polarisations, (Npols,), each stands as a turned baseline has it: "en" for "ne"."""
+    turned = [header.pol_index(header.pols[pol][::-1]) for pol in pols.tolist()]
+    places = match(turned, pols, 0)
+    # Where only one of the two was asked for, they are not known to be the same data.
+    return np.where(places < 0, np.arange(len(pols)), places)
 
 
 def _parts(rows: IntArray, time: IntArray, at_once: int) -> list[IntArray]:

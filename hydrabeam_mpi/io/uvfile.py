@@ -29,6 +29,8 @@ keep_compiled()
 # Stamps closer than this are one integration or one channel; both far exceed the rounding of any format.
 TIME_TOLERANCE = 1e-3 / 86400  # days
 FREQ_TOLERANCE = 1.0  # Hz
+# Phase centres of pyuvdata that keep their place above the ground.
+STANDING = ("unprojected", "driftscan")
 
 
 @dataclass(frozen=True)
@@ -64,14 +66,22 @@ class UVHeader:
     antenna_names : tuple of str
     antpos : ndarray, (Nants, 3)
         Metres ENU.
+    mounts : tuple of str, (Nants,)
+        As pyuvdata names them; empty where the file does not tell.
     freqs, channel_width : ndarray, (Nfreqs,)
         Hz.
+    n_windows : int
+        Spectral windows that the channels are of.
     pols : tuple of str
         Named by the direction of the feeds ("ee") where the file tells it, by the feeds ("xx") otherwise.
     feed_pols : tuple of str
         Named by the feeds.
     units : str
         "Jy", or "uncalib" of visibilities that are not calibrated.
+    pol_convention : {"sum", "avg"} or None
+        As the file states it.
+    is_phased : bool
+        Whether visibilities are stored as those that follow a place on the sky.
     """
 
     path: Path
@@ -81,11 +91,15 @@ class UVHeader:
     antenna_numbers: IntArray
     antenna_names: tuple[str, ...]
     antpos: FloatArray
+    mounts: tuple[str, ...]
     freqs: FloatArray
     channel_width: FloatArray
+    n_windows: int
     pols: tuple[str, ...]
     feed_pols: tuple[str, ...]
     units: str
+    pol_convention: str | None
+    is_phased: bool
 
     def pol_index(self, pol: str) -> int:
         """Return where a polarisation is stored, by either of its names, or -1."""
@@ -205,11 +219,15 @@ def header_of(uv: UVData, path: Path, kind: str) -> UVHeader:
         antenna_numbers=np.asarray(telescope.antenna_numbers, dtype=np.int64),
         antenna_names=tuple(map(str, telescope.antenna_names)),
         antpos=np.asarray(telescope.antenna_positions, dtype=float) @ enu_axes(telescope.location).T,
+        mounts=() if telescope.mount_type is None else tuple(map(str, telescope.mount_type)),
         freqs=np.asarray(uv.freq_array, dtype=float),
         channel_width=np.abs(np.asarray(uv.channel_width, dtype=float)),
+        n_windows=int(uv.Nspws),
         pols=tuple(polnum2str(number, x_orientation=orientation) for number in uv.polarization_array),
         feed_pols=tuple(polnum2str(number) for number in uv.polarization_array),
         units=str(uv.vis_units),
+        pol_convention=uv.pol_convention,
+        is_phased=any(centre["cat_type"] not in STANDING for centre in uv.phase_center_catalog.values()),
     )
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from hydrabeam_mpi.data.observation import FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.selection import Selection, distinct, select_baselines, select_channels, select_times
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.mounts import check_mounts, doubt_about_mounts
 from hydrabeam_mpi.io.uvfile import FREQ_TOLERANCE, TIME_TOLERANCE, UVHeader, check_all_survive
 from hydrabeam_mpi.io.uvsource import Data, Source, files_among
 from hydrabeam_mpi.io.uvsurvey import Survey, pair_keys, survey
@@ -51,12 +52,14 @@ def read_observation(files: Sequence[Data], selection: Selection) -> Observation
     check_all_survive([Path(data) for data in files if not isinstance(data, Source)])
     surveys = survey(files)
     names, positions = merge_antennas(surveys)
+    stated = tuple({one.header.pol_convention: None for one in surveys})
     surveys = [one for one in surveys if one.antpairs.size]
     if not surveys:
         raise InputError("no cross-correlations", file=files[0], field="ant_2_array", remedy="add their files")
     check_disjoint(surveys)
     antpairs = _select_antpairs(surveys, positions, selection)
-    numbers = np.unique(antpairs)
+    numbers, headers = np.unique(antpairs), [one.header for one in surveys]
+    check_mounts(headers, numbers)
 
     freqs, channel_width = (
         np.concatenate([getattr(one.header, name) for one in surveys]) for name in ("freqs", "channel_width")
@@ -80,11 +83,14 @@ def read_observation(files: Sequence[Data], selection: Selection) -> Observation
         times=times,
         lsts=lsts,
         integration_time=integration_time,
-        pols=_select_pols([one.header for one in surveys], selection),
-        uncalibrated=any(one.header.units == "uncalib" for one in surveys),
+        pols=_select_pols(headers, selection),
+        stated_conventions=stated,
+        is_phased=any(header.is_phased for header in headers),
+        uncalibrated=any(header.units == "uncalib" for header in headers),
     )
     check_covered(observation, surveys)
-    return replace(observation, doubts=doubts_about(observation, surveys))
+    of_mounts = doubt_about_mounts(headers, numbers)
+    return replace(observation, doubts=(*doubts_about(observation, surveys), *([of_mounts] if of_mounts else [])))
 
 
 def _select_antpairs(surveys: list[Survey], positions: dict[int, FloatArray], selection: Selection) -> IntArray:

@@ -46,15 +46,19 @@ def read_samples(
     if not FORMATS[header.kind].in_part:
         return _samples(header, {}, np.ix_(rows, channels, pols), pol_convention)
     # pyuvdata returns what it selects in the order of the file.
-    select: dict[str, Any] = {"freq_chans": np.sort(channels)}
-    select["polarizations"] = [header.feed_pols[pol] for pol in np.sort(pols)]
+    select: dict[str, Any] = {"polarizations": [header.feed_pols[pol] for pol in np.sort(pols)]}
+    # Of several spectral windows in uvfits it reads all channels or fails.
+    channels_read, picked_channels = np.arange(len(header.freqs)), channels
+    if header.n_windows == 1 or FORMATS[header.kind].sample_by_sample:
+        channels_read, picked_channels = np.sort(channels), np.argsort(np.argsort(channels))
+        select["freq_chans"] = channels_read
     if FORMATS[header.kind].sample_by_sample:
         select["multidim_index"] = True
-    picked = np.argsort(np.argsort(channels)), np.argsort(np.argsort(pols))
+    picked = picked_channels, np.argsort(np.argsort(pols))
     order, shape = np.argsort(rows), (len(rows), len(channels), len(pols))
     whole: Samples = np.empty(shape, np.complex128), np.empty(shape, bool), np.empty(shape)
     done = 0
-    for read, wanted in _windows(rows[order], SAMPLE_BYTES * len(channels) * len(pols)):
+    for read, wanted in _windows(rows[order], SAMPLE_BYTES * len(channels_read) * len(pols)):
         part = _samples(header, {"blt_inds": read, **select}, np.ix_(wanted, *picked), pol_convention)
         for stack, values in zip(whole, part, strict=True):
             stack[order[done : done + len(wanted)]] = values

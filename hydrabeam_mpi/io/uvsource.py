@@ -115,8 +115,6 @@ class UVInMemory:
         As drift scan.
     flags : ndarray of bool, same shape
     nsamples : ndarray, same shape
-    pol_convention : {"sum", "avg"} or None
-        As the data state it.
     file : Path or None
         Where they were read.
     """
@@ -126,7 +124,6 @@ class UVInMemory:
     data: Array
     flags: BoolArray
     nsamples: FloatArray
-    pol_convention: str | None = None
     file: Path | None = None
 
     def __str__(self) -> str:
@@ -149,7 +146,7 @@ class UVInMemory:
             uv.data_array = uv.data_array.astype(np.complex128)
             if not in_drift_scan(uv):
                 uv.unproject_phase()
-        return cls(header, rows, uv.data_array, uv.flag_array, uv.nsample_array, uv.pol_convention, path)
+        return cls(header, rows, uv.data_array, uv.flag_array, uv.nsample_array, path)
 
     @classmethod
     def of(cls, uv: UVData, name: str) -> Self:
@@ -177,7 +174,7 @@ class UVInMemory:
                 uv = uv.copy()
                 uv.data_array = uv.data_array.astype(np.complex128)
                 uv.unproject_phase()
-        return cls(header, rows, uv.data_array, uv.flag_array, uv.nsample_array, uv.pol_convention)
+        return cls(header, rows, uv.data_array, uv.flag_array, uv.nsample_array)
 
     def with_sigma(self, variance: Array, name: str) -> UVInMemory:
         """Return the standard deviations of the noise of each visibility in its place, as a file of noise has them.
@@ -204,7 +201,7 @@ class UVInMemory:
         known = (values > 0) & np.isfinite(values)
         sigma = np.where(known, np.sqrt(np.where(known, values, 0.0)), 0.0)
         header = replace(self.header, path=Path(name))
-        return UVInMemory(header, self.rows, sigma, self.flags, np.ones(shape), self.pol_convention)
+        return UVInMemory(header, self.rows, sigma, self.flags, np.ones(shape))
 
     def metadata(self) -> tuple[UVHeader, UVRows]:
         """Return the metadata."""
@@ -220,7 +217,7 @@ class UVInMemory:
         """Take part of the data, in the convention V = 1/2 I B; see `Source.samples`."""
         wanted = np.ix_(rows, channels, pols)
         data: ComplexArray = self.data[wanted].astype(np.complex128)
-        if (self.pol_convention or pol_convention) == "avg":
+        if (self.header.pol_convention or pol_convention) == "avg":
             data.view(float)[:] *= 0.5
         return data, self.flags[wanted], self.nsamples[wanted].astype(float)
 

@@ -65,7 +65,7 @@ def _survey(source: Source) -> Survey:
     _check_channels(header)
     cross = np.flatnonzero(rows.antpairs[:, 0] != rows.antpairs[:, 1])
     keys, baseline = np.unique(pair_keys(rows.antpairs[cross]), return_inverse=True)
-    _check_averaging(header.path, rows.integration_time[cross], baseline)
+    _check_averaging(header.path, rows.times[cross], rows.integration_time[cross], baseline)
     first = cross[distinct(rows.times[cross], TIME_TOLERANCE)]
     return Survey(
         source,
@@ -90,10 +90,18 @@ def _check_channels(header: UVHeader) -> None:
         )
 
 
-def _check_averaging(path: Path, integration_time: FloatArray, baseline: IntArray) -> None:
-    """Refuse baseline-dependent averaging: one time axis must serve all baselines."""
+def _check_averaging(path: Path, times: FloatArray, integration_time: FloatArray, baseline: IntArray) -> None:
+    """Refuse baseline-dependent averaging: one time axis must serve all baselines; (Nrows,) each.
+
+    Where integrations change in the course of the observation, those that overlap are of one length still.
+    """
     mean = np.bincount(baseline, integration_time) / np.bincount(baseline)
-    if mean.size and np.ptp(mean) > 0.01 * mean.max():
+    order = np.argsort(times)
+    lengths = integration_time[order]
+    # From the centre of a mean to that of one of its parts it is half of the part at most, to what follows all of it.
+    overlap = 86400 * np.diff(times[order]) <= 0.75 * np.minimum(lengths[1:], lengths[:-1])
+    differ = np.abs(np.diff(lengths)) > 0.01 * lengths[1:]
+    if mean.size and np.ptp(mean) > 0.01 * mean.max() and np.any(overlap & differ):
         raise InputError(
             f"integrations of {mean.min():g} to {mean.max():g} s, depending on the baseline",
             file=path,

@@ -10,14 +10,12 @@ import numpy as np
 from hydrabeam_mpi.data.observation import FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.selection import distinct, match
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.io.uvcheck import SAME_DATA
 from hydrabeam_mpi.io.uvfile import FREQ_TOLERANCE, TIME_TOLERANCE, UVHeader
 from hydrabeam_mpi.io.uvsurvey import Survey, pair_keys
 
 # Positions of one antenna in several files.
 POSITION_TOLERANCE = 1e-3  # metres
-# Two integrations or channels are of the same data where more than this part of the shorter lies in the other. Half is
-# not enough: headers of files that were thinned out state distances for widths.
-SAME_DATA = 0.75
 # More than one step of an axis and less than two, so that rounding decides nothing.
 ONE_IS_MISSING = 1.5
 _X_EAST = str.maketrans("en", "xy")

@@ -11,6 +11,9 @@ from numpy.typing import ArrayLike
 from hydrabeam_mpi.data.observation import BoolArray, FloatArray, IntArray
 from hydrabeam_mpi.random import generator
 
+REFERENCE_FREQ = 100e6
+"""Hz, to which fluxes of a mock and cuts refer unless another is asked for."""
+
 
 @dataclass(frozen=True, eq=False)
 class Sky:
@@ -26,6 +29,8 @@ class Sky:
         What the catalogue calls the sources.
     reference_flux : ndarray, (Nsrc,), optional
         Jy at the one frequency that brightness cuts refer to, which need not be observed.
+    reference_freq : float, optional
+        That frequency, Hz.
     """
 
     ra: FloatArray
@@ -33,6 +38,7 @@ class Sky:
     flux: FloatArray
     names: tuple[str, ...] | None = None
     reference_flux: FloatArray | None = None
+    reference_freq: float | None = None
 
     def __post_init__(self) -> None:
         lengths = {len(self.ra), len(self.dec), self.flux.shape[-1]}
@@ -64,6 +70,7 @@ class Sky:
             flux=np.take(self.flux, index, axis=1),  # C order, which an index would not keep
             names=None if self.names is None else tuple(self.names[i] for i in index),
             reference_flux=None if self.reference_flux is None else self.reference_flux[index],
+            reference_freq=self.reference_freq,
         )
 
     def channels(self, index: IntArray) -> Sky:
@@ -89,12 +96,14 @@ def concatenate(skies: Sequence[Sky]) -> Sky:
     """
     names = [sky.names if sky.names is not None else ("",) * sky.Nsrc for sky in skies]
     reference_fluxes = [sky.reference_flux for sky in skies if sky.reference_flux is not None]
+    has_reference = len(reference_fluxes) == len(skies)
     return Sky(
         ra=np.concatenate([sky.ra for sky in skies]),
         dec=np.concatenate([sky.dec for sky in skies]),
         flux=np.concatenate([sky.flux for sky in skies], axis=1),
         names=sum(names, ()) if any(sky.names is not None for sky in skies) else None,
-        reference_flux=np.concatenate(reference_fluxes) if len(reference_fluxes) == len(skies) else None,
+        reference_flux=np.concatenate(reference_fluxes) if has_reference else None,
+        reference_freq=skies[0].reference_freq if has_reference else None,
     )
 
 
@@ -128,7 +137,7 @@ def mock_sky(
     *,
     n_sources: int = 10_000,
     flux_range: tuple[float, float] = (0.1, 100.0),
-    reference_freq: float = 100e6,
+    reference_freq: float = REFERENCE_FREQ,
     spectral_index: float = -2.7,
 ) -> Sky:
     """Draw the mock sky of HDBI II, section 3: uniform on the sphere, log-flat in flux, one spectral index.
@@ -156,4 +165,5 @@ def mock_sky(
     dec = np.arcsin(rng.uniform(-1.0, 1.0, n_sources))
     faintest, brightest = np.log(flux_range)
     flux = np.exp(rng.uniform(faintest, brightest, n_sources))
-    return Sky(ra, dec, power_law(flux, reference_freq, spectral_index, freqs), reference_flux=flux)
+    at_freqs = power_law(flux, reference_freq, spectral_index, freqs)
+    return Sky(ra, dec, at_freqs, reference_flux=flux, reference_freq=reference_freq)

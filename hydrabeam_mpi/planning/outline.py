@@ -101,7 +101,7 @@ def outline(job: Job, given: Given, clock: Clock) -> Outline:
     problem = prepare(alone, (), given=given, observation=one)
     coupling = couple(job.prior.frequency, observation.freqs, problem.priors)
     prepared = clock()
-    load_sky(job, one.freqs, given.sky)
+    load_sky(job, one, given.sky)
     load_beams(job, one.freqs, one.pols[0], given.beam)
     loaded = clock()
     fit_beam(problem.beams[0], problem.basis)

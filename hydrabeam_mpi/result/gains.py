@@ -69,7 +69,7 @@ def gains_told(
         "feed": observation.pols[0][0],
         "times_jd": observation.times.tolist(),
         "integration_time_s": observation.integration_time.tolist(),
-        "pol_convention": observation.pol_convention,
+        "pol_convention": observation.convention,
         "channels": channels,
     }
     return {"gains": about}

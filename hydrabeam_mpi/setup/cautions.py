@@ -9,7 +9,9 @@ import numpy as np
 from astropy.time import Time
 
 from hydrabeam_mpi.config import Job
+from hydrabeam_mpi.config.named import expand
 from hydrabeam_mpi.data.observation import C_M_PER_S, EARTH_RATE, Observation
+from hydrabeam_mpi.io.gains import doubt_about_gains
 from hydrabeam_mpi.model.bases.base import has_part
 from hydrabeam_mpi.model.earth_orientation import beyond_table
 from hydrabeam_mpi.model.fit import FittedBeam
@@ -25,8 +27,10 @@ SMEARED = 0.01
 def cautions_of_data(job: Job, observation: Observation) -> tuple[str, ...]:
     """Say what is doubtful about the data by their metadata."""
     smearing = None if job.data.simulate or job.data.smearing else _of_smearing(observation)
+    gains = expand(job.data.gains, "[data] gains", "file")
     said = [
         _of_units(job, observation),
+        doubt_about_gains(gains, observation) if gains else None,
         *cautions_of_times(job, observation),
         _of_sidereal_times(observation),
         smearing,
@@ -116,6 +120,12 @@ def _of_smearing(observation: Observation) -> str | None:
     seconds, khz = observation.integration_time.max(), observation.channel_width.max() / 1e3
     lost = ((by_time, f"{seconds:.4g} s"), (by_channel, f"{khz:.4g} kHz"))
     told = [f"a mean over {length} loses up to {part:.0%}" for part, length in lost if part >= SMEARED]
+    if observation.is_phased:
+        return (
+            f"Of a source on the longest baselines of a drift scan {' and '.join(told)}. The files are phased: if they "
+            "were averaged so, a source loses by its distance from the place that they follow instead. The model takes "
+            "data as of one instant and one frequency, and [data] smearing is of drift scans alone."
+        )
     return (
         f"Of a source on the longest baselines {' and '.join(told)}. The model takes data as of one instant and one "
         "frequency, as most simulators write them. Correlators write such means: [data] smearing = true."

@@ -31,8 +31,8 @@ class Held:
     def __init__(self, comm: Comm, mine: UVInMemory | None) -> None:
         """Share what rank 0 has. Collective: all ranks of ``comm``."""
         self._mine = mine
-        about = (mine.header, mine.rows, mine.pol_convention, mine.file) if mine else None
-        self._header, self._rows, self._convention, self.file = bcast_object(comm, about)
+        about = (mine.header, mine.rows, mine.file) if mine else None
+        self._header, self._rows, self.file = bcast_object(comm, about)
         arrays = (mine.data, mine.flags, mine.nsamples) if mine else (None,) * 3
         self._arrays = [OneSided(comm, array) for array in arrays]
         self._key = next(_numbers)
@@ -60,7 +60,7 @@ class Held:
         if self._mine is not None:
             return self._mine.samples(header, rows, channels, pols, pol_convention)
         data, flags, nsamples = (_part(array, rows, channels, pols) for array in self._arrays)
-        part = UVInMemory(header, self._rows, data, flags, nsamples, self._convention)
+        part = UVInMemory(header, self._rows, data, flags, nsamples)
         all_rows, all_channels, all_pols = map(np.arange, data.shape)
         return part.samples(header, all_rows, all_channels, all_pols, pol_convention)
 

@@ -224,7 +224,7 @@ def prepare(
     train, test = roles_of(job, observation)
     # Before the sky, which takes longer: a channel out of the beam's range ends the run here.
     beams = load_beams(job, observation.freqs, observation.pols[0], given.beam)
-    whole_sky = load_sky(job, observation.freqs, given.sky)
+    whole_sky = load_sky(job, observation, given.sky)
     sky = whole_sky.brighter_than(job.sky.model_flux_min)
     time_costs = count_sources(sky, observation)
     earlier = find_earlier(job, observation, given.earlier)

@@ -15,7 +15,7 @@ from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.catalogue import VOTableColumns, read_catalogue, sky_of
 from hydrabeam_mpi.io.gsm2016 import read_gsm2016
 from hydrabeam_mpi.model.positions import ApparentPositions, RotatedPositions, SourcePositions, count_above_horizon
-from hydrabeam_mpi.model.sky import Sky, concatenate, mock_sky
+from hydrabeam_mpi.model.sky import REFERENCE_FREQ, Sky, concatenate, mock_sky
 
 
 def source_positions(job: Job, sky: Sky, observation: Observation) -> SourcePositions:
@@ -28,42 +28,40 @@ def are_apparent(job: Job) -> bool:
     return (job.sky.positions or ("lst" if job.sky.kind == "mock" else "apparent")) == "apparent"
 
 
-def load_sky(job: Job, freqs: FloatArray, given: Any = None) -> Sky:
-    """Read or draw the whole sky at ``freqs`` (Nfreqs,), before the model's flux cut.
+def load_sky(job: Job, observation: Observation, given: Any = None) -> Sky:
+    """Read or draw the whole sky at the observed frequencies, before the model's flux cut.
 
     A SkyModel that is given stands for the job's file.
     """
-    settings = job.sky
+    settings, freqs = job.sky, observation.freqs
+    reference_freq = settings.reference_freq or REFERENCE_FREQ
     cut = settings.flux_min > 0 or settings.model_flux_min > 0
-    reference_freq = settings.reference_freq if cut else None
-    of_date = not are_apparent(job)
+    options: dict[str, Any] = {
+        "reference_freq": reference_freq if cut else None,
+        "or_nearest": settings.reference_freq is None,
+        "flux_min": settings.flux_min,
+        "channel_width": observation.channel_width,
+        "of_date": not are_apparent(job),
+    }
     if given is not None:
-        sky = sky_of(
-            given, Path("sky"), freqs, reference_freq=reference_freq, flux_min=settings.flux_min, of_date=of_date
-        )
+        sky = sky_of(given, Path("sky"), freqs, **options)
     elif settings.file is not None:
-        sky = read_catalogue(
-            settings.file,
-            freqs,
-            reference_freq=reference_freq,
-            flux_min=settings.flux_min,
-            columns=_votable_columns(settings.columns) if settings.columns else None,
-            of_date=of_date,
-        )
+        columns = _votable_columns(settings.columns) if settings.columns else None
+        sky = read_catalogue(settings.file, freqs, columns=columns, **options)
     else:
-        _check_spectrum(settings, freqs)
+        _check_spectrum(settings, freqs, reference_freq)
         sky = mock_sky(
             job.seed,
             freqs,
             n_sources=settings.n_sources,
             flux_range=settings.flux_range,
-            reference_freq=settings.reference_freq,
+            reference_freq=reference_freq,
             spectral_index=settings.spectral_index,
         ).brighter_than(settings.flux_min)
     return concatenate([sky, read_gsm2016(settings.diffuse, freqs)]) if settings.diffuse else sky
 
 
-def _check_spectrum(settings: SkySettings, freqs: FloatArray) -> None:
+def _check_spectrum(settings: SkySettings, freqs: FloatArray, reference_freq: float) -> None:
     """Make sure that a mock's power law gives fluxes that are numbers.
 
     Raises
@@ -71,12 +69,12 @@ def _check_spectrum(settings: SkySettings, freqs: FloatArray) -> None:
     InputError
         If it changes fluxes by more than `LARGEST`, as no source's spectral index does.
     """
-    decades = settings.spectral_index * np.log10(freqs / settings.reference_freq)
+    decades = settings.spectral_index * np.log10(freqs / reference_freq)
     steepest = np.abs(decades).argmax()
     if abs(decades[steepest]) > np.log10(LARGEST):
         raise InputError(
             f"is {settings.spectral_index:g}, by which fluxes change {abs(decades[steepest]):.3g} orders of magnitude"
-            f" from {settings.reference_freq / 1e6:g} to {freqs[steepest] / 1e6:g} MHz",
+            f" from {reference_freq / 1e6:g} to {freqs[steepest] / 1e6:g} MHz",
             field="[sky] spectral_index",
             remedy="give one as sources have, such as -0.8",
         )

@@ -155,7 +155,7 @@ def _set_scene(job: Job, settings: Simulate, memory: int) -> Scene:
         observation = replace(observation, pols=(2 * one, 2 * other, one + other, other + one))
         second = 2 * (other if pol[0] == one else one)
         beams[second] = tuple(TurnedBeam(beam, second) for beam in own)
-    return Scene(observation, load_sky(job, observation.freqs), beams)
+    return Scene(observation, load_sky(job, observation), beams)
 
 
 def _least_bytes(observation: Observation) -> int:

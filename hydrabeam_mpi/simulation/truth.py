@@ -24,9 +24,9 @@ SKY, BEAM = "sky.skyh5", "true_beam.beamfits"
 def true_sky(job: Job, scene: Scene) -> SkyModel:
     """Return the sky of a simulation: a power law where the job gives one, else its fluxes at the channels."""
     settings, sky = job.sky, scene.sky
-    reference_freq = settings.reference_freq if sky.reference_flux is not None else None
     is_power_law = settings.kind == "mock" and settings.diffuse is None
-    spectrum = Spectrum(scene.observation.freqs, reference_freq, settings.spectral_index if is_power_law else None)
+    index = settings.spectral_index if is_power_law else None
+    spectrum = Spectrum(scene.observation.freqs, sky.reference_freq, index)
     return sky_model(sky, spectrum, None if are_apparent(job) else scene.observation)
 
 

@@ -200,7 +200,7 @@ CASES = [
          {"beam.source": "missing.beamfits"}),
     Case("built-in beam of another polarisation", ("job.toml", "[beam] source", "no 'nn'", "give a beam file"),
          {**BAD_UVH5, "data.polarization": "nn"}, edited(set_to("Header/polarization_array", -6))),
-    Case("beam that is not", ("text.txt", "cannot be read as a beam", "pyuvdata reads"), {"beam.source": "text.txt"},
+    Case("beam that is not", ("text.txt", "a text file", "name the settings yaml"), {"beam.source": "text.txt"},
          write_text),
     Case("built-in beam at another frequency", ("job.toml", "[beam] source", "131 MHz, not 150 MHz", "'scale'"),
          BAD_UVH5, edited(set_to("Header/freq_array", 150e6))),

@@ -107,6 +107,21 @@ def test_patterns(tmp_path: Path) -> None:
         expand([f"{tmp_path}/d*"], "[data] files")
 
 
+@pytest.mark.parametrize("folder", ["run [1]", "what?", "all*"])
+def test_a_folder_is_no_pattern(folder: str, tmp_path: Path) -> None:
+    """One of a name that is a pattern stands for itself; jobs in it find their files."""
+    for name in (folder, "run 1", "whats", "all of it"):
+        (tmp_path / name / "night1").mkdir(parents=True)
+        (tmp_path / name / "night1" / "a.uvh5").touch()
+    (tmp_path / folder / "job.toml").write_text(
+        "[data]\nfiles = ['night?/*.uvh5']\n[beam]\nsource = 'airy'\ndiameter = '14 m'\n"
+    )
+    job = load_job(tmp_path / folder / "job.toml")
+    assert expand(job.data.files, "[data] files") == (tmp_path / folder / "night1" / "a.uvh5",)
+    with pytest.raises(InputError, match=r"\*\.ms: \[data\] files: no such file"):
+        expand([f"{tmp_path / folder}/*.ms"], "[data] files")
+
+
 @pytest.mark.parametrize("name", ["a\0b.uvh5", "n" * 300])
 def test_what_is_no_name_of_a_file(name: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"cannot be read \((embedded null byte|File name too long)\)"):

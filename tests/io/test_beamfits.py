@@ -4,6 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
+import yaml
 from astropy_healpix import HEALPix
 from matvis.core.beams import prepare_beam_unpolarized
 from pyuvdata import AiryBeam, BeamInterface, ShortDipoleBeam, UVBeam
@@ -341,15 +342,23 @@ def cst_file(path):
     path.write_text("\n".join(rows) + "\n")
 
 
-def test_cst_text_is_read_with_what_it_does_not_say(tmp_path):
-    path = tmp_path / "dipole_150MHz.txt"
-    cst_file(path)
-    about = {"telescope_name": "T", "feed_name": "F", "feed_version": "1", "model_name": "M", "model_version": "1"}
-    options = {"beam_type": "efield", "feed_pol": "x", "rotate_pol": True, "frequency": 150e6, "history": "", **about}
-    beam = quietly(path, options={**options, "x_orientation": "east", "mount_type": "fixed"}).beam(150e6, "ee")
+def test_cst_files_are_read_by_their_settings_yaml(tmp_path):
+    """Alone they do not tell what is needed."""
+    names = ["dipole_150MHz.txt", "dipole_160MHz.txt"]
+    for name in names:
+        cst_file(tmp_path / name)
+    names_of = {"telescope_name": "T", "feed_name": "F", "feed_version": "1", "model_name": "M", "model_version": "1"}
+    of_feed = {"feed_pol": "x", "x_orientation": "east", "mount_type": "fixed"}
+    settings = {"frequencies": [150e6, 160e6], "filenames": names, "history": "", **names_of, **of_feed}
+    (tmp_path / "dipole.yaml").write_text(yaml.safe_dump(settings))
+    file = quietly(tmp_path / "dipole.yaml")
+    np.testing.assert_array_equal(file.freqs, [150e6, 160e6])
+    beam = file.beam(150e6, "ee")
     np.testing.assert_allclose(beam.pixels.values, dipole_power("ee", beam.pixels.za, beam.pixels.az), atol=1e-8)
-    with pytest.raises(InputError, match="cannot be read as a beam"):
-        BeamFile(path)
+    with pytest.raises(
+        InputError, match=r"MHz\.txt: \[beam\] source: a text file, and those of CST tell .*; name the settings yaml"
+    ):
+        BeamFile(tmp_path / names[0])
 
 
 def power(za, az, freq):
@@ -380,6 +389,13 @@ def test_written_beam_is_read_back_by_pyuvdata(tmp_path):
     np.testing.assert_array_equal(uvbeam.freq_array, [150e6, 160e6])
     np.testing.assert_allclose(uvbeam.axis1_array, np.arange(360) * DEG, atol=1e-15)
     np.testing.assert_allclose(uvbeam.axis2_array, np.arange(91) * DEG, atol=1e-15)
+
+
+@pytest.mark.parametrize("pols", [("ee",), ("nn", "ee"), ("xx",), ("yy",)])
+def test_a_written_beam_says_where_nobody_knows_where_its_feeds_point(tmp_path, pols):
+    path, *_ = written(tmp_path, pols=pols, history="Made for a test.")
+    told = "Where feeds point is not known; x is written as East." in UVBeam.from_file(str(path)).history
+    assert told == (pols[0][0] in "xy")
 
 
 def test_written_beam_is_read_back_as_a_model_beam(tmp_path):

@@ -70,3 +70,11 @@ def test_gains_with_a_gap_keep_their_times_and_channels(gap: str, tmp_path: Path
     cal = check_applied(observation, tmp_path, "gains.calh5")
     np.testing.assert_array_equal(cal.freq_array, observation.freqs)
     np.testing.assert_array_equal(cal.time_array, observation.times)
+
+
+@pytest.mark.parametrize("stated", ["sum", "avg"])
+def test_gains_are_of_the_convention_of_the_data(stated: str, tmp_path: Path) -> None:
+    """Pyuvdata applies them to these alone."""
+    observation = replace(even(make()[0]), stated_conventions=(stated,))
+    write_gains(tmp_path, observation, np.ones((3, 5, observation.Nants), dtype=complex), "")
+    assert UVCal.from_file(str(tmp_path / "gains.calfits")).pol_convention == stated

@@ -1,3 +1,4 @@
+import gzip
 import logging
 import os
 import shutil
@@ -72,9 +73,14 @@ def test_subbands_are_interpolated(tmp_path):
     path = written(subbands(exact), tmp_path / "sky.skyh5")
     sky = read_catalogue(path, FREQS)
     np.testing.assert_allclose(sky.flux, FLUX * (FREQS[:, np.newaxis] / 180e6) ** INDEX, rtol=2e-5)
-    linear = read_catalogue(path, FREQS, interpolation="linear")
-    expected = [np.interp(FREQS, SUBBANDS, exact[:, source]) for source in range(3)]
-    np.testing.assert_allclose(linear.flux, np.transpose(expected), rtol=1e-12)
+
+
+@pytest.mark.parametrize("n_bands", [2, 3])
+def test_between_few_subbands_fluxes_are_linear(tmp_path, n_bands):
+    freqs, flux = np.array([130e6, 140e6, 150e6])[:n_bands], np.random.default_rng(0).uniform(1, 2, (n_bands, 3))
+    sky = read_catalogue(written(subbands(flux, freqs=freqs), tmp_path / "sky.skyh5"), np.array([131e6, 139e6]))
+    expected = [np.interp([131e6, 139e6], freqs, of_source) for of_source in flux.T]
+    np.testing.assert_allclose(sky.flux, np.transpose(expected), rtol=1e-12)
 
 
 def test_listed_frequencies_are_taken_exactly_and_interpolated_between(tmp_path):
@@ -133,6 +139,31 @@ def test_cuts_refer_to_the_reference_frequency(tmp_path):
         read_catalogue(path, FREQS, flux_min=100.0)
 
 
+@pytest.mark.parametrize("spectral_type", ["subband", "full"])
+def test_cuts_refer_to_the_nearest_frequency_that_there_is(tmp_path, spectral_type):
+    flux = np.array([[2.0, 0.5, 30.0], [1.0, 3.0, 20.0]])
+    path = written(subbands(flux, spectral_type, np.array([140e6, 160e6])), tmp_path / "sky.skyh5")
+    freqs = np.array([150e6])
+    sky = read_catalogue(path, freqs, reference_freq=100e6, or_nearest=True, flux_min=1.0)
+    assert sky.names == ("a", "c")
+    np.testing.assert_allclose(sky.reference_flux, [2.0, 30.0])
+    assert sky.reference_freq == 140e6
+    np.testing.assert_allclose(sky.flux, [[1.5, 25.0]])
+    assert read_catalogue(path, freqs, reference_freq=150e6, or_nearest=True).reference_freq == 150e6
+    with pytest.raises(InputError, match=r"\[sky\] reference_freq: no flux at 100 MHz in sky.skyh5, only from 140 to"):
+        read_catalogue(path, freqs, reference_freq=100e6, flux_min=1.0)
+
+
+def test_fluxes_of_one_frequency_are_those_of_a_channel_that_holds_it(tmp_path):
+    path = written(subbands(FLUX[np.newaxis], "full", np.array([150e6])), tmp_path / "sky.skyh5")
+    near = {"reference_freq": 100e6, "or_nearest": True, "channel_width": np.array([1e5])}
+    sky = read_catalogue(path, np.array([150.05e6]), **near)
+    np.testing.assert_array_equal(sky.flux, [FLUX])
+    assert sky.reference_freq == 150e6
+    with pytest.raises(InputError, match=r"no flux at 150\.2 MHz, only from 150 to 150 MHz; select other"):
+        read_catalogue(path, np.array([150.2e6]), **near)
+
+
 def test_only_stokes_i_is_used_and_said_so(tmp_path, caplog):
     model = sky_model()
     model.stokes[1] = 0.3 * units.Jy
@@ -188,12 +219,22 @@ def test_votable_columns(tmp_path):
     assert not np.allclose(sky.ra, np.deg2rad(RA), rtol=0, atol=1e-9)
 
 
+def test_a_compressed_votable(tmp_path):
+    columns = PLACES | {"Fintfit200": ("mJy", 1e3 * FLUX), "alpha": (None, INDEX)}
+    plain = votable(tmp_path / "sky.vot", columns)
+    packed = tmp_path / "SKY.VOT.GZ"
+    packed.write_bytes(gzip.compress(plain.read_bytes()))
+    sky = read_catalogue(packed, FREQS, columns=VOTableColumns())
+    np.testing.assert_array_equal(sky.flux, read_catalogue(plain, FREQS, columns=VOTableColumns()).flux)
+    (tmp_path / "sky.txt.gz").touch()
+    with pytest.raises(InputError, match=r"unknown kind of catalogue '\.gz'"):
+        read_catalogue(tmp_path / "sky.txt.gz", FREQS)
+
+
 def test_votable_subbands(tmp_path):
     columns = PLACES | {"S130": ("Jy", FLUX), "S150": ("Jy", 2 * FLUX)}
     options = VOTableColumns(flux=("S130", "S150"), freqs=(130e6, 150e6))
-    sky = read_catalogue(
-        votable(tmp_path / "sky.vot", columns), np.array([135e6]), columns=options, interpolation="linear"
-    )
+    sky = read_catalogue(votable(tmp_path / "sky.vot", columns), np.array([135e6]), columns=options)
     np.testing.assert_allclose(sky.flux[0], 1.25 * FLUX, rtol=1e-12)
 
 

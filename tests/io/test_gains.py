@@ -13,7 +13,8 @@ from pyuvdata.utils import uvcalibrate
 from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.data.selection import Selection
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.io.gains import apply_gains, read_gains
+from hydrabeam_mpi.io import gain_cover
+from hydrabeam_mpi.io.gains import apply_gains, doubt_about_gains, read_gains
 from hydrabeam_mpi.io.uvdata import read_observation, read_visibilities
 from tests.visibilities import NUMBERS, SECOND, TIMES, expected, make_uvcal, make_uvdata, whole
 
@@ -119,6 +120,64 @@ def test_one_file_a_feed_and_one_a_stretch_of_time(read):
     np.testing.assert_array_equal(gains, np.where(flags, 1.0, cal.gain_array.transpose(1, 2, 0, 3)))
 
 
+def test_one_file_a_part_of_the_band_and_an_antenna_that_one_lacks(read, monkeypatch):
+    times = TIMES + np.repeat([0.0, 1.0], 3)
+    uv = make_uvdata(times=times)
+    cal = make_uvcal(uv, times=times)
+    parts = [
+        cal.select(times=times[night], freq_chans=channels, antenna_nums=numbers, inplace=False)
+        for night, channels, numbers in (
+            ([0, 1, 2], [0, 1], NUMBERS),
+            ([0, 1, 2], [2, 3], NUMBERS),
+            ([3, 4, 5], [3, 2], NUMBERS[:3] + NUMBERS[4:]),
+            ([3, 4, 5], [0], NUMBERS),
+        )
+    ]
+    obs, data, data_flags, files = read(uv, cal, extension="calh5")
+    full, full_flags, full_power = apply_gains(data, data_flags, obs, whole(obs), files)
+    files[0].unlink()
+    *_, files = read(uv, *parts, extension="calh5")
+    gains, flags = read_gains(files, obs, np.arange(6))
+    wanted = cal.flag_array.transpose(1, 2, 0, 3).copy()
+    wanted[2:, 3:, 3] = wanted[1, 3:] = True
+    np.testing.assert_array_equal(flags, wanted)
+    np.testing.assert_array_equal(gains, np.where(wanted, 1.0, cal.gain_array.transpose(1, 2, 0, 3)))
+    found, found_flags, power = apply_gains(data, data_flags, obs, whole(obs), files)
+    lost = np.zeros(data.shape, bool)
+    lost[1, 3:] = True
+    lost[2:, 3:, (obs.antpairs == 20).any(axis=1)] = True
+    np.testing.assert_array_equal(found_flags, full_flags | lost)
+    np.testing.assert_array_equal(found, np.where(lost, 0, full))
+    np.testing.assert_array_equal(power[~found_flags], full_power[~found_flags])
+    told = doubt_about_gains(files, obs)
+    assert told is not None
+    assert f"lack {100 * (15 + 6) / 120:.2g}% of the gains, of all antennas at some times or channels" in told
+    upper = dataclasses.replace(obs, freqs=obs.freqs[2:], channel_width=obs.channel_width[2:])
+    monkeypatch.setattr(gain_cover, "AT_ONCE", 30)  # a time
+    told = doubt_about_gains(files, upper)
+    assert told is not None
+    assert "lack 10% of the gains, of antenna 20 at some times or channels" in told
+    night = dataclasses.replace(
+        upper, times=obs.times[:3], lsts=obs.lsts[:3], integration_time=obs.integration_time[:3]
+    )
+    assert doubt_about_gains(files, night) is None
+
+
+def test_what_no_file_of_several_has_is_refused(read):
+    uv = make_uvdata()
+    cal = make_uvcal(uv)
+    one, two = ([3, 7, 11], [0, 1, 3]), ([3, 20, 11], [1, 3, 0])
+    parts = [cal.select(antenna_nums=ants, freq_chans=channels, inplace=False) for ants, channels in (one, two)]
+    obs, *_, files = read(uv, *parts, extension="calh5")
+    with pytest.raises(InputError, match=r"0\.calh5: ant_array: no gains of antenna 41; leave it out"):
+        read_gains(files, obs, np.arange(6))
+    for path in files:
+        path.unlink()
+    obs, *_, files = read(uv, *parts, extension="calh5", selection=Selection(exclude_antennas=(41,)))
+    with pytest.raises(InputError, match=r"freq_array: no gains at 122\.000000 MHz; give gains with the channels"):
+        read_gains(files, obs, np.arange(6))
+
+
 def test_the_nearest_solution_is_taken(read):
     uv = make_uvdata()
     cal = make_uvcal(uv, times=TIMES[[1, 4]] + 2 * SECOND, integration_time=30.0)
@@ -161,6 +220,62 @@ def test_the_convention_that_gains_state_replaces_that_of_the_job(read, tmp_path
     halved, flags, _ = read_visibilities([tmp_path / "a.uvh5"], job, whole(job))
     found, *_ = apply_gains(halved, flags, job, whole(job), files)
     np.testing.assert_allclose(found, factor * plain, rtol=1e-14)
+
+
+@pytest.mark.parametrize("of_job", [None, "sum", "avg"])
+@pytest.mark.parametrize(
+    ("of_data", "of_gains"),
+    [("avg", "avg"), ("avg", None), ("sum", "sum"), ("sum", None), (None, "avg"), (None, "sum"), (None, None)],
+)
+def test_statements_of_data_and_gains_are_those_of_pyuvdata(read, tmp_path, of_data, of_gains, of_job):
+    """Only what neither states, the job tells; in the end V = 1/2 I B, once."""
+    uv = make_uvdata()
+    uv.pol_convention = of_data
+    cal = make_uvcal(uv)
+    cal.pol_convention, cal.gain_scale = of_gains, "Jy"
+    obs, *_, files = read(uv, cal, extension="calh5")
+    obs = dataclasses.replace(obs, pol_convention=of_job)
+    data, flags, _ = read_visibilities([tmp_path / "a.uvh5"], obs, whole(obs))
+    found, *_ = apply_gains(data, flags, obs, whole(obs), files)
+    calibrated = uvcalibrate(uv, cal, inplace=False)
+    wanted, *_ = expected(calibrated, obs)
+    factor = 0.5 if (calibrated.pol_convention or of_job) == "avg" else 1.0
+    np.testing.assert_allclose(found, factor * wanted, rtol=1e-12, atol=0)
+
+
+@pytest.mark.parametrize(("of_data", "of_gains"), [("avg", "sum"), ("sum", "avg")])
+def test_data_and_gains_of_two_conventions_are_refused(read, of_data, of_gains):
+    uv = make_uvdata()
+    uv.pol_convention = of_data
+    cal = make_uvcal(uv)
+    cal.pol_convention, cal.gain_scale = of_gains, "Jy"
+    with pytest.raises(ValueError, match="does not match UVCal"):
+        uvcalibrate(uv, cal, inplace=False)
+    obs, data, flags, files = read(uv, cal, extension="calh5")
+    message = f'0.calh5: pol_convention: says "{of_gains}", where visibilities .* say "{of_data}"; correct the one'
+    with pytest.raises(InputError, match=message):
+        apply_gains(data, flags, obs, whole(obs), files)
+
+
+def test_files_that_state_no_convention_beside_others_that_do(read, tmp_path):
+    """Of both together one gain makes what it should only where they were read in the same way."""
+    uv = make_uvdata()
+    cal = make_uvcal(uv)
+    cal.pol_convention, cal.gain_scale = "avg", "Jy"
+    *_, gains = read(uv, cal, extension="calh5")
+    paths = [tmp_path / "early.uvh5", tmp_path / "late.uvh5"]
+    for path, times, stated in zip(paths, (TIMES[:3], TIMES[3:]), ("avg", None), strict=True):
+        part = uv.select(times=times, inplace=False)
+        part.pol_convention = stated
+        part.write_uvh5(str(path), run_check=False)
+    obs = read_observation(paths, Selection())
+    with pytest.raises(InputError, match=r'taken otherwise; set \[data\] pol_convention = "avg"'):
+        read_gains(gains, obs, np.arange(6))
+    obs = dataclasses.replace(obs, pol_convention="avg")
+    data, flags, _ = read_visibilities(paths, obs, whole(obs))
+    found, *_ = apply_gains(data, flags, obs, whole(obs), gains)
+    wanted, *_ = expected(uvcalibrate(uv, cal, inplace=False), obs)
+    np.testing.assert_allclose(found, wanted / 2, rtol=1e-12, atol=0)
 
 
 def test_feeds_are_matched_by_direction(read):

@@ -43,6 +43,19 @@ def test_order_orientation_precision_flags_and_autos_do_not_count(uvd: UVData, t
     assert checksums(saved(uvd, tmp_path / "copy.uvh5")) == own
 
 
+@pytest.mark.parametrize("pols", [("ee", "nn", "en", "ne"), ("en", "ne"), ("ne", "ee")])
+def test_orientation_does_not_count_of_cross_hands_either(pols: tuple[str, ...], tmp_path: Path) -> None:
+    """Turned, "en" is "ne"; a file that is asked for one of the two has other data in the other orientation."""
+    uvd = make_uvdata(pols=(-5, -6, -7, -8))
+    found = []
+    for name, order in (("one", "ant1<ant2"), ("other", "ant2<ant1")):
+        uvd.conjugate_bls(order)
+        path = saved(uvd, tmp_path / f"{name}.uvh5")
+        found.append(set(integration_checksums([path], read_observation([path], Selection(pols=pols)))))
+    assert len(found[0]) == len(TIMES) * uvd.Nfreqs
+    assert (found[0] == found[1]) == (pols != ("ne", "ee"))
+
+
 def test_parts_of_the_data_are_parts(uvd: UVData, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where a file is read a few integrations at a time."""
     path = saved(uvd, tmp_path / "own.uvh5")

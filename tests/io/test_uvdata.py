@@ -13,6 +13,7 @@ from hydrabeam_mpi.data.partition import Tile
 from hydrabeam_mpi.data.selection import Selection
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.uvdata import feeds_of, read_autos, read_observation, read_visibilities
+from hydrabeam_mpi.io.uvformat import FORMATS
 from tests.visibilities import AUTOS, CROSS, SECOND, TIMES, expected, make_uvdata, whole
 
 
@@ -349,3 +350,30 @@ class TestMeasured:
         assert 1.0 < np.sqrt(np.mean(difference**2)) / 2 < 1.3
         with pytest.raises(InputError, match='polarization = "xx"'):
             read_observation(files[:1], Selection(pols=("ee",)))
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+@pytest.mark.filterwarnings("ignore")  # pyuvdata's, on what formats and windows do not go with
+def test_spectral_windows_are_channels_like_others(tmp_path, kind):
+    """The upper band first, and of channels of another width."""
+    if kind == "ms":
+        pytest.importorskip("casacore", reason="measurement sets need python-casacore")
+    narrow = 1e6 if kind == "uvfits" else 5e5
+    upper = make_uvdata(freqs=130e6 + 1e6 * np.arange(3), seed=2)
+    lower = make_uvdata(freqs=120e6 + narrow * np.arange(3), seed=3)
+    for uv, number, width in ((upper, 0, 1e6), (lower, 1, narrow)):
+        uv.spw_array[:], uv.flex_spw_id_array[:], uv.channel_width[:] = number, number, width
+    uv = upper + lower
+    assert uv.Nspws == 2
+    assert uv.freq_array[0] > uv.freq_array[-1]
+    if kind in ("uvfits", "ms"):
+        uv.phase(lon=1.3, lat=-0.6, cat_name="somewhere", phase_frame="icrs")
+    path = tmp_path / "file"
+    getattr(uv, f"write_{kind}")(str(path))
+    obs = read_observation([path], Selection(channels=(0, 1, 3, 5)))
+    np.testing.assert_allclose(obs.freqs, [120e6, 120e6 + narrow, 130e6, 132e6], atol=1e-3)
+    np.testing.assert_allclose(obs.channel_width, [narrow] * 2 + [1e6] * 2, atol=1e-3)
+    data, flags, nsamples = read_visibilities([path], obs, whole(obs))
+    uv.unproject_phase()
+    for found, wanted in zip((data, flags, nsamples), expected(uv, obs), strict=True):
+        np.testing.assert_allclose(found, wanted[[3, 4, 0, 2]], rtol=0, atol=1e-5)

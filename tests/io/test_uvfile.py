@@ -148,12 +148,13 @@ def _nan_frequency(path):
     return "freq_array"
 
 
-def _two_spectral_windows(path):
-    uv = make_uvdata()
-    uv.flex_spw_id_array = np.array([0, 0, 1, 1])
+def _a_window_and_its_mean(path):
+    uv = make_uvdata(freqs=np.array([120e6, 121e6, 122e6, 121e6]))
+    uv.channel_width[3] = 3e6
+    uv.flex_spw_id_array = np.array([0, 0, 0, 1])
     uv.spw_array, uv.Nspws = np.array([0, 1]), 2
     written(uv, path)
-    return "spw_array"
+    return "spw_array: windows 0 and 1 both have the data at 121.000000 MHz; keep one with"
 
 
 def _varying_polarisation(path):
@@ -169,7 +170,7 @@ def _varying_polarisation(path):
     "spoil",
     [
         _missing, _empty, _text, _directory, _truncated, _other_hdf5, _no_metadata, _image_fits,
-        _truncated_fits, _kelvin, _negative_frequency, _nan_frequency, _two_spectral_windows,
+        _truncated_fits, _kelvin, _negative_frequency, _nan_frequency, _a_window_and_its_mean,
         _varying_polarisation,
     ],
 )  # fmt: skip

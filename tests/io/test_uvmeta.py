@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from hydrabeam_mpi.data.selection import Selection
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.uvdata import read_observation
 from hydrabeam_mpi.io.uvsurvey import pair_keys
+from hydrabeam_mpi.model.engines.smearing import smearing_of
 from tests.visibilities import CROSS, ENU, LOCATION, NUMBERS, SECOND, make_uvdata
 
 
@@ -196,6 +199,27 @@ def test_baseline_dependent_averaging_is_refused(write):
     assert read_observation([write(uv)], Selection()).integration_time.tolist() == [10.0] * 3 + [20.0] * 3
 
 
+def test_averaging_of_short_baselines_alone_is_refused(write):
+    """Of an even number of integrations: no time stamp is that of both."""
+    uv, mean = make_uvdata(), make_uvdata()
+    uv.select(bls=[(3, 41), (7, 41), (7, 20)])
+    mean.select(bls=[(3, 7), (20, 11), (3, 11)])
+    mean.downsample_in_time(n_times_to_avg=2)
+    with pytest.raises(InputError, match="integrations of 10 to 20 s, depending on the baseline"):
+        read_observation([write(uv + mean)], Selection())
+
+
+def test_an_antenna_that_joins_where_integrations_get_shorter(write):
+    times = 2459866.2 + SECOND * np.array([5.0, 15.0, 22.5])
+    uv = make_uvdata(times=times)
+    uv.integration_time = np.where(uv.time_array > times[1] + SECOND, 5.0, 10.0)
+    late = (uv.ant_1_array == 41) | (uv.ant_2_array == 41)
+    uv.select(blt_inds=np.flatnonzero(~late | (uv.time_array > times[0] + SECOND)))
+    obs = read_observation([write(uv)], Selection())
+    assert obs.integration_time.tolist() == [10.0, 10.0, 5.0]
+    assert 41 in obs.antenna_numbers
+
+
 def test_antenna_without_position_is_refused_if_used(write):
     uv = make_uvdata()
     uv.telescope.antenna_positions[1] = np.nan
@@ -234,3 +258,16 @@ def test_autocorrelations_alone_are_refused(write):
 def test_pair_keys_order_like_pairs():
     pairs = np.array([[2, 1], [0, 5000], [0, 3], [70000, 2]])
     np.testing.assert_array_equal(np.argsort(pair_keys(pairs)), [2, 1, 0, 3])
+
+
+def test_an_observation_knows_whether_its_files_were_phased(write):
+    """What means over an integration lose depends on it."""
+    uv = make_uvdata()
+    assert not read_observation([write(uv)], Selection()).is_phased
+    uv.phase(lon=1.3, lat=-0.6, cat_name="somewhere", phase_frame="icrs")
+    observation = read_observation([write(uv)], Selection())
+    assert observation.is_phased
+    with pytest.raises(InputError, match=r"\[data\] smearing: is of means of a drift scan, and the files are phased"):
+        smearing_of(replace(observation, is_smeared=True))
+    uv.phase(lon=0, lat=np.pi / 2, cat_name="zenith", cat_type="driftscan", phase_frame="altaz")
+    assert not read_observation([write(uv)], Selection()).is_phased

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hydrabeam_mpi.io.calwrite import write_gains
 from hydrabeam_mpi.setup.cautions import cautions_of_data, cautions_of_flags
 from tests.loop.mock import context_of, mock_job
 
@@ -80,3 +81,31 @@ def test_what_means_over_integrations_and_channels_lose_is_told(seconds: float, 
         for length, part in ((f"{seconds:g} s", lost[0]), (f"{khz:g} kHz", lost[1])):
             assert (f"a mean over {length} loses up to {part:.0%}" in one) == (part >= 0.01)
             assert (f"a mean over {length}" in one) == (part >= 0.01)
+
+
+def test_smearing_is_not_what_phased_data_are_told_to_use(tmp_path: Path) -> None:
+    """What followed a place on the sky while it was averaged lost something else."""
+    problem = context_of(mock_job(), tmp_path).problem
+    integration_time = np.full(problem.observation.Ntimes, 200.0)
+    observation = replace(problem.observation, integration_time=integration_time, is_phased=True)
+    data = problem.job.data.model_copy(update={"simulate": None})
+    said = [
+        one for one in cautions_of_data(problem.job.model_copy(update={"data": data}), observation) if "mean" in one
+    ]
+    assert len(said) == 1
+    assert "The files are phased: if they were averaged so" in said[0]
+    assert "smearing = true" not in said[0]
+
+
+def test_what_has_no_gains_is_told(tmp_path: Path) -> None:
+    """Gains of the first half of the times, which are more than an integration apart from some of the others."""
+    job = mock_job()
+    problem = context_of(job, tmp_path).problem
+    own = problem.observation
+    first = replace(own, times=own.times[:3], lsts=own.lsts[:3], integration_time=own.integration_time[:3])
+    gains = np.ones((own.Nfreqs, 3, own.Nants), dtype=complex)
+    write_gains(tmp_path, first, gains, "")
+    data = problem.job.data.model_copy(update={"gains": (str(tmp_path / "gains.cal*"),)})
+    said = cautions_of_data(problem.job.model_copy(update={"data": data}), own)
+    (told,) = [one for one in said if "gains" in one]
+    assert "of all antennas at some times or channels: data of these count as flagged" in told

@@ -72,10 +72,17 @@ def smearing_of(observation: Observation) -> Smearing | None:
     Raises
     ------
     InputError
-        If its integrations, or its channels, differ in length.
+        If its integrations, or its channels, differ in length, or its files were phased.
     """
     if not observation.is_smeared:
         return None
+    if observation.is_phased:
+        raise InputError(
+            "is of means of a drift scan, and the files are phased: what follows a place on the sky while it is "
+            "averaged loses by the distance from there",
+            field="[data] smearing",
+            remedy="leave it out, or undo with UVData.unproject_phase() what was phased after it had been averaged",
+        )
     lengths = {"integrations": observation.integration_time, "channels": observation.channel_width}
     for name, of_each in lengths.items():
         if np.ptp(of_each) > ALIKE * of_each.max():

@@ -11,6 +11,7 @@ from typing import Any
 from hydrabeam_mpi.inference.predictive_checks import LARGEST_PREDICTIVE
 from hydrabeam_mpi.model.bases import BASES
 from hydrabeam_mpi.model.bases.base import LinearBasis
+from hydrabeam_mpi.model.sky import REFERENCE_FREQ
 from hydrabeam_mpi.report.page.key_numbers import format_value
 from hydrabeam_mpi.report.page.result import Channel, Result
 
@@ -98,7 +99,8 @@ def _sky(job: dict[str, Any]) -> str:
     if "n_sources" not in sky:
         return ""
     faintest = sky.get("model_flux_min", 0)
-    without = f" without those below {faintest:g} Jy at {megahertz(sky['reference_freq'])}" if faintest else ""
+    at = megahertz(sky.get("reference_freq", REFERENCE_FREQ))
+    without = f" without those below {faintest:g} Jy at {at}" if faintest else ""
     return f" The sky model is a mock of {sky['n_sources']:,} point sources{without}."
 
 
