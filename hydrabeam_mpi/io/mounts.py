@@ -11,12 +11,15 @@ from hydrabeam_mpi.io.uvfile import UVHeader
 TRACKING = ("alt-az", "alt-az+nasmyth-r", "alt-az+nasmyth-l", "equatorial", "x-y", "orbiting")
 """Mounts of pyuvdata by which beams move over the ground; "fixed" and "other" are none."""
 STEERED = "phased"
-# Foreign uvfits files have it of any antenna, as 0 is what nobody set.
-UNSET_IN_UVFITS = "alt-az"
+UNSET = "alt-az"
+"""Number 0 in uvfits, as of what nobody has set."""
 
 
 def check_mounts(headers: Sequence[UVHeader], antennas: IntArray) -> None:
-    """Refuse antennas that follow the sky.
+    """Refuse antennas that follow the sky, where somebody has said so.
+
+    Programs state a mount where nobody has: uvfits and measurement sets have alt-az dishes by default, as have uvh5
+    files made from them, and those of LOFAR have dipoles on X-Y mounts.
 
     Parameters
     ----------
@@ -49,8 +52,8 @@ def doubt_about_mounts(headers: Sequence[UVHeader], antennas: IntArray) -> str |
             )
         if _may_be_unset(header, mount):
             return (
-                f'The files say that antennas are on mounts that follow the sky ("{mount}"), as uvfits does also where '
-                "nobody said anything: the model takes beams that stand still."
+                f'The files say that antennas are on mounts that follow the sky ("{mount}"), as uvfits and measurement '
+                "sets, and what is made from them, do also where nobody said so: the model takes beams that stand still."
             )
     return None
 
@@ -65,4 +68,4 @@ def _mounts(headers: Sequence[UVHeader], antennas: IntArray) -> Iterator[tuple[U
 
 
 def _may_be_unset(header: UVHeader, mount: str) -> bool:
-    return header.kind == "uvfits" and mount == UNSET_IN_UVFITS
+    return mount in TRACKING and (header.kind != "uvh5" or mount == UNSET)

@@ -10,7 +10,7 @@ from astropy.io import fits
 
 from hydrabeam_mpi.data.selection import Selection
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.io.mounts import TRACKING
+from hydrabeam_mpi.io.mounts import TRACKING, UNSET
 from hydrabeam_mpi.io.uvmeta import read_observation
 from tests.visibilities import NUMBERS, make_uvdata
 
@@ -23,7 +23,7 @@ def written(path: Path, *mounts: str) -> Path:
     return path
 
 
-@pytest.mark.parametrize("mount", TRACKING)
+@pytest.mark.parametrize("mount", [one for one in TRACKING if one != UNSET])
 def test_an_antenna_in_use_that_follows_the_sky_is_refused(mount: str, tmp_path: Path) -> None:
     path = written(tmp_path / "a.uvh5", "fixed", mount, "fixed")
     with pytest.raises(
@@ -40,6 +40,11 @@ def test_one_that_stands_still_or_of_which_nothing_is_said_passes(tmp_path: Path
     uv.telescope.mount_type = uv.telescope.feed_array = uv.telescope.feed_angle = None
     uv.write_uvh5(str(tmp_path / "silent.uvh5"), run_check=False)
     assert read_observation([tmp_path / "silent.uvh5"], Selection()).doubts == ()
+
+
+def test_of_a_mount_that_files_have_where_nobody_set_one_a_line_tells(tmp_path: Path) -> None:
+    (doubt,) = read_observation([written(tmp_path / "a.uvh5", "fixed", UNSET)], Selection()).doubts
+    assert f'follow the sky ("{UNSET}")' in doubt
 
 
 def test_of_steered_ones_the_pointing_must_stay(tmp_path: Path) -> None:
