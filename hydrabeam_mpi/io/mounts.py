@@ -53,8 +53,8 @@ def doubt_about_mounts(headers: Sequence[UVHeader], antennas: IntArray) -> str |
         if _may_be_unset(header, mount):
             return (
                 f'The files say that antennas are on mounts that follow the sky ("{mount}"), as uvfits and '
-                "measurement sets, and what is made from them, do also where nobody said so. The model takes beams that "
-                "stand still."
+                "measurement sets, and what is made from them, do also where nobody said so. The model takes beams "
+                "that stand still."
             )
     return None
 
