@@ -16,9 +16,9 @@ from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Values
 from hydrabeam_mpi.loop.output.record import make_record
-from hydrabeam_mpi.loop.selection.again import run_search
 from hydrabeam_mpi.loop.selection.history import History
 from hydrabeam_mpi.loop.selection.rounds import Search, begin
+from hydrabeam_mpi.loop.selection.search import run_search
 from tests.loop.mock import context_of, mock_job, truth_of
 
 GAIN = {"kind": "antenna_gains", "parameters": {"antenna 2 ln amplitude": 0.02, "antenna 2 phase": -0.02}}

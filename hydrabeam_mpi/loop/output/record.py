@@ -25,8 +25,8 @@ from hydrabeam_mpi.loop.selection.acceptance import (
     verdict_of,
     why_unexplained,
 )
-from hydrabeam_mpi.loop.selection.again import given_up
 from hydrabeam_mpi.loop.selection.history import History
+from hydrabeam_mpi.loop.selection.search import given_up
 from hydrabeam_mpi.words import capital
 
 UNDECIDABLE = (

@@ -3,7 +3,7 @@
 While effects are looked for first the beam is as free as the job states, or freer where the data want that: no width
 gets less than the stated one, unless that has more evidence than any effect. Then the prior has the widths that the
 data want, where held-out data agree: for prediction, and to look for what a beam that was too free had taken up. The
-beams of several channels must be free to be off alike for either; see `selection.again`.
+beams of several channels must be free to be off alike for either; see `selection.search`.
 """
 
 from __future__ import annotations

@@ -15,13 +15,6 @@ from hydrabeam_mpi.fit.state import Fitted, Values
 from hydrabeam_mpi.loop.attribution.constancy import Constancy
 from hydrabeam_mpi.loop.attribution.score_effects import attribute
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
-from hydrabeam_mpi.loop.selection.constant import (
-    beside_noise,
-    take_back,
-    take_back_faint,
-    take_back_unphysical,
-    take_back_weights,
-)
 from hydrabeam_mpi.loop.selection.exchange import exchange
 from hydrabeam_mpi.loop.selection.history import History
 from hydrabeam_mpi.loop.selection.known_beforehand import with_what_is_known
@@ -29,6 +22,13 @@ from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.prior_widths import Adapted, adapt, as_adapted
 from hydrabeam_mpi.loop.selection.revision import revise
 from hydrabeam_mpi.loop.selection.simpler import simplified
+from hydrabeam_mpi.loop.selection.taken_back import (
+    beside_noise,
+    take_back,
+    take_back_faint,
+    take_back_unphysical,
+    take_back_weights,
+)
 from hydrabeam_mpi.loop.selection.trials import try_control, try_effects
 from hydrabeam_mpi.loop.selection.weighing import Outlook, Weighed, next_of, weigh
 from hydrabeam_mpi.loop.selection.whole_set import as_one, try_set

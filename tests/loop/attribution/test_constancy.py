@@ -27,9 +27,9 @@ from hydrabeam_mpi.loop.attribution.parts import Affected, ask_constancy, likeli
 from hydrabeam_mpi.loop.attribution.score_effects import attribute
 from hydrabeam_mpi.loop.selection.acceptance import Candidate
 from hydrabeam_mpi.loop.selection.candidate_fits import fit_candidate
-from hydrabeam_mpi.loop.selection.constant import as_one_of_parts, take_back
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refusal import margin_of_parts, refusal_by_parts
+from hydrabeam_mpi.loop.selection.taken_back import as_one_of_parts, take_back
 from hydrabeam_mpi.random import generator
 from tests.effects.small import small_setup
 from tests.loop.made import effect_candidate, round_of

@@ -20,10 +20,10 @@ from hydrabeam_mpi.loop.attribution.limits import is_unphysical
 from hydrabeam_mpi.loop.attribution.score_effects import Finding
 from hydrabeam_mpi.loop.selection import candidate_fits
 from hydrabeam_mpi.loop.selection.acceptance import Candidate
-from hydrabeam_mpi.loop.selection.constant import take_back_unphysical
 from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical, price_of_fitted
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refits import fit_patiently, rise
+from hydrabeam_mpi.loop.selection.taken_back import take_back_unphysical
 from hydrabeam_mpi.loop.selection.trials import try_effects
 from tests.loop.made import effect_candidate, round_of
 from tests.loop.mock import context_of, mock_job

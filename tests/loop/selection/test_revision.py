@@ -16,9 +16,9 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Active, Values
 from hydrabeam_mpi.loop.selection.acceptance import Round
-from hydrabeam_mpi.loop.selection.constant import take_back_faint
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.revision import Revision, revise, revised_as_far_as_better
+from hydrabeam_mpi.loop.selection.taken_back import take_back_faint
 from tests.loop.made import effect_candidate, round_of
 from tests.loop.mock import context_of, mock_job
 

@@ -17,11 +17,11 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Active, Reweighted, Values
 from hydrabeam_mpi.loop.attribution.score_noise import fit_reweightings
-from hydrabeam_mpi.loop.selection.again import given_up, run_search
-from hydrabeam_mpi.loop.selection.constant import take_back_weights
 from hydrabeam_mpi.loop.selection.history import History
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.rounds import Search
+from hydrabeam_mpi.loop.selection.search import given_up, run_search
+from hydrabeam_mpi.loop.selection.taken_back import take_back_weights
 from tests.loop.made import effect_candidate, round_of, weights_candidate
 from tests.loop.mock import context_of, mock_job
 
