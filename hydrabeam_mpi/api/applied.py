@@ -21,7 +21,7 @@ from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.io.disk import writing
-from hydrabeam_mpi.io.inferred import Inferred
+from hydrabeam_mpi.io.inferred import Inferred, check_unchanged
 from hydrabeam_mpi.io.staging import write_whole
 from hydrabeam_mpi.io.together import check_of_one
 from hydrabeam_mpi.loop.checks.health import told
@@ -127,7 +127,15 @@ def apply_result(
     folder : Path, optional
         For simulated data.
     clock : Clock
+
+    Raises
+    ------
+    InputError
+        On all ranks, if the result cannot be applied to these data, or has changed since it was written.
     """
+    with together(setup.comm):
+        if result.path and setup.comm.rank == 0:
+            check_unchanged(result.path.parent)
     grid, problem, _ = prepare_checked(setup, folder, clock, told)
     inferred = None
     with together(grid.world):

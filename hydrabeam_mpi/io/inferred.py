@@ -188,13 +188,33 @@ def read_inferred(folder: Path, field: str | None = None) -> Inferred:
     """
     check_ended(folder)
     check_of_one(folder, field)
-    path = folder / POSTERIOR
+    path, as_written = folder / POSTERIOR, _listed(folder, field)
+    content = read_posterior(path)
+    _check_unchanged(path, as_written)
+    return Inferred.of(content, path)
+
+
+def check_unchanged(folder: Path) -> None:
+    """Make sure that ``posterior.h5`` of a result folder, which has been read, is as it was written.
+
+    Raises
+    ------
+    InputError
+        If the folder is no result, or the file has changed since.
+    """
+    _check_unchanged(folder / POSTERIOR, _listed(folder))
+
+
+def _listed(folder: Path, field: str | None = None) -> str:
+    """Return the checksum that a result's manifest lists of ``posterior.h5``."""
     listed = read_manifest(folder)
-    remedy = "name a folder written by 'hydrabeam infer' or 'hydrabeam loop'"
     if listed is None or POSTERIOR not in listed:
         told = f"is no result: no {MANIFEST} lists {POSTERIOR} in it"
+        remedy = "name a folder written by 'hydrabeam infer' or 'hydrabeam loop'"
         raise InputError(told, file=folder, field=field, remedy=remedy)
-    content = read_posterior(path)
-    if checksum(path) != listed[POSTERIOR]:
+    return listed[POSTERIOR]
+
+
+def _check_unchanged(path: Path, as_written: str) -> None:
+    if checksum(path) != as_written:
         raise InputError(f"has changed since {MANIFEST} was written", file=path, remedy="make the result again")
-    return Inferred.of(content, path)
