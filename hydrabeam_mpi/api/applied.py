@@ -103,6 +103,11 @@ def load_shared(world: Comm, folder: Path) -> Result:
     return result or Result(job)
 
 
+def read_if_named(world: Comm, result: Result | str | Path) -> Result:
+    """Return a result, or what is in the folder that is named; see `load_shared`. Collective: all ranks of `world`."""
+    return result if isinstance(result, Result) else load_shared(world, Path(result))
+
+
 def setup_for(result: Result, setup: Setup) -> Setup:
     """Return the data and the sky of a setup, to which the beam and the effects of a result are applied.
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydrabeam_mpi.api.applied import Applied, apply_result, setup_for, summary_of
+from hydrabeam_mpi.api.applied import Applied, apply_result, read_if_named, setup_for, summary_of
 from hydrabeam_mpi.api.result import Result
 from hydrabeam_mpi.api.setup import Setup
 from hydrabeam_mpi.api.shared import begun, origin_of
@@ -104,7 +104,7 @@ class Correction(Applied):
         write_gains(folder, self.observation, self.gains, self.histories["gains"], self.bad_antennas)
 
 
-def correct(result: Result, setup: Setup, bad_antennas: Collection[int] = ()) -> Correction:
+def correct(result: Result | str | Path, setup: Setup, bad_antennas: Collection[int] = ()) -> Correction:
     """Take the instrument's effects that a result found out of data.
 
     The gains and what is added are those of the effects, beside what the setup itself names: gain files and flux scale
@@ -114,8 +114,8 @@ def correct(result: Result, setup: Setup, bad_antennas: Collection[int] = ()) ->
 
     Parameters
     ----------
-    result : Result
-        Of `infer`, `close_loop` or `load`; what rank 0 has counts.
+    result : Result, str or Path
+        Of `infer`, `close_loop` or `load`, or its folder; what rank 0 has counts.
     setup : Setup
         Its channels must be among those of the result, and its polarisation that one.
     bad_antennas : collection of int
@@ -130,6 +130,7 @@ def correct(result: Result, setup: Setup, bad_antennas: Collection[int] = ()) ->
     InputError
         On all ranks, if the result cannot be applied to these data.
     """
+    result = read_if_named(setup.comm, result)
     setup = setup_for(result, setup)
     with begun(setup) as (folder, threads):
         return run_correction(result, setup, folder, threads, bad_antennas)

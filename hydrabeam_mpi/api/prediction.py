@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hydrabeam_mpi.api.applied import Applied, apply_result, setup_for, summary_of
+from hydrabeam_mpi.api.applied import Applied, apply_result, read_if_named, setup_for, summary_of
 from hydrabeam_mpi.api.result import Result
 from hydrabeam_mpi.api.setup import Setup
 from hydrabeam_mpi.api.shared import begun, origin_of
@@ -44,7 +44,7 @@ class Prediction(Applied):
     told_in = "prediction.json"
 
 
-def predict(result: Result, setup: Setup) -> Prediction:
+def predict(result: Result | str | Path, setup: Setup) -> Prediction:
     """Predict data with a fitted model, without fitting it again.
 
     The result's beams, with their errors, and those of its effects that hold in other data predict all of the data of
@@ -55,8 +55,8 @@ def predict(result: Result, setup: Setup) -> Prediction:
 
     Parameters
     ----------
-    result : Result
-        Of `infer`, `close_loop` or `load`; what rank 0 has counts.
+    result : Result, str or Path
+        Of `infer`, `close_loop` or `load`, or its folder; what rank 0 has counts.
     setup : Setup
         Its channels must be among those of the result, and its polarisation that one.
 
@@ -69,6 +69,7 @@ def predict(result: Result, setup: Setup) -> Prediction:
     InputError
         On all ranks, if the result cannot be applied to these data.
     """
+    result = read_if_named(setup.comm, result)
     setup = setup_for(result, setup)
     with begun(setup) as (folder, threads):
         return run_prediction(result, setup, folder, threads)

@@ -163,7 +163,7 @@ def test_autocorrelations_keep_flags_and_samples(nights: Nights) -> None:
     uvd.write_uvh5(str(path), clobber=True)
     job = nights.job("second", "_bad_autos", files=[str(path)])
     out = nights.folder / "bad_autos"
-    hb.correct(hb.load(nights.result), hb.Setup.from_job(job), bad_antennas=[5]).write(out)
+    hb.correct(nights.result, hb.Setup.from_job(job), bad_antennas=[5]).write(out)
     own = UVData.from_file(str(out / "corrected.uvh5"))
     for antenna in range(7):
         expected = uvd.get_flags(antenna, antenna) | (antenna == 5)

@@ -82,7 +82,7 @@ def test_two_ranks_and_python_say_the_same(
     job = nights.job("second")
     done = mpiexec_python(2, RUN, nights.result, job, tmp_path / "two")
     assert done.returncode == 0, done.stderr
-    own = hb.predict(hb.load(nights.result), hb.Setup.from_job(job))
+    own = hb.predict(str(nights.result), hb.Setup.from_job(job))
     own.write(tmp_path / "own")
     for folder in ("two", "own"):
         told = json.loads((tmp_path / folder / "prediction.json").read_text())
