@@ -19,7 +19,7 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray, O
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Fitted
-from hydrabeam_mpi.fit.taken_out import Parts, antenna_gains, take_out
+from hydrabeam_mpi.fit.taken_out import Parts, take_out
 from hydrabeam_mpi.io.calwrite import write_gains
 from hydrabeam_mpi.io.noise import calibrated_autos
 from hydrabeam_mpi.io.uvdata import Block, read_autos, read_visibilities
@@ -141,12 +141,13 @@ Add = Callable[[IntArray, Correction], None]
 
 
 class _Part(NamedTuple):
-    """What a rank has of all rows: where, (channels, times, baselines), and what."""
+    """What a rank has of all rows: where, (channels, times, baselines), and what; gains of all antennas."""
 
     where: tuple[Any, ...]
     parts: Parts
     flags: NDArray[np.bool_]
     nsamples: FloatArray
+    gains: ComplexArray
 
 
 def run_correction(
@@ -177,22 +178,32 @@ def run_correction(
     problem, context, fitted, carried = apply_result(result, setup, folder, clock)
     with together(world):
         mine = _take_out(context, fitted)
-    correction, parts = Correction(setup.job), _InMemory()
+    correction, parts, gains = Correction(setup.job), _InMemory(), []
     with ExitStack() as stack:
         add: Add = parts.add
         with together(world):
             if world.rank == 0:
-                begun = _begun(setup, problem, context, fitted, summary_of(result, problem, carried), threads)
-                correction = replace(begun, bad_antennas=frozenset(bad_antennas))
+                about = origin_of(setup, problem, threads)
+                correction = Correction(
+                    setup.job,
+                    summary_of(result, problem, carried),
+                    about,
+                    observation=problem.observation,
+                    bad_antennas=frozenset(bad_antennas),
+                )
                 if into is not None:
                     add = stack.enter_context(_in_files(correction, into, problem.observation, _has_autos(problem)))
         for times in _blocks(problem.observation):
             gathered = gather_objects(world, _at(mine, times))
             with together(world):
                 if gathered is not None:
-                    add(times, _joined(problem, gathered, times, correction))
+                    part = _joined(problem, gathered, times, correction)
+                    gains.append(part.gains)
+                    add(times, part)
         with together(world):
             stack.close()  # what is written last, and the files' renaming, may fail
+            if world.rank == 0:
+                correction = replace(correction, gains=np.concatenate(gains, axis=1))
             if world.rank == 0 and into is not None:
                 history = correction.histories["gains"]
                 write_gains(into, problem.observation, correction.gains, history, correction.bad_antennas)
@@ -205,19 +216,10 @@ def _take_out(context: FitContext, fitted: Fitted) -> _Part:
     """Return what a rank has. Serial."""
     problem, tile = context.problem, context.test.rows.tile
     _, flags, nsamples = read_visibilities(problem.files, problem.observation, tile)
-    parts, usable = take_out(context, fitted)
+    parts, usable, gains = take_out(context, fitted)
     # Channels are numbered as the group's are in the data, whatever their numbers in the result.
     where = (list(context.grid.channels), tile.times, tile.bls)
-    return _Part(where, parts, flags[..., 0] | ~usable, nsamples[..., 0])
-
-
-def _begun(
-    setup: Setup, problem: Problem, context: FitContext, fitted: Fitted, summary: dict[str, Any], threads: int
-) -> Correction:
-    """Return a correction without visibilities. Serial."""
-    gains = antenna_gains(context.setup, fitted.values)[problem.channel_numbers]
-    about = origin_of(setup, problem, threads)
-    return Correction(setup.job, summary, about, observation=problem.observation, gains=gains)
+    return _Part(where, parts, flags[..., 0] | ~usable, nsamples[..., 0], gains)
 
 
 def _has_autos(problem: Problem) -> bool:
@@ -238,7 +240,8 @@ def _at(mine: _Part, times: IntArray) -> _Part:
     channels, own, bls = mine.where
     here = np.isin(own, times)
     parts = Parts(*(one[:, here] for one in mine.parts))
-    return _Part((channels, own[here] - times[0], bls), parts, mine.flags[:, here], mine.nsamples[:, here])
+    where = channels, own[here] - times[0], bls
+    return _Part(where, parts, mine.flags[:, here], mine.nsamples[:, here], mine.gains[:, here])
 
 
 def _joined(problem: Problem, gathered: list[_Part], times: IntArray, correction: Correction) -> Correction:
@@ -247,7 +250,9 @@ def _joined(problem: Problem, gathered: list[_Part], times: IntArray, correction
     shape = (observation.Nfreqs, len(times), observation.Nbls, 1)
     visibilities = {name: np.zeros(shape, dtype=complex) for name in Parts._fields}
     flags, nsamples = np.ones(shape, dtype=bool), np.zeros(shape)
+    gains = np.ones((*shape[:2], observation.Nants), dtype=complex)
     for one in gathered:
+        gains[np.ix_(*one.where[:2])] = one.gains
         index = (*np.ix_(*one.where), 0)
         flags[index], nsamples[index] = one.flags, one.nsamples
         for name, values in one.parts._asdict().items():
@@ -259,10 +264,9 @@ def _joined(problem: Problem, gathered: list[_Part], times: IntArray, correction
     autos = calibrated_autos(read_autos(problem.files, observation, times), observation, times, problem.gain_files)
     bad = np.isin(observation.antenna_numbers, bad_antennas)
     autos.data[:, :, bad], autos.flags[:, :, bad] = 0.0, True
-    gains = correction.gains[:, times, :, np.newaxis]
-    power = autos.power * problem.flux_scale.reshape(-1, 1, 1, 1) / np.abs(gains) ** 2
+    power = autos.power * problem.flux_scale.reshape(-1, 1, 1, 1) / np.abs(gains[..., np.newaxis]) ** 2
     of_autos = {"autos": power, "auto_flags": autos.flags, "auto_nsamples": autos.nsamples}
-    return Correction(problem.job, visibilities=visibilities, flags=flags, nsamples=nsamples, **of_autos)
+    return Correction(problem.job, visibilities=visibilities, flags=flags, nsamples=nsamples, gains=gains, **of_autos)
 
 
 class _InMemory:

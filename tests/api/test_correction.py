@@ -62,7 +62,7 @@ def corrected(nights: Nights) -> Path:
 
 @pytest.fixture(scope="module")
 def coupled(nights: Nights) -> Path:
-    """A result with a coupling and a baseline's factor besides, which the data do not have."""
+    """A result with a coupling, a baseline's factor and a compression besides, which the data do not have."""
     job = tomllib.loads((nights.result / "amended.toml").read_text())
     coupling = {
         "kind": "cross_coupling",
@@ -77,7 +77,14 @@ def coupled(nights: Nights) -> Path:
         "settings": {"baselines": [[2, 5]]},
         "names": ["baseline 2-5 ln amplitude", "baseline 2-5 phase"],
     }
-    job["effects"] += [coupling, factor]
+    compression = {
+        "kind": "compression",
+        "names": ["compression of all antennas"],
+        "index": [0],
+        "values": [[1.0]] * 2,
+        "prior_std": [10.0],
+    }
+    job["effects"] += [coupling, factor, compression]
     path = nights.folder / "coupled.toml"
     path.write_text(tomli_w.dumps(job))
     assert main(["infer", str(path), "-o", str(nights.folder / "coupled")]) == 0
@@ -118,10 +125,17 @@ def test_put_in_again_they_are_the_data_on_any_number_of_ranks(
     for name in PARTS:
         np.testing.assert_allclose(two[name], one[name], rtol=1e-12, atol=1e-13 * np.abs(one[name]).max())
     again, data = crosses(tmp_path / "one" / "corrected.uvh5"), crosses(nights.data("first"))
+    cal = UVCal.from_file(str(tmp_path / "one" / "gains.calfits"))
     assert again.get_antpairs() == data.get_antpairs()
     again.data_array += one["added"]
-    uvcalibrate(again, UVCal.from_file(str(tmp_path / "one" / "gains.calfits")), undo=True)
+    uvcalibrate(again, cal, undo=True)
     np.testing.assert_allclose(again.data_array, data.data_array, rtol=1e-12)
+    # Gains that follow the power are among these, for autocorrelations, too.
+    assert np.ptp(np.abs(cal.gain_array[0]), axis=1).max() > 1e-6
+    autos = UVData.from_file(str(tmp_path / "one" / "corrected.uvh5"))
+    uvcalibrate(autos, cal, undo=True)
+    data = UVData.from_file(str(nights.data("first")))
+    np.testing.assert_allclose(autos.get_data(3, 3), data.get_data(3, 3), rtol=1e-12)
     added = crosses(tmp_path / "one" / "added.uvh5")
     assert [pair for pair in added.get_antpairs() if added.get_data(pair).any()] == [(1, 4), (2, 5)]
 
