@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydrabeam_mpi.api.applied import Applied, apply_result, read_if_named, setup_for, summary_of
+from hydrabeam_mpi.api.flagged import flagged_told
 from hydrabeam_mpi.api.result import Result
 from hydrabeam_mpi.api.setup import Setup
 from hydrabeam_mpi.api.shared import begun, origin_of
@@ -61,10 +62,13 @@ class Correction(Applied):
         Corrected autocorrelations, Jy; zero where flagged, NaN where there are none.
     auto_flags, auto_nsamples : ndarray, same shape as ``autos``
     gains : ndarray of complex, (Nfreqs, Ntimes, Nants)
+    gain_flags : ndarray of bool, same shape
+        Of bad antennas, and of gains that single times have of their own and the result does not tell. What these
+        gains are part of is flagged, too.
     bad_antennas : frozenset of int
         Numbers of antennas of which all is flagged, in ``gains.calfits``, too.
     summary : dict
-        What ``correction.json`` says: which effects hold in these data, and warnings.
+        What ``correction.json`` says: which effects hold in these data, what is ``flagged``, and warnings.
     about : dict
         Where it comes from.
     """
@@ -78,6 +82,7 @@ class Correction(Applied):
     auto_flags: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
     auto_nsamples: FloatArray = field(default_factory=lambda: np.zeros(0))
     gains: ComplexArray = field(default_factory=lambda: np.zeros(0, dtype=complex))
+    gain_flags: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
     bad_antennas: frozenset[int] = frozenset()
 
     @property
@@ -101,7 +106,11 @@ class Correction(Applied):
             return  # it is there already
         with _in_files(self, folder, self.observation, bool(np.isfinite(self.autos).any())) as add:
             add(np.arange(self.observation.Ntimes), self)
-        write_gains(folder, self.observation, self.gains, self.histories["gains"], self.bad_antennas)
+        self.write_gains(folder, self.observation)
+
+    def write_gains(self, folder: Path, observation: Observation) -> None:
+        """Write gains alone."""
+        write_gains(folder, observation, self.gains, self.histories["gains"], self.gain_flags)
 
 
 def correct(result: Result | str | Path, setup: Setup, bad_antennas: Collection[int] = ()) -> Correction:
@@ -141,13 +150,17 @@ Add = Callable[[IntArray, Correction], None]
 
 
 class _Part(NamedTuple):
-    """What a rank has of all rows: where, (channels, times, baselines), and what; gains of all antennas."""
+    """What a rank has of all rows: where, (channels, times, baselines), and what; gains of all antennas.
+
+    ``unknown`` are those that are not told; see `TakenOut`.
+    """
 
     where: tuple[Any, ...]
     parts: Parts
     flags: NDArray[np.bool_]
     nsamples: FloatArray
     gains: ComplexArray
+    unknown: NDArray[np.bool_]
 
 
 def run_correction(
@@ -198,15 +211,17 @@ def run_correction(
             with together(world):
                 if gathered is not None:
                     part = _joined(problem, gathered, times, correction)
-                    gains.append(part.gains)
+                    gains.append((part.gains, part.gain_flags))
                     add(times, part)
         with together(world):
             stack.close()  # what is written last, and the files' renaming, may fail
             if world.rank == 0:
-                correction = replace(correction, gains=np.concatenate(gains, axis=1))
+                of_all, flags = (np.concatenate(one, axis=1) for one in zip(*gains, strict=True))
+                told = flagged_told(problem.observation, flags, correction.bad_antennas)
+                summary = {**correction.summary, "flagged": told}
+                correction = replace(correction, gains=of_all, gain_flags=flags, summary=summary)
             if world.rank == 0 and into is not None:
-                history = correction.histories["gains"]
-                write_gains(into, problem.observation, correction.gains, history, correction.bad_antennas)
+                correction.write_gains(into, problem.observation)
     if world.rank or into is not None:
         return replace(correction, observation=None)
     return parts.joined(correction)
@@ -216,10 +231,10 @@ def _take_out(context: FitContext, fitted: Fitted) -> _Part:
     """Return what a rank has. Serial."""
     problem, tile = context.problem, context.test.rows.tile
     _, flags, nsamples = read_visibilities(problem.files, problem.observation, tile)
-    parts, usable, gains = take_out(context, fitted)
+    parts, usable, gains, unknown = take_out(context, fitted)
     # Channels are numbered as the group's are in the data, whatever their numbers in the result.
     where = (list(context.grid.channels), tile.times, tile.bls)
-    return _Part(where, parts, flags[..., 0] | ~usable, nsamples[..., 0], gains)
+    return _Part(where, parts, flags[..., 0] | ~usable, nsamples[..., 0], gains, unknown)
 
 
 def _has_autos(problem: Problem) -> bool:
@@ -240,8 +255,14 @@ def _at(mine: _Part, times: IntArray) -> _Part:
     channels, own, bls = mine.where
     here = np.isin(own, times)
     parts = Parts(*(one[:, here] for one in mine.parts))
-    where = channels, own[here] - times[0], bls
-    return _Part(where, parts, mine.flags[:, here], mine.nsamples[:, here], mine.gains[:, here])
+    return _Part(
+        (channels, own[here] - times[0], bls),
+        parts,
+        mine.flags[:, here],
+        mine.nsamples[:, here],
+        mine.gains[:, here],
+        mine.unknown[:, here],
+    )
 
 
 def _joined(problem: Problem, gathered: list[_Part], times: IntArray, correction: Correction) -> Correction:
@@ -251,22 +272,33 @@ def _joined(problem: Problem, gathered: list[_Part], times: IntArray, correction
     visibilities = {name: np.zeros(shape, dtype=complex) for name in Parts._fields}
     flags, nsamples = np.ones(shape, dtype=bool), np.zeros(shape)
     gains = np.ones((*shape[:2], observation.Nants), dtype=complex)
+    bad = np.isin(observation.antenna_numbers, list(correction.bad_antennas))
+    gain_flags = np.broadcast_to(bad, gains.shape).copy()
     for one in gathered:
-        gains[np.ix_(*one.where[:2])] = one.gains
+        at_times = np.ix_(*one.where[:2])
+        gains[at_times] = one.gains
+        gain_flags[at_times] |= one.unknown
         index = (*np.ix_(*one.where), 0)
         flags[index], nsamples[index] = one.flags, one.nsamples
         for name, values in one.parts._asdict().items():
             visibilities[name][index] = np.where(one.flags, 0.0, values)
-    bad_antennas = list(correction.bad_antennas)
-    flags[:, :, np.isin(observation.antpairs, bad_antennas).any(axis=1)] = True
+    flags[..., 0] |= np.any(gain_flags[:, :, observation.antenna_index], axis=3)
     for values in visibilities.values():
         values[flags] = 0.0
     autos = calibrated_autos(read_autos(problem.files, observation, times), observation, times, problem.gain_files)
-    bad = np.isin(observation.antenna_numbers, bad_antennas)
-    autos.data[:, :, bad], autos.flags[:, :, bad] = 0.0, True
+    autos.data[gain_flags], autos.flags[gain_flags] = 0.0, True
     power = autos.power * problem.flux_scale.reshape(-1, 1, 1, 1) / np.abs(gains[..., np.newaxis]) ** 2
-    of_autos = {"autos": power, "auto_flags": autos.flags, "auto_nsamples": autos.nsamples}
-    return Correction(problem.job, visibilities=visibilities, flags=flags, nsamples=nsamples, gains=gains, **of_autos)
+    return Correction(
+        problem.job,
+        visibilities=visibilities,
+        flags=flags,
+        nsamples=nsamples,
+        autos=power,
+        auto_flags=autos.flags,
+        auto_nsamples=autos.nsamples,
+        gains=gains,
+        gain_flags=gain_flags,
+    )
 
 
 class _InMemory:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from hydrabeam_mpi.data.observation import ComplexArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.fit.carried_over import untold
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.grown import is_of_the_beam
 from hydrabeam_mpi.fit.state import Active, Fitted, Values
@@ -36,11 +37,14 @@ class TakenOut(NamedTuple):
     usable : ndarray of bool, (Nlocal, Ntimes, Nbls)
         Which rows count.
     gains : ndarray of complex, (Nlocal, Ntimes, Nants)
+    unknown : ndarray of bool, (Nlocal, Ntimes, Nants)
+        Which of the gains that single times have of their own the result does not tell.
     """
 
     parts: Parts
     usable: NDArray[np.bool_]
     gains: ComplexArray
+    unknown: NDArray[np.bool_]
 
 
 def take_out(context: FitContext, fitted: Fitted) -> TakenOut:
@@ -64,7 +68,7 @@ def take_out(context: FitContext, fitted: Fitted) -> TakenOut:
     flipped = context.setup.redundant.flipped[rows.tile.bls]
     taken = factor * (corrected + taken) - corrected
     parts = (np.where(flipped, one.conj(), one) for one in (corrected, model, corrected - model, taken))
-    return TakenOut(Parts(*parts), usable, gains)
+    return TakenOut(Parts(*parts), usable, gains, _unknown(context, fitted))
 
 
 def _of_instrument(context: FitContext, fitted: Fitted) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
@@ -91,6 +95,25 @@ def _of_instrument(context: FitContext, fitted: Fitted) -> tuple[ComplexArray, C
                 else:
                     factor[channel, span] *= one.effect.factor(block, one.x[number])
     return gains, factor, added
+
+
+def _unknown(context: FitContext, fitted: Fitted) -> NDArray[np.bool_]:
+    """Return which gains differ from time to time and are not told at a time, (Nlocal, Ntimes, Nants)."""
+    setup, times, values = context.setup, context.test.rows.tile.times, fitted.values
+    unknown = np.zeros((len(context.channels), len(times), setup.observation.Nants), dtype=bool)
+    for channel, (number, covariance) in enumerate(zip(context.channels, fitted.fit.covariances, strict=False)):
+        of_all = untold(covariance, values.prior_std(number))
+        for one, span in zip(values.active, values.spans, strict=True):
+            if not (one.effect.multiplies and one.effect.local == "times"):
+                continue
+            parameters, told = one.effect.parameters(setup), np.zeros(one.x.shape[1], dtype=bool)
+            told[one.used[~of_all[span]]] = True
+            # What of an antenna is not in use, as times that the result's data lack, is not told either.
+            lost = np.isin(parameters.element, parameters.element[one.used]) & ~told
+            moved = one.x[number] + np.where(lost, parameters.scale, 0.0)
+            gains, others = (one.effect.gains(setup, number, x) for x in (one.x[number], moved))
+            unknown[channel] |= (gains != others)[times]
+    return unknown
 
 
 def antenna_gains(setup: ObservingSetup, values: Values) -> ComplexArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ import hydrabeam_mpi as hb
 from hydrabeam_mpi.api import correction as correction_module
 from hydrabeam_mpi.cli import main
 from tests.api.nights import Nights
+from tests.loop.test_loop_command import TWO
 
 RUN = """
 import sys
@@ -89,6 +91,55 @@ def coupled(nights: Nights) -> Path:
     path.write_text(tomli_w.dumps(job))
     assert main(["infer", str(path), "-o", str(nights.folder / "coupled")]) == 0
     return nights.folder / "coupled"
+
+
+@pytest.fixture(scope="module")
+def jittering(nights: Nights) -> Path:
+    """A result with an antenna whose amplitude jitters, of which the held-out times tell nothing."""
+    job = tomllib.loads((nights.result / "amended.toml").read_text())
+    jds = np.unique(UVData.from_file(str(nights.data("first"))).time_array)
+    jitter = {
+        "kind": "gain_jitter",
+        "settings": {"gains_of": [[3, "ln amplitude"]]},
+        "names": [f"antenna 3 ln amplitude at JD {jd:.5f}" for jd in jds],
+        "index": list(range(len(jds))),
+        "values": [[0.0] * len(jds)] * 2,
+        "prior_std": [0.01] * len(jds),
+    }
+    job["effects"].append(jitter)
+    path = nights.folder / "jittering.toml"
+    path.write_text(tomli_w.dumps(job))
+    assert main(["infer", str(path), "-o", str(nights.folder / "jittering")]) == 0
+    return nights.folder / "jittering"
+
+
+def test_gains_that_the_result_does_not_tell_are_flagged(
+    jittering: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    capfd.readouterr()
+    assert main(["correct", str(jittering), "-o", str(tmp_path / "out")]) == 0
+    said = capfd.readouterr().err
+    cal = UVCal.from_file(str(tmp_path / "out" / "gains.calfits"))
+    jds = cal.time_array
+    unknown = np.arange(len(jds)) % 3 == 2  # held out
+    for antenna, flags, gains in zip(cal.ant_array, cal.flag_array, cal.gain_array, strict=True):
+        np.testing.assert_array_equal(flags[..., 0], np.broadcast_to(unknown & (antenna == 3), (len(TWO), len(jds))))
+        assert antenna != 3 or np.all(gains[:, ~unknown] != 1)
+    uvd = UVData.from_file(str(tmp_path / "out" / "corrected.uvh5"))
+    for pair in uvd.get_antpairs():
+        expected = np.broadcast_to((unknown & (3 in pair))[:, np.newaxis], (len(jds), len(TWO)))
+        np.testing.assert_array_equal(uvd.get_flags(pair), expected)
+        np.testing.assert_array_equal(uvd.get_data(pair) == 0, expected)
+    told = json.loads((tmp_path / "out" / "correction.json").read_text())
+    (flagged,) = told["flagged"]
+    assert flagged["antennas"] == [3]
+    np.testing.assert_allclose(flagged["times_jd"], jds[unknown], atol=1e-6)
+    assert "flagged: antenna 3 at 4 of 12 times: the result does not tell the gains at these times" in said
+    assert [name.rsplit(" ", 1)[0] for name in told["at_prior"]] == [
+        "antenna gains that jitter: antenna 3 ln amplitude at JD"
+    ] * 4
+    (carried,) = (one for one in told["carried_over"] if one["effect"] == "gain_jitter")
+    assert len(carried["parameters"]) == 8
 
 
 def test_gains_divide_the_data(nights: Nights, corrected: Path) -> None:
