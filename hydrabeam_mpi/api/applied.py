@@ -155,8 +155,10 @@ def apply_result(
                     remedy="make the result again with this version",
                 )
     with clock.time("read"):
-        applied = apply_fit(grid, problem, inferred)
-    if grid.is_world_root:
-        for line in applied[-1].lines:
-            say(line)
-    return applied
+        return apply_fit(grid, problem, inferred)
+
+
+def say_carried(world: Comm, carried: CarriedOver) -> None:
+    """Say which effects hold in the data."""
+    for line in carried.lines if world.rank == 0 else ():
+        say(line)

@@ -11,14 +11,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydrabeam_mpi.api.applied import Applied, apply_result, read_if_named, setup_for, summary_of
-from hydrabeam_mpi.api.flagged import flagged_told
+from hydrabeam_mpi.api.applied import Applied, apply_result, read_if_named, say_carried, setup_for, summary_of
+from hydrabeam_mpi.api.flagged import flagged_told, left_out_here
 from hydrabeam_mpi.api.result import Result
 from hydrabeam_mpi.api.setup import Setup
 from hydrabeam_mpi.api.shared import begun, origin_of
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray, Observation
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.left_out import LeftOut, rows_left_out
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.fit.taken_out import Parts, take_out
 from hydrabeam_mpi.io.calwrite import write_gains
@@ -26,7 +27,7 @@ from hydrabeam_mpi.io.noise import calibrated_autos
 from hydrabeam_mpi.io.uvdata import Block, read_autos, read_visibilities
 from hydrabeam_mpi.io.uvsource import as_source
 from hydrabeam_mpi.io.uvwrite import uvh5_in_parts
-from hydrabeam_mpi.mpi import gather_objects, together
+from hydrabeam_mpi.mpi import allreduce_sum, gather_objects, together
 from hydrabeam_mpi.setup.problem import Problem
 
 BLOCK_BYTES = 2**26
@@ -189,8 +190,13 @@ def run_correction(
     """
     clock, world = Clock(), setup.comm
     problem, context, fitted, carried = apply_result(result, setup, folder, clock)
+    left = left_out_here(world, problem, result, context)
+    if left:
+        carried = replace(carried, left=tuple(one for one in carried.left if one["effect"] not in left.titles))
+    say_carried(world, carried)
     with together(world):
-        mine = _take_out(context, fitted)
+        mine, lost = _take_out(context, fitted, left)
+    allreduce_sum(world, lost)
     correction, parts, gains = Correction(setup.job), _InMemory(), []
     with ExitStack() as stack:
         add: Add = parts.add
@@ -217,7 +223,7 @@ def run_correction(
             stack.close()  # what is written last, and the files' renaming, may fail
             if world.rank == 0:
                 of_all, flags = (np.concatenate(one, axis=1) for one in zip(*gains, strict=True))
-                told = flagged_told(problem.observation, flags, correction.bad_antennas)
+                told = flagged_told(problem.observation, flags, correction.bad_antennas, left, lost)
                 summary = {**correction.summary, "flagged": told}
                 correction = replace(correction, gains=of_all, gain_flags=flags, summary=summary)
             if world.rank == 0 and into is not None:
@@ -227,14 +233,19 @@ def run_correction(
     return parts.joined(correction)
 
 
-def _take_out(context: FitContext, fitted: Fitted) -> _Part:
-    """Return what a rank has. Serial."""
+def _take_out(context: FitContext, fitted: Fitted, left: LeftOut | None) -> tuple[_Part, IntArray]:
+    """Return what a rank has, and how many of its rows of each time are left out, of how many, (2, Ntimes). Serial."""
     problem, tile = context.problem, context.test.rows.tile
     _, flags, nsamples = read_visibilities(problem.files, problem.observation, tile)
     parts, usable, gains, unknown = take_out(context, fitted)
+    lost, counts = np.zeros_like(usable), np.zeros((2, problem.observation.Ntimes), dtype=int)
+    if left:
+        lost = rows_left_out(context, fitted, left)
+        counts[:, tile.times] = lost.sum(axis=(0, 2)), usable[..., left.place[tile.bls] >= 0].sum(axis=(0, 2))
     # Channels are numbered as the group's are in the data, whatever their numbers in the result.
     where = (list(context.grid.channels), tile.times, tile.bls)
-    return _Part(where, parts, flags[..., 0] | ~usable, nsamples[..., 0], gains, unknown)
+    flagged = flags[..., 0] | ~usable | lost
+    return _Part(where, parts, flagged, nsamples[..., 0], gains, unknown), counts
 
 
 def _has_autos(problem: Problem) -> bool:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hydrabeam_mpi.api.applied import Applied, apply_result, read_if_named, setup_for, summary_of
+from hydrabeam_mpi.api.applied import Applied, apply_result, read_if_named, say_carried, setup_for, summary_of
 from hydrabeam_mpi.api.result import Result
 from hydrabeam_mpi.api.setup import Setup
 from hydrabeam_mpi.api.shared import begun, origin_of
@@ -90,6 +90,7 @@ def run_prediction(result: Result, setup: Setup, folder: Path | None, threads: i
     """
     clock = Clock()
     problem, context, fitted, carried = apply_result(result, setup, folder, clock)
+    say_carried(setup.comm, carried)
     with clock.time("heldout"):
         numbers = heldout_numbers(context, fitted)
     prediction = Prediction(setup.job)

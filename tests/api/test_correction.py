@@ -37,7 +37,7 @@ setup = setup_for(result, hb.Setup.from_job(sys.argv[2], world))
 try:
     run_correction(result, setup, None, 1, into=Path(sys.argv[3]))
 except hb.InputError as error:
-    print(f"{world.rank}: {error}", flush=True)
+    sys.stdout.write(f"{world.rank}: {error}\\n")  # at once, so that ranks do not mix
 """
 PARTS = ("corrected", "model", "residual", "added")
 GAIN = np.exp(0.06 - 0.05j)
@@ -140,6 +140,46 @@ def test_gains_that_the_result_does_not_tell_are_flagged(
     ] * 4
     (carried,) = (one for one in told["carried_over"] if one["effect"] == "gain_jitter")
     assert len(carried["parameters"]) == 8
+
+
+def test_what_the_result_left_out_is_flagged_in_its_own_data(nights: Nights, tmp_path: Path) -> None:
+    """An integration, and one row of another, although the result had no antenna 6, of which noise has no scale."""
+    uvd = UVData.from_file(str(nights.data("first")))
+    jds = np.unique(uvd.time_array)
+    burst = (uvd.time_array == jds[5]) & (uvd.ant_1_array == 1) & (uvd.ant_2_array == 4)
+    uvd.data_array[burst] += 1000.0
+    uvd.write_uvh5(str(tmp_path / "burst.uvh5"))
+    job = tomllib.loads((nights.result / "amended.toml").read_text())
+    job["data"] |= {"files": [str(tmp_path / "burst.uvh5")], "exclude_antennas": [6]}
+    job["effects"] += [
+        {"kind": "noise_level", "values": [[1.0] * 7] * 2},
+        {"kind": "bad_integrations", "values": [[*[1.0] * 8, 9.0, *[1.0] * 3]] * 2},
+        {"kind": "outliers", "values": [[1e5, 0.01, 1e6]] * 2},
+    ]
+    (tmp_path / "job.toml").write_text(tomli_w.dumps(job))
+    assert main(["infer", str(tmp_path / "job.toml"), "-o", str(tmp_path / "found")]) == 0
+    own = nights.job("first", "_burst", files=[str(tmp_path / "burst.uvh5")])
+    correction = hb.correct(tmp_path / "found", hb.Setup.from_job(own), bad_antennas=[6])
+    assert correction.observation is not None
+    pairs = correction.observation.antpairs
+    expected = np.zeros((len(TWO), 12, len(pairs)), dtype=bool)
+    expected[:, 8] = expected[..., np.any(pairs == 6, axis=1)] = True
+    expected[:, 5, np.all(pairs == [1, 4], axis=1)] = True
+    np.testing.assert_array_equal(correction.flags[..., 0], expected)
+    assert correction.summary["flagged"] == [
+        {"why": "bad antennas", "antennas": [6]},
+        {
+            "why": "the result left them out (bad integrations and outliers)",
+            "visibilities": len(TWO) * (15 + 1),
+            "times_jd": [pytest.approx(jds[8], abs=1e-6)],
+        },
+    ]
+    assert [one["effect"] for one in correction.summary["not_carried_over"]] == ["noise_level"]
+    other = hb.correct(tmp_path / "found", hb.Setup.from_job(nights.job("second")))
+    assert not other.flags.any()
+    assert other.summary["flagged"] == []
+    left = [one["effect"] for one in other.summary["not_carried_over"]]
+    assert left == ["noise_level", "bad_integrations", "outliers"]
 
 
 def test_gains_divide_the_data(nights: Nights, corrected: Path) -> None:
