@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection
+from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hydrabeam_mpi.api.applied import Applied, apply_result, read_if_named, say_carried, setup_for, summary_of
+from hydrabeam_mpi.api.applied import apply_result, read_if_named, say_carried, setup_for, summary_of
+from hydrabeam_mpi.api.corrected import Add, Correction, in_files
 from hydrabeam_mpi.api.flagged import flagged_told, left_out_here
 from hydrabeam_mpi.api.result import Result
 from hydrabeam_mpi.api.setup import Setup
@@ -21,12 +22,10 @@ from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.left_out import LeftOut, rows_left_out
 from hydrabeam_mpi.fit.state import Fitted
-from hydrabeam_mpi.fit.taken_out import Parts, take_out
-from hydrabeam_mpi.io.calwrite import write_gains
+from hydrabeam_mpi.fit.taken_out import Parts, of_instrument, take_out
 from hydrabeam_mpi.io.noise import calibrated_autos
-from hydrabeam_mpi.io.uvdata import Block, read_autos, read_visibilities
+from hydrabeam_mpi.io.uvdata import read_autos, read_visibilities
 from hydrabeam_mpi.io.uvsource import as_source
-from hydrabeam_mpi.io.uvwrite import uvh5_in_parts
 from hydrabeam_mpi.mpi import allreduce_sum, gather_objects, together
 from hydrabeam_mpi.setup.problem import Problem
 
@@ -35,83 +34,6 @@ BLOCK_BYTES = 2**26
 have."""
 SAMPLE_BYTES = 4 * 16 + 1 + 8
 """Four kinds of a visibility, its flag and its nsamples."""
-WHAT = {
-    "corrected": "Visibilities without the instrument's effects: (V / (g_i g_j*) - added).",
-    "model": "The sky as the inferred beam sees it: corrected visibilities without residual.",
-    "residual": "Corrected visibilities minus their model.",
-    "added": "What effects had added to the visibilities before the gains multiplied them.",
-}
-"""The files of visibilities, and their histories."""
-
-
-@dataclass(frozen=True)
-class Correction(Applied):
-    """Data, and what of them is the instrument's: V = g_i g_j* (corrected + added), corrected = model + residual.
-
-    On ranks other than 0 there is nothing in it but the job.
-
-    Attributes
-    ----------
-    job : Job
-        The data.
-    observation : Observation, optional
-    visibilities : dict
-        ``corrected``, ``model``, ``residual`` and ``added``, each (Nfreqs, Ntimes, Nbls, 1), Jy, in the convention
-        V = 1/2 I B; zero where flagged.
-    flags, nsamples : ndarray, same shape
-    autos : ndarray, (Nfreqs, Ntimes, Nants, Nfeeds)
-        Corrected autocorrelations, Jy; zero where flagged, NaN where there are none.
-    auto_flags, auto_nsamples : ndarray, same shape as ``autos``
-    gains : ndarray of complex, (Nfreqs, Ntimes, Nants)
-    gain_flags : ndarray of bool, same shape
-        Of bad antennas, and of gains that single times have of their own and the result does not tell. What these
-        gains are part of is flagged, too.
-    bad_antennas : frozenset of int
-        Numbers of antennas of which all is flagged, in ``gains.calfits``, too.
-    summary : dict
-        What ``correction.json`` says: which effects hold in these data, what is ``flagged``, and warnings.
-    about : dict
-        Where it comes from.
-    """
-
-    told_in = "correction.json"
-    observation: Observation | None = None
-    visibilities: dict[str, ComplexArray] = field(default_factory=dict)
-    flags: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
-    nsamples: FloatArray = field(default_factory=lambda: np.zeros(0))
-    autos: FloatArray = field(default_factory=lambda: np.zeros(0))
-    auto_flags: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
-    auto_nsamples: FloatArray = field(default_factory=lambda: np.zeros(0))
-    gains: ComplexArray = field(default_factory=lambda: np.zeros(0, dtype=complex))
-    gain_flags: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
-    bad_antennas: frozenset[int] = frozenset()
-
-    @property
-    def auto_block(self) -> Block:
-        """The autocorrelations as they are written."""
-        stored = ~np.isnan(self.autos)
-        return Block(np.nan_to_num(self.autos).astype(complex), self.auto_flags, self.auto_nsamples, stored)
-
-    @property
-    def histories(self) -> dict[str, str]:
-        """What the files of visibilities, and ``gains``, say of themselves."""
-        by = f"hydrabeam_mpi {self.about['versions']['hydrabeam_mpi']}, result {self.summary['result']}."
-        given = ", ".join(map(str, self.job.data.gains))
-        relative = f"Relative to those of {given}, by which the data were divided before." if given else "Total."
-        histories = {**WHAT, "gains": f"Gains that effects stand for. {relative}"}
-        return {name: f"{what} Written by {by}" for name, what in histories.items()}
-
-    def write_data(self, folder: Path) -> None:
-        """Write visibilities and gains."""
-        if self.observation is None:
-            return  # it is there already
-        with _in_files(self, folder, self.observation, bool(np.isfinite(self.autos).any())) as add:
-            add(np.arange(self.observation.Ntimes), self)
-        self.write_gains(folder, self.observation)
-
-    def write_gains(self, folder: Path, observation: Observation) -> None:
-        """Write gains alone."""
-        write_gains(folder, observation, self.gains, self.histories["gains"], self.gain_flags)
 
 
 def correct(result: Result | str | Path, setup: Setup, bad_antennas: Collection[int] = ()) -> Correction:
@@ -144,10 +66,6 @@ def correct(result: Result | str | Path, setup: Setup, bad_antennas: Collection[
     setup = setup_for(result, setup)
     with begun(setup) as (folder, threads):
         return run_correction(result, setup, folder, threads, bad_antennas)
-
-
-Add = Callable[[IntArray, Correction], None]
-"""Takes some times."""
 
 
 class _Part(NamedTuple):
@@ -202,16 +120,17 @@ def run_correction(
         add: Add = parts.add
         with together(world):
             if world.rank == 0:
-                about = origin_of(setup, problem, threads)
+                titles = [one.effect.title for one in of_instrument(context.setup, fitted.values)]
                 correction = Correction(
                     setup.job,
-                    summary_of(result, problem, carried),
-                    about,
+                    summary_of(result, problem, carried, {"taken_out": list(dict.fromkeys(titles))}),
+                    origin_of(setup, problem, threads),
                     observation=problem.observation,
                     bad_antennas=frozenset(bad_antennas),
+                    data_history=_history_of(problem),
                 )
                 if into is not None:
-                    add = stack.enter_context(_in_files(correction, into, problem.observation, _has_autos(problem)))
+                    add = stack.enter_context(in_files(correction, into, problem.observation, _has_autos(problem)))
         for times in _blocks(problem.observation):
             gathered = gather_objects(world, _at(mine, times))
             with together(world):
@@ -252,6 +171,11 @@ def _has_autos(problem: Problem) -> bool:
     """Tell whether any of the files has autocorrelations."""
     antpairs = (as_source(one).metadata()[1].antpairs for one in problem.files)
     return any(np.any(pairs[:, 0] == pairs[:, 1]) for pairs in antpairs)
+
+
+def _history_of(problem: Problem) -> str:
+    """Return what the files say of themselves, each word of it once."""
+    return "\n".join(dict.fromkeys(as_source(one).metadata()[0].history.rstrip("\n") for one in problem.files))
 
 
 def _blocks(observation: Observation) -> list[IntArray]:
@@ -332,24 +256,3 @@ class _InMemory:
         visibilities = {name: np.concatenate([one.visibilities[name] for one in self._parts], axis=1) for name in names}
         arrays = {name: whole(name) for name in ("flags", "nsamples", "autos", "auto_flags", "auto_nsamples")}
         return replace(correction, visibilities=visibilities, **arrays)
-
-
-@contextmanager
-def _in_files(correction: Correction, folder: Path, observation: Observation, has_autos: bool) -> Iterator[Add]:
-    """Give a function that writes some times into the files of visibilities."""
-    with ExitStack() as stack:
-        writers = {
-            name: stack.enter_context(
-                uvh5_in_parts(
-                    folder / f"{name}.uvh5", observation, has_autos and name == "corrected", correction.histories[name]
-                )
-            )
-            for name in Parts._fields
-        }
-
-        def add(times: IntArray, part: Correction) -> None:
-            for name, write in writers.items():
-                autos = part.auto_block if has_autos and name == "corrected" else None
-                write(times, part.visibilities[name], part.flags, part.nsamples, autos)
-
-        yield add

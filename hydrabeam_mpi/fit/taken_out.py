@@ -84,7 +84,7 @@ def _of_instrument(context: FitContext, fitted: Fitted) -> tuple[ComplexArray, C
     factor = np.ones(data.rows.data.shape, dtype=complex)
     added, nothing = np.zeros_like(factor), np.zeros(factor.shape[1:], dtype=complex)
     gains = np.ones((*factor.shape[:2], setup.observation.Nants), dtype=complex)
-    here = [one for one in fitted.values.active if one.effect.multiplies or _is_taken_out(one, setup)]
+    here = of_instrument(setup, fitted.values)
     for channel, number in enumerate(context.channels if here else ()):
         for span, block, _ in data.row_blocks(channel, at, nothing, data.rows):
             for one in here:
@@ -126,6 +126,10 @@ def antenna_gains(setup: ObservingSetup, values: Values) -> ComplexArray:
     return gains
 
 
-def _is_taken_out(one: Active, setup: ObservingSetup) -> bool:
-    """Whether an effect is neither of the sky nor of the beam that all antennas have."""
-    return not (one.effect.of_the_sky or one.effect.changes_sky or is_of_the_beam(setup, one))
+def of_instrument(setup: ObservingSetup, values: Values) -> list[Active]:
+    """Return the effects that are neither of the sky nor of the beam that all antennas have."""
+    return [one for one in values.active if one.effect.multiplies or not _is_of_sky_or_beam(one, setup)]
+
+
+def _is_of_sky_or_beam(one: Active, setup: ObservingSetup) -> bool:
+    return one.effect.of_the_sky or one.effect.changes_sky or is_of_the_beam(setup, one)

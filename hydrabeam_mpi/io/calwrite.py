@@ -12,6 +12,7 @@ from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, 
 from hydrabeam_mpi.io.reading import quiet
 from hydrabeam_mpi.io.uvdata import feeds_of
 from hydrabeam_mpi.io.uvwrite import telescope_of
+from hydrabeam_mpi.words import in_ascii
 
 SAME_TIME = 1e-3 / 86400
 SAME_FREQ = 1.0
@@ -43,7 +44,7 @@ def write_gains(
     feeds = feeds_of(observation.pols)
     if telescope.feed_array is None:
         telescope.set_feeds_from_x_orientation("east", feeds=list(feeds))
-        history += " Where feeds point is not known; x is written as East."
+        history += "Where feeds point is not known; x is written as East.\n"
     shape = (observation.Nants, observation.Nfreqs, observation.Ntimes, len(feeds))
     given = (gains, np.zeros(gains.shape, dtype=bool) if flags is None else flags)
     values, flagged = (np.broadcast_to(np.moveaxis(one, 2, 0)[..., np.newaxis], shape).copy() for one in given)
@@ -60,7 +61,7 @@ def write_gains(
             channel_width=observation.channel_width,
             update_telescope_from_known=False,
             data={"gain_array": values, "flag_array": flagged, "quality_array": np.zeros(shape)},
-            history=history,
+            history="\n".join(map(in_ascii, history.split("\n"))),
             pol_convention="sum",
             gain_scale="Jy",
         )

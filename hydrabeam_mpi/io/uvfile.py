@@ -72,6 +72,8 @@ class UVHeader:
         Named by the feeds.
     units : str
         "Jy", or "uncalib" of visibilities that are not calibrated.
+    history : str
+        What has been done to the data, by the file.
     """
 
     path: Path
@@ -86,6 +88,7 @@ class UVHeader:
     pols: tuple[str, ...]
     feed_pols: tuple[str, ...]
     units: str
+    history: str = ""
 
     def pol_index(self, pol: str) -> int:
         """Return where a polarisation is stored, by either of its names, or -1."""
@@ -210,6 +213,7 @@ def header_of(uv: UVData, path: Path, kind: str) -> UVHeader:
         pols=tuple(polnum2str(number, x_orientation=orientation) for number in uv.polarization_array),
         feed_pols=tuple(polnum2str(number) for number in uv.polarization_array),
         units=str(uv.vis_units),
+        history=str(uv.history or ""),
     )
 
 

@@ -44,6 +44,11 @@ GAIN = np.exp(0.06 - 0.05j)
 """Of antenna 2, by which the data of both nights are off."""
 
 
+def flat(text: str) -> str:
+    """Return text without the ends of lines, which calfits puts anywhere."""
+    return text.replace("\n", "")
+
+
 def crosses(path: Path) -> UVData:
     uvd = UVData.from_file(str(path))
     uvd.select(ant_str="cross")
@@ -187,14 +192,22 @@ def test_gains_divide_the_data(nights: Nights, corrected: Path) -> None:
     assert (cal.gain_convention, cal.gain_scale, cal.pol_convention) == ("divide", "Jy", "sum")
     gain = cal.gain_array[cal.ant_array.tolist().index(2)]
     np.testing.assert_allclose(gain, GAIN, atol=0.002)
-    assert "Total. Written by hydrabeam_mpi" in cal.history
+    own, said = UVData.from_file(str(nights.data("first"))).history.split("Read/written")[0].strip(), flat(cal.history)
+    assert said.startswith(flat(own))
+    assert said.find("Gains of effects that were taken out of data, V / (g_i g_j*). The job named no gains") > 0
+    assert f"Effects taken out: antenna gains. Written by hydrabeam_mpi {hb.__version__}, result " in said
     uvd = UVData.from_file(str(nights.data("first")))
     uvcalibrate(uvd, cal)
     own = UVData.from_file(str(corrected / "corrected.uvh5"))
     for pair in uvd.get_antpairs():
         np.testing.assert_allclose(own.get_data(pair), uvd.get_data(pair), rtol=1e-12)
         assert not own.get_flags(pair).any()
-    assert "without the instrument's effects" in own.history
+    before, _, after = own.history.partition(
+        "\nVisibilities without the instrument's effects: (V / (g_i g_j*) - added). "
+    )
+    assert before == UVData.from_file(str(nights.data("first"))).history
+    assert after.startswith("Effects taken out: antenna gains. Written by hydrabeam_mpi ")
+    assert "result " + str(nights.result) + ".\nObject created by" in after
 
 
 def test_parts_are_what_they_are_called(corrected: Path) -> None:
