@@ -15,9 +15,10 @@ from hydrabeam_mpi.api.setup import Setup
 from hydrabeam_mpi.api.shared import begun, origin_of
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.fit.clock import Clock
+from hydrabeam_mpi.inference.predictive_checks import LARGEST_PREDICTIVE
 from hydrabeam_mpi.loop.selection.heldout_numbers import HeldoutNumbers, heldout_numbers
 from hydrabeam_mpi.mpi import together
-from hydrabeam_mpi.terminal.progress import say
+from hydrabeam_mpi.terminal.progress import say, warn
 
 AS_HELDOUT = "rms_expected_as_heldout"
 """The rms that is expected where as much is left as of the data that were held out from the result."""
@@ -98,9 +99,34 @@ def run_prediction(result: Result, setup: Setup, folder: Path | None, threads: i
         if setup.comm.rank == 0:
             left = left_of_heldout(result.summary["channels"])
             told = _numbers(numbers, context.setup.observation.freqs, problem.channel_numbers.tolist(), left)
-            summary = {**summary_of(result, problem, carried, told), "phases_s": clock.seconds}
+            summary = summary_of(result, problem, carried, told)
+            doubts = warnings_of(told["channels"])
+            warn(doubts)
+            summary |= {"warnings": [*doubts, *summary["warnings"]], "phases_s": clock.seconds}
             prediction = Prediction(setup.job, summary, origin_of(setup, problem, threads))
     return prediction
+
+
+def warnings_of(channels: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Say where a result leaves far more of other data than it expects.
+
+    Parameters
+    ----------
+    channels : sequence of mapping
+        What is told of each.
+    """
+    said = []
+    chi2 = max(one["predictive_chi2"] for one in channels)
+    if chi2 > LARGEST_PREDICTIVE:
+        said.append(
+            f"Reduced chi^2 is up to {chi2:.3g} under the posterior predictive (noise, beam and effects): these data "
+            "are not as the result has it. Gains, flux scale, sky or antennas differ from those of its own data, or "
+            "the result left as much of these."
+        )
+    if worse := [one for one in channels if one["rms"] > one["rms_zero"]]:
+        freqs = ", ".join(f"{one['freq_hz'] / 1e6:.6g}" for one in worse)
+        said.append(f"At {freqs} MHz the prediction leaves more of the data than predicting zero does.")
+    return said
 
 
 def left_of_heldout(channels: Sequence[Mapping[str, Any]]) -> FloatArray:
