@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from hydrabeam_mpi.api.arguments import FourierBessel, Zernike
     from hydrabeam_mpi.api.beam import InferredBeam
     from hydrabeam_mpi.api.chains import Chains, load_chains
-    from hydrabeam_mpi.api.correction import Correction, correct
+    from hydrabeam_mpi.api.corrected import Correction
+    from hydrabeam_mpi.api.correction import correct
     from hydrabeam_mpi.api.inference import infer
     from hydrabeam_mpi.api.loading import load, load_loop, load_posterior
     from hydrabeam_mpi.api.loop import close_loop
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "Chains": "api.chains",
-    "Correction": "api.correction",
+    "Correction": "api.corrected",
     "FourierBessel": "api.arguments",
     "Found": "api.result",
     "InferredBeam": "api.beam",

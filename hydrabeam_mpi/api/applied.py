@@ -21,8 +21,13 @@ from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.io.disk import writing
+<<<<<<< HEAD
 from hydrabeam_mpi.io.inferred import Inferred
 from hydrabeam_mpi.io.staging import write_folder
+=======
+from hydrabeam_mpi.io.inferred import Inferred, check_unchanged
+from hydrabeam_mpi.io.staging import write_whole
+>>>>>>> fix-user
 from hydrabeam_mpi.io.together import check_of_one
 from hydrabeam_mpi.loop.checks.health import told
 from hydrabeam_mpi.mpi import Comm, together
@@ -103,6 +108,11 @@ def load_shared(world: Comm, folder: Path) -> Result:
     return result or Result(job)
 
 
+def read_if_named(world: Comm, result: Result | str | Path) -> Result:
+    """Return a result, or what is in the folder that is named; see `load_shared`. Collective: all ranks of `world`."""
+    return result if isinstance(result, Result) else load_shared(world, Path(result))
+
+
 def setup_for(result: Result, setup: Setup) -> Setup:
     """Return the data and the sky of a setup, to which the beam and the effects of a result are applied.
 
@@ -127,7 +137,15 @@ def apply_result(
     folder : Path, optional
         For simulated data.
     clock : Clock
+
+    Raises
+    ------
+    InputError
+        On all ranks, if the result cannot be applied to these data, or has changed since it was written.
     """
+    with together(setup.comm):
+        if result.path and setup.comm.rank == 0:
+            check_unchanged(result.path.parent)
     grid, problem, _ = prepare_checked(setup, folder, clock, told)
     inferred = None
     with together(grid.world):
@@ -142,8 +160,10 @@ def apply_result(
                     remedy="make the result again with this version",
                 )
     with clock.time("read"):
-        applied = apply_fit(grid, problem, inferred)
-    if grid.is_world_root:
-        for line in applied[-1].lines:
-            say(line)
-    return applied
+        return apply_fit(grid, problem, inferred)
+
+
+def say_carried(world: Comm, carried: CarriedOver) -> None:
+    """Say which effects hold in the data."""
+    for line in carried.lines if world.rank == 0 else ():
+        say(line)

@@ -2,30 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection
+from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hydrabeam_mpi.api.applied import Applied, apply_result, setup_for, summary_of
+from hydrabeam_mpi.api.applied import apply_result, read_if_named, say_carried, setup_for, summary_of
+from hydrabeam_mpi.api.corrected import Add, Correction, in_files
+from hydrabeam_mpi.api.flagged import flagged_told, left_out_here
 from hydrabeam_mpi.api.result import Result
 from hydrabeam_mpi.api.setup import Setup
 from hydrabeam_mpi.api.shared import begun, origin_of
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray, Observation
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.left_out import LeftOut, rows_left_out
 from hydrabeam_mpi.fit.state import Fitted
-from hydrabeam_mpi.fit.taken_out import Parts, antenna_gains, take_out
-from hydrabeam_mpi.io.calwrite import write_gains
+from hydrabeam_mpi.fit.taken_out import Parts, of_instrument, take_out
 from hydrabeam_mpi.io.noise import calibrated_autos
-from hydrabeam_mpi.io.uvdata import Block, read_autos, read_visibilities
+from hydrabeam_mpi.io.uvdata import read_autos, read_visibilities
 from hydrabeam_mpi.io.uvsource import as_source
-from hydrabeam_mpi.io.uvwrite import uvh5_in_parts
-from hydrabeam_mpi.mpi import gather_objects, together
+from hydrabeam_mpi.mpi import allreduce_sum, gather_objects, together
 from hydrabeam_mpi.setup.problem import Problem
 
 BLOCK_BYTES = 2**26
@@ -33,15 +34,9 @@ BLOCK_BYTES = 2**26
 have."""
 SAMPLE_BYTES = 4 * 16 + 1 + 8
 """Four kinds of a visibility, its flag and its nsamples."""
-WHAT = {
-    "corrected": "Visibilities without the instrument's effects: (V / (g_i g_j*) - added).",
-    "model": "The sky as the inferred beam sees it: corrected visibilities without residual.",
-    "residual": "Corrected visibilities minus their model.",
-    "added": "What effects had added to the visibilities before the gains multiplied them.",
-}
-"""The files of visibilities, and their histories."""
 
 
+<<<<<<< HEAD
 @dataclass(frozen=True)
 class Correction(Applied):
     """Data, and what of them is the instrument's: V = g_i g_j* (corrected + added), corrected = model + residual.
@@ -113,6 +108,9 @@ class Correction(Applied):
 
 
 def correct(result: Result, setup: Setup, bad_antennas: Collection[int] = ()) -> Correction:
+=======
+def correct(result: Result | str | Path, setup: Setup, bad_antennas: Collection[int] = ()) -> Correction:
+>>>>>>> fix-user
     """Take the instrument's effects that a result found out of data.
 
     The gains and what is added are those of the effects, beside what the setup itself names: gain files and flux scale
@@ -122,8 +120,8 @@ def correct(result: Result, setup: Setup, bad_antennas: Collection[int] = ()) ->
 
     Parameters
     ----------
-    result : Result
-        Of `infer`, `close_loop` or `load`; what rank 0 has counts.
+    result : Result, str or Path
+        Of `infer`, `close_loop` or `load`, or its folder; what rank 0 has counts.
     setup : Setup
         Its channels must be among those of the result, and its polarisation that one.
     bad_antennas : collection of int
@@ -138,22 +136,24 @@ def correct(result: Result, setup: Setup, bad_antennas: Collection[int] = ()) ->
     InputError
         On all ranks, if the result cannot be applied to these data.
     """
+    result = read_if_named(setup.comm, result)
     setup = setup_for(result, setup)
     with begun(setup) as (folder, threads):
         return run_correction(result, setup, folder, threads, bad_antennas)
 
 
-Add = Callable[[IntArray, Correction], None]
-"""Takes some times."""
-
-
 class _Part(NamedTuple):
-    """What a rank has of all rows: where, (channels, times, baselines), and what."""
+    """What a rank has of all rows: where, (channels, times, baselines), and what; gains of all antennas.
+
+    ``unknown`` are those that are not told; see `TakenOut`.
+    """
 
     where: tuple[Any, ...]
     parts: Parts
     flags: NDArray[np.bool_]
     nsamples: FloatArray
+    gains: ComplexArray
+    unknown: NDArray[np.bool_]
 
 
 def run_correction(
@@ -182,55 +182,74 @@ def run_correction(
     """
     clock, world = Clock(), setup.comm
     problem, context, fitted, carried = apply_result(result, setup, folder, clock)
+    left = left_out_here(world, problem, result, context)
+    if left:
+        carried = replace(carried, left=tuple(one for one in carried.left if one["effect"] not in left.titles))
+    say_carried(world, carried)
     with together(world):
-        mine = _take_out(context, fitted)
-    correction, parts = Correction(setup.job), _InMemory()
+        mine, lost = _take_out(context, fitted, left)
+    allreduce_sum(world, lost)
+    correction, parts, gains = Correction(setup.job), _InMemory(), []
     with ExitStack() as stack:
         add: Add = parts.add
         with together(world):
             if world.rank == 0:
-                begun = _begun(setup, problem, context, fitted, summary_of(result, problem, carried), threads)
-                correction = replace(begun, bad_antennas=frozenset(bad_antennas))
+                titles = [one.effect.title for one in of_instrument(context.setup, fitted.values)]
+                correction = Correction(
+                    setup.job,
+                    summary_of(result, problem, carried, {"taken_out": list(dict.fromkeys(titles))}),
+                    origin_of(setup, problem, threads),
+                    observation=problem.observation,
+                    bad_antennas=frozenset(bad_antennas),
+                    data_history=_history_of(problem),
+                )
                 if into is not None:
-                    add = stack.enter_context(_in_files(correction, into, problem.observation, _has_autos(problem)))
+                    add = stack.enter_context(in_files(correction, into, problem.observation, _has_autos(problem)))
         for times in _blocks(problem.observation):
             gathered = gather_objects(world, _at(mine, times))
             with together(world):
                 if gathered is not None:
-                    add(times, _joined(problem, gathered, times, correction))
+                    part = _joined(problem, gathered, times, correction)
+                    gains.append((part.gains, part.gain_flags))
+                    add(times, part)
         with together(world):
             stack.close()  # what is written last, and the files' renaming, may fail
+            if world.rank == 0:
+                of_all, flags = (np.concatenate(one, axis=1) for one in zip(*gains, strict=True))
+                told = flagged_told(problem.observation, flags, correction.bad_antennas, left, lost)
+                summary = {**correction.summary, "flagged": told}
+                correction = replace(correction, gains=of_all, gain_flags=flags, summary=summary)
             if world.rank == 0 and into is not None:
-                history = correction.histories["gains"]
-                write_gains(into, problem.observation, correction.gains, history, correction.bad_antennas)
+                correction.write_gains(into, problem.observation)
     if world.rank or into is not None:
         return replace(correction, observation=None)
     return parts.joined(correction)
 
 
-def _take_out(context: FitContext, fitted: Fitted) -> _Part:
-    """Return what a rank has. Serial."""
+def _take_out(context: FitContext, fitted: Fitted, left: LeftOut | None) -> tuple[_Part, IntArray]:
+    """Return what a rank has, and how many of its rows of each time are left out, of how many, (2, Ntimes). Serial."""
     problem, tile = context.problem, context.test.rows.tile
     _, flags, nsamples = read_visibilities(problem.files, problem.observation, tile)
-    parts, usable = take_out(context, fitted)
+    parts, usable, gains, unknown = take_out(context, fitted)
+    lost, counts = np.zeros_like(usable), np.zeros((2, problem.observation.Ntimes), dtype=int)
+    if left:
+        lost = rows_left_out(context, fitted, left)
+        counts[:, tile.times] = lost.sum(axis=(0, 2)), usable[..., left.place[tile.bls] >= 0].sum(axis=(0, 2))
     # Channels are numbered as the group's are in the data, whatever their numbers in the result.
     where = (list(context.grid.channels), tile.times, tile.bls)
-    return _Part(where, parts, flags[..., 0] | ~usable, nsamples[..., 0])
-
-
-def _begun(
-    setup: Setup, problem: Problem, context: FitContext, fitted: Fitted, summary: dict[str, Any], threads: int
-) -> Correction:
-    """Return a correction without visibilities. Serial."""
-    gains = antenna_gains(context.setup, fitted.values)[problem.channel_numbers]
-    about = origin_of(setup, problem, threads)
-    return Correction(setup.job, summary, about, observation=problem.observation, gains=gains)
+    flagged = flags[..., 0] | ~usable | lost
+    return _Part(where, parts, flagged, nsamples[..., 0], gains, unknown), counts
 
 
 def _has_autos(problem: Problem) -> bool:
     """Tell whether any of the files has autocorrelations."""
     antpairs = (as_source(one).metadata()[1].antpairs for one in problem.files)
     return any(np.any(pairs[:, 0] == pairs[:, 1]) for pairs in antpairs)
+
+
+def _history_of(problem: Problem) -> str:
+    """Return what the files say of themselves, each word of it once."""
+    return "\n".join(dict.fromkeys(as_source(one).metadata()[0].history.rstrip("\n") for one in problem.files))
 
 
 def _blocks(observation: Observation) -> list[IntArray]:
@@ -245,7 +264,14 @@ def _at(mine: _Part, times: IntArray) -> _Part:
     channels, own, bls = mine.where
     here = np.isin(own, times)
     parts = Parts(*(one[:, here] for one in mine.parts))
-    return _Part((channels, own[here] - times[0], bls), parts, mine.flags[:, here], mine.nsamples[:, here])
+    return _Part(
+        (channels, own[here] - times[0], bls),
+        parts,
+        mine.flags[:, here],
+        mine.nsamples[:, here],
+        mine.gains[:, here],
+        mine.unknown[:, here],
+    )
 
 
 def _joined(problem: Problem, gathered: list[_Part], times: IntArray, correction: Correction) -> Correction:
@@ -254,22 +280,34 @@ def _joined(problem: Problem, gathered: list[_Part], times: IntArray, correction
     shape = (observation.Nfreqs, len(times), observation.Nbls, 1)
     visibilities = {name: np.zeros(shape, dtype=complex) for name in Parts._fields}
     flags, nsamples = np.ones(shape, dtype=bool), np.zeros(shape)
+    gains = np.ones((*shape[:2], observation.Nants), dtype=complex)
+    bad = np.isin(observation.antenna_numbers, list(correction.bad_antennas))
+    gain_flags = np.broadcast_to(bad, gains.shape).copy()
     for one in gathered:
+        at_times = np.ix_(*one.where[:2])
+        gains[at_times] = one.gains
+        gain_flags[at_times] |= one.unknown
         index = (*np.ix_(*one.where), 0)
         flags[index], nsamples[index] = one.flags, one.nsamples
         for name, values in one.parts._asdict().items():
             visibilities[name][index] = np.where(one.flags, 0.0, values)
-    bad_antennas = list(correction.bad_antennas)
-    flags[:, :, np.isin(observation.antpairs, bad_antennas).any(axis=1)] = True
+    flags[..., 0] |= np.any(gain_flags[:, :, observation.antenna_index], axis=3)
     for values in visibilities.values():
         values[flags] = 0.0
     autos = calibrated_autos(read_autos(problem.files, observation, times), observation, times, problem.gain_files)
-    bad = np.isin(observation.antenna_numbers, bad_antennas)
-    autos.data[:, :, bad], autos.flags[:, :, bad] = 0.0, True
-    gains = correction.gains[:, times, :, np.newaxis]
-    power = autos.power * problem.flux_scale.reshape(-1, 1, 1, 1) / np.abs(gains) ** 2
-    of_autos = {"autos": power, "auto_flags": autos.flags, "auto_nsamples": autos.nsamples}
-    return Correction(problem.job, visibilities=visibilities, flags=flags, nsamples=nsamples, **of_autos)
+    autos.data[gain_flags], autos.flags[gain_flags] = 0.0, True
+    power = autos.power * problem.flux_scale.reshape(-1, 1, 1, 1) / np.abs(gains[..., np.newaxis]) ** 2
+    return Correction(
+        problem.job,
+        visibilities=visibilities,
+        flags=flags,
+        nsamples=nsamples,
+        autos=power,
+        auto_flags=autos.flags,
+        auto_nsamples=autos.nsamples,
+        gains=gains,
+        gain_flags=gain_flags,
+    )
 
 
 class _InMemory:
@@ -292,24 +330,3 @@ class _InMemory:
         visibilities = {name: np.concatenate([one.visibilities[name] for one in self._parts], axis=1) for name in names}
         arrays = {name: whole(name) for name in ("flags", "nsamples", "autos", "auto_flags", "auto_nsamples")}
         return replace(correction, visibilities=visibilities, **arrays)
-
-
-@contextmanager
-def _in_files(correction: Correction, folder: Path, observation: Observation, has_autos: bool) -> Iterator[Add]:
-    """Give a function that writes some times into the files of visibilities."""
-    with ExitStack() as stack:
-        writers = {
-            name: stack.enter_context(
-                uvh5_in_parts(
-                    folder / f"{name}.uvh5", observation, has_autos and name == "corrected", correction.histories[name]
-                )
-            )
-            for name in Parts._fields
-        }
-
-        def add(times: IntArray, part: Correction) -> None:
-            for name, write in writers.items():
-                autos = part.auto_block if has_autos and name == "corrected" else None
-                write(times, part.visibilities[name], part.flags, part.nsamples, autos)
-
-        yield add

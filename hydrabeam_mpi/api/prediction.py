@@ -9,15 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from hydrabeam_mpi.api.applied import Applied, apply_result, setup_for, summary_of
+from hydrabeam_mpi.api.applied import Applied, apply_result, read_if_named, say_carried, setup_for, summary_of
 from hydrabeam_mpi.api.result import Result
 from hydrabeam_mpi.api.setup import Setup
 from hydrabeam_mpi.api.shared import begun, origin_of
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.fit.clock import Clock
+from hydrabeam_mpi.inference.predictive_checks import LARGEST_PREDICTIVE
 from hydrabeam_mpi.loop.selection.heldout_numbers import HeldoutNumbers, heldout_numbers
 from hydrabeam_mpi.mpi import together
-from hydrabeam_mpi.terminal.progress import say
+from hydrabeam_mpi.terminal.progress import say, warn
 
 AS_HELDOUT = "rms_expected_as_heldout"
 """The rms that is expected where as much is left as of the data that were held out from the result."""
@@ -44,7 +45,7 @@ class Prediction(Applied):
     told_in = "prediction.json"
 
 
-def predict(result: Result, setup: Setup) -> Prediction:
+def predict(result: Result | str | Path, setup: Setup) -> Prediction:
     """Predict data with a fitted model, without fitting it again.
 
     The result's beams, with their errors, and those of its effects that hold in other data predict all of the data of
@@ -55,8 +56,8 @@ def predict(result: Result, setup: Setup) -> Prediction:
 
     Parameters
     ----------
-    result : Result
-        Of `infer`, `close_loop` or `load`; what rank 0 has counts.
+    result : Result, str or Path
+        Of `infer`, `close_loop` or `load`, or its folder; what rank 0 has counts.
     setup : Setup
         Its channels must be among those of the result, and its polarisation that one.
 
@@ -69,6 +70,7 @@ def predict(result: Result, setup: Setup) -> Prediction:
     InputError
         On all ranks, if the result cannot be applied to these data.
     """
+    result = read_if_named(setup.comm, result)
     setup = setup_for(result, setup)
     with begun(setup) as (folder, threads):
         return run_prediction(result, setup, folder, threads)
@@ -89,6 +91,7 @@ def run_prediction(result: Result, setup: Setup, folder: Path | None, threads: i
     """
     clock = Clock()
     problem, context, fitted, carried = apply_result(result, setup, folder, clock)
+    say_carried(setup.comm, carried)
     with clock.time("heldout"):
         numbers = heldout_numbers(context, fitted)
     prediction = Prediction(setup.job)
@@ -96,9 +99,34 @@ def run_prediction(result: Result, setup: Setup, folder: Path | None, threads: i
         if setup.comm.rank == 0:
             left = left_of_heldout(result.summary["channels"])
             told = _numbers(numbers, context.setup.observation.freqs, problem.channel_numbers.tolist(), left)
-            summary = {**summary_of(result, problem, carried, told), "phases_s": clock.seconds}
+            summary = summary_of(result, problem, carried, told)
+            doubts = warnings_of(told["channels"])
+            warn(doubts)
+            summary |= {"warnings": [*doubts, *summary["warnings"]], "phases_s": clock.seconds}
             prediction = Prediction(setup.job, summary, origin_of(setup, problem, threads))
     return prediction
+
+
+def warnings_of(channels: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Say where a result leaves far more of other data than it expects.
+
+    Parameters
+    ----------
+    channels : sequence of mapping
+        What is told of each.
+    """
+    said = []
+    chi2 = max(one["predictive_chi2"] for one in channels)
+    if chi2 > LARGEST_PREDICTIVE:
+        said.append(
+            f"Reduced chi^2 is up to {chi2:.3g} under the posterior predictive (noise, beam and effects): these data "
+            "are not as the result has it. Gains, flux scale, sky or antennas differ from those of its own data, or "
+            "the result left as much of these."
+        )
+    if worse := [one for one in channels if one["rms"] > one["rms_zero"]]:
+        freqs = ", ".join(f"{one['freq_hz'] / 1e6:.6g}" for one in worse)
+        said.append(f"At {freqs} MHz the prediction leaves more of the data than predicting zero does.")
+    return said
 
 
 def left_of_heldout(channels: Sequence[Mapping[str, Any]]) -> FloatArray:

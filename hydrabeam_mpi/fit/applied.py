@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
-from hydrabeam_mpi.fit.carried_over import CarriedOver, carry_over, share_fit
+from hydrabeam_mpi.fit.carried_over import CarriedOver, carry_over, share_fit, untold
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.joint import find_setup
 from hydrabeam_mpi.fit.rank_data import RankData
+from hydrabeam_mpi.fit.same_antennas import check_places
 from hydrabeam_mpi.fit.shares import read_share
 from hydrabeam_mpi.fit.state import Fit, Fitted
 from hydrabeam_mpi.io.inferred import Inferred
@@ -63,15 +64,19 @@ def apply_fit(
             with result.telling():
                 setup = _setup_in(result, problem, numbers)
                 assumed = f"assumed: the beam of {pol} is that of {own}, turned by 90 degrees" if result.turn else None
-                shared = numbers, setup, carry_over(result.entries, setup, assumed)
+                found = carry_over(result.entries, setup, assumed)
+            check_places(result, found, problem.observation, problem.job.data.redundancy_tol)
+            shared = numbers, setup, found
     numbers, setup, carried = bcast_object(grid.world, shared)
     problem = replace(problem, basis=setup.basis, channel_numbers=numbers, test=problem.train)
     mine = problem.of_channels(grid.channels)
-    parts = []
+    parts, unknown = [], np.ones(sum(one.size for one in carried.values.active), dtype=bool)
     for place, number in enumerate(numbers.tolist()):
         part = share_fit(grid, result, carried, number)
+        unknown &= untold(part[1], carried.values.prior_std(number))
         if place in grid.channels:
             parts.append(part)
+    carried = carried.at_prior_too(setup, unknown)
     beams, covariances, responses = zip(*parts, strict=True)
     # Errors of the predictions of one time are whitened together.
     rows = RankData(mine, setup, read_share(grid, mine, mine.test, whole_times=True))

@@ -18,7 +18,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from hydrabeam_mpi.config.effects import Effect as EffectEntry
-from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.data.observation import BoolArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.registry import EFFECTS, make_effect, make_reweighting
@@ -42,6 +42,8 @@ from hydrabeam_mpi.words import counted, joined
 
 Array = NDArray[Any]
 
+UNTOLD = 0.99
+"""Of the prior's standard deviation: data that leave so much of it have told nothing of a parameter."""
 MOST_NAMED = 6
 """Parameters that a line has room for; the summary has all."""
 
@@ -104,6 +106,17 @@ class CarriedOver:
             **({"assumed": self.assumed} if self.assumed else {}),
         }
 
+    def at_prior_too(self, setup: ObservingSetup, untold: BoolArray) -> CarriedOver:
+        """Return the same where the result's own data told nothing of some of the parameters in use here, (q_here,)."""
+        titles = [(one.effect.title, name) for one in self.values.active for name, _ in one.labels(setup)]
+        lost = {titles[i]: f"{titles[i][0]}: {titles[i][1]}" for i in np.flatnonzero(untold).tolist()}
+        left = (
+            {**one, "parameters": [name for name in one["parameters"] if (one["title"], name) not in lost]}
+            for one in self.carried
+        )
+        at_prior = tuple(dict.fromkeys((*self.at_prior, *lost.values())))
+        return replace(self, carried=tuple(one for one in left if one["parameters"]), at_prior=at_prior)
+
     def fit(
         self, channel: int, mean: Array, covariance: Array, arrays: Mapping[str, Array]
     ) -> tuple[Posterior, FloatArray, Array]:
@@ -147,6 +160,11 @@ class CarriedOver:
         follow = np.zeros((m, len(here)), dtype=response.dtype)
         follow[:, self.place] = response * self.sign
         return beam, here, follow
+
+
+def untold(covariance: FloatArray, prior_std: FloatArray) -> BoolArray:
+    """Return of which parameters of a covariance, (q, q), and of widths of their prior, (q,), no data have told."""
+    return np.asarray(np.diag(covariance) > np.square(UNTOLD * prior_std))
 
 
 def carry_over(found: Iterable[Mapping[str, Any]], setup: ObservingSetup, other_feed: str | None = None) -> CarriedOver:

@@ -28,6 +28,7 @@ from hydrabeam_mpi.fit.learned import Learned
 from hydrabeam_mpi.fit.prior_widths import adapted_if_asked
 from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.room import bytes_to_keep
+from hydrabeam_mpi.fit.same_antennas import check_places
 from hydrabeam_mpi.fit.settle import settle
 from hydrabeam_mpi.fit.shares import read_shares
 from hydrabeam_mpi.fit.state import Active, Fitted, Reweighted, Values, independent_prior
@@ -110,6 +111,7 @@ def _learn(grid: ProcessGrid, problem: Problem, setup: ObservingSetup) -> tuple[
         if grid.is_world_root:
             with result.telling():
                 shared = carry_over(result.entries, setup)
+            check_places(result, shared, problem.observation, problem.job.data.redundancy_tol)
             for line in shared.lines:
                 say(line)
     carried: CarriedOver = bcast_object(grid.world, shared)

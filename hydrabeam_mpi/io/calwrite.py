@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
 from pyuvdata import UVCal
 from pyuvdata.utils import jstr2num
 
+<<<<<<< HEAD
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, Observation
 from hydrabeam_mpi.io.feeds import UNKNOWN
+=======
+from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, Observation
+>>>>>>> fix-user
 from hydrabeam_mpi.io.reading import quiet
 from hydrabeam_mpi.io.uvdata import feeds_of
 from hydrabeam_mpi.io.uvwrite import telescope_of
+from hydrabeam_mpi.words import in_ascii
 
 EVEN_WITHIN_DAYS = 1e-3 / 86400
 EVEN_WITHIN_HZ = 1.0
@@ -21,7 +25,7 @@ EVEN_WITHIN_HZ = 1.0
 
 
 def write_gains(
-    folder: Path, observation: Observation, gains: ComplexArray, history: str, bad_antennas: Collection[int] = ()
+    folder: Path, observation: Observation, gains: ComplexArray, history: str, flags: BoolArray | None = None
 ) -> None:
     """Write gains that are the same for all feeds, by which data are divided: V / (g_i g_j*).
 
@@ -39,18 +43,20 @@ def write_gains(
         Their antennas, channels, times and feeds.
     gains : ndarray of complex, (Nfreqs, Ntimes, Nants)
     history : str
-    bad_antennas : collection of int
-        Numbers of antennas whose gains are flagged.
+    flags : ndarray of bool, same shape as ``gains``, optional
     """
     telescope, orientation = telescope_of(observation)
     feeds = feeds_of(observation.pols)
     if telescope.feed_array is None:
         telescope.set_feeds_from_x_orientation("east", feeds=list(feeds))
+<<<<<<< HEAD
         history += f" {UNKNOWN}"
+=======
+        history += "Where feeds point is not known; x is written as East.\n"
+>>>>>>> fix-user
     shape = (observation.Nants, observation.Nfreqs, observation.Ntimes, len(feeds))
-    values = np.broadcast_to(np.moveaxis(gains, 2, 0)[..., np.newaxis], shape).copy()
-    flags = np.zeros(shape, bool)
-    flags[np.isin(observation.antenna_numbers, list(bad_antennas))] = True
+    given = (gains, np.zeros(gains.shape, dtype=bool) if flags is None else flags)
+    values, flagged = (np.broadcast_to(np.moveaxis(one, 2, 0)[..., np.newaxis], shape).copy() for one in given)
     with quiet():
         cal = UVCal.new(
             cal_style="redundant",
@@ -63,10 +69,16 @@ def write_gains(
             freq_array=observation.freqs,
             channel_width=observation.channel_width,
             update_telescope_from_known=False,
+<<<<<<< HEAD
             data={"gain_array": values, "flag_array": flags, "quality_array": np.zeros(shape)},
             history=history,
             # Of the data that they divide.
             pol_convention=observation.convention,
+=======
+            data={"gain_array": values, "flag_array": flagged, "quality_array": np.zeros(shape)},
+            history="\n".join(map(in_ascii, history.split("\n"))),
+            pol_convention="sum",
+>>>>>>> fix-user
             gain_scale="Jy",
         )
         if _is_even(observation.times, EVEN_WITHIN_DAYS) and _is_even(observation.freqs, EVEN_WITHIN_HZ):

@@ -29,6 +29,8 @@ USED = ("mean", "covariance", "prior_mean", "model_mean", "effects_covariance", 
 TURNS = {pair[::way]: way * np.pi / 2 for pair in (("ee", "nn"), ("xx", "yy")) for way in (1, -1)}
 """By what the beam of one polarisation is turned to be that of another one, radians from East through North."""
 REMEDY = "make the result again with this version"
+SURVEYED = 0.1
+"""Metres by which positions of one antenna may differ at least: they are surveyed anew, and rounded by formats."""
 
 
 @dataclass(frozen=True)
@@ -149,6 +151,24 @@ class Inferred:
             error.locate(self.path or "result")
             raise
 
+    def moved_antennas(self, observation: Observation, tol: float) -> dict[int, float]:
+        """Return the antennas of an observation that stand elsewhere than those of their numbers here.
+
+        Returns
+        -------
+        dict
+            By their numbers how far, metres, where that is more than `SURVEYED` and than ``tol``; all may have moved
+            together. None of a result of a version that does not tell where they stood.
+        """
+        known = self.content.observed.get("antenna_numbers", np.zeros(0, dtype=int))
+        numbers, here, there = np.intersect1d(observation.antenna_numbers, known, return_indices=True)
+        if not len(numbers):
+            return {}
+        moved = observation.antpos[here] - self.content.observed["antenna_positions"][there]
+        away = np.linalg.norm(moved - np.median(moved, axis=0), axis=1)
+        elsewhere = away > max(tol, SURVEYED)
+        return dict(zip(numbers[elsewhere].tolist(), away[elsewhere].tolist(), strict=True))
+
     def channels_in(self, observation: Observation) -> IntArray:
         """Return the number of each of the data's channels among these, (Nfreqs,).
 
@@ -188,13 +208,33 @@ def read_inferred(folder: Path, field: str | None = None) -> Inferred:
     """
     check_ended(folder)
     check_of_one(folder, field)
-    path = folder / POSTERIOR
+    path, as_written = folder / POSTERIOR, _listed(folder, field)
+    content = read_posterior(path)
+    _check_unchanged(path, as_written)
+    return Inferred.of(content, path)
+
+
+def check_unchanged(folder: Path) -> None:
+    """Make sure that ``posterior.h5`` of a result folder, which has been read, is as it was written.
+
+    Raises
+    ------
+    InputError
+        If the folder is no result, or the file has changed since.
+    """
+    _check_unchanged(folder / POSTERIOR, _listed(folder))
+
+
+def _listed(folder: Path, field: str | None = None) -> str:
+    """Return the checksum that a result's manifest lists of ``posterior.h5``."""
     listed = read_manifest(folder)
-    remedy = "name a folder written by 'hydrabeam infer' or 'hydrabeam loop'"
     if listed is None or POSTERIOR not in listed:
         told = f"is no result: no {MANIFEST} lists {POSTERIOR} in it"
+        remedy = "name a folder written by 'hydrabeam infer' or 'hydrabeam loop'"
         raise InputError(told, file=folder, field=field, remedy=remedy)
-    content = read_posterior(path)
-    if checksum(path) != listed[POSTERIOR]:
+    return listed[POSTERIOR]
+
+
+def _check_unchanged(path: Path, as_written: str) -> None:
+    if checksum(path) != as_written:
         raise InputError(f"has changed since {MANIFEST} was written", file=path, remedy="make the result again")
-    return Inferred.of(content, path)

@@ -5,10 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-import numpy as np
-
 from hydrabeam_mpi.config.sample import NOISE
-from hydrabeam_mpi.data.partition import make_tiles
 from hydrabeam_mpi.fit.memory import fit_bytes, inference_bytes, joint_bytes, simulation_bytes
 from hydrabeam_mpi.fit.room import Room
 from hydrabeam_mpi.io.posterior_file import MAP_PIXELS
@@ -20,7 +17,7 @@ from hydrabeam_mpi.planning.measure import Bench
 from hydrabeam_mpi.planning.network import Network
 from hydrabeam_mpi.planning.outline import Outline
 from hydrabeam_mpi.planning.search import SearchBench
-from hydrabeam_mpi.planning.shares import Shares
+from hydrabeam_mpi.planning.shares import Shares, Simulated
 from hydrabeam_mpi.planning.told import Forecast
 from hydrabeam_mpi.result.output import least_result_bytes
 
@@ -69,7 +66,7 @@ class Model:
             self.base_bytes + steps.memory(command),
             steps.sent(command),
             steps.written(command),
-            shares.partition,
+            Simulated(self.bench.outline, ranks).partition if command == "simulate" else shares.partition,
             steps.round_s if is_loop else 0.0,
             further_bytes(self.candidates, shares.share) if is_loop else 0,
             steps.anew_s if is_loop else 0.0,
@@ -126,12 +123,9 @@ class Steps:
     def _simulate(self) -> float:
         if not self.simulates:
             return 0.0
-        outline, bench = self.outline, self.model.bench
-        costs = outline.relative_costs
-        n_times = min(self.ranks, len(costs))
-        parts = make_tiles(np.arange(len(costs)), costs, np.zeros(1, int), np.zeros(1, int), n_times)
-        cost, n_groups = bench.simulated, outline.problem.redundant.Ngroups + 1
-        seen = max(outline.times_of(part) for part in parts) * (cost.by_time + cost.by_group * n_groups)
+        outline, cost = self.outline, self.model.bench.simulated
+        n_groups = outline.problem.redundant.Ngroups + 1
+        seen = Simulated(outline, self.ranks).slowest * (cost.by_time + cost.by_group * n_groups)
         files = self.model.files
         fixed, each = files.write
         scene = outline.prepare_s - outline.fit_s + (outline.n_channels - 1) * outline.scene_s

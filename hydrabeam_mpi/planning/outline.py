@@ -20,7 +20,7 @@ from hydrabeam_mpi.setup.over_frequency import Coupling, couple
 from hydrabeam_mpi.setup.problem import Problem, prepare
 from hydrabeam_mpi.setup.selected import observe
 from hydrabeam_mpi.setup.skies import load_sky
-from hydrabeam_mpi.simulation.mock import mock_observation
+from hydrabeam_mpi.simulation.mock import check_effects, mock_observation
 
 Clock = Callable[[], float]
 """Tells the time in seconds."""
@@ -93,6 +93,7 @@ def outline(job: Job, given: Given, clock: Clock) -> Outline:
     """
     start = clock()
     if job.data.simulate is not None and not given.data:
+        check_effects(job)
         observation = mock_observation(job.data.simulate, job.data.pol)
     else:
         observation = observe(job, given.data or expand(job.data.files, "[data] files"))

@@ -29,7 +29,7 @@ class Partition:
     channels : int
         Of the group that has most.
     times, baseline_groups : int
-        Fitted ones of the slowest rank.
+        Of the slowest rank: those that it fits, or simulates.
     imbalance : float
         By how much the slowest rank of a group has more to do than the mean, as a fraction.
     """
@@ -40,6 +40,35 @@ class Partition:
     times: int
     baseline_groups: int
     imbalance: float
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """Who simulates which times, on a number of ranks: each all channels and groups."""
+
+    outline: Outline
+    ranks: int
+
+    @cached_property
+    def _loads(self) -> list[tuple[float, int]]:
+        """What the times of each rank cost, and how many they are."""
+        costs, alone = self.outline.relative_costs, np.zeros(1, dtype=int)
+        tiles = make_tiles(np.arange(len(costs)), costs, alone, alone, min(self.ranks, len(costs)))
+        return [(self.outline.times_of(tile), len(tile.times)) for tile in tiles]
+
+    @property
+    def slowest(self) -> float:
+        """What the times of the slowest rank cost; see `Outline.times_of`."""
+        return max(self._loads)[0]
+
+    @property
+    def partition(self) -> Partition:
+        """How the times are shared out."""
+        mean = sum(load for load, _ in self._loads) / len(self._loads)
+        slowest, n_times = max(self._loads)
+        n_groups = self.outline.problem.redundant.Ngroups
+        imbalance = slowest / mean - 1 if mean else 0.0
+        return Partition(1, self.ranks, self.outline.n_channels, n_times, n_groups, imbalance)
 
 
 class Shares:

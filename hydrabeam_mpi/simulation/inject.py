@@ -13,11 +13,13 @@ import numpy as np
 
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.config.effects import Injected
+from hydrabeam_mpi.config.text import toml_value
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.redundancy import RedundantGroups
 from hydrabeam_mpi.effects.interface.cross_polarised import CrossPolarised
 from hydrabeam_mpi.effects.interface.effect import Cause, Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.interface.reweighting import Reweighting
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.registry import REWEIGHTINGS, SEPARATE, make_cause, make_reweighting
 from hydrabeam_mpi.effects.shared.moved_antennas import with_moved_antennas
@@ -27,6 +29,9 @@ from hydrabeam_mpi.model.beam import Beam
 from hydrabeam_mpi.model.sky import Sky
 from hydrabeam_mpi.random import generator
 from hydrabeam_mpi.setup.skies import source_positions
+
+LONGEST = 80
+"""Characters of settings that a line has room for."""
 
 InjectedTruth = dict[str, Any]
 Visibilities = Mapping[str, ComplexArray]
@@ -69,6 +74,23 @@ class Injection:
         own = replace(observation, pols=(self.pol,))
         self.setup = ObservingSetup(own, redundant, sky, basis, tuple(prior_mean), observation.pols, times, positions)
         self.groups, self.member = np.unique(redundant.group, return_inverse=True)
+
+    def check(self) -> None:
+        """Make sure that there are such effects with such parameters.
+
+        Raises
+        ------
+        InputError
+            If not.
+        """
+        for number, entry in enumerate(self.entries):
+            with _told_of(number, entry):
+                if entry.kind in REWEIGHTINGS:
+                    change, x, rng = self._change(number, entry, 0)
+                    rows = self._scene(self.pol, 0, np.zeros((len(self.setup.times), len(self.member)), dtype=complex))
+                    change.inject(rows.vis, rows, x, rng)
+                else:
+                    self._draw(number, entry)
 
     def before_noise(self, crosses: Visibilities) -> tuple[dict[str, ComplexArray], list[InjectedTruth]]:
         """Return what is measured of visibilities by polarisation, each (Nfreqs, Ntimes, Nbls), and what was put in.
@@ -127,13 +149,8 @@ class Injection:
                     raise InputError(
                         f"'{self.pol}' has no noise here that could differ", remedy="simulate 'ee' or 'nn'"
                     )
-                change = make_reweighting(entry.kind, entry.settings)
                 for f in range(len(noisy[self.pol])):
-                    rng = generator(self.job.seed, "injected", number, f)
-                    if entry.parameters:
-                        x = _by_name(change.neutral(self.setup), entry)
-                    else:
-                        x = change.draw(self.setup, rng, entry.strength)
+                    change, x, rng = self._change(number, entry, f)
                     for pol, vis in noisy.items():
                         block = self._scene(pol, f, vis[f], 1 / variance[pol][f][:, np.newaxis])
                         own = rng if pol == self.pol else generator(self.job.seed, "injected", number, f, pol)
@@ -164,6 +181,18 @@ class Injection:
         """Turn groups' sense back into the baselines' own."""
         return np.where(self.setup.redundant.flipped, oriented.conj(), oriented)
 
+    def _change(
+        self, number: int, entry: Injected, channel: int
+    ) -> tuple[Reweighting, FloatArray, np.random.Generator]:
+        """Make a change of the weights, its parameters in a channel, (n_params,), and what more is drawn from."""
+        change, rng = (
+            make_reweighting(entry.kind, entry.settings),
+            generator(self.job.seed, "injected", number, channel),
+        )
+        if entry.parameters:
+            return change, _by_name(change.neutral(self.setup), entry), rng
+        return change, change.draw(self.setup, rng, entry.strength), rng
+
     def _draw(self, number: int, entry: Injected) -> tuple[Cause, FloatArray]:
         """Make an effect and its parameters, (Nfreqs, n_params)."""
         n_freqs = self.setup.observation.Nfreqs
@@ -175,7 +204,7 @@ class Injection:
             cause = cause.drawn(self.setup, generator(self.job.seed, "injected elements", number))
         if entry.parameters:
             nothing = dict.fromkeys(cause.parameters(self.setup).names, 0.0)
-            return cause, np.tile(_by_name(nothing, entry), (n_freqs, 1))
+            return cause, np.tile(_by_name(nothing, entry, cause.describe()), (n_freqs, 1))
         keys = [0] * n_freqs if cause.shared else list(range(n_freqs))
         draws = [
             cause.draw(self.setup, generator(self.job.seed, "injected", number, key), entry.strength) for key in keys
@@ -214,11 +243,22 @@ def _finite() -> Iterator[None]:
         raise InputError(message, remedy="lower its strength or parameters") from error
 
 
-def _by_name(nothing: dict[str, float], entry: Injected) -> FloatArray:
-    """Return the parameters that an entry gives by name, the others as in ``nothing``."""
+def _by_name(nothing: dict[str, float], entry: Injected, settings: Mapping[str, Any] | None = None) -> FloatArray:
+    """Return the parameters that an entry gives by name, the others as in ``nothing``.
+
+    ``settings`` are those by which there are these and no others.
+    """
     for name in entry.parameters:
         if name not in nothing:
             near = difflib.get_close_matches(name, nothing, n=3) or list(nothing)[:3]
             remedy = f"there are {', '.join(map(repr, near))} ..." if near else "give those that it has in 'settings'"
+            if near and settings:
+                remedy += f" by {_settings_text(settings)}; name others there"
             raise InputError(f"no '{name}'", field="parameters", remedy=remedy)
     return np.array(list({**nothing, **entry.parameters}.values()))
+
+
+def _settings_text(settings: Mapping[str, Any]) -> str:
+    """Write settings as a job has them, of long ones their keys alone."""
+    text = f"settings = {{ {', '.join(f'{key} = {toml_value(value)}' for key, value in settings.items())} }}"
+    return text if len(text) <= LONGEST else f"the settings {', '.join(settings)}"

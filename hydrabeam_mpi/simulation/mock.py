@@ -35,6 +35,7 @@ from hydrabeam_mpi.io.finite import SIMULATION, check_finite
 from hydrabeam_mpi.io.truth_file import Truth, write_truth
 from hydrabeam_mpi.io.uvdata import feeds_of
 from hydrabeam_mpi.io.uvwrite import write_uvh5
+from hydrabeam_mpi.memory import machine_bytes
 from hydrabeam_mpi.model.beam import Beam
 from hydrabeam_mpi.model.engines import make_engine
 from hydrabeam_mpi.model.engines.smearing import mean_steps, smearing_of
@@ -105,6 +106,24 @@ def simulate_to(world: Comm, job: Job, folder: Path) -> Scene:
             with writing(folder):
                 _write(folder, job, observation, redundant, sky, beams, unique)
     return scene
+
+
+def check_effects(job: Job) -> None:
+    """Make sure that the effects of a job can be put into its mock data, without simulating any. Serial.
+
+    Raises
+    ------
+    InputError
+        If one cannot be.
+    """
+    settings = job.data.simulate
+    if settings is not None and settings.effects:
+        scene = _set_scene(job, settings, machine_bytes())
+        observation, beams = scene.observation, scene.beams
+        redundant = find_redundant_groups(
+            observation.bl_vectors, job.data.redundancy_tol, either_sign=are_copolar(beams)
+        )
+        _injection(job, observation, redundant, scene.sky, beams).check()
 
 
 def _visibilities(

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import tomli_w
 from pyuvdata import UVData
 
 import hydrabeam_mpi as hb
 from hydrabeam_mpi.api.prediction import left_of_heldout
+from hydrabeam_mpi.cli import main
 from hydrabeam_mpi.loop.selection.heldout_numbers import IN_SUMMARY
 from tests.api.nights import Nights, predicted
 from tests.loop.test_loop_command import TWO, summary_of
@@ -76,13 +79,45 @@ def test_an_antenna_that_is_not_there_is_not_needed(nights: Nights) -> None:
     assert left["reason"] == "is of what these data do not have"
 
 
+@pytest.mark.parametrize("command", ["predict", "correct", "infer"])
+def test_antennas_elsewhere_are_others(
+    command: str, nights: Nights, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """What was found of antenna 2 says nothing of one that has its number, where the result is applied or the prior."""
+    uvd = UVData.from_file(str(nights.data("second")))
+    uvd.telescope.antenna_positions = 1.3 * uvd.telescope.antenna_positions
+    uvd.write_uvh5(str(tmp_path / "moved.uvh5"))
+    job = nights.job("second", "_moved", files=[str(tmp_path / "moved.uvh5")])
+    source = [str(nights.result)]
+    if command == "infer":
+        prior, source = {"prior": {"file": str(nights.result)}}, []
+        job.write_text(tomli_w.dumps(tomllib.loads(job.read_text()) | prior))
+    assert main([command, *source, str(job), "-o", str(tmp_path / "out")]) == 2
+    said = capfd.readouterr().err.splitlines()[-1]
+    assert "[data] files: antenna 2 stands up to 4.38 m elsewhere than in the result's own data" in said
+    assert "exclude_antennas = [2] in [data]" in said
+
+
+def test_far_more_than_expected_is_warned_of(nights: Nights, capfd: pytest.CaptureFixture[str]) -> None:
+    job = nights.job("second", "_faint", flux_scale=0.3)
+    capfd.readouterr()
+    told = predicted(nights.result, job, nights.folder / "faint")
+    assert told["rms"] > told["rms_zero"]
+    far, worse = told["warnings"]
+    assert far.startswith("Reduced chi^2 is up to ")
+    assert "under the posterior predictive (noise, beam and effects): these data are not as the result has it" in far
+    assert worse == "At 131, 139 MHz the prediction leaves more of the data than predicting zero does."
+    said = capfd.readouterr().err
+    assert all(f"warning: {line}" in said for line in told["warnings"])
+
+
 def test_two_ranks_and_python_say_the_same(
     nights: Nights, second: dict[str, Any], tmp_path: Path, mpiexec_python: Any
 ) -> None:
     job = nights.job("second")
     done = mpiexec_python(2, RUN, nights.result, job, tmp_path / "two")
     assert done.returncode == 0, done.stderr
-    own = hb.predict(hb.load(nights.result), hb.Setup.from_job(job))
+    own = hb.predict(str(nights.result), hb.Setup.from_job(job))
     own.write(tmp_path / "own")
     for folder in ("two", "own"):
         told = json.loads((tmp_path / folder / "prediction.json").read_text())

@@ -13,6 +13,7 @@ import pytest
 from mpi4py import MPI
 
 from hydrabeam_mpi.cli import main
+from hydrabeam_mpi.io.manifest import add_to_manifest
 from tests.cli.conftest import OnRoot, Workspace, refusal
 
 
@@ -80,6 +81,13 @@ def _looped(folder: Path) -> None:
     (folder / "loop.json").write_text("{}")
 
 
+def _damaged(damage: Callable[[Path], None], folder: Path) -> None:
+    """Damage a result in a way that its manifest does not tell."""
+    damage(folder)
+    if (folder / "posterior.h5").exists():
+        add_to_manifest(folder, ["posterior.h5"])
+
+
 @pytest.mark.parametrize(
     ("damage", "told"),
     [
@@ -104,13 +112,23 @@ def test_what_cannot_be_applied(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     job = on_root(lambda: workspace.job())
-    on_root(lambda: damage(copy))
+    on_root(lambda: _damaged(damage, copy))
     out = workspace.folder / "out"
     assert main(["predict", str(copy), str(job), "-o", str(out)]) == 2
     line = refusal(capfd, comm)
     for part in told:
         assert part in line
     assert on_root(lambda: [path.name for path in workspace.folder.glob(".*")] == [] and not out.exists())
+
+
+@pytest.mark.parametrize("command", ["predict", "correct"])
+def test_a_result_that_has_changed_since_it_was_written(
+    command: str, copy: Path, workspace: Workspace, on_root: OnRoot, comm: MPI.Comm, capfd: pytest.CaptureFixture[str]
+) -> None:
+    job = on_root(lambda: workspace.job())
+    on_root(lambda: _attribute("telescope_name", "another")(copy))
+    assert main([command, str(copy), str(job), "-o", str(workspace.folder / "out")]) == 2
+    assert f"{copy / 'posterior.h5'}: has changed since manifest.json was written" in refusal(capfd, comm)
 
 
 @pytest.mark.parametrize("command", ["predict", "correct"])

@@ -81,12 +81,19 @@ def test_what_multiplies_are_gains_of_antennas(kind: str) -> None:
     x = draw(effect, block.setup, case.strengths[0])
     gains = effect.gains(block.setup, block.channel, x)
     observation = block.setup.observation
-    changes = effect.law != "constant" or (effect.multiplies and effect.local == "times")
+    changes = effect.law != "constant" or (effect.multiplies and effect.local == "times") or kind == "saturation"
     at_times = (observation.Ntimes,) if changes else ()
     assert gains.shape == (*at_times, observation.Nants)
     product = np.broadcast_to(gains[..., block.ant1] * gains[..., block.ant2].conj(), block.shape)
     factor = effect.factor(block, x) if effect.has_gains else np.ones(block.shape)
     np.testing.assert_allclose(product, factor, rtol=1e-13)
+    seen = effect.gains_seen(block, x)
+    # Errors of single baselines are nobody's gains.
+    assert (seen is None) == (kind == "closure_errors")
+    if seen is not None:
+        assert seen.shape == (len(block.times), observation.Nants)
+        product = seen[:, block.ant1] * seen[:, block.ant2].conj()
+        np.testing.assert_allclose(product, effect.factor(block, x), rtol=1e-9)
 
 
 def test_noise_is_that_of_its_own_data() -> None:

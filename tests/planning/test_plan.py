@@ -73,6 +73,13 @@ def test_work_is_shared_out_as_in_the_run(made: hb.Plan) -> None:
         (2, 1, 2, 3),
         (3, 4, 1, 1),
     ]
+    # A simulation has all times, and shares out nothing else.
+    parts = [one.partition for one in made.forecasts if one.command == "simulate"]
+    assert [(one.groups, one.ranks_per_group, one.channels, one.times) for one in parts] == [
+        (1, 1, 3, 6),
+        (1, 2, 3, 3),
+        (1, 12, 3, 1),
+    ]
 
 
 def test_more_ranks_take_less_each(made: hb.Plan) -> None:

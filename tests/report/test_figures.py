@@ -81,7 +81,10 @@ def test_a_basis_without_m_keeps_its_order(bands_channel: Channel) -> None:
     plain = replace(bands_channel, basis={"kind": "zernike"})
     drawing = draw_correlation(plain, covariance)
     np.testing.assert_allclose(images(drawing)[0], covariance / np.outer(plain.arrays["std"], plain.arrays["std"]))
-    assert drawing.figure.axes[0].get_xlabel() == "mode number"
+    axes, n = drawing.figure.axes[0], len(covariance)
+    assert axes.get_xlabel() == "mode number"
+    # The first is number one, as in the figure of the coefficients.
+    assert axes.images[0].get_extent() == [0.5, n + 0.5, n + 0.5, 0.5]
 
 
 def test_a_large_matrix_is_reduced_to_its_strongest_entries() -> None:
@@ -104,6 +107,9 @@ def test_eigenbeams_have_both_parts_only_where_complex(paper_channel: Channel, b
         drawing = draw_eigenbeams(channel, channel.covariance())
         assert len(images(drawing)) == parts * len(channel.arrays["eigen_beams"])
         assert drawing is not None
+        drawing.figure.draw_without_rendering()
+        top = drawing.figure.bbox.y1
+        assert all(top - axes._left_title.get_window_extent().y1 > 2 for axes in drawing.figure.axes if axes.images)
         spectrum = np.asarray(drawing.figure.axes[-1].lines[0].get_ydata())
         np.testing.assert_allclose(spectrum, np.sqrt(np.linalg.eigvalsh(channel.covariance())), rtol=1e-4)
 

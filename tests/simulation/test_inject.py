@@ -212,6 +212,12 @@ DRAWN = [150.37974683544303, -21.97674418604651]  # degrees
             "(antenna_gains) parameters: no 'qwertz'; there are 'antenna 0 ln amplitude', 'antenna 0 phase', ",
         ),
         (
+            {"kind": "closure_errors", "parameters": {"baseline 3-4 phase": 1.0}},
+            FREQS,
+            "(closure_errors) parameters: no 'baseline 3-4 phase'; there are 'baseline 2-5 phase', "
+            "'baseline 2-5 ln amplitude' ... by settings = { baselines = [[2, 5]] }; name others there",
+        ),
+        (
             {"kind": "noise_level", "parameters": {"noise": 1.0}},
             FREQS,
             "(noise_level) parameters: no 'noise'; there are 'noise scale'",
@@ -267,9 +273,10 @@ def test_what_cannot_be_simulated(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     path = write_job(job_with({"kind": "timestamp"}, injected, freqs=freqs), tmp_path)
-    assert main(["simulate", str(path), "-o", str(tmp_path / "result")]) == 2
-    said = refusal(capfd, MPI.COMM_SELF)
-    assert said.startswith(f"hydrabeam: error: {path}: [[data.simulate.effects]] number 2 {expected}")
+    for more in ([], ["--dry-run"]):
+        assert main(["simulate", str(path), "-o", str(tmp_path / "result"), *more]) == 2
+        said = refusal(capfd, MPI.COMM_SELF)
+        assert said.startswith(f"hydrabeam: error: {path}: [[data.simulate.effects]] number 2 {expected}")
     assert not (tmp_path / "result").exists()
 
 

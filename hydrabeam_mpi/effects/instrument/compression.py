@@ -64,13 +64,23 @@ class Compression(Effect):
         """Return g_j g_k, (Ntimes, Nbls)."""
         return _gains(block, x)[1].prod(axis=2).astype(complex)
 
+    def gains_seen(self, block: RowBlock, x: FloatArray) -> ComplexArray:
+        """Return the gains of all antennas, one of those that are not in use, (Ntimes, Nants)."""
+        gains = np.ones((len(block.times), block.setup.observation.Nants), dtype=complex)
+        gains[:, block.setup.antennas_in_use] -= np.outer(_more(block), x[0] + x[1:])
+        return gains
+
 
 def _gains(block: RowBlock, x: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return P - P_0 in kJy, (Ntimes,), and the gains of each row's two antennas, (Ntimes, Nbls, 2)."""
+    more = _more(block)
+    return more, 1 - more[:, np.newaxis, np.newaxis] * (x[0] + x[1:])[row_antennas(block)]
+
+
+def _more(block: RowBlock) -> FloatArray:
+    """Return P - P_0 in kJy, (Ntimes,)."""
     power = beam_visibilities(block, np.zeros((1, 3)))[:, 0].real
-    more = (power - usual_powers(block.setup, block.channel).mean()) / KJY
-    kappa = x[0] + x[1:][row_antennas(block)]
-    return more, 1 - more[:, np.newaxis, np.newaxis] * kappa
+    return np.asarray((power - usual_powers(block.setup, block.channel).mean()) / KJY)
 
 
 def usual_powers(setup: ObservingSetup, channel: int) -> FloatArray:

@@ -27,7 +27,6 @@ class Saturation(Effect):
     kind = "saturation"
     title = "gains that saturate with the total power"
     multiplies = True
-    has_gains = False
 
     def not_applicable(self, setup: ObservingSetup) -> str | None:
         """Ask for equal feeds, and for as many times as there are polynomials."""
@@ -67,6 +66,13 @@ class Saturation(Effect):
     def factor(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return g_j g_k, (Ntimes, Nbls)."""
         return _gains(block, x)[1].prod(axis=2).astype(complex)
+
+    def gains(self, setup: ObservingSetup, channel: int, x: FloatArray) -> ComplexArray:
+        """Return the gains of all antennas, (Ntimes, Nants); one at times, and of antennas, that are not in use."""
+        gains = np.ones((setup.observation.Ntimes, setup.observation.Nants), dtype=complex)
+        losses = x.reshape(-1, ORDERS)
+        gains[np.ix_(setup.times, setup.antennas_in_use)] -= _curves(setup, channel) @ (losses[0] + losses[1:]).T
+        return gains
 
 
 def _gains(block: RowBlock, x: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -135,8 +135,7 @@ class Effect(InBeam, InOtherData, HasLimits, MayChange, Cause):
     multiplies: bool = False
     """Whether the effect multiplies (C) rather than adds (E)."""
     has_gains: bool = True
-    """Whether what it multiplies with are gains of antennas that files of gains can hold; they are part of what
-    data have besides otherwise."""
+    """Whether what it multiplies with are gains of antennas whatever the beam is, see `gains`."""
     sees_beam: bool = False
     """Whether what it multiplies with depends on the current beam, as what effects add may."""
     changes_sky: bool = False
@@ -230,6 +229,17 @@ class Effect(InBeam, InOtherData, HasLimits, MayChange, Cause):
         effects that add, and where there are none (`has_gains`).
         """
         return np.ones(setup.observation.Nants, dtype=complex)
+
+    def gains_seen(self, block: RowBlock, x: FloatArray) -> ComplexArray | None:
+        """Return the gains of the observation's antennas at a block's times, (Ntimes, Nants), with C = g_j g_k*.
+
+        Those that depend on the block's beam are among them. None where no gains of antennas stand for what it
+        multiplies with.
+        """
+        if not self.has_gains:
+            return None
+        gains = self.gains(block.setup, block.channel, x)
+        return gains[block.times] if gains.ndim > 1 else np.broadcast_to(gains, (len(block.times), len(gains)))
 
     def refined(self, x: FloatArray, used: IntArray) -> tuple[Effect, FloatArray, IntArray]:
         """Return the effect as described by what has been fitted, such as sources where they are and no others.

@@ -33,14 +33,15 @@ def draw_correlation(channel: Channel, covariance: Array) -> Drawing:
     figure = new_figure(6.7)
     axes = figure.subplots()
     norm = _colour_steps(correlation)
-    end = block * (-(-n // block)) - 0.5
+    end = block * (-(-n // block)) + 0.5
     image = axes.imshow(strongest(correlation, block), cmap=colour_map("RdBu_r"), norm=norm,
-                        extent=(-0.5, end, end, -0.5), interpolation="nearest")  # fmt: skip
+                        extent=(0.5, end, end, 0.5), interpolation="nearest")  # fmt: skip
     bar = figure.colorbar(image, ax=axes, shrink=0.85, aspect=32, pad=0.02, extendfrac=0.03)
     bar.set_label(f"correlation of coefficients{', real part' if channel.is_complex else ''}")
     ticks = np.arange(-10, 11) / 10
     bar.set_ticks(ticks[np.abs(ticks) <= norm.vmax].tolist())
-    axes.set(xlim=(-0.5, n - 0.5), ylim=(n - 0.5, -0.5), xlabel="mode number", ylabel="mode number")
+    # Modes are numbered from one, as in the figure of the coefficients.
+    axes.set(xlim=(0.5, n + 0.5), ylim=(n + 0.5, 0.5), xlabel="mode number", ylabel="mode number")
     axes.spines[["top", "right"]].set_visible(True)
     if m is not None:
         _mark_blocks(axes, m[order])
@@ -82,9 +83,9 @@ def strongest(matrix: Array, block: int) -> Array:
 def _mark_blocks(axes: Axes, m: Array) -> None:
     """Draw lines where m changes, and label the blocks between which there is room."""
     values, starts, counts = np.unique(m, return_index=True, return_counts=True)
-    axes.hlines(starts[1:] - 0.5, -0.5, len(m) - 0.5, color="0.3", linewidth=0.25)
-    axes.vlines(starts[1:] - 0.5, -0.5, len(m) - 0.5, color="0.3", linewidth=0.25)
-    centres = starts + (counts - 1) / 2
+    axes.hlines(starts[1:] + 0.5, 0.5, len(m) + 0.5, color="0.3", linewidth=0.25)
+    axes.vlines(starts[1:] + 0.5, 0.5, len(m) + 0.5, color="0.3", linewidth=0.25)
+    centres = starts + (counts + 1) / 2
     labelled: list[int] = []
     for i in range(len(values)):
         if not labelled or centres[i] - centres[labelled[-1]] >= 0.026 * len(m):

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.colors import Normalize
 from matplotlib.figure import SubFigure
 from matplotlib.image import AxesImage
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from scipy.linalg import eigvalsh
 
 from hydrabeam_mpi.data.observation import Array
@@ -22,8 +23,8 @@ def draw_eigenbeams(channel: Channel, covariance: Array) -> Drawing | None:
     if "eigen_beams" not in channel.arrays:
         return None
     parts = 2 if channel.is_complex else 1
-    figure = new_figure(1.8 * parts + 2.2)
-    halves: Any = figure.subfigures(2, 1, height_ratios=[1.8 * parts, 2.0])
+    figure = new_figure(1.8 * parts + 2.3)
+    halves: Any = figure.subfigures(2, 1, height_ratios=[1.8 * parts + 0.1, 2.0])
     maps, spectrum = halves
     _draw_beams(maps, channel, parts)
     variances = eigvalsh(covariance, check_finite=False)
@@ -57,6 +58,9 @@ def _draw_beams(figure: SubFigure, channel: Channel, parts: int) -> None:
         grid[0, number].set_title(rf"$\sigma_{{{number + 1}}} = {mantissa}\times10^{{{int(exponent)}}}$", fontsize=9)
     for axes, label in zip(grid[:, 0], ("real part", "imaginary part"), strict=False):
         axes.set_ylabel(label if parts == 2 else "")
+    engine = figure.figure.get_layout_engine()
+    if isinstance(engine, ConstrainedLayoutEngine):
+        engine.set(h_pad=0.1)  # else titles touch the edge
     if image is not None:
         add_colorbar(figure, grid, image, "eigenbeam, scaled", "both")
 

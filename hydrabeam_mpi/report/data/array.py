@@ -17,6 +17,7 @@ from hydrabeam_mpi.report.page.style import REFERENCE, Drawing, colour_map, new_
 from hydrabeam_mpi.report.page.words import megahertz
 
 FEW = 40  # antennas whose numbers have room
+BELOW = 0.15  # of the height of a panel, which they take below the last antenna
 
 
 def draw_array(result: Result, channel: Channel) -> Drawing | None:
@@ -27,18 +28,22 @@ def draw_array(result: Result, channel: Channel) -> Drawing | None:
     by_chi2, gains = _by_antenna(result, channel), _gains(result, channel)
     n_panels = 1 + (by_chi2 is not None) + (gains is not None)
     figure = new_figure(2.9 if n_panels == 3 else 3.6)
-    panels = iter(figure.subplots(1, n_panels, squeeze=False)[0])
+    # Bars have a row of their own, so that all panels stand side by side.
+    panels, bars = figure.subplots(2, n_panels, squeeze=False, height_ratios=(1, 0.05))
+    places = iter(zip(panels, bars, strict=True))
     text = []
     if by_chi2 is not None:
         low, high = float(np.nanmin(by_chi2, initial=1.0)), float(np.nanmax(by_chi2, initial=2.0))
-        _draw_antennas(figure, next(panels), told, by_chi2, "reduced χ², held out", LogNorm(low, high), "viridis")
+        _draw_antennas(figure, *next(places), told, by_chi2, "reduced χ², held out", LogNorm(low, high), "viridis")
         text.append("the reduced χ² of their held-out baselines, after the inference, over the noise (noise alone: 1)")
     if gains is not None:
         spread = max(float(np.nanmax(np.abs(gains))), 0.1)
         norm = Normalize(-spread, spread)
-        _draw_antennas(figure, next(panels), told, gains, "gain amplitude − 1 (%)", norm, "PuOr")
+        _draw_antennas(figure, *next(places), told, gains, "gain amplitude − 1 (%)", norm, "PuOr")
         text.append("the amplitude of their gains, given times found")
-    _draw_coverage(next(panels), told, channel.freq)
+    coverage, no_bar = next(places)
+    no_bar.set_axis_off()
+    _draw_coverage(coverage, told, channel.freq)
     antennas = f"Antennas, coloured by {'; and by '.join(text)}. " if text else ""
     return Drawing(
         "array",
@@ -79,13 +84,14 @@ def _gains(result: Result, channel: Channel) -> FloatArray | None:
 def _draw_antennas(
     figure: Figure,
     axes: Axes,
+    below: Axes,
     told: dict[str, Any],
     values: FloatArray,
     label: str,
     norm: Normalize,
     cmap: str,
 ) -> None:
-    """Draw the antennas where they stand, (Nants,) values as colours."""
+    """Draw the antennas where they stand, (Nants,) values as colours, with the bar of these in the axes below."""
     east, north, _ = told["antenna_positions"].T
     n = len(east)
     size = float(np.clip(4000 / n, 4, 120))
@@ -106,13 +112,16 @@ def _draw_antennas(
             axes.annotate(
                 str(number), (x, y), (0, -0.5 * size**0.5 - 7), textcoords="offset points", ha="center", fontsize=6
             )
-    bar = figure.colorbar(image, ax=axes, orientation="horizontal", shrink=0.9, pad=0.02, label=label, aspect=24)
+    bar = figure.colorbar(image, cax=below, orientation="horizontal", label=label)
     if isinstance(norm, LogNorm):
         ticks = ticks_between(float(norm.vmin or 1), float(norm.vmax or 2))[:: 2 if (norm.vmax or 2) > 1e3 else 1]
         bar.set_ticks(ticks, labels=[tick_label(tick) for tick in ticks])
         bar.ax.minorticks_off()
     axes.set(xlabel="East (m)", ylabel="North (m)", aspect="equal")
     axes.margins(0.12)
+    if n <= FEW:  # the numbers stand below the antennas
+        low, high = axes.get_ylim()
+        axes.set_ylim(low - BELOW * (high - low), high)
 
 
 def _draw_coverage(axes: Axes, told: dict[str, Any], freq: float) -> None:
@@ -123,4 +132,6 @@ def _draw_coverage(axes: Axes, told: dict[str, Any], freq: float) -> None:
     for u, v in (uv.T, -uv.T):
         axes.scatter(u, v, s=sizes, color=REFERENCE, alpha=0.75, linewidths=0)
     axes.set(xlabel="u (wavelengths)", ylabel="v (wavelengths)", aspect="equal", title="")
+    # As high as the panels of the antennas.
+    axes.margins(0.12, 0.12 + 0.6 * BELOW * (len(told["antenna_numbers"]) <= FEW))
     axes.grid()

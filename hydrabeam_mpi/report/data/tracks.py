@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 
 from hydrabeam_mpi.report.page.key_numbers import format_value
@@ -26,6 +27,7 @@ def draw_tracks(result: Result, channel: Channel) -> Drawing | None:
     norm = LogNorm(floor, max(float(beam.max()), 10 * floor))
     image = draw_disc(axes, square, "magma", norm)
     add_colorbar(figure, axes, image, "power beam")
+    named: list[tuple[str, tuple[float, float]]] = []
     for place, (flux, za, az) in enumerate(zip(told["track_flux"], told["track_za"], told["track_az"], strict=True)):
         radius = np.where(za <= np.pi / 2, np.sqrt(np.clip(1 - np.cos(za), 0, 1)), np.nan)
         east, north = radius * np.cos(az), radius * np.sin(az)
@@ -34,14 +36,31 @@ def draw_tracks(result: Result, channel: Channel) -> Drawing | None:
         last = np.flatnonzero(np.isfinite(radius))[-1]
         axes.plot(east[last], north[last], "o", color="#56b4e9", mec="white", markersize=5)
         if place < NAMED:
-            looks = {"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 1}
-            at, text = (east[last], north[last]), f"{format_value(float(flux))} Jy"
-            axes.annotate(text, at, (6, 12 * place), textcoords="offset points", fontsize=7.5, bbox=looks)
+            named.append((f"{format_value(float(flux))} Jy", (east[last], north[last])))
+    _name(axes, named)
     return Drawing(
         "tracks",
         "The brightest sources",
         f"Paths of the {len(told['track_flux'])} sources that are the brightest through the beam at any time, over the "
-        f"inferred beam; dots where they are last, with the flux densities of the first {NAMED}. {VIEW}",
+        f"inferred beam; dots where they are last, with lines to the flux densities of the first {NAMED}. {VIEW}",
         "Map of the beam with lines along which sources move.",
         figure,
     )
+
+
+def _name(axes: Axes, named: list[tuple[str, tuple[float, float]]]) -> None:
+    """Write texts beside the disc, with lines to what they are of: upon the beam they would hide it."""
+    for side in (-1, 1):
+        here = sorted((one for one in named if (one[1][0] > 0) == (side > 0)), key=lambda one: one[1][1])
+        for number, (text, at) in enumerate(here):
+            height = at[1] + 0.12 * (number - (len(here) - 1) / 2)
+            axes.annotate(
+                text,
+                at,
+                (1.25 * side, height),
+                fontsize=7.5,
+                va="center",
+                ha="left" if side > 0 else "right",
+                arrowprops={"arrowstyle": "-", "color": "0.6", "linewidth": 0.7},
+                annotation_clip=False,
+            )

@@ -12,6 +12,7 @@ from hydrabeam_mpi.report.page.scales import tick_label, ticks_between
 from hydrabeam_mpi.report.page.style import INFERRED, MODEL, REFERENCE, Drawing, colour_map, new_figure
 from hydrabeam_mpi.report.page.words import megahertz
 
+MOST_ROWS = 10  # sidereal times beside a waterfall, evenly spread
 COLOURS = {BEFORE: MODEL, AFTER: INFERRED}
 
 
@@ -112,5 +113,5 @@ def _label(axes: Axes, sample: Sample, order: Array) -> None:
     columns = np.unique(np.linspace(0, n_bls - 1, 6).astype(int))
     lengths = np.linalg.norm(sample.vectors, axis=1)
     axes.set_xticks(columns, [f"{length:.0f}" for length in lengths[columns]])
-    rows = np.unique(np.linspace(0, n_times - 1, 7).astype(int))
+    rows = np.arange(0, n_times, -(-n_times // MOST_ROWS))
     axes.set_yticks(rows, [f"{hours % 24:.1f}" for hours in sample.hours[order][rows]])

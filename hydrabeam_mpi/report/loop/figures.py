@@ -5,12 +5,22 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import NullFormatter
 
-from hydrabeam_mpi.report.loop.record import Entry, candidate_name, entries, number, runner_up, title_of, written
+from hydrabeam_mpi.report.loop.record import (
+    Entry,
+    candidate_name,
+    candidate_title,
+    entries,
+    number,
+    runner_up,
+    title_of,
+    written,
+)
 from hydrabeam_mpi.report.page.scales import scale_values, tick_label
 from hydrabeam_mpi.report.page.style import INFERRED, MODEL, REFERENCE, Drawing, new_figure
 
@@ -34,6 +44,9 @@ def draw_ranking(loop: Entry) -> Drawing | None:
     best: dict[str, float] = {}
     for _, _, scores in panels[::-1]:  # the first round decides the order
         best |= scores
+    weighed = (one for _, entry, _ in panels for one in (entry, *entries(entry, "ranking")))
+    weighed_last = entries(loop, "last_ranking")
+    titles = {candidate_name(one): candidate_title(one) for one in (*weighed, *weighed_last)}
     names = sorted(best, key=lambda name: best[name], reverse=True)[:SHOWN]
     added = [candidate_name(entry) for _, entry, _ in panels]
     names += [name for name in added if name in best and name not in names]
@@ -46,9 +59,10 @@ def draw_ranking(loop: Entry) -> Drawing | None:
         _draw_round(axes, names, *panel)
     _scale(grid[0, 0], min(drawn), max(drawn), columns)
     grid[0, 0].set(ylim=(len(names) - 0.4, -0.6), yticks=range(len(names)))
-    grid[0, 0].set_yticklabels(names)
+    grid[0, 0].set_yticklabels([titles[name] for name in names])
     for index, axes in enumerate(grid.ravel()):
         axes.spines["left"].set_visible(False)
+        axes.tick_params(axis="y", labelsize=7)
         axes.tick_params(labelbottom=index + columns >= len(panels), left=False)
         axes.set_visible(index < len(panels))
         if index + columns >= len(panels):
@@ -58,7 +72,7 @@ def draw_ranking(loop: Entry) -> Drawing | None:
         "How well each effect explains what is left",
         "Natural logarithm of the Bayes factor of every effect against the model of that round, after the beam has had "
         "its say, on a scale that is linear below 10. The effect that was added is orange, the runner-up dark; what is "
-        "not above zero explains nothing.",
+        "not above zero explains nothing. A dash stands for what was not weighed in that round.",
         f"{len(panels)} panels of horizontal bars, one bar for each of {len(names)} effects.",
         figure,
     )
@@ -98,7 +112,7 @@ def _scale(axes: Axes, lowest: float, highest: float, columns: int) -> None:
     room = 1 + 0.35 * columns * max(top, 2) / 4
     bottom = min(1.3 * lowest, -1.0)
     axes.set_xlim(bottom, 10 ** (math.log10(max(highest, LINEAR)) + room))
-    step = max(1, top // 3)
+    step = max(1, top // 3) if columns < ABREAST else max(1 + (top > 2), -(-top // 3))
     ticks = [0.0] + [10.0**power for power in range(step, top + 1, step)]
     if bottom < -LINEAR:
         ticks = [-(10.0 ** math.floor(math.log10(-bottom))), *ticks]
@@ -121,13 +135,15 @@ def draw_fall(loop: Entry) -> Drawing | None:
     axes.text(-0.45, 1, "noise alone", va="bottom", ha="left", fontsize=8, color=REFERENCE)
     axes.plot(places, values, "o-", color=INFERRED, markersize=5)
     for place, value in zip(places, values, strict=True):
+        # Below the line that stands for the noise where the point is.
+        side: dict[str, Any] = {"xytext": (0, 7)} if value >= 1 else {"xytext": (0, -7), "va": "top"}
         axes.annotate(
-            written(value), (place, value), (0, 7), textcoords="offset points", ha="center", fontsize=8, zorder=5
+            written(value), (place, value), textcoords="offset points", ha="center", fontsize=8, zorder=5, **side
         )
     slanted = len(values) > 5
     axes.set_xticks(places, names, rotation=25 if slanted else 0, ha="right" if slanted else "center")
     axes.set(xlim=(-0.5, len(values) - 0.5), ylabel="held-out reduced χ²")
-    scale_values(axes, [1.0, *values.tolist()])
+    scale_values(axes, [1.0, *values.tolist()], 0.12 if np.all(values >= 1) else 0.2)
     axes.grid(axis="y")
     return Drawing(
         "loop_heldout",

@@ -15,8 +15,15 @@ from matplotlib.ticker import MaxNLocator
 from hydrabeam_mpi.data.observation import Array
 from hydrabeam_mpi.report.loop.record import Entry, entries, number, title_of
 from hydrabeam_mpi.report.page.style import AZ_0, AZ_90, INFERRED, MODEL, REFERENCE, UNCERTAINTY, Drawing, new_figure
+from hydrabeam_mpi.report.page.ticks import PlainNumbers
 
 NUMBER = re.compile(r"(?<![\w.])[-−+]?\d+(?:\.\d+)?")
+AT = " at JD "
+"""Between what a parameter is and the time to which it belongs."""
+PLACES = ": azimuth"
+"""How names of parameters end that are places, of which zero is none in particular."""
+MOST_DECIMALS = 7
+"""Of a number beside its bar; smaller ones are written with a power of ten."""
 LISTED, NUMBERED, LINES, PANELS = 20, 400, 6, 8
 TITLE = 40  # characters that a panel is wide
 BESIDE = 18  # characters of a name for which there is room beside each of two panels
@@ -95,7 +102,7 @@ def _families(parameters: list[Entry]) -> list[_Family]:
     by_name: dict[tuple[str, str], dict[str, dict[float, tuple[float, float]]]] = {}
     for parameter in parameters:
         name, unit = str(parameter.get("name", "")), str(parameter.get("unit") or "")
-        cells = by_name.setdefault((_without_numbers(name), unit), {}).setdefault(name, {})
+        cells = by_name.setdefault((_family_of(name), unit), {}).setdefault(name, {})
         cells[number(parameter, "freq_hz")] = (number(parameter, "value"), number(parameter, "std"))
     families: dict[tuple[str, str], dict[str, dict[float, tuple[float, float]]]] = {}
     for (title, unit), members in by_name.items():
@@ -108,7 +115,7 @@ def _family(title: str, unit: str, members: dict[str, dict[float, tuple[float, f
     keyed = [{-1.0 if math.isnan(freq) else freq: cell for freq, cell in cells.items()} for cells in members.values()]
     freqs = sorted({freq for cells in keyed for freq in cells})
     table = np.array([[cells.get(freq, (math.nan, math.nan)) for freq in freqs] for cells in keyed])
-    labels = [_numbers_of(name) if title else name for name in members]
+    labels = [name.partition(AT)[2] or _numbers_of(name) if title else name for name in members]
     return _Family(title, unit, labels, np.array(freqs), table[..., 0], table[..., 1])
 
 
@@ -117,6 +124,12 @@ def _numbers_of(name: str) -> str:
     first, *others = NUMBER.finditer(name)
     last = others[-1] if others else first
     return re.sub(r"(?<=\d)-(?=\d)", "–", name[first.start() : last.end()])
+
+
+def _family_of(name: str) -> str:
+    """Return what parameters of a family have in common: all but the time, or all but the numbers."""
+    what, at, _ = name.partition(AT)
+    return f"{what}{AT}".rstrip() if at else _without_numbers(name)
 
 
 def _without_numbers(name: str) -> str:
@@ -152,11 +165,15 @@ def _draw_numbered(axes: Axes, family: _Family) -> None:
     """Draw values over the numbers of antennas or the like."""
     chosen = family.most_significant(NUMBERED)
     places = np.array([float(family.labels[place].replace("−", "-")) for place in chosen])
+    xlabel = family.title.split(" ")[0]
+    if family.title.endswith(AT.rstrip()):
+        day = math.floor(places.min())
+        places, xlabel = places - day, f"JD − {day}"
     axes.axhline(0, color="0.4", linewidth=0.7)
     size = 3.5 if len(chosen) <= 100 else 2
     values, errors = family.values[chosen, 0], np.nan_to_num(family.errors[chosen, 0])
     axes.errorbar(places, values, errors, fmt="o", markersize=size, color=INFERRED, elinewidth=0.8)
-    axes.set(xlabel=family.title.split(" ")[0], ylabel=_label(family))
+    axes.set(xlabel=xlabel, ylabel=_label(family))
     if all(place.is_integer() for place in places):
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     _heading(axes, family, len(chosen))
@@ -167,12 +184,17 @@ def _draw_list(axes: Axes, family: _Family) -> None:
     chosen = family.most_significant(LISTED)
     values, errors = family.values[chosen, 0], np.nan_to_num(family.errors[chosen, 0])
     places = np.arange(len(chosen))
-    axes.axvline(0, color="0.4", linewidth=0.7)
+    if all(label.endswith(PLACES) for label in family.labels):
+        whole = PlainNumbers()
+        whole.set_useOffset(False)
+        axes.xaxis.set_major_formatter(whole)
+    else:
+        axes.axvline(0, color="0.4", linewidth=0.7)
     axes.errorbar(values, places, xerr=errors, fmt="o", markersize=3.5, color=INFERRED, elinewidth=0.8)
     axes.set_yticks(places, [family.labels[place] for place in chosen])
     axes.set(ylim=(len(chosen) - 0.4, -0.6), xlabel=_label(family))
     written = axes.secondary_yaxis("right")
-    texts = [f"{_short(value)} ± {_short(error, 2)}" for value, error in zip(values, errors, strict=True)]
+    texts = list(map(_with_error, values.tolist(), errors.tolist()))
     written.set_yticks(places, texts, fontsize=7)
     written.tick_params(length=0)
     written.spines["right"].set_visible(False)
@@ -180,8 +202,17 @@ def _draw_list(axes: Axes, family: _Family) -> None:
     _heading(axes, family, len(chosen))
 
 
-def _short(value: float, digits: int = 4) -> str:
-    return f"{value:.{digits}g}".replace("-", "−")
+def _with_error(value: float, error: float) -> str:
+    """Write a value to the second digit of its error; one of four digits where it has none."""
+    if not error > 0:
+        return f"{value:.4g}".replace("-", "−")
+    decimals = 1 - math.floor(math.log10(error))
+    if -3 < decimals <= MOST_DECIMALS:
+        text = f"{value:.{max(decimals, 0)}f} ± {error:.{max(decimals, 0)}f}"
+    else:
+        digits = max(math.floor(math.log10(abs(value) or error)) + decimals, 1)
+        text = f"{value:.{digits}e} ± {error:.1e}"
+    return text.replace("-", "−")
 
 
 def _draw_lines(axes: Axes, family: _Family) -> None:
@@ -199,7 +230,8 @@ def _draw_lines(axes: Axes, family: _Family) -> None:
             color=colour, label=label,
         )  # fmt: skip
     if len(family.labels) > 1:
-        above: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0, 0.98), "borderpad": 0, "borderaxespad": 0}
+        # At the right: a power of ten that all values have in common stands at the left.
+        above: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1, 0.98), "borderpad": 0, "borderaxespad": 0}
         axes.legend(fontsize=7, ncols=LINES, handlelength=1, columnspacing=0.8, handletextpad=0.3, **above)
     axes.set(xlabel="frequency (MHz)", ylabel=_label(family))
     # A single line has no legend to name it.

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from hydrabeam_mpi.effects.registry import EFFECTS, REWEIGHTINGS, SEPARATE
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.formats import read_loop
 from hydrabeam_mpi.report.page.key_numbers import Kind, format_value
@@ -80,6 +81,16 @@ def candidate_name(entry: Entry) -> str:
     """Name what was weighed or tried: the words of its kind, with the law by which it changes in time."""
     law = entry.get("law")
     return effect_words(str(entry.get("effect") or "an effect without a name"), None if law is None else str(law))
+
+
+def candidate_title(entry: Entry) -> str:
+    """Name what was weighed as sentences do: "gains that follow the sky's total power"."""
+    kind, law = str(entry.get("effect")), entry.get("law")
+    for kinds in (EFFECTS, SEPARATE, REWEIGHTINGS):
+        if kind in kinds:
+            cause = kinds[kind]
+            return str(getattr(cause, "laws", {}).get(law, cause.title))
+    return candidate_name(entry)
 
 
 def runner_up(entry: Entry) -> str | None:

@@ -4,20 +4,27 @@ from __future__ import annotations
 
 import fnmatch
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 from hydrabeam_mpi.inference.predictive_checks import LARGEST_PREDICTIVE
-from hydrabeam_mpi.model.bases import BASES
+from hydrabeam_mpi.model.bases import BASES, MADE_OF_OTHERS
 from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.sky import REFERENCE_FREQ
 from hydrabeam_mpi.report.page.key_numbers import format_value
 from hydrabeam_mpi.report.page.result import Channel, Result
+from hydrabeam_mpi.words import joined
 
 NEARLY_ONE = 1.1
 """Reduced chi^2 up to which residuals are as large as expected, for words."""
+<<<<<<< HEAD
 OFTEN = {2: "every second time", 3: "every third time"}
+=======
+WITH_REST = "with_rest"
+"""The kind of a basis that has what a model beam is beyond its modes as a function of its own."""
+ORDINALS = {2: "second", 3: "third"}
+>>>>>>> fix-user
 
 
 def megahertz(freq: float) -> str:
@@ -39,7 +46,7 @@ def introduction(result: Result) -> str:
         unique = first.numbers.get("n_unique_baselines")
         text += f" on {unique:,} different baseline vectors" if unique else ""
     origin = _origin(job.get("data", {}), result.provenance.get("sha256", {}))
-    text += f", which {origin}. {_basis(first)}{_prior(job)}{_sky(job)}{_holdout(job)}"
+    text += f", which {origin}. {_basis(first)}{_prior(job, numbers)}{_sky(job)}{_holdout(job)}"
     text += over_frequency_words(numbers)
     if "ranks" in numbers and "wall_s" in numbers:
         ranks = numbers["ranks"]
@@ -74,21 +81,48 @@ def _origin(data: dict[str, Any], read: Iterable[str]) -> str:
 
 
 def _basis(channel: Channel) -> str:
-    title = BASES.get(channel.basis.get("kind", ""), LinearBasis).title
-    form = "complex" if channel.is_complex else "real"
-    return f"The beam is a sum of {len(channel.arrays['mean']):,} {title} modes with {form} coefficients"
+    form, n = "complex" if channel.is_complex else "real", len(channel.arrays["mean"])
+    kinds = list(dict.fromkeys(_kinds(channel.basis)))
+    beyond = WITH_REST in kinds
+    titles = [BASES.get(kind, LinearBasis).title for kind in kinds if kind not in MADE_OF_OTHERS]
+    rest = " and what the model beam has beyond them," if beyond else ""
+    return f"The beam is a sum of {n - beyond:,} {joined(titles)} modes{rest} with {form} coefficients"
 
 
-def _prior(job: dict[str, Any]) -> str:
+def _kinds(basis: dict[str, Any]) -> Iterator[str]:
+    """Yield the kind of a basis and of all that it is made of."""
+    yield str(basis.get("kind", ""))
+    for part in basis.get("parts", ()):
+        yield from _kinds(part)
+
+
+def _prior(job: dict[str, Any], numbers: dict[str, Any]) -> str:
+    """Tell of the prior that the result has, the widths of which the data may have chosen."""
     prior, source = job.get("prior", {}), job.get("beam", {}).get("source")
     centre = f" is centred on the fit of the model beam ({Path(source).name})" if source else ""
+    adapted, file = numbers.get("prior_adapted"), Path(str(prior.get("file")))
+    std = "standard deviations that these data chose:" if adapted else "a standard deviation of"
     texts = {
-        "fraction": f"; its prior{centre or ' is Gaussian'}, with a standard deviation of "
-        f"{100 * prior.get('fraction', 1):.3g}% of each coefficient.",
+        "fraction": f"; its prior{centre or ' is Gaussian'}, with {std} {_widths(prior | (adapted or {}))}.",
         "flat": "; its prior is flat.",
-        "file": f"; its prior{centre or ' is Gaussian'}, with the covariance of {Path(str(prior.get('file'))).name}.",
+        "file": f"; its prior{centre or ' is Gaussian'}, with the covariance of {file.name}."
+        if file.suffix
+        else f"; its prior is the result {file.name} of other data.",
     }
     return texts.get(prior.get("kind", ""), ".")
+
+
+def _widths(prior: dict[str, Any]) -> str:
+    """Say how wide a prior is whose widths are parts of the model's coefficients."""
+    of = "the largest of each coefficient and of those next to it in radial order" if prior.get("neighbours") else ""
+    text = f"{100 * prior.get('fraction', 1):.3g}% of {of or 'each coefficient'}"
+    if amplitude := prior.get("smooth", {}).get("amplitude"):
+        text += f", and beside that {100 * amplitude:.3g}% of the largest of all at the lowest orders, less at others"
+    if factors := prior.get("azimuthal"):
+        text += f", times {joined([f'{one:.3g}' for one in factors])} at azimuthal orders from 0 on"
+    if prior.get("shape"):
+        text += "; the beam may also differ from its model as a whole, in amplitude, size, pointing and sidelobes"
+    return text
 
 
 def _sky(job: dict[str, Any]) -> str:

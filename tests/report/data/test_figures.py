@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Iterator
 from dataclasses import replace
@@ -10,6 +11,8 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib.text import Text
+from matplotlib.transforms import Bbox
 
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.report.data.array import draw_array
@@ -87,6 +90,14 @@ def test_the_waterfall_has_flagged_samples_grey(sample: Sample) -> None:
     assert np.argwhere(np.ma.getmaskarray(shown)).tolist() == [[1, 3]]
 
 
+def test_times_beside_the_waterfall_are_evenly_spread(sample: Sample) -> None:
+    parts = {name: np.repeat(getattr(sample, name), 5, axis=0) for name in ("data", "before", "after", "weights")}
+    longer = replace(sample, **parts, jd=np.arange(20.0), hours=np.arange(20.0))
+    drawing = draw_waterfall(longer)
+    assert drawing is not None
+    np.testing.assert_array_equal(drawing.figure.axes[0].get_yticks(), np.arange(0, 20, 2))
+
+
 def made(n_times: int, freqs: FloatArray, rate: float, delay: float) -> list[Sample]:
     """A tone of 10 Jy in noise of 2 Jy that the model beam does not predict, and what was inferred does."""
     rng = np.random.default_rng(1)
@@ -149,6 +160,14 @@ def test_gains_colour_the_array_where_there_are_any(result: Result) -> None:
     assert drawing is not None
     values = np.asarray(drawing.figure.axes[1].collections[1].get_array())
     assert values[numbers.index(2)] == pytest.approx(100 * np.expm1(0.1))
+    # All three stand side by side, and numbers below the antennas do not touch the axis.
+    drawing.figure.draw_without_rendering()
+    panels = drawing.figure.axes[:3]
+    np.testing.assert_allclose(
+        np.ptp([(one.get_position().y0, one.get_position().y1) for one in panels], axis=0), 0, atol=0.01
+    )
+    for axes in panels[:2]:
+        assert min(text.get_window_extent().y0 for text in axes.texts) > axes.bbox.y0
 
 
 def test_all_pairs_are_in_the_map_of_baselines(result: Result) -> None:
@@ -169,3 +188,12 @@ def test_sources_move_westwards(result: Result) -> None:
     east, north = (np.asarray(values) for values in (lines[0].get_xdata(), lines[0].get_ydata()))
     assert np.nanmax(np.hypot(east, north)) <= 1
     assert np.nansum(np.diff(east)) < 0
+    # What they are called stands beside the disc, with lines to the dots, no two upon each other.
+    drawing.figure.draw_without_rendering()
+    named = [text for text in drawing.figure.axes[0].texts if text.get_text().endswith(" Jy")]
+    dots = [line.get_xydata()[0].tolist() for line in drawing.figure.axes[0].lines if line.get_marker() == "o"]
+    assert len(named) == 3
+    assert all(list(text.xy) in dots for text in named)
+    assert all(text.anncoords == "data" and abs(text.xyann[0]) > 1 for text in named)
+    boxes = [Bbox.from_extents(*Text.get_window_extent(text).extents) for text in named]
+    assert not any(one.overlaps(two) for one, two in itertools.combinations(boxes, 2))

@@ -12,8 +12,9 @@ import pytest
 from matplotlib.colors import to_hex
 from matplotlib.text import Text
 
+from hydrabeam_mpi.effects.registry import EFFECTS, REWEIGHTINGS
 from hydrabeam_mpi.report.loop.figures import SHOWN, draw_fall, draw_ranking
-from hydrabeam_mpi.report.loop.parameters import draw_parameters
+from hydrabeam_mpi.report.loop.parameters import _with_error, draw_parameters
 from hydrabeam_mpi.report.loop.residuals import draw_residuals
 from hydrabeam_mpi.report.loop.structures import draw_singular_values, draw_structures
 from hydrabeam_mpi.report.page.places import place_words
@@ -39,13 +40,28 @@ def test_bars_of_the_ranking() -> None:
         "After the last round",
     ]
     names = [text.get_text() for text in panels[0].get_yticklabels()]
-    assert names[:3] == ["antenna gains", "antenna positions", "missing sources"]
+    assert names[:3] == ["antenna gains", "antenna positions", "missing point sources"]
     for axes, entries in zip(panels, [one["ranking"] for one in loops.explained()["rounds"]], strict=False):
         widths = {names[round(bar.get_y() + 0.36)]: bar.get_width() for bar in axes.patches}
-        scores = {one["effect"].replace("_", " "): one["log_bayes_factor"] for one in entries}
+        titles = {kind: kinds[kind].title for kinds in (EFFECTS, REWEIGHTINGS) for kind in kinds}
+        scores = {titles[one["effect"]]: one["log_bayes_factor"] for one in entries}
         assert widths == {name: scores[name] for name in names}
     assert len(names) == SHOWN < len(scores)
     assert all(axes.get_xscale() == "symlog" for axes in panels)
+    assert "A dash stands for what was not weighed in that round." in drawing.caption
+
+
+def test_ticks_of_the_ranking_stay_apart() -> None:
+    loop = loops.explained()
+    loop["rounds"] = loop["rounds"] * 2
+    loop["rounds"][0]["ranking"][0]["log_bayes_factor"] = 24314.0
+    drawing = draw_ranking(loop)
+    assert drawing is not None
+    drawing.figure.draw_without_rendering()
+    texts = [text for text in drawing.figure.axes[3].get_xticklabels() if text.get_text()]
+    places = [text.get_window_extent() for text in texts]
+    assert [text.get_text() for text in texts] == ["0", "100", "$10^{4}$"]
+    assert all(left.x1 < right.x0 for left, right in itertools.pairwise(places))
 
 
 def test_an_effect_with_several_laws_has_a_bar_for_each() -> None:
@@ -62,9 +78,13 @@ def test_an_effect_with_several_laws_has_a_bar_for_each() -> None:
     bars = {names[round(bar.get_y() + 0.36)]: bar for bar in axes.patches}
     widths = {name: bar.get_width() for name, bar in bars.items() if name.startswith("antenna gains")}
     known = constant["log_bayes_factor"]
-    assert widths == {"antenna gains, smooth": 1e6, "antenna gains": known, "antenna gains, piecewise": 3.0}
+    assert {name: widths[name] for name in widths if "jitter" not in name} == {
+        "antenna gains that drift": 1e6,
+        "antenna gains": known,
+        "antenna gains that jump": 3.0,
+    }
     added = [name for name, bar in bars.items() if to_hex(bar.get_facecolor()) == INFERRED.lower()]
-    assert added == ["antenna gains, smooth"]
+    assert added == ["antenna gains that drift"]
 
 
 def test_long_titles_stay_above_their_own_panels() -> None:
@@ -89,6 +109,18 @@ def test_the_fall() -> None:
     assert draw_fall(loops.consistent()) is None
 
 
+def test_errors_below_the_noise_are_written_below_it() -> None:
+    loop = loops.explained()
+    loop["rounds"][1]["heldout_after"] = 0.963
+    drawing = draw_fall(loop)
+    assert drawing is not None
+    axes = drawing.figure.axes[0]
+    drawing.figure.draw_without_rendering()
+    (last,) = (text for text in axes.texts if text.get_text() == "0.963")
+    line = axes.transData.transform((0, 1))[1]
+    assert axes.bbox.y0 < last.get_window_extent().y0 < last.get_window_extent().y1 < line
+
+
 def test_the_fall_goes_on_where_the_prior_was_adapted() -> None:
     loop = loops.explained()
     adapted = [{"n_rounds": number, "predictive_chi2_after": chi2} for number, chi2 in ((0, 11.4), (1, 1.9), (2, 1.01))]
@@ -106,6 +138,55 @@ def test_parameters_over_antennas() -> None:
     np.testing.assert_array_equal(x, loops.ANTENNAS)
     expected = [one["value"] for one in loops.gains_round()["parameters"] if one["name"].endswith("amplitude")]
     np.testing.assert_array_equal(y, expected)
+
+
+def test_parameters_of_times_are_told_by_these() -> None:
+    """Of each antenna by itself, from the day's beginning."""
+    jds = 2459866.25 + 0.0625 * np.arange(8)
+    names = [f"antenna {number} phase at JD {jd:.5f}" for number in (2, 3) for jd in jds]
+    told = [loops.parameter(name, 0.1, 0.01, "rad", None) for name in names]
+    drawing = draw_parameters({"effect": "gain_jitter", "parameters": told}, 1)
+    assert drawing is not None
+    panels = drawing.figure.axes[:2]
+    assert [axes.get_title(loc="left") for axes in panels] == ["antenna 2 phase at JD", "antenna 3 phase at JD"]
+    assert panels[0].get_xlabel() == "JD − 2459866"
+    np.testing.assert_allclose(panels[0].lines[1].get_xdata(), jds - 2459866)
+
+
+def test_values_are_written_to_the_digits_of_their_errors() -> None:
+    """And a place on the horizon is shown where it is, not from zero."""
+    power, place = "emitter at azimuth 298.61 deg: power", "emitter at azimuth 298.61 deg: azimuth"
+    told = [loops.parameter(power, 0.0200063, 6.8e-5, "Jy"), loops.parameter(place, 298.6116, 0.0029, "deg")]
+    drawing = draw_parameters({"effect": "ground_emitter", "parameters": told}, 1)
+    assert drawing is not None
+    written = [
+        text.get_text() for axes in drawing.figure.axes for one in axes.child_axes for text in one.get_yticklabels()
+    ]
+    assert written == ["0.020006 ± 0.000068", "298.6116 ± 0.0029"]
+    (zero, _), (low, high) = (axes.get_xlim() for axes in drawing.figure.axes)
+    assert zero < 0
+    assert 298.6 < low < high < 298.62
+    assert [_with_error(*one) for one in ((-0.02584, 0.0017), (1234.5, 210.0), (2e-9, 3e-10), (5.0, 0.0))] == [
+        "−0.0258 ± 0.0017",
+        "1234 ± 210",
+        "2.00e−09 ± 3.0e−10",
+        "5",
+    ]
+
+
+def test_a_common_power_of_ten_and_names_of_lines_have_room() -> None:
+    told = [
+        loops.parameter(f"coefficient of mode ({radial}, 0)", 1e-5 * radial, 1e-6, "", 1e6 * freq)
+        for radial in (26, 27, 28)
+        for freq in (140, 145, 150, 155)
+    ]
+    drawing = draw_parameters({"effect": "basis_truncation", "parameters": told}, 1)
+    assert drawing is not None
+    drawing.figure.draw_without_rendering()
+    (axes,) = drawing.figure.axes
+    legend = axes.get_legend()
+    assert legend is not None
+    assert axes.yaxis.get_offset_text().get_window_extent().x1 < legend.get_window_extent().x0
 
 
 def test_modes_are_told_by_both_their_orders() -> None:
