@@ -21,13 +21,8 @@ from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.io.disk import writing
-<<<<<<< HEAD
-from hydrabeam_mpi.io.inferred import Inferred
-from hydrabeam_mpi.io.staging import write_folder
-=======
 from hydrabeam_mpi.io.inferred import Inferred, check_unchanged
-from hydrabeam_mpi.io.staging import write_whole
->>>>>>> fix-user
+from hydrabeam_mpi.io.staging import write_folder
 from hydrabeam_mpi.io.together import check_of_one
 from hydrabeam_mpi.loop.checks.health import told
 from hydrabeam_mpi.mpi import Comm, together

@@ -41,11 +41,19 @@ class Correction(Applied):
     visibilities : dict
         ``corrected``, ``model``, ``residual`` and ``added``, each (Nfreqs, Ntimes, Nbls, 1), Jy, in the convention
         V = 1/2 I B; zero where flagged.
-    flags, nsamples : ndarray, same shape
+    flags : ndarray of bool, same shape
+        True where nothing is known: where the data, or the gains that the job names, are flagged or have no samples or
+        noise, in what the job excludes or the result left out, and on all baselines of bad antennas.
+    nsamples : ndarray, same shape
+        As the data have them.
     autos : ndarray, (Nfreqs, Ntimes, Nants, Nfeeds)
         Corrected autocorrelations, Jy; zero where flagged, NaN where there are none.
     auto_flags, auto_nsamples : ndarray, same shape as ``autos``
+        Likewise.
     gains : ndarray of complex, (Nfreqs, Ntimes, Nants)
+        The factors g of the feed or feeds of the setup's polarisation, of antennas in the order of
+        ``observation.antenna_numbers``. Relative to the gains that ``[data] gains`` of the job names, by which, and by
+        ``flux_scale``, data have been calibrated before; total where it names none.
     gain_flags : ndarray of bool, same shape
         Of bad antennas, and of gains that single times have of their own and the result does not tell. What these
         gains are part of is flagged, too.

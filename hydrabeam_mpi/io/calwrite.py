@@ -8,12 +8,8 @@ import numpy as np
 from pyuvdata import UVCal
 from pyuvdata.utils import jstr2num
 
-<<<<<<< HEAD
-from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, Observation
-from hydrabeam_mpi.io.feeds import UNKNOWN
-=======
 from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, Observation
->>>>>>> fix-user
+from hydrabeam_mpi.io.feeds import UNKNOWN
 from hydrabeam_mpi.io.reading import quiet
 from hydrabeam_mpi.io.uvdata import feeds_of
 from hydrabeam_mpi.io.uvwrite import telescope_of
@@ -49,11 +45,7 @@ def write_gains(
     feeds = feeds_of(observation.pols)
     if telescope.feed_array is None:
         telescope.set_feeds_from_x_orientation("east", feeds=list(feeds))
-<<<<<<< HEAD
-        history += f" {UNKNOWN}"
-=======
-        history += "Where feeds point is not known; x is written as East.\n"
->>>>>>> fix-user
+        history += f"{UNKNOWN}\n"
     shape = (observation.Nants, observation.Nfreqs, observation.Ntimes, len(feeds))
     given = (gains, np.zeros(gains.shape, dtype=bool) if flags is None else flags)
     values, flagged = (np.broadcast_to(np.moveaxis(one, 2, 0)[..., np.newaxis], shape).copy() for one in given)
@@ -69,16 +61,10 @@ def write_gains(
             freq_array=observation.freqs,
             channel_width=observation.channel_width,
             update_telescope_from_known=False,
-<<<<<<< HEAD
-            data={"gain_array": values, "flag_array": flags, "quality_array": np.zeros(shape)},
-            history=history,
-            # Of the data that they divide.
-            pol_convention=observation.convention,
-=======
             data={"gain_array": values, "flag_array": flagged, "quality_array": np.zeros(shape)},
             history="\n".join(map(in_ascii, history.split("\n"))),
-            pol_convention="sum",
->>>>>>> fix-user
+            # Of the data that they divide.
+            pol_convention=observation.convention,
             gain_scale="Jy",
         )
         if _is_even(observation.times, EVEN_WITHIN_DAYS) and _is_even(observation.freqs, EVEN_WITHIN_HZ):

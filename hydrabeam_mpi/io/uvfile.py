@@ -78,15 +78,12 @@ class UVHeader:
         Named by the feeds.
     units : str
         "Jy", or "uncalib" of visibilities that are not calibrated.
-<<<<<<< HEAD
     pol_convention : {"sum", "avg"} or None
         As the file states it.
     is_phased : bool
         Whether visibilities are stored as those that follow a place on the sky.
-=======
     history : str
         What has been done to the data, by the file.
->>>>>>> fix-user
     """
 
     path: Path
@@ -103,12 +100,9 @@ class UVHeader:
     pols: tuple[str, ...]
     feed_pols: tuple[str, ...]
     units: str
-<<<<<<< HEAD
     pol_convention: str | None
     is_phased: bool
-=======
     history: str = ""
->>>>>>> fix-user
 
     def pol_index(self, pol: str) -> int:
         """Return where a polarisation is stored, by either of its names, or -1."""
@@ -235,12 +229,9 @@ def header_of(uv: UVData, path: Path, kind: str) -> UVHeader:
         pols=tuple(polnum2str(number, x_orientation=orientation) for number in uv.polarization_array),
         feed_pols=tuple(polnum2str(number) for number in uv.polarization_array),
         units=str(uv.vis_units),
-<<<<<<< HEAD
         pol_convention=uv.pol_convention,
         is_phased=any(centre["cat_type"] not in STANDING for centre in uv.phase_center_catalog.values()),
-=======
         history=str(uv.history or ""),
->>>>>>> fix-user
     )
 
 

@@ -37,14 +37,14 @@ def tick_label(value: float) -> str:
     return f"${factor}10^{{{int(exponent)}}}$"
 
 
-def scale_values(axes: Axes, values: Sequence[float]) -> None:
-    """Fit the y axis to values, logarithmic where they span a factor of five, with room for labels above them."""
+def scale_values(axes: Axes, values: Sequence[float], room: float = ROOM) -> None:
+    """Fit the y axis to values, logarithmic where they span a factor of five, with ``room`` for labels above them."""
     low, high = min(values), max(values)
     if low <= 0 or high < LOGARITHMIC * low:
-        margin = ROOM * max(high - low, 0.05 * abs(high), 1e-300)
+        margin = room * max(high - low, 0.05 * abs(high), 1e-300)
         axes.set_ylim(low - margin, high + 1.5 * margin)
         return
-    span = (high / low) ** ROOM
+    span = (high / low) ** room
     axes.set_yscale("log")
     axes.set_ylim(low / span, high * span**1.5)
     ticks = ticks_between(low / span, high * span**1.5)

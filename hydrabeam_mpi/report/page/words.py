@@ -18,13 +18,9 @@ from hydrabeam_mpi.words import joined
 
 NEARLY_ONE = 1.1
 """Reduced chi^2 up to which residuals are as large as expected, for words."""
-<<<<<<< HEAD
 OFTEN = {2: "every second time", 3: "every third time"}
-=======
 WITH_REST = "with_rest"
 """The kind of a basis that has what a model beam is beyond its modes as a function of its own."""
-ORDINALS = {2: "second", 3: "third"}
->>>>>>> fix-user
 
 
 def megahertz(freq: float) -> str:

@@ -5,17 +5,13 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-<<<<<<< HEAD
-from hydrabeam_mpi.report.page.words import _holdout, _origin
-=======
 import pytest
 import tomli_w
 
 from hydrabeam_mpi.cli import main
 from hydrabeam_mpi.report.page.result import load_result
-from hydrabeam_mpi.report.page.words import _origin, _prior, introduction
+from hydrabeam_mpi.report.page.words import _holdout, _origin, _prior, introduction
 from tests.report.conftest import PAPER
->>>>>>> fix-user
 
 READ = {"/data/a.uvh5": "1", "/data/b.uvh5": "2", "/data/[x].uvh5": "3", "/models/beam.fits": "4"}
 
@@ -34,7 +30,6 @@ def test_files_behind_wildcards_are_counted(files: list[str], words: str) -> Non
     assert _origin({"files": files}, READ) == words
 
 
-<<<<<<< HEAD
 @pytest.mark.parametrize(
     ("every", "words"), [(2, "every second time"), (3, "every third time"), (21, "one time in 21")]
 )
@@ -42,7 +37,8 @@ def test_how_often_a_time_is_held_out(every: int, words: str) -> None:
     assert _holdout({"holdout": {"kind": "times", "every": every}}) == (
         f" To test it, {words} was held out of the inference."
     )
-=======
+
+
 def test_widths_that_the_data_chose_are_told_and_all_functions_in_plain_words(tmp_path: Path) -> None:
     basis, prior = {"n_modes": 40, "rest": True}, {"widths": "evidence"}
     (tmp_path / "job.toml").write_text(tomli_w.dumps(PAPER | {"basis": basis, "prior": prior}))
@@ -61,4 +57,3 @@ def test_a_result_as_prior_is_told() -> None:
         == "; its prior is the result first of other data."
     )
     assert "the covariance of beams.npz" in _prior({"prior": {"kind": "file", "file": "beams.npz"}}, {})
->>>>>>> fix-user
