@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
+import numpy as np
+
 from hydrabeam_mpi.config.sample import NOISE
 from hydrabeam_mpi.fit.memory import fit_bytes, inference_bytes, joint_bytes, simulation_bytes
 from hydrabeam_mpi.fit.room import Room
@@ -75,8 +77,11 @@ class Model:
     @cached_property
     def candidates(self) -> Candidates:
         """What a loop weighs, in all channels."""
-        outline = self.bench.outline
-        return candidates_of(replace(outline.problem, observation=outline.observation))
+        observation, one = self.bench.outline.observation, self.bench.outline.problem
+        n = observation.Nfreqs
+        # Of the beam of one channel, as which those of the others are taken.
+        numbers = np.repeat(one.channel_numbers, n)
+        return candidates_of(replace(one, observation=observation, priors=n * one.priors, channel_numbers=numbers))
 
     def search(self, room: Room) -> SearchBench:
         """Return what the parts of a loop cost where so much is kept."""

@@ -194,6 +194,14 @@ def test_loop_of_several_channels(job: Path) -> None:
     assert found.anew_s == 0.0
 
 
+def test_all_effects_of_several_channels_are_counted(job: Path) -> None:
+    """Those that are looked for as the beam of the middle channel sees the sky, too, of which one alone is prepared."""
+    path = job.parent / "all.toml"
+    path.write_text(job.read_text())
+    (found,) = hb.plan(hb.Setup.from_job(path), commands=("loop",), found=0).forecasts
+    assert found.phases_s["attribution"] > 0
+
+
 def with_effects(job: Path, more: str = "") -> Path:
     path = job.parent / "loop.toml"
     path.write_text(job.read_text() + EFFECTS + more)
