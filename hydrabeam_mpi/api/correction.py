@@ -20,7 +20,7 @@ from hydrabeam_mpi.api.shared import begun, origin_of
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray, Observation
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.left_out import LeftOut, rows_left_out
+from hydrabeam_mpi.fit.left_out import LeftOut, are_left_out
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.fit.taken_out import Parts, of_instrument, take_out
 from hydrabeam_mpi.io.noise import calibrated_autos
@@ -159,7 +159,7 @@ def _take_out(context: FitContext, fitted: Fitted, left: LeftOut | None) -> tupl
     parts, usable, gains, unknown = take_out(context, fitted)
     lost, counts = np.zeros_like(usable), np.zeros((2, problem.observation.Ntimes), dtype=int)
     if left:
-        lost = rows_left_out(context, fitted, left)
+        lost = are_left_out(context, fitted, left)
         counts[:, tile.times] = lost.sum(axis=(0, 2)), usable[..., left.place[tile.bls] >= 0].sum(axis=(0, 2))
     # Channels are numbered as the group's are in the data, whatever their numbers in the result.
     where = (list(context.grid.channels), tile.times, tile.bls)

@@ -43,7 +43,8 @@ from hydrabeam_mpi.words import counted, joined
 Array = NDArray[Any]
 
 UNTOLD = 0.99
-"""Of the prior's standard deviation: data that leave so much of it have told nothing of a parameter."""
+"""Of the prior's standard deviation: data that leave so much of it have told a hundredth of a nat of a parameter,
+which is nothing. Rounding, and what parameters have in common, leave it just below one where no data are."""
 MOST_NAMED = 6
 """Parameters that a line has room for; the summary has all."""
 

@@ -45,7 +45,8 @@ class LeftOut:
 
 def leaves_out(result: Inferred) -> bool:
     """Whether changes of the weights are part of a result that leave out rows."""
-    return any(REWEIGHTINGS[kind].leaves_out for kind in _kinds(result))
+    kinds = {str(entry.get("kind")) for entry in result.entries}
+    return any(change.leaves_out for kind, change in REWEIGHTINGS.items() if kind in kinds)
 
 
 def restore_changes(result: Inferred, setup: ObservingSetup) -> LeftOut | None:
@@ -62,16 +63,15 @@ def restore_changes(result: Inferred, setup: ObservingSetup) -> LeftOut | None:
     changes = []
     for entry in result.entries:
         if entry["kind"] in REWEIGHTINGS:
-            change, x, std = (
-                make_reweighting(entry["kind"], entry["settings"]), np.array(entry["values"]), np.array(entry["std"]),
-            )  # fmt: skip
+            change = make_reweighting(entry["kind"], entry["settings"])
+            x, std = (np.array(entry[key]) for key in ("values", "std"))
             if x.shape[1] not in change.sizes(known):
                 return None
             changes.append(Reweighted(change, x, std))
     return LeftOut(tuple(changes), known, place)
 
 
-def rows_left_out(context: FitContext, fitted: Fitted, left: LeftOut) -> BoolArray:
+def are_left_out(context: FitContext, fitted: Fitted, left: LeftOut) -> BoolArray:
     """Return which of a rank's rows that count are left out, (Nlocal, Ntimes, Nbls). Serial."""
     at, data = fitted.estimate, context.test
     rows, added = data.calibrated(at)
@@ -96,10 +96,6 @@ def rows_left_out(context: FitContext, fitted: Fitted, left: LeftOut) -> BoolArr
                 there = replace(there, weights=there.weights * factor)
             lost[channel, span][:, known] = (weights > 0) & (there.weights == 0)
     return lost
-
-
-def _kinds(result: Inferred) -> list[str]:
-    return [str(entry.get("kind")) for entry in result.entries if entry.get("kind") in REWEIGHTINGS]
 
 
 def _as_observed(setup: ObservingSetup, observed: dict[str, Array]) -> tuple[ObservingSetup, IntArray]:

@@ -45,7 +45,7 @@ def amplitude(flux: FloatArray) -> FloatArray:
 
 
 def chunks(n_sources: int, most: int) -> list[tuple[int, int]]:
-    """Return first and last but one of chunks of sources, at least one: of equal size, as a short one costs as much.
+    """Return where chunks of sources begin and end, at least one: of equal size, as a short one costs nearly as much.
 
     Parameters
     ----------
