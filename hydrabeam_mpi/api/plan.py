@@ -17,10 +17,17 @@ from hydrabeam_mpi.planning.forecast import Model
 from hydrabeam_mpi.planning.measure import Bench
 from hydrabeam_mpi.planning.network import measure_network
 from hydrabeam_mpi.planning.outline import outline
+from hydrabeam_mpi.planning.programs import loaded
 from hydrabeam_mpi.planning.table import as_table, as_text, assumptions
 from hydrabeam_mpi.planning.told import Forecast
 
-COMMANDS = ("simulate", "infer", "loop", "sample")
+COMMANDS = {
+    "simulate": "hydrabeam_mpi.api.simulation",
+    "infer": "hydrabeam_mpi.api.inference",
+    "loop": "hydrabeam_mpi.api.loop",
+    "sample": "hydrabeam_mpi.api.sampling",
+}
+"""Commands of which there are forecasts, and the modules that they load."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +101,9 @@ def plan(
                 raise InputError(message, field="commands", remedy=f"choose of {', '.join(possible(setup.job))}")
             known = outline(setup.job, setup.given, clock)
             files = measure_files(known, clock)
-            model = Model(Bench(known, clock), files, network, startup_s, own_bytes(), found)
+            base = own_bytes()
+            programs = {command: loaded(COMMANDS[command], clock) for command in wanted}
+            model = Model(Bench(known, clock), files, network, startup_s, base, programs, found)
             forecasts = tuple(model.forecast(command, count) for command in wanted for count in ranks)
             made = Plan(forecasts, tuple(assumptions(network, found if "loop" in wanted else None)))
     return made

@@ -19,7 +19,7 @@ from hydrabeam_mpi.fit.with_the_beam import with_added, without_beam
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.prior import Prior
-from hydrabeam_mpi.mpi import gather_objects, together
+from hydrabeam_mpi.mpi import gather_items, together
 
 
 def linearised(
@@ -30,7 +30,7 @@ def linearised(
     Those of ``values`` are meant, which may be some of the model's. The likelihoods are of all the job's channels, on
     rank 0 alone; the responses, (n_modes, q), of the rank group's. Collective: all ranks of the grid.
     """
-    mine, response = [], []
+    mine, response = {}, []
     names = list(values.blocks)
     each, priors = sums_at(context, at, solved.rows, solved.added, values), context.given(at.values).priors
     for channel, (sums, posterior) in enumerate(zip(each, at.beams, strict=True)):
@@ -40,12 +40,9 @@ def linearised(
         if context.grid.is_group_root:
             told = marginal.likelihood(names)
             score = told.score + _rounding(context, values, sums, posterior, prior)
-            mine.append((number, replace(told, score=score)))
-    gathered = gather_objects(context.grid.world, mine)
-    if gathered is None:
-        return None, response
-    by_channel = dict(pair for part in gathered for pair in part)
-    return [by_channel[f] for f in sorted(by_channel)], response
+            mine[number] = replace(told, score=score)
+    by_channel = gather_items(context.grid.world, mine)
+    return None if by_channel is None else list(by_channel.values()), response
 
 
 def _rounding(

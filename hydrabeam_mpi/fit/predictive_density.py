@@ -35,7 +35,7 @@ from hydrabeam_mpi.fit.whole_beams import with_whole_beams
 from hydrabeam_mpi.inference.gaussian import Block
 from hydrabeam_mpi.inference.matrices import cholesky_lower, inverse_of_covariance
 from hydrabeam_mpi.inference.posterior import Posterior
-from hydrabeam_mpi.mpi import bcast_object, gather_objects, together
+from hydrabeam_mpi.mpi import bcast_object, gather_items, together
 
 T = TypeVar("T")
 
@@ -157,11 +157,8 @@ def of_each_channel(
                 response = response.astype(sums.own(BEAM).dtype, copy=False)
                 of_channel = told(sums, fitted.fit.posteriors[channel], seen, response)
                 found[context.channels[channel]] = of_channel, covariance
-    gathered = gather_objects(grid.world, found)
-    if gathered is None:
-        return None
-    every = {number: one for part in gathered for number, one in part.items()}
-    return [every[number] for number in sorted(every)]
+    by_channel = gather_items(grid.world, found)
+    return None if by_channel is None else list(by_channel.values())
 
 
 def _sums(context: FitContext, fitted: Fitted, effects: Mapping[str, Active]) -> Iterator[NormalEquations]:

@@ -7,8 +7,8 @@ sent from where they are.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 from mpi4py import MPI
@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 MAX_MESSAGE_BYTES = 2**28  # as fast as any larger size, with less memory for buffers
 
 Array = NDArray[Any]
+Key = TypeVar("Key", int, tuple[int, int], tuple[str, int])
+Item = TypeVar("Item")
 
 
 def _flat(array: Array) -> Array:
@@ -129,6 +131,18 @@ def gather_objects(comm: MPI.Comm, obj: Any) -> list[Any] | None:
         send_object(comm, obj, dest=0)
         return None
     return [obj, *(recv_object(comm, source) for source in range(1, comm.size))]
+
+
+def gather_items(comm: MPI.Comm, items: Mapping[Key, Item]) -> dict[Key, Item] | None:
+    """Return what all ranks have, each by its own keys, in the order of the keys; None but on rank 0.
+
+    Collective: all ranks of `comm`.
+    """
+    gathered = gather_objects(comm, dict(items))
+    if gathered is None:
+        return None
+    every = {key: item for part in gathered for key, item in part.items()}
+    return {key: every[key] for key in sorted(every)}
 
 
 def scatter_objects(comm: MPI.Comm, objects: Sequence[Any] | None) -> Any:

@@ -18,6 +18,7 @@ from hydrabeam_mpi.planning.files import Files
 from hydrabeam_mpi.planning.measure import Bench
 from hydrabeam_mpi.planning.network import Network
 from hydrabeam_mpi.planning.outline import Outline
+from hydrabeam_mpi.planning.programs import Taken, done
 from hydrabeam_mpi.planning.search import SearchBench
 from hydrabeam_mpi.planning.shares import Shares, Simulated
 from hydrabeam_mpi.planning.told import Forecast
@@ -27,6 +28,9 @@ ON_DISK = 21
 """Bytes of a visibility in a file: complex, a flag, nsamples in single precision."""
 STEPS_A_ROUND = 12
 """Sums over ranks of a round: all effects weighed, and some fits of four steps, of rivals and what is refused too."""
+
+CHOICES = 2
+"""How often it is chosen what a loop looks for: before its rows are read, to know whether there is room, and after."""
 
 
 @dataclass
@@ -42,6 +46,8 @@ class Model:
         Until a process has imported what it needs.
     base_bytes : int
         Memory of a process before its own share.
+    programs : dict of str to Taken
+        What each command loads besides.
     found : int
         Effects that a loop finds: an assumption.
     """
@@ -51,6 +57,7 @@ class Model:
     network: Network
     startup_s: float
     base_bytes: int
+    programs: dict[str, Taken]
     found: int = 1
     _shares: dict[int, Shares] = field(default_factory=dict)
     _searches: dict[Room, SearchBench] = field(default_factory=dict)
@@ -61,11 +68,12 @@ class Model:
         shares = self._shares.setdefault(n_shared, Shares(self.bench.outline, n_shared))
         steps = Steps(self, shares, ranks)
         is_loop = command == "loop"
+        own = self.base_bytes + self.programs[command].n_bytes
         return Forecast(
             command,
             ranks,
             {name: seconds for name, seconds in steps.phases(command).items() if seconds > 0},
-            self.base_bytes + steps.memory(command),
+            max(own + steps.memory(command), self.bench.outline.peak_bytes),
             steps.sent(command),
             steps.written(command),
             Simulated(self.bench.outline, ranks).partition if command == "simulate" else shares.partition,
@@ -74,14 +82,24 @@ class Model:
             steps.anew_s if is_loop else 0.0,
         )
 
-    @cached_property
+    @property
     def candidates(self) -> Candidates:
         """What a loop weighs, in all channels."""
+        return self._chosen[0]
+
+    @property
+    def choosing(self) -> Taken:
+        """What it takes to choose that."""
+        return self._chosen[1]
+
+    @cached_property
+    def _chosen(self) -> tuple[Candidates, Taken]:
         observation, one = self.bench.outline.observation, self.bench.outline.problem
         n = observation.Nfreqs
         # Of the beam of one channel, as which those of the others are taken.
         numbers = np.repeat(one.channel_numbers, n)
-        return candidates_of(replace(one, observation=observation, priors=n * one.priors, channel_numbers=numbers))
+        whole = replace(one, observation=observation, priors=n * one.priors, channel_numbers=numbers)
+        return done(lambda: candidates_of(whole), self.bench.clock)
 
     def search(self, room: Room) -> SearchBench:
         """Return what the parts of a loop cost where so much is kept."""
@@ -118,7 +136,7 @@ class Steps:
 
     def phases(self, command: str) -> dict[str, float]:
         """Return the seconds of each phase."""
-        known = {"start": self.model.startup_s, "simulate": self._simulate()}
+        known = {"start": self.model.startup_s + self.model.programs[command].seconds, "simulate": self._simulate()}
         if command == "simulate":
             return known
         known |= {"prepare": self._prepare(), "health": self._health(), "read": self._read()}
@@ -133,14 +151,13 @@ class Steps:
         seen = Simulated(outline, self.ranks).slowest * (cost.by_time + cost.by_group * n_groups)
         files = self.model.files
         fixed, each = files.write
-        scene = outline.prepare_s - outline.fit_s + (outline.n_channels - 1) * outline.scene_s
+        scene = outline.prepare_s - outline.n_channels * outline.fit_s
         return scene + outline.n_channels * seen + files.first_s + fixed + each * self.n_simulated
 
     def _prepare(self) -> float:
         """Seconds on rank 0, for which all wait."""
         outline = self.outline
-        first = outline.scene_s + outline.fit_s if self.simulates else outline.prepare_s
-        return first + (outline.n_channels - 1) * (outline.scene_s + outline.fit_s)
+        return outline.scene_s + outline.n_channels * outline.fit_s if self.simulates else outline.prepare_s
 
     def _rows(self) -> int:
         """Return the visibilities of a rank."""
@@ -204,6 +221,7 @@ class Steps:
     def _loop(self) -> dict[str, float]:
         search, shares, found = self._search, self.shares, self.model.found
         return {
+            "choose": CHOICES * self.model.choosing.seconds,
             "conventions": shares.seconds(search.conventions, most=N_TIMES),
             "fit": shares.seconds(search.fit),
             "attribution": shares.seconds(search.attribution) + self._sums(1),
@@ -252,15 +270,16 @@ class Steps:
 
     def memory(self, command: str) -> int:
         """Return the bytes of the rank that needs most, besides the problem and the programs."""
-        simulating = simulation_bytes(self.n_simulated // self.outline.n_channels, self.outline.n_channels)
+        before = simulation_bytes(self.n_simulated // self.outline.n_channels, self.outline.n_channels)
         if command == "simulate":
-            return simulating
+            return before
         share, is_joint = self.shares.share, command == "sample" or self.outline.job.effects
         if command == "loop":
             needed = fit_bytes(share, True, weighing_bytes(self.model.candidates, share))
+            before = max(before, self.model.choosing.n_bytes)
         else:
             needed = (joint_bytes if is_joint else inference_bytes)(share, True)
-        return max(simulating, needed + self._gathered())
+        return max(before, needed + self._gathered())
 
     def _gathered(self) -> int:
         """Return the bytes of what rank 0 gathers of channels, but for covariances."""

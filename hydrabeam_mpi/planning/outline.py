@@ -13,6 +13,7 @@ from hydrabeam_mpi.config.frequency import OverFrequency
 from hydrabeam_mpi.config.named import expand
 from hydrabeam_mpi.data.observation import FloatArray, Observation
 from hydrabeam_mpi.data.partition import Tile
+from hydrabeam_mpi.memory import own_peak_bytes
 from hydrabeam_mpi.model.fit import fit_beam
 from hydrabeam_mpi.setup.beams import load_beams
 from hydrabeam_mpi.setup.given import Given
@@ -37,11 +38,13 @@ class Outline:
     problem : Problem
         Of one channel, the middle one.
     prepare_s : float
-        Seconds that metadata, sky and the model beam of one channel took.
+        Seconds of metadata, sky and beams of all channels, with each channel's model fitted to its beam.
     scene_s : float
-        Seconds of sky and beams without a fit, as for a simulation.
+        Seconds of sky and beams of all channels without these fits, as for a simulation.
     fit_s : float
-        Seconds of the model beam of each further channel.
+        Seconds of the fit of one channel.
+    peak_bytes : int
+        The most memory that all of this took: a catalogue may take many times what is kept of it.
     job : Job
         As it was given; that of the problem has independent channels.
     given : Given
@@ -55,6 +58,7 @@ class Outline:
     prepare_s: float
     scene_s: float
     fit_s: float
+    peak_bytes: int
     job: Job
     given: Given
     coupling: Coupling | None = None
@@ -102,11 +106,14 @@ def outline(job: Job, given: Given, clock: Clock) -> Outline:
     problem = prepare(alone, (), given=given, observation=one)
     coupling = couple(job.prior.frequency, observation.freqs, problem.priors)
     prepared = clock()
-    load_sky(job, one, given.sky)
-    load_beams(job, one.freqs, one.pols[0], given.beam)
+    load_sky(job, observation, given.sky)
+    load_beams(job, observation.freqs, one.pols[0], given.beam)
     loaded = clock()
     fit_beam(problem.beams[0], problem.basis)
-    return Outline(observation, problem, prepared - start, loaded - prepared, clock() - loaded, job, given, coupling)
+    fit_s, scene_s = clock() - loaded, loaded - prepared
+    # A catalogue is read once for all channels.
+    prepare_s = max(prepared - start, scene_s + fit_s) + (observation.Nfreqs - 1) * fit_s
+    return Outline(observation, problem, prepare_s, scene_s, fit_s, own_peak_bytes(), job, given, coupling)
 
 
 def _middle(observation: Observation, first: int) -> Observation:

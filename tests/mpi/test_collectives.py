@@ -12,6 +12,7 @@ from hydrabeam_mpi.mpi import (
     allreduce_sum,
     bcast_array,
     bcast_object,
+    gather_items,
     gather_objects,
     recv_object,
     scatter_objects,
@@ -107,6 +108,15 @@ def test_objects_are_gathered_in_order_of_ranks(comm: MPI.Comm) -> None:
     assert [one["rank"] for one in found] == list(range(comm.size))
     for rank, one in enumerate(found):
         np.testing.assert_array_equal(one["array"], np.full((2, 3), rank), strict=True)
+
+
+def test_items_are_gathered_in_order_of_keys(comm: MPI.Comm) -> None:
+    found = gather_items(comm, {("late", -comm.rank): comm.rank, ("early", comm.rank): comm.rank})
+    if comm.rank:
+        assert found is None
+        return
+    ranks = range(comm.size)
+    assert list(found.items()) == [*((("early", n), n) for n in ranks), *((("late", -n), n) for n in reversed(ranks))]
 
 
 def test_objects_are_dealt_out(comm: MPI.Comm) -> None:

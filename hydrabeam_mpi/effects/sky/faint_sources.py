@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
+from scipy.linalg.blas import dsyrk
 from scipy.linalg.lapack import dpstrf
 
 from hydrabeam_mpi.data.observation import C_M_PER_S, FloatArray, IntArray
@@ -142,8 +143,8 @@ def _chosen(setup: ObservingSetup, n_before: int, n: int) -> tuple[tuple[float, 
 
 def _in_order(seen: FloatArray, points: IntArray) -> IntArray:
     """Return the points, the best first, as many as can be told apart, (Nchosen,); arguments are of `_as_seen`."""
-    power = seen.T @ seen
-    _, order, rank, _ = dpstrf(power, lower=1, tol=LEAST_POWER * float(np.diag(power).max()))
+    power = dsyrk(1.0, seen.T, lower=1)
+    _, order, rank, _ = dpstrf(power, lower=1, tol=LEAST_POWER * float(power.diagonal().max()), overwrite_a=1)
     return points[order[:rank] - 1]
 
 
@@ -169,11 +170,11 @@ def _as_seen(setup: ObservingSetup) -> tuple[FloatArray, IntArray]:
     rng, wavenumber = generator(0, FaintSources.kind), 2 * np.pi * observation.freqs[channel] / C_M_PER_S
     n_members = np.bincount(setup.redundant.group, minlength=setup.redundant.Ngroups)
     n_groups = min(setup.redundant.Ngroups, ROWS // len(times))
-    rows = np.zeros((len(times), n_groups, len(points)), dtype=complex)
-    for row, (index, directions, seen) in zip(rows, above, strict=True):
+    rows = np.zeros((2, len(times), n_groups, len(points)))
+    for (real, imaginary), (index, directions, seen) in zip(rows.swapaxes(0, 1), above, strict=True):
         groups = rng.permutation(setup.redundant.Ngroups)[:n_groups]
         _, here, there = np.intersect1d(index, points, assume_unique=True, return_indices=True)
         phases = wavenumber * setup.redundant.vectors[groups] @ directions[:, here]
-        row[:, there] = np.sqrt(n_members[groups])[:, np.newaxis] * seen[here] * np.exp(1j * phases)
-    flat = rows.reshape(-1, len(points))
-    return np.concatenate([flat.real, flat.imag]), points
+        amplitude = np.sqrt(n_members[groups])[:, np.newaxis] * seen[here]
+        real[:, there], imaginary[:, there] = amplitude * np.cos(phases), amplitude * np.sin(phases)
+    return rows.reshape(-1, len(points)), points

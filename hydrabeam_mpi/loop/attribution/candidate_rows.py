@@ -16,7 +16,7 @@ from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Estimate, Fitted, Values
 from hydrabeam_mpi.fit.with_the_beam import with_added, without_beam
 from hydrabeam_mpi.loop.attribution.beside import Beside
-from hydrabeam_mpi.mpi import gather_objects, together
+from hydrabeam_mpi.mpi import gather_items, together
 
 
 def likelihoods(
@@ -33,10 +33,9 @@ def likelihoods(
         model = marginal.likelihood(names)
         for one in list(candidates)[group.rank :: group.size]:
             mine[one, number] = Beside.of(model, marginal.likelihood([*names, one]))
-    gathered = gather_objects(context.grid.world, mine)
-    if gathered is None:
+    found = gather_items(context.grid.world, mine)
+    if found is None:
         return None
-    found = {key: one for part in gathered for key, one in part.items()}
     channels = sorted({number for _, number in found})
     return {name: [found[name, number] for number in channels] for name in candidates}
 

@@ -21,6 +21,7 @@ from hydrabeam_mpi.effects.interface.parameters import Parameters
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.loop.attribution.evidence import Evidence, evidence_of, find_possible
 from hydrabeam_mpi.loop.attribution.others import Others
+from hydrabeam_mpi.loop.rules import RULES
 
 MOST_SWEEPS = 20
 """Moves of each sort at most: far more than there are effects in any data, so that rounding cannot go round."""
@@ -152,38 +153,85 @@ class JointSet:
         Of all of them together.
     gain : float
         By how much they raise ln likelihood together.
+    simpler : tuple of JointSet
+        Others that began with another effect, the best first; each has fewer parameters than all before it.
     """
 
     order: tuple[int, ...] = ()
     beside: Mapping[int, State] = field(default_factory=dict)
     log_bayes_factor: float = 0.0
     gain: float = 0.0
+    simpler: tuple[JointSet, ...] = ()
 
 
 def search(joint: JointLikelihood, least: float) -> JointSet:
     """Find the set of effects with the most evidence, each of which adds ``least`` nats to that of the others.
 
-    There is none if a control model is wanted beside the effects: then none of these is what it says.
+    It begins with each effect that comes near the best one by itself. One that stands for several is followed by others
+    that make up for what it lacks, and no exchange of one of these at a time leads out of that. Those that lead to
+    simpler sets are told as well: what strong effects have that is not linear, some thousandths of their evidence, what
+    has more parameters takes up. There is no set if a control model is wanted beside the effects, whichever is the
+    first: then none of these is what it says.
     """
-    state, total = State(), -np.inf
-    further: State | None = _added(joint, {}, (), least)
+    begun = [one for first in _firsts(joint, least) if (one := _begun(joint, first, least)) is not None]
+    if not begun:
+        return JointSet()
+    (state, total), *others = sorted(begun, key=lambda one: -one[1])
+    state, total = _moved(joint, state, total, least)
+    best = _as_set(joint, state, total, least)
+    fewest, known, simpler = _n_parameters(state), {frozenset(best.order)}, list[JointSet]()
+    for other, evidence in others:
+        told = _as_set(joint, other, evidence, least)
+        if _n_parameters(other) < fewest and frozenset(told.order) not in known:
+            fewest = _n_parameters(other)
+            known.add(frozenset(told.order))
+            simpler.append(told)
+    return replace(best, simpler=tuple(simpler))
+
+
+def _n_parameters(state: State) -> float:
+    return sum(one.effective_parameters for one in state.values())
+
+
+def _moved(joint: JointLikelihood, state: State, total: float, least: float) -> tuple[State, float]:
+    """Exchange and share out the effects of a set until that gains nothing; return it with its ln evidence."""
     for _ in range(MOST_SWEEPS):
+        further = _exchanged(joint, state, least) or _shared_out(joint, state, least)
         if further is None:
             break
-        if any(joint.competitors[i].is_control for i in further):
-            return JointSet()
         further = _settled(joint, further)
         # Settled, a set may have less evidence than when it was put together: beside others, some of it cannot be.
         now = _of_all(joint, further)
         if now <= total + LEAST_GAIN:
             break
         state, total = further, now
-        further = _exchanged(joint, state, least) or _shared_out(joint, state, least)
+    return state, total
+
+
+def _as_set(joint: JointLikelihood, state: State, total: float, least: float) -> JointSet:
     free = _free(joint, state)
     beside = {m: joint.weigh(_without(state, m), [m, *free]) for m in state}
     order = [m for m in state if beside[m][m].log_bayes_factor >= least]
     order.sort(key=lambda m: -beside[m][m].log_bayes_factor)
     return JointSet(tuple(order), beside, total, joint.gain(state))
+
+
+def _firsts(joint: JointLikelihood, least: float) -> list[State]:
+    """Return sets of one: each effect that comes near the best competitor, the best first."""
+    found = joint.weigh({}, _free(joint, {}))
+    most = max((one.log_bayes_factor for one in found.values()), default=0.0)
+    near = [i for i, one in found.items() if one.log_bayes_factor >= max(least, RULES.near_if_linear * most)]
+    near = [i for i in near if not joint.competitors[i].is_control]
+    return [{i: found[i]} for i in sorted(near, key=lambda i: -found[i].log_bayes_factor)]
+
+
+def _begun(joint: JointLikelihood, first: State, least: float) -> tuple[State, float] | None:
+    """Return the set that a first effect leads to, with its ln evidence; None where it leads to a control model."""
+    state = _added(joint, first, (), least)
+    if any(joint.competitors[i].is_control for i in state):
+        return None
+    state = _settled(joint, state)
+    return state, _of_all(joint, state)
 
 
 def _free(joint: JointLikelihood, state: State, banned: Collection[int] = ()) -> list[int]:

@@ -22,7 +22,7 @@ from hydrabeam_mpi.loop.attribution.constancy import Constancy, compare
 from hydrabeam_mpi.loop.attribution.others import Others
 from hydrabeam_mpi.loop.attribution.price import price_of
 from hydrabeam_mpi.loop.residuals.remains import Remains
-from hydrabeam_mpi.mpi import bcast_object, gather_objects, together
+from hydrabeam_mpi.mpi import bcast_object, gather_items, together
 from hydrabeam_mpi.random import generator
 from hydrabeam_mpi.words import joined
 
@@ -180,7 +180,7 @@ def likelihoods_of(
     names, values = list(fitted.values.blocks), fitted.values
     with together(context.grid.world):
         cached = CachedRowBlocks.of(context, fitted.estimate)
-    found = []
+    found = {}
     for channel, number in enumerate(context.channels):
         blocks = {f"parts of {place}": block for place, block in parted.items()}
         sums = candidate_sums(context, values, cached, channel, blocks)
@@ -189,11 +189,10 @@ def likelihoods_of(
             for place, block in parted.items():
                 one = marginal.likelihood([*names[:place], *names[place + 1 :], f"parts of {place}"])
                 score = one.score + one.information[:, -block.size :] @ block.x[number]
-                found.append((place, number, replace(one, score=score)))
-    gathered = gather_objects(context.grid.world, found)
-    if gathered is None:
+                found[place, number] = replace(one, score=score)
+    by_channel = gather_items(context.grid.world, found)
+    if by_channel is None:
         return None
-    by_channel = {(place, number): one for part in gathered for place, number, one in part}
     channels = sorted({number for _, number in by_channel})
     return {place: [by_channel[place, number] for number in channels] for place in parted}
 

@@ -17,7 +17,7 @@ from hydrabeam_mpi.loop.attribution.candidate_rows import marginal_of
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.attribution.others import beside_model
 from hydrabeam_mpi.loop.attribution.score_effects import Finding, weigh
-from hydrabeam_mpi.mpi import bcast_object, gather_objects, together
+from hydrabeam_mpi.mpi import bcast_object, gather_items, together
 
 
 @dataclass(frozen=True)
@@ -50,19 +50,16 @@ class Known:
         """Go through the rows once. Collective: all ranks of the grid."""
         with together(context.grid.world):
             rows, added = context.train.calibrated(fitted.estimate)
-        found = []
+        found = {}
         for channel, number in enumerate(context.channels):
             named = Values(active).blocks.items()
             blocks = {name: CandidateBlock(one.effect, one.x[number]) for name, one in named}
             sums = active_sums(context, context.train, fitted.estimate, channel, rows, added[channel], blocks)
             if context.grid.is_group_root:
                 marginal = marginal_of(context, fitted, sums, channel, blocks)
-                found.append((number, marginal.likelihood(list(blocks))))
-        gathered = gather_objects(context.grid.world, found)
-        if gathered is None:
-            return cls(active, None)
-        by_channel = dict(pair for part in gathered for pair in part)
-        return cls(active, [by_channel[number] for number in sorted(by_channel)])
+                found[number] = marginal.likelihood(list(blocks))
+        by_channel = gather_items(context.grid.world, found)
+        return cls(active, None if by_channel is None else list(by_channel.values()))
 
     def of_one(self, context: FitContext, place: int) -> list[Likelihood]:
         """Return what each channel says of one effect, around zero, after those parameters of the others in use.

@@ -19,7 +19,7 @@ from hydrabeam_mpi.loop.attribution.candidate_rows import CachedRowBlocks, likel
 from hydrabeam_mpi.loop.attribution.evidence import Evidence, evidence_of, find_evidence, find_possible
 from hydrabeam_mpi.loop.attribution.limits import Limits
 from hydrabeam_mpi.loop.attribution.scan import pick
-from hydrabeam_mpi.mpi import bcast_object, gather_objects, scatter_objects, together
+from hydrabeam_mpi.mpi import bcast_object, gather_items, scatter_objects, together
 
 
 @dataclass(frozen=True)
@@ -113,19 +113,15 @@ def _weigh_all(
         order = sorted(enumerate(likelihoods_of), key=lambda one: -len(one[1][0].own.score))
         shares = [order[rank :: world.size] for rank in range(world.size)]
     mine: list[tuple[int, list[Beside]]] = scatter_objects(world, shares)
-    weighed = []
+    weighed = {}
     with together(world):
         model = KnownModel.of(values, mine[0][1]) if mine else None
         for number, told in mine:
             left = model.left(told, effects[number].shared) if model else []
-            weighed.append(
-                (number, weigh(context, values, effects[number], left, [one.own for one in told], limits=limits))
-            )
-    gathered = gather_objects(world, weighed)
-    if gathered is None:
-        return None
-    by_number = dict(pair for part in gathered for pair in part)
-    return [by_number[number] for number in range(len(effects))]
+            own = [one.own for one in told]
+            weighed[number] = weigh(context, values, effects[number], left, own, limits=limits)
+    by_number = gather_items(world, weighed)
+    return None if by_number is None else list(by_number.values())
 
 
 def taken(values: Values, effect: Effect) -> IntArray:

@@ -23,7 +23,7 @@ from hydrabeam_mpi.loop.attribution.limits import Limits
 from hydrabeam_mpi.loop.attribution.others import Others
 from hydrabeam_mpi.loop.attribution.score_effects import Finding, taken
 from hydrabeam_mpi.loop.rules import RULES
-from hydrabeam_mpi.mpi import bcast_object, gather_objects, together
+from hydrabeam_mpi.mpi import bcast_object, gather_items, together
 
 
 @dataclass(frozen=True)
@@ -41,12 +41,15 @@ class TogetherFound:
         Of all of them together.
     explains : bool
         Whether what they leave of the fitted rows may be noise, as far as the model is linear.
+    simpler : tuple of TogetherFound
+        Others with less evidence and fewer parameters.
     """
 
     numbers: tuple[int, ...] = ()
     beside: tuple[tuple[Finding, ...], ...] = ()
     log_bayes_factor: float = 0.0
     explains: bool = False
+    simpler: tuple[TogetherFound, ...] = ()
 
 
 def weigh_together(
@@ -151,7 +154,7 @@ def _likelihoods(
     picked: Sequence[tuple[Finding, IntArray]],
 ) -> list[Likelihood] | None:
     """Go through the rows once; on rank 0. Collective: all ranks of the grid."""
-    values, found = fitted.values, []
+    values, found = fitted.values, {}
     blocks: dict[str, ColumnBlock] = {
         f"candidate {number}": CandidateBlock(one.effect, np.zeros(len(one.evidence.prior_var)), only=which)
         for number, (one, which) in enumerate(picked)
@@ -162,12 +165,9 @@ def _likelihoods(
         sums = candidate_sums(context, values, cached, channel, blocks, by_pairs=True)
         if context.grid.is_group_root:
             marginal = marginal_of(context, fitted, sums, channel, blocks)
-            found.append((number, marginal.likelihood([*values.blocks, *blocks])))
-    gathered = gather_objects(context.grid.world, found)
-    if gathered is None:
-        return None
-    by_channel = dict(pair for part in gathered for pair in part)
-    return [by_channel[number] for number in sorted(by_channel)]
+            found[number] = marginal.likelihood([*values.blocks, *blocks])
+    by_channel = gather_items(context.grid.world, found)
+    return None if by_channel is None else list(by_channel.values())
 
 
 def _told(
@@ -178,6 +178,7 @@ def _told(
     free: float,
 ) -> TogetherFound:
     """Return what was found in terms of whole effects; ``free`` of chi^2, ``total``, are noise without any."""
+    unexplained = free
     free -= 0.5 * sum(chosen.beside[m][m].effective_parameters for m in chosen.order)
     left = max(total - chosen.gain, 0.0)
     # What the linear model leaves may be told by any of those that explain less than that.
@@ -190,7 +191,8 @@ def _told(
     beside = [[finding(i, found) for i, found in chosen.beside[m].items()] for m in order]
     places = [next(i for i, one in enumerate(findings) if one is picked[m][0]) for m in order]
     is_noise = free > 0 and bool(chi2.sf(2 * left, 2 * free) >= SIGNIFICANT_P)
-    return TogetherFound(tuple(places), tuple(map(tuple, beside)), chosen.log_bayes_factor, is_noise)
+    simpler = tuple(_told(picked, one, findings, total, unexplained) for one in chosen.simpler)
+    return TogetherFound(tuple(places), tuple(map(tuple, beside)), chosen.log_bayes_factor, is_noise, simpler)
 
 
 def _of_some(evidence: Evidence, which: IntArray) -> Evidence:

@@ -26,6 +26,7 @@ def exchange(
     rounds: Sequence[Round],
     effects: Sequence[Effect],
     tried: list[tuple[Candidate, str]],
+    only_more: bool = False,
 ) -> tuple[Round, dict[int, int | None]] | None:
     """Give the place of one effect to another that came near it when it was chosen, if that is better now.
 
@@ -46,6 +47,8 @@ def exchange(
         To look for.
     tried : list
         Receives what was refused, as for `try_effects`.
+    only_more : bool
+        Whether only those are fitted that have more evidence than the one that is there by the linear model already.
 
     Returns
     -------
@@ -57,7 +60,7 @@ def exchange(
             continue
         is_asked = not all(one.revoked for one in rounds[number + 1 :])
         near = _near(found, effects) if is_asked else []
-        better = _better_than(context, last, found, near, tried) if near else None
+        better = _better_than(context, last, found, near, tried, only_more) if near else None
         if better is not None:
             return better, places_without(found.place, len(last.fitted.values.active))
     return None
@@ -85,12 +88,15 @@ def _better_than(
     found: Round,
     near: Sequence[Effect],
     tried: list[tuple[Candidate, str]],
+    only_more: bool,
 ) -> Round | None:
     """Fit what came near an effect in its place; return the best if it is better. Collective: all ranks of the grid."""
     assert found.place is not None
     active = last.fitted.values.active
     own = reconsider(context, last.fitted, found.place)
     rivals = in_place_of(context, last, found.place, own, near)
+    if only_more:
+        rivals = [one for one in rivals if one.log_bayes_factor > own.log_bayes_factor]
     if not rivals:
         return None
     title = active[found.place].effect.title

@@ -115,21 +115,22 @@ class _Rounds:
     """Rounds that follow each other.
 
     ``effects`` come next, ``known`` is what is weighed already before the next round, ``told`` the last fit that was
-    told of, and ``as_wide`` the last that was asked in vain for wider widths of the beam's prior without rivals to
-    these.
+    told of, ``asked`` the last in which effects were asked whether others should stand in their place, and ``as_wide``
+    the last that was asked in vain for wider widths of the beam's prior without rivals to these.
     """
 
     search: Search
     effects: Sequence[Effect]
     known: Weighed | None = None
     told: Checked | None = None
+    asked: Checked | None = None
     as_wide: Checked | None = None
 
     def go_on(self) -> bool:
         """Weigh all effects and add the best; whether there is more to look for. Collective: all ranks of the grid."""
         context, history = self.search.context, self.search.history
         left = context.problem.job.loop.max_rounds - len(history.rounds)
-        if left <= 0 and self._exchange():
+        if self._exchange(only_more=left > 0):
             return True
         weighed = self._weighed(left)
         if left <= 0:
@@ -163,21 +164,29 @@ class _Rounds:
         self._grow(added)
         return True
 
-    def _exchange(self) -> bool:
-        """Exchange an effect where no more may be added, which adds none; whether one was. Collective: all ranks."""
+    def _exchange(self, only_more: bool) -> bool:
+        """Exchange an effect, which adds none; whether one was. Collective: all ranks.
+
+        What was chosen while others were missing may have taken up a part of them. As long as something is left that is
+        asked about before more is added to make up for it: for what the linear model says is better (``only_more``),
+        which costs no fit where there is none; and for all that may be where no more may be added.
+        """
         context, history = self.search.context, self.search.history
+        if only_more and (self.asked is history.last or history.last.remains.consistent):
+            return False
+        self.asked = history.last
         with self.search.clock.time("trials"):
-            found = self._exchanged()
+            found = self._exchanged(only_more=only_more)
             added = _accept(context, history, found) if found is not None else None
         if added is not None:
             self._keep(added)
         return added is not None
 
-    def _exchanged(self, or_simpler: bool = False) -> Round | None:
+    def _exchanged(self, or_simpler: bool = False, only_more: bool = False) -> Round | None:
         """Exchange an effect for a better one, or for a simpler one; return the round. Collective: all ranks."""
         context, history = self.search.context, self.search.history
         given = context, history.last, history.rounds, self.effects, history.tried
-        found = exchange(*given) or (simplified(*given) if or_simpler else None)
+        found = exchange(*given, only_more) or (simplified(*given) if or_simpler else None)
         if found is None:
             return None
         added, places = found

@@ -12,7 +12,7 @@ from hydrabeam_mpi.fit.state import Fitted, Values
 from hydrabeam_mpi.loop.attribution.candidate_rows import CachedRowBlocks
 from hydrabeam_mpi.loop.attribution.score_effects import attribute
 from hydrabeam_mpi.loop.attribution.score_noise import fit_reweightings, looked_for_again
-from hydrabeam_mpi.loop.attribution.weigh_together import weigh_together
+from hydrabeam_mpi.loop.attribution.weigh_together import TogetherFound, weigh_together
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Round
 from hydrabeam_mpi.mpi import bcast_object, together
 
@@ -28,10 +28,29 @@ class Together:
     beside : tuple of tuple of Candidate
         For each of them, what could stand in its place beside the others, itself with that evidence among it, ordered
         by evidence.
+    log_bayes_factor : float
+        Of all of them together.
     """
 
     members: tuple[Candidate, ...] = ()
     beside: tuple[tuple[Candidate, ...], ...] = ()
+    log_bayes_factor: float = 0.0
+
+    @classmethod
+    def of(cls, found: TogetherFound, most: int) -> Together:
+        """Return what was found, ``most`` members at most."""
+        beside = [list(map(Candidate.of, one)) for one in found.beside[:most]]
+        ordered = tuple(tuple(sorted(one, key=_best_first)) for one in beside)
+        return cls(tuple(one[0] for one in beside), ordered, found.log_bayes_factor)
+
+    @property
+    def n_parameters(self) -> float:
+        """How many parameters they have, as far as these are told."""
+        return sum(one.finding.evidence.effective_parameters for one in self.members if one.finding)
+
+    def in_place_of(self, member: Candidate) -> tuple[Candidate, ...]:
+        """Return what could stand in the place of a member, beside the others, itself among it."""
+        return self.beside[next(i for i, one in enumerate(self.members) if one.name == member.name)]
 
 
 @dataclass(frozen=True)
@@ -48,17 +67,15 @@ class Weighed:
         Set that explains the residual; of none where there is no such.
     explains : bool
         Whether the set leaves no more than noise.
+    simpler : tuple of Together
+        Sets with less evidence and fewer parameters: in an exact fit they may have more.
     """
 
     ranking: tuple[Candidate, ...]
     first: Candidate | None = None
     together: Together = field(default_factory=Together)
     explains: bool = False
-
-    def beside_set(self, member: Candidate) -> tuple[Candidate, ...]:
-        """Return what could stand in the place of a member of the set, beside the others, itself among it."""
-        number = next(i for i, one in enumerate(self.together.members) if one.name == member.name)
-        return self.together.beside[number]
+    simpler: tuple[Together, ...] = ()
 
 
 @dataclass
@@ -147,10 +164,8 @@ def weigh(
     by_weights = max((one.log_bayes_factor for one in reweightings), default=0.0)
     if found is None or not found.numbers or by_weights > found.log_bayes_factor:
         return Weighed(ranking)
-    beside = [list(map(Candidate.of, one)) for one in found.beside[:most]]
-    members = tuple(one[0] for one in beside)
-    chosen = Together(members, tuple(tuple(sorted(one, key=_best_first)) for one in beside))
-    return Weighed(ranking, candidates[found.numbers[0]], chosen, found.explains)
+    simpler = tuple(Together.of(one, most) for one in found.simpler)
+    return Weighed(ranking, candidates[found.numbers[0]], Together.of(found, most), found.explains, simpler)
 
 
 def _best_first(one: Candidate) -> float:

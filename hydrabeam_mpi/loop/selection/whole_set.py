@@ -30,24 +30,43 @@ from hydrabeam_mpi.loop.selection.refits import fit_patiently, rise, with_best_v
 from hydrabeam_mpi.loop.selection.refusal import rivals_of
 from hydrabeam_mpi.loop.selection.revision import reweigh
 from hydrabeam_mpi.loop.selection.trials import least_beside, refusal_of_fit, round_of
-from hydrabeam_mpi.loop.selection.weighing import Weighed
+from hydrabeam_mpi.loop.selection.weighing import Together, Weighed
 from hydrabeam_mpi.terminal.progress import say
 
 Tried = list[tuple[Candidate, str]]
 
 
 def try_set(context: FitContext, checked: Checked, weighed: Weighed, tried: Tried) -> tuple[Round, ...]:
-    """Fit the effects of the set as a whole; return them as rounds, those with the most evidence first.
+    """Fit the effects of the set as a whole, and of simpler ones; return the best as rounds.
+
+    The simplest comes first: where it leaves nothing, one with more parameters and no more evidence need not be fitted.
+    There are no rounds where the set would leave more than noise, or none holds. Collective: all ranks of the grid.
+    """
+    best: tuple[Round, ...] = ()
+    sets = (weighed.together, *weighed.simpler) if weighed.explains else ()
+    for one in sorted(sets, key=lambda one: one.n_parameters):
+        if best and best[-1].after.remains.consistent:
+            reached = sum(found.candidate.log_bayes_factor for found in best)
+            if one.log_bayes_factor <= reached:
+                continue
+        found = _try_one_set(context, checked, weighed, one, tried)
+        if found and (not best or as_one(found).evidence_of_all > as_one(best).evidence_of_all):
+            best = found
+    return best
+
+
+def _try_one_set(
+    context: FitContext, checked: Checked, weighed: Weighed, of_set: Together, tried: Tried
+) -> tuple[Round, ...]:
+    """Fit the effects of a set as a whole; return them as rounds, those with the most evidence first.
 
     Each has to pass what a single effect has to, in the order of the rounds, with those after it left out where the
     joint fit has the others. One that does not is refused (``tried`` receives it), and the others are fitted again.
     Those that have too little beside a rival go first, the least of them before the others: that takes no further fit.
-    There are no rounds where the set has no two effects, or one and next to nothing, would leave more than noise, or
-    cannot be fitted so: then effects are tried one by one. Collective: all ranks of the grid.
+    There are no rounds where the set has no two effects, or one and next to nothing, or cannot be fitted so: then
+    effects are tried one by one. Collective: all ranks of the grid.
     """
-    if not weighed.explains:
-        return ()
-    members = tuple(takewhile(_is_told_by_linear_model, weighed.together.members))
+    members = tuple(takewhile(_is_told_by_linear_model, of_set.members))
     if len(members) < 2 or _is_first_alone(members):
         return ()
     titles = ", ".join(f"{one.title} (ln BF {one.log_bayes_factor:.4g})" for one in members)
@@ -56,7 +75,7 @@ def try_set(context: FitContext, checked: Checked, weighed: Weighed, tried: Trie
     while found is not None:
         refused = _least_beside_rivals(context, *found, weighed)
         if refused is None:
-            rounds, refused = _one_by_one(context, checked, *found, weighed)
+            rounds, refused = _one_by_one(context, checked, *found, weighed, of_set)
             if refused is None:
                 return rounds
         say(f"    {refused.candidate.title}: refused: {refused.reason}", context.grid.is_world_root)
@@ -191,7 +210,12 @@ def _least_beside_rivals(
 
 
 def _one_by_one(
-    context: FitContext, checked: Checked, fitted: Fitted, members: Sequence[Candidate], weighed: Weighed
+    context: FitContext,
+    checked: Checked,
+    fitted: Fitted,
+    members: Sequence[Candidate],
+    weighed: Weighed,
+    of_set: Together,
 ) -> tuple[tuple[Round, ...], _Refused | None]:
     """Add the effects of a joint fit one after the other; return the rounds before the first that is refused, and it.
 
@@ -214,8 +238,8 @@ def _one_by_one(
         reason = refusal_of_fit(context, before, after, candidate)
         if reason is not None:
             return tuple(rounds), _Refused(len(rounds), candidate, reason)
-        ranking = weighed.ranking if place == n_before else weighed.beside_set(member)
-        rounds.append(replace(round_of(context, before, after, candidate, ranking), together=weighed.together.members))
+        ranking = weighed.ranking if place == n_before else of_set.in_place_of(member)
+        rounds.append(replace(round_of(context, before, after, candidate, ranking), together=of_set.members))
         before = after
     return tuple(rounds), None
 

@@ -71,6 +71,10 @@ def stand_in() -> Data:
     return Data(columns, [competitor(2), competitor(6), competitor(8, elements=True), competitor(2)], [truth])
 
 
+def test_what_is_best_and_simplest_has_none_beside_it(stand_in: Data) -> None:
+    assert stand_in.found().simpler == ()
+
+
 def test_what_is_right_together_takes_the_place_of_what_explains_most_alone(stand_in: Data) -> None:
     alone = stand_in.joint.weigh({}, range(4))
     assert max(alone, key=lambda i: alone[i].log_bayes_factor) == 1

@@ -81,6 +81,41 @@ def test_it_is_asked_where_no_more_effects_may_be_added(tmp_path: Path) -> None:
     assert not run_round(Search(full, history, [GAINS, COUPLING], [], Clock(), lambda _: None))
 
 
+def test_what_is_better_by_the_linear_model_comes_before_more_is_added(tmp_path: Path) -> None:
+    further = {
+        "kind": "cross_coupling",
+        "settings": {"baselines": [[0, 3]]},
+        "parameters": {"baseline 0-3 real": 0.002},
+    }
+    lacking = context_of(mock_job(GAIN, COUPLED, further), tmp_path)
+    so_far = rounds(lacking, factors(lacking), GAINS, COUPLING)
+    history = History(so_far[0].before, so_far[-1].after, list(so_far))
+    search = Search(lacking, history, [GAINS, COUPLING, CrossCoupling([[0, 3]])], [], Clock(), lambda _: None)
+    assert run_round(search)
+    assert {one.kind for one in history.last.fitted.values.active} == {"antenna_gains", "cross_coupling"}
+    assert len(history.last.fitted.values.active) == 2
+    assert run_round(search)
+    assert len(history.last.fitted.values.active) == 3
+
+
+def test_nothing_is_fitted_that_has_less_by_the_linear_model(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A gain that also drifts a little: a constant one explains nearly as much."""
+    settings = {"law": "smooth", "orders": [0, 1]}
+    drift = {"antenna 2 ln amplitude, level": 0.06, "antenna 2 ln amplitude, drift from first to last time": 0.003}
+    drifts = context_of(
+        mock_job({"kind": "antenna_gains", "settings": settings, "parameters": drift}, COUPLED), tmp_path
+    )
+    so_far = rounds(drifts, make_effect("antenna_gains", settings), GAINS, COUPLING)
+    last = so_far[-1].after
+    own = reconsider(drifts, last.fitted, 0)
+    assert in_place_of(drifts, last, 0, own, [GAINS])
+    capsys.readouterr()
+    assert exchange(drifts, last, so_far, [GAINS], [], only_more=True) is None
+    assert "trying" not in capsys.readouterr().err
+
+
 def test_a_law_in_the_place_of_another_of_the_same_effect(context: FitContext) -> None:
     drifting = make_effect("antenna_gains", {"law": "smooth", "orders": (1,)})
     so_far = rounds(context, drifting, GAINS, COUPLING)

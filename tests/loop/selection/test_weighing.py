@@ -58,7 +58,7 @@ def test_no_more_effects_than_may_be_added(context: FitContext, weighed: Weighed
 
 def test_what_competes_with_a_member_is_told_beside_the_others(weighed: Weighed) -> None:
     for member, beside in zip(weighed.together.members, weighed.together.beside, strict=True):
-        assert weighed.beside_set(replace(member, log_bayes_factor=0.0)) is beside
+        assert weighed.together.in_place_of(replace(member, log_bayes_factor=0.0)) is beside
         assert member in beside
 
 

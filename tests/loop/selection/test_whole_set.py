@@ -170,7 +170,7 @@ def test_the_others_are_fitted_again_from_where_they_were(tmp_path: Path, monkey
     monkeypatch.setattr(whole_set, "refusal_of_fit", refusal)
     monkeypatch.setattr(whole_set, "fit_patiently", fit)
     tried: list = []
-    found = try_set(context, before, weighed, tried)
+    found = try_set(context, before, replace(weighed, simpler=()), tried)
     assert {one.candidate.kind for one in found} == {"antenna_gains", "antenna_positions"}
     assert [one.kind for one, _ in tried] == ["cross_coupling"]
     assert begun == [(3, True), (2, False)]
@@ -191,7 +191,7 @@ def test_what_a_rival_explains_leaves_a_set_before_held_out_data_are_asked(
     monkeypatch.setattr(whole_set, "rivals_of", lambda *_: [rival])
     monkeypatch.setattr(whole_set, "refusal_of_fit", refusal)
     tried: list = []
-    found = try_set(context, before, weighed, tried)
+    found = try_set(context, before, replace(weighed, simpler=()), tried)
     assert [one.kind for one, _ in tried] == ["antenna_gains"]
     assert "antenna gains explains as much" in tried[0][1]
     assert sorted(asked) == sorted(one.candidate.kind for one in found) == ["antenna_positions", "cross_coupling"]
@@ -212,6 +212,27 @@ def test_what_the_others_have_may_be_what_the_linear_model_lacks_of_the_first(tm
     assert weighed.together.members[0].kind == "antenna_positions"
     assert len(weighed.together.members) > 1
     assert try_set(context, before, weighed, []) == ()
+
+
+@pytest.mark.parametrize(("log_bayes_factor", "n_fits"), [(0.0, 1), (1e12, 2)])
+def test_the_simplest_set_comes_first_and_others_only_for_more_evidence_than_its_fit_has(
+    context: FitContext,
+    before: Checked,
+    weighed: Weighed,
+    log_bayes_factor: float,
+    n_fits: int,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    gain, coupling = weighed.together.members
+    beside = weighed.together.in_place_of(gain), weighed.together.in_place_of(coupling)
+    instead = next(one for one in beside[0] if one.kind == "closure_errors")
+    larger = Together((instead, coupling), beside)
+    assert larger.n_parameters > weighed.together.n_parameters
+    both = replace(weighed, together=replace(larger, log_bayes_factor=log_bayes_factor), simpler=(weighed.together,))
+    capsys.readouterr()
+    found = try_set(context, before, both, [])
+    assert {one.candidate.kind for one in found} == {"antenna_gains", "cross_coupling"}
+    assert capsys.readouterr().err.count("trying together") == n_fits
 
 
 def test_one_effect_is_no_set(context: FitContext, before: Checked, weighed: Weighed) -> None:
