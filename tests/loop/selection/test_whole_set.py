@@ -223,11 +223,12 @@ def test_the_simplest_set_comes_first_and_others_only_for_more_evidence_than_its
     n_fits: int,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    gain, coupling = weighed.together.members
-    beside = weighed.together.in_place_of(gain), weighed.together.in_place_of(coupling)
-    instead = next(one for one in beside[0] if one.kind == "closure_errors")
-    larger = Together((instead, coupling), beside)
-    assert larger.n_parameters > weighed.together.n_parameters
+    def with_more(one: Candidate) -> Candidate:
+        assert one.finding is not None
+        evidence = replace(one.finding.evidence, effective_parameters=9.0)
+        return replace(one, finding=replace(one.finding, evidence=evidence))
+
+    larger = replace(weighed.together, members=tuple(map(with_more, weighed.together.members)))
     both = replace(weighed, together=replace(larger, log_bayes_factor=log_bayes_factor), simpler=(weighed.together,))
     capsys.readouterr()
     found = try_set(context, before, both, [])
