@@ -21,7 +21,7 @@ from hydrabeam_mpi.effects.interface.scanned import ScannedEffect, sums_by
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.shared.correlated_law import Correlated
 from hydrabeam_mpi.effects.shared.nightly_laws import Nightly, Sidereal
-from hydrabeam_mpi.effects.shared.time_laws import Piecewise, Smooth, TimeLaw
+from hydrabeam_mpi.effects.shared.time_laws import LEVEL, Piecewise, Smooth, TimeLaw
 
 LAWS: dict[str, type[TimeLaw]] = {law.name: law for law in (Smooth, Sidereal, Nightly, Piecewise, Correlated)}
 """By the names that jobs give them."""
@@ -126,10 +126,21 @@ class InTime(ScannedEffect):
         return replace(parameters, across=across, across_trials=(1 + n_common) * of_functions)
 
     def degenerate_directions(self, setup: ObservingSetup) -> FloatArray:
-        """Return what no data tell, with each of the functions by itself, (n_directions, n_params)."""
-        own, n = self.effect.undecidable_in_time(setup), len(self.time_law.names())
-        own = np.pad(own, ((0, 0), (0, len(self.effect.common_in_time(setup)[0]))))
-        return np.einsum("dp,kl->dkpl", own, np.eye(n)).reshape(len(own) * n, own.shape[1] * n)
+        """Return what no data tell, with each of the functions by itself, (n_directions, n_params).
+
+        A level is as little told from another beam as what is constant, and as what all elements have in common then.
+        """
+        common, functions = self.effect.common_in_time(setup)[1], self.time_law.names()
+        changing, constant = self.effect.undecidable_in_time(setup), self.effect.degenerate_directions(setup)
+        is_constant = np.linalg.norm(common - common @ np.linalg.pinv(constant) @ constant, axis=1) < 1e-9
+        of_common = np.eye(len(common))[is_constant]
+        changing, constant = (np.pad(one, ((0, 0), (0, len(common)))) for one in (changing, constant))
+        constant = np.vstack([constant, np.pad(of_common, ((0, 0), (constant.shape[1] - len(common), 0)))])
+        found = [
+            np.kron(constant if name == LEVEL else changing, np.eye(len(functions))[k])
+            for k, name in enumerate(functions)
+        ]
+        return np.vstack([np.zeros((0, constant.shape[1] * len(functions))), *found])
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return the effect's own columns times the functions; ``x`` is (n_params,)."""

@@ -90,6 +90,20 @@ def test_what_all_antennas_have_in_common_is_a_number_of_its_own(setup: Observin
     assert np.ptp(np.abs(effect.factor(block, 0.1 * common))[:, 0]) > 0.1
 
 
+def test_the_level_of_all_gains_is_told_from_no_beam(setup: ObservingSetup) -> None:
+    """As a constant it would go to infinity where the beam's prior has no width, and the beam to zero."""
+    effect = changing("antenna_gains", setup, law="smooth", orders=[0, 1])
+    held, names = effect.degenerate_directions(setup), effect.parameters(setup).names
+    block = small_block(setup)
+    factors = np.array([effect.factor(block, 0.1 * one) for one in held])
+    np.testing.assert_allclose(factors, np.broadcast_to(factors[:, :1, :1], factors.shape), atol=1e-12)
+    # Phases that drift together, and of what is constant phases, amplitudes, and these once more as a number.
+    assert np.linalg.matrix_rank(held) == len(held) == 4
+    (common,) = np.flatnonzero((held != 0).sum(axis=1) == 1)
+    assert names[np.argmax(held[common])] == "all antennas ln amplitude, level"
+    assert not held[:, names.index("all antennas ln amplitude, drift from first to last time")].any()
+
+
 def test_a_fit_of_a_sign_that_is_lost_for_some_time_begins_with_jumps_of_the_phase(setup: ObservingSetup) -> None:
     """And what is zero, as it is not in use, stays so."""
     times = setup.observation.times
