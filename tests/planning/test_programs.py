@@ -15,7 +15,7 @@ from hydrabeam_mpi.planning.programs import done, loaded
 MEGABYTE = 2**20
 
 
-def test_what_is_done_is_made_once_and_its_most_memory_told() -> None:
+def test_what_is_made_first_is_returned_with_its_time_and_most_memory() -> None:
     made = []
 
     def work() -> int:

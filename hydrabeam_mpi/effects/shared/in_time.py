@@ -126,21 +126,28 @@ class InTime(ScannedEffect):
         return replace(parameters, across=across, across_trials=(1 + n_common) * of_functions)
 
     def degenerate_directions(self, setup: ObservingSetup) -> FloatArray:
-        """Return what no data tell, with each of the functions by itself, (n_directions, n_params).
+        """Return what no data tell, with each of the functions by itself, (n_directions, n_params)."""
+        functions, n_common = self.time_law.names(), len(self.effect.common_in_time(setup)[0])
+        changing = np.pad(self.effect.undecidable_in_time(setup), ((0, 0), (0, n_common)))
+        of_level = self._undecidable_level(setup) if LEVEL in functions else changing
+        each = zip(functions, np.eye(len(functions)), strict=True)
+        found = [np.kron(of_level if name == LEVEL else changing, one) for name, one in each]
+        return np.vstack([np.zeros((0, changing.shape[1] * len(functions))), *found])
 
-        A level is as little told from another beam as what is constant, and as what all elements have in common then.
+    def _undecidable_level(self, setup: ObservingSetup) -> FloatArray:
+        """Return what no data tell of a level, (n_directions, n_own).
+
+        It is as little told from another beam as what is constant, and as what all elements have in common then.
         """
-        common, functions = self.effect.common_in_time(setup)[1], self.time_law.names()
-        changing, constant = self.effect.undecidable_in_time(setup), self.effect.degenerate_directions(setup)
+        common, constant = self.effect.common_in_time(setup)[1], self.effect.degenerate_directions(setup)
         is_constant = np.linalg.norm(common - common @ np.linalg.pinv(constant) @ constant, axis=1) < 1e-9
         of_common = np.eye(len(common))[is_constant]
-        changing, constant = (np.pad(one, ((0, 0), (0, len(common)))) for one in (changing, constant))
-        constant = np.vstack([constant, np.pad(of_common, ((0, 0), (constant.shape[1] - len(common), 0)))])
-        found = [
-            np.kron(constant if name == LEVEL else changing, np.eye(len(functions))[k])
-            for k, name in enumerate(functions)
-        ]
-        return np.vstack([np.zeros((0, constant.shape[1] * len(functions))), *found])
+        return np.vstack(
+            [
+                np.pad(constant, ((0, 0), (0, len(common)))),
+                np.pad(of_common, ((0, 0), (constant.shape[1], 0))),
+            ]
+        )
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return the effect's own columns times the functions; ``x`` is (n_params,)."""

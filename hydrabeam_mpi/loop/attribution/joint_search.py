@@ -181,8 +181,10 @@ def search(joint: JointLikelihood, least: float) -> JointSet:
     best = _as_set(joint, state, total, least)
     fewest, known, simpler = _n_parameters(state), {frozenset(best.order)}, list[JointSet]()
     for other, evidence in others:
+        if _n_parameters(other) >= fewest:
+            continue
         told = _as_set(joint, other, evidence, least)
-        if _n_parameters(other) < fewest and frozenset(told.order) not in known:
+        if frozenset(told.order) not in known:
             fewest = _n_parameters(other)
             known.add(frozenset(told.order))
             simpler.append(told)
