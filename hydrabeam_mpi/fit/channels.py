@@ -152,7 +152,7 @@ def _solve(grid: ProcessGrid, problem: Problem, normals: list[NormalEquations], 
     coupled = solution.channels if solution else []
     # The matrix of all channels is of no use any more.
     del solution
-    with together(grid.world):
+    with together(grid.world), grid.roots_alone():
         for posterior in posteriors if grid.is_group_root else ():
             _ = posterior.covariance  # cached: part of the inference, though only written later
     worst = np.zeros(1)
@@ -228,7 +228,7 @@ def solve_channels(
     if problem.coupling is not None:
         coupled = solve_coupled(grid, problem, normals, n_draws)
         solved = coupled.posteriors
-    with together(grid.world):
+    with together(grid.world), grid.roots_alone():
         if grid.is_group_root:
             if problem.coupling is None:
                 parts = zip(normals, problem.priors, factors or len(normals) * (None,), strict=True)

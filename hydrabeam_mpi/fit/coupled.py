@@ -94,7 +94,7 @@ def solve_coupled(
     assert coupling is not None
     told: list[ChannelTold] = []
     alone = 0.0
-    with together(grid.world):
+    with together(grid.world), grid.roots_alone():
         if grid.is_group_root:
             told = list(map(told_of, normals, problem.priors))
             alone = sum(_evidence_alone(one) for one in told)
@@ -106,7 +106,7 @@ def solve_coupled(
         noise = _noise(grid, problem, told, max(n_draws, N_SCALING))
         moments, summary = solve_matrix_free(grid, problem.job.seed, coupling.candidates[0], told, noise)
     posteriors: list[Posterior] = []
-    with together(grid.world):
+    with together(grid.world), grid.roots_alone():
         if grid.is_group_root:
             for one, prior in zip(moments, problem.priors, strict=True):
                 width = prior.std()
@@ -233,7 +233,7 @@ def assemble(
     for channel, (one, drawn) in enumerate(by_channel(grid, records)):
         assert equations is not None
         equations.add(channel, one, drawn)
-    with together(grid.world):
+    with together(grid.world), grid.roots_alone():
         if equations is not None:
             solved = equations.solve()
     return solved

@@ -29,7 +29,7 @@ from hydrabeam_mpi.inference.gaussian import Block, Gaussian, spans_of
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.inference.matrices import complete_hermitian
 from hydrabeam_mpi.inference.prior import Prior
-from hydrabeam_mpi.mpi import Comm, allreduce_sum
+from hydrabeam_mpi.mpi import Comm, allreduce_sum, allreduce_sum_triangle
 
 BEAM = "beam"
 """Name of the block of the beam's coefficients."""
@@ -157,11 +157,16 @@ class NormalEquations:
 
     def reduce(self, comm: Comm) -> None:
         """Sum over ranks, in place. Collective: all ranks of `comm`."""
-        for name in list(self._half_filled):
-            self.own(name)
-        for total in (*self.gram.values(), *self.projection.values()):
+        for (first, second), total in self.gram.items():
             # The transpose of an F-ordered array is C-ordered memory, which messages need.
-            allreduce_sum(comm, total.T)
+            if first == second:
+                allreduce_sum_triangle(comm, total.T)
+                complete_hermitian(total)
+            else:
+                allreduce_sum(comm, total.T)
+        self._half_filled.clear()
+        for projection in self.projection.values():
+            allreduce_sum(comm, projection)
         allreduce_sum(comm, self.scalars)
 
     def own(self, name: str) -> Array:

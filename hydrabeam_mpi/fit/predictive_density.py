@@ -152,7 +152,7 @@ def of_each_channel(
         response, covariance = follow, np.zeros((0, 0))
         if values.active:
             response, covariance = follow + fitted.fit.beam_response[channel], fitted.fit.covariances[channel]
-        with together(grid.group):
+        with together(grid.group), grid.roots_alone():
             if grid.is_group_root:
                 response = response.astype(sums.own(BEAM).dtype, copy=False)
                 of_channel = told(sums, fitted.fit.posteriors[channel], seen, response)

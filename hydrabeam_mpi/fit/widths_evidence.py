@@ -80,7 +80,7 @@ class WidthsEvidence:
     def _take(self, context: FitContext, fitted: Fitted) -> None:
         """Take what the fit tells of each channel's beam."""
         normals = sum_for_beams(context, fitted.estimate).normals
-        with together(self._world):
+        with together(self._world), context.grid.roots_alone():
             if context.grid.is_group_root:
                 priors = context.given(fitted.values).priors
                 for normal, beam, prior in zip(normals, fitted.fit.posteriors, priors, strict=True):

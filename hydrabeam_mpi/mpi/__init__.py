@@ -16,6 +16,7 @@ from hydrabeam_mpi.mpi.by_channel import by_channel, gather_by_channel, roots_of
 from hydrabeam_mpi.mpi.collectives import (
     allreduce_max,
     allreduce_sum,
+    allreduce_sum_triangle,
     bcast_array,
     bcast_object,
     gather_items,
@@ -41,6 +42,7 @@ __all__ = [
     "ProcessGrid",
     "allreduce_max",
     "allreduce_sum",
+    "allreduce_sum_triangle",
     "alone",
     "apart",
     "bcast_array",

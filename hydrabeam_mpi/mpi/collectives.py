@@ -16,6 +16,7 @@ from mpi4py.util import pkl5
 from numpy.typing import NDArray
 
 MAX_MESSAGE_BYTES = 2**28  # as fast as any larger size, with less memory for buffers
+TRIANGLE_STEPS = 32  # into which rows of a triangle are cut, which are sent with 3% more than the triangle
 
 Array = NDArray[Any]
 Key = TypeVar("Key", int, tuple[int, int], tuple[str, int])
@@ -74,6 +75,32 @@ def _sum_in_rank_order(comm: MPI.Comm, piece: Array) -> None:
     for term in terms[1:]:
         share += term
     comm.Allgatherv([share, MPI.BYTE], [piece, (counts, starts), MPI.BYTE])
+
+
+def allreduce_sum_triangle(comm: MPI.Comm, matrix: Array) -> None:
+    """Do as `allreduce_sum` with the lower triangle of a square matrix. Collective: all ranks of `comm`.
+
+    Half as much is sent. What stands above the diagonal has no meaning afterwards.
+
+    Parameters
+    ----------
+    comm : mpi4py.MPI.Comm
+    matrix : ndarray, (n, n)
+        The same shape and dtype on all ranks.
+    """
+    if comm.size == 1:
+        return
+    n, step = len(matrix), -(-len(matrix) // TRIANGLE_STEPS)
+    # As long as the last of them: some rows together are copied as fast as memory allows.
+    parts = [matrix[start : start + step, : start + step] for start in range(0, n, step or 1)]
+    edges = np.cumsum([0, *(part.size for part in parts)])
+    packed = np.empty(edges[-1], matrix.dtype)
+    pieces = [packed[lo:hi].reshape(part.shape) for lo, hi, part in zip(edges, edges[1:], parts, strict=False)]
+    for piece, part in zip(pieces, parts, strict=True):
+        piece[...] = part
+    allreduce_sum(comm, packed)
+    for piece, part in zip(pieces, parts, strict=True):
+        part[...] = piece
 
 
 def allreduce_max(comm: MPI.Comm, array: Array, max_bytes: int = MAX_MESSAGE_BYTES) -> None:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 from mpi4py import MPI
+
+from hydrabeam_mpi.mpi.threads import more_threads, threads_of_roots
 
 
 def alone() -> MPI.Comm:
@@ -41,6 +45,8 @@ class ProcessGrid:
         Which group this is, of how many.
     n_channels : int
         Number of channels of the job.
+    root_threads : int
+        Threads of BLAS that this rank may use, if it is a group's root, while the other ranks wait.
     """
 
     world: MPI.Comm
@@ -48,6 +54,7 @@ class ProcessGrid:
     group_index: int
     n_groups: int
     n_channels: int
+    root_threads: int
 
     @classmethod
     def split(cls, world: MPI.Comm, n_channels: int) -> ProcessGrid:
@@ -56,7 +63,9 @@ class ProcessGrid:
             raise ValueError(f"a process grid needs at least one channel, not {n_channels}")
         n_groups = min(world.size, n_channels)
         group_index = next(g for g in range(n_groups) if world.rank in _block(g, n_groups, world.size))
-        return cls(world, world.Split(group_index, world.rank), group_index, n_groups, n_channels)
+        group = world.Split(group_index, world.rank)
+        root_threads = threads_of_roots(world, group.rank == 0)
+        return cls(world, group, group_index, n_groups, n_channels, root_threads)
 
     @property
     def channels(self) -> range:
@@ -72,6 +81,15 @@ class ProcessGrid:
     def is_group_root(self) -> bool:
         """Whether this rank solves for its group."""
         return self.group.rank == 0
+
+    @contextmanager
+    def roots_alone(self) -> Iterator[None]:
+        """Give the cores of all ranks of a node to its groups' roots, for what these do while the others sleep."""
+        if not self.is_group_root:
+            yield
+            return
+        with more_threads(self.root_threads):
+            yield
 
     def root_of(self, channel: int) -> int:
         """Rank in `world` of the group root that treats ``channel``."""

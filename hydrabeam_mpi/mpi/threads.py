@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import os
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from fractions import Fraction
+from functools import cache
 
 import numpy as np
 import threadpoolctl
@@ -13,6 +16,8 @@ from mpi4py import MPI
 # threadpoolctl sees loaded libraries only. One that scipy may bring reads the environment when it is loaded.
 _LOADED = (np.linalg,)
 _USER_SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_shared_out: set[int] = set()
+"""This rank, once its share of the cores has been set here."""
 
 
 def limit_blas_threads(comm: MPI.Comm) -> int:
@@ -37,7 +42,40 @@ def limit_blas_threads(comm: MPI.Comm) -> int:
     if not any(os.environ.get(name) for name in _USER_SETTINGS):
         threadpoolctl.threadpool_limits(threads)
         os.environ["OMP_NUM_THREADS"] = str(threads)  # for libraries not loaded yet, and for child processes
+        _shared_out.add(comm.rank)
     return blas_threads()
+
+
+def threads_of_roots(comm: MPI.Comm, is_root: bool) -> int:
+    """Return the threads of this rank while, on each node, the roots work alone. Collective: all ranks of `comm`.
+
+    Parameters
+    ----------
+    comm : mpi4py.MPI.Comm
+    is_root : bool
+        Whether this rank is one that others wait for.
+    """
+    node = comm.Split_type(MPI.COMM_TYPE_SHARED)
+    cores = node.allgather(_usable_cores() if is_root else set())
+    threads = fair_share(cores, node.rank)
+    node.Free()
+    return threads
+
+
+@contextmanager
+def more_threads(threads: int) -> Iterator[None]:
+    """Use so many threads on this rank, if it was not the user who set how many there are."""
+    if not _shared_out:
+        yield
+        return
+    with _pools().limit(limits=threads):
+        yield
+
+
+@cache
+def _pools() -> threadpoolctl.ThreadpoolController:
+    """Return what sets the threads of the libraries that are loaded; to look for these takes milliseconds."""
+    return threadpoolctl.ThreadpoolController()
 
 
 def blas_threads() -> int:

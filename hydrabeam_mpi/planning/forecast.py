@@ -173,12 +173,17 @@ class Steps:
         cost, tiles = self.model.bench.simulated, (self.shares.seconds(self.model.bench.simulated),)
         return fixed + each * self._rows() + sum(tiles) + self.shares.seconds(cost, test=True)
 
+    @property
+    def _triangle(self) -> int:
+        """Bytes of a sum of products of the coefficients' columns, of which one triangle is sent."""
+        return self.shares.share.matrix // 2
+
     def _allreduce(self, n_bytes: int) -> float:
         return self.model.network.allreduce(n_bytes, self.shares.in_group)
 
     def _infer(self) -> dict[str, float]:
         bench, shares, matrix = self.model.bench, self.shares, self.shares.share.matrix
-        sums = self._allreduce(matrix) + self.model.network.message(matrix)
+        sums = self._allreduce(self._triangle) + self.model.network.message(matrix)
         return {
             "design": shares.seconds(bench.design),
             "sum": shares.channels * sums if shares.in_group > 1 else 0.0,
@@ -256,12 +261,12 @@ class Steps:
     def _sums(self, n: int) -> float:
         """Seconds of ``n`` sums over ranks of matrices of the coefficients' size."""
         several = self.shares.in_group > 1
-        return several * self.shares.channels * n * self._allreduce(self.shares.share.matrix)
+        return several * self.shares.channels * n * self._allreduce(self._triangle)
 
     def _sample(self) -> dict[str, float]:
         bench, shares, settings = self.model.bench, self.shares, self.outline.job.sample
         chains = -(-settings.chains // min(self.ranks, settings.chains))
-        one = shares.seconds(bench.draw) + (self._allreduce(shares.share.matrix) if shares.in_group > 1 else 0.0)
+        one = shares.seconds(bench.draw) + (self._allreduce(self._triangle) if shares.in_group > 1 else 0.0)
         return {
             "begin": shares.seconds(bench.begin_chains) + (bench.together.fit_s if bench.together else 0.0),
             "draws": chains * (settings.warm_up + settings.draws) * one,
@@ -290,7 +295,7 @@ class Steps:
     def sent(self, command: str) -> int:
         """Return the bytes that a rank sends, the root of a group most."""
         share, p = self.shares.share, self.shares.in_group
-        one_sum = 2 * share.channels * share.matrix * (p - 1) // p
+        one_sum = 2 * share.channels * self._triangle * (p - 1) // p
         to_group = share.channels * share.matrix * (p > 1)
         result = least_result_bytes(self.outline.job, share.channels) if self.shares.n_groups > 1 else 0
         found = self.model.found

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import functools
 import operator
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from mpi4py import MPI
 from hydrabeam_mpi.mpi import (
     allreduce_max,
     allreduce_sum,
+    allreduce_sum_triangle,
     bcast_array,
     bcast_object,
     gather_items,
@@ -52,6 +54,16 @@ def test_sum_in_place_of_a_view(comm: MPI.Comm) -> None:
     array = np.ones((4, 3))
     allreduce_sum(comm, array[1:3])
     np.testing.assert_array_equal(array[:, 0], [1, comm.size, comm.size, 1])
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 31, 32, 33, 100])
+@pytest.mark.parametrize("order", ["C", "F"])
+@any_dtype
+def test_triangle_is_summed_as_all_is(comm: MPI.Comm, n: int, order: Literal["C", "F"], dtype: type) -> None:
+    matrix, whole = np.array(term(comm.rank, (n, n), dtype), order=order), term(comm.rank, (n, n), dtype)
+    allreduce_sum_triangle(comm, matrix)
+    allreduce_sum(comm, whole)
+    np.testing.assert_array_equal(np.tril(matrix), np.tril(whole), strict=True)
 
 
 @any_limit

@@ -23,6 +23,20 @@ if world.rank == 0:
     print(json.dumps(everyone))
 """
 
+ROOTS_ALONE = """
+import json, os
+from mpi4py.MPI import COMM_WORLD as world
+from hydrabeam_mpi.mpi import ProcessGrid, blas_threads, limit_blas_threads
+
+counts = [limit_blas_threads(world)]
+for n_channels in (2, 1):
+    with ProcessGrid.split(world, n_channels).roots_alone():
+        counts.append(blas_threads())
+everyone = world.gather((*counts, blas_threads(), sorted(os.sched_getaffinity(0))))
+if world.rank == 0:
+    print(json.dumps(everyone))
+"""
+
 
 @pytest.mark.parametrize(
     ("cores_of_ranks", "shares"),
@@ -56,6 +70,21 @@ def test_ranks_times_threads_fit_the_cores(mpiexec_python: Callable[..., Complet
     n_threads = sum(said for said, *_ in everyone)
     assert n_threads <= max(n, n_cores)
     assert n_threads > n_cores - n
+
+
+def test_roots_use_the_cores_of_those_that_wait(mpiexec_python: Callable[..., CompletedProcess[str]]) -> None:
+    result = mpiexec_python(2, ROOTS_ALONE, OMP_NUM_THREADS="")
+    assert result.returncode == 0, result.stderr
+    (before, together, within, after, cores), (*_, idle, left, _) = json.loads(result.stdout)
+    assert within == len(cores)
+    # Where every rank is the root of a group of its own there is no more to have.
+    assert before == together == after == idle == left
+
+
+def test_roots_use_no_more_where_the_user_says_so(mpiexec_python: Callable[..., CompletedProcess[str]]) -> None:
+    result = mpiexec_python(2, ROOTS_ALONE, OMP_NUM_THREADS="1")
+    assert result.returncode == 0, result.stderr
+    assert all(counts == [1, 1, 1, 1] for *counts, _ in json.loads(result.stdout))
 
 
 @pytest.mark.parametrize("name", ["OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"])

@@ -163,9 +163,10 @@ def _likelihoods(
         cached = cached or CachedRowBlocks.of(context, fitted.estimate)
     for channel, number in enumerate(context.channels):
         sums = candidate_sums(context, values, cached, channel, blocks, by_pairs=True)
-        if context.grid.is_group_root:
-            marginal = marginal_of(context, fitted, sums, channel, blocks)
-            found[number] = marginal.likelihood([*values.blocks, *blocks])
+        with together(context.grid.group), context.grid.roots_alone():
+            if context.grid.is_group_root:
+                marginal = marginal_of(context, fitted, sums, channel, blocks)
+                found[number] = marginal.likelihood([*values.blocks, *blocks])
     by_channel = gather_items(context.grid.world, found)
     return None if by_channel is None else list(by_channel.values())
 
