@@ -83,7 +83,7 @@ def weigh_together(
                 for one, which in picked
             ]
             model = Others.of(fitted.values, len(by_channel))
-            alone = {i: _of_some(one.evidence, which) for i, (one, which) in enumerate(picked)}
+            alone = {i: _of_some(one.evidence, which) for i, (one, which) in enumerate(picked) if _is_whole(one, which)}
             joint = JointLikelihood(by_channel, model, competitors, alone)
             found = _told(picked, search(joint, least), findings, limits.chi2, limits.free)
     result: TogetherFound = bcast_object(context.grid.world, found)
@@ -95,19 +95,32 @@ def columns_that_matter(
 ) -> list[tuple[Finding, IntArray]]:
     """Return effects with the parameters to weigh: those in use, and of further elements those that gain alone.
 
-    The effects with the most evidence come first while there is room, then the elements that gain most.
+    The effects with the most evidence come first while there is room, then the elements that gain most. Of an effect
+    that has too many parameters in use to be weighed whole these are the elements as well.
     """
     room, picked = RULES.most_columns, []
-    for one in findings:
+    elements: list[tuple[float, int, IntArray]] = []
+    for number, one in enumerate(findings):
         which, further = _in_use(context, fitted, one)
-        if len(which) <= room:
-            room -= len(which)
-            picked.append((one, which, further))
-    gains = np.concatenate([np.zeros(0), *(one.evidence.alone[further] for one, _, further in picked)])
-    least = np.sort(gains)[::-1][room] if len(gains) > room else 0.0
-    return [
-        (one, np.sort(np.append(which, further[one.evidence.alone[further] > least]))) for one, which, further in picked
-    ]
+        if len(which) > room:
+            which, further = which[:0], np.append(which, further)
+        room -= len(which)
+        picked.append([which])
+        of_element = one.effect.parameters(context.setup).element[further]
+        for element in np.unique(of_element):
+            columns = further[of_element == element]
+            elements.append((float(one.evidence.alone[columns].max()), number, columns))
+    for gain, number, columns in sorted(elements, key=lambda element: -element[0]):
+        if gain > 0 and len(columns) <= room:
+            room -= len(columns)
+            picked[number].append(columns)
+    chosen = [np.sort(np.concatenate(parts)) for parts in picked]
+    return [(one, which) for one, which in zip(findings, chosen, strict=True) if len(which)]
+
+
+def _is_whole(one: Finding, which: IntArray) -> bool:
+    """Whether an effect's parameters ``which`` have all that are in use."""
+    return not np.delete(one.evidence.prior_var > 0, which).any()
 
 
 def _in_use(context: FitContext, fitted: Fitted, one: Finding) -> tuple[IntArray, IntArray]:

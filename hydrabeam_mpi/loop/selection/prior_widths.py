@@ -15,6 +15,7 @@ from functools import partial
 import numpy as np
 
 from hydrabeam_mpi.effects.interface.effect import Effect
+from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import BrokenOff
 from hydrabeam_mpi.fit.prior_widths import adapted, is_adaptable
@@ -129,7 +130,8 @@ def _widened(
     say(f"  widths of the beam's prior: {describe(found.widths)} (ln BF {found.log_bayes_factor:.4g})", speaks)
     try:
         fitted, found = adapted(context, checked.fitted, found, fit_patiently, none_less)
-    except BrokenOff:
+    except (BrokenOff, InputError) as why:  # with the widths as they were all has been solved, and stands
+        say(f"    refused: {why}", speaks)
         return None, 0.0
     after = check(context, fitted)
     one, two = compared(context, checked, after)

@@ -74,5 +74,12 @@ def test_columns_are_those_in_use_and_further_ones_that_gain_alone_while_there_i
     n_first = len(picked[0][1])
     monkeypatch.setattr(weigh_together, "RULES", replace(RULES, most_columns=n_first))
     assert [len(which) for _, which in weigh_together.columns_that_matter(context, fitted, findings)] == [n_first]
+    # Of what is too large for the room its foremost elements are weighed, not none.
+    monkeypatch.setattr(weigh_together, "RULES", replace(RULES, most_columns=n_first - 1))
+    [(first, which), *_] = weigh_together.columns_that_matter(context, fitted, findings)
+    assert first is findings[0]
+    assert 0 < len(which) < n_first
+    alone, in_use = first.evidence.alone, set(picked[0][1])
+    assert alone[which].min() >= max(alone[list(in_use - set(which))])
     monkeypatch.setattr(weigh_together, "RULES", Rules(most_columns=1))
     assert all(len(which) == 1 for _, which in weigh_together.columns_that_matter(context, fitted, findings))
