@@ -17,11 +17,12 @@ from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.inference.likelihood import Likelihood
 from hydrabeam_mpi.inference.significance import SIGNIFICANT_P
 from hydrabeam_mpi.loop.attribution.candidate_rows import CachedRowBlocks, candidate_sums, marginal_of
+from hydrabeam_mpi.loop.attribution.columns_that_matter import columns_that_matter, has_all_in_use
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.attribution.joint_search import Competitor, JointLikelihood, JointSet, search
 from hydrabeam_mpi.loop.attribution.limits import Limits
 from hydrabeam_mpi.loop.attribution.others import Others
-from hydrabeam_mpi.loop.attribution.score_effects import Finding, taken
+from hydrabeam_mpi.loop.attribution.score_effects import Finding
 from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.mpi import bcast_object, gather_items, together
 
@@ -41,6 +42,8 @@ class TogetherFound:
         Of all of them together.
     explains : bool
         Whether what they leave of the fitted rows may be noise, as far as the model is linear.
+    nearly : bool
+        Whether that is so, or what they leave may be what is not linear in them; see `Rules.near_if_linear`.
     simpler : tuple of TogetherFound
         Others with less evidence and fewer parameters.
     """
@@ -49,6 +52,7 @@ class TogetherFound:
     beside: tuple[tuple[Finding, ...], ...] = ()
     log_bayes_factor: float = 0.0
     explains: bool = False
+    nearly: bool = False
     simpler: tuple[TogetherFound, ...] = ()
 
 
@@ -83,56 +87,13 @@ def weigh_together(
                 for one, which in picked
             ]
             model = Others.of(fitted.values, len(by_channel))
-            alone = {i: _of_some(one.evidence, which) for i, (one, which) in enumerate(picked) if _is_whole(one, which)}
+            alone = {
+                i: _of_some(one.evidence, which) for i, (one, which) in enumerate(picked) if has_all_in_use(one, which)
+            }
             joint = JointLikelihood(by_channel, model, competitors, alone)
             found = _told(picked, search(joint, least), findings, limits.chi2, limits.free)
     result: TogetherFound = bcast_object(context.grid.world, found)
     return result
-
-
-def columns_that_matter(
-    context: FitContext, fitted: Fitted, findings: Sequence[Finding]
-) -> list[tuple[Finding, IntArray]]:
-    """Return effects with the parameters to weigh: those in use, and of further elements those that gain alone.
-
-    The effects with the most evidence come first while there is room, then the elements that gain most. Of an effect
-    that has too many parameters in use to be weighed whole these are the elements as well.
-    """
-    room, picked = RULES.most_columns, []
-    elements: list[tuple[float, int, IntArray]] = []
-    for number, one in enumerate(findings):
-        which, further = _in_use(context, fitted, one)
-        if len(which) > room:
-            which, further = which[:0], np.append(which, further)
-        room -= len(which)
-        picked.append([which])
-        of_element = one.effect.parameters(context.setup).element[further]
-        for element in np.unique(of_element):
-            columns = further[of_element == element]
-            elements.append((float(one.evidence.alone[columns].max()), number, columns))
-    for gain, number, columns in sorted(elements, key=lambda element: -element[0]):
-        if gain > 0 and len(columns) <= room:
-            room -= len(columns)
-            picked[number].append(columns)
-    chosen = [np.sort(np.concatenate(parts)) for parts in picked]
-    return [(one, which) for one, which in zip(findings, chosen, strict=True) if len(which)]
-
-
-def _is_whole(one: Finding, which: IntArray) -> bool:
-    """Whether an effect's parameters ``which`` have all that are in use."""
-    return not np.delete(one.evidence.prior_var > 0, which).any()
-
-
-def _in_use(context: FitContext, fitted: Fitted, one: Finding) -> tuple[IntArray, IntArray]:
-    """Return the parameters of an effect that are in use, or cannot be weighed without each other, and those beside."""
-    parameters = one.effect.parameters(context.setup)
-    can = (parameters.scale > 0) & ~parameters.nonlinear
-    can[taken(fitted.values, one.effect)] = False
-    # What no data tell of those in use are combinations with others.
-    in_use, combined = one.evidence.prior_var > 0, one.effect.degenerate_directions(context.setup) != 0
-    with_others = combined[combined[:, in_use].any(axis=1)].any(axis=0)
-    used = can & (in_use | with_others)
-    return np.flatnonzero(used), np.flatnonzero(can & ~used & (one.evidence.alone > 0))
 
 
 def _competitor(context: FitContext, fitted: Fitted, one: Finding, which: IntArray) -> Competitor:
@@ -205,8 +166,10 @@ def _told(
     beside = [[finding(i, found) for i, found in chosen.beside[m].items()] for m in order]
     places = [next(i for i, one in enumerate(findings) if one is picked[m][0]) for m in order]
     is_noise = free > 0 and bool(chi2.sf(2 * left, 2 * free) >= SIGNIFICANT_P)
+    nearly = is_noise or left - free < (1 - RULES.near_if_linear) * (total - free)
     simpler = tuple(_told(picked, one, findings, total, unexplained) for one in chosen.simpler)
-    return TogetherFound(tuple(places), tuple(map(tuple, beside)), chosen.log_bayes_factor, is_noise, simpler)
+    known = tuple(places), tuple(map(tuple, beside)), chosen.log_bayes_factor
+    return TogetherFound(*known, is_noise, nearly, simpler)
 
 
 def _of_some(evidence: Evidence, which: IntArray) -> Evidence:

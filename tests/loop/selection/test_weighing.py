@@ -13,8 +13,8 @@ from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Values
-from hydrabeam_mpi.loop.attribution import weigh_together
-from hydrabeam_mpi.loop.rules import RULES, Rules
+from hydrabeam_mpi.loop.attribution import columns_that_matter
+from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.weighing import Weighed, weigh
 from tests.loop.mock import context_of, mock_job
 
@@ -62,24 +62,21 @@ def test_what_competes_with_a_member_is_told_beside_the_others(weighed: Weighed)
         assert member in beside
 
 
-def test_columns_are_those_in_use_and_further_ones_that_gain_alone_while_there_is_room(
+def test_columns_are_those_in_use_and_further_ones_that_gain_alone(
     context: FitContext, weighed: Weighed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fitted = refit(context, Values())
     findings = [one.finding for one in weighed.ranking if one.finding is not None]
-    picked = weigh_together.columns_that_matter(context, fitted, findings)
+    picked = columns_that_matter.columns_that_matter(context, fitted, findings)
     assert [one for one, _ in picked] == findings
-    for one, which in picked:
-        assert set(np.flatnonzero(one.evidence.prior_var)) <= set(which)
-    n_first = len(picked[0][1])
-    monkeypatch.setattr(weigh_together, "RULES", replace(RULES, most_columns=n_first))
-    assert [len(which) for _, which in weigh_together.columns_that_matter(context, fitted, findings)] == [n_first]
-    # Of what is too large for the room its foremost elements are weighed, not none.
-    monkeypatch.setattr(weigh_together, "RULES", replace(RULES, most_columns=n_first - 1))
-    [(first, which), *_] = weigh_together.columns_that_matter(context, fitted, findings)
-    assert first is findings[0]
-    assert 0 < len(which) < n_first
-    alone, in_use = first.evidence.alone, set(picked[0][1])
-    assert alone[which].min() >= max(alone[list(in_use - set(which))])
-    monkeypatch.setattr(weigh_together, "RULES", Rules(most_columns=1))
-    assert all(len(which) == 1 for _, which in weigh_together.columns_that_matter(context, fitted, findings))
+    assert all(columns_that_matter.has_all_in_use(one, which) for one, which in picked)
+    # With little room each effect has its part of it, for the elements that gain most alone.
+    room = sum(len(which) for _, which in picked) // 2
+    monkeypatch.setattr(columns_that_matter, "RULES", replace(RULES, most_columns=room))
+    fewer = columns_that_matter.columns_that_matter(context, fitted, findings)
+    assert [one for one, _ in fewer] == findings
+    assert sum(len(which) for _, which in fewer) <= room
+    cut = [one for one in zip(fewer, picked, strict=True) if not columns_that_matter.has_all_in_use(*one[0])]
+    assert cut
+    for (one, which), (_, before) in cut:
+        assert one.evidence.alone[which].min() >= one.evidence.alone[np.setdiff1d(before, which)].max()
