@@ -102,13 +102,28 @@ def gain_error(before: HeldoutScore, after: HeldoutScore) -> float:
 
     The greater of the two. Of a kind with but one block nothing is known; infinite where that is so of both.
     """
-    errors = []
+    gains = [gain for gain in _gains_of_blocks(before, after) if len(gain) > 1]
+    return max((float(np.std(gain, ddof=1)) * np.sqrt(len(gain)) for gain in gains), default=np.inf)
+
+
+def gain_by_chance(before: HeldoutScore, after: HeldoutScore) -> float:
+    """Return the standard deviation of `gain_of` where nothing is there that makes predictions better.
+
+    Blocks, of times or of groups, then get better and worse alike, so that those that get worse tell how much both are:
+    the root of twice the sum of their squares. The scatter of all is no measure of that, as what is there may be so in
+    few blocks, a baseline or a night. The greater of the two; of what is left of a fit that lacks something else blocks
+    of one kind are no draws of their own.
+    """
+    return max(float(np.sqrt(2 * np.sum(np.minimum(gain, 0.0) ** 2))) for gain in _gains_of_blocks(before, after))
+
+
+def _gains_of_blocks(before: HeldoutScore, after: HeldoutScore) -> list[FloatArray]:
+    """Return by how much the ln density of each block rises that is predicted before and after: times, and groups."""
+    gains = []
     for one, two in ((before.times, after.times), (before.groups, after.groups)):
         has = (one[1] > 0) & (two[1] > 0)
-        if has.sum() > 1:
-            gain = _cost(one[:, has], before.chi2) - _cost(two[:, has], after.chi2)
-            errors.append(float(np.std(gain, ddof=1)) * np.sqrt(has.sum()))
-    return max(errors, default=np.inf)
+        gains.append(_cost(one[:, has], before.chi2) - _cost(two[:, has], after.chi2))
+    return gains
 
 
 def _cost(blocks: FloatArray, chi2: float) -> FloatArray:

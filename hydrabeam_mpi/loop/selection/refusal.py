@@ -10,7 +10,7 @@ from hydrabeam_mpi.config.effects import Loop as LoopSettings
 from hydrabeam_mpi.loop.attribution.constancy import Constancy
 from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked
-from hydrabeam_mpi.loop.selection.heldout_score import gain_of
+from hydrabeam_mpi.loop.selection.heldout_score import gain_by_chance, gain_of
 
 
 def refusal_of(before: Checked, after: Checked, candidate: Candidate, settings: LoopSettings) -> str | None:
@@ -49,10 +49,15 @@ def refusal_by_heldout(before: Checked, after: Checked, settings: LoopSettings) 
     """Say why held-out data do not want an effect in the model; None where they do."""
     if (rises := rise_of_rms(before, after)) is not None:
         return rises
-    gain = gain_of(before.score, after.score)
+    gain, chance = gain_of(before.score, after.score), gain_by_chance(before.score, after.score)
     if not gain >= settings.min_log_bayes_factor:
         change = f"{before.score.chi2:.4g} to {after.score.chi2:.4g}"
         return f"held-out data are predicted no better: ln of their density changes by {gain:.4g}, chi^2 from {change}"
+    if not gain >= RULES.decided_sigmas * chance:
+        return (
+            f"held-out data are predicted no better than by chance: ln of their density rises by {gain:.4g}, where as "
+            f"many of them get better as worse it changes by {chance:.2g}"
+        )
     return None
 
 

@@ -16,7 +16,7 @@ from hydrabeam_mpi.fit.state import Active, Fitted, Values
 from hydrabeam_mpi.loop.selection import folds
 from hydrabeam_mpi.loop.selection.acceptance import Checked
 from hydrabeam_mpi.loop.selection.folds import compared, is_decided
-from hydrabeam_mpi.loop.selection.heldout_score import HeldoutScore, gain_error, gain_of
+from hydrabeam_mpi.loop.selection.heldout_score import HeldoutScore, gain_by_chance, gain_error, gain_of
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.random import generator
 from tests.loop.mock import context_of, mock_job
@@ -104,6 +104,24 @@ def test_the_error_of_a_gain_is_its_scatter_over_draws() -> None:
         gains.append(gain_of(one, two))
         errors.append(gain_error(one, two))
     assert np.mean(errors) == pytest.approx(np.std(gains), rel=0.3)
+
+
+def test_what_changes_by_chance_is_told_from_blocks_that_get_worse() -> None:
+    """Of two predictions that are as good as each other; what is there, in one group, does not count as chance."""
+    rng = generator(6, "gain by chance")
+    gains, chances = [], []
+    n_times, n_groups = 40, 30
+    for _ in range(400):
+        z = rng.normal(size=(n_times, n_groups)) + 1j * rng.normal(size=(n_times, n_groups))
+        one, two = (_score(0.5 * abs(z + 0.2 * rng.normal(size=z.shape)) ** 2) for _ in range(2))
+        gains.append(gain_of(one, two))
+        chances.append(gain_by_chance(one, two))
+    assert np.mean(chances) == pytest.approx(np.std(gains), rel=0.2)
+    wrong = z.copy()
+    wrong[:, 4] += 3.0
+    one, two = _score(0.5 * abs(wrong) ** 2), _score(0.5 * abs(z) ** 2)
+    assert gain_of(one, two) < 2 * gain_error(one, two)
+    assert gain_of(one, two) > 10 * gain_by_chance(one, two)
 
 
 def _score(power: np.ndarray) -> HeldoutScore:
