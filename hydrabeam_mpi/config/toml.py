@@ -34,7 +34,9 @@ def read_toml(path: Path) -> str:
                 raise InputError("is too large a number", file=path, field=key, remedy="it should be below 2^63")
         return json.dumps(table, default=str)
     except tomllib.TOMLDecodeError as error:
-        raise InputError(f"is not a TOML file ({error})", file=path, remedy="mend that line") from error
+        ends = "end of document" in str(error)
+        remedy = "close what is open: brackets, braces or quotation marks" if ends else "mend that line"
+        raise InputError(f"is not a TOML file ({error})", file=path, remedy=remedy) from error
     except RecursionError as error:
         raise InputError(
             "is nested too deeply", file=path, remedy="'hydrabeam init' prints a job as it should be"

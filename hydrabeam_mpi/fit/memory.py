@@ -22,6 +22,7 @@ from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.engines.base import SOURCES_AT_ONCE
 from hydrabeam_mpi.mpi import ProcessGrid, memory_per_rank, together
 from hydrabeam_mpi.setup.problem import Problem
+from hydrabeam_mpi.words import counted, size
 
 PER_VISIBILITY = 25
 """Bytes of a visibility that is kept, with its weight and flag."""
@@ -220,10 +221,10 @@ def check_room(grid: ProcessGrid, problems: Sequence[Problem], needed: Needed) -
             own += needed(problem, share, grid.is_group_root)
     most = max(grid.world.allgather(own))
     with together(grid.world):
-        check_fits(most, memory, grid.world.size)
+        check_fits(most, memory, grid.world.size, bool(dense_unknowns(rows.coupling, rows.basis.n_modes)))
 
 
-def check_fits(needed: int, memory: int, n_ranks: int) -> None:
+def check_fits(needed: int, memory: int, n_ranks: int, as_one: bool = False) -> None:
     """Refuse what does not fit.
 
     Parameters
@@ -231,15 +232,23 @@ def check_fits(needed: int, memory: int, n_ranks: int) -> None:
     needed, memory : int
         Bytes that a rank needs, and has.
     n_ranks : int
+    as_one : bool
+        Whether rank 0 solves for the beams of all channels as one matrix.
 
     Raises
     ------
     InputError
         If it needs more.
     """
-    if needed > memory:
-        raise InputError(
-            f"needs {needed / 1e9:.3g} GB a rank on {n_ranks} ranks, and a rank has {memory / 1e9:.3g} GB",
-            remedy="use more nodes, with fewer ranks on each, or fewer modes ([basis] n_modes)"
-            " ('hydrabeam plan' tells what other numbers of ranks need)",
+    if needed <= memory:
+        return
+    remedy = "use more nodes, with fewer ranks on each, or fewer modes ([basis] n_modes)"
+    if as_one:
+        remedy = (
+            "rank 0 solves for all channels as one matrix, on any number of ranks: set [prior.frequency] solver = "
+            '"conjugate-gradients", a longer length or fewer modes along frequency, or use fewer modes ([basis] n_modes)'
         )
+    raise InputError(
+        f"needs {size(needed)} a rank on {counted(n_ranks, 'rank')}, and a rank has {size(memory)}",
+        remedy=f"{remedy} ('hydrabeam plan' tells what other numbers of ranks need)",
+    )

@@ -261,13 +261,13 @@ def _of_hole(hole: Hole, what: str, where: str) -> str:
 
 
 def _holes(surveys: Sequence[Survey], axes: Sequence[FloatArray], tolerance: float) -> list[Hole]:
-    """Find where something is missing between files, most of which follow upon each other, given an axis of each."""
+    """Find where something is missing between files, half of which or more follow upon each other, given their axes."""
     values = np.concatenate(axes)
     steps = np.diff(values[distinct(values, tolerance)])
     files = distinct([axis[0] for axis in axes], tolerance)
     begins, ends = np.array([axes[k][-1] for k in files[:-1]]), np.array([axes[k][0] for k in files[1:]])
     wide = np.flatnonzero(ends - begins > ONE_IS_MISSING * np.median(steps)) if steps.size else files[:0]
-    if 2 * len(wide) >= len(begins):
+    if 2 * len(wide) > len(begins):
         return []
     names = [surveys[k].header.path.name for k in files]
     return [Hole(names[k], names[k + 1], float(begins[k]), float(ends[k])) for k in wide.tolist()]

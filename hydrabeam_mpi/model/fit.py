@@ -143,12 +143,14 @@ def _solve(basis: LinearBasis, pixels: Pixels) -> tuple[Array, int]:
         left, rest = _left_of(pixels, basis.basis, coeffs).values, basis.rest(pixels.za, pixels.az)
         return np.append(coeffs, (rest @ left) / (rest @ rest)), n_cut
     if np.iscomplexobj(pixels.values) and not basis.is_complex:
-        raise InputError("a complex beam needs complex coefficients", field="form", remedy='use form = "complex"')
+        told = "a complex beam needs complex coefficients"
+        raise InputError(told, field="[basis] form", remedy='use form = "complex"')
     if len(pixels.values) < basis.n_modes:
         raise InputError(
-            f"{basis.n_modes} modes cannot be fitted to {len(pixels.values)} samples above the horizon",
-            field="n_modes",
-            remedy="ask for fewer modes or give a finer beam",
+            f"has {basis.n_modes} functions to choose from, which cannot be fitted to the beam's {len(pixels.values)} "
+            "samples above the horizon",
+            field="[basis]",
+            remedy="ask for lower orders (k_max, m_max), or give a finer beam",
         )
     rings = RingGrid.from_pixels(pixels) if basis.n_rings else None
     on_rings = None if rings is None else basis.fit_rings(rings)

@@ -20,7 +20,7 @@ from hydrabeam_mpi.planning.network import Network
 from hydrabeam_mpi.planning.outline import Outline
 from hydrabeam_mpi.planning.programs import Taken, done
 from hydrabeam_mpi.planning.search import SearchBench
-from hydrabeam_mpi.planning.shares import Shares, Simulated
+from hydrabeam_mpi.planning.shares import Shares, Simulated, memory_of
 from hydrabeam_mpi.planning.told import Forecast
 from hydrabeam_mpi.result.output import least_result_bytes
 
@@ -77,6 +77,7 @@ class Model:
             steps.sent(command),
             steps.written(command),
             Simulated(self.bench.outline, ranks).partition if command == "simulate" else shares.partition,
+            memory_of(ranks),
             steps.round_s if is_loop else 0.0,
             further_bytes(self.candidates, shares.share) if is_loop else 0,
             steps.anew_s if is_loop else 0.0,

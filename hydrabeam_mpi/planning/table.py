@@ -7,7 +7,7 @@ from typing import Any
 
 from hydrabeam_mpi.planning.network import Network
 from hydrabeam_mpi.planning.told import Forecast
-from hydrabeam_mpi.words import duration, size, text_table
+from hydrabeam_mpi.words import counted, duration, size, text_table
 
 HEADINGS = ("command", "ranks", "wall time", "memory/rank", "sent/rank", "files", "groups x ranks", "rows of a rank")
 
@@ -16,7 +16,8 @@ def as_text(forecasts: Sequence[Forecast], assumed: Sequence[str]) -> str:
     """Return a table, a line a forecast, and beneath it what was assumed."""
     lines = [HEADINGS, *map(_cells, forecasts)]
     of_loops = map(_of_loop, (one for one in forecasts if one.command == "loop"))
-    return "\n".join([text_table(lines), "", *of_loops, *assumed]) + "\n"
+    too_large = map(_too_large, (one for one in forecasts if not one.fits))
+    return "\n".join([text_table(lines), "", *too_large, *of_loops, *assumed]) + "\n"
 
 
 def as_table(forecasts: Sequence[Forecast], assumed: Sequence[str]) -> dict[str, Any]:
@@ -29,6 +30,8 @@ def as_table(forecasts: Sequence[Forecast], assumed: Sequence[str]) -> dict[str,
                 "wall_s": one.wall_s,
                 "phases_s": one.phases_s,
                 "memory_bytes": one.memory_bytes,
+                "available_bytes": one.available_bytes,
+                "fits": one.fits,
                 "sent_bytes": one.sent_bytes,
                 "file_bytes": one.file_bytes,
                 "partition": vars(one.partition),
@@ -57,12 +60,20 @@ def _of_rounds(one: Forecast) -> dict[str, float]:
     return {"round_s": one.round_s, "anew_s": one.anew_s, "further_bytes": one.further_bytes}
 
 
+def _too_large(one: Forecast) -> str:
+    """Say that a command would not begin."""
+    return (
+        f"{one.command} on {counted(one.ranks, 'rank')} DOES NOT FIT machines like this one: it needs "
+        f"{size(one.memory_bytes)} a rank, and a rank has {size(one.available_bytes)}."
+    )
+
+
 def _of_loop(one: Forecast) -> str:
     """Tell what is certain of a loop from what each effect takes that it finds."""
     anew = f", and {duration(one.anew_s)} where the prior gets other widths in the end" if one.anew_s else ""
     certain = one.wall_s - one.phases_s.get("rounds", 0.0)
     return (
-        f"loop on {one.ranks} rank{'s' * (one.ranks != 1)}: {duration(certain)} whatever is found (checks, first fit, "
+        f"loop on {counted(one.ranks, 'rank')}: {duration(certain)} whatever is found (checks, first fit, "
         f"all effects weighed once, widths of the prior, result), and about {duration(one.round_s)} per effect found "
         f"or batch of further modes{anew}; {size(one.memory_bytes)} a rank, and up to {size(one.further_bytes)} more "
         "for each such batch, and for the first effect that changes the sky."

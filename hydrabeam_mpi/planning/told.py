@@ -22,6 +22,8 @@ class Forecast:
     file_bytes : int
         Of what is written, simulated data included.
     partition : Partition
+    available_bytes : int
+        Of a rank on machines like this one; a command that needs more does not begin.
     round_s : float
         Seconds of each effect that a loop finds, those that were taken to be found counted in ``phases_s``.
     further_bytes : int
@@ -39,6 +41,7 @@ class Forecast:
     sent_bytes: int
     file_bytes: int
     partition: Partition
+    available_bytes: int
     round_s: float = 0.0
     further_bytes: int = 0
     anew_s: float = 0.0
@@ -47,3 +50,8 @@ class Forecast:
     def wall_s(self) -> float:
         """Seconds from start to end."""
         return sum(self.phases_s.values())
+
+    @property
+    def fits(self) -> bool:
+        """Whether a rank has the memory that it needs."""
+        return self.memory_bytes <= self.available_bytes

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+MENTION = 1.0
+"""Nats that are worth a mention: odds of e to one (Kass and Raftery 1995)."""
+
 
 def warnings_over_frequency(told: Mapping[str, Any]) -> list[str]:
     """Say it in plain words, of what `hydrabeam_mpi.fit.coupled` tells of all channels together."""
@@ -15,7 +18,7 @@ def warnings_over_frequency(told: Mapping[str, Any]) -> list[str]:
             "covariances are estimates, of the preconditioner with variances from draws."
         )
     together, alone = told.get("log_evidence"), told["log_evidence_independent"]
-    if together is not None and together < alone:
+    if together is not None and together < alone - MENTION:
         said.append(
             f"The data are likelier with independent channels (ln evidence {alone:.1f}) than with beams that hang "
             f"together over frequency as [prior.frequency] says ({together:.1f})."

@@ -71,10 +71,10 @@ def test_times_that_are_flagged_tell_nothing(tmp_path: Path) -> None:
     rows = read_share(ProcessGrid.split(MPI.COMM_SELF, 2), problem, problem.train)
     every = Rounding(MPI.COMM_SELF, problem, rows)
     weights = rows.inv_noise_var.copy()
-    weights[:, np.isin(rows.tile.times, every.sampled)] = 0
+    weights[:, np.isin(rows.tile.times, every.sampled[:2])] = 0
     weights[1, : len(rows.tile.times) // 2] = 0
     found = Rounding(MPI.COMM_SELF, problem, replace(rows, inv_noise_var=weights)).sampled
-    assert len(found) == len(every.sampled)
+    assert len(found) == min(len(every.sampled), np.count_nonzero((weights > 0).all(axis=(0, 2))))
     assert np.all(weights[:, np.isin(rows.tile.times, found)] > 0)
 
 

@@ -227,5 +227,5 @@ def test_complex_beam_needs_complex_coefficients():
 
 def test_more_modes_than_samples_are_refused():
     za, az = scattered(20)
-    with pytest.raises(InputError, match=r"27 modes.*20 samples"):
+    with pytest.raises(InputError, match=r"27 functions.*20 samples"):
         fit_basis(FourierBessel.full(3, 4), Pixels(za, az, np.ones(20)))

@@ -163,6 +163,8 @@ def test_what_does_not_fit_is_refused_in_one_line() -> None:
     with pytest.raises(hb.InputError) as raised:
         check_fits(5 * 10**9, 2 * 10**9, 4)
     assert str(raised.value).startswith("needs 5 GB a rank on 4 ranks, and a rank has 2 GB; use more nodes")
+    with pytest.raises(hb.InputError, match=r"needs 5 GB a rank on 1 rank, .* solver = \"conjugate-gradients\""):
+        check_fits(5 * 10**9, 2 * 10**9, 1, as_one=True)
 
 
 def test_loop_tells_what_is_certain_from_what_each_effect_takes(tmp_path: Path) -> None:
@@ -177,6 +179,11 @@ def test_loop_tells_what_is_certain_from_what_each_effect_takes(tmp_path: Path) 
     assert one.further_bytes > 0
     assert one.anew_s > 0
     assert "where the prior gets other widths in the end" in as_text([one], [])
+    assert one.fits
+    assert "DOES NOT FIT" not in as_text([one], [])
+    large = replace(one, available_bytes=one.memory_bytes - 1)
+    assert not large.fits
+    assert "loop on 1 rank DOES NOT FIT machines like this one: it needs" in as_text([large], [])
 
 
 def test_loop_of_several_channels(job: Path) -> None:
@@ -254,7 +261,7 @@ def test_loop_that_does_not_fit_is_refused(job: Path) -> None:
     """By the bytes of its rows: a rank has the rows of a day of full HERA here, and no machine's memory."""
     problem = outline(load_job(job), Given(), time.process_time).problem
     share = Share(1, 10**6, 10**6, 61_075, 8_009, 1000, problem.basis, kept_bytes=0.0)
-    with pytest.raises(hb.InputError, match="GB a rank on 1 ranks, and a rank has"):
+    with pytest.raises(hb.InputError, match="TB a rank on 1 rank, and a rank has"):
         check_fits(loop_bytes(problem, share, True), machine_bytes(), 1)
 
 
