@@ -6,7 +6,7 @@ over the rank groups, each of which keeps the information of its own channels.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +27,10 @@ MAX_DENSE = 10_000
 """Unknowns up to which the system is one matrix: 0.8 GB, of which there are two at a time, and minutes of one core."""
 NEGLIGIBLE = 1e-4
 """Lengths of which the evidence is less than this part of all are left out of the mean over lengths."""
+MOST_REFINED = 3
+"""Lengths that are added about the likeliest of the first: ln evidence is nearly a parabola in ln of the length."""
+LEAST_GAIN = 0.1
+"""Nats that a further length has to promise; where lengths are far apart a parabola promises less than there is."""
 
 
 @dataclass(frozen=True)
@@ -180,11 +184,16 @@ def _solve_dense(
     """Solve on rank 0, for all lengths that the evidence leaves. Collective: all ranks of the grid."""
     coupling, seed = problem.coupling, problem.job.seed
     assert coupling is not None
-    candidates = coupling.candidates
     evidences = np.zeros(1)
-    if len(candidates) > 1:
-        solved = (assemble(grid, problem, modes, told) for modes in candidates)
-        evidences = np.array([_evidence(grid, one) for one in solved])
+
+    def evidence_of(modes: FloatArray) -> float:
+        return _evidence(grid, assemble(grid, problem, modes, told))
+
+    if len(coupling.candidates) > 1:
+        evidences = np.array(list(map(evidence_of, coupling.candidates)))
+    if coupling.may_refine:
+        coupling, evidences = refined(coupling, evidences, evidence_of)
+    candidates = coupling.candidates
     marginalises = coupling.settings.evidence == "marginalise"
     weights = _weights(evidences, marginalises)
     chosen = choose_length(weights, seed, n_draws)
@@ -214,6 +223,43 @@ def _solve_dense(
         summary |= dict(zip(("lengths", "log_evidences", "weights"), map(list, of_lengths), strict=True))
     mixed = [_mixed([(weight, mine, those[f]) for weight, mine, those in parts]) for f in range(len(told))]
     return mixed, summary, joint
+
+
+def refined(
+    coupling: Coupling, evidences: FloatArray, evidence_of: Callable[[FloatArray], float]
+) -> tuple[Coupling, FloatArray]:
+    """Add lengths about the likeliest, by parabolas through it and its neighbours, until these promise next to nothing.
+
+    Parameters
+    ----------
+    coupling : Coupling
+    evidences : ndarray, (Nlengths,)
+        ln evidence of each of its lengths.
+    evidence_of : callable
+        Returns it for other modes along frequency, (Nchan, M).
+    """
+    for _ in range(MOST_REFINED):
+        best = int(np.argmax(evidences))
+        if not 0 < best < len(evidences) - 1:
+            break
+        about = slice(best - 1, best + 2)
+        length, promised = top_of_parabola(np.log(coupling.lengths[about]), evidences[about])
+        if promised < LEAST_GAIN:
+            break
+        coupling, place = coupling.with_length(float(np.exp(length)))
+        evidences = np.insert(evidences, place, evidence_of(coupling.candidates[place]))
+    return coupling, evidences
+
+
+def top_of_parabola(x: FloatArray, y: FloatArray) -> tuple[float, float]:
+    """Return where the parabola through three points is highest, the middle one of which is, and how far above that."""
+    (left, right), (fall_left, fall_right) = x[::2] - x[1], y[::2] - y[1]
+    # y - y[1] = slope t + curvature t^2, through both neighbours.
+    curvature = (fall_right / right - fall_left / left) / (right - left)
+    slope = fall_left / left - curvature * left
+    if not curvature < 0:
+        return float(x[1]), 0.0
+    return float(x[1] - 0.5 * slope / curvature), float(-0.25 * slope**2 / curvature)
 
 
 def assemble(

@@ -246,7 +246,7 @@ def check_fits(needed: int, memory: int, n_ranks: int, as_one: bool = False) -> 
     if as_one:
         remedy = (
             "rank 0 solves for all channels as one matrix, on any number of ranks: set [prior.frequency] solver = "
-            '"conjugate-gradients", a longer length or fewer modes along frequency, or use fewer modes ([basis] n_modes)'
+            '"conjugate-gradients", a longer length or fewer modes along frequency, or fewer modes ([basis] n_modes)'
         )
     raise InputError(
         f"needs {size(needed)} a rank on {counted(n_ranks, 'rank')}, and a rank has {size(memory)}",

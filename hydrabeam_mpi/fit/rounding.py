@@ -26,8 +26,8 @@ from hydrabeam_mpi.setup.problem import Problem
 MOST_SHIFT = 1e-2
 """Of a coefficient, in its posterior std: too small to be seen in anything that is told of a posterior."""
 TIMES_IN_DOUBLE = 6
-"""Enough to tell the size of rounding errors, which is much the same at all times, of the coefficient that moves most: of
-fewer the largest of a thousand is too large by chance. Each takes a fifth of a time's design."""
+"""Enough to tell the size of rounding errors, much the same at all times, of the coefficient that moves most: of fewer
+the largest of a thousand is too large by chance. Each takes a fifth of a time's design."""
 
 
 class Rounding:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydrabeam_mpi.errors import InputError
-from hydrabeam_mpi.fit.coupled import dense_unknowns
+from hydrabeam_mpi.fit.coupled import MOST_REFINED, dense_unknowns
 from hydrabeam_mpi.inference.coupled import ChannelTold, CoupledEquations
 from hydrabeam_mpi.planning.outline import Clock, Outline
 from hydrabeam_mpi.random import generator
@@ -84,4 +84,5 @@ def solved_together(outline: Outline, clock: Clock) -> SolvedTogether | None:
     for _ in posterior.moments(0, range(noise.shape[1])):
         pass
     larger = (n_modes / few) ** 3
-    return SolvedTogether((factorised - start) * larger, (clock() - factorised) * larger, len(coupling.candidates))
+    n_lengths = len(coupling.candidates) + MOST_REFINED * coupling.may_refine
+    return SolvedTogether((factorised - start) * larger, (clock() - factorised) * larger, n_lengths)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from hydrabeam_mpi.inference.over_frequency import KERNELS, legendre, modes_of, 
 from hydrabeam_mpi.inference.prior import DiagonalPrior, Prior
 
 N_LENGTHS = 8
-"""Lengths that are tried where a job gives none: each is two to three times the one before over most bands."""
+"""Lengths that are tried at first where a job gives none: each is two to three times the one before over most bands."""
 
 
 @dataclass(frozen=True)
@@ -28,11 +28,28 @@ class Coupling:
         Modes along frequency, U; several where the evidence decides among lengths.
     lengths : tuple of float
         Of each of these, Hz; none of modes.
+    freqs : ndarray, (Nchan,)
+        Hz.
     """
 
     settings: OverFrequency
     candidates: tuple[FloatArray, ...]
-    lengths: tuple[float, ...] = ()
+    lengths: tuple[float, ...]
+    freqs: FloatArray
+
+    @property
+    def may_refine(self) -> bool:
+        """Whether the length is one that the evidence is to find, and not one of those that the job gives."""
+        return not self.settings.length and len(self.lengths) > 1 and self.settings.evidence == "maximise"
+
+    def with_length(self, length: float) -> tuple[Coupling, int]:
+        """Return the same with one length more, and its place among the lengths, which are in ascending order."""
+        place = int(np.searchsorted(self.lengths, length))
+        modes = modes_of(KERNELS[self.settings.kernel](self.freqs, length))
+        candidates = (*self.candidates[:place], modes, *self.candidates[place:])
+        return replace(
+            self, candidates=candidates, lengths=(*self.lengths[:place], length, *self.lengths[place:])
+        ), place
 
 
 def couple(settings: OverFrequency, freqs: FloatArray, priors: Sequence[Prior] = ()) -> Coupling | None:
@@ -52,10 +69,10 @@ def couple(settings: OverFrequency, freqs: FloatArray, priors: Sequence[Prior] =
             remedy="give [prior] kind = 'fraction', or priors of that kind, or set kind = 'independent'",
         )
     if settings.kind == "modes":
-        return Coupling(settings, (_modes(settings, freqs),))
+        return Coupling(settings, (_modes(settings, freqs),), (), freqs)
     lengths = settings.length or _lengths(freqs)
     kernel = KERNELS[settings.kernel]
-    return Coupling(settings, tuple(modes_of(kernel(freqs, length)) for length in lengths), lengths)
+    return Coupling(settings, tuple(modes_of(kernel(freqs, length)) for length in lengths), lengths, freqs)
 
 
 def _modes(settings: OverFrequency, freqs: FloatArray) -> FloatArray:

@@ -30,7 +30,7 @@ def test_text_with_or_without_a_mark(encoding: str, end: str, tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("content", "expected"),
     [
-        (b"[data]\nfiles = [", "is not a TOML file (Invalid value (at end of document)); close what is open: brackets, braces or"),
+        (b"[data]\nfiles = [", "is not a TOML file (Invalid value (at end of document)); close what is open:"),
         (b"seed = 1\nseed = 2\n", "is not a TOML file (Cannot overwrite a value (at line 2, column 9)); mend"),
         (b"name = 'a\0b'", "is not a TOML file (Found invalid character '\\x00' (at line 1, column 10)); mend"),
         (b"name = '\xff'", "is not text in UTF-8 (byte 9 is 0xff); name a job file, or save it as UTF-8"),
