@@ -29,6 +29,7 @@ def close_loop(world: Comm, job: Job, job_path: Path, out: Path, overwrite: bool
         with together(world):
             if world.rank == 0:
                 found.fill(folder)
-                for line in found.record["said"]:
+                said = found.record["said"]
+                for line in said:
                     say(line)
-                warn(found.record["warnings"])
+                warn([one for one in found.record["warnings"] if one not in said])

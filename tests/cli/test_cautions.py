@@ -97,3 +97,31 @@ def test_doubtful_data_are_told(
     assert (
         on_root(lambda: json.loads((workspace.folder / "result" / "summary.json").read_text()))["warnings"][0] == said
     )
+
+
+def spoil_a_baseline(file: h5py.File) -> None:
+    one, two = (file[f"Header/{name}"][()] for name in ("ant_1_array", "ant_2_array"))
+    vis = file["Data/visdata"][()]
+    own = (one == 1) & (two == 4)
+    vis[own] += 100 * np.resize([1, 1j, -1, -1j], own.sum())[:, np.newaxis, np.newaxis]
+    file["Data/visdata"][...] = vis
+
+
+def test_what_stands_out_of_the_data_is_said_once_by_a_loop(
+    workspace: Workspace, on_root: OnRoot, comm: MPI.Comm, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def prepare() -> Any:
+        shutil.copy(workspace.data, workspace.folder / "bad.uvh5")
+        with h5py.File(workspace.folder / "bad.uvh5", "r+") as file:
+            spoil_a_baseline(file)
+        return workspace.job({"data.files": ["bad.uvh5"], "loop.effects": ["antenna_positions"]})
+
+    job = on_root(prepare)
+    capfd.readouterr()
+    assert main(["loop", str(job), "-o", str(workspace.folder / "result")]) == 0
+    lines = capfd.readouterr().err.splitlines()
+    told = [line.removeprefix("hydrabeam: ").removeprefix("warning: ") for line in lines]
+    odd = comm.bcast([line for line in told if line.startswith("A baseline that stands out (baseline 1-4)")])
+    assert len(odd) == 1
+    summary = on_root(lambda: json.loads((workspace.folder / "result" / "summary.json").read_text()))
+    assert odd[0] in summary["warnings"]
