@@ -119,7 +119,9 @@ class Share:
     def making_design(self) -> int:
         """Bytes in which the design of one time is made: columns, fringes of a chunk of sources, their product."""
         at_once = SOURCES_AT_ONCE * REAL * (self.basis.n_columns + 3 * self.groups)
-        return at_once + self.channels * self.groups * self.basis.n_columns * COMPLEX + self.design
+        # Columns of real coefficients are the design.
+        mixed = self.design if self.basis.is_complex else 0
+        return at_once + self.channels * self.groups * self.basis.n_columns * COMPLEX + mixed
 
     @property
     def kept(self) -> int:
@@ -164,8 +166,10 @@ def _reading(share: Share) -> int:
 
 def _inferring(share: Share, root: bool) -> int:
     """Return the bytes that an inference needs besides the rows."""
-    buffered = share.channels * max(CAPACITY, share.groups) * share.basis.n_modes * COMPLEX
-    flushed = 2 * buffered // share.channels
+    # Designs wait for others where they have few rows; together they are copied, and weighted.
+    of_rows = share.basis.n_modes * COMPLEX
+    buffered = share.channels * CAPACITY * of_rows if share.groups < CAPACITY else 0
+    flushed = (4 if share.basis.is_complex else 3) * max(CAPACITY, share.groups) * of_rows // 2
     watched = share.watched_times * share.design
     summing = share.making_design + buffered + flushed + share.channels * share.matrix + watched
     solved = 2 * share.channels * share.matrix
