@@ -39,6 +39,53 @@ def test_a_receiver_near_its_limit(measured: bool) -> None:
         assert np.abs(cubes @ np.linalg.lstsq(cubes, curve)[0] - curve).max() < 1e-12
 
 
+def test_gains_that_grow_with_the_power_or_vanish_are_no_saturation() -> None:
+    """An antenna's loss is that of all and its own; what is not in use is not judged."""
+    setup = replace(small_setup(n_times=N_TIMES), measured_power=np.tile(POWER, (2, 1)))
+    effect = Saturation().sought_in(setup)
+    names = np.array([name.split(",")[0] for name in effect.parameters(setup).names])
+    x, std = np.zeros((2, 2, len(names)))
+
+    def judged() -> dict[str, float]:
+        return {
+            str(name): float(sigma) for name, sigma in zip(names, effect.beyond(setup, x, std), strict=True) if sigma
+        }
+
+    def loses(whose: str, loss: float) -> None:
+        own = np.flatnonzero(names == whose)
+        x[:, own], std[:, own] = [loss, -0.7, 0.3], 0.01
+
+    numbers = setup.observation.antenna_numbers[setup.antennas_in_use].tolist()
+    one, two, three, four = (f"antenna {number} beyond that" for number in numbers[:4])
+    loses("all antennas", 0.05)
+    loses(one, -0.04)
+    assert judged() == {}
+    loses(two, -0.09)
+    loses(three, 1.0)
+    assert judged() == {
+        two: pytest.approx(0.04 / np.hypot(0.01, 0.01)),
+        three: pytest.approx(0.05 / np.hypot(0.01, 0.01)),
+    }
+    loses("all antennas", -0.1)
+    assert set(judged()) == {"all antennas", one, two}
+    assert four not in judged()
+    rest, left = effect.without(effect.beyond(setup, x, std) > 0)
+    assert isinstance(rest, Saturation)
+    assert rest.parameters(setup).names == tuple(effect.parameters(setup).names[n] for n in left)
+    assert not {"all antennas", one, two} & {name.split(",")[0] for name in rest.parameters(setup).names}
+    assert len(rest.degenerate_directions(setup)) == 0
+    block = small_block(setup)
+    full = np.zeros(len(names))
+    full[left] = 0.01 * np.arange(len(left))
+    np.testing.assert_array_equal(rest.factor(block, full[left]), effect.factor(block, full))
+    np.testing.assert_array_equal(rest.gains(setup, 0, full[left]), effect.gains(setup, 0, full))
+    np.testing.assert_array_equal(
+        rest.columns(block, full[left]).matrix().toarray(), effect.columns(block, full).matrix().toarray()[:, left]
+    )
+    again = Saturation(**rest.describe())
+    assert again.losses_of == rest.losses_of
+
+
 def test_what_is_found_is_of_these_data() -> None:
     assert "powers of the data" in str(Saturation().carried_over(small_setup()))
 
