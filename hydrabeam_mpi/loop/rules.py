@@ -28,8 +28,7 @@ class Rules:
         An effect with less than this fraction of the best one's ln evidence is not fitted beside it. A fit can raise
         the evidence of what is not linear, such as a source beside its place, several times; that of linear effects
         changes as far as the beam moves with them. Nothing is lost: what is left out is weighed again a round later. So
-        it is with widths of the beam's prior, which gain some times what they promise; and a set of effects is fitted
-        as a whole where it explains that much, as the rest may be what is not linear in it.
+        it is with widths of the beam's prior, which gain some times what they promise.
     most_columns : int
         Parameters at most, of all candidates, that are weighed together. The products of n columns take n^2 / 2 times
         as many sums as there are rows; six hundred take no longer than weighing each effect by itself.

@@ -42,8 +42,6 @@ class TogetherFound:
         Of all of them together.
     explains : bool
         Whether what they leave of the fitted rows may be noise, as far as the model is linear.
-    nearly : bool
-        Whether that is so, or what they leave may be what is not linear in them; see `Rules.near_if_linear`.
     simpler : tuple of TogetherFound
         Others with less evidence and fewer parameters.
     """
@@ -52,7 +50,6 @@ class TogetherFound:
     beside: tuple[tuple[Finding, ...], ...] = ()
     log_bayes_factor: float = 0.0
     explains: bool = False
-    nearly: bool = False
     simpler: tuple[TogetherFound, ...] = ()
 
 
@@ -166,10 +163,8 @@ def _told(
     beside = [[finding(i, found) for i, found in chosen.beside[m].items()] for m in order]
     places = [next(i for i, one in enumerate(findings) if one is picked[m][0]) for m in order]
     is_noise = free > 0 and bool(chi2.sf(2 * left, 2 * free) >= SIGNIFICANT_P)
-    nearly = is_noise or left - free < (1 - RULES.near_if_linear) * (total - free)
     simpler = tuple(_told(picked, one, findings, total, unexplained) for one in chosen.simpler)
-    known = tuple(places), tuple(map(tuple, beside)), chosen.log_bayes_factor
-    return TogetherFound(*known, is_noise, nearly, simpler)
+    return TogetherFound(tuple(places), tuple(map(tuple, beside)), chosen.log_bayes_factor, is_noise, simpler)
 
 
 def _of_some(evidence: Evidence, which: IntArray) -> Evidence:

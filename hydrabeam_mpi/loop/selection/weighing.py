@@ -67,8 +67,6 @@ class Weighed:
         Set that explains the residual; of none where there is no such.
     explains : bool
         Whether the set leaves no more than noise.
-    nearly : bool
-        Whether that is so, or what it leaves may be what is not linear in it.
     simpler : tuple of Together
         Sets with less evidence and fewer parameters: in an exact fit they may have more.
     """
@@ -77,7 +75,6 @@ class Weighed:
     first: Candidate | None = None
     together: Together = field(default_factory=Together)
     explains: bool = False
-    nearly: bool = False
     simpler: tuple[Together, ...] = ()
 
 
@@ -168,8 +165,7 @@ def weigh(
     if found is None or not found.numbers or by_weights > found.log_bayes_factor:
         return Weighed(ranking)
     simpler = tuple(Together.of(one, most) for one in found.simpler)
-    first, best = candidates[found.numbers[0]], Together.of(found, most)
-    return Weighed(ranking, first, best, found.explains, found.nearly, simpler)
+    return Weighed(ranking, candidates[found.numbers[0]], Together.of(found, most), found.explains, simpler)
 
 
 def _best_first(one: Candidate) -> float:

@@ -40,11 +40,10 @@ def try_set(context: FitContext, checked: Checked, weighed: Weighed, tried: Trie
     """Fit the effects of the set as a whole, and of simpler ones; return the best as rounds.
 
     The simplest comes first: where it leaves nothing, one with more parameters and no more evidence need not be fitted.
-    There are no rounds where the set would leave more than noise and what is not linear in it, or none holds.
-    Collective: all ranks of the grid.
+    There are no rounds where the set would leave more than noise, or none holds. Collective: all ranks of the grid.
     """
     best: tuple[Round, ...] = ()
-    sets = (weighed.together, *weighed.simpler) if weighed.nearly else ()
+    sets = (weighed.together, *weighed.simpler) if weighed.explains else ()
     for one in sorted(sets, key=lambda one: one.n_parameters):
         if best and best[-1].after.remains.consistent:
             reached = sum(found.candidate.log_bayes_factor for found in best)
