@@ -23,7 +23,6 @@ from hydrabeam_mpi.loop.attribution.joint_search import Competitor, JointLikelih
 from hydrabeam_mpi.loop.attribution.limits import Limits
 from hydrabeam_mpi.loop.attribution.others import Others
 from hydrabeam_mpi.loop.attribution.score_effects import Finding
-from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.mpi import bcast_object, gather_items, together
 
 
