@@ -53,7 +53,7 @@ def refusal_by_heldout(before: Checked, after: Checked, settings: LoopSettings) 
     if not gain >= settings.min_log_bayes_factor:
         change = f"{before.score.chi2:.4g} to {after.score.chi2:.4g}"
         return f"held-out data are predicted no better: ln of their density changes by {gain:.4g}, chi^2 from {change}"
-    if not gain >= RULES.decided_sigmas * chance:
+    if not gain >= chance:
         return (
             f"held-out data are predicted no better than by chance: ln of their density rises by {gain:.4g}, where as "
             f"many of them get better as worse it changes by {chance:.2g}"
