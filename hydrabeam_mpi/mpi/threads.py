@@ -36,9 +36,7 @@ def limit_blas_threads(comm: MPI.Comm) -> int:
     int
         Threads that BLAS uses on this rank.
     """
-    node = comm.Split_type(MPI.COMM_TYPE_SHARED)
-    threads = fair_share(node.allgather(_usable_cores()), node.rank)
-    node.Free()
+    threads = _share_of_node(comm, takes_part=True)
     if not any(os.environ.get(name) for name in _USER_SETTINGS):
         threadpoolctl.threadpool_limits(threads)
         os.environ["OMP_NUM_THREADS"] = str(threads)  # for libraries not loaded yet, and for child processes
@@ -55,9 +53,13 @@ def threads_of_roots(comm: MPI.Comm, is_root: bool) -> int:
     is_root : bool
         Whether this rank is one that others wait for.
     """
+    return _share_of_node(comm, takes_part=is_root)
+
+
+def _share_of_node(comm: MPI.Comm, takes_part: bool) -> int:
+    """Share out the cores of each node among those of its ranks that take part; one for any other."""
     node = comm.Split_type(MPI.COMM_TYPE_SHARED)
-    cores = node.allgather(_usable_cores() if is_root else set())
-    threads = fair_share(cores, node.rank)
+    threads = fair_share(node.allgather(_usable_cores() if takes_part else set()), node.rank)
     node.Free()
     return threads
 

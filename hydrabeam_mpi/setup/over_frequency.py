@@ -45,7 +45,7 @@ class Coupling:
     def with_length(self, length: float) -> tuple[Coupling, int]:
         """Return the same with one length more, and its place among the lengths, which are in ascending order."""
         place = int(np.searchsorted(self.lengths, length))
-        modes = modes_of(KERNELS[self.settings.kernel](self.freqs, length))
+        modes = _modes_within(self.settings, self.freqs, length)
         candidates = (*self.candidates[:place], modes, *self.candidates[place:])
         return replace(
             self, candidates=candidates, lengths=(*self.lengths[:place], length, *self.lengths[place:])
@@ -71,8 +71,12 @@ def couple(settings: OverFrequency, freqs: FloatArray, priors: Sequence[Prior] =
     if settings.kind == "modes":
         return Coupling(settings, (_modes(settings, freqs),), (), freqs)
     lengths = settings.length or _lengths(freqs)
-    kernel = KERNELS[settings.kernel]
-    return Coupling(settings, tuple(modes_of(kernel(freqs, length)) for length in lengths), lengths, freqs)
+    return Coupling(settings, tuple(_modes_within(settings, freqs, length) for length in lengths), lengths, freqs)
+
+
+def _modes_within(settings: OverFrequency, freqs: FloatArray, length: float) -> FloatArray:
+    """Return the modes of a process of that length, Hz."""
+    return modes_of(KERNELS[settings.kernel](freqs, length))
 
 
 def _modes(settings: OverFrequency, freqs: FloatArray) -> FloatArray:
