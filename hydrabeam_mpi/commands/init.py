@@ -177,7 +177,10 @@ def _about_data(summary: Summary, inputs: Inputs, n_chosen: int) -> list[str]:
     if summary.pol_conventions:
         said.append(f"The files state the pol_convention {' and '.join(summary.pol_conventions)}.")
     else:
-        said.append("CHOOSE pol_convention, which the files do not state; unless it is set, it is taken as 'sum'.")
+        said.append(
+            "CHOOSE pol_convention, which the files do not state; unless it is set, it is taken as 'sum', as most "
+            "simulators (matvis, fftvis, pyuvsim) write it."
+        )
     return said
 
 

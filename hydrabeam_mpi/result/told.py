@@ -54,7 +54,7 @@ def warnings_of(channels: list[dict[str, Any]], by_evidence: bool = False) -> li
             f"The inferred beam is up to {departure:.2g} times as far from the model as its prior expects. "
             f"Widths as much larger have more evidence, by about {gain:.3g} in ln "
             "(`fraction` in [prior] as many times as large, or widths = 'evidence'); or the beam takes up an effect "
-            "that the model lacks."
+            "that the model lacks, for which 'hydrabeam loop' looks."
         )
     return said
 
@@ -89,8 +89,8 @@ def _warnings_of_heldout(channels: list[dict[str, Any]], by_evidence: bool) -> l
         span = " to ".join(dict.fromkeys(f"{limit:.3g}" for limit in (min(amplitudes), max(amplitudes))))
         said.append(
             f"The model beam fits the held-out data best when it is {span} times as large: "
-            "flux scale and beam amplitude cannot be told apart, so the peak of the inferred beam need not be one. If "
-            "it should be, the data are on another flux scale than the sky ([data] flux_scale)."
+            "a wider beam or a narrower one does that, or data on another flux scale than the sky ([data] flux_scale), "
+            "which cannot be told from the beam's amplitude. Then the peak of the inferred beam is not at one."
         )
         if any(abs(amplitude / factor - 1) < 0.05 for amplitude in amplitudes for factor in (0.5, 2.0)):
             said.append(

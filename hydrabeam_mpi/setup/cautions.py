@@ -45,15 +45,19 @@ def cautions_of_times(job: Job, observation: Observation) -> tuple[str, ...]:
 
 
 def cautions_of_basis(job: Job, model: FittedBeam) -> tuple[str, ...]:
-    """Say that widths of the prior do not follow from the model beam, where it has no part in some functions."""
+    """Say that widths of the prior do not follow from the model beam, where it has no part in some functions.
+
+    Where the data choose the widths they choose those too, and nothing is to be done.
+    """
     n_lacking = int(np.count_nonzero(~has_part(model.basis.amplitudes(model.coeffs))))
-    if job.prior.kind != "fraction" or job.prior.floor or not n_lacking:
+    chosen = job.prior.floor or job.prior.widths == "evidence"
+    if job.prior.kind != "fraction" or chosen or not n_lacking:
         return ()
     return (
         f"The model beam has no part in {n_lacking} of the {model.basis.n_modes} functions, as a round beam has none "
         "in those that vary with azimuth, and a symmetric one none in those of odd orders. How large these may be is "
         "guessed from the functions next to them in order and from simulated beams, which mostly serves: [prior] floor "
-        "states another size.",
+        "states another size, and with widths = 'evidence' the data choose it.",
     )
 
 
@@ -128,5 +132,6 @@ def _of_smearing(observation: Observation) -> str | None:
         )
     return (
         f"Of a source on the longest baselines {' and '.join(told)}. The model takes data as of one instant and one "
-        "frequency, as most simulators write them. Correlators write such means: [data] smearing = true."
+        "frequency, as most simulators write them, and if these are so nothing is to be done. Correlators write such "
+        "means: [data] smearing = true."
     )

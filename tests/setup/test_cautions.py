@@ -33,11 +33,19 @@ def test_where_nothing_was_to_be_held_out_nothing_lacks() -> None:
     [
         ({}, True),
         ({"prior": {"floor": 1e-3}}, False),
+        ({"prior": {"widths": "evidence"}}, False),
         ({"prior": {"kind": "flat"}}, False),
         ({"basis": {"n_modes": 24, "k_max": 24, "m_max": 0}}, False),
         ({"basis": {"kind": "zernike", "max_degree": 6}}, True),
     ],
-    ids=["a round beam", "with a floor", "without a prior", "round functions alone", "polynomials"],
+    ids=[
+        "a round beam",
+        "with a floor",
+        "widths by the data",
+        "without a prior",
+        "round functions alone",
+        "polynomials",
+    ],
 )
 def test_functions_that_the_model_beam_lacks_are_told(changes: dict[str, Any], said: bool, tmp_path: Path) -> None:
     """An Airy beam has those of m = 0 alone."""

@@ -58,19 +58,19 @@ class AntennaPositions(Effect):
         ``x`` is (n_params,).
         """
         moments = block.spread(block.integral(self)[..., 1:])
-        moved, vectors = self._moved(block, x)
+        moved, *places = self._moved(block, x)
         if len(moved):
-            moments[:, moved] = integrate_on(block, lambda sources: sources.beam * sources.enu, vectors)
+            moments[:, moved] = integrate_on(block, lambda sources: sources.beam * sources.enu, *places)
         wavenumber = 2 * np.pi * block.freq / C_M_PER_S
         values = 1j * wavenumber * np.concatenate([-moments, moments], axis=-1)
         return Columns(values, 3 * len(block.setup.antennas_in_use), row_parameters(block, 3))
 
     def added(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return the visibilities on the true vectors minus those on the assumed ones, (Ntimes, Nbls)."""
-        moved, vectors = self._moved(block, x)
+        moved, *places = self._moved(block, x)
         change = np.zeros(block.shape, dtype=complex)
         if len(moved):
-            after = integrate_on(block, lambda sources: sources.beam[np.newaxis], vectors)[..., 0]
+            after = integrate_on(block, lambda sources: sources.beam[np.newaxis], *places)[..., 0]
             change[:, moved] = after - block.integral(self)[:, block.member[moved], 0]
         return change
 
@@ -94,12 +94,12 @@ class AntennaPositions(Effect):
             found.append((np.repeat(together, 3), Orientation("array").in_full(setup), turn / ARCMIN))
         return found
 
-    def _moved(self, block: RowBlock, x: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Return the rows whose vector is not what it should be, and their true vectors, (Nmoved, 3)."""
+    def _moved(self, block: RowBlock, x: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Return the rows that are elsewhere, their true vectors, (Nmoved, 3), and all true places, (Nants, 3)."""
         shifts = self.displacements(block.setup, x)
         change = shifts[block.ant2] - shifts[block.ant1]
         moved = np.flatnonzero(change.any(axis=1))
-        return moved, block.vectors[block.member[moved]] + change[moved]
+        return moved, block.vectors[block.member[moved]] + change[moved], block.antpos + shifts
 
 
 def _turn_of(places: FloatArray, shifts: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -84,19 +84,21 @@ class RowBlock(SkyBlock):
 
     @cached_property
     def _where_antennas_are(self) -> RowBlock:
-        """The same rows, of which those of antennas that are elsewhere are groups of their own, after all others."""
+        """The same rows, of which those of antennas that are elsewhere are groups of their own, after the others'."""
         assert self.moved is not None
         further = self.moved[self.ant2] - self.moved[self.ant1]
-        own = np.flatnonzero(further.any(axis=1))
-        member = self.member.copy()
-        member[own] = len(self.groups) + np.arange(len(own))
+        is_elsewhere = further.any(axis=1)
+        own = np.flatnonzero(is_elsewhere)
+        stays, of_stays = np.unique(self.member[~is_elsewhere], return_inverse=True)
+        member = np.empty_like(self.member)
+        member[~is_elsewhere], member[own] = of_stays, len(stays) + np.arange(len(own))
         # What is kept of groups, and design rows, are of other vectors.
         return replace(
             self,
-            own_vectors=np.concatenate([self.vectors, self.vectors[self.member[own]] + further[own]]),
+            own_vectors=np.concatenate([self.vectors[stays], self.vectors[self.member[own]] + further[own]]),
             own_antpos=self.antpos + self.moved,
             moved=None,
-            groups=np.arange(len(self.groups) + len(own)),
+            groups=np.arange(len(stays) + len(own)),
             member=member,
             integrals={},
             memo=None,

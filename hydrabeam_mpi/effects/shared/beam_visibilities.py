@@ -64,14 +64,16 @@ def by_real_unknowns(design: Array) -> ComplexArray:
     return np.asarray(design[:, 0] + 1j * design[:, 1])
 
 
-def integrate_on(block: RowBlock, columns: Callable[[Sources], FloatArray], vectors: FloatArray) -> ComplexArray:
+def integrate_on(
+    block: RowBlock, columns: Callable[[Sources], FloatArray], vectors: FloatArray, points: FloatArray
+) -> ComplexArray:
     """Integrate columns, (K, Nsrc), over the sky for many vectors, (N, 3), no two the same, in parts that fit.
 
-    The result is (Ntimes, N, K); see `RowBlock.integrate`.
+    Most of them may be differences of ``points``, (Npoints, 3). The result is (Ntimes, N, K); see `RowBlock.integrate`.
     """
     n_parts = -(-len(vectors) // VECTORS_AT_ONCE)
-    parts = [block.integrate(columns, part) for part in np.array_split(vectors, n_parts)]
-    return np.concatenate(parts, axis=1)
+    engines = (block.engine_on(part, points) for part in np.array_split(vectors, n_parts))
+    return np.concatenate([block.integrate(columns, engine=engine) for engine in engines], axis=1)
 
 
 def _total_power(block: RowBlock) -> FloatArray:

@@ -92,7 +92,8 @@ def _not_looked_for(excess: Excess, partners: Excess) -> list[Finding]:
         return []
     why = "times lie too far apart to be compared, and no two baselines are redundant"
     remedy = "after a fit `hydrabeam loop` looks for them again"
-    return [Finding("only gross bad integrations can be found", "before a fit", why, remedy, is_fault=False)]
+    what = "bad integrations show before a fit only where they are gross"
+    return [Finding(what, "this array and these times", why, remedy, is_fault=False)]
 
 
 def _without(problem: Problem, found: Sequence[Finding]) -> Kept:

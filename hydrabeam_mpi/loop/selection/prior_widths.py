@@ -12,8 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
-import numpy as np
-
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.context import FitContext
@@ -144,24 +142,12 @@ def _widened(
 
 
 def describe(widths: PriorWidths | None) -> str:
-    """Say in words which widths a prior has."""
+    """Say in words which widths a prior has; all of their numbers are in ``amended.toml``."""
     if widths is None:
         return "those that are stated"
-    beside = " (of the largest of each and those at adjacent radial orders)" if widths.neighbours else ""
-    return f"{widths.fraction:.3g} of the model's coefficients{beside}{_smooth_part(widths)}{_by_order(widths)}"
-
-
-def _smooth_part(widths: PriorWidths) -> str:
-    if not widths.amplitude:
-        return ""
-    radial, azimuthal = np.exp(widths.decay)
-    return (
-        f", and beside that {widths.amplitude:.3g} of the largest at the lowest orders, less by a factor of "
-        f"{radial:.3g} for each radial and {azimuthal:.3g} for each azimuthal order"
-    )
-
-
-def _by_order(widths: PriorWidths) -> str:
-    if not widths.azimuthal:
-        return ""
-    return f", times factors of {min(widths.azimuthal):.3g} to {max(widths.azimuthal):.3g} by azimuthal order"
+    said = f"{100 * widths.fraction:.3g}% of the model's coefficients"
+    if widths.amplitude:
+        said += f", beside {100 * widths.amplitude:.3g}% of the largest at low orders"
+    if widths.azimuthal:
+        said += f", times {min(widths.azimuthal):.3g} to {max(widths.azimuthal):.3g} by azimuthal order"
+    return said

@@ -177,6 +177,9 @@ def _as_wanted(
     for _ in range(RULES.most_refits):
         while (cut := leave_out_unphysical(context, fitted, n_before)) is not None:
             fitted, left = fit_patiently(context, cut.values, fitted), kept(cut.places)
+        # What has not converged says nothing of what is wanted.
+        if not fitted.diagnostics.converged:
+            return None
         again = reweigh(context, fitted, range(n_before, len(fitted.values.active)))
         if again is None:
             break

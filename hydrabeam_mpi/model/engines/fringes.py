@@ -9,6 +9,7 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import C_M_PER_S, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.model.engines.antenna_pairs import AntennaPairs, find_pairs
+from hydrabeam_mpi.model.engines.phasors import fill_phasors
 from hydrabeam_mpi.model.engines.smearing import Smearing
 
 
@@ -68,11 +69,9 @@ def plane_waves(vectors: FloatArray, directions: FloatArray, freq: float) -> Com
     -------
     ndarray of complex, (Nvectors, Nsrc)
     """
-    phase = (2 * np.pi * freq / C_M_PER_S * vectors) @ directions
-    # Several times as fast as the exponential of a complex number.
-    waves = np.empty(phase.shape, dtype=complex)
-    np.cos(phase, out=waves.real)
-    np.sin(phase, out=waves.imag)
+    turns = (freq / C_M_PER_S * vectors) @ directions
+    waves = np.empty(turns.shape, dtype=complex)
+    fill_phasors(turns, waves.real, waves.imag)
     return waves
 
 
@@ -148,7 +147,7 @@ class Fringes:
             rest = plane_waves(self.vectors[pairs.rest], directions, freq)
             return np.asarray(found + (values[pairs.rest].conj() @ rest).real)
         assert self.lattice is not None
-        steps = np.exp(1j * ((2 * np.pi * freq / C_M_PER_S * self.lattice.generators) @ directions))
+        steps = plane_waves(self.lattice.generators, directions, freq)
         along, across = (dict(_powers(step, index)) for step, index in zip(steps, self.lattice.index.T, strict=True))
         rows, columns = ({n: number for number, n in enumerate(powers)} for powers in (along, across))
         on_lattice = np.zeros((len(rows), len(columns)), dtype=complex)
@@ -166,17 +165,14 @@ class Fringes:
 
     def _fill_sharp(self, out: FloatArray, directions: FloatArray, weights: FloatArray, freq: float) -> None:
         """Do as `fill` for one instant and frequency."""
-        wavenumber = 2 * np.pi * freq / C_M_PER_S
         if self.pairs is not None:
             self._fill_pairs(self.pairs, out, directions, weights, freq)
             return
         if self.lattice is None:
-            phase = (wavenumber * self.vectors) @ directions
-            np.cos(phase, out=out[0])
-            np.sin(phase, out=out[1])
+            fill_phasors((freq / C_M_PER_S * self.vectors) @ directions, out[0], out[1])
             out *= weights.astype(out.dtype, copy=False)
             return
-        steps = np.exp(1j * ((wavenumber * self.lattice.generators) @ directions))
+        steps = plane_waves(self.lattice.generators, directions, freq)
         dtype = np.result_type(out.dtype, np.complex64)
         along = {n: (weights * power).astype(dtype) for n, power in _powers(steps[0], self.lattice.index[:, 0])}
         across = {n: power.astype(dtype) for n, power in _powers(steps[1], self.lattice.index[:, 1])}
@@ -190,9 +186,8 @@ class Fringes:
         self, pairs: AntennaPairs, out: FloatArray, directions: FloatArray, weights: FloatArray, freq: float
     ) -> None:
         """Do as `_fill_sharp` by the phases of antennas, and by exponentials for what is no difference of theirs."""
-        phase = (2 * np.pi * freq / C_M_PER_S * self.vectors[pairs.rest]) @ directions
-        out[0, pairs.rest] = weights * np.cos(phase)
-        out[1, pairs.rest] = weights * np.sin(phase)
+        rest = weights * plane_waves(self.vectors[pairs.rest], directions, freq)
+        out[0, pairs.rest], out[1, pairs.rest] = rest.real, rest.imag
         waves = plane_waves(pairs.points, directions, freq)
         weighted = weights * waves.conj()
         product = np.empty_like(waves[0])

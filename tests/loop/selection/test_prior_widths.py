@@ -199,12 +199,10 @@ def test_a_gain_is_found_beside_what_the_basis_cannot_follow(tmp_path: Path) -> 
 
 def test_widths_are_told_in_words() -> None:
     assert describe(None) == "those that are stated"
-    assert describe(PriorWidths(0.25)) == "0.25 of the model's coefficients"
-    assert describe(PriorWidths(0.25, 1e-3, (0.1, 0.5))) == (
-        "0.25 of the model's coefficients, and beside that 0.001 of the largest at the lowest orders, less by a factor "
-        "of 1.11 for each radial and 1.65 for each azimuthal order"
+    assert describe(PriorWidths(0.25)) == "25% of the model's coefficients"
+    assert describe(PriorWidths(0.0125, 1e-3, (0.1, 0.5))) == (
+        "1.25% of the model's coefficients, beside 0.1% of the largest at low orders"
     )
     assert describe(PriorWidths(0.25, neighbours=True, azimuthal=(0.5, 3.0, 1.0))) == (
-        "0.25 of the model's coefficients (of the largest of each and those at adjacent radial orders), times factors "
-        "of 0.5 to 3 by azimuthal order"
+        "25% of the model's coefficients, times 0.5 to 3 by azimuthal order"
     )
