@@ -62,6 +62,13 @@ def two_at_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return run_loop(job, tmp_path_factory.mktemp("two"))
 
 
+@pytest.fixture(scope="module")
+def by_evidence(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """As the first, in a job that says itself that the data are to choose the widths of the beam's prior."""
+    job = mock_job(GAIN, prior={"widths": "evidence"}, loop={"effects": ["antenna_gains"]})
+    return run_loop(job, tmp_path_factory.mktemp("evidence"))
+
+
 def error_of_rounds(record: dict[str, Any]) -> float:
     """Return the held-out reduced chi^2 after the last round, before the beam's prior was adapted."""
     adapted = [one for one in record["prior_widths"] if one["n_rounds"] == len(record["rounds"])]
@@ -143,7 +150,7 @@ def test_two_at_once(two_at_once: Path) -> None:
                 assert abs(value - truth[entry.kind][name]) < 4.5 * sigma
 
 
-@pytest.mark.parametrize("which", ["explained", "two_at_once"])
+@pytest.mark.parametrize("which", ["explained", "two_at_once", "by_evidence"])
 def test_infer_takes_the_amended_job(which: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
     """And comes to the same beam and the same error, without looking for anything."""
     result = request.getfixturevalue(which)

@@ -42,10 +42,7 @@ def amended_job(job: Job, fitted: Fitted, setup: ObservingSetup, scale: ErrorSca
         settings = change.change.describe()
         entry = EffectEntry.model_construct(kind=kind, settings=settings, values=_rows(change.x), std=_rows(change.std))
         entries.append(entry)
-    prior = job.prior
-    if (widths := fitted.values.prior_widths) is not None:
-        prior = Prior.model_validate(prior.model_dump() | as_stated(widths) | {"widths": "stated"})
-    return job.model_copy(update={"effects": tuple(entries), "prior": prior})
+    return job.model_copy(update={"effects": tuple(entries), "prior": _prior_of(job, fitted)})
 
 
 def effects_found(job: Job, fitted: Fitted, setup: ObservingSetup) -> dict[str, Any]:
@@ -54,6 +51,16 @@ def effects_found(job: Job, fitted: Fitted, setup: ObservingSetup) -> dict[str, 
     for entry, one in zip(entries, fitted.values.active, strict=False):
         entry["known"] = one.effect.parameters(setup).names
     return {"basis": setup.basis.describe(), "entries": entries}
+
+
+def _prior_of(job: Job, fitted: Fitted) -> Prior:
+    """Return the prior with the widths that the fit has, which no data are to adapt any further."""
+    prior, widths = job.prior, fitted.values.prior_widths
+    if widths is None and prior.widths != "evidence":
+        return prior
+    as_fitted = as_stated(widths) if widths is not None else {}
+    # What is the default beside widths by the data is not beside stated ones.
+    return Prior.model_validate(prior.model_dump() | as_fitted | {"widths": "stated", "shape": prior.has_shape})
 
 
 def _widths(one: Active) -> tuple[tuple[float, ...], ...]:

@@ -12,12 +12,14 @@ import tomli_w
 from hydrabeam_mpi.config import Job, load_job
 from hydrabeam_mpi.config.data import Data
 from hydrabeam_mpi.config.effects import Effect as EffectEntry
+from hydrabeam_mpi.config.sections import Prior
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.registry import EFFECTS, REWEIGHTINGS, make_effect, make_reweighting
 from hydrabeam_mpi.fit.joint import restore
 from hydrabeam_mpi.fit.state import Active, Fit, Fitted, Reweighted, Values
+from hydrabeam_mpi.inference.mode_widths import PriorWidths
 from hydrabeam_mpi.loop.output.amendment import amended_job
 from hydrabeam_mpi.random import generator
 from tests.effects.cases import set_up
@@ -103,6 +105,18 @@ def test_several_keep_their_order_and_the_rest_of_the_job_stays(tmp_path: Path) 
 
 def test_a_fit_without_anything_leaves_the_job_as_it_is() -> None:
     assert amended_job(JOB, Fitted(), LONG) == JOB
+
+
+@pytest.mark.parametrize("shape", [None, True, False])
+@pytest.mark.parametrize("widths", [None, PriorWidths(0.25)])
+def test_widths_are_those_of_the_fit_and_are_not_looked_for_again(
+    widths: PriorWidths | None, shape: bool | None, tmp_path: Path
+) -> None:
+    """Also where the job leaves them to the data: with these beams may differ as a whole unless it says otherwise."""
+    job = JOB.model_copy(update={"prior": Prior(widths="evidence", shape=shape)})
+    amended = written_and_read(amended_job(job, Fitted(Values(prior_widths=widths)), LONG), tmp_path).prior
+    assert (amended.widths, amended.has_shape) == ("stated", shape is not False)
+    assert amended.fraction == (0.25 if widths else job.prior.fraction)
 
 
 def test_a_baseline_may_be_named_the_other_way_round() -> None:
