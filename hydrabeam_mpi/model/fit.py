@@ -114,6 +114,18 @@ def fit_basis(basis: LinearBasis, pixels: Pixels) -> FittedBeam:
     return FittedBeam(basis, coeffs, rms, float(residual.max()), len(residual), n_cut)
 
 
+def fit_several(basis: LinearBasis, pixels: Pixels, values: Array) -> Array:
+    """Return the coefficients of several beams, (K, n_modes), by their values at the same samples, (K, Npixels)."""
+    each = [replace(pixels, values=one) for one in values]
+    if isinstance(basis, WithRest):
+        coeffs, rest = fit_several(basis.basis, pixels, values), basis.rest(pixels.za, pixels.az)
+        left = np.stack([_left_of(one, basis.basis, own).values for one, own in zip(each, coeffs, strict=True)])
+        return np.column_stack([coeffs, left @ rest / (rest @ rest)])
+    if _on_rings(basis, pixels) is not None:
+        return np.stack([_solve(basis, one)[0] for one in each])
+    return _fit_points(basis, replace(pixels, values=values))[0]
+
+
 def _with_rest(chosen: LinearBasis, beam: Evaluable, pixels: Pixels) -> LinearBasis:
     """Return a basis with one more function, what it leaves of the beam; without it where it leaves nothing."""
     coeffs, _ = _solve(chosen, pixels)
@@ -152,24 +164,29 @@ def _solve(basis: LinearBasis, pixels: Pixels) -> tuple[Array, int]:
             field="[basis]",
             remedy="ask for lower orders (k_max, m_max), or give a finer beam",
         )
-    rings = RingGrid.from_pixels(pixels) if basis.n_rings else None
-    on_rings = None if rings is None else basis.fit_rings(rings)
+    on_rings = _on_rings(basis, pixels)
     return _fit_points(basis, pixels) if on_rings is None else on_rings
 
 
+def _on_rings(basis: LinearBasis, pixels: Pixels) -> tuple[Array, int] | None:
+    """Return the same where the samples lie on rings and the basis has a way of its own for these."""
+    rings = RingGrid.from_pixels(pixels) if basis.n_rings else None
+    return None if rings is None else basis.fit_rings(rings)
+
+
 def _fit_points(basis: LinearBasis, pixels: Pixels) -> tuple[Array, int]:
-    """Solve the normal equations of any basis at any points, by eigenvectors."""
+    """Solve the normal equations of any basis at any points, by eigenvectors; of several values, (K, Npixels), too."""
     normal = np.zeros((basis.n_columns, basis.n_columns))
-    projection = np.zeros(basis.n_columns, dtype=pixels.values.dtype)
+    projection = np.zeros((*pixels.values.shape[:-1], basis.n_columns), dtype=pixels.values.dtype)
     for start in range(0, len(pixels.za), _POINTS_AT_ONCE):
         part = slice(start, start + _POINTS_AT_ONCE)
         columns = basis.columns(pixels.za[part], pixels.az[part])
         normal += columns @ columns.T
-        projection += columns @ pixels.values[part]
+        projection += pixels.values[..., part] @ columns.T
     # With A = C^T M the matrix of the functions, C that of the columns: A^H A = M^H (C C^T) M.
     normal_of_modes = basis.mix(basis.mix(normal).conj().T)
-    rhs = basis.mix(projection.conj()).conj()
+    rhs = basis.mix(projection.conj()).conj().T
     values, vectors = eigen(normal_of_modes)
     keep = values > RCOND**2 * values[-1]
-    solution = vectors[:, keep] @ ((vectors[:, keep].conj().T @ rhs) / values[keep])
+    solution = ((vectors[:, keep].conj().T @ rhs).T / values[keep]) @ vectors[:, keep].T
     return solution, basis.n_modes - int(keep.sum())

@@ -12,17 +12,24 @@ With l the direction cosines to East and North these changes are, to first order
 with h one in sidelobes and next to nothing in the main lobe. A prior of independent coefficients takes any of them for
 as many coincidences as there are coefficients. The widths that the evidence gives it are then far too narrow where the
 data do not tell coefficients one by one, and what is left of the beam passes for effects that change in time.
+
+Data with a signal of hundreds of times the noise also see what is of second order in them: a dish that is 5% smaller
+has a beam that is off by a per cent more than to first order, which a source's flux would take up. So the products of
+two of these numbers, which are N(0, 1), are numbers of their own: of two different ones the variance is 1, and of one
+with itself the mean square is 3.
 """
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
-from hydrabeam_mpi.model.bases.base import LinearBasis
+from hydrabeam_mpi.model.bases.base import LinearBasis, has_part
 from hydrabeam_mpi.model.bases.rings import Pixels
 from hydrabeam_mpi.model.beam import Beam
-from hydrabeam_mpi.model.fit import beam_pixels, fit_basis
+from hydrabeam_mpi.model.fit import beam_pixels, fit_several
 
 AMPLITUDE = 0.1
 """Flux scales of catalogues and absolute calibration agree within a tenth, and data do not tell them from the beam."""
@@ -39,30 +46,57 @@ WAVES = 2
 
 
 def shape_of(beam: Beam, basis: LinearBasis) -> Array:
-    """Return what each of these changes does to the coefficients, by one standard deviation, (n_modes, k)."""
+    """Return what each of these changes does to the coefficients, by one standard deviation, (n_modes, k).
+
+    Those of first order come first: five of size and pointing, amplitude, and sidelobes. After them come products,
+    but for those that do nothing.
+    """
     pixels = beam_pixels(beam)
-    changes = _moved(beam, pixels) + _scaled(pixels)
-    return np.stack([fit_basis(basis, Pixels(pixels.za, pixels.az, one)).coeffs for one in changes], axis=-1)
+    moved, amplitude = _Moved(beam, pixels), np.abs(pixels.values)
+    in_sidelobes = 1 / (1 + amplitude / (SIDELOBE_LEVEL * amplitude.max()))
+    waves = [SIDELOBES * np.ones_like(amplitude)]
+    waves += [SIDELOBES * wave(m * pixels.az) for m in range(1, WAVES + 1) for wave in (np.cos, np.sin)]
+    moves, sidelobes = moved.first(), [in_sidelobes * pixels.values * wave for wave in waves]
+    # Of h B it is h^2 that the change of B is multiplied by.
+    of_both = [in_sidelobes**2 * wave * move for wave in waves for move in moves]
+    louder = [AMPLITUDE * one for one in moves + sidelobes]
+    first = [*moves, AMPLITUDE * pixels.values, *sidelobes]
+    changes = first + moved.second() + of_both + louder
+    fitted = fit_several(basis, pixels, np.stack(changes)).T
+    does_something = has_part(np.linalg.norm(fitted, axis=0))
+    does_something[: len(first)] = True
+    return fitted[:, does_something]
 
 
-def _moved(beam: Beam, pixels: Pixels) -> list[Array]:
-    """Return the changes of size and pointing at the beam's samples, (Npixels,) each."""
-    east, north = np.sin(pixels.za) * np.cos(pixels.az), np.sin(pixels.za) * np.sin(pixels.az)
-    none, one = np.zeros_like(east), np.ones_like(east)
-    of_size = [(SIZE * east, none), (none, SIZE * north), (SIZE * north, SIZE * east)]
-    of_pointing = [(POINTING * one, none), (none, POINTING * one)]
-    return [
-        0.5 * (_at(beam, east - by_east, north - by_north) - _at(beam, east + by_east, north + by_north))
-        for by_east, by_north in of_size + of_pointing
-    ]
+class _Moved:
+    """A beam that is larger or points elsewhere, at its samples."""
 
+    def __init__(self, beam: Beam, pixels: Pixels) -> None:
+        self.beam, self.values = beam, pixels.values
+        self.east, self.north = np.sin(pixels.za) * np.cos(pixels.az), np.sin(pixels.za) * np.sin(pixels.az)
+        none, one = np.zeros_like(self.east), np.ones_like(self.east)
+        of_size = [(SIZE * self.east, none), (none, SIZE * self.north), (SIZE * self.north, SIZE * self.east)]
+        self.moves = np.array([*of_size, (POINTING * one, none), (none, POINTING * one)])
+        self.there = {(place, sign): self._by(sign * move) for place, move in enumerate(self.moves) for sign in (1, -1)}
 
-def _scaled(pixels: Pixels) -> list[Array]:
-    """Return the changes of amplitude and sidelobes at the beam's samples, (Npixels,) each."""
-    amplitude = np.abs(pixels.values)
-    of_sidelobes = SIDELOBES * pixels.values / (1 + amplitude / (SIDELOBE_LEVEL * amplitude.max()))
-    waves = [wave(m * pixels.az) for m in range(1, WAVES + 1) for wave in (np.cos, np.sin)]
-    return [AMPLITUDE * pixels.values, of_sidelobes, *(of_sidelobes * wave for wave in waves)]
+    def first(self) -> list[Array]:
+        """Return what each move changes to first order."""
+        return [0.5 * (self.there[place, 1] - self.there[place, -1]) for place in range(len(self.moves))]
+
+    def second(self) -> list[Array]:
+        """Return what each two of them, or one twice, change to second order."""
+        twice = [
+            0.5 * np.sqrt(3) * (self.there[place, 1] + self.there[place, -1] - 2 * self.values)
+            for place in range(len(self.moves))
+        ]
+        both = [
+            0.25 * (self._by(one + two) + self._by(-one - two) - self._by(one - two) - self._by(two - one))
+            for one, two in combinations(self.moves, 2)
+        ]
+        return twice + both
+
+    def _by(self, move: FloatArray) -> Array:
+        return _at(self.beam, self.east - move[0], self.north - move[1])
 
 
 def _at(beam: Beam, east: FloatArray, north: FloatArray) -> Array:

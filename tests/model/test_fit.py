@@ -7,9 +7,10 @@ from astropy_healpix import HEALPix
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel, radial_zeros
 from hydrabeam_mpi.model.bases.rings import Pixels, RingGrid, degree_grid
+from hydrabeam_mpi.model.bases.with_rest import WithRest, rest_nodes
 from hydrabeam_mpi.model.bases.zernike import Zernike
 from hydrabeam_mpi.model.beam import BeamInfo, CoefficientBeam, analytic_beam
-from hydrabeam_mpi.model.fit import beam_pixels, fit_basis, fit_beam
+from hydrabeam_mpi.model.fit import beam_pixels, fit_basis, fit_beam, fit_several
 from hydrabeam_mpi.random import generator
 
 
@@ -106,6 +107,21 @@ def test_rings_and_points_give_the_same_least_squares_solution(form):
     residual = np.abs(design @ on_rings.coeffs - values)
     assert on_rings.rms_residual == pytest.approx(np.sqrt(np.mean(residual**2)))
     assert on_rings.max_residual == pytest.approx(residual.max())
+
+
+@pytest.mark.parametrize("kind", ["real", "complex", "with what is left"])
+@pytest.mark.parametrize("grid", ["1 degree", "scattered"])
+def test_several_beams_at_once_are_fitted_as_each_by_itself(grid, kind):
+    basis = FourierBessel.full(9, 2, form="complex" if kind == "complex" else "real")
+    if kind == "with what is left":
+        basis = WithRest(basis, np.cos(7 * rest_nodes()[0]))
+    za, az = GRIDS[grid]
+    values = np.exp(-3 * za) * np.array([np.cos(az), np.sin(5 * za), np.ones_like(za)])
+    if kind == "complex":
+        values = values * np.exp(1j * az)
+    found = fit_several(basis, Pixels(za, az, values[0]), values)
+    expected = [fit_basis(basis, Pixels(za, az, one)).coeffs for one in values]
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
 
 
 def test_rings_are_told_from_scattered_points():

@@ -68,4 +68,50 @@ def test_amplitude_and_sidelobes() -> None:
     assert in_sidelobes == pytest.approx(SIDELOBES * model / (1 + model / SIDELOBE_LEVEL), abs=3e-4)
     by_azimuth = BASIS.synthesize(found[:, 9], za, az)
     assert by_azimuth == pytest.approx(in_sidelobes * np.cos(2 * az), abs=3e-4)
-    assert found.shape == (BASIS.n_modes, 11)
+    # Of first order, five twice and in pairs, these in five sidelobes, and all but the amplitude at another one.
+    assert found.shape == (BASIS.n_modes, 11 + 5 + 10 + 25 + 10)
+
+
+class Louder:
+    """Another beam with other sidelobes and another amplitude."""
+
+    info = BeamInfo("another", 131e6, "ee")
+
+    def __init__(self, beam: Beam, amplitude: float, sidelobes: float) -> None:
+        self.beam, self.amplitude, self.sidelobes = beam, amplitude, sidelobes
+
+    def __call__(self, za: FloatArray, az: FloatArray) -> FloatArray:
+        power = self.beam(za, az)
+        in_sidelobes = 1 / (1 + power / SIDELOBE_LEVEL)
+        return (
+            (1 + self.amplitude * AMPLITUDE) * power * (1 + self.sidelobes * SIDELOBES * in_sidelobes * np.cos(2 * az))
+        )
+
+
+def test_products_of_changes_are_what_is_left_of_large_ones() -> None:
+    """To third order: of a beam that is off in many ways, by up to twice what is usual."""
+    east, north, tilt, amplitude, sidelobes = -1.6, 0.8, 1.2, 1.0, -1.5
+    moved = Another(size((east * SIZE, 0), (0, north * SIZE)), (tilt * POINTING, 0))
+    first = np.zeros(11)
+    first[[0, 1, 3, 5, 9]] = east, north, tilt, amplitude, sidelobes
+    moves, of_sidelobes = first[:5], first[6:]
+    products = np.concatenate([
+        moves**2 / np.sqrt(3),
+        [moves[i] * moves[j] for i in range(5) for j in range(i + 1, 5)],
+        np.outer(of_sidelobes, moves).ravel(),
+        amplitude * np.append(moves, of_sidelobes),
+    ])  # fmt: skip
+    changed = coefficients(Louder(moved, amplitude, sidelobes)) - coefficients(MODEL)
+    found = shape_of(MODEL, BASIS)
+    by_first = np.linalg.norm(changed - found[:, :11] @ first)
+    by_both = np.linalg.norm(changed - found @ np.concatenate([first, products]))
+    assert by_first > 0.1 * np.linalg.norm(changed)
+    assert by_both < 0.2 * by_first
+
+
+def test_products_that_do_nothing_are_left_out() -> None:
+    """A basis of round functions has nothing of what varies with azimuth."""
+    basis = FourierBessel([(k, 0) for k in range(1, 25)], form="real")
+    found = shape_of(MODEL, basis)
+    assert found.shape[1] < 61
+    assert np.all(np.linalg.norm(found[:, 11:], axis=0) > 1e-6 * np.linalg.norm(found[:, 5]))
