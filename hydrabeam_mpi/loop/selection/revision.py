@@ -17,6 +17,7 @@ from hydrabeam_mpi.loop.attribution.reconsider import Known, compare_priors
 from hydrabeam_mpi.loop.selection.acceptance import Round
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refits import fit_anew, is_same_prior, log_joint, may_surpass, restarted, rise
+from hydrabeam_mpi.loop.selection.refusal import rise_of_rms
 from hydrabeam_mpi.terminal.progress import say
 
 
@@ -124,7 +125,9 @@ def _with_revisions(
 
 
 def revise(context: FitContext, last: Round, n_given: int) -> tuple[Round, dict[int, int | None]]:
-    """Weigh all effects found so far again; see `reweigh`. Collective: all ranks of the grid.
+    """Weigh all effects found so far again; see `reweigh`. Nothing is revised that raises the held-out rms.
+
+    Collective: all ranks of the grid.
 
     Parameters
     ----------
@@ -150,7 +153,11 @@ def revise(context: FitContext, last: Round, n_given: int) -> tuple[Round, dict[
     found = reweigh(context, last.after.fitted, range(n_given, n), newest)
     if found is None:
         return last, same
-    last = replace(last, after=check(context, found.fitted), revised=(*last.revised, *found.told))
+    after = check(context, found.fitted)
+    if (worse := rise_of_rms(last.after, after)) is not None:
+        say(f"    refused: {worse}", context.grid.is_world_root)
+        return last, same
+    last = replace(last, after=after, revised=(*last.revised, *found.told))
     if not found.is_constant:
         return last, found.places
     # Of what was taken for variable in several places there may be fewer that are not.

@@ -56,6 +56,15 @@ def test_what_is_not_wanted_any_more_is_taken_back(context: FitContext) -> None:
     assert "taken back" in last.revised[0]
 
 
+def test_nothing_is_revised_where_held_out_data_are_predicted_worse_without_it(context: FitContext) -> None:
+    """The same, after a fit that left half as much of the held-out data, by more than that scatters over blocks."""
+    found = round_with(context, COUPLING, GAINS, newest=GAINS)
+    numbers, half = found.after.numbers, np.array([[0.5], [1.0]])
+    nearer = replace(numbers, times=half * numbers.times, groups=half * numbers.groups)
+    before = replace(found, after=replace(found.after, numbers=nearer))
+    assert revise(context, before, 0) == (before, {0: 0, 1: 1})
+
+
 def test_what_is_faint_at_the_end_is_taken_back(context: FitContext) -> None:
     """The same coupling; the gains stay as they were, and so does what the job has in its model."""
     found = round_with(context, COUPLING, GAINS, newest=GAINS)
