@@ -44,7 +44,7 @@ def fit_patiently(context: FitContext, values: Values, before: Fitted, worth: Wo
     return again if again.diagnostics.converged or rise(context, fitted, again, of_nonlinear=True) > 0 else fitted
 
 
-def fit_anew(context: FitContext, values: Values, before: Fitted, worth: Worth | None = None) -> Fitted:
+def fit_anew(context: FitContext, values: Values, before: Fitted) -> Fitted:
     """Fit effects of which some parameters are no longer in use; arguments are those of `refit`.
 
     Without these all rows may seem to be outliers at first, and be left out. So rows far out count less until the other
@@ -54,7 +54,7 @@ def fit_anew(context: FitContext, values: Values, before: Fitted, worth: Worth |
         others = tuple(one for one in values.reweighted if not one.change.leaves_out)
         robust = refit(context, replace(values, reweighted=(*others, heavy_tails(context))), before)
         values, before = replace(robust.values, reweighted=values.reweighted), robust
-    return fit_patiently(context, values, before, worth)
+    return fit_patiently(context, values, before)
 
 
 def with_best_variant(context: FitContext, fitted: Fitted, place: int = -1) -> Fitted:

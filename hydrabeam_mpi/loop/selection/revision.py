@@ -16,7 +16,7 @@ from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.attribution.reconsider import Known, compare_priors
 from hydrabeam_mpi.loop.selection.acceptance import Round
 from hydrabeam_mpi.loop.selection.predictions import check
-from hydrabeam_mpi.loop.selection.refits import fit_anew, is_same_prior, log_joint, may_surpass, restarted, rise
+from hydrabeam_mpi.loop.selection.refits import fit_anew, is_same_prior, restarted, rise
 from hydrabeam_mpi.loop.selection.refusal import rise_of_rms
 from hydrabeam_mpi.terminal.progress import say
 
@@ -107,13 +107,13 @@ def _with_revisions(
     by_place = {one.place: one for one in revisions}
     kept = [place for place in range(len(active)) if place not in by_place or by_place[place].new is not None]
     values = replace(fitted.values, active=tuple(_revised(context, active[i], by_place.get(i)) for i in kept))
-    by_priors, lowest = sum(one.gain for one in revisions), -least * (len(active) - len(kept))
     try:
-        again = fit_anew(context, values, fitted, may_surpass(log_joint(context, fitted) - by_priors + lowest))
+        again = fit_anew(context, values, fitted)
     except BrokenOff:
         return None
-    gain = by_priors + rise(context, fitted, again)
-    if not (gain >= lowest and again.diagnostics.converged):
+    gain = sum(one.gain for one in revisions) + rise(context, fitted, again)
+    n_left_out = len(active) - len(kept)
+    if not (gain >= -least * n_left_out and again.diagnostics.converged):
         return None
     told = tuple(_told(active[one.place], one) for one in revisions)
     for line in told:
