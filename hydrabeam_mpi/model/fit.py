@@ -119,8 +119,8 @@ def fit_several(basis: LinearBasis, pixels: Pixels, values: Array) -> Array:
     each = [replace(pixels, values=one) for one in values]
     if isinstance(basis, WithRest):
         coeffs, rest = fit_several(basis.basis, pixels, values), basis.rest(pixels.za, pixels.az)
-        left = np.stack([_left_of(one, basis.basis, own).values for one, own in zip(each, coeffs, strict=True)])
-        return np.column_stack([coeffs, left @ rest / (rest @ rest)])
+        parts = [_part_of_rest(one, basis.basis, own, rest) for one, own in zip(each, coeffs, strict=True)]
+        return np.column_stack([coeffs, parts])
     if _on_rings(basis, pixels) is not None:
         return np.stack([_solve(basis, one)[0] for one in each])
     return _fit_points(basis, replace(pixels, values=values))[0]
@@ -147,13 +147,18 @@ def _left_of(pixels: Pixels, basis: LinearBasis, coeffs: Array) -> Pixels:
     return replace(pixels, values=pixels.values - (fitted if np.iscomplexobj(pixels.values) else fitted.real))
 
 
+def _part_of_rest(pixels: Pixels, basis: LinearBasis, coeffs: Array, rest: FloatArray) -> Array:
+    """Return how much of the rest, at the samples, is in what the other functions leave of these."""
+    return np.asarray((rest @ _left_of(pixels, basis, coeffs).values) / (rest @ rest))
+
+
 def _solve(basis: LinearBasis, pixels: Pixels) -> tuple[Array, int]:
     """Return the coefficients and the number of directions cut."""
     if isinstance(basis, WithRest):
         # The rest is what the others leave, and is fitted to that.
         coeffs, n_cut = _solve(basis.basis, pixels)
-        left, rest = _left_of(pixels, basis.basis, coeffs).values, basis.rest(pixels.za, pixels.az)
-        return np.append(coeffs, (rest @ left) / (rest @ rest)), n_cut
+        part = _part_of_rest(pixels, basis.basis, coeffs, basis.rest(pixels.za, pixels.az))
+        return np.append(coeffs, part), n_cut
     if np.iscomplexobj(pixels.values) and not basis.is_complex:
         told = "a complex beam needs complex coefficients"
         raise InputError(told, field="[basis] form", remedy='use form = "complex"')

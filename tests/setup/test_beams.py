@@ -78,4 +78,4 @@ def test_shape_is_that_of_the_fitted_model():
     basis, fits = fit_model_beams(job, [beam])
     whole, short = (shaped([make_prior(job, fits[0])], [one], basis)[0].shape for one in (beam, ending))
     np.testing.assert_array_equal(short, whole)
-    assert len(whole) == basis.n_modes
+    assert whole.shape == (basis.n_modes, 61)
