@@ -13,8 +13,8 @@ from hydrabeam_mpi.inference.significance import SIGNIFICANT_P, chi2_sigma, log_
 from hydrabeam_mpi.loop.residuals.axes import Axis, Freedom, all_axes
 from hydrabeam_mpi.loop.residuals.coherent import OF_BASELINES, OF_TIMES, SPOTS, Coherence
 from hydrabeam_mpi.loop.residuals.cube import Layout
-from hydrabeam_mpi.loop.residuals.localise_words import sentence
-from hydrabeam_mpi.loop.residuals.statistics import Look, coherent_look, largest_excess
+from hydrabeam_mpi.loop.residuals.localise_words import of_redundancy, sentence
+from hydrabeam_mpi.loop.residuals.statistics import Look, coherent_look, largest_excess, redundancy
 from hydrabeam_mpi.loop.residuals.sums import ResidualSums
 
 CARRIED = 2 / 3
@@ -100,6 +100,8 @@ def where(
     chosen = {name: carriers.entries for name, carriers in found.items() if described[name]["state"] != "even"}
     words = sentence(axes, described, chosen, _of_few_baselines(layout, axes, chosen))
     words += "".join(f" It shows in {one['by']}." for one in described.values() if "by" in one)
+    if shared := of_redundancy(redundancy(sums, freedom)):
+        words += f" {shared}"
     return {"sentence": words, **described}
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.inference.significance import SIGNIFICANT_P, sigma_of_log_p
 from hydrabeam_mpi.loop.residuals.axes import Axis
 from hydrabeam_mpi.words import joined
 
@@ -71,6 +72,27 @@ def sentence(axes: dict[str, Axis], described: dict[str, Any], chosen: dict[str,
     if rest["even"]:
         main += f" It is even over {joined(rest['even'])}."
     return main
+
+
+def of_redundancy(split: dict[str, Any] | None) -> str:
+    """Say whether redundant baselines share what is left, as `statistics.redundancy` tells; nothing where it does not.
+
+    Their beam and their sky are the same, so that errors of either are, and those of single antennas are not.
+    """
+    if split is None:
+        return ""
+    least = sigma_of_log_p(float(np.log(SIGNIFICANT_P)))
+    shared, differ = split["beyond_scatter"] > least, split["scatter"]["sigma"] > least
+    means, within = split["common"]["chi2"], split["scatter"]["chi2"]
+    numbers = f"reduced chi^2 {means:.4g} of their means, {within:.4g} within groups"
+    if shared and differ:
+        return f"Redundant baselines share a part of it ({numbers})."
+    if shared:
+        alike = "it is of the sky, of the beam, or of what else is the same for all antennas"
+        return f"Redundant baselines share it ({numbers}): {alike}."
+    if differ:
+        return f"Redundant baselines do not share it ({numbers}): it is of single antennas or baselines, or noise."
+    return ""
 
 
 def _times(axes: dict[str, Axis], chosen: dict[str, IntArray], name: str) -> str:

@@ -67,10 +67,10 @@ def statistics(
     dict
         ``overall``: {"chi2" (reduced), "n", "sigma"}. ``axes``: for each axis a list of {"what", "chi2", "sigma", "n"},
         all entries up to 64, else the 32 most significant. ``entries``: the number of entries of each axis.
-        ``unevenness``: for each axis the significance of its entries differing. ``redundancy``: chi^2 of what
-        redundant baselines have in common and of what they have not. ``correlations``, ``tails``: of pairs of
-        visibilities; kurtosis and the largest |z|. ``coherent``: of each kind the most significant {"kind", "what",
-        "sigma", "n"} among n looks. ``looks``: their number. ``significance``: the most
+        ``unevenness``: for each axis the significance of its entries differing. ``redundancy``: what
+        redundant baselines have in common and what they have not, see `redundancy`. ``correlations``, ``tails``: of
+        pairs of visibilities; kurtosis and the largest |z|. ``coherent``: of each kind the most significant {"kind",
+        "what", "sigma", "n"} among n looks. ``looks``: their number. ``significance``: the most
         significant excess or structure of all, {"axis", "what", "sigma", "p", "log10_p", "corrected_sigma"} with p
         corrected for the looks: on its axis,
         then for the number of axes. ``n`` and ``sigma`` count complex data and Gaussian standard deviations.
@@ -88,7 +88,7 @@ def statistics(
         "axes": {name: _listed(axis, freedom) for name, axis in axes.items()},
         "entries": {name: len(axis) for name, axis in axes.items()},
         "unevenness": {name: axis.unevenness(freedom) for name, axis in axes.items() if len(axis) > 1},
-        "redundancy": _redundancy(sums, freedom),
+        "redundancy": redundancy(sums, freedom),
         "correlations": _correlations(sums, freedom),
         "tails": _tails(sums, layout, freedom),
         "coherent": [{"kind": one.axis, "what": one.what, "sigma": one.sigma, "n": one.n_looks} for one in like_model],
@@ -185,8 +185,11 @@ def _listed(axis: Axis, freedom: Freedom) -> list[dict[str, Any]]:
     ]
 
 
-def _redundancy(sums: ResidualSums, freedom: Freedom) -> dict[str, Any] | None:
-    """Split chi^2 of redundant baselines into that of their common part and the rest; None without any."""
+def redundancy(sums: ResidualSums, freedom: Freedom) -> dict[str, Any] | None:
+    """Split chi^2 of redundant baselines into that of their common part and the rest; None without any.
+
+    ``beyond_scatter`` is the significance of what they have in common being more than their scatter makes of a mean.
+    """
     cells, common, n, power = sums.common.tolist()
     if not cells:
         return None
@@ -198,6 +201,7 @@ def _redundancy(sums: ResidualSums, freedom: Freedom) -> dict[str, Any] | None:
             "sigma": _sigma(power - common, rest, freedom),
             "n": round(rest),
         },
+        "beyond_scatter": _common_sigma(sums, freedom),
     }
 
 

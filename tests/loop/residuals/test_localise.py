@@ -1,11 +1,13 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from hydrabeam_mpi.data.redundancy import find_redundant_groups
 from hydrabeam_mpi.loop.residuals.localise import where
 from tests.loop.white import make_layout, noise, sums_of
 
@@ -138,6 +140,22 @@ def test_a_length() -> None:
     z[:, :, chosen] += noise(LAYOUT, 1)[:, :, chosen]
     found = found_in(z)
     assert whats(found, "lengths") == pytest.approx([longest.max()], abs=1e-3)
+
+
+def test_redundant_baselines_share_what_is_of_the_beam_and_the_sky() -> None:
+    z, group = noise(LAYOUT), LAYOUT.redundant.group
+    of_groups = noise(LAYOUT, 1)[:, :, group]
+    assert "Redundant baselines share it (" in found_in(z + of_groups)["sentence"]
+    own = 2 * noise(LAYOUT, 2)
+    assert "Redundant baselines do not share it (" in found_in(z + own)["sentence"]
+    assert "Redundant baselines share a part of it (" in found_in(z + own + 3 * of_groups)["sentence"]
+
+
+def test_nothing_is_said_of_redundant_baselines_in_noise_or_where_there_are_none() -> None:
+    assert "edundant baselines" not in found_in(noise(LAYOUT))["sentence"]
+    apart = OBSERVATION.bl_vectors + np.arange(OBSERVATION.Nbls)[:, np.newaxis]
+    alone = replace(LAYOUT, redundant=find_redundant_groups(apart, 1e-3))
+    assert "edundant baselines" not in where(sums_of(alone, 3 * noise(alone)), alone)["sentence"]
 
 
 def test_one_antenna_above_noise_that_was_overestimated() -> None:
