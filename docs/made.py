@@ -8,31 +8,21 @@ from __future__ import annotations
 import inspect
 import json
 import re
-import sys
 from collections.abc import Iterator
-from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
-import numpy as np
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
+from hydrabeam_mpi.commands.effects import words_of
 from hydrabeam_mpi.config import Job, Section
 from hydrabeam_mpi.config.quantities import Quantity
-from hydrabeam_mpi.config.simulation import Array, Simulate
 from hydrabeam_mpi.config.text import toml_value
-from hydrabeam_mpi.data.redundancy import find_redundant_groups
-from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
-from hydrabeam_mpi.effects.registry import EFFECTS, REWEIGHTINGS, SEPARATE, make_cause, make_reweighting
+from hydrabeam_mpi.effects.registry import KINDS
 from hydrabeam_mpi.io import posterior_file, truth_file
-from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
-from hydrabeam_mpi.model.beam import analytic_beam
-from hydrabeam_mpi.model.fit import fit_beam
-from hydrabeam_mpi.model.sky import mock_sky
-from hydrabeam_mpi.simulation.mock import mock_observation
 
 HERE = Path(__file__).parent
 MARK = re.compile(r"^<!-- made: (\w+) -->$", re.MULTILINE)
@@ -202,53 +192,7 @@ def _schema_type(one: dict[str, Any]) -> str:
 
 def effects() -> str:
     """Return what the effects' own words say of them: equations, signs, units and settings."""
-    return "\n".join(_effect(kind, kinds[kind]) for kinds in (EFFECTS, SEPARATE, REWEIGHTINGS) for kind in kinds)
-
-
-def _effect(kind: str, effect: type) -> str:
-    about = inspect.cleandoc(sys.modules[effect.__module__].__doc__ or "")
-    more, *settings = re.split(r"\n(?:Parameters|Attributes)\n-+\n", f"{inspect.getdoc(effect)}")
-    entries = re.findall(r"^([\w, ]+?)(?: : (.*))?\n((?:    .*\n?)+)", "".join(settings), re.MULTILINE)
-    listed = [
-        f"- `{name}`{f' ({type_})' if type_ else ''}: {' '.join(words.split())}" for name, type_, words in entries
-    ]
-    names = f"Parameters such as {', '.join(_parameters(kind))}."
-    return "\n".join([f"## `{kind}`\n", f"{about}\n", f"{more.strip()}\n", *listed, f"\n{names}\n"])
-
-
-def _parameters(kind: str) -> list[str]:
-    """Return names of an effect's parameters with units: one of each sort, by what is not a number in them."""
-    setup = _observed()
-    if kind in REWEIGHTINGS:
-        pairs = [(name, "") for name in make_reweighting(kind, {}).neutral(setup)]
-    else:
-        cause = make_cause(kind, {})
-        if not len(cause.parameters(setup)):
-            cause = cause.drawn(setup, np.random.default_rng(1))
-        parameters = cause.parameters(setup)
-        pairs = list(zip(parameters.names, parameters.units, strict=True))
-    sorts: dict[str, str] = {}
-    for name, unit in pairs:
-        sorts.setdefault(re.sub(r"-?\d[\d.]*", "#", name), f"`{name}`{f' ({unit})' if unit else ''}")
-    return list(sorts.values())
-
-
-@cache
-def _observed() -> ObservingSetup:
-    """Return what a hexagon of seven antennas with an Airy beam observes: enough for parameters to have their names."""
-    freqs = tuple(140e6 + 1e6 * np.arange(6.0))
-    observation = mock_observation(Simulate(array=Array(hex=(2, 3)), n_times=8, freqs=freqs), "ee")
-    spec = FourierBessel.selection(n_modes=None, form="real", k_max=8, m_max=1, edge=np.deg2rad(92), boundary="neumann")
-    fit = fit_beam(analytic_beam("airy", freqs[0], "ee", diameter=14.0), spec)
-    return ObservingSetup(
-        observation=observation,
-        redundant=find_redundant_groups(observation.bl_vectors, 1e-7),
-        sky=mock_sky(3, observation.freqs, n_sources=60),
-        basis=fit.basis,
-        prior_mean=(fit.coeffs,) * len(freqs),
-        file_pols=("ee", "nn", "en", "ne"),
-        times=np.arange(observation.Ntimes),
-    )
+    return "\n".join(map(words_of, KINDS))
 
 
 PARTS = {part.__name__: part for part in (effects, job_keys, loop_schema, posterior_layout, truth_layout, tutorial)}

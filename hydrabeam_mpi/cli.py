@@ -153,6 +153,10 @@ def _on_one_rank(options: argparse.Namespace) -> None:
         from hydrabeam_mpi.report.document import write_report
 
         write_report(options.directory, options.gains)
+    elif options.command == "effects":
+        from hydrabeam_mpi.commands.effects import print_effects
+
+        print_effects(options.kind)
     else:
         from hydrabeam_mpi.commands.init import job_from_data, write_job
 

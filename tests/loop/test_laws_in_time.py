@@ -14,6 +14,7 @@ from tests.loop.mock import mock_job
 from tests.loop.test_loop_command import assert_reproduced, record_of, run_loop
 
 DRIFT = "drift from first to last time"
+THREE = (131e6, 131.1e6, 131.2e6)
 FEW = ["antenna_gains", "cross_coupling", "catalogue_flux", "missing_sources", "outliers"]
 
 
@@ -86,3 +87,16 @@ def test_what_all_gains_do_alike_is_told_as_such(tmp_path: Path) -> None:
     result = looked_for(tmp_path, kind="antenna_gains", settings=settings, parameters={name: 0.02})
     value, error = told_of(result, "smooth")[name]
     assert value == pytest.approx(0.02, abs=3 * error)
+
+
+def test_a_drift_of_all_channels_is_one_number(tmp_path: Path) -> None:
+    settings, name = {"law": "smooth", "orders": [1], "channels": "alike"}, f"antenna 3 ln amplitude, {DRIFT}"
+    effect = {"kind": "antenna_gains", "settings": settings, "parameters": {name: 0.02}}
+    result = run_loop(mock_job(effect, n_times=24, freqs=THREE, loop={"effects": FEW}), tmp_path)
+    value, error = told_of(result, "smooth")[name]
+    assert value == pytest.approx(0.02, abs=3 * error)
+    (found,) = record_of(result)["rounds"]
+    assert found["title"] == "antenna gains that drift, the same in all channels"
+    assert found["n_parameters"] == len(found["parameters"]) == 1
+    assert main(["infer", str(result / "amended.toml"), "-o", str(result.parent / "again")]) == 0
+    assert_reproduced(result, result.parent / "again")

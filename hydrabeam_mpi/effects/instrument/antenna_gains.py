@@ -48,7 +48,7 @@ class AntennaGains(Effect):
     def __init__(self, channels: Literal["each", "alike"] = "each") -> None:
         self.shared = channels == "alike"
         if self.shared:
-            self.title = "antenna gains, the same in all channels"
+            self.title = _alike(self.title)
 
     def describe(self) -> dict[str, Any]:
         """Return whether all channels are alike, where they are."""
@@ -83,7 +83,17 @@ class AntennaGains(Effect):
         self, setup: ObservingSetup, x: FloatArray, std: FloatArray
     ) -> list[tuple[BoolArray, Effect, FloatArray]]:
         """Return antennas whose gains of all channels may be the same, from a delay each, or from an echo each."""
-        return [] if self.shared else laws_followed(setup, x, std, AntennaGains("alike"))
+        alike = self.same_in_all_channels()
+        return [] if alike is None else laws_followed(setup, x, std, alike)
+
+    def same_in_all_channels(self) -> AntennaGains | None:
+        """Return gains that all channels have, as those of an amplifier over some MHz."""
+        return None if self.shared else AntennaGains("alike")
+
+    def title_in_time(self, law: str) -> str:
+        """Return what the effect is called where it changes by a law, and whether alike in all channels."""
+        title = super().title_in_time(law)
+        return _alike(title) if self.shared else title
 
     def factor(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return g_j g_k*, (Ntimes, Nbls)."""
@@ -94,3 +104,7 @@ class AntennaGains(Effect):
         gains = np.ones(setup.observation.Nants, dtype=complex)
         gains[setup.antennas_in_use] = np.exp(x[0::2] + 1j * x[1::2])
         return gains
+
+
+def _alike(title: str) -> str:
+    return f"{title}, the same in all channels"

@@ -28,6 +28,10 @@ class MayChange:
     def parameters(self, setup: ObservingSetup) -> Parameters:
         """Return the parameters."""
 
+    def title_in_time(self, law: str) -> str:
+        """Return what it is called where its parameters change by a law."""
+        return self.laws[law]
+
     def changing(self, law: Any) -> MayChange | None:
         """Return what changes by a law in time where not all of its parameters do; None where they do."""
         return None

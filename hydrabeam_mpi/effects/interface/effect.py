@@ -297,6 +297,10 @@ class Effect(InBeam, InOtherData, HasLimits, MayChange, Cause):
         """Return other forms of the effect with the same parameters, of which the fit tells which is the likeliest."""
         return []
 
+    def same_in_all_channels(self) -> Effect | None:
+        """Return the effect with one set of parameters for all channels; None where that is no form of it."""
+        return None
+
     def alike(self, setup: ObservingSetup, x: FloatArray, element: int) -> Iterable[Effect]:
         """Return the effect with one of its elements at other places where data see nearly the same of it.
 

@@ -54,7 +54,7 @@ class InTime(ScannedEffect):
 
     def __init__(self, effect: Effect, law: TimeLaw) -> None:
         self.effect, self.time_law = effect, law
-        self.kind, self.title, self.law = effect.kind, effect.laws[law.name], law.name
+        self.kind, self.title, self.law = effect.kind, effect.title_in_time(law.name), law.name
         self.shared, self.local, self.of_the_sky = effect.shared, effect.local, effect.of_the_sky
         self.of_both_feeds, self.unphysical = effect.of_both_feeds, effect.unphysical
         self.is_seen_by_beam = effect.is_seen_by_beam
@@ -63,6 +63,11 @@ class InTime(ScannedEffect):
     def describe(self) -> dict[str, Any]:
         """Return what makes the effect, and the law."""
         return {**self.effect.describe(), **self.time_law.describe()}
+
+    def same_in_all_channels(self) -> InTime | None:
+        """Return what changes alike in all channels, where the effect has such a form."""
+        alike = self.effect.same_in_all_channels()
+        return None if alike is None else type(self)(alike, self.time_law)
 
     def in_full(self, setup: ObservingSetup) -> InTime:
         """Return the effect with its law over the times of the data."""

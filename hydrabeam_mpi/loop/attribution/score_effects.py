@@ -69,13 +69,26 @@ def attribute(
     }
     by_name = likelihoods(context, fitted, cached, candidates)
     told = None if by_name is None else list(by_name.values())
-    evidence = _weigh_all(context, values, picked, told, Limits.of(context, fitted))
+    # What all channels may have alike has the same columns, so that the other form costs no further sums.
+    alike = _in_all_channels(context, picked)
+    forms, told_of_forms = [*picked, *alike.values()], None if told is None else [*told, *(told[k] for k in alike)]
+    evidence = _weigh_all(context, values, forms, told_of_forms, Limits.of(context, fitted))
     findings = None
     if evidence is not None:
-        findings = [Finding(effect, one) for effect, one in zip(picked, evidence, strict=True)]
-        findings.sort(key=lambda finding: -finding.evidence.log_bayes_factor)
+        findings = [Finding(effect, one) for effect, one in zip(forms, evidence, strict=True)]
+        for number, other in zip(alike, findings[len(picked) :], strict=True):
+            findings[number] = max(findings[number], other, key=lambda one: one.evidence.log_bayes_factor)
+        findings = sorted(findings[: len(picked)], key=lambda one: -one.evidence.log_bayes_factor)
     result: list[Finding] = bcast_object(context.grid.world, findings)
     return result
+
+
+def _in_all_channels(context: FitContext, effects: Sequence[Effect]) -> dict[int, Effect]:
+    """Return the forms in which effects are the same in all channels, by their numbers; none with one channel."""
+    if context.setup.observation.Nfreqs < 2:
+        return {}
+    forms = ((number, effect.same_in_all_channels()) for number, effect in enumerate(effects))
+    return {number: form for number, form in forms if form is not None}
 
 
 def attribute_sizes(context: FitContext, fitted: Fitted, sizes: Sequence[Effect]) -> list[Finding]:
