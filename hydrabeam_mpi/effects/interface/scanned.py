@@ -51,6 +51,10 @@ class ScannedEffect(ScannedInTime, Effect):
         """Return these candidates with others that a scan cannot tell from them, to be looked at again; (Nall,)."""
         return hypotheses
 
+    def of_the_same(self, setup: ObservingSetup) -> IntArray:
+        """Return which of the things that are looked at each candidate is a form of, a number each, (n_hypotheses,)."""
+        return np.arange(self.n_hypotheses(setup))
+
     def every(self, setup: ObservingSetup, hypotheses: IntArray) -> Effect | None:
         """Return the effect with all of these candidates, (Nchosen,), as its elements, whether or not they are alike.
 

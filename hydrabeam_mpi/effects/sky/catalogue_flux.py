@@ -14,6 +14,7 @@ from hydrabeam_mpi.effects.interface.effect import Columns, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
+from hydrabeam_mpi.effects.shared.apparent import apparent_power
 from hydrabeam_mpi.effects.shared.point_sources import (
     PointSources,
     dirty_map,
@@ -49,7 +50,7 @@ class CatalogueFlux(PointSources):
     title = "fluxes of catalogue sources"
     linear = True
     most: ClassVar[int] = 20_000
-    """Sources that are looked at, the brightest ones."""
+    """Sources that are looked at."""
     functions_in_time: ClassVar[int] = MOST_ORDERS
     """All: sources scintillate, some times an hour or faster, and few do at once."""
     laws: ClassVar = {"smooth": "catalogue sources that vary", "nightly": "catalogue sources that vary anew each night"}
@@ -99,9 +100,9 @@ class CatalogueFlux(PointSources):
         """Refuse errors below -1, by which a flux would be below zero; see `Effect.beyond`."""
         return self._fluxes_below_zero(-1.0, x, std)
 
-    def brightest(self, sky: Sky) -> IntArray:
-        """Return the sources of largest mean flux that are looked at, ascending, (n_hypotheses,)."""
-        faintest_first = np.argsort(np.abs(sky.flux.mean(axis=0)), kind="stable")
+    def brightest(self, setup: ObservingSetup) -> IntArray:
+        """Return the sources that are looked at, those that the array sees brightest, ascending, (n_hypotheses,)."""
+        faintest_first = np.argsort(apparent_power(setup), kind="stable")
         return np.sort(faintest_first[-self.most :])
 
     def n_hypotheses(self, setup: ObservingSetup) -> int:
@@ -110,11 +111,11 @@ class CatalogueFlux(PointSources):
 
     def scan(self, block: RowBlock) -> tuple[FloatArray, FloatArray]:
         """Correlate the residual with every source, each (n_hypotheses, p)."""
-        return dirty_map(block, block.setup.sky.select(self.brightest(block.setup.sky)))
+        return dirty_map(block, block.setup.sky.select(self.brightest(block.setup)))
 
     def scan_columns(self, block: RowBlock, n_each: int) -> tuple[FloatArray, FloatArray]:
         """Correlate the residual with the ``n_each`` columns of every source, time by time; (n_hypotheses, p) each."""
-        sky = block.setup.sky.select(self.brightest(block.setup.sky))
+        sky = block.setup.sky.select(self.brightest(block.setup))
         every, at_zero = type(self)(in_degrees(sky.ra, sky.dec)), np.zeros(sky.Nsrc * n_each)
         sums = np.zeros((2, len(at_zero)))
         # What redundant baselines see is the same.
@@ -127,11 +128,11 @@ class CatalogueFlux(PointSources):
 
     def scan_in_time(self, block: RowBlock, functions: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Do so with all functions, (Ntimes, k), in one pass, each (n_hypotheses, k)."""
-        return dirty_map(block, block.setup.sky.select(self.brightest(block.setup.sky)), functions)
+        return dirty_map(block, block.setup.sky.select(self.brightest(block.setup)), functions)
 
     def every(self, setup: ObservingSetup, hypotheses: IntArray) -> Self:
         """Take all of these sources; ``hypotheses`` is (Nchosen,)."""
-        sky, index = setup.sky, self.brightest(setup.sky)[hypotheses]
+        sky, index = setup.sky, self.brightest(setup)[hypotheses]
         return type(self)(in_degrees(sky.ra[index], sky.dec[index]), self.n_hypotheses(setup))
 
     def at(self, setup: ObservingSetup, hypotheses: IntArray) -> Self:
@@ -140,13 +141,13 @@ class CatalogueFlux(PointSources):
         ``hypotheses`` is (Nchosen,).
         """
         sky = setup.sky
-        index = self.brightest(sky)[hypotheses]
+        index = self.brightest(setup)[hypotheses]
         kept = index[keep_apart(sky.ra[index], sky.dec[index], APART * resolution(setup), AT_MOST)]
         return type(self)(in_degrees(sky.ra[kept], sky.dec[kept]), self.n_hypotheses(setup))
 
     def foremost(self, setup: ObservingSetup, n: int) -> Self:
         """Take the sources that the model beam sees brightest at any time, the brightest first."""
-        sky = setup.sky.select(self.brightest(setup.sky))
+        sky = setup.sky.select(self.brightest(setup))
         positions = RotatedPositions(sky, setup.observation)
         seen = np.zeros(sky.Nsrc)
         for itime in setup.times.tolist():

@@ -19,6 +19,7 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.interface.told import Told
+from hydrabeam_mpi.effects.shared.apparent import apparent_power
 from hydrabeam_mpi.effects.shared.feed_angle import FEEDS, Mount, twice_angle
 from hydrabeam_mpi.effects.shared.point_sources import dirty_map, in_degrees, in_radians, resolution
 from hydrabeam_mpi.effects.shared.settings import Azimuth, Count, Elevation
@@ -193,6 +194,11 @@ class PolarisedSources(CatalogueFlux):
         """Return the number of sources times those of rotation measures and mounts."""
         return len(self._looked_at(setup)) * len(rotation_grid(setup)) * len(get_args(Mount))
 
+    def of_the_same(self, setup: ObservingSetup) -> IntArray:
+        """Return the number of each candidate's source, whatever its rotation measure and its mount."""
+        n_sources = len(self._looked_at(setup))
+        return np.repeat(np.arange(n_sources), self.n_hypotheses(setup) // max(n_sources, 1))
+
     def scan(self, block: RowBlock) -> tuple[FloatArray, FloatArray]:
         """Correlate the residual with every source at every rotation measure on every mount, (n_hypotheses, 2) each."""
         setup, grid, n_mounts = block.setup, rotation_grid(block.setup), len(get_args(Mount))
@@ -256,10 +262,9 @@ class PolarisedSources(CatalogueFlux):
 
     def _looked_at(self, setup: ObservingSetup) -> IntArray:
         """Return the sources that are looked at, ascending, (n_sources,)."""
-        brightest = self.brightest(setup.sky)
-        flux = np.abs(setup.sky.flux[:, brightest].mean(axis=0))
+        brightest = self.brightest(setup)
         at_most = max(MOST_CANDIDATES // (len(rotation_grid(setup)) * len(get_args(Mount))), 1)
-        return np.sort(brightest[np.argsort(-flux, kind="stable")[:at_most]])
+        return np.sort(brightest[np.argsort(-apparent_power(setup)[brightest], kind="stable")[:at_most]])
 
     def draw(self, setup: ObservingSetup, rng: np.random.Generator, strength: float) -> FloatArray:
         """Polarise all alike, at angles of their own, with rotation measures within half a step, (n_params,)."""

@@ -49,14 +49,14 @@ class ResolvedSource(CatalogueFlux):
         following._of_model = (*self._of_model, *newest.sources)
         return following
 
-    def brightest(self, sky: Sky) -> IntArray:
+    def brightest(self, setup: ObservingSetup) -> IntArray:
         """Return the sources that are looked at, ascending, (n_hypotheses,)."""
-        brightest = super().brightest(sky)
-        return brightest[~np.isin(brightest, find(sky, self._of_model))]
+        brightest = super().brightest(setup)
+        return brightest[~np.isin(brightest, find(setup.sky, self._of_model))]
 
     def n_hypotheses(self, setup: ObservingSetup) -> int:
         """Return the number of sources that are looked at."""
-        return len(self.brightest(setup.sky))
+        return len(self.brightest(setup))
 
     def parameters(self, setup: ObservingSetup) -> Parameters:
         """Return the squared width of every source."""

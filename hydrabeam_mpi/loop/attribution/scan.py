@@ -34,10 +34,9 @@ def pick(context: FitContext, fitted: Fitted, cached: CachedRowBlocks, effects: 
     again: dict[int, Effect] = {}
     found = _scan(context, cached, list(scanned.values()))
     for (number, effect), (drop, power) in zip(scanned.items(), found, strict=True):
-        order, brightest = (np.argsort(-one, kind="stable") for one in (drop, power))
-        both = np.stack([order, brightest], axis=1).reshape(-1)
-        distinct = both[np.sort(np.unique(both, return_index=True)[1])]
-        first = effect.expanded(context.setup, distinct[: effect.most_again])
+        order = np.argsort(-drop, kind="stable")
+        by_turns = _by_turns(order, brightest_first(drop, power, effect.of_the_same(context.setup)))
+        first = effect.expanded(context.setup, by_turns[: effect.most_again])
         every = effect.every(context.setup, first)
         best[number] = order[: effect.most_again] if every is None else first
         if every is not None:
@@ -46,6 +45,19 @@ def pick(context: FitContext, fitted: Fitted, cached: CachedRowBlocks, effects: 
         best[number] = best[number][np.argsort(-drop, kind="stable")]
     chosen = {number: effect.at(context.setup, best[number]) for number, effect in scanned.items()}
     return [chosen.get(number, effect) for number, effect in enumerate(effects)]
+
+
+def brightest_first(drop: FloatArray, power: FloatArray, same: IntArray) -> IntArray:
+    """Return the candidates by power, of those that are the ``same`` thing the best alone; arguments are (n,)."""
+    order = np.lexsort((-drop, -power))
+    return order[np.sort(np.unique(same[order], return_index=True)[1])]
+
+
+def _by_turns(one: IntArray, two: IntArray) -> IntArray:
+    """Return what is in one list and in the other, by turns, each once."""
+    n = min(len(one), len(two))
+    both = np.concatenate([np.stack([one[:n], two[:n]], axis=1).ravel(), one[n:], two[n:]])
+    return both[np.sort(np.unique(both, return_index=True)[1])]
 
 
 def _drops_beside(

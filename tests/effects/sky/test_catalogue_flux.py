@@ -7,6 +7,9 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.shared.point_sources import resolution
 from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
 from hydrabeam_mpi.effects.sky.horizon import Horizon
+from hydrabeam_mpi.effects.sky.polarised_sources import PolarisedSources
+from hydrabeam_mpi.effects.sky.resolved_source import ResolvedSource
+from hydrabeam_mpi.effects.sky.source_positions import SourcePositions
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.sky import Sky, separation
 from hydrabeam_mpi.random import generator
@@ -60,18 +63,39 @@ def test_sources_too_close_to_tell_apart() -> None:
     assert separation(ra[0], dec[0], sky.ra[0], sky.dec[0]) > 0
 
 
-def test_only_the_brightest_of_many() -> None:
-    setup = small_setup()
-    rng = generator(11, "many")
-    n = 20_500
+def many_sources(n: int) -> ObservingSetup:
+    """All over the sky: half of them never rise, or pass where a dish sees next to nothing."""
+    rng, setup = generator(11, "many"), small_setup(n_times=12)
     flux = np.exp(rng.standard_normal(n))
-    many = Sky(rng.uniform(0, 2 * np.pi, n), np.arcsin(rng.uniform(-1, 1, n)), np.stack([flux, flux]))
-    setup = replace(setup, sky=many)
-    effect = CatalogueFlux()
+    sky = Sky(rng.uniform(0, 2 * np.pi, n), np.arcsin(rng.uniform(-1, 1, n)), np.stack([flux, flux]))
+    return replace(setup, sky=sky)
+
+
+def test_only_the_brightest_of_many() -> None:
+    setup = many_sources(20_500)
+    effect, sky = CatalogueFlux(), setup.sky
     assert effect.n_hypotheses(setup) == 20_000
+    kept = effect.brightest(setup)
     everything = [effect.at(setup, np.array([i])).sources[0] for i in (0, 19_999)]
-    kept = np.flatnonzero(flux >= np.sort(flux)[500])
-    np.testing.assert_allclose(np.deg2rad(everything), np.stack([many.ra, many.dec], 1)[kept[[0, -1]]], rtol=1e-12)
+    np.testing.assert_allclose(np.deg2rad(everything), np.stack([sky.ra, sky.dec], 1)[kept[[0, -1]]], rtol=1e-12)
+
+
+@pytest.mark.parametrize("kind", [SourcePositions, ResolvedSource, PolarisedSources])
+def test_they_are_those_that_the_array_sees_brightest(kind: type[CatalogueFlux]) -> None:
+    """However bright others are in the catalogue; to the accuracy of a grid of one degree."""
+    setup = many_sources(6000)
+    block = small_block(setup, 1)
+    seen = np.zeros(6000)
+    for itime in range(setup.observation.Ntimes):
+        index, za, az = block.positions.above_horizon(itime)
+        seen[index] += (setup.sky.flux[1, index] * block.beam(za, az)) ** 2
+    kept = kind().brightest(setup)
+    assert len(kept) == kind.most
+    brightest = np.argsort(-seen)
+    assert np.isin(brightest[: int(0.8 * kind.most)], kept).all()
+    assert np.delete(seen, kept).max() < 2 * np.sort(seen)[-kind.most]
+    by_catalogue = np.argsort(-setup.sky.flux[1])[: kind.most]
+    assert np.isin(by_catalogue, kept).mean() < 0.6
 
 
 def test_names_and_unknown_sources() -> None:

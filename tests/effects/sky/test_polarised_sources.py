@@ -16,6 +16,7 @@ from hydrabeam_mpi.effects.sky.polarised_sources import (
     twice_angle,
 )
 from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.loop.attribution.scan import brightest_first
 from hydrabeam_mpi.model.engines.fringes import enu
 from hydrabeam_mpi.random import complex_normal, generator
 from tests.effects.small import small_block, small_setup
@@ -95,6 +96,21 @@ def test_scan_finds_source_rotation_measure_and_mount(mount: Mount) -> None:
     )
     assert np.all(np.diff(own) > 1.5 * rotation_step(setup))
     assert found.parameters(setup).trials == 60 * len(grid) * 2
+
+
+def test_each_source_is_looked_at_again_with_its_best_rotation_measure_first() -> None:
+    """Of the brightest, which have as much power with any, and not all rotation measures of one of them."""
+    setup = small_setup(BAND, n_times=4)
+    effect = PolarisedSources()
+    same, rng = effect.of_the_same(setup), generator(3, "scan")
+    power = np.repeat(rng.uniform(1, 2, 60), len(same) // 60)
+    drop = rng.uniform(0, 1, len(same))
+    found = brightest_first(drop, power, same)
+    assert len(found) == 60
+    assert np.all(np.diff(power[found]) <= 0)
+    np.testing.assert_array_equal(same[found], np.argsort(-power[:: len(same) // 60]))
+    best = [drop[same == source].max() for source in same[found]]
+    np.testing.assert_array_equal(drop[found], best)
 
 
 def test_rotation_measures_that_channels_tell_from_each_other() -> None:

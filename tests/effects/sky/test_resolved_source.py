@@ -58,9 +58,9 @@ def test_sources_that_are_wide_in_the_model_are_not_looked_for_again() -> None:
         following = effect.next_after(SETUP, newest)
         assert isinstance(following, ResolvedSource)
         assert following.n_hypotheses(SETUP) == effect.n_hypotheses(SETUP) - 2
-        assert not {4, 7} & set(following.brightest(SETUP.sky).tolist())
+        assert not {4, 7} & set(following.brightest(SETUP).tolist())
         again = following.next_after(SETUP, of([1]))
         assert isinstance(again, ResolvedSource)
-        assert not {1, 4, 7} & set(again.brightest(SETUP.sky).tolist())
+        assert not {1, 4, 7} & set(again.brightest(SETUP).tolist())
         block = small_block(SETUP)
         assert again.scan(block)[0].shape == (again.n_hypotheses(SETUP), 1)
