@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from hydrabeam_mpi.effects.instrument.gain_laws import laws_followed
 from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
+from hydrabeam_mpi.effects.shared.in_channels import InChannels
 from hydrabeam_mpi.effects.shared.per_antenna import (
     antenna_parameters,
     common_values,
@@ -21,7 +22,7 @@ from hydrabeam_mpi.effects.shared.per_antenna import (
 )
 
 
-class AntennaGains(Effect):
+class AntennaGains(InChannels):
     """Amplitude and phase of each antenna's gain.
 
     With logarithms of gains as parameters the columns do not depend on them. What all amplitudes have in common scales
@@ -44,15 +45,6 @@ class AntennaGains(Effect):
         "piecewise": "antenna gains that jump",
         "correlated": "antenna gains that are correlated in time",
     }
-
-    def __init__(self, channels: Literal["each", "alike"] = "each") -> None:
-        self.shared = channels == "alike"
-        if self.shared:
-            self.title = _alike(self.title)
-
-    def describe(self) -> dict[str, Any]:
-        """Return whether all channels are alike, where they are."""
-        return {"channels": "alike"} if self.shared else {}
 
     def parameters(self, setup: ObservingSetup) -> Parameters:
         """Return ln amplitude and phase of every antenna."""
@@ -86,15 +78,6 @@ class AntennaGains(Effect):
         alike = self.same_in_all_channels()
         return [] if alike is None else laws_followed(setup, x, std, alike)
 
-    def same_in_all_channels(self) -> AntennaGains | None:
-        """Return gains that all channels have, as those of an amplifier over some MHz."""
-        return None if self.shared else AntennaGains("alike")
-
-    def title_in_time(self, law: str) -> str:
-        """Return what the effect is called where it changes by a law, and whether alike in all channels."""
-        title = super().title_in_time(law)
-        return _alike(title) if self.shared else title
-
     def factor(self, block: RowBlock, x: FloatArray) -> ComplexArray:
         """Return g_j g_k*, (Ntimes, Nbls)."""
         return np.broadcast_to(product_of_gains(*(x[0::2] + 1j * x[1::2])[row_antennas(block)].T), block.shape)
@@ -104,7 +87,3 @@ class AntennaGains(Effect):
         gains = np.ones(setup.observation.Nants, dtype=complex)
         gains[setup.antennas_in_use] = np.exp(x[0::2] + 1j * x[1::2])
         return gains
-
-
-def _alike(title: str) -> str:
-    return f"{title}, the same in all channels"

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
-from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
+from hydrabeam_mpi.effects.interface.effect import Columns, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import power_of
 from hydrabeam_mpi.effects.shared.beam_visibilities import beam_visibilities
+from hydrabeam_mpi.effects.shared.in_channels import InChannels
 from hydrabeam_mpi.effects.shared.per_antenna import row_antennas
 from hydrabeam_mpi.model.beam import BeamInfo, CoefficientBeam
 from hydrabeam_mpi.model.engines.base import amplitude
@@ -17,13 +18,18 @@ from hydrabeam_mpi.model.engines.base import amplitude
 KJY = 1e3  # Jy in the unit of the parameters
 
 
-class Compression(Effect):
+class Compression(InChannels):
     """How much of the gain is lost per kJy that the sky is brighter, of all antennas and of each beyond that.
 
     A weak cubic term of an amplifier lowers its gain in proportion to the power P that comes in. Of that the receiver's
     own part is constant, and what changes is the sky's: its autocorrelation in the current beam. P_0, at which nothing
     is lost, is the mean of what the model beam sees at the times in use, as calibration sets the gains right on
     average. A gain that grows with the power has kappa < 0.
+
+    Parameters
+    ----------
+    channels : {"each", "alike"}
+        Whether each channel has parameters of its own, or all have the same.
     """
 
     kind = "compression"

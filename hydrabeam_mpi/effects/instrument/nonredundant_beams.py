@@ -5,18 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
-from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
+from hydrabeam_mpi.effects.interface.effect import Columns, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.shared.antenna_beams import added_by_beams
 from hydrabeam_mpi.effects.shared.beam_shapes import MODES, reshaped, sidelobes, stretches
 from hydrabeam_mpi.effects.shared.displaced import need_real_beam
+from hydrabeam_mpi.effects.shared.in_channels import InChannels
 from hydrabeam_mpi.effects.shared.per_antenna import antenna_parameters, common_values, row_parameters
 
 
-class NonredundantBeams(Effect):
-    """Each antenna's power beam differs from the common one in a few low modes, each channel its own.
+class NonredundantBeams(InChannels):
+    """Each antenna's power beam differs from the common one in a few low modes.
 
     The power beam of a baseline is the product of its antennas' voltage beams (`antenna_beams`), for small differences
 
@@ -34,6 +35,11 @@ class NonredundantBeams(Effect):
 
     A change by a constant is a gain, and a gradient of the beam is a pointing error: those are other effects. What all
     antennas have in common is a beam of another shape, which the beam's own freedom takes up.
+
+    Parameters
+    ----------
+    channels : {"each", "alike"}
+        Whether each channel has parameters of its own, or all have the same.
     """
 
     kind = "nonredundant_beams"
