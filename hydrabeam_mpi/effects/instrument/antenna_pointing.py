@@ -21,9 +21,10 @@ DEGREE = np.pi / 180
 class AntennaPointing(Effect):
     """Each antenna's beam is tilted towards East and North, the same at all times and frequencies.
 
-    The power beam of a baseline is the product of its antennas' voltage beams (`antenna_beams`), for small tilts half
-    the sum of the two antennas' power beams; tilts are exact rotations of the beam about a horizontal axis. A tilt that
-    all antennas have in common is a beam that points elsewhere, which the beam's own freedom takes up.
+    The power beam of a baseline is the product of its antennas' voltage beams, the positive roots of their power beams
+    (`antenna_beams`): for small tilts half the sum of the two antennas' power beams. Tilts are exact rotations of the
+    beam about a horizontal axis. A tilt that all antennas have in common is a beam that points elsewhere, which the
+    beam's own freedom takes up.
     """
 
     kind = "antenna_pointing"

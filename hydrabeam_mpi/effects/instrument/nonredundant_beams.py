@@ -19,7 +19,8 @@ from hydrabeam_mpi.effects.shared.per_antenna import antenna_parameters, common_
 class NonredundantBeams(InChannels):
     """Each antenna's power beam differs from the common one in a few low modes.
 
-    The power beam of a baseline is the product of its antennas' voltage beams (`antenna_beams`), for small differences
+    The power beam of a baseline is the product of its antennas' voltage beams, the positive roots of their power beams
+    (`antenna_beams`): for small differences
 
         E_ij = 1/2 sum_n (c_i + c_j)_n D_n
 

@@ -114,7 +114,7 @@ class Refraction(TurningSky):
 
 
 class Ionosphere(Refraction):
-    """Shifts towards East and North that are others at each time, or that drift.
+    """Shifts towards East and North at the mean frequency of the channels, others at each time, or that drift.
 
     Parameters
     ----------
