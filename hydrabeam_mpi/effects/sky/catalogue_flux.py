@@ -14,7 +14,7 @@ from hydrabeam_mpi.effects.interface.effect import Columns, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
-from hydrabeam_mpi.effects.shared.apparent import apparent_power
+from hydrabeam_mpi.effects.shared.apparent import faintest_first
 from hydrabeam_mpi.effects.shared.point_sources import (
     PointSources,
     dirty_map,
@@ -102,8 +102,7 @@ class CatalogueFlux(PointSources):
 
     def brightest(self, setup: ObservingSetup) -> IntArray:
         """Return the sources that are looked at, those that the array sees brightest, ascending, (n_hypotheses,)."""
-        faintest_first = np.argsort(apparent_power(setup), kind="stable")
-        return np.sort(faintest_first[-self.most :])
+        return np.sort(faintest_first(setup)[-self.most :])
 
     def n_hypotheses(self, setup: ObservingSetup) -> int:
         """Return the number of sources that are looked at."""

@@ -19,7 +19,7 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.interface.told import Told
-from hydrabeam_mpi.effects.shared.apparent import apparent_power
+from hydrabeam_mpi.effects.shared.apparent import faintest_first
 from hydrabeam_mpi.effects.shared.feed_angle import FEEDS, Mount, twice_angle
 from hydrabeam_mpi.effects.shared.point_sources import dirty_map, in_degrees, in_radians, resolution
 from hydrabeam_mpi.effects.shared.settings import Azimuth, Count, Elevation
@@ -262,9 +262,8 @@ class PolarisedSources(CatalogueFlux):
 
     def _looked_at(self, setup: ObservingSetup) -> IntArray:
         """Return the sources that are looked at, ascending, (n_sources,)."""
-        brightest = self.brightest(setup)
         at_most = max(MOST_CANDIDATES // (len(rotation_grid(setup)) * len(get_args(Mount))), 1)
-        return np.sort(brightest[np.argsort(-apparent_power(setup)[brightest], kind="stable")[:at_most]])
+        return np.sort(faintest_first(setup)[-min(self.most, at_most) :])
 
     def draw(self, setup: ObservingSetup, rng: np.random.Generator, strength: float) -> FloatArray:
         """Polarise all alike, at angles of their own, with rotation measures within half a step, (n_params,)."""

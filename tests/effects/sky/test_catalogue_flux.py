@@ -75,7 +75,13 @@ def test_only_the_brightest_of_many() -> None:
     setup = many_sources(20_500)
     effect, sky = CatalogueFlux(), setup.sky
     assert effect.n_hypotheses(setup) == 20_000
-    kept = effect.brightest(setup)
+    kept, up = effect.brightest(setup), np.zeros(20_500, dtype=bool)
+    for itime in range(setup.observation.Ntimes):
+        up[small_block(setup).positions.above_horizon(itime)[0]] = True
+    # There are more that are never up, of which the faintest are left out.
+    down = np.flatnonzero(~up)
+    faintest = down[np.argsort(sky.flux[0, down])[:500]]
+    np.testing.assert_array_equal(np.delete(np.arange(20_500), kept), np.sort(faintest))
     everything = [effect.at(setup, np.array([i])).sources[0] for i in (0, 19_999)]
     np.testing.assert_allclose(np.deg2rad(everything), np.stack([sky.ra, sky.dec], 1)[kept[[0, -1]]], rtol=1e-12)
 
