@@ -47,6 +47,12 @@ class Likelihood:
         """Return the likelihood of the first ``n`` parameters, with the others at zero."""
         return Likelihood(self.information[:n, :n], self.score[:n], self.signal[:n, :n])
 
+    def most_gain(self) -> float:
+        """Return ln L where that is largest, over ln L at x = 0."""
+        values, vectors = eigen(self.information)
+        told = values > RANK_RTOL * max(values.max(initial=0.0), 0.0)
+        return 0.5 * float(np.sum((vectors[:, told].T @ self.score) ** 2 / values[told]))
+
     def marginalised(self, which: IntArray, precision: FloatArray) -> Likelihood:
         """Return the likelihood of the others, with some parameters marginalised that have a prior around zero.
 

@@ -33,3 +33,14 @@ def test_what_is_left_is_a_part_of_the_inverse(prior: Prior, which: list[int]) -
     mean = covariance @ likelihood.score
     np.testing.assert_allclose(np.linalg.solve(found.information, found.score), mean[rest], rtol=1e-8)
     np.testing.assert_array_equal(found.signal, likelihood.signal[np.ix_(rest, rest)])
+
+
+def test_most_gain_is_that_of_the_most_probable_values() -> None:
+    """Also where the data do not tell some combinations of the parameters."""
+    columns = generator(3, "few data").standard_normal((6, 4))
+    data = generator(4, "few data").standard_normal(4)
+    likelihood = Likelihood(columns @ columns.T, columns @ data, columns @ columns.T)
+    x = np.linalg.lstsq(columns.T, data, rcond=None)[0]
+    gain = likelihood.score @ x - 0.5 * x @ likelihood.information @ x
+    assert likelihood.most_gain() == pytest.approx(gain, rel=1e-9)
+    assert Likelihood(np.zeros((2, 2)), np.zeros(2), np.zeros((2, 2))).most_gain() == 0.0

@@ -106,6 +106,10 @@ class JointLikelihood:
         each = zip(others.best(blocks), blocks, strict=True)
         return float(sum(one.score @ x - 0.5 * x @ one.information @ x for x, one in each))
 
+    def most_gain(self) -> float:
+        """Return by how much no set raises ln likelihood more: what all parameters do without a prior."""
+        return sum(one.most_gain() for one in self.by_channel)
+
     def _beside(self, state: State, numbers: Sequence[int], shared: bool) -> list[list[Likelihood]]:
         """Return the likelihood of each of some competitors, with those of a set marginalised."""
         if not numbers:

@@ -126,6 +126,15 @@ def test_chi2_of_what_a_set_leaves(stand_in: Data) -> None:
     assert found.gain == stand_in.joint.gain(state) == pytest.approx(0.5 * drop, rel=1e-9)
 
 
+def test_no_set_raises_the_likelihood_by_more_than_all_parameters_do(stand_in: Data) -> None:
+    most, data = stand_in.joint.most_gain(), stand_in.data[0]
+    residual = data - stand_in.all @ np.linalg.lstsq(stand_in.all, data, rcond=None)[0]
+    assert most == pytest.approx(0.5 * (np.sum(data**2) - np.sum(residual**2)), rel=1e-9)
+    # With fewer effects, and with priors, it rises by less.
+    few, every = (stand_in.joint.gain(stand_in.joint.weigh({}, numbers)) for numbers in ([0], range(4)))
+    assert few < every < most
+
+
 def test_there_is_no_set_where_a_control_model_is_wanted_beside_the_effects(stand_in: Data) -> None:
     one, two = stand_in.competitors[0], replace(stand_in.competitors[3], is_control=True)
     joint = replace(stand_in.joint, competitors=[one, *stand_in.competitors[1:3], two])

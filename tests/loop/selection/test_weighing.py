@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
+from hydrabeam_mpi.effects.instrument.antenna_positions import AntennaPositions
 from hydrabeam_mpi.effects.instrument.closure_errors import ClosureErrors
 from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
 from hydrabeam_mpi.fit.context import FitContext
@@ -80,3 +82,17 @@ def test_columns_are_those_in_use_and_further_ones_that_gain_alone(
     assert cut
     for (one, which), (_, before) in cut:
         assert one.evidence.alone[which].min() >= one.evidence.alone[np.setdiff1d(before, which)].max()
+
+
+def test_no_set_is_told_of_what_explains_less_than_is_left(tmp_path: Path) -> None:
+    """Gains and positions take up parts of a strong coupling that is not among what is looked for."""
+    strong = COUPLED | {"parameters": {"baseline 1-4 real": 0.05}}
+    context = context_of(mock_job(strong), tmp_path)
+    fitted, effects = refit(context, Values()), [AntennaGains(), AntennaPositions()]
+    found = weigh(context, fitted, effects, [], 6)
+    assert min(one.log_bayes_factor for one in found.ranking) > 100 * context.problem.job.loop.min_log_bayes_factor
+    assert found == Weighed(found.ranking)
+    # With the coupling beside them that is what explains the data.
+    found = weigh(context, fitted, [*effects, *EFFECTS[1:]], [], 6)
+    assert found.explains
+    assert [one.kind for one in found.together.members] == ["cross_coupling"]
