@@ -20,7 +20,7 @@ from pydantic_core import PydanticUndefined
 from hydrabeam_mpi.commands.effects import words_of
 from hydrabeam_mpi.config import Job, Section
 from hydrabeam_mpi.config.quantities import Quantity
-from hydrabeam_mpi.config.text import toml_value
+from hydrabeam_mpi.config.text import tables_of, toml_value
 from hydrabeam_mpi.effects.registry import KINDS
 from hydrabeam_mpi.io import posterior_file, truth_file
 
@@ -43,33 +43,16 @@ def job_keys() -> str:
 
 
 def _sections(name: str, section: type[Section]) -> Iterator[str]:
-    inner = []
+    inner = tables_of(section)
     yield f"## `{name}`\n" if name else "## The top of the file\n"
     yield f"{inspect.cleandoc(section.__doc__ or '')}\n"
-    rows = []
-    for key, field in section.model_fields.items():
-        table, is_list = table_of(field.annotation)
-        if table is not None:
-            path = f"{name.strip('[]')}.{key}".lstrip(".")
-            inner.append((f"[[{path}]]" if is_list else f"[{path}]", table))
-        else:
-            rows.append(_row(key, field))
+    rows = [_row(key, field) for key, field in section.model_fields.items() if key not in inner]
     if rows:
         yield "| key | type | default | meaning |\n|---|---|---|---|"
         yield "\n".join(rows) + "\n"
-    for path, table in inner:
-        yield from _sections(path, table)
-
-
-def table_of(annotation: Any) -> tuple[type[Section] | None, bool]:
-    """Return the table that a key is, if it is one, and whether there may be several."""
-    if isinstance(annotation, type) and issubclass(annotation, Section):
-        return annotation, False
-    for part in get_args(annotation):
-        table, _ = table_of(part)
-        if table is not None:
-            return table, get_origin(annotation) is tuple
-    return None, False
+    for key, (table, is_list) in inner.items():
+        path = f"{name.strip('[]')}.{key}".lstrip(".")
+        yield from _sections(f"[[{path}]]" if is_list else f"[{path}]", table)
 
 
 def _row(key: str, field: FieldInfo) -> str:

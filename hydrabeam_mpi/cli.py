@@ -157,6 +157,10 @@ def _on_one_rank(options: argparse.Namespace) -> None:
         from hydrabeam_mpi.commands.effects import print_effects
 
         print_effects(options.kind)
+    elif options.command == "keys":
+        from hydrabeam_mpi.commands.keys import print_keys
+
+        print_keys(options.table)
     else:
         from hydrabeam_mpi.commands.init import job_from_data, write_job
 

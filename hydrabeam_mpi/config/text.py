@@ -20,6 +20,22 @@ COMMENT_COLUMN = 44
 MAX_LINE = 120
 
 
+def tables_of(section: type[Section]) -> dict[str, tuple[type[Section], bool]]:
+    """Return the tables within a table by their names, and whether there may be several of each."""
+    found = {name: _table_of(field.annotation) for name, field in section.model_fields.items()}
+    return {name: one for name, one in found.items() if one is not None}
+
+
+def _table_of(annotation: Any) -> tuple[type[Section], bool] | None:
+    """Return the table that a key is, if it is one, and whether there may be several."""
+    if isinstance(annotation, type) and issubclass(annotation, Section):
+        return annotation, False
+    for part in get_args(annotation):
+        if (found := _table_of(part)) is not None:
+            return found[0], get_origin(annotation) is tuple
+    return None
+
+
 def table_text(
     name: str, section: type[Section], values: Mapping[str, Any], remarks: Sequence[str] = (), *, given: bool = True
 ) -> list[str]:
@@ -49,11 +65,12 @@ def keys_text(section: type[Section], values: Mapping[str, Any]) -> list[str]:
         unit = _unit(field.annotation, *field.metadata)
         if name in values:
             line = f"{name} = {toml_value(values[name], unit)}"
-        elif field.default in (None, ()):
+        elif field.is_required() or field.default in (None, ()):
             line = f"# {name} = {_placeholder(field, unit)}"
         else:
             line = f"# {name} = {toml_value(field.default, unit)}"
-        comment = f"# {_choices(field)}{field.description}"
+        needed = "has to be given: " if field.is_required() else ""
+        comment = f"# {needed}{_choices(field)}{field.description}"
         beside = f"{line:<{COMMENT_COLUMN}} {comment}"
         lines += [beside] if len(beside) <= MAX_LINE else [comment, line]
     return lines

@@ -85,17 +85,26 @@ class FitContext:
     def _latest(self) -> dict[str, list[tuple[object, Any]]]:
         return {}
 
+    @cached_property
+    def _held(self) -> dict[str, object]:
+        return {}
+
     def of_latest(self, name: str, fitted: object, make: Callable[[], T], kept: int = 1) -> T:
         """Return what ``make`` works out of a fit, by ``name``.
 
         Those of the latest are ``kept``, by when they were asked for: of one to judge it and again once it has been
-        chosen, of several to compare them.
+        chosen, of several to compare them; and that of a fit which it is to `hold`.
         """
         known = self._latest.get(name, [])
         one = next((one for one in known if one[0] is fitted), None) or (fitted, make())
-        self._latest[name] = [one, *(other for other in known if other is not one)][:kept]
+        ordered = [one, *(other for other in known if other is not one)]
+        self._latest[name] = [*ordered[:kept], *(other for other in ordered[kept:] if other[0] is self._held.get(name))]
         found: T = one[1]
         return found
+
+    def hold(self, name: str, fitted: object) -> None:
+        """Keep what has been worked out of a fit by ``name``, until another one is to be held."""
+        self._held[name] = fitted
 
     def over_channels(self, values: FloatArray) -> float:
         """Add up what each group has of its channels, (Nlocal,). Collective: all ranks of the grid."""

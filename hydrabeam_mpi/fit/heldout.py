@@ -33,6 +33,9 @@ On all ranks together, as the same is to be predicted on any number of them.
 """
 
 
+HELDOUT = "held-out rows"
+
+
 @dataclass(frozen=True)
 class Whitened:
     """A rank's held-out residuals over their predictive standard deviation.
@@ -75,7 +78,12 @@ def whiten(context: FitContext, fitted: Fitted) -> Whitened:
     Parameters that belong to single times or baselines are not told by the fitted rows where those times or baselines
     are held out. Then they are fitted on one half of the held-out rows and the other half is predicted, either way.
     """
-    return context.of_latest("held-out rows", fitted, lambda: _with_total(context, _predict(context, fitted)))
+    return context.of_latest(HELDOUT, fitted, lambda: _with_total(context, _predict(context, fitted)))
+
+
+def hold_prediction(context: FitContext, fitted: Fitted) -> None:
+    """Keep the prediction of the held-out rows by a fit while those of others are looked at."""
+    context.hold(HELDOUT, fitted)
 
 
 def _predict(context: FitContext, fitted: Fitted) -> Whitened:

@@ -30,9 +30,9 @@ READING = 3
 """Times what is kept, while it is read."""
 LOOKED_AT = 160
 """Bytes of a sample of the health check: data, model, weights, and sums of them beside each other."""
-FITTED = 150
-"""Bytes of a visibility for a fit: calibrated by effects, with what these add, and of held-out ones what is left and
-how well it is known."""
+FITTED = 190
+"""Bytes of a visibility for a fit: calibrated by effects, with what these add, and of held-out ones what two fits leave
+and how well it is known."""
 WHITENED = 4
 """Roots of the covariance of the predictions of one time that are there at once: as made, scaled, and its vectors."""
 DESCRIBED = 6

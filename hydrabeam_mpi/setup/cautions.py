@@ -56,8 +56,9 @@ def cautions_of_basis(job: Job, model: FittedBeam) -> tuple[str, ...]:
     return (
         f"The model beam has no part in {n_lacking} of the {model.basis.n_modes} functions, as a round beam has none "
         "in those that vary with azimuth, and a symmetric one none in those of odd orders. How large these may be is "
-        "guessed from the functions next to them in order and from simulated beams, which mostly serves: [prior] floor "
-        "states another size, and with widths = 'evidence' the data choose it.",
+        "guessed from the functions next to them in order and from simulated beams, which mostly serves: nothing need "
+        "be done. [prior] floor states another size, and with widths = 'evidence', as by default in the loop, the data "
+        "choose it.",
     )
 
 

@@ -24,6 +24,7 @@ EXAMPLES = {
     "plan": ("hydrabeam plan job.toml --ranks 1,16,256 --commands infer",),
     "report": ("hydrabeam report result", "hydrabeam report result --gains night1.calfits"),
     "effects": ("hydrabeam effects", "hydrabeam effects antenna_gains"),
+    "keys": ("hydrabeam keys", "hydrabeam keys basis"),
     "init": (
         "hydrabeam init night1.uvh5 night2.uvh5 -o job.toml",
         "hydrabeam init data.uvh5 gains.calfits beam.beamfits sky.skyh5 -o job.toml",
@@ -90,6 +91,8 @@ def make_parser() -> argparse.ArgumentParser:
     report.add_argument("--gains", type=Path, nargs="+", default=[], metavar="FILE", help=compare)
     effects = _add(commands, "effects", "list what a loop looks for, or print equations, units and settings of one")
     effects.add_argument("kind", nargs="?", metavar="EFFECT", help="its name in the list")
+    keys = _add(commands, "keys", "print what a job file may say: keys, defaults, units and meanings")
+    keys.add_argument("table", nargs="?", metavar="TABLE", help="of one table, such as basis or prior.frequency")
     init = _add(commands, "init", "print a job file filled in from data files")
     kinds = "visibilities (uvh5, uvfits, measurement set, miriad); also gains, one beam, one sky"
     init.add_argument("files", type=Path, nargs="+", metavar="FILE", help=kinds)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.error_scale import mean_chi2
 from hydrabeam_mpi.fit.step import solved_at
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.attribution.reconsider import reconsider
@@ -33,7 +34,8 @@ def exchange(
     While something else is missing, an effect with many parameters may take up a part of that and so come before the
     right one. So each effect that is not the newest is left out, and those that had come near are weighed and fitted
     beside all the others, as in any round. The best of them is taken if it has more evidence, with the held-out data's
-    density, than the effect that it replaces, and their rms does not rise.
+    density, than the effect that it replaces, and their rms does not rise. An effect is asked once less is left of the
+    fitted data than was explained since: before that it may still have taken up what is missing.
 
     Collective: all ranks of the grid.
 
@@ -58,12 +60,18 @@ def exchange(
     for number, found in enumerate(rounds):
         if found.place is None:
             continue
-        is_asked = not all(one.revoked for one in rounds[number + 1 :])
+        is_asked = not all(one.revoked for one in rounds[number + 1 :]) and _is_mostly_explained(context, found, last)
         near = _near(found, effects) if is_asked else []
         better = _better_than(context, last, found, near, tried, only_more) if near else None
         if better is not None:
             return better, places_without(found.place, len(last.fitted.values.active))
     return None
+
+
+def _is_mostly_explained(context: FitContext, found: Round, last: Checked) -> bool:
+    """Whether what was found after an effect explains more of the fitted data than is left. Collective: all ranks."""
+    then, now = (mean_chi2(context, one.fitted) for one in (found.after, last))
+    return then - now > now - 1
 
 
 def _near(found: Round, effects: Sequence[Effect]) -> list[Effect]:

@@ -9,8 +9,9 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import BrokenOff
 from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.acceptance import Checked
+from hydrabeam_mpi.loop.selection.heldout_numbers import heldout_numbers
 from hydrabeam_mpi.loop.selection.heldout_score import gain_error, gain_of
-from hydrabeam_mpi.loop.selection.predictions import check
+from hydrabeam_mpi.loop.selection.predictions import score_of
 from hydrabeam_mpi.loop.selection.refits import fit_patiently
 from hydrabeam_mpi.terminal.progress import say
 
@@ -54,5 +55,5 @@ def _with_other_fold(context: FitContext, checked: Checked) -> Checked:
 def _predicted_from_the_other(context: FitContext, checked: Checked) -> Checked:
     other = context.exchanged
     fitted = fit_patiently(other, checked.fitted.values, checked.fitted)
-    again = check(other, fitted)
-    return replace(checked, score=checked.score + again.score, numbers=checked.numbers + again.numbers)
+    score, numbers = score_of(other, fitted), heldout_numbers(other, fitted)
+    return replace(checked, score=checked.score + score, numbers=checked.numbers + numbers)

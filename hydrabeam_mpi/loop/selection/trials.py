@@ -12,6 +12,7 @@ from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Worth
 from hydrabeam_mpi.fit.grown import added_coefficients
+from hydrabeam_mpi.fit.heldout import hold_prediction
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.loop.attribution.reconsider import reconsider_each
 from hydrabeam_mpi.loop.rules import RULES
@@ -45,10 +46,10 @@ def try_effects(
 ) -> Round | None:
     """Fit the candidates that may be the best; return the best of those that held-out data confirm.
 
-    Collective: all ranks of the grid. ``tried`` receives those that they do not confirm, with the reason. Where there
-    is a ``best`` one already, which may stand for a set of effects, others have to be better. Where an ``outlook`` is
-    given, it says which is tried first, and whether what the best so far leaves is explained by others, so that its
-    rivals need not be tried.
+    Collective: all ranks of the grid. ``tried`` receives those that they do not confirm, with the reason; what is no
+    better than another is not asked, as that takes as long as its fit. Where there is a ``best`` one already, which may
+    stand for a set of effects, others have to be better. Where an ``outlook`` is given, it says which is tried first,
+    and whether what the best so far leaves is explained by others, so that its rivals need not be tried.
     """
     settings, ranking = context.problem.job.loop, _grown(context, checked.fitted, ranking, best)
     wanted = [one for one in _wanted(context, ranking) if not one.is_control]
@@ -61,13 +62,17 @@ def try_effects(
             say(f"    refused: {why}", context.grid.is_world_root)
             tried.append((candidate, str(why)))
             continue
+        if best is not None and not is_better(fitted, after, best):
+            continue
         reason = refusal_of_fit(context, checked, after, fitted)
         reason = reason or least_beside(context, after.fitted, {-1: rivals_of(fitted, ranking, settings)})[-1].refusal
         say(f"    refused: {reason}", context.grid.is_world_root and reason is not None)
         if reason is not None:
             tried.append((fitted, reason))
-        elif best is None or is_better(fitted, after, best):
+        else:
             best = round_of(context, checked, after, fitted, ranking)
+            # Once it is the model this is asked for again.
+            hold_prediction(context, after.fitted)
     return best
 
 
