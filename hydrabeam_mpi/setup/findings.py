@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydrabeam_mpi.config import Job
+from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.words import capital
 
 QUARTER = 0.25
@@ -73,11 +74,15 @@ def baseline_words(one: int, two: int) -> tuple[str, str]:
     return f"baseline {one}-{two}", f"exclude_baselines = [[{one}, {two}]] in [data]"
 
 
-def integration_words(jd: float, seconds: float) -> tuple[str, str, tuple[float, float]]:
-    """Return the name of an integration, the key of a job that takes it as flagged, and the Julian dates in that."""
+def integration_words(jds: FloatArray, seconds: FloatArray) -> tuple[str, str, tuple[float, float]]:
+    """Return the name of an integration, the key of a job that takes it as flagged, and the Julian dates in that.
+
+    Of several that follow each other, (n,), those of all.
+    """
     half = QUARTER * seconds / 86400
-    span = round(jd - half, 7), round(jd + half, 7)
-    return f"JD {jd:.6f}", f"exclude_times = [[{span[0]:.7f}, {span[1]:.7f}]] in [data]", span
+    span = round(float((jds - half)[0]), 7), round(float((jds + half)[-1]), 7)
+    name = " to ".join(dict.fromkeys(f"{jd:.6f}" for jd in (jds[0], jds[-1])))
+    return f"JD {name}", f"exclude_times = [[{span[0]:.7f}, {span[1]:.7f}]] in [data]", span
 
 
 def mended_job(job: Job, findings: Sequence[Finding]) -> Job:

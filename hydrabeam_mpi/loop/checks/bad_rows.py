@@ -15,22 +15,42 @@ def bad_times(problem: Problem, times: IntArray, sums: Sums, excess: Excess) -> 
     """Find integrations that are all zero, or that stand out from the others on most baselines.
 
     A second difference has three integrations in it: bad is one of which all differences stand out, and the worst of
-    neighbours that blame each other; another look tells whether what is left of the others does. ``times``, (Nlooks,),
-    are those of the sample.
+    neighbours that blame each other; another look tells whether what is left of the others does. Those that follow each
+    other are told as one. ``times``, (Nlooks,), are those of the sample.
     """
     counted = sums.time_counts.sum(axis=0)
     power = sums.time_products[2].real.sum(axis=0)
-    why = {int(t): "all its visibilities are zero" for t in np.flatnonzero((counted > 0) & (power == 0))}
-    if not why:
+    bad = np.flatnonzero((counted > 0) & (power == 0)).tolist()
+    ratios = sigmas = np.zeros(0)
+    if not bad:
         total, n = excess.times
         logs = np.where(n > 0, total / np.maximum(n, 1), np.nan)
         absurd = np.maximum(outliers(logs, LOG_STD / np.sqrt(np.maximum(n, 1))), 0.0)
-        worst = _worst(excess, absurd, n > 0, len(times))
-        for t, look in worst:
-            ratio = np.exp(logs[look] - known_median(logs))
-            why[t] = f"{excess.says} has {ratio:.2g} times the power of others ({absurd[look]:.0f} sigma)"
-    few = len(why) <= MOST_EXCEPTIONS * len(times)
-    return [_of_time(problem, int(times[t]), reason) for t, reason in sorted(why.items())] if few else []
+        worst = sorted(_worst(excess, absurd, n > 0, len(times)))
+        bad, looks = [t for t, _ in worst], [look for _, look in worst]
+        ratios, sigmas = np.exp(logs[looks] - known_median(logs)), absurd[looks]
+    if len(bad) > MOST_EXCEPTIONS * len(times):
+        return []
+    found = []
+    for run in _that_follow(times[bad]):
+        whole = f"{'its' if len(run) == 1 else 'their'} visibilities"
+        why = f"all {whole} are zero"
+        if len(ratios):
+            why = f"{excess.says} has {_range(ratios[run], '.2g')} times the power of others"
+            why += f" ({_range(sigmas[run], '.0f')} sigma)"
+        found.append(_of_times(problem, times[bad][run], why))
+    return found
+
+
+def _that_follow(times: IntArray) -> list[IntArray]:
+    """Return the places of integrations, (n,), in runs of those that follow each other."""
+    return np.split(np.arange(len(times)), np.flatnonzero(np.diff(times) != 1) + 1) if len(times) else []
+
+
+def _range(values: FloatArray, form: str) -> str:
+    """Say a number, or from which to which."""
+    ends = dict.fromkeys(format(one, form) for one in (values.min(), values.max()))
+    return " to ".join(ends)
 
 
 def _worst(excess: Excess, absurd: FloatArray, known: np.ndarray, n_times: int) -> list[tuple[int, int]]:
@@ -49,11 +69,14 @@ def _worst(excess: Excess, absurd: FloatArray, known: np.ndarray, n_times: int) 
     return chosen
 
 
-def _of_time(problem: Problem, time: int, reason: str) -> Finding:
+def _of_times(problem: Problem, times: IntArray, reason: str) -> Finding:
+    """Return what is found of integrations that follow each other, (n,)."""
     observation = problem.observation
-    name, remedy, span = integration_words(float(observation.times[time]), float(observation.integration_time[time]))
-    role = "held out" if time in problem.test.times and time not in problem.train.times else "fitted"
-    return Finding("a bad integration", f"{name}, {role}", reason, remedy, times=(span,))
+    name, remedy, span = integration_words(observation.times[times], observation.integration_time[times])
+    held_out = np.isin(times, problem.test.times) & ~np.isin(times, problem.train.times)
+    roles = [role for role, any_is in (("fitted", not held_out.all()), ("held out", held_out.any())) if any_is]
+    what = "a bad integration" if len(times) == 1 else f"{len(times)} bad integrations"
+    return Finding(what, f"{name}, {' and '.join(roles)}", reason, remedy, times=(span,))
 
 
 def bad_baselines(problem: Problem, sums: Sums, excess: Excess) -> list[Finding]:

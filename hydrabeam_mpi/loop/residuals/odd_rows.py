@@ -67,7 +67,7 @@ def odd_rows(power: RowPower, observation: Observation) -> tuple[Finding, ...]:
     """
     ends, found = observation.antenna_index, []
     for t, why in _stand_out(*_means(power.times)):
-        place, remedy, span = integration_words(float(observation.times[t]), float(observation.integration_time[t]))
+        place, remedy, span = integration_words(observation.times[[t]], observation.integration_time[[t]])
         found.append(Finding("an integration that stands out", place, why, f"if it is bad, {remedy}", times=(span,)))
     logs, n = _means(power.bls)
     antennas = dict(_stand_out(*_of_antennas(logs, n, ends)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -240,7 +241,10 @@ def test_dead_and_absurd_antennas(job: dict[str, Any], folder: Path, damage: Cha
 
 @pytest.mark.parametrize("how", ["noisy", "zero"])
 def test_bad_integrations(job: dict[str, Any], folder: Path, how: str) -> None:
-    """Two neighbours, one of which is held out, and a third that is."""
+    """Two neighbours, one of which is held out, and a third that is.
+
+    Differences of neighbours tell but one of those at a look; what all looks show at once is told as one.
+    """
 
     def damage(uv: UVData) -> None:
         rows = crosses(uv) & at_times(uv, 4, 5, 14)
@@ -253,8 +257,11 @@ def test_bad_integrations(job: dict[str, Any], folder: Path, how: str) -> None:
     with quiet():
         times = np.unique(UVData.from_file(folder / "data.uvh5", read_data=False).time_array)
     told = sorted(one.times[0] for one in result)
-    assert [np.flatnonzero((times >= a) & (times <= b)).tolist() for a, b in told] == [[4], [5], [14]]
-    assert sorted("held out" in one.where for one in result) == [False, True, True]
+    expected = {"noisy": [[4], [5], [14]], "zero": [[4, 5], [14]]}
+    assert [np.flatnonzero((times >= a) & (times <= b)).tolist() for a, b in told] == expected[how]
+    roles = [one.where.partition(", ")[2] for one in result]
+    alone = ["fitted", "held out"] if how == "noisy" else ["fitted and held out"]
+    assert sorted(roles) == sorted([*alone, "held out"])
     spans = [list(one.times[0]) for one in result]
     assert found(job, folder, files=["damaged.uvh5"], exclude_times=spans) == []
 
@@ -264,7 +271,9 @@ def test_bad_integrations_minutes_apart_are_off_among_redundant_baselines(tmp_pa
     job = made(tmp_path, {"kind": "missing_sources", "strength": 200.0}, close=False)
     names = damaged(tmp_path, lambda uv: noisy(uv, crosses(uv) & at_times(uv, 4, 5, 14)))
     result = found(job, tmp_path, files=names)
-    assert [one.why.startswith("what redundant baselines in it differ by has") for one in result] == [True] * 3
+    assert [one.what for one in result] == ["2 bad integrations", "a bad integration"]
+    assert all(one.why.startswith("what redundant baselines in it differ by has") for one in result)
+    assert re.search(r"has \d\S* to \d\S* times the power of others \(\d+ to \d+ sigma\)$", result[0].why)
     spans = [list(one.times[0]) for one in result]
     assert found(job, tmp_path, files=names, exclude_times=spans) == []
 
