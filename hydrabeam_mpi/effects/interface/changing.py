@@ -50,10 +50,11 @@ class MayChange:
         """
         return (), np.zeros((0, len(self.parameters(setup))))
 
-    def alternatives(self, setup: ObservingSetup, used: IntArray) -> list[Self]:
+    def alternatives(self, setup: ObservingSetup, used: IntArray) -> list[list[Self]]:
         """Return effects with the same parameters that differ from this one in nothing but times that are not fitted.
 
-        The numbers of the parameters in use are (n_used,).
+        Of each function of time those that have another in its place. The numbers of the parameters in use are
+        (n_used,).
         """
         return []
 

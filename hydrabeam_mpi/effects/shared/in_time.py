@@ -281,12 +281,12 @@ class InTime(ScannedEffect):
             return type(self)(self.effect.drawn(setup, rng), law)
         return type(self)(self.effect, law.at(rng.integers(len(law.names()), size=1)))
 
-    def alternatives(self, setup: ObservingSetup, used: IntArray) -> list[InTime]:
+    def alternatives(self, setup: ObservingSetup, used: IntArray) -> list[list[InTime]]:
         """Return the effect with each function in use as it may be as well by the times that are fitted."""
         n, of_fitted = len(self.time_law.names()), setup.fitted_jd
         numbers = np.unique(used % n).tolist() if n else []
-        laws = [law for k in numbers for law in self.time_law.alternatives(k, of_fitted, setup.jd)]
-        return [type(self)(self.effect, law) for law in laws]
+        laws = (self.time_law.alternatives(k, of_fitted, setup.jd) for k in numbers)
+        return [[type(self)(self.effect, law) for law in of_function] for of_function in laws]
 
     def _candidates(self, setup: ObservingSetup) -> TimeLaw:
         """Return the law with all functions that are looked at."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 
 from hydrabeam_mpi.effects.interface.effect import Effect
@@ -67,30 +66,32 @@ def fit_candidate(
 def by_heldout(context: FitContext, checked: Checked, place: int = -1) -> Checked:
     """Let the held-out rows say what of an effect the fitted ones cannot, as they are the same with either.
 
-    Such is a jump between two fitted times: it may be before or after those that lie between. It is the last of the
-    active effects, or the one at ``place``. Collective: all ranks of the grid.
+    Such is a jump between two fitted times: it may be before or after those that lie between. Where each belongs no
+    other decides, so that each is asked by itself, and those that move are moved together. The effect is the last of
+    the active ones, or the one at ``place``. Collective: all ranks of the grid.
     """
     fitted, active = checked.fitted, checked.fitted.values.active
     one = active[place]
-    best, known = one.effect, {_told(one.effect): checked.score.log_density}
 
     def with_effect(effect: Effect) -> Fitted:
         others = tuple(replace(other, effect=effect) if other is one else other for other in active)
         return replace(fitted, values=replace(fitted.values, active=others))
 
-    while True:
-        choice = [best, *best.alternatives(context.setup, one.used)]
-        for effect in choice:
-            if _told(effect) not in known:
-                known[_told(effect)] = score_of(context, with_effect(effect)).log_density
-        found = max(choice, key=lambda effect: known[_told(effect)])
-        if found is best:
-            return checked if best is one.effect else check(context, with_effect(best))
-        best = found
+    def density(effect: Effect) -> float:
+        return score_of(context, with_effect(effect)).log_density
 
-
-def _told(effect: Effect) -> str:
-    return json.dumps(effect.describe())
+    best, most, together, n_moved = one.effect, checked.score.log_density, one.effect, 0
+    for number, others in enumerate(one.effect.alternatives(context.setup, one.used)):
+        densities = [density(effect) for effect in others]
+        moved = max(range(len(others)), key=lambda which: densities[which], default=None)
+        if moved is None or not densities[moved] > checked.score.log_density:
+            continue
+        together, n_moved = together.alternatives(context.setup, one.used)[number][moved], n_moved + 1
+        if densities[moved] > most:
+            best, most = others[moved], densities[moved]
+    if not n_moved:
+        return checked
+    return check(context, with_effect(together if n_moved > 1 and density(together) > most else best))
 
 
 @dataclass(frozen=True)
