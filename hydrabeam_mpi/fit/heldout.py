@@ -32,8 +32,8 @@ SHARED_BYTES = KEPT_BYTES / 2
 On all ranks together, as the same is to be predicted on any number of them.
 """
 
-
 HELDOUT = "held-out rows"
+"""Name of their predictions among what is kept of fits."""
 
 
 @dataclass(frozen=True)

@@ -48,10 +48,16 @@ class Likelihood:
         return Likelihood(self.information[:n, :n], self.score[:n], self.signal[:n, :n])
 
     def most_gain(self) -> float:
-        """Return ln L where that is largest, over ln L at x = 0."""
-        values, vectors = eigen(self.information)
-        told = values > RANK_RTOL * max(values.max(initial=0.0), 0.0)
-        return 0.5 * float(np.sum((vectors[:, told].T @ self.score) ** 2 / values[told]))
+        """Return ln L where that is largest, over ln L at x = 0; rounding may make it more, not less.
+
+        Parameters have units of their own, so that each counts by what it would be if all else were known.
+        """
+        present = np.sqrt(np.maximum(np.diag(self.signal), 0.0))
+        seen = present > 0
+        scale = np.divide(1.0, present, out=np.zeros_like(present), where=seen)
+        values, vectors = eigen(scale[:, np.newaxis] * self.information * scale)
+        told = values > ROUNDING * max(values.max(initial=0.0), 0.0)
+        return 0.5 * float(np.sum((vectors[:, told].T @ (scale * self.score)) ** 2 / values[told]))
 
     def marginalised(self, which: IntArray, precision: FloatArray) -> Likelihood:
         """Return the likelihood of the others, with some parameters marginalised that have a prior around zero.

@@ -43,4 +43,9 @@ def test_most_gain_is_that_of_the_most_probable_values() -> None:
     x = np.linalg.lstsq(columns.T, data, rcond=None)[0]
     gain = likelihood.score @ x - 0.5 * x @ likelihood.information @ x
     assert likelihood.most_gain() == pytest.approx(gain, rel=1e-9)
+    # Whatever the units of the parameters are.
+    units = np.array([1e-7, 1.0, 1e6, 1e3, 1e-3, 1.0])
+    columns *= units[:, np.newaxis]
+    likelihood = Likelihood(columns @ columns.T, columns @ data, columns @ columns.T)
+    assert likelihood.most_gain() == pytest.approx(gain, rel=1e-6)
     assert Likelihood(np.zeros((2, 2)), np.zeros(2), np.zeros((2, 2))).most_gain() == 0.0

@@ -87,9 +87,9 @@ def weigh_together(
                 i: _of_some(one.evidence, which) for i, (one, which) in enumerate(picked) if has_all_in_use(one, which)
             }
             joint = JointLikelihood(by_channel, model, competitors, alone)
-            # What explains less than what no set can is not told, so that it is not looked for either.
-            unexplained = limits.chi2 - joint.most_gain() - limits.free
-            found = _told(picked, search(joint, max(least, unexplained)), findings, limits.chi2, limits.free)
+            # No set leaves less. An effect that explains no more than a set leaves is not told, nor looked for.
+            left = limits.chi2 - joint.most_gain() - limits.free
+            found = _told(picked, search(joint, max(least, left)), findings, limits.chi2, limits.free)
     result: TogetherFound = bcast_object(context.grid.world, found)
     return result
 
