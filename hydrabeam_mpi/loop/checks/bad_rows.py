@@ -33,8 +33,7 @@ def bad_times(problem: Problem, times: IntArray, sums: Sums, excess: Excess) -> 
         return []
     found = []
     for run in _that_follow(times[bad]):
-        whole = f"{'its' if len(run) == 1 else 'their'} visibilities"
-        why = f"all {whole} are zero"
+        why = f"all {'its' if len(run) == 1 else 'their'} visibilities are zero"
         if len(ratios):
             why = f"{excess.says} has {_range(ratios[run], '.2g')} times the power of others"
             why += f" ({_range(sigmas[run], '.0f')} sigma)"
