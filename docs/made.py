@@ -19,8 +19,7 @@ from pydantic_core import PydanticUndefined
 
 from hydrabeam_mpi.commands.effects import words_of
 from hydrabeam_mpi.config import Job, Section
-from hydrabeam_mpi.config.quantities import Quantity
-from hydrabeam_mpi.config.text import tables_of, toml_value
+from hydrabeam_mpi.config.text import tables_of, toml_value, unit_of
 from hydrabeam_mpi.effects.registry import KINDS
 from hydrabeam_mpi.io import posterior_file, truth_file
 
@@ -78,17 +77,6 @@ def _limits(metadata: Any) -> Iterator[str]:
         for name, sign in LIMITS.items():
             if getattr(one, name, None) is not None:
                 yield f"{sign} {getattr(one, name):.4g}"
-
-
-def unit_of(*parts: Any) -> str | None:
-    """Find the unit of a quantity in its type."""
-    for part in parts:
-        quantity = getattr(part, "func", None)
-        if isinstance(quantity, Quantity):
-            return quantity.unit
-        if unit := unit_of(*get_args(part)):
-            return unit
-    return None
 
 
 def type_words(kind: Any, unit: str | None = None) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import unicodedata
 from collections.abc import Collection, Sequence
+from difflib import get_close_matches
 from itertools import pairwise
 
 DURATIONS = (("d", 86400), ("h", 3600), ("min", 60), ("s", 1))
@@ -13,6 +14,17 @@ SIZES = (("ZB", 1e21), ("EB", 1e18), ("PB", 1e15), ("TB", 1e12), ("GB", 1e9), ("
 def joined(words: Sequence[str]) -> str:
     """Join words as in a sentence: "a", "a and b", "a, b and c"."""
     return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
+
+
+def from_to(first: str, last: str) -> str:
+    """Say from which to which, or the one that both are: "2 to 30", "2"."""
+    return first if first == last else f"{first} to {last}"
+
+
+def did_you_mean(name: str, known: Collection[str]) -> str:
+    """Ask for the names that are nearest, before more is said; nothing where none is near."""
+    near = " or ".join(f"'{one}'" for one in get_close_matches(name, known, n=2))
+    return f"did you mean {near}? " if near else ""
 
 
 def counted(n: int, what: str) -> str:

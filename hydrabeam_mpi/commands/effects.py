@@ -6,7 +6,6 @@ import inspect
 import re
 import sys
 from collections.abc import Mapping
-from difflib import get_close_matches
 from functools import cache
 from typing import Any
 
@@ -22,6 +21,7 @@ from hydrabeam_mpi.model.beam import analytic_beam
 from hydrabeam_mpi.model.fit import fit_beam
 from hydrabeam_mpi.model.sky import mock_sky
 from hydrabeam_mpi.simulation.mock import mock_observation
+from hydrabeam_mpi.words import did_you_mean
 
 
 def list_effects() -> str:
@@ -40,9 +40,8 @@ def words_of(kind: str) -> str:
         If there is no such effect.
     """
     if kind not in KINDS:
-        near = " or ".join(f"'{one}'" for one in get_close_matches(kind, KINDS, n=2))
-        meant = f"did you mean {near}? " if near else ""
-        raise InputError(f"no effect '{kind}'", field="effects", remedy=f"{meant}'hydrabeam effects' lists them")
+        remedy = f"{did_you_mean(kind, KINDS)}'hydrabeam effects' lists them"
+        raise InputError(f"no effect '{kind}'", field="effects", remedy=remedy)
     effect = _class_of(kind)
     about = inspect.cleandoc(sys.modules[effect.__module__].__doc__ or "")
     more, *settings = re.split(r"\n(?:Parameters|Attributes)\n-+\n", f"{inspect.getdoc(effect)}")

@@ -21,6 +21,7 @@ from hydrabeam_mpi.config.sections import Basis, Beam, Holdout, Noise, Output, P
 from hydrabeam_mpi.config.text import frequency_text, keys_text, table_text
 from hydrabeam_mpi.data.observation import Array, BoolArray, FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.redundancy import find_redundant_groups
+from hydrabeam_mpi.data.runs import runs_of
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.beamfits import SAME_FREQ, BeamFile
 from hydrabeam_mpi.io.catalogue import is_of_date, read_model
@@ -198,10 +199,9 @@ def _about_redundancy(observation: Observation) -> str:
 
 def _channel_ranges(freqs: FloatArray, chosen: BoolArray) -> str:
     """Write the frequencies of channels with runs shortened, such as 117.5 to 118.2 (8 channels), 122 MHz."""
-    runs = np.split(np.flatnonzero(chosen), np.flatnonzero(np.diff(np.flatnonzero(chosen)) > 1) + 1)
     said = [
         f"{freqs[run[0]] / 1e6:.6g}" + (f" to {freqs[run[-1]] / 1e6:.6g} ({run.size} channels)" if run.size > 1 else "")
-        for run in runs
+        for run in runs_of(np.flatnonzero(chosen))
     ]
     return f"{', '.join(said)} MHz"
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from difflib import get_close_matches
 
 from hydrabeam_mpi.config import Job, Section
 from hydrabeam_mpi.config.text import keys_text, table_text, tables_of
 from hydrabeam_mpi.errors import InputError, printable
+from hydrabeam_mpi.words import did_you_mean
 
 
 def all_tables(section: type[Section] = Job, within: str = "") -> Iterator[tuple[str, type[Section]]]:
@@ -32,10 +32,8 @@ def keys_of(wanted: str | None) -> str:
     else:
         name = wanted.strip("[]")
         if name not in tables:
-            near = " or ".join(f"'{one}'" for one in get_close_matches(name, tables, n=2))
-            meant = f"did you mean {near}? " if near else ""
-            shown = printable(wanted)
-            raise InputError(f"no table '{shown}' in a job", field="keys", remedy=f"{meant}one of {', '.join(tables)}")
+            remedy = f"{did_you_mean(name, tables)}one of {', '.join(tables)}"
+            raise InputError(f"no table '{printable(wanted)}' in a job", field="keys", remedy=remedy)
         chosen = [one for path, one in tables.items() if path == name or path.startswith(f"{name}.")]
         lines = []
     for header, table in chosen:

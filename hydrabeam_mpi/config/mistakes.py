@@ -7,14 +7,15 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_origin
+from typing import Any
 
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
-from hydrabeam_mpi.config.base import shown
+from hydrabeam_mpi.config.base import Section, shown
+from hydrabeam_mpi.config.text import tables_of
 from hydrabeam_mpi.errors import InputError
 
-Model = type[BaseModel]
+Model = type[Section]
 Details = dict[str, Any]
 
 # Replace pydantic's messages about its own types by ones about TOML; keys are the beginnings of its error types.
@@ -109,33 +110,18 @@ def as_input_error(error: ValidationError, model: Model, path: Path | None = Non
 def _locate(location: tuple[int | str, ...], model: Model) -> _Place:
     """Divide a place in the job into tables and key."""
     parts, sections, repeated, number = list(location), [], False, ""
-    while parts and isinstance(name := parts[0], str) and (inner := _table_of(model, name)):
-        repeated, number = _is_repeated(model, name), ""
+    while parts and isinstance(name := parts[0], str) and (inner := tables_of(model).get(name)):
+        (model, repeated), number = inner, ""
         sections.append(name)
         del parts[0]
         if repeated and parts:
             number = f"number {int(parts.pop(0)) + 1}"
-        model = inner
     return _Place(sections, model, [part for part in parts if isinstance(part, str)], repeated, number)
 
 
 def _in_brackets(sections: Sequence[str], repeated: bool) -> str:
     path = ".".join(sections)
     return f"[[{path}]]" if repeated else f"[{path}]"
-
-
-def _is_repeated(model: Model, name: str) -> bool:
-    """Whether there may be several tables of this name."""
-    return get_origin(model.model_fields[name].annotation) is tuple
-
-
-def _table_of(model: Model, name: str) -> Model | None:
-    """Return the model of a table within ``model``, or None if ``name`` is a plain key or unknown."""
-    if name not in model.model_fields:
-        return None
-    annotation = model.model_fields[name].annotation
-    candidates = [annotation, *getattr(annotation, "__args__", ())]
-    return next((item for item in candidates if isinstance(item, type) and issubclass(item, BaseModel)), None)
 
 
 def _suggestion(place: _Place, job: Model) -> str:
@@ -154,13 +140,14 @@ def _all_keys(
     model: Model, table: str = "the first lines", sections: tuple[str, ...] = ()
 ) -> Iterator[tuple[str, str]]:
     """Yield every key of a job behind the table that it stands in; a table as a key of its own."""
+    tables = tables_of(model)
     for name in model.model_fields:
-        inner = _table_of(model, name)
-        if inner is None:
+        if name not in tables:
             yield table, name
             continue
+        inner, is_repeated = tables[name]
         within = (*sections, name)
-        yield (own := _in_brackets(within, _is_repeated(model, name))), name
+        yield (own := _in_brackets(within, is_repeated)), name
         yield from _all_keys(inner, own, within)
 
 

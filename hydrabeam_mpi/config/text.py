@@ -62,7 +62,7 @@ def keys_text(section: type[Section], values: Mapping[str, Any]) -> list[str]:
     for name, field in section.model_fields.items():
         if field.description is None:  # a table
             continue
-        unit = _unit(field.annotation, *field.metadata)
+        unit = unit_of(field.annotation, *field.metadata)
         if name in values:
             line = f"{name} = {toml_value(values[name], unit)}"
         elif field.is_required() or field.default in (None, ()):
@@ -96,12 +96,12 @@ def frequency_text(freq: float) -> str:
     return f"{freq / 1e6:.12g} MHz" if freq >= 1e6 else f"{freq / 1e3:.12g} kHz"
 
 
-def _unit(*parts: Any) -> str | None:
+def unit_of(*parts: Any) -> str | None:
     """Find the unit of a key in its type."""
     for part in parts:
         if isinstance(part, BeforeValidator) and isinstance(part.func, Quantity):
             return part.func.unit
-        if unit := _unit(*get_args(part)):
+        if unit := unit_of(*get_args(part)):
             return unit
     return None
 

@@ -58,15 +58,6 @@ def fitted_chi2(context: FitContext, fitted: Fitted) -> tuple[float, float]:
     return float(chi2.sum()), float(free.sum())
 
 
-def mean_chi2(context: FitContext, fitted: Fitted) -> float:
-    """Return the reduced chi^2 of the fitted rows, averaged over channels. Collective: all ranks of the grid."""
-    of_channels = np.zeros(context.setup.observation.Nfreqs)
-    if context.grid.is_group_root:
-        of_channels[context.channels] = fitted.diagnostics.train_chi2
-    allreduce_sum(context.grid.world, of_channels)
-    return float(of_channels.mean())
-
-
 def _by_channel(context: FitContext, fitted: Fitted) -> tuple[FloatArray, FloatArray]:
     """Return each channel's chi^2 and degrees of freedom, (Nfreqs,). Collective: all ranks of the grid."""
     n_freqs, own = context.setup.observation.Nfreqs, fitted.diagnostics

@@ -32,7 +32,7 @@ LOOKED_AT = 160
 """Bytes of a sample of the health check: data, model, weights, and sums of them beside each other."""
 FITTED = 190
 """Bytes of a visibility for a fit: calibrated by effects, with what these add, and of held-out ones what two fits leave
-and how well it is known."""
+and how well it is known: 73 bytes for each of the two (`heldout.Whitened`), of which half of all are held out."""
 WHITENED = 4
 """Roots of the covariance of the predictions of one time that are there at once: as made, scaled, and its vectors."""
 DESCRIBED = 6

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from hydrabeam_mpi.inference.predictive_checks import LARGEST_PREDICTIVE
+from hydrabeam_mpi.words import from_to
 
 FAR = 2.0
 """Times as far from the model as its prior expects, from which on errors of what the data leave open are half of what
@@ -86,7 +87,7 @@ def _warnings_of_heldout(channels: list[dict[str, Any]], by_evidence: bool) -> l
         )
     amplitudes = [channel["heldout_amplitude_unperturbed"] for channel in channels]
     if any(abs(amplitude - 1) > 0.05 for amplitude in amplitudes):
-        span = " to ".join(dict.fromkeys(f"{limit:.3g}" for limit in (min(amplitudes), max(amplitudes))))
+        span = from_to(f"{min(amplitudes):.3g}", f"{max(amplitudes):.3g}")
         said.append(
             f"The model beam fits the held-out data best when it is {span} times as large: "
             "a wider beam or a narrower one does that, or data on another flux scale than the sky ([data] flux_scale), "

@@ -9,7 +9,7 @@ import numpy as np
 
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.data.observation import FloatArray
-from hydrabeam_mpi.words import capital
+from hydrabeam_mpi.words import capital, from_to
 
 QUARTER = 0.25
 """Of an integration, before and after the centre of one that is named: no other's is so near."""
@@ -81,7 +81,7 @@ def integration_words(jds: FloatArray, seconds: FloatArray) -> tuple[str, str, t
     """
     half = QUARTER * seconds / 86400
     span = round(float((jds - half)[0]), 7), round(float((jds + half)[-1]), 7)
-    name = " to ".join(dict.fromkeys(f"{jd:.6f}" for jd in (jds[0], jds[-1])))
+    name = from_to(f"{jds[0]:.6f}", f"{jds[-1]:.6f}")
     return f"JD {name}", f"exclude_times = [[{span[0]:.7f}, {span[1]:.7f}]] in [data]", span
 
 

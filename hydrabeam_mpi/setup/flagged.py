@@ -9,6 +9,7 @@ import numpy as np
 
 from hydrabeam_mpi.config import Job
 from hydrabeam_mpi.data.observation import BoolArray, FloatArray, IntArray, Observation
+from hydrabeam_mpi.data.runs import runs_of
 from hydrabeam_mpi.io.noise import check_weights
 from hydrabeam_mpi.io.uvdata import read_block
 from hydrabeam_mpi.io.uvrows import SAMPLE_BYTES, WINDOW_BYTES
@@ -94,7 +95,6 @@ def _have_data(
 def _told(freqs: FloatArray, live: BoolArray, pols: Sequence[str]) -> str:
     """Say which channels are left out; neighbours are told as ranges."""
     dark = np.flatnonzero(~live)
-    runs = np.split(dark, 1 + np.flatnonzero(np.diff(dark) > 1))
-    named = (" to ".join(f"{freqs[f] / 1e6:.6g}" for f in np.unique(run[[0, -1]])) for run in runs)
+    named = (" to ".join(f"{freqs[f] / 1e6:.6g}" for f in np.unique(run[[0, -1]])) for run in runs_of(dark))
     data = "all data" if len(pols) == 1 else f"all data of {' or '.join(pols)}"
     return f"Skipped {len(dark)} of {len(live)} channels, of which {data} are flagged: {', '.join(named)} MHz."

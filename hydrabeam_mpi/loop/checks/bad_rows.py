@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
+from hydrabeam_mpi.data.runs import runs_of
 from hydrabeam_mpi.inference.robust import LOG_STD, MOST_EXCEPTIONS, known_median, outliers
 from hydrabeam_mpi.loop.checks.health_sums import Excess, Sums
 from hydrabeam_mpi.setup.findings import Finding, baseline_words, integration_words
 from hydrabeam_mpi.setup.problem import Problem
+from hydrabeam_mpi.words import from_to
 
 
 def bad_times(problem: Problem, times: IntArray, sums: Sums, excess: Excess) -> list[Finding]:
@@ -32,24 +34,15 @@ def bad_times(problem: Problem, times: IntArray, sums: Sums, excess: Excess) -> 
     if len(bad) > MOST_EXCEPTIONS * len(times):
         return []
     found = []
-    for run in _that_follow(times[bad]):
+    for run in runs_of(times[bad]):
         why = f"all {'its' if len(run) == 1 else 'their'} visibilities are zero"
         if len(ratios):
-            why = f"{excess.says} has {_range(ratios[run], '.2g')} times the power of others"
-            why += f" ({_range(sigmas[run], '.0f')} sigma)"
-        found.append(_of_times(problem, times[bad][run], why))
+            ratio, sigma = (one[np.isin(times[bad], run)] for one in (ratios, sigmas))
+            power = from_to(f"{ratio.min():.2g}", f"{ratio.max():.2g}")
+            why = f"{excess.says} has {power} times the power of others"
+            why += f" ({from_to(f'{sigma.min():.0f}', f'{sigma.max():.0f}')} sigma)"
+        found.append(_of_times(problem, run, why))
     return found
-
-
-def _that_follow(times: IntArray) -> list[IntArray]:
-    """Return the places of integrations, (n,), in runs of those that follow each other."""
-    return np.split(np.arange(len(times)), np.flatnonzero(np.diff(times) != 1) + 1) if len(times) else []
-
-
-def _range(values: FloatArray, form: str) -> str:
-    """Say a number, or from which to which."""
-    ends = dict.fromkeys(format(one, form) for one in (values.min(), values.max()))
-    return " to ".join(ends)
 
 
 def _worst(excess: Excess, absurd: FloatArray, known: np.ndarray, n_times: int) -> list[tuple[int, int]]:

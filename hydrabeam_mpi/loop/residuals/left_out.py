@@ -18,6 +18,7 @@ import numpy as np
 from scipy.stats import binom
 
 from hydrabeam_mpi.data.observation import BoolArray, FloatArray, IntArray
+from hydrabeam_mpi.data.runs import runs_of
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.inference.significance import SIGNIFICANT_P
@@ -131,8 +132,7 @@ def log_chance(lost: FloatArray, n: FloatArray) -> FloatArray:
 
 def _stretches(late: BoolArray, times: IntArray) -> list[IntArray]:
     """Return the times that are named, in stretches of neighbours among all ``times`` that are looked at."""
-    named = np.flatnonzero(late[times])
-    return [times[run] for run in np.split(named, np.flatnonzero(np.diff(named) > 1) + 1) if len(run)]
+    return [times[run] for run in runs_of(np.flatnonzero(late[times]))]
 
 
 def _numbers(counts: FloatArray) -> dict[str, int]:

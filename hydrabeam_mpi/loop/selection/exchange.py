@@ -7,7 +7,6 @@ from dataclasses import replace
 
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.error_scale import mean_chi2
 from hydrabeam_mpi.fit.step import solved_at
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.attribution.reconsider import reconsider
@@ -70,8 +69,8 @@ def exchange(
 
 def _is_mostly_explained(context: FitContext, found: Round, last: Checked) -> bool:
     """Whether what was found after an effect explains more of the fitted data than is left. Collective: all ranks."""
-    then, now = (mean_chi2(context, one.fitted) for one in (found.after, last))
-    return then - now > now - 1
+    then, now = (context.over_channels(one.fitted.diagnostics.train_chi2) for one in (found.after, last))
+    return then - now > now - context.setup.observation.Nfreqs
 
 
 def _near(found: Round, effects: Sequence[Effect]) -> list[Effect]:
