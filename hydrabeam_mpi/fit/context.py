@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import FloatArray
+from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.fit.blocks import BeamBlock
 from hydrabeam_mpi.fit.carried_over import CarriedOver
@@ -73,6 +73,12 @@ class FitContext:
             rows = read_share(self.grid, self.problem, problem.test, True, False)
             test = RankData(self.problem, self.setup, rows, kept_bytes=self.train.kept_bytes)
         return replace(self, problem=problem, train=self.test, test=test)
+
+    def held_out_at(self, times: IntArray) -> FitContext:
+        """Return the same with no held-out rows but those of some times, by their numbers in the observation."""
+        tile = self.problem.test
+        test = replace(tile, times=tile.times[np.isin(tile.times, times)])
+        return replace(self, problem=replace(self.problem, test=test), test=self.test.at_times(times))
 
     def given(self, values: Values) -> Problem:
         """Return the problem of this rank group with the beams' priors given the effects, as wide as the values say."""

@@ -94,7 +94,7 @@ def _predict(context: FitContext, fitted: Fitted) -> Whitened:
     if local is None:
         return _whiten(context, fitted)
     folds = fold_of(context, local)
-    one, two = (_whiten(context, fit_local(context, fitted, local, folds != fold)[0]) for fold in (0, 1))
+    one, two = (_whiten(context, fit_local(context, fitted, local, without=fold)[0]) for fold in (0, 1))
 
     def of_either(name: str) -> Array:
         return np.where(folds == 0, getattr(one, name), getattr(two, name))

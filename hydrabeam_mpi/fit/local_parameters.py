@@ -8,17 +8,19 @@ the beam has wrong.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hydrabeam_mpi.data.observation import BoolArray, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import Array, BoolArray, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.by_time import columns_by_time, of_baselines
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.grown import adds_coefficients
 from hydrabeam_mpi.fit.marginal import in_parts
+from hydrabeam_mpi.fit.rank_data import RankData
+from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.fit.state import Active, Estimate, Fitted, Values
 from hydrabeam_mpi.fit.whitening import TimeWhitener
 from hydrabeam_mpi.fit.whole_beams import with_whole_beams
@@ -33,6 +35,9 @@ left, that is a millionth of these then."""
 SHORTER = 0.25
 """Part of a step that is tried after all of it has led to something less likely. Gains are exponentials, so that a step
 of their logarithms may be too long by some tens: two or three quarters bring it back."""
+
+
+Told = tuple[Values, BoolArray, list[FloatArray]]
 
 
 def untold(context: FitContext, values: Values) -> str | None:
@@ -51,14 +56,16 @@ def fold_of(context: FitContext, local: str) -> NDArray[np.int64]:
     return (context.test.rows.tile.times % 2)[:, np.newaxis]
 
 
-def fit_local(context: FitContext, fitted: Fitted, local: str, kept: BoolArray) -> tuple[Fitted, BoolArray]:
-    """Fit the parameters that belong to held-out times or baselines, with all else as it is, on the rows ``kept``.
+def fit_local(context: FitContext, fitted: Fitted, local: str, without: int | None = None) -> tuple[Fitted, BoolArray]:
+    """Fit the parameters that belong to held-out times or baselines, with all else as it is.
 
-    Returns the fit and which of the parameters in use these are, (q,). Collective: all ranks of the grid.
+    On all held-out rows, or on those that are not of the half ``without``, see `fold_of`: the fit of these begins where
+    that of all ends, which is near. Returns the fit and which of the parameters in use these are, (q,). Collective: all
+    ranks of the grid.
     """
     # What effects add to the beams is as uncertain as the rest of these.
     whole = with_whole_beams(context, fitted)
-    values, told, own = _most_likely(context, Estimate(whole.values, whole.fit.posteriors), local, kept)
+    values, told, own = _told(context, whole, local, without)
     inside = [adds_coefficients(context.setup, one) for one in fitted.values.active]
     outside = ~np.repeat(inside, [one.size for one in fitted.values.active])
     free = np.zeros(len(outside), dtype=bool)
@@ -70,6 +77,20 @@ def fit_local(context: FitContext, fitted: Fitted, local: str, kept: BoolArray) 
     covariances = tuple(with_own(covariance, free, own[number]) for covariance, number in pairs)
     fit = replace(fitted.fit, covariances=covariances)
     return replace(fitted, values=replace(fitted.values, active=active), fit=fit), free
+
+
+def _told(context: FitContext, whole: Fitted, local: str, without: int | None) -> Told:
+    """Return what `_most_likely` says of a fit with whole beams. Collective: all ranks of the grid."""
+    at = Estimate(whole.values, whole.fit.posteriors)
+
+    def told() -> Told:
+        if without is None:
+            return _most_likely(context, at, local, np.ones((1, 1), dtype=bool), at.values.x)
+        begin = _told(context, whole, local, None)[0].x
+        return _most_likely(context, at, local, fold_of(context, local) != without, begin)
+
+    # The same is asked of beams that are known by themselves, and of those that are known given the effects.
+    return context.of_latest(f"held-out parameters, without {without}", whole, told)
 
 
 def with_own(covariance: FloatArray, free: BoolArray, own: FloatArray) -> FloatArray:
@@ -96,13 +117,12 @@ class _LocalSums:
     loss: FloatArray
 
 
-def _most_likely(
-    context: FitContext, at: Estimate, local: str, kept: BoolArray
-) -> tuple[Values, BoolArray, list[FloatArray]]:
+def _most_likely(context: FitContext, at: Estimate, local: str, kept: BoolArray, begin: FloatArray) -> Told:
     """Take Newton steps of these parameters, with the beams as they are, until they move no further.
 
-    Those of a time go back, and on by a part of the step, where that has made the rows of this time less likely.
-    Collective: all ranks of the grid.
+    They ``begin`` at some parameters, (Nfreqs, q). Those of a time go back, and on by a part of the step, where that
+    has made the rows of this time less likely. What the rows do not tell stays as it is in ``at``. Collective: all
+    ranks of the grid.
 
     Returns
     -------
@@ -112,10 +132,13 @@ def _most_likely(
     list of ndarray
         Their covariance in each channel.
     """
-    world, values = context.grid.world, at.values
-    sums = _local_sums(context, at, local, kept)
-    of_kind = np.concatenate([np.full(one.size, one.effect.local == local) for one in values.active])
+    world, given, steps = context.grid.world, at.values.x, _Steps.of(context, at, local)
+    of_kind = np.concatenate([np.full(one.size, one.effect.local == local) for one in at.values.active])
+    at = replace(at, values=at.values.at(np.where(of_kind, begin, given)))
+    sums = _local_sums(context, at, local, kept, steps)
     free = of_kind & (np.diag(sums.information.sum(axis=0)) > 0)
+    # None of the rows feels what they do not tell.
+    values = at.values.at(np.where(free, at.values.x, given))
     covariances, step = _newton_step(values, sums, free)
     if not values.x[:, free].any():
         step = _begun(context, values, step, free)
@@ -127,7 +150,7 @@ def _most_likely(
             return values.at(x), free, covariances
         with np.errstate(over="ignore", invalid="ignore"):
             there = replace(at, values=values.at(x))
-            after = _local_sums(context, there, local, kept)
+            after = _local_sums(context, there, local, kept, steps)
         is_better = world.bcast((after.loss <= sums.loss)[:, free])
         shorter = SHORTER * step
         x[:, free] = np.where(is_better, x[:, free], values.x[:, free])
@@ -174,11 +197,60 @@ def _newton_step(values: Values, sums: _LocalSums, free: BoolArray) -> tuple[lis
     return covariances, np.array(steps)
 
 
-def _local_sums(context: FitContext, at: Estimate, local: str, kept: BoolArray) -> _LocalSums:
+@dataclass(frozen=True)
+class _Steps:
+    """What is the same at all steps, as all but these parameters stays as it is.
+
+    Attributes
+    ----------
+    share : RankData
+    moving : list of int
+        Places of the effects that they are of.
+    others : (ndarray, ndarray), optional
+        C and E of the other effects, which those see that see what an effect changes of the sky.
+    whiteners : dict
+        By channel and time, with the weights and the sky for which they are made: no effect need change either.
+    """
+
+    share: RankData
+    moving: list[int]
+    others: tuple[ComplexArray, ComplexArray] | None
+    whiteners: dict[tuple[int, int], tuple[FloatArray, bytes, TimeWhitener]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, context: FitContext, at: Estimate, local: str) -> _Steps:
+        """Work it out for parameters of a kind. Collective: all ranks of the grid."""
+        share, active = context.test, at.values.active
+        moving = [place for place, one in enumerate(active) if one.effect.local == local]
+        stay = [one for place, one in enumerate(active) if place not in moving and not one.effect.changes_sky]
+        with together(context.grid.world):
+            may_stay = not any(active[place].effect.changes_sky for place in moving)
+            return cls(share, moving, share.effects_of(at, stay) if may_stay else None)
+
+    def calibrated(self, at: Estimate) -> tuple[Rows, ComplexArray]:
+        """Return the rows and E as `RankData.calibrated` does. Serial."""
+        if self.others is None:
+            return self.share.calibrated(at)
+        factor, added = self.share.effects_of(at, [at.values.active[place] for place in self.moving])
+        return self.share.calibrated(at, (self.others[0] * factor, self.others[1] + added))
+
+    def whitener(self, channel: int, t: int, at: Estimate, weights: FloatArray, design: Array) -> TimeWhitener:
+        """Return what whitens the rows of the rank's time number ``t``, (Nbls,); see `RankData.model_root`."""
+        sky, known = self.share.key_of_sky(at.values), self.whiteners.get((channel, t))
+        if known is not None and known[1] == sky and np.array_equal(known[0], weights):
+            return known[2]
+        by_beam = self.share.model_root(channel, t, at, design)
+        made = TimeWhitener.of(weights, self.share.rows.member, by_beam)
+        if self.share.room.designs:
+            self.whiteners[channel, t] = weights, sky, made
+        return made
+
+
+def _local_sums(context: FitContext, at: Estimate, local: str, kept: BoolArray, steps: _Steps) -> _LocalSums:
     """Sum over the held-out rows ``kept``. Collective: all ranks of the grid."""
     share, world, values = context.test, context.grid.world, at.values
     with together(world):
-        rows, added = share.calibrated(at)
+        rows, added = steps.calibrated(at)
     rows = replace(rows, inv_noise_var=rows.inv_noise_var * kept)
     n_freqs, q = values.x.shape
     signals, scores = np.zeros((n_freqs, q, q)), np.zeros((n_freqs, q))
@@ -192,8 +264,7 @@ def _local_sums(context: FitContext, at: Estimate, local: str, kept: BoolArray) 
         with together(context.grid.group):
             for span, block, design in share.row_blocks(channel, at, added[channel], rows):
                 for t, (which, columns) in enumerate(_columns(block, chosen, number)):
-                    by_beam = share.model_root(channel, span.start + t, at, design[t])
-                    time = TimeWhitener.of(block.weights[t], block.member, by_beam)
+                    time = steps.whitener(channel, span.start + t, at, block.weights[t], design[t])
                     white = in_parts(time.rows(np.column_stack([columns, block.residual[t]])))
                     signals[number][np.ix_(which, which)] += white[:, :-1].T @ white[:, :-1]
                     scores[number][which] += white[:, :-1].T @ white[:, -1]

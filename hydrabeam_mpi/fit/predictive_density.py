@@ -55,6 +55,11 @@ class Density:
     misfit: FloatArray
     log_spread: FloatArray
 
+    @property
+    def log(self) -> float:
+        """The logarithm for all channels together."""
+        return -float(self.misfit.sum() + self.log_spread.sum())
+
 
 @dataclass(frozen=True)
 class _Left:
@@ -126,7 +131,7 @@ def predictive_density(context: FitContext, fitted: Fitted) -> Density:
 def _density(context: FitContext, fitted: Fitted) -> Density:
     local, unknown = untold(context, fitted.values), np.zeros(0, dtype=bool)
     if local is not None:
-        here, unknown = fit_local(context, fitted, local, np.ones((1, 1), dtype=bool))
+        here, unknown = fit_local(context, fitted, local)
         fitted = replace(fitted, values=here.values)
     values = fitted.values
     channels = of_each_channel(context, fitted, _without_beam)

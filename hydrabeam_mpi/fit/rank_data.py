@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray
+from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.accumulate import seen_by
 from hydrabeam_mpi.fit.grown import grown_beam
@@ -47,6 +47,10 @@ class RankData(RowModel):
         other = copy(self)
         other.rows = replace(self.rows, inv_noise_var=self.rows.inv_noise_var * factor)
         return other
+
+    def at_times(self, times: IntArray) -> RankData:
+        """Return the rows of some times alone, by their numbers in the observation."""
+        return RankData(self.problem, self.setup, self.rows.at_times(times), kept_bytes=self.kept_bytes)
 
     def noise_variance(self, rows: Rows) -> FloatArray:
         """Return the noise's variance by the weights of calibrated rows, in Jy^2 of the data as they were read.
@@ -156,9 +160,14 @@ class RankData(RowModel):
                         added[channel, span] += block.added_by(one.effect, one.x[number])
         return factor, added
 
-    def calibrated(self, at: Estimate) -> tuple[Rows, ComplexArray]:
-        """Return the rows with the effects removed, d/C - E with weights w |C|^2, and E, (Nfreqs, Ntimes, Nbls)."""
-        factor, added = self.effects(at)
+    def calibrated(
+        self, at: Estimate, effects: tuple[ComplexArray, ComplexArray] | None = None
+    ) -> tuple[Rows, ComplexArray]:
+        """Return the rows with the effects removed, d/C - E with weights w |C|^2, and E, (Nfreqs, Ntimes, Nbls).
+
+        C and E are those of the `effects` if they are known already.
+        """
+        factor, added = effects or self.effects(at)
         power = np.abs(factor) ** 2
         usable = power > 1e-12
         data = np.where(usable, self.rows.data / np.where(usable, factor, 1.0), 0.0) - added

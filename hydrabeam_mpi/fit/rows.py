@@ -68,6 +68,17 @@ class Rows:
         of_pol = None if divisor is None else np.ascontiguousarray(divisor[..., pol])
         return cls(tile, oriented, weights, groups, member, n_unflagged, of_pol)
 
+    def at_times(self, times: IntArray) -> Rows:
+        """Return the rows of some times alone, by their numbers in the observation; ``n_unflagged`` stays as it is."""
+        chosen = np.isin(self.tile.times, times)
+        return replace(
+            self,
+            tile=replace(self.tile, times=self.tile.times[chosen]),
+            data=self.data[:, chosen],
+            inv_noise_var=self.inv_noise_var[:, chosen],
+            divisor=None if self.divisor is None else self.divisor[:, chosen],
+        )
+
     def compressed(self) -> tuple[ComplexArray, FloatArray]:
         """Return sum(w d) and sum(w) over each group, (Nfreqs, Ntimes, Nlocal): exact sufficient statistics."""
         n_freqs, n_times, n_bls = self.data.shape

@@ -14,6 +14,7 @@ data are predicted and results written.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -29,14 +30,14 @@ from hydrabeam_mpi.inference.posterior import Posterior
 
 def with_whole_beams(context: FitContext, fitted: Fitted) -> Fitted:
     """Return the fit with beams that have in them what effects add to their coefficients, and without these effects."""
-    return context.of_latest("whole beams", fitted, lambda: _with_whole_beams(context, fitted))
-
-
-def _with_whole_beams(context: FitContext, fitted: Fitted) -> Fitted:
-    setup, values, fit = context.setup, fitted.values, fitted.fit
-    inside = [adds_coefficients(setup, one) for one in values.active]
+    inside = [adds_coefficients(context.setup, one) for one in fitted.values.active]
     if not any(inside):
         return fitted
+    return context.of_latest("whole beams", fitted, lambda: _with_whole_beams(context, fitted, inside))
+
+
+def _with_whole_beams(context: FitContext, fitted: Fitted, inside: Sequence[bool]) -> Fitted:
+    setup, values, fit = context.setup, fitted.values, fitted.fit
     of_beam = np.repeat(inside, [one.size for one in values.active])
     follow = added_response(setup, values)
     parts = zip(fit.posteriors, fit.covariances, fit.beam_response, context.channels, strict=True)

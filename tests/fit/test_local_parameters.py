@@ -25,8 +25,7 @@ def test_gains_of_each_time(strength: float, tmp_path: Path) -> None:
     size = np.full(len(effect.parameters(context.setup)), strength * 0.01)
     fitted = refit(context, Values((Active.start(effect, context.setup, size**2, np.zeros_like(size)),)))
     assert untold(context, fitted.values) == "times"
-    every: np.ndarray = np.ones((1, 1), dtype=bool)
-    found, which = fit_local(context, fitted, "times", every)
+    found, which = fit_local(context, fitted, "times")
     assert np.array_equal(found.values.x[0, ~which], fitted.values.x[0, ~which])
     (truth,) = truth_of(tmp_path)
     assert context.setup.fitted is not None

@@ -199,7 +199,7 @@ def test_the_density_is_that_of_one_gaussian(
     fitted = refit(context, Values(tuple(make(context))))
     local, about = untold(context, fitted.values), parameters(fitted)
     if local is not None:
-        about = fit_local(context, fitted, local, np.ones((1, 1), dtype=bool))[0].values.x
+        about = fit_local(context, fitted, local)[0].values.x
     density = predictive_density(context, fitted)
     found, expected = (
         (float(density.misfit.sum()), float(density.log_spread.sum())),

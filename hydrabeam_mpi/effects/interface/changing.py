@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar
 
 import numpy as np
 
@@ -13,6 +13,18 @@ from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.parameters import Parameters
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
+
+T = TypeVar("T")
+
+
+class Undecided(NamedTuple, Generic[T]):
+    """What the fitted times do not tell of an effect: it, and ``others``, are alike at all but some ``times``.
+
+    These are numbers of the observation's, (n_times,), none of them fitted.
+    """
+
+    times: IntArray
+    others: list[T]
 
 
 class MayChange:
@@ -50,7 +62,7 @@ class MayChange:
         """
         return (), np.zeros((0, len(self.parameters(setup))))
 
-    def alternatives(self, setup: ObservingSetup, used: IntArray) -> list[list[Self]]:
+    def alternatives(self, setup: ObservingSetup, used: IntArray) -> list[Undecided[Self]]:
         """Return effects with the same parameters that differ from this one in nothing but times that are not fitted.
 
         Of each function of time those that have another in its place. The numbers of the parameters in use are

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.changing import Undecided
 from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
@@ -281,12 +282,16 @@ class InTime(ScannedEffect):
             return type(self)(self.effect.drawn(setup, rng), law)
         return type(self)(self.effect, law.at(rng.integers(len(law.names()), size=1)))
 
-    def alternatives(self, setup: ObservingSetup, used: IntArray) -> list[list[InTime]]:
+    def alternatives(self, setup: ObservingSetup, used: IntArray) -> list[Undecided[InTime]]:
         """Return the effect with each function in use as it may be as well by the times that are fitted."""
-        n, of_fitted = len(self.time_law.names()), setup.fitted_jd
-        numbers = np.unique(used % n).tolist() if n else []
-        laws = (self.time_law.alternatives(k, of_fitted, setup.jd) for k in numbers)
-        return [[type(self)(self.effect, law) for law in of_function] for of_function in laws]
+        n, found = len(self.time_law.names()), list[Undecided[InTime]]()
+        times = setup.times[np.argsort(setup.observation.times[setup.times])]
+        for number in np.unique(used % n).tolist() if n else ():
+            laws = self.time_law.alternatives(number, setup.fitted_jd, setup.jd)
+            changed = [(law.functions(setup.jd) != self.time_law.functions(setup.jd)).any(axis=1) for law in laws]
+            others = [type(self)(self.effect, law) for law in laws]
+            found.append(Undecided(times[np.any(changed, axis=0)] if laws else times[:0], others))
+        return found
 
     def _candidates(self, setup: ObservingSetup) -> TimeLaw:
         """Return the law with all functions that are looked at."""

@@ -8,6 +8,7 @@ from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.reweighting import ReweightingFit
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Worth, refit, stepped
+from hydrabeam_mpi.fit.predictive_density import predictive_density
 from hydrabeam_mpi.fit.state import Fitted, Reweighted, Values
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
 from hydrabeam_mpi.loop.attribution.reconsider import Known, compare_priors
@@ -17,7 +18,7 @@ from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked
 from hydrabeam_mpi.loop.selection.foremost import fit_foremost, started
 from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical, may_be_unphysical, price_of_fitted
-from hydrabeam_mpi.loop.selection.predictions import check, score_of
+from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refits import (
     fit_patiently,
     is_same_prior,
@@ -53,45 +54,39 @@ def fit_candidate(
     say(f"  trying {candidate.title} (ln BF {candidate.log_bayes_factor:.4g})", context.grid.is_world_root)
     fit = _fit_weights if candidate.finding is None else _fit_effect
     found, fitted = fit(context, checked.fitted, candidate, worth)
-    after = check(context, fitted)
     if found.finding is not None:
-        after = by_heldout(context, after)
-        effect = after.fitted.values.active[-1].effect
-        found = replace(found, finding=replace(found.finding, effect=effect))
+        fitted = by_heldout(context, fitted)
+        found = replace(found, finding=replace(found.finding, effect=fitted.values.active[-1].effect))
+    after = check(context, fitted)
     told = f"held-out chi^2 {after.score.chi2:.4g}, rms {after.numbers.of_all['rms']:.4g} Jy"
     say(f"    {told} (ln BF {found.log_bayes_factor:.4g})", context.grid.is_world_root)
     return found, after
 
 
-def by_heldout(context: FitContext, checked: Checked, place: int = -1) -> Checked:
+def by_heldout(context: FitContext, fitted: Fitted, place: int = -1) -> Fitted:
     """Let the held-out rows say what of an effect the fitted ones cannot, as they are the same with either.
 
     Such is a jump between two fitted times: it may be before or after those that lie between. Where each belongs no
-    other decides, so that each is asked by itself, and those that move are moved together. The effect is the last of
-    the active ones, or the one at ``place``. Collective: all ranks of the grid.
+    other decides, nor do rows of other times: each is asked of the density of those between alone. The effect is the
+    last of the active ones, or the one at ``place``. Collective: all ranks of the grid.
     """
-    fitted, active = checked.fitted, checked.fitted.values.active
+    active = fitted.values.active
     one = active[place]
 
     def with_effect(effect: Effect) -> Fitted:
         others = tuple(replace(other, effect=effect) if other is one else other for other in active)
         return replace(fitted, values=replace(fitted.values, active=others))
 
-    def density(effect: Effect) -> float:
-        return score_of(context, with_effect(effect)).log_density
-
-    best, most, together, n_moved = one.effect, checked.score.log_density, one.effect, 0
-    for number, others in enumerate(one.effect.alternatives(context.setup, one.used)):
-        densities = [density(effect) for effect in others]
-        moved = max(range(len(others)), key=lambda which: densities[which], default=None)
-        if moved is None or not densities[moved] > checked.score.log_density:
+    moved = one.effect
+    for number, (times, others) in enumerate(one.effect.alternatives(context.setup, one.used)):
+        if not others:
             continue
-        together, n_moved = together.alternatives(context.setup, one.used)[number][moved], n_moved + 1
-        if densities[moved] > most:
-            best, most = others[moved], densities[moved]
-    if not n_moved:
-        return checked
-    return check(context, with_effect(together if n_moved > 1 and density(together) > most else best))
+        of_times = context.held_out_at(times)
+        stays, *goes = (predictive_density(of_times, with_effect(effect)).log for effect in (one.effect, *others))
+        best = max(range(len(others)), key=lambda which: goes[which])
+        if goes[best] > stays:
+            moved = moved.alternatives(context.setup, one.used)[number].others[best]
+    return fitted if moved is one.effect else with_effect(moved)
 
 
 @dataclass(frozen=True)

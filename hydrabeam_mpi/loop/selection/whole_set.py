@@ -225,10 +225,9 @@ def _one_by_one(
     Collective: all ranks of the grid.
     """
     n_before, rounds, before = len(checked.fitted.values.active), list[Round](), checked
-    whole = check(context, fitted)
     for place in range(n_before, len(fitted.values.active)):
-        whole = by_heldout(context, whole, place)
-    fitted = whole.fitted
+        fitted = by_heldout(context, fitted, place)
+    whole = check(context, fitted)
     for place, member in enumerate(members, n_before):
         after, is_last = whole, place + 1 == len(fitted.values.active)
         if not is_last:
