@@ -131,6 +131,37 @@ class RotatedPositions:
         return RotatedPositions(sky, self._observation)
 
 
+class ManyDirections:
+    """A sky of very many directions, turned as a whole: for maps, in which each is looked at by itself.
+
+    That takes a hundredth of the time of finding each by itself. What is no turn is the aberration, of which the first
+    order is counted, and that the Sun deflects light, by less than 0.1 arc seconds but for the few degrees beside it.
+
+    Parameters
+    ----------
+    positions : SourcePositions
+        Whose rule they follow: one that turns the sky.
+    sky : Sky
+    """
+
+    def __init__(self, positions: SourcePositions, sky: Sky) -> None:
+        self._icrs = np.stack([np.cos(sky.dec) * np.cos(sky.ra), np.cos(sky.dec) * np.sin(sky.ra), np.sin(sky.dec)])
+        quarter = np.pi / 2
+        axes = Sky(np.array([0, 2, 1, 3, 0, 0]) * quarter, np.array([0, 0, 0, 0, 1, -1]) * quarter, np.ones((1, 6)))
+        self._axes = positions.follow(axes)
+
+    def above_horizon(self, itime: int) -> tuple[IntArray, FloatArray]:
+        """Find those above the horizon, (Nup,), and return unit vectors towards them, ENU, (3, Nup)."""
+        _, za, az = self._axes.above_horizon(itime, below=np.pi / 2)
+        ends = np.stack([np.sin(za) * np.cos(az), np.sin(za) * np.sin(az), np.cos(za)])
+        # s + v - (s.v) s is odd in s but for the aberration by v, and its mean over six ends of axes is 2 v / 3.
+        turned = 0.5 * (ends[:, ::2] - ends[:, 1::2]) @ self._icrs
+        aberration = 1.5 * ends.mean(axis=1)[:, np.newaxis]
+        seen = turned + aberration - (aberration * turned).sum(axis=0) * turned
+        index = np.flatnonzero(seen[2] >= 0)
+        return index, seen[:, index]
+
+
 def count_above_horizon(sky: Sky, observation: Observation, max_sample: int = 2000) -> FloatArray:
     """Estimate cheaply how many sources are up at each time, to balance the load of ranks.
 

@@ -8,7 +8,7 @@ from astropy.time import Time
 
 from hydrabeam_mpi.data.observation import Observation
 from hydrabeam_mpi.model.engines.fringes import enu
-from hydrabeam_mpi.model.positions import ApparentPositions, RotatedPositions, count_above_horizon
+from hydrabeam_mpi.model.positions import ApparentPositions, ManyDirections, RotatedPositions, count_above_horizon
 from hydrabeam_mpi.model.sky import Sky, mock_sky
 
 HERA = EarthLocation.from_geodetic(21.42830 * units.deg, -30.72152 * units.deg, 1051.69 * units.m)
@@ -130,6 +130,21 @@ def test_another_sky_is_followed_by_the_same_rule(rule):
     for time in range(2):
         for a, b in zip(followed.above_horizon(time), direct.above_horizon(time), strict=True):
             np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("rule", [ApparentPositions, RotatedPositions])
+def test_many_directions_are_turned_to_where_each_is(rule):
+    """Months apart, between which the aberration changes by 20 arc seconds; beside the Sun its light is deflected."""
+    sky, other = mock_sky(1, FREQS, n_sources=5000), mock_sky(2, FREQS, n_sources=5)
+    positions = rule(other, observation([JD_2017, JD_2017 + 0.6, JD_2025 + 0.3]))
+    every = ManyDirections(positions, sky)
+    for itime in range(3):
+        exact, za, az = positions.follow(sky).above_horizon(itime)
+        index, directions = every.above_horizon(itime)
+        np.testing.assert_array_equal(index, exact)
+        off = angles(directions, enu(za, az))
+        assert np.median(off) < 0.01 * ARCSEC
+        assert off.max() < 1 * ARCSEC
 
 
 def test_count_above_horizon_follows_the_true_counts():

@@ -16,6 +16,7 @@ from hydrabeam_mpi.effects.interface.scanned import ScannedEffect
 from hydrabeam_mpi.effects.shared.settings import Azimuth, Count, Elevation
 from hydrabeam_mpi.model.engines.base import SOURCES_AT_ONCE, amplitude
 from hydrabeam_mpi.model.engines.fringes import enu
+from hydrabeam_mpi.model.positions import ManyDirections
 from hydrabeam_mpi.model.rime import Beam
 from hydrabeam_mpi.model.sky import Sky, separation
 
@@ -200,10 +201,9 @@ def dirty_map(
     weights = block.weights.sum(axis=1)
     if not weights.any():
         return projection, power
-    beam, positions = sampled(block.beam), block.positions.follow(sky)
+    beam, every = sampled(block.beam), ManyDirections(block.positions, sky)
     for t in np.flatnonzero(weights).tolist():
-        index, za, az = positions.above_horizon(int(block.times[t]))
-        directions = enu(za, az)
+        index, directions = every.above_horizon(int(block.times[t]))
         seen = sky.flux[block.channel, index] * beam(directions)
         told = block.engine.adjoint(summed[t], directions, seen, block.freq)
         now = functions(directions) if callable(functions) else functions[t]
