@@ -53,7 +53,10 @@ def error_scale(context: FitContext, fitted: Fitted) -> ErrorScale:
 
 
 def fitted_chi2(context: FitContext, fitted: Fitted) -> tuple[float, float]:
-    """Return chi^2 of all fitted rows, not reduced, and how much noise leaves of it. Collective: all ranks."""
+    """Return chi^2 of all fitted rows, not reduced, and how much noise leaves of it: one of each complex datum.
+
+    So ln likelihood rises by as much as chi^2 falls. Collective: all ranks.
+    """
     chi2, free = _by_channel(context, fitted)
     return float(chi2.sum()), float(free.sum())
 

@@ -29,9 +29,9 @@ from hydrabeam_mpi.mpi import allreduce_sum, together
 LOCAL_STEPS = 8
 """Newton steps at most, each of which about squares what the one before has left: all else stays as it is. Three are
 enough near the end; far from it some fail, and are taken again shorter."""
-MOVED = 1e-3
-"""Of their standard deviations, by which parameters move in the last step that is worth taking: as steps square what is
-left, that is a millionth of these then."""
+MOVED = 0.03
+"""Of their standard deviations, by which parameters move in the last step that is worth taking: as in any fit, see
+`gauss_newton.STEP_SIGMAS`. As steps square what is left, that is a thousandth of these then."""
 SHORTER = 0.25
 """Part of a step that is tried after all of it has led to something less likely. Gains are exponentials, so that a step
 of their logarithms may be too long by some tens: two or three quarters bring it back."""

@@ -39,7 +39,7 @@ class Limits:
     nats : float
         Evidence for which anything is believed.
     chi2, free : float
-        Of the residual: chi^2 of all fitted rows, not reduced, and how much noise leaves of it.
+        Of the residual: chi^2 of all fitted rows, one of each complex datum, and how much noise leaves of it.
     """
 
     setup: ObservingSetup
@@ -63,5 +63,5 @@ class Limits:
             return np.zeros(len(which), dtype=bool)
         x, std = np.zeros((2, self.setup.observation.Nfreqs, len(parameters)))
         x[:, which] = found.x
-        std[:, which] = found.std * np.sqrt(max((self.chi2 - found.chi2_drop) / self.free, 1.0))
+        std[:, which] = found.std * np.sqrt(max((self.chi2 - 0.5 * found.chi2_drop) / self.free, 1.0))
         return is_unphysical(effect.beyond(self.setup, x, std), self.nats)[which]

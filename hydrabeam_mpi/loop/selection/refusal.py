@@ -13,19 +13,26 @@ from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked
 from hydrabeam_mpi.loop.selection.heldout_score import gain_by_chance, gain_of
 
 
-def refusal_of(before: Checked, after: Checked, candidate: Candidate, settings: LoopSettings) -> str | None:
+def refusal_of(
+    before: Checked, after: Checked, candidate: Candidate, settings: LoopSettings, least: float | None = None
+) -> str | None:
     """Say why a candidate, as it has been fitted, is not kept; None where it is.
 
-    It needs the evidence of the fitted data and a better prediction of the held-out ones. Both are valid for whatever
-    parameters a fit has come to. So one that has not converged is kept where it passes; where it does not, that says
-    nothing against the effect.
+    It needs the evidence of the fitted data, the ``least`` or as much as the job asks for, and a better prediction of
+    the held-out ones. Both are valid for whatever parameters a fit has come to. So one that has not converged is kept
+    where it passes; where it does not, that says nothing against the effect.
     """
-    reason: str | None = f"its log Bayes factor is {candidate.log_bayes_factor:.4g} once it is fitted"
-    if candidate.log_bayes_factor >= settings.min_log_bayes_factor:
-        if candidate.finding is None:
-            reason = _refusal_of_weights(before, after, candidate)
-        else:
-            reason = refusal_by_heldout(before, after, settings)
+    asked = settings.min_log_bayes_factor
+    least = asked if least is None else least
+    reason: str | None
+    if candidate.log_bayes_factor >= least and candidate.finding is None:
+        reason = _refusal_of_weights(before, after, candidate)
+    elif candidate.log_bayes_factor >= least:
+        reason = refusal_by_heldout(before, after, settings)
+    else:
+        reason = f"its log Bayes factor is {candidate.log_bayes_factor:.4g} once it is fitted"
+        if candidate.log_bayes_factor >= asked:
+            reason += f", where {least:.4g} is asked beside what is left, {least / asked:.3g} times the noise"
     if reason is not None and not after.fitted.diagnostics.converged:
         return f"its fit did not converge, which says nothing for or against it (where it ended, {reason})"
     return reason

@@ -10,6 +10,7 @@ import numpy as np
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.error_scale import fitted_chi2
 from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Worth
 from hydrabeam_mpi.fit.grown import added_coefficients
 from hydrabeam_mpi.fit.heldout import hold_prediction
@@ -52,7 +53,7 @@ def try_effects(
     and whether what the best so far leaves is explained by others, so that its rivals need not be tried.
     """
     settings, ranking = context.problem.job.loop, _grown(context, checked.fitted, ranking, best)
-    wanted = [one for one in _wanted(context, ranking) if not one.is_control]
+    wanted = [one for one in _wanted(context, checked.fitted, ranking) if not one.is_control]
     for candidate in in_order(wanted, RULES.most_tries, outlook.weighed.first if outlook else None):
         if best is not None and not _may_be_better(candidate, best, outlook):
             continue
@@ -80,7 +81,7 @@ def _grown(
     context: FitContext, fitted: Fitted, ranking: Sequence[Candidate], best: Round | None
 ) -> tuple[Candidate, ...]:
     """Order candidates again once those that may come first are as large as is wanted. Collective: all ranks."""
-    known = [one.log_bayes_factor for one in _wanted(context, ranking) if one.finding is not None]
+    known = [one.log_bayes_factor for one in _wanted(context, fitted, ranking) if one.finding is not None]
     least = RULES.near * max([*known, best.candidate.log_bayes_factor if best else 0.0], default=0.0)
     grown = [as_large_as_wanted(context, fitted, one) if one.log_bayes_factor > least else one for one in ranking]
     return tuple(sorted(grown, key=lambda one: -one.log_bayes_factor))
@@ -104,19 +105,53 @@ def _worth(context: FitContext, before: Checked, candidate: Candidate, best: Rou
     """
     if candidate.finding is None:
         return None
-    least = context.problem.job.loop.min_log_bayes_factor if best is None else best.candidate.log_bayes_factor
+    left = left_of(context, before.fitted)
+    least = left.least(candidate, is_in=False) if best is None else best.candidate.log_bayes_factor
     nonlinear = bool(candidate.finding.effect.parameters(context.setup).nonlinear.any())
     start = log_joint(context, before.fitted)
     return lambda at: may_still_come_to(least, candidate, at, start, nonlinear)
 
 
-def refusal_of_fit(context: FitContext, before: Checked, after: Checked, fitted: Candidate) -> str | None:
-    """Say why a fitted candidate is not kept; None where it is. Collective: all ranks of the grid."""
-    settings = context.problem.job.loop
-    if fitted.finding is not None and fitted.log_bayes_factor >= settings.min_log_bayes_factor:
+def refusal_of_fit(
+    context: FitContext, before: Checked, after: Checked, fitted: Candidate, whole: Fitted | None = None
+) -> str | None:
+    """Say why a fitted candidate is not kept; None where it is. Collective: all ranks of the grid.
+
+    It is asked for evidence beside what it leaves of the data, or what a ``whole`` set leaves that it is one of.
+    """
+    settings, least = context.problem.job.loop, left_of(context, whole or after.fitted).least(fitted, is_in=True)
+    if fitted.finding is not None and fitted.log_bayes_factor >= least:
         one, two = compared(context, before, after)
         return refusal_of(one, two, fitted, settings) or refusal_by_freer_beam(context, before.fitted, after.fitted)
-    return refusal_of(before, after, fitted, settings)
+    return refusal_of(before, after, fitted, settings, least)
+
+
+class Left(NamedTuple):
+    """What a fit leaves of the fitted data, and what is ``asked`` of an effect beside noise; see `fitted_chi2`.
+
+    Bayes factors are by the noise that is stated. What is left beside an effect is of unknown origin, and counts as
+    noise of unknown size does: the evidence of the effect is so many times less. So errors count it, see `error_scale`,
+    and predictions, see `HeldoutScore.log_density_at_own_level`.
+    """
+
+    asked: float
+    chi2: float
+    free: float
+
+    def least(self, candidate: Candidate, is_in: bool) -> float:
+        """Return the ln Bayes factor that a candidate must have beside what is left with it.
+
+        That is known by the linear model unless the fit has it (``is_in``). A change of the weights makes it noise.
+        """
+        if candidate.finding is None:
+            return self.asked
+        gained = 0.0 if is_in else 0.5 * candidate.finding.evidence.chi2_drop
+        return self.asked * max((self.chi2 - gained) / self.free, 1.0)
+
+
+def left_of(context: FitContext, fitted: Fitted) -> Left:
+    """Return what a fit leaves. Collective: all ranks of the grid."""
+    return Left(context.problem.job.loop.min_log_bayes_factor, *fitted_chi2(context, fitted))
 
 
 class BesideRivals(NamedTuple):
@@ -149,7 +184,7 @@ def try_control(
 
     It is asked what effects are: one that the held-out data refuse explains nothing. Collective: all ranks of the grid.
     """
-    controls = [one for one in _wanted(context, ranking) if one.is_control]
+    controls = [one for one in _wanted(context, checked.fitted, ranking) if one.is_control]
     if not controls or (found is not None and not may_be_better(controls[0], found, found.after.remains.consistent)):
         return None
     try:
@@ -161,9 +196,10 @@ def try_control(
     return None if reason is not None else round_of(context, checked, after, fitted, ranking)
 
 
-def _wanted(context: FitContext, ranking: Sequence[Candidate]) -> list[Candidate]:
-    """Return the candidates that have as much evidence as the job asks for."""
-    return [one for one in ranking if one.log_bayes_factor >= context.problem.job.loop.min_log_bayes_factor]
+def _wanted(context: FitContext, fitted: Fitted, ranking: Sequence[Candidate]) -> list[Candidate]:
+    """Return the candidates that have as much evidence as they must. Collective: all ranks of the grid."""
+    left = left_of(context, fitted)
+    return [one for one in ranking if one.log_bayes_factor >= left.least(one, is_in=False)]
 
 
 def round_of(

@@ -237,7 +237,7 @@ def _one_by_one(
         candidate = _as_fitted(context, before.fitted, after.fitted, fitted, place, member)
         told = f"held-out chi^2 {after.score.chi2:.4g}, rms {after.numbers.of_all['rms']:.4g} Jy"
         say(f"    {member.title}: {told} (ln BF {candidate.log_bayes_factor:.4g})", context.grid.is_world_root)
-        reason = refusal_of_fit(context, before, after, candidate)
+        reason = refusal_of_fit(context, before, after, candidate, whole.fitted)
         if reason is not None:
             return tuple(rounds), _Refused(len(rounds), candidate, reason)
         ranking = weighed.ranking if place == n_before else of_set.in_place_of(member)
