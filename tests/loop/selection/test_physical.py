@@ -153,6 +153,6 @@ def test_what_cannot_be_at_the_linear_optimum_is_left_out_before_the_first_fit(
         return fit_patiently(context, values, *args)
 
     monkeypatch.setattr(candidate_fits, "fit_patiently", noted)
-    evidence = Evidence(1e4, np.full(2, 10.0), np.array([[0.5, -1.2]]), 0.0, 2.0, 0.0, 2, 0.0)
+    evidence = Evidence(1e7, np.full(2, 10.0), np.array([[0.5, -1.2]]), 0.0, 2.0, 0.0, 2, 0.0)
     try_effects(context, check(context, refit(context, Values())), [Candidate.of(Finding(effect, evidence))], [])
     assert fits[0] == names[:1]

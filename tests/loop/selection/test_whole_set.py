@@ -144,7 +144,7 @@ def test_what_has_no_evidence_beside_the_others_leaves_the_set(
 def test_one_that_held_out_data_refuse_goes_and_the_others_stay(
     context: FitContext, before: Checked, weighed: Weighed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refusal(context: FitContext, before: Checked, after: Checked, fitted: Candidate) -> str | None:
+    def refusal(context: FitContext, before: Checked, after: Checked, fitted: Candidate, whole: Fitted) -> str | None:
         return "for a test" if fitted.kind == "antenna_gains" else None
 
     monkeypatch.setattr(whole_set, "refusal_of_fit", refusal)
@@ -158,7 +158,7 @@ def test_the_others_are_fitted_again_from_where_they_were(tmp_path: Path, monkey
     context, before, weighed = with_one_moved(tmp_path, 0.01)
     assert len(weighed.together.members) == 3
 
-    def refusal(context: FitContext, before: Checked, after: Checked, fitted: Candidate) -> str | None:
+    def refusal(context: FitContext, before: Checked, after: Checked, fitted: Candidate, whole: Fitted) -> str | None:
         return "for a test" if fitted.kind == "cross_coupling" else None
 
     begun = []
@@ -184,9 +184,9 @@ def test_what_a_rival_explains_leaves_a_set_before_held_out_data_are_asked(
     rival = next(one for one in weighed.ranking if one.kind == "antenna_gains")
     asked = []
 
-    def refusal(context: FitContext, before: Checked, after: Checked, fitted: Candidate) -> str | None:
+    def refusal(context: FitContext, before: Checked, after: Checked, fitted: Candidate, whole: Fitted) -> str | None:
         asked.append(fitted.kind)
-        return refusal_of_fit(context, before, after, fitted)
+        return refusal_of_fit(context, before, after, fitted, whole)
 
     monkeypatch.setattr(whole_set, "rivals_of", lambda *_: [rival])
     monkeypatch.setattr(whole_set, "refusal_of_fit", refusal)
