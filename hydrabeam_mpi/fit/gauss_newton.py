@@ -66,6 +66,8 @@ class Underway:
 
 Worth = Callable[[Underway], bool]
 """Whether a fit is worth going on with."""
+NOT_NEAR = "its fit was broken off, as it does not come near what it would have to explain"
+"""Why a fit has no end: it is not worth going on with."""
 NO_BEAMS = "its fit was broken off, as no beams can be solved for where it begins or leads"
 """Why a fit has no end: with such effects next to nothing of the data is left that tells of a beam."""
 
@@ -202,7 +204,7 @@ def _search(
         foreseen.append(solved.reached + ahead)
         underway = Underway(solved.reached, max(kept[-KEPT:]) * ahead, (foreseen[0], foreseen[-1]))
         if worth is not None and not worth(underway):
-            raise BrokenOff("its fit was broken off, as it does not come near what it would have to explain")
+            raise BrokenOff(NOT_NEAR)
         best = (solved.reached, at if at.values.adds else replace(at, beams=solved.beams), step)
         still = beam_moved(context, at.beams, solved.beams) < within * np.sqrt(misfit)
         # What is left to gain goes with the square of how far it is.

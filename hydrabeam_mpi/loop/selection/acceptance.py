@@ -300,10 +300,9 @@ def why_unexplained(last: Checked, control: Round | None) -> str | None:
 
 def verdict_of(last: Checked, control: Round | None, added: bool) -> str:
     """Say how a loop ended whose last fit is of what it claims, of which there is some if anything was ``added``."""
-    calibrated = last.remains.consistent and control is None
-    if why_unexplained(last, control) is None or (calibrated and not added):
-        return "explained" if added else "consistent"
-    return "unexplained"
+    if why_unexplained(last, control) is not None:
+        return "unexplained"
+    return "explained" if added else "consistent"
 
 
 def indistinguishable(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.reweighting import ReweightingFit
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Worth, refit, stepped
+from hydrabeam_mpi.fit.gauss_newton import NOT_NEAR, BrokenOff, Underway, Worth, refit, stepped
 from hydrabeam_mpi.fit.predictive_density import predictive_density
 from hydrabeam_mpi.fit.state import Fitted, Reweighted, Values
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
@@ -22,6 +22,7 @@ from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refits import (
     fit_patiently,
     is_same_prior,
+    log_joint,
     restarted,
     rise,
     with_best_variant,
@@ -93,12 +94,14 @@ def by_heldout(context: FitContext, fitted: Fitted, place: int = -1) -> Fitted:
 class TriedFit:
     """A fit of an effect, what weighing it again there says, and ln of its Bayes factor over the model without it.
 
-    The Bayes factor is that of the prior with which it has been fitted. What weighing says may be of another one.
+    The Bayes factor is that of the prior with which it has been fitted. What weighing says may be of another one, and
+    by so much more (``promised``) that one's may be higher.
     """
 
     fitted: Fitted
     evidence: Evidence
     log_bayes_factor: float
+    promised: float
 
     @classmethod
     def of(cls, context: FitContext, before: Fitted, fitted: Fitted) -> TriedFit:
@@ -107,7 +110,8 @@ class TriedFit:
         own = fitted.values.active[place].prior_var(context.setup)
         wanted, given = compare_priors(context, fitted, known, place, own)
         gained, price = rise(context, before, fitted), price_of_fitted(context, fitted)
-        return cls(fitted, wanted, given.log_bayes_factor - given.linear_gain + gained - price)
+        promised = wanted.log_bayes_factor - given.log_bayes_factor
+        return cls(fitted, wanted, given.log_bayes_factor - given.linear_gain + gained - price, promised)
 
     def is_better(self, other: TriedFit) -> bool:
         """Whether it has more evidence than another one; a fit that has not converged is no evidence."""
@@ -131,6 +135,10 @@ def _fit_effect(
     else:
         fitted = _fit_in_some_form(context, before, candidate.finding, worth)
     best = latest = TriedFit.of(context, before, with_best_variant(context, fitted))
+    # Of several elements the first was fitted whatever it alone comes to; now it is known what there is beside it.
+    reached = log_joint(context, latest.fitted)
+    if worth is not None and not worth(Underway(reached, max(latest.promised, 0.0), (reached, reached))):
+        raise BrokenOff(NOT_NEAR)
     for _ in range(RULES.most_refits):
         last, wanted = latest.fitted.values.active[-1], latest.evidence.prior_var
         if is_same_prior(wanted, last.prior_var(context.setup)):

@@ -9,10 +9,14 @@ import pytest
 
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.gauss_newton import Underway, refit
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Underway, refit
 from hydrabeam_mpi.fit.state import Fitted, Values
 from hydrabeam_mpi.loop.attribution.score_effects import Finding, attribute
+from hydrabeam_mpi.loop.selection.acceptance import Candidate
+from hydrabeam_mpi.loop.selection.candidate_fits import fit_candidate
 from hydrabeam_mpi.loop.selection.foremost import fit_foremost
+from hydrabeam_mpi.loop.selection.predictions import check
+from hydrabeam_mpi.loop.selection.refits import log_joint
 from tests.loop.mock import context_of, mock_job
 
 SOURCE, FLUX = (31.37, -28.64), 3.0
@@ -74,3 +78,23 @@ def test_of_several_the_foremost_alone_says_nothing_of_what_all_are_worth(
     every = np.where(places, 0.0, finding.evidence.prior_var.max())
     several = replace(finding, evidence=replace(finding.evidence, prior_var=every))
     assert fit_foremost(context, before, several, lambda at: False) is not None
+
+
+def test_once_it_is_fitted_all_are_asked_what_they_are_worth(
+    context: FitContext, before: Fitted, finding: Finding
+) -> None:
+    """By what has been reached, and what weighing all again promises beyond."""
+    places = finding.effect.parameters(context.setup).nonlinear
+    every = np.where(places, 0.0, finding.evidence.prior_var.max())
+    several = Candidate.of(replace(finding, evidence=replace(finding.evidence, prior_var=every)))
+    asked = []
+
+    def never(at: Underway) -> bool:
+        asked.append(at)
+        return False
+
+    with pytest.raises(BrokenOff, match="does not come near"):
+        fit_candidate(context, check(context, before), several, never)
+    (once,) = asked
+    assert once.reached > log_joint(context, before) + 100
+    assert once.expected >= 0
