@@ -16,7 +16,7 @@ from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Active, Ended, Fitted, Values
-from hydrabeam_mpi.loop.attribution.score_effects import Finding
+from hydrabeam_mpi.loop.attribution.score_effects import Finding, attribute
 from hydrabeam_mpi.loop.selection import whole_set
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round, is_better
 from hydrabeam_mpi.loop.selection.predictions import check
@@ -234,6 +234,19 @@ def test_the_simplest_set_comes_first_and_others_only_for_more_evidence_than_its
     found = try_set(context, before, both, [])
     assert {one.candidate.kind for one in found} == {"antenna_gains", "cross_coupling"}
     assert capsys.readouterr().err.count("trying together") == n_fits
+
+
+def test_what_others_have_beyond_the_best_is_left_to_the_next_round(
+    context: FitContext, before: Checked, weighed: Weighed, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (further,) = attribute(context, before.fitted, [AntennaPositions()])
+    further = replace(further, evidence=replace(further.evidence, effective_parameters=9.0))
+    members = (*weighed.together.members, Candidate.of(further))
+    larger = replace(weighed.together, members=members, log_bayes_factor=1e12)
+    capsys.readouterr()
+    found = try_set(context, before, replace(weighed, together=larger, simpler=(weighed.together,)), [])
+    assert {one.candidate.kind for one in found} == {"antenna_gains", "cross_coupling"}
+    assert capsys.readouterr().err.count("trying together") == 1
 
 
 def test_one_effect_is_no_set(context: FitContext, before: Checked, weighed: Weighed) -> None:
