@@ -116,14 +116,14 @@ def fit_basis(basis: LinearBasis, pixels: Pixels) -> FittedBeam:
 
 def fit_several(basis: LinearBasis, pixels: Pixels, values: Array) -> Array:
     """Return the coefficients of several beams, (K, n_modes), by their values at the same samples, (K, Npixels)."""
-    each = [replace(pixels, values=one) for one in values]
+    several = replace(pixels, values=values)
     if isinstance(basis, WithRest):
         coeffs, rest = fit_several(basis.basis, pixels, values), basis.rest(pixels.za, pixels.az)
+        each = [replace(pixels, values=one) for one in values]
         parts = [_part_of_rest(one, basis.basis, own, rest) for one, own in zip(each, coeffs, strict=True)]
         return np.column_stack([coeffs, parts])
-    if _on_rings(basis, pixels) is not None:
-        return np.stack([_solve(basis, one)[0] for one in each])
-    return _fit_points(basis, replace(pixels, values=values))[0]
+    on_rings = _on_rings(basis, several)
+    return (_fit_points(basis, several) if on_rings is None else on_rings)[0]
 
 
 def _with_rest(chosen: LinearBasis, beam: Evaluable, pixels: Pixels) -> LinearBasis:

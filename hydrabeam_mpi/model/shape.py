@@ -30,6 +30,8 @@ from hydrabeam_mpi.model.bases.base import LinearBasis, has_part
 from hydrabeam_mpi.model.bases.rings import Pixels
 from hydrabeam_mpi.model.beam import Beam
 from hydrabeam_mpi.model.fit import beam_pixels, fit_several
+from hydrabeam_mpi.model.rime import Beam as Evaluable
+from hydrabeam_mpi.model.tabulated import from_table
 
 AMPLITUDE = 0.1
 """Flux scales of catalogues and absolute calibration agree within a tenth, and data do not tell them from the beam."""
@@ -72,7 +74,7 @@ class _Moved:
     """A beam that is larger or points elsewhere, at its samples."""
 
     def __init__(self, beam: Beam, pixels: Pixels) -> None:
-        self.beam, self.values = beam, pixels.values
+        self.beam, self.values = from_table(beam), pixels.values
         self.east, self.north = np.sin(pixels.za) * np.cos(pixels.az), np.sin(pixels.za) * np.sin(pixels.az)
         none, one = np.zeros_like(self.east), np.ones_like(self.east)
         of_size = [(SIZE * self.east, none), (none, SIZE * self.north), (SIZE * self.north, SIZE * self.east)]
@@ -99,6 +101,6 @@ class _Moved:
         return _at(self.beam, self.east - move[0], self.north - move[1])
 
 
-def _at(beam: Beam, east: FloatArray, north: FloatArray) -> Array:
+def _at(beam: Evaluable, east: FloatArray, north: FloatArray) -> Array:
     """Return the beam at direction cosines; beyond the horizon as it is at the horizon, (Npoints,)."""
-    return beam(np.arcsin(np.minimum(np.hypot(east, north), 1.0)), np.arctan2(north, east))
+    return beam(np.arcsin(np.minimum(np.hypot(east, north), 1.0)), np.arctan2(north, east) % (2 * np.pi))

@@ -8,12 +8,12 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.effects.interface.effect import Columns, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.effects.interface.sources import power_of
 from hydrabeam_mpi.effects.shared.beam_visibilities import beam_visibilities
 from hydrabeam_mpi.effects.shared.in_channels import InChannels
 from hydrabeam_mpi.effects.shared.per_antenna import row_antennas
 from hydrabeam_mpi.model.beam import BeamInfo, CoefficientBeam
 from hydrabeam_mpi.model.engines.base import amplitude
+from hydrabeam_mpi.model.tabulated import power_of
 
 KJY = 1e3  # Jy in the unit of the parameters
 

@@ -9,11 +9,12 @@ import numpy as np
 
 from hydrabeam_mpi.data.observation import Array, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.effects.interface.sources import Sources, power_of
+from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.beam import CoefficientBeam
 from hydrabeam_mpi.model.engines.base import amplitude
 from hydrabeam_mpi.model.rime import Beam
+from hydrabeam_mpi.model.tabulated import power_of
 
 FEW = 512
 """Directions for which a table of the beam is not worth while: it has tens of thousands of nodes."""

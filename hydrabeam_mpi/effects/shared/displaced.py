@@ -17,12 +17,13 @@ from hydrabeam_mpi.data.observation import C_M_PER_S, EARTH_RATE, Array, Complex
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.effects.interface.sources import Sources, table_of
+from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.model.bases.polar_table import PolarTable
 from hydrabeam_mpi.model.engines.fringes import enu
 from hydrabeam_mpi.model.positions import SourcePositions
 from hydrabeam_mpi.model.rime import Beam
 from hydrabeam_mpi.model.sky import Sky
+from hydrabeam_mpi.model.tabulated import table_of
 
 ARCMIN = np.pi / 180 / 60
 TILTS: FloatArray = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 0.0]])

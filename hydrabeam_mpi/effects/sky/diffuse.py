@@ -22,11 +22,11 @@ from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.skies_on_rings import SkiesOnRings
-from hydrabeam_mpi.effects.interface.sources import power_of
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.engines.fringes import enu
 from hydrabeam_mpi.model.rime import Beam
 from hydrabeam_mpi.model.sky import Sky
+from hydrabeam_mpi.model.tabulated import power_of
 
 MAX_LENGTH = 100.0  # wavelengths
 BEAM_NODES, BEAM_ORDERS = 60, 110  # what a beam's own structure adds to the quadrature in cos za and az

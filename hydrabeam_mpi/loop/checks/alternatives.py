@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.redundancy import find_redundant_groups
-from hydrabeam_mpi.effects.interface.sources import from_table
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.model.engines import make_engine
 from hydrabeam_mpi.model.engines.smearing import smearing_of
 from hydrabeam_mpi.model.rime import ForwardModel
+from hydrabeam_mpi.model.tabulated import from_table
 from hydrabeam_mpi.setup.beams import TurnedBeam, other_feed
 from hydrabeam_mpi.setup.problem import Problem
 from hydrabeam_mpi.setup.skies import source_positions

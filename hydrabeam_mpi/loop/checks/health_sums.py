@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.data.partition import Tile
-from hydrabeam_mpi.effects.interface.sources import from_table
 from hydrabeam_mpi.fit.rows import Rows, read_rows
 from hydrabeam_mpi.inference.robust import LOG_MEAN
 from hydrabeam_mpi.io.noise import amid_neighbours
 from hydrabeam_mpi.io.uvdata import Block, read_autos
 from hydrabeam_mpi.loop.checks.brightest import brightest_source
 from hydrabeam_mpi.loop.checks.partner_means import partner_means
+from hydrabeam_mpi.model.tabulated import from_table
 from hydrabeam_mpi.mpi import ProcessGrid, allreduce_sum, together
 from hydrabeam_mpi.setup.problem import Problem
 

@@ -222,9 +222,9 @@ class LinearBasis(Protocol):
 
         Returns
         -------
-        tuple of ndarray, (n_modes,), and int, or None
-            Coefficients, and how many directions of coefficient space the samples do not determine; None where rings
-            are no better than points.
+        tuple of ndarray, (..., n_modes), and int, or None
+            Coefficients, of as many beams as the rings have values of, and how many directions of coefficient space the
+            samples do not determine; None where rings are no better than points.
         """
         return None
 

@@ -186,7 +186,7 @@ class FourierBessel(LinearBasis):
         return max(self._ks)
 
     def fit_rings(self, rings: RingGrid) -> tuple[Array, int]:
-        """Fit the modes of each m on its own, (n_modes,); see :class:`LinearBasis`."""
+        """Fit the modes of each m on its own, (..., n_modes); see :class:`LinearBasis`."""
         return fit_rings(rings, self.modes, lambda za: self.radial_functions(self.rho(za)), self.n_az, self.is_complex)
 
     def radial_functions(self, rho: FloatArray) -> FloatArray:

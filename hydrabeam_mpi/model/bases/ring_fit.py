@@ -48,8 +48,8 @@ def fit_rings(
 
     Returns
     -------
-    ndarray, (len(modes),)
-        Coefficients.
+    ndarray, (..., len(modes))
+        Coefficients, of as many beams as the rings have values of.
     int
         Number of directions of coefficient space that the samples do not determine.
     """
@@ -60,14 +60,14 @@ def fit_rings(
     if not has_zenith:
         za = np.concatenate([[0.0], za])
         n_az = np.concatenate([n_az[:1], n_az])
-        orders = np.concatenate([np.zeros((1, 2 * m_max + 1)), orders])
+        orders = np.concatenate([np.zeros_like(orders[..., :1, :]), orders], axis=-2)
     radial = radial_functions(za).T
     modes_of_m: dict[int, list[int]] = {}
     for n, (_, m) in enumerate(modes):
         modes_of_m.setdefault(m, []).append(n)
 
     factors: dict[Any, tuple[FloatArray, int]] = {}
-    coeffs = np.zeros(len(modes), dtype=np.complex128 if is_complex else np.float64)
+    coeffs = np.zeros((*orders.shape[:-2], len(modes)), dtype=np.complex128 if is_complex else np.float64)
     n_cut = 0
     for m, members in modes_of_m.items():
         ks = np.array([modes[n][0] for n in members])
@@ -79,18 +79,18 @@ def fit_rings(
         if key not in factors:
             factors[key] = _pseudo_inverse(weight[:, None] * radial[:, ks - 1])
         inverse, cut = factors[key]
-        coeffs[members] = inverse @ (weight * target)
+        coeffs[..., members] = (weight * target) @ inverse.T
         n_cut += cut
     return coeffs, n_cut
 
 
 def _order(orders: Array, m: int, m_max: int, is_complex: bool) -> Array:
-    """Return the radial profile that the modes of m must follow."""
+    """Return the radial profile that the modes of m must follow, (..., Nrings)."""
     if is_complex:
-        return orders[:, m_max + m]
+        return orders[..., m_max + m]
     if m == 0:
-        return orders[:, m_max].real
-    profile = orders[:, m_max + abs(m)]
+        return orders[..., m_max].real
+    profile = orders[..., m_max + abs(m)]
     return np.sqrt(2) * (profile.real if m > 0 else -profile.imag)
 
 

@@ -53,8 +53,10 @@ class RingGrid:
         Zenith angle of each ring, ascending.
     n_az : ndarray of int, (Nrings,)
         Number of azimuths on each ring.
-    az, values : ndarray, (Npix,)
+    az : ndarray, (Npix,)
         Ring after ring, azimuth ascending.
+    values : ndarray, (..., Npix)
+        Of one beam or of several.
     """
 
     za: FloatArray
@@ -70,10 +72,10 @@ class RingGrid:
         ring = np.concatenate([[0], np.cumsum(np.diff(za) > SAME_ANGLE)])
         az = np.mod(pixels.az[order] + SAME_ANGLE, 2 * np.pi) - SAME_ANGLE
         within = np.lexsort((az, ring))
-        za, az, values = za[within], az[within], pixels.values[order][within]
+        za, az, values = za[within], az[within], pixels.values[..., order[within]]
         # Grids that close the circle repeat azimuth 0 as 2 pi.
         new = np.concatenate([[True], (np.diff(az) > SAME_ANGLE) | (np.diff(ring) > 0)])
-        za, az, values, ring = za[new], az[new], values[new], ring[new]
+        za, az, values, ring = za[new], az[new], values[..., new], ring[new]
         n_az = np.bincount(ring)
         start = np.cumsum(n_az) - n_az
         gap = np.append(np.diff(az), 0.0)
@@ -83,23 +85,25 @@ class RingGrid:
         return None if uneven.any() or few.any() else cls(za[start], n_az, az, values)
 
     def azimuthal_orders(self, m_max: int) -> NDArray[np.complex128]:
-        """Return the coefficients of exp(i m az) on each ring, m = -m_max..m_max, (Nrings, 2 m_max + 1).
+        """Return the coefficients of exp(i m az) on each ring, m = -m_max..m_max, (..., Nrings, 2 m_max + 1).
 
         On equally spaced azimuths these are means of ``B exp(-i m az)``; on others, a least-squares fit.
         """
         m = np.arange(-m_max, m_max + 1)
-        orders = np.zeros((len(self.za), len(m)), dtype=np.complex128)
+        orders = np.zeros((*self.values.shape[:-1], len(self.za), len(m)), dtype=np.complex128)
         ends = np.cumsum(self.n_az)[:-1]
-        for row, az, ring in zip(orders, np.split(self.az, ends), np.split(self.values, ends), strict=True):
+        rings = zip(np.split(self.az, ends), np.split(self.values, ends, axis=-1), strict=True)
+        for number, (az, ring) in enumerate(rings):
             n = len(az)
             if np.abs(az - az[0] - 2 * np.pi * np.arange(n) / n).max() < 10 * SAME_ANGLE:
-                row[:] = np.fft.fft(ring)[m % n] * np.exp(-1j * m * az[0]) / n
+                orders[..., number, :] = np.fft.fft(ring)[..., m % n] * np.exp(-1j * m * az[0]) / n
             else:
                 held = 2 * np.abs(m) < n
-                row[held] = np.linalg.lstsq(np.exp(1j * np.outer(az, m[held])), ring, rcond=None)[0]
+                found = np.linalg.lstsq(np.exp(1j * np.outer(az, m[held])), ring.T, rcond=None)[0]
+                orders[..., number, held] = found.T
         if not np.iscomplexobj(self.values):
             # To the last digit, so that the two modes of a pair rank equal.
-            orders = 0.5 * (orders + orders[:, ::-1].conj())
+            orders = 0.5 * (orders + orders[..., ::-1].conj())
         return orders
 
 

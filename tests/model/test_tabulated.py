@@ -1,12 +1,12 @@
-"""Beams as their tables give them."""
+"""Beams from their tables are the beams themselves."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from hydrabeam_mpi.effects.interface.sources import from_table
 from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
 from hydrabeam_mpi.model.beam import BeamInfo, CoefficientBeam
+from hydrabeam_mpi.model.tabulated import from_table
 from hydrabeam_mpi.random import generator
 
 
