@@ -76,5 +76,8 @@ class Loop(Section):
     skip: tuple[Kind, ...] = key((), "not these")
     max_rounds: int = key(6, "effects added at most; others may still take their place", ge=0)
     min_log_bayes_factor: float = key(
-        5.0, "nats by which an effect must raise the evidence, and the density of held-out data", gt=0
+        5.0,
+        "nats by which an effect must raise the density of held-out data, and the evidence (times the reduced chi^2 "
+        "that is left, if above 1)",
+        gt=0,
     )

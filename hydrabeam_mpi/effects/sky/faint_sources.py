@@ -17,7 +17,7 @@ from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.shared.point_sources import in_degrees, in_radians, place, responses, sampled
 from hydrabeam_mpi.effects.shared.settings import Azimuth, Elevation
 from hydrabeam_mpi.effects.sky.missing_sources import SPECTRAL_INDEX, candidates
-from hydrabeam_mpi.model.engines.fringes import enu
+from hydrabeam_mpi.model.positions import ManyDirections
 from hydrabeam_mpi.model.sky import Sky
 from hydrabeam_mpi.random import generator
 
@@ -156,12 +156,12 @@ def _as_seen(setup: ObservingSetup) -> tuple[FloatArray, IntArray]:
     observation, channel = setup.observation, setup.observation.Nfreqs // 2
     beam = sampled(lambda za, az: setup.basis.synthesize(setup.prior_mean[channel], za, az))
     ra, dec = candidates(setup)
-    positions = setup.positions(Sky(ra, dec, np.ones((observation.Nfreqs, len(ra)))), observation)
+    sky = Sky(ra, dec, np.ones((observation.Nfreqs, len(ra))))
+    every = ManyDirections(setup.positions(sky, observation), sky)
     times = setup.times[np.unique(np.linspace(0, len(setup.times) - 1, TIMES).round().astype(int))]
     above = []
     for itime in times.tolist():
-        index, za, az = positions.above_horizon(itime)
-        directions = enu(za, az)
+        index, directions = every.above_horizon(itime)
         above.append((index, directions, beam(directions)))
     power = np.zeros(len(ra))
     for index, _, seen in above:
