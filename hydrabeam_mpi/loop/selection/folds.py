@@ -22,7 +22,8 @@ def compared(context: FitContext, before: Checked, after: Checked) -> tuple[Chec
     Few data say little: an effect that is there may make the prediction of one half worse by chance, and one that is
     not make it better. Each of the two models is then fitted to the rows that were held out, from where it is and with
     the priors that it has, and predicts those that were fitted. The sum over both folds is the score of all data, each
-    predicted from others.
+    predicted from others. Where one of these fits does not converge, how well it predicts says nothing of its model:
+    then one fold is all that is known.
 
     Collective: all ranks of the grid.
     """
@@ -30,12 +31,13 @@ def compared(context: FitContext, before: Checked, after: Checked) -> tuple[Chec
     gain, error = gain_of(before.score, after.score), gain_error(before.score, after.score)
     if is_decided(gain, error, settings):
         return before, after
-    try:
-        one, two = _with_other_fold(context, before), _with_other_fold(context, after)
-    except BrokenOff:
+    told = f"    held-out ln density changes by {gain:.4g} +- {error:.2g}"
+    one, two = _with_other_fold(context, before), _with_other_fold(context, after)
+    if one is None or two is None:
+        say(f"{told}; fits of the held-out rows, to predict the fitted ones, do not converge", speaks)
         return before, after
     of_both = f"with the fitted rows predicted from the held-out ones as well: by {gain_of(one.score, two.score):.4g}"
-    say(f"    held-out ln density changes by {gain:.4g} +- {error:.2g}; {of_both}", speaks)
+    say(f"{told}; {of_both}", speaks)
     return one, two
 
 
@@ -44,16 +46,23 @@ def is_decided(gain: float, error: float, settings: LoopSettings) -> bool:
     return not abs(gain) <= settings.min_log_bayes_factor + RULES.decided_sigmas * error
 
 
-def _with_other_fold(context: FitContext, checked: Checked) -> Checked:
-    """Add the score of the fitted rows, predicted from the held-out ones. Collective: all ranks of the grid.
+def _with_other_fold(context: FitContext, checked: Checked) -> Checked | None:
+    """Add the score of the fitted rows, predicted from the held-out ones; None where these cannot be fitted.
+
+    Collective: all ranks of the grid.
 
     All that is tried is compared with the same model, and the best of it is the one that comes next.
     """
     return context.of_latest("other fold", checked, lambda: _predicted_from_the_other(context, checked), kept=3)
 
 
-def _predicted_from_the_other(context: FitContext, checked: Checked) -> Checked:
+def _predicted_from_the_other(context: FitContext, checked: Checked) -> Checked | None:
     other = context.exchanged
-    fitted = fit_patiently(other, checked.fitted.values, checked.fitted)
+    try:
+        fitted = fit_patiently(other, checked.fitted.values, checked.fitted)
+    except BrokenOff:
+        return None
+    if not fitted.diagnostics.converged:
+        return None
     score, numbers = score_of(other, fitted), heldout_numbers(other, fitted)
     return replace(checked, score=checked.score + score, numbers=checked.numbers + numbers)

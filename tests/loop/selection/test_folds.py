@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,8 @@ from mpi4py import MPI
 from hydrabeam_mpi.config.effects import Loop
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.gauss_newton import refit
-from hydrabeam_mpi.fit.state import Active, Fitted, Values
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff, refit
+from hydrabeam_mpi.fit.state import Active, Ended, Fitted, Values
 from hydrabeam_mpi.loop.selection import folds
 from hydrabeam_mpi.loop.selection.acceptance import Checked
 from hydrabeam_mpi.loop.selection.folds import compared, is_decided
@@ -82,6 +83,30 @@ def test_what_is_compared_with_several_is_fitted_to_the_other_fold_once(
     again = compared(context, one, two)
     assert fitted == [before.fitted.values, one.fitted.values, two.fitted.values]
     assert again[0] is first[1]
+
+
+def test_a_fit_of_the_other_fold_that_does_not_converge_says_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    context = context_of(mock_job(n_times=12), tmp_path)
+    before, after = with_and_without(context, 1e-3)
+    fits = []
+
+    def stuck(context: FitContext, values: Values, start: Fitted) -> Fitted:
+        fits.append(values)
+        fitted = refit(context, values, start)
+        return replace(fitted, diagnostics=replace(fitted.diagnostics, ended=Ended.STUCK))
+
+    def without_beams(context: FitContext, values: Values, start: Fitted) -> Fitted:
+        raise BrokenOff("no beams")
+
+    monkeypatch.setattr(folds, "fit_patiently", stuck)
+    for _ in range(2):
+        assert compared(context, before, after) == (before, after)
+    assert len(fits) == 2
+    assert capsys.readouterr().err.count("do not converge") == 2
+    monkeypatch.setattr(folds, "fit_patiently", without_beams)
+    assert compared(context, replace(before), replace(after))[0].score is before.score
 
 
 def test_a_clear_answer_is_not_asked_for_twice(tmp_path: Path) -> None:
