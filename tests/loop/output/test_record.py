@@ -65,7 +65,8 @@ def train_chi2(context: FitContext, mean: float) -> FloatArray:
 
 def history(context: FitContext, consistent: bool = True, control: bool = False, n_rounds: int = 1) -> History:
     """Gains and then a larger noise, beside which delays, a timestamp and a beam that drifts are weighed."""
-    first = checked(4.0, consistent=consistent and n_rounds == 0, train_chi2=train_chi2(context, 3.5))
+    begins = consistent and n_rounds == 0
+    first = checked(4.0, consistent=begins, train_chi2=train_chi2(context, 3.5), expected=2.0 if begins else 1.0)
     found = gains(context)
     ends, chi2 = consistent and n_rounds == 1, train_chi2(context, 1.25)
     second = checked(1.5, consistent=ends, train_chi2=chi2, fitted=found, expected=1.5**0.5 if ends else 1.0)
@@ -129,6 +130,15 @@ def test_the_verdict(n_rounds: int, consistent: bool, control: bool, verdict: st
         assert record["foreign"]["effect"] == "beam_drift"
         assert record["foreign"]["heldout_after"] == pytest.approx(1.2)
         assert "A beam that changes in time would explain more" in record["said"][-1]
+
+
+@pytest.mark.mpi
+def test_what_is_calibrated_as_it_is_wide_alone_is_unexplained_with_nothing_found_too(context: FitContext) -> None:
+    wide = checked(1.0, consistent=True, rms=3.0, train_chi2=train_chi2(context, 1.0))
+    record = record_of(context, History(wide, wide, [], ranking=()))
+    assert record["verdict"] == "unexplained"
+    assert "only as they are wide" in record["why"]
+    assert "explained by no effect" in record["sentence"]
 
 
 def test_calibrated_but_wide_is_unexplained_with_the_reason(context: FitContext) -> None:
