@@ -8,6 +8,7 @@ written for computing them again.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -52,13 +53,27 @@ def error_scale(context: FitContext, fitted: Fitted) -> ErrorScale:
     return ErrorScale(_root_of_excess(chi2, free), float(_root_of_excess(chi2.sum(), free.sum())))
 
 
-def fitted_chi2(context: FitContext, fitted: Fitted) -> tuple[float, float]:
-    """Return chi^2 of all fitted rows, not reduced, and how much noise leaves of it: one of each complex datum.
+class Left(NamedTuple):
+    """What a fit leaves: chi^2 of all fitted rows, not reduced, and how much of it is ``free``: what noise leaves.
 
-    So ln likelihood rises by as much as chi^2 falls. Collective: all ranks.
+    That is one of each complex datum, so that ln likelihood rises by as much as chi^2 falls.
     """
+
+    chi2: float
+    free: float
+
+    def over_noise(self, chi2_drop: float = 0.0) -> float:
+        """Return the variance of what is left over that of the noise, at least one.
+
+        So it is once twice ln likelihood has risen by ``chi2_drop``, as the linear model expects of an effect.
+        """
+        return max((self.chi2 - 0.5 * chi2_drop) / self.free, 1.0)
+
+
+def left_of(context: FitContext, fitted: Fitted) -> Left:
+    """Return what a fit leaves. Collective: all ranks of the grid."""
     chi2, free = _by_channel(context, fitted)
-    return float(chi2.sum()), float(free.sum())
+    return Left(float(chi2.sum()), float(free.sum()))
 
 
 def _by_channel(context: FitContext, fitted: Fitted) -> tuple[FloatArray, FloatArray]:

@@ -17,6 +17,7 @@ from hydrabeam_mpi.data.observation import Array, BoolArray, ComplexArray, Float
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.fit.by_time import columns_by_time, of_baselines
 from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.gauss_newton import STEP_SIGMAS
 from hydrabeam_mpi.fit.grown import adds_coefficients
 from hydrabeam_mpi.fit.marginal import in_parts
 from hydrabeam_mpi.fit.rank_data import RankData
@@ -29,9 +30,6 @@ from hydrabeam_mpi.mpi import allreduce_sum, together
 LOCAL_STEPS = 8
 """Newton steps at most, each of which about squares what the one before has left: all else stays as it is. Three are
 enough near the end; far from it some fail, and are taken again shorter."""
-MOVED = 0.03
-"""Of their standard deviations, by which parameters move in the last step that is worth taking: as in any fit, see
-`gauss_newton.STEP_SIGMAS`. As steps square what is left, that is a thousandth of these then."""
 SHORTER = 0.25
 """Part of a step that is tried after all of it has led to something less likely. Gains are exponentials, so that a step
 of their logarithms may be too long by some tens: two or three quarters bring it back."""
@@ -146,7 +144,8 @@ def _most_likely(context: FitContext, at: Estimate, local: str, kept: BoolArray,
         x = values.x
         x[:, free] += step
         # Rank 0 says whether to go on, so that rounding cannot let ranks differ.
-        if world.bcast(_moved(step, covariances)) < MOVED:
+        # As in any fit; steps square what is left.
+        if world.bcast(_moved(step, covariances)) < STEP_SIGMAS:
             return values.at(x), free, covariances
         with np.errstate(over="ignore", invalid="ignore"):
             there = replace(at, values=values.at(x))

@@ -122,8 +122,7 @@ def fit_several(basis: LinearBasis, pixels: Pixels, values: Array) -> Array:
         each = [replace(pixels, values=one) for one in values]
         parts = [_part_of_rest(one, basis.basis, own, rest) for one, own in zip(each, coeffs, strict=True)]
         return np.column_stack([coeffs, parts])
-    on_rings = _on_rings(basis, several)
-    return (_fit_points(basis, several) if on_rings is None else on_rings)[0]
+    return _solve(basis, several)[0]
 
 
 def _with_rest(chosen: LinearBasis, beam: Evaluable, pixels: Pixels) -> LinearBasis:
@@ -153,7 +152,7 @@ def _part_of_rest(pixels: Pixels, basis: LinearBasis, coeffs: Array, rest: Float
 
 
 def _solve(basis: LinearBasis, pixels: Pixels) -> tuple[Array, int]:
-    """Return the coefficients and the number of directions cut."""
+    """Return the coefficients and the number of directions cut; but for a rest, of several beams, too."""
     if isinstance(basis, WithRest):
         # The rest is what the others leave, and is fitted to that.
         coeffs, n_cut = _solve(basis.basis, pixels)
@@ -162,9 +161,9 @@ def _solve(basis: LinearBasis, pixels: Pixels) -> tuple[Array, int]:
     if np.iscomplexobj(pixels.values) and not basis.is_complex:
         told = "a complex beam needs complex coefficients"
         raise InputError(told, field="[basis] form", remedy='use form = "complex"')
-    if len(pixels.values) < basis.n_modes:
+    if len(pixels.za) < basis.n_modes:
         raise InputError(
-            f"has {basis.n_modes} functions to choose from, which cannot be fitted to the beam's {len(pixels.values)} "
+            f"has {basis.n_modes} functions to choose from, which cannot be fitted to the beam's {len(pixels.za)} "
             "samples above the horizon",
             field="[basis]",
             remedy="ask for lower orders (k_max, m_max), or give a finer beam",

@@ -15,7 +15,7 @@ from hydrabeam_mpi.data.observation import BoolArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.error_scale import fitted_chi2
+from hydrabeam_mpi.fit.error_scale import Left, left_of
 from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.loop.attribution.evidence import Evidence
 
@@ -38,19 +38,18 @@ class Limits:
     setup : ObservingSetup
     nats : float
         Evidence for which anything is believed.
-    chi2, free : float
-        Of the residual: chi^2 of all fitted rows, one of each complex datum, and how much noise leaves of it.
+    left : Left
+        What is left of the fitted rows.
     """
 
     setup: ObservingSetup
     nats: float
-    chi2: float
-    free: float
+    left: Left
 
     @classmethod
     def of(cls, context: FitContext, fitted: Fitted) -> Self:
         """Judge by what is left of the fitted rows. Collective: all ranks of the grid."""
-        return cls(context.setup, context.problem.job.loop.min_log_bayes_factor, *fitted_chi2(context, fitted))
+        return cls(context.setup, context.problem.job.loop.min_log_bayes_factor, left_of(context, fitted))
 
     def beyond(self, effect: Effect, which: IntArray, found: Evidence) -> BoolArray:
         """Return which of some of an effect's parameters, ``which``, are beyond its limits, (q,).
@@ -63,5 +62,5 @@ class Limits:
             return np.zeros(len(which), dtype=bool)
         x, std = np.zeros((2, self.setup.observation.Nfreqs, len(parameters)))
         x[:, which] = found.x
-        std[:, which] = found.std * np.sqrt(max((self.chi2 - 0.5 * found.chi2_drop) / self.free, 1.0))
+        std[:, which] = found.std * np.sqrt(self.left.over_noise(found.chi2_drop))
         return is_unphysical(effect.beyond(self.setup, x, std), self.nats)[which]

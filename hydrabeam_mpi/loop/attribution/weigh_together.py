@@ -88,8 +88,8 @@ def weigh_together(
             }
             joint = JointLikelihood(by_channel, model, competitors, alone)
             # No set leaves less. An effect that explains no more than a set leaves is not told, nor looked for.
-            left = limits.chi2 - joint.most_gain() - limits.free
-            found = _told(picked, search(joint, max(least, left)), findings, limits.chi2, limits.free)
+            left = limits.left.chi2 - joint.most_gain() - limits.left.free
+            found = _told(picked, search(joint, max(least, left)), findings, *limits.left)
     result: TogetherFound = bcast_object(context.grid.world, found)
     return result
 

@@ -7,10 +7,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hydrabeam_mpi.config.effects import Loop as LoopSettings
 from hydrabeam_mpi.data.observation import FloatArray
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.error_scale import fitted_chi2
+from hydrabeam_mpi.fit.error_scale import Left, left_of
 from hydrabeam_mpi.fit.gauss_newton import BrokenOff, Worth
 from hydrabeam_mpi.fit.grown import added_coefficients
 from hydrabeam_mpi.fit.heldout import hold_prediction
@@ -105,8 +106,8 @@ def _worth(context: FitContext, before: Checked, candidate: Candidate, best: Rou
     """
     if candidate.finding is None:
         return None
-    left = left_of(context, before.fitted)
-    least = left.least(candidate, is_in=False) if best is None else best.candidate.log_bayes_factor
+    settings, left = context.problem.job.loop, left_of(context, before.fitted)
+    least = best.candidate.log_bayes_factor if best else least_evidence(settings, left, candidate, is_in=False)
     nonlinear = bool(candidate.finding.effect.parameters(context.setup).nonlinear.any())
     start = log_joint(context, before.fitted)
     return lambda at: may_still_come_to(least, candidate, at, start, nonlinear)
@@ -119,39 +120,26 @@ def refusal_of_fit(
 
     It is asked for evidence beside what it leaves of the data, or what a ``whole`` set leaves that it is one of.
     """
-    settings, least = context.problem.job.loop, left_of(context, whole or after.fitted).least(fitted, is_in=True)
+    settings, left = context.problem.job.loop, left_of(context, whole or after.fitted)
+    least = least_evidence(settings, left, fitted, is_in=True)
     if fitted.finding is not None and fitted.log_bayes_factor >= least:
         one, two = compared(context, before, after)
         return refusal_of(one, two, fitted, settings) or refusal_by_freer_beam(context, before.fitted, after.fitted)
     return refusal_of(before, after, fitted, settings, least)
 
 
-class Left(NamedTuple):
-    """What a fit leaves of the fitted data, and what is ``asked`` of an effect beside noise; see `fitted_chi2`.
+def least_evidence(settings: LoopSettings, left: Left, candidate: Candidate, is_in: bool) -> float:
+    """Return the ln Bayes factor that a candidate must have: what the job asks for, in units of what is left with it.
 
     Bayes factors are by the noise that is stated. What is left beside an effect is of unknown origin, and counts as
     noise of unknown size does: the evidence of the effect is so many times less. So errors count it, see `error_scale`,
-    and predictions, see `HeldoutScore.log_density_at_own_level`.
+    and predictions, see `HeldoutScore.log_density_at_own_level`. What is left with a candidate the linear model says,
+    unless the fit has it (``is_in``). A change of the weights makes it noise.
     """
-
-    asked: float
-    chi2: float
-    free: float
-
-    def least(self, candidate: Candidate, is_in: bool) -> float:
-        """Return the ln Bayes factor that a candidate must have beside what is left with it.
-
-        That is known by the linear model unless the fit has it (``is_in``). A change of the weights makes it noise.
-        """
-        if candidate.finding is None:
-            return self.asked
-        gained = 0.0 if is_in else 0.5 * candidate.finding.evidence.chi2_drop
-        return self.asked * max((self.chi2 - gained) / self.free, 1.0)
-
-
-def left_of(context: FitContext, fitted: Fitted) -> Left:
-    """Return what a fit leaves. Collective: all ranks of the grid."""
-    return Left(context.problem.job.loop.min_log_bayes_factor, *fitted_chi2(context, fitted))
+    if candidate.finding is None:
+        return settings.min_log_bayes_factor
+    chi2_drop = 0.0 if is_in else candidate.finding.evidence.chi2_drop
+    return settings.min_log_bayes_factor * left.over_noise(chi2_drop)
 
 
 class BesideRivals(NamedTuple):
@@ -198,8 +186,8 @@ def try_control(
 
 def _wanted(context: FitContext, fitted: Fitted, ranking: Sequence[Candidate]) -> list[Candidate]:
     """Return the candidates that have as much evidence as they must. Collective: all ranks of the grid."""
-    left = left_of(context, fitted)
-    return [one for one in ranking if one.log_bayes_factor >= left.least(one, is_in=False)]
+    settings, left = context.problem.job.loop, left_of(context, fitted)
+    return [one for one in ranking if one.log_bayes_factor >= least_evidence(settings, left, one, is_in=False)]
 
 
 def round_of(

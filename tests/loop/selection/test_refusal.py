@@ -12,12 +12,13 @@ from hydrabeam_mpi.config.effects import Loop
 from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.instrument.basis_truncation import BasisTruncation
 from hydrabeam_mpi.effects.sky.catalogue_flux import CatalogueFlux
+from hydrabeam_mpi.fit.error_scale import Left
 from hydrabeam_mpi.fit.state import Active, Ended, Fit, Fitted, Values, independent_prior
 from hydrabeam_mpi.loop.attribution.constancy import Constancy
 from hydrabeam_mpi.loop.attribution.control_models import BeamDrift
 from hydrabeam_mpi.loop.selection.acceptance import Candidate
 from hydrabeam_mpi.loop.selection.refusal import refusal_beside, refusal_by_parts, refusal_of, rise_of_rms, rivals_of
-from hydrabeam_mpi.loop.selection.trials import Left
+from hydrabeam_mpi.loop.selection.trials import least_evidence
 from tests.loop.made import N_DATA, checked, effect_candidate, numbers, weights_candidate
 
 LOOP = Loop()
@@ -205,13 +206,13 @@ def test_the_threshold_is_the_jobs() -> None:
 def test_evidence_is_asked_for_in_units_of_what_is_left() -> None:
     """Nats count by the stated noise: beside three times its variance an effect needs three times as many."""
     found = effect_candidate(AntennaGains(), log_bayes_factor=14.0)
-    left = Left(asked=5.0, chi2=3014.0, free=1000.0)
+    left = Left(chi2=3014.0, free=1000.0)
     # The linear model expects half of its chi2_drop, 28, of the chi^2 of complex data.
-    assert left.least(found, is_in=False) == pytest.approx(15.0)
-    assert left.least(found, is_in=True) == pytest.approx(5.0 * 3.014)
+    assert least_evidence(LOOP, left, found, is_in=False) == pytest.approx(15.0)
+    assert least_evidence(LOOP, left, found, is_in=True) == pytest.approx(5.0 * 3.014)
     # Less than the noise would leave asks for no less, and a larger variance is what it is all about.
-    assert Left(5.0, 900.0, 1000.0).least(found, is_in=True) == 5.0
-    assert left.least(weights_candidate(), is_in=False) == 5.0
+    assert least_evidence(LOOP, Left(900.0, 1000.0), found, is_in=True) == 5.0
+    assert least_evidence(LOOP, left, weights_candidate(), is_in=False) == 5.0
     before, after = checked(2.0), checked(1.2)
     assert refusal_of(before, after, found, LOOP, least=14.0) is None
     words = "its log Bayes factor is 14 once it is fitted, where 15 is asked beside what is left, 3 times the noise"
