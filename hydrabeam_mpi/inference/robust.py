@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import stats
+from scipy.special import stdtr
 
 from hydrabeam_mpi.data.observation import BoolArray, FloatArray
 
@@ -72,7 +72,7 @@ def outliers(values: FloatArray, error: ArrayLike = 0.0, spread: float = POWER_S
     sigma = away / np.sqrt(variance)
     n = np.count_nonzero(known)
     dof = MEDIAN_DOF * n * (variance / np.maximum(scatter**2, 1e-9 * variance)) ** 2
-    absurd: BoolArray = 2 * n * stats.t.sf(np.abs(sigma), dof) < ABSURD_P
+    absurd: BoolArray = 2 * n * stdtr(dof, -np.abs(sigma)) < ABSURD_P
     return np.where(absurd, sigma, 0.0)
 
 

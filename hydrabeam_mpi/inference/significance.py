@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import special, stats
+from scipy import special
 
 from hydrabeam_mpi.data.observation import Array, FloatArray
 
@@ -49,7 +49,7 @@ def f_sigma(ratio: float, dof: tuple[float, float]) -> float:
 
     Where p-values underflow it is the signed root of the likelihood ratio, which is right to a per cent.
     """
-    above, below = float(stats.f.sf(ratio, *dof)), float(stats.f.cdf(ratio, *dof))
+    above, below = float(special.fdtrc(*dof, ratio)), float(special.fdtr(*dof, ratio))
     if above > np.exp(SMALLEST_LOG_P) and below > np.exp(SMALLEST_LOG_P):
         return float(_from_tails(np.array(above), np.array(below)))
     first, total = dof[0], sum(dof)

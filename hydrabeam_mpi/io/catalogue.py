@@ -8,12 +8,12 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import h5py
 import numpy as np
 from astropy import units
 from astropy.units import Quantity
-from pyradiosky import SkyModel
 from scipy.interpolate import interp1d
 
 from hydrabeam_mpi.data.limits import LARGEST
@@ -21,6 +21,9 @@ from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.io.reading import DAMAGED, check_file, reading
 from hydrabeam_mpi.model.sky import Sky, power_law
+
+if TYPE_CHECKING:
+    from pyradiosky import SkyModel
 
 logger = logging.getLogger(__name__)
 
@@ -208,6 +211,8 @@ def file_type(path: Path) -> str | None:
 
 def read_model(path: Path, columns: VOTableColumns | None = None) -> SkyModel:
     """Read a catalogue as it is, with the parameters and errors of `read_catalogue`."""
+    from pyradiosky import SkyModel  # takes long to import, which only jobs with a catalogue need
+
     kind = file_type(path)
     check_file(path, field="[sky] file")
     if kind is None:

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from astropy import units
 from astropy.coordinates import ICRS, TETE, SkyCoord
 from astropy.time import Time
-from pyradiosky import SkyModel
 
 from hydrabeam_mpi.data.observation import FloatArray, Observation
 from hydrabeam_mpi.io.reading import quiet
 from hydrabeam_mpi.model.sky import Sky
+
+if TYPE_CHECKING:
+    from pyradiosky import SkyModel
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,8 @@ def sky_model(sky: Sky, spectrum: Spectrum, of_date: Observation | None = None) 
         Where it is given, the places of the sky are those of the date of its middle (true equator and equinox, TETE),
         and otherwise ICRS.
     """
+    from pyradiosky import SkyModel  # takes long to import, which only what writes a sky needs
+
     frame = ICRS()
     if of_date is not None:
         # As text: pyradiosky cannot read a date in any other form again.

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import Field
-from scipy.stats import binom
+from scipy.special import bdtrc
 
 from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
@@ -194,7 +194,7 @@ def _not_bursts(setup: ObservingSetup, counts: FloatArray) -> str | None:
     n_times, n_bls = setup.observation.Ntimes, setup.observation.Nbls
     time_rows, time_hits = counts[: 2 * n_times].reshape(2, n_times)
     rows, large = counts[2 * n_times : -N_MOMENTS].reshape(2, n_bls)
-    by_chance = binom.sf(large - 1, large.sum(), rows / max(rows.sum(), 1.0)) * n_bls
+    by_chance = bdtrc(large - 1, large.sum(), rows / max(rows.sum(), 1.0)) * n_bls
     gathered = (large >= GATHERED) & (by_chance < GATHERED_P)
     if 2 * large[gathered].sum() > large.sum():
         return f"they gather on {gathered.sum()} baseline(s)"

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.parameters import Parameters
@@ -163,7 +163,7 @@ def _told(
 
     beside = [[finding(i, found) for i, found in chosen.beside[m].items()] for m in order]
     places = [next(i for i, one in enumerate(findings) if one is picked[m][0]) for m in order]
-    is_noise = free > 0 and bool(chi2.sf(2 * left, 2 * free) >= SIGNIFICANT_P)
+    is_noise = free > 0 and bool(chdtrc(2 * free, 2 * left) >= SIGNIFICANT_P)
     simpler = tuple(_told(picked, one, findings, total, unexplained) for one in chosen.simpler)
     return TogetherFound(tuple(places), tuple(map(tuple, beside)), chosen.log_bayes_factor, is_noise, simpler)
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray
 from hydrabeam_mpi.fit.rows import Rows
@@ -228,7 +227,8 @@ def factor_log_odds(stated: Score, factor: float) -> tuple[float, float]:
     value = float(np.log(stated.amplitude))
 
     def log_density(centre: float, spread: float) -> float:
-        return float(stats.norm.logpdf(value, centre, spread))
+        # But for a constant, as only its differences count.
+        return float(-0.5 * ((value - centre) / spread) ** 2 - np.log(spread))
 
     with_factor = log_density(float(np.log(factor)), width)
     any_scale = max(log_density(0.0, CALIBRATED), log_density(0.0, UNCALIBRATED))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from hydrabeam_mpi.config.text import frequency_text
 from hydrabeam_mpi.data.observation import BoolArray, ComplexArray, FloatArray
@@ -129,7 +129,7 @@ def _differ(channels: Sequence[FloatArray]) -> bool:
     errors = np.sqrt(np.pi / 2) * np.maximum(spreads, ROUNDING) / np.sqrt([len(one) for one in channels])
     weights = errors**-2.0
     mean = np.sum(weights * values) / weights.sum()
-    return bool(chi2.sf(np.sum(weights * (values - mean) ** 2), len(channels) - 1) < SIGNIFICANT_P)
+    return bool(chdtrc(len(channels) - 1, np.sum(weights * (values - mean) ** 2)) < SIGNIFICANT_P)
 
 
 def _log_scales(products: ComplexArray) -> FloatArray:

@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import binom
 
 from hydrabeam_mpi.data.observation import BoolArray, FloatArray, IntArray
 from hydrabeam_mpi.data.runs import runs_of
@@ -119,6 +118,8 @@ def log_chance(lost: FloatArray, n: FloatArray) -> FloatArray:
     lost, n : ndarray, (N,)
         How many rows each has lost, and how many it had.
     """
+    from scipy.stats import binom  # takes long to import, which only what gets here needs
+
     others_lost, others = lost.sum() - lost, n.sum() - n
     # Of others that have lost none nobody knows more than that one in so many would be no surprise.
     rate = np.minimum(np.maximum(others_lost, 1.0) / np.maximum(others, 1.0), 1.0)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field, replace
 
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.reweighting import Reweighting
@@ -47,6 +47,12 @@ class Together:
     def n_parameters(self) -> float:
         """How many parameters they have, as far as these are told."""
         return sum(one.finding.evidence.effective_parameters for one in self.members if one.finding)
+
+    def without(self, names: Collection[tuple[str, str | None]]) -> Together:
+        """Return those that have none of the names (kind and law)."""
+        left = [i for i, one in enumerate(self.members) if one.name not in names]
+        members, beside = tuple(self.members[i] for i in left), tuple(self.beside[i] for i in left)
+        return replace(self, members=members, beside=beside)
 
     def in_place_of(self, member: Candidate) -> tuple[Candidate, ...]:
         """Return what could stand in the place of a member, beside the others, itself among it."""

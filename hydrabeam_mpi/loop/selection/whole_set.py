@@ -40,17 +40,20 @@ def try_set(context: FitContext, checked: Checked, weighed: Weighed, tried: Trie
     """Fit the effects of the set as a whole, and of simpler ones; return the best as rounds.
 
     The simplest comes first: where it leaves nothing, one with more parameters and no more evidence need not be fitted.
-    Nor need one with further effects than the best: these are looked for beside it in the next round.
+    What a set has beyond the effects of the best, and what was refused in a set before, is left to the next round, in
+    which it is looked for beside the best.
+
     There are no rounds where the set would leave more than noise, or none holds. Collective: all ranks of the grid.
     """
     best: tuple[Round, ...] = ()
     sets = (weighed.together, *weighed.simpler) if weighed.explains else ()
-    for one in sorted(sets, key=lambda one: one.n_parameters):
+    for of_set in sorted(sets, key=lambda one: one.n_parameters):
+        one = of_set.without({candidate.name for candidate, _ in tried})
         if best and best[-1].after.remains.consistent:
             reached = sum(found.candidate.log_bayes_factor for found in best)
             if one.log_bayes_factor <= reached:
                 continue
-        if best and {found.candidate.name for found in best} < {member.name for member in one.members}:
+        if best and {found.candidate.name for found in best} <= {member.name for member in one.members}:
             continue
         found = _try_one_set(context, checked, weighed, one, tried)
         if found and (not best or as_one(found).evidence_of_all > as_one(best).evidence_of_all):

@@ -249,6 +249,30 @@ def test_what_others_have_beyond_the_best_is_left_to_the_next_round(
     assert capsys.readouterr().err.count("trying together") == 1
 
 
+def test_what_was_refused_in_a_set_is_left_out_of_those_after_it(
+    context: FitContext, before: Checked, weighed: Weighed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    moved, closure = (
+        Candidate.of(replace(one, evidence=replace(one.evidence, effective_parameters=9.0)))
+        for one in attribute(context, before.fitted, [AntennaPositions(), ClosureErrors()])
+    )
+    simple, begun = weighed.together, []
+    further = Together((*simple.members, moved, closure), (*simple.beside, (moved,), (closure,)))
+
+    def refusal(context: FitContext, before: Checked, after: Checked, fitted: Candidate, whole: Fitted) -> str | None:
+        return "for a test" if fitted.kind == "antenna_gains" else None
+
+    def fit(context: FitContext, values: Values, start: Fitted) -> Fitted:
+        if start is before.fitted:
+            begun.append([one.effect.kind for one in values.active])
+        return refit(context, values, start)
+
+    monkeypatch.setattr(whole_set, "refusal_of_fit", refusal)
+    monkeypatch.setattr(whole_set, "fit_patiently", fit)
+    try_set(context, before, replace(weighed, together=further, simpler=(simple,)), [])
+    assert begun == [["antenna_gains", "cross_coupling"], ["cross_coupling", "antenna_positions", "closure_errors"]]
+
+
 def test_one_effect_is_no_set(context: FitContext, before: Checked, weighed: Weighed) -> None:
     alone = Together(weighed.together.members[:1], weighed.together.beside[:1])
     assert try_set(context, before, replace(weighed, together=alone), []) == ()
