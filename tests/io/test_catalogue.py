@@ -299,7 +299,7 @@ def test_extended_fhd_sources_become_their_components():
 
 @pytest.fixture(scope="module")
 def gleam():
-    """The real catalogue at 150 and 180 MHz."""
+    """The real catalogue at 150 and 180 MHz, whose 157,615 entries take a minute or more to read."""
     data = Path(os.environ.get("HYDRABEAM_DATA", Path(__file__).parents[3] / "shared" / "data"))
     path = data / "models" / "GLEAM_KGS_Fornax_180MHz.sav"
     if not path.exists():
@@ -307,6 +307,7 @@ def gleam():
     return read_catalogue(path, np.array([150e6, 180e6]))
 
 
+@pytest.mark.study
 def test_fhd_catalogue_has_its_sources_and_the_components_of_fornax_a(gleam):
     # 157,615 entries, of which three extended ones have 1295, 733 and 609 components.
     assert gleam.Nsrc == 157_615 - 3 + 1295 + 733 + 609
@@ -316,6 +317,7 @@ def test_fhd_catalogue_has_its_sources_and_the_components_of_fornax_a(gleam):
     assert gleam.flux[1].max() == pytest.approx(215.992, abs=1e-3)  # the brightest single source
 
 
+@pytest.mark.study
 def test_fhd_catalogue_scales_with_its_spectral_indices(gleam):
     ratio = gleam.flux[0] / gleam.flux[1]
     indices = np.log(ratio) / np.log(150 / 180)

@@ -53,7 +53,7 @@ def try_set(context: FitContext, checked: Checked, weighed: Weighed, tried: Trie
             reached = sum(found.candidate.log_bayes_factor for found in best)
             if one.log_bayes_factor <= reached:
                 continue
-        if best and {found.candidate.name for found in best} <= {member.name for member in one.members}:
+        if best and {found.candidate.name for found in best} < {member.name for member in of_set.members}:
             continue
         found = _try_one_set(context, checked, weighed, one, tried)
         if found and (not best or as_one(found).evidence_of_all > as_one(best).evidence_of_all):

@@ -242,7 +242,7 @@ def test_what_others_have_beyond_the_best_is_left_to_the_next_round(
     (further,) = attribute(context, before.fitted, [AntennaPositions()])
     further = replace(further, evidence=replace(further.evidence, effective_parameters=9.0))
     members = (*weighed.together.members, Candidate.of(further))
-    larger = replace(weighed.together, members=members, log_bayes_factor=1e12)
+    larger = Together(members, tuple((one,) for one in members), log_bayes_factor=1e12)
     capsys.readouterr()
     found = try_set(context, before, replace(weighed, together=larger, simpler=(weighed.together,)), [])
     assert {one.candidate.kind for one in found} == {"antenna_gains", "cross_coupling"}
