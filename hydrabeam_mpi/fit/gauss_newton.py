@@ -57,11 +57,14 @@ class Underway:
         By how much the next step may raise it: as the linear model expects, as far as steps before have kept that.
     foreseen : tuple of float
         What the linear model expects of the end, by where the fit began and by where it is.
+    price : float, optional
+        What the freedom of its parameters costs, where that is known of this fit.
     """
 
     reached: float
     expected: float
     foreseen: tuple[float, float]
+    price: float | None = None
 
 
 Worth = Callable[[Underway], bool]

@@ -194,7 +194,7 @@ def _not_bursts(setup: ObservingSetup, counts: FloatArray) -> str | None:
     n_times, n_bls = setup.observation.Ntimes, setup.observation.Nbls
     time_rows, time_hits = counts[: 2 * n_times].reshape(2, n_times)
     rows, large = counts[2 * n_times : -N_MOMENTS].reshape(2, n_bls)
-    by_chance = bdtrc(large - 1, large.sum(), rows / max(rows.sum(), 1.0)) * n_bls
+    by_chance = bdtrc(large - 1, int(large.sum()), rows / max(rows.sum(), 1.0)) * n_bls
     gathered = (large >= GATHERED) & (by_chance < GATHERED_P)
     if 2 * large[gathered].sum() > large.sum():
         return f"they gather on {gathered.sum()} baseline(s)"

@@ -250,7 +250,7 @@ def may_still_come_to(least: float, candidate: Candidate, at: Underway, start: f
     linear model expects of it, as in `may_be_better`. Where no parameters are ``nonlinear``, of which the linear model
     knows nothing before the effect has a size, it is also told by how what that model expects of the end has changed on
     the way so far: over all of the way by no more than with the square of it. From either goes what the freedom of the
-    parameters costs, as weighed before the fit.
+    parameters costs, as weighed before the fit unless the fit says.
     """
     assert candidate.finding is not None
     evidence, near = candidate.finding.evidence, RULES.near
@@ -260,7 +260,8 @@ def may_still_come_to(least: float, candidate: Candidate, at: Underway, start: f
     most = risen + at.expected / near
     if not nonlinear and risen > 0 and first != now:
         most = min(most, now if now < first else first + (now - first) * (now / risen) ** 2)
-    return most - (evidence.linear_gain - evidence.log_bayes_factor) > least
+    price = evidence.linear_gain - evidence.log_bayes_factor if at.price is None else at.price
+    return most - price > least
 
 
 def _complexity(candidate: Candidate) -> float:

@@ -135,9 +135,11 @@ def _fit_effect(
     else:
         fitted = _fit_in_some_form(context, before, candidate.finding, worth)
     best = latest = TriedFit.of(context, before, with_best_variant(context, fitted))
-    # Of several elements the first was fitted whatever it alone comes to; now it is known what there is beside it.
+    # Of several elements the first was fitted whatever it alone comes to; now it is known what there is beside it. It
+    # may be all that there is: then it costs less than the several that were weighed.
     reached = log_joint(context, latest.fitted)
-    if worth is not None and not worth(Underway(reached, max(latest.promised, 0.0), (reached, reached))):
+    price = rise(context, before, latest.fitted, of_nonlinear=True) - latest.log_bayes_factor
+    if worth is not None and not worth(Underway(reached, max(latest.promised, 0.0), (reached, reached), price)):
         raise BrokenOff(NOT_NEAR)
     for _ in range(RULES.most_refits):
         last, wanted = latest.fitted.values.active[-1], latest.evidence.prior_var

@@ -155,6 +155,16 @@ def test_what_a_fit_may_still_come_to(
     assert may_still_come_to(900.0, replace(candidate, finding=costly), underway, 50.0, nonlinear) == may
 
 
+@pytest.mark.parametrize(("price", "may"), [(None, False), (99.0, False), (98.0, True)])
+def test_what_a_fit_says_that_its_freedom_costs_counts(price: float | None, may: bool) -> None:
+    """Several sources have been weighed, and one has come to nearly as much at a part of what they cost."""
+    finding = POSITIONS.finding
+    assert finding is not None
+    costly = replace(finding, evidence=replace(finding.evidence, linear_gain=1000.0))
+    underway = Underway(1049.0, 0.0, (1049.0, 1049.0), price)
+    assert may_still_come_to(900.0, replace(POSITIONS, finding=costly), underway, 50.0, True) == may
+
+
 def test_everything_linear_says_so() -> None:
     """The table above takes these for what they are."""
     assert AntennaGains().linear

@@ -98,3 +98,6 @@ def test_once_it_is_fitted_all_are_asked_what_they_are_worth(
     (once,) = asked
     assert once.reached > log_joint(context, before) + 100
     assert once.expected >= 0
+    # As many parameters as of all that were weighed need not have stayed.
+    assert once.price is not None
+    assert 0 < once.price <= several.finding.evidence.linear_gain - several.log_bayes_factor
