@@ -45,6 +45,7 @@ def found_of(folder: Path, injected: dict[str, Any], freqs: tuple[float, ...], n
     return {name: (found[name]["value"] - value - zero_of[name]) / found[name]["std"] for value, name in told.values()}
 
 
+@pytest.mark.study
 def test_a_polarised_source_with_its_rotation_measure(tmp_path: Path) -> None:
     """By channels 2 MHz apart others, 27 rad/m^2 away, look nearly the same where the angle hardly turns."""
     injected = {
@@ -57,6 +58,7 @@ def test_a_polarised_source_with_its_rotation_measure(tmp_path: Path) -> None:
     assert max(map(abs, off.values())) < 4
 
 
+@pytest.mark.study
 def test_a_source_beside_its_place(tmp_path: Path) -> None:
     names = {"relative flux error": -0.02, "offset east": 5.0, "offset north": -8.0}
     told = {f"{NAME}: {name}": (value, f"{NAME}: {name}") for name, value in names.items()}

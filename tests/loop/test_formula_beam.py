@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pytest
 
 import hydrabeam_mpi as hb
 
@@ -20,6 +21,7 @@ def loop_of(effects: list[dict[str, Any]]) -> Any:
     return hb.close_loop(hb.Setup(mock.uvd, beam=model, basis=basis, holdout={"kind": "times", "every": 2}, **SKY))
 
 
+@pytest.mark.study
 def test_what_a_formula_lacks_is_no_effect() -> None:
     """The beam is a tenth off the formula, 60 times the noise; nothing else is claimed."""
     found = loop_of([])

@@ -47,6 +47,7 @@ def test_a_flux_that_the_beam_absorbs_by_99_percent(tmp_path: Path) -> None:
     assert loop["error_after"] == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.study
 def test_a_missing_source_beside_couplings(tmp_path: Path) -> None:
     """What was taken for sources that vary, and for more of them, while the couplings were missing, is taken back."""
     source = {

@@ -219,6 +219,7 @@ def test_the_report_is_drawn(explained: Path, tmp_path: Path) -> None:
     assert (tmp_path / "figures" / "loop_ranking.png").exists()
 
 
+@pytest.mark.study
 def test_few_data_are_not_taken_for_noise(tmp_path: Path) -> None:
     """Two times to fit: larger noise is simple, and one antenna's gain still the better explanation once fitted."""
     record = record_of(run_loop(mock_job(GAIN, n_times=4, holdout={"every": 2}), tmp_path))

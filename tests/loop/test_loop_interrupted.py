@@ -167,9 +167,8 @@ def test_a_damaged_round_is_told(interrupted: Path, comm: MPI.Comm, capfd: pytes
 
 
 @passed_on
-@pytest.mark.parametrize(
-    ("number", "then_on"), [(signal.SIGINT, 3), pytest.param(signal.SIGTERM, 1, marks=pytest.mark.study)]
-)
+@pytest.mark.parametrize(("number", "then_on"), [(signal.SIGINT, 3), (signal.SIGTERM, 1)])
+@pytest.mark.study
 def test_signals_to_the_launcher(
     number: signal.Signals, then_on: int, whole: Path, tmp_path: Path, mpiexec: Any
 ) -> None:

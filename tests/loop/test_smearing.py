@@ -6,6 +6,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from hydrabeam_mpi.cli import main
 from tests.loop.mock import mock_job, write_job
 
@@ -37,6 +39,7 @@ def test_what_means_lose_is_found(tmp_path: Path) -> None:
     assert abs(length["value"] - seconds) < 4 * length["std"] < 0.1 * seconds
 
 
+@pytest.mark.study
 def test_with_means_in_the_model_nothing_is_wrong(tmp_path: Path) -> None:
     """Sources hardly move through the beam in an integration."""
     data = smeared(tmp_path, 60.0)

@@ -92,6 +92,7 @@ def test_the_inferred_beam_explains_more_of_data_that_it_has_not_seen(summary):
     assert summary["heldout_chi2_noise_only"] > 10
 
 
+@pytest.mark.study
 def test_measured_data_are_healthy_but_for_a_channel_width(write_job, data_dir):
     """Set A's files state the distance of their channels, 1.5625 MHz, as their width, which is 97.7 kHz."""
     night = sorted((data_dir / "H1C_2458043-45_LST1.1").glob("zen.2458043.*.HH.XRAA.uvh5"))
