@@ -138,7 +138,7 @@ def _fit_effect(
     # Of several elements the first was fitted whatever it alone comes to; now it is known what there is beside it. It
     # may be all that there is: then it costs less than the several that were weighed.
     reached = log_joint(context, latest.fitted)
-    price = rise(context, before, latest.fitted, of_nonlinear=True) - latest.log_bayes_factor
+    price = reached - log_joint(context, before) - latest.log_bayes_factor
     if worth is not None and not worth(Underway(reached, max(latest.promised, 0.0), (reached, reached), price)):
         raise BrokenOff(NOT_NEAR)
     for _ in range(RULES.most_refits):

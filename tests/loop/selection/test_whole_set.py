@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -141,13 +142,19 @@ def test_what_has_no_evidence_beside_the_others_leaves_the_set(
     assert len(found[-1].after.fitted.values.active) == 2
 
 
+def refusing(kind: str) -> Callable[..., str | None]:
+    """Return what stands for `refusal_of_fit` and refuses effects of one kind alone."""
+
+    def refusal(context: FitContext, before: Checked, after: Checked, fitted: Candidate, whole: Fitted) -> str | None:
+        return "for a test" if fitted.kind == kind else None
+
+    return refusal
+
+
 def test_one_that_held_out_data_refuse_goes_and_the_others_stay(
     context: FitContext, before: Checked, weighed: Weighed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refusal(context: FitContext, before: Checked, after: Checked, fitted: Candidate, whole: Fitted) -> str | None:
-        return "for a test" if fitted.kind == "antenna_gains" else None
-
-    monkeypatch.setattr(whole_set, "refusal_of_fit", refusal)
+    monkeypatch.setattr(whole_set, "refusal_of_fit", refusing("antenna_gains"))
     tried: list = []
     assert try_set(context, before, weighed, tried) == ()
     assert [(one.kind, reason) for one, reason in tried] == [("antenna_gains", "for a test")]
@@ -158,16 +165,13 @@ def test_the_others_are_fitted_again_from_where_they_were(tmp_path: Path, monkey
     context, before, weighed = with_one_moved(tmp_path, 0.01)
     assert len(weighed.together.members) == 3
 
-    def refusal(context: FitContext, before: Checked, after: Checked, fitted: Candidate, whole: Fitted) -> str | None:
-        return "for a test" if fitted.kind == "cross_coupling" else None
-
     begun = []
 
     def fit(context: FitContext, values: Values, start: Fitted) -> Fitted:
         begun.append((len(values.active), start is before.fitted))
         return refit(context, values, start)
 
-    monkeypatch.setattr(whole_set, "refusal_of_fit", refusal)
+    monkeypatch.setattr(whole_set, "refusal_of_fit", refusing("cross_coupling"))
     monkeypatch.setattr(whole_set, "fit_patiently", fit)
     tried: list = []
     found = try_set(context, before, replace(weighed, simpler=()), tried)
@@ -259,15 +263,12 @@ def test_what_was_refused_in_a_set_is_left_out_of_those_after_it(
     simple, begun = weighed.together, []
     further = Together((*simple.members, moved, closure), (*simple.beside, (moved,), (closure,)))
 
-    def refusal(context: FitContext, before: Checked, after: Checked, fitted: Candidate, whole: Fitted) -> str | None:
-        return "for a test" if fitted.kind == "antenna_gains" else None
-
     def fit(context: FitContext, values: Values, start: Fitted) -> Fitted:
         if start is before.fitted:
             begun.append([one.effect.kind for one in values.active])
         return refit(context, values, start)
 
-    monkeypatch.setattr(whole_set, "refusal_of_fit", refusal)
+    monkeypatch.setattr(whole_set, "refusal_of_fit", refusing("antenna_gains"))
     monkeypatch.setattr(whole_set, "fit_patiently", fit)
     try_set(context, before, replace(weighed, together=further, simpler=(simple,)), [])
     assert begun == [["antenna_gains", "cross_coupling"], ["cross_coupling", "antenna_positions", "closure_errors"]]
