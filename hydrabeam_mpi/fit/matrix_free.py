@@ -28,6 +28,9 @@ from hydrabeam_mpi.mpi import Comm, ProcessGrid, allreduce_sum, roots_of
 SIGMAS = 1e-10
 """Where the iterations end: rms over unknowns of the residual, about that of the error in posterior std."""
 MAX_STEPS = 2000
+AT_ONCE = 16
+"""Right-hand sides that are solved at a time: each step is one product of matrices and one round of messages for all
+of them, and their vectors take a fraction of what the matrices take."""
 N_SCALING = 64
 """Draws that tell how large variances are, at least: each by itself to a sixth, those of a channel together better."""
 
@@ -70,8 +73,8 @@ class RootsSystem:
         return factors
 
     def times(self, x: Array) -> Array:
-        """Return P x, both (M, n)."""
-        beams = self.modes[self.channels] @ x
+        """Return P x, both (M, n, k)."""
+        beams = np.tensordot(self.modes[self.channels], x, 1)
         return x + self.from_channels([one.information @ beam for one, beam in zip(self._told, beams, strict=True)])
 
     def from_channels(self, mine: Sequence[Array]) -> Array:
@@ -83,11 +86,11 @@ class RootsSystem:
         return np.asarray(np.tensordot(self.modes, np.concatenate(parts), (0, 0)))
 
     def unwhiten(self, z: Array) -> Array:
-        """Return B^-H z, both (M, n)."""
+        """Return B^-H z, both (M, n, k)."""
         return self._through_factors(z, "C")
 
     def whiten(self, x: Array) -> Array:
-        """Return B^-1 x, both (M, n)."""
+        """Return B^-1 x, both (M, n, k)."""
         return self._through_factors(x, "N")
 
     def _through_factors(self, x: Array, trans: str) -> Array:
@@ -95,16 +98,16 @@ class RootsSystem:
             solve_triangular(factor, x[mode], lower=True, trans=trans, check_finite=False)
             for mode, factor in self._factors.items()
         ]
-        own = np.array(parts, dtype=self.dtype).reshape(len(parts), self.shape[1])
+        own = np.array(parts, dtype=self.dtype).reshape(len(parts), *x.shape[1:])
         return np.concatenate(self._comm.allgather(own))
 
     def solve(self, x: Array) -> tuple[Array, int]:
-        """Return P^-1 x, (M, n), and how many steps it took; none if that was not enough.
+        """Return P^-1 x, both (M, n, k), and how many steps it took; none if that was not enough.
 
         One root iterates, and the others do each product with it: if each went on until its own numbers told it to
         stop, another last digit, as processors of different kinds have it, would leave one waiting for ever.
         """
-        found, source = None, self.whiten(x).ravel()
+        found, source = None, self.whiten(x)
         if self._comm.rank == 0:
             found = self._iterate(source)
             self._comm.bcast(None)
@@ -112,10 +115,14 @@ class RootsSystem:
             while (z := self._comm.bcast(None)) is not None:
                 self._times_whitened(z)
         solved, steps = self._comm.bcast(found)
-        return self.unwhiten(solved.reshape(self.shape)), steps
+        return self.unwhiten(solved), steps
 
     def _iterate(self, source: Array) -> tuple[Array, int]:
-        """Return z with B^-1 P B^-H z = ``source``, both (M n,), and the steps, on the first root."""
+        """Return z with B^-1 P B^-H z = ``source``, both (M, n, k), and the steps, on the first root.
+
+        To the iterations the k systems are one whose blocks are alike: they take about as many steps as the slowest of the
+        k, and end where the residual of all together is as small as that of one has to be.
+        """
         steps = 0
 
         def count(_: Array) -> None:
@@ -123,16 +130,16 @@ class RootsSystem:
             steps += 1
 
         def times(z: Array) -> Array:
-            return self._times_whitened(self._comm.bcast(z))
+            return self._times_whitened(self._comm.bcast(z.reshape(source.shape))).ravel()
 
         operator = LinearOperator((source.size, source.size), times, dtype=self.dtype)
-        enough = SIGMAS * np.sqrt(source.size)
-        solved, failed = cg(operator, source, rtol=0, atol=enough, maxiter=MAX_STEPS, callback=count)
-        return solved, 0 if failed else max(steps, 1)
+        enough = SIGMAS * np.sqrt(np.prod(self.shape))
+        solved, failed = cg(operator, source.ravel(), rtol=0, atol=enough, maxiter=MAX_STEPS, callback=count)
+        return solved.reshape(source.shape), 0 if failed else max(steps, 1)
 
     def _times_whitened(self, z: Array) -> Array:
-        """Return B^-1 P B^-H z, both (M n,)."""
-        return self.whiten(self.times(self.unwhiten(z.reshape(self.shape)))).ravel()
+        """Return B^-1 P B^-H z, both (M, n, k)."""
+        return self.whiten(self.times(self.unwhiten(z)))
 
     def covariances(self) -> list[Array]:
         """Return sum_m U_fm^2 D_m^-1 of this root's channels, (n, n): that of a where D is all of P."""
@@ -201,17 +208,19 @@ def _solve(
     """Solve on the groups' roots; also return the steps of each solution, up to one where they were not enough: 0."""
     system = RootsSystem(comm, modes, told)
     n, n_draws = system.shape[1], noise[0].shape[1]
-    mean, taken = system.solve(system.from_channels([one.score for one in told]))
     is_complex = np.issubdtype(system.dtype, np.complexfloating)
+    mean = system.from_channels([one.score[:, np.newaxis] for one in told])
     drawn = system.from_channels(noise) + noise_of_modes(modes, range(n_draws), seed, n, is_complex)
-    steps, away = [taken], np.zeros((n_draws, len(told), n), system.dtype)
-    for draw in range(n_draws):
-        if 0 in steps:
-            break
-        moved, taken = system.solve(drawn[..., draw])
-        away[draw] = modes[system.channels] @ moved
+    steps, solved = [], []
+    sides = np.concatenate([mean, drawn], axis=2)
+    for some in np.array_split(sides, -(-sides.shape[2] // AT_ONCE), axis=2):
+        found, taken = system.solve(some)
+        solved.append(np.tensordot(modes[system.channels], found, 1))
         steps.append(taken)
-    means = modes[system.channels] @ mean
+        if taken == 0:
+            return [], steps
+    moved = np.moveaxis(np.concatenate(solved, axis=2), 2, 0)
+    means, away = moved[0], moved[1:]
     moments = []
     for f, covariance in enumerate(system.covariances()):
         moments.append(Moments(means[f], scaled(covariance, away[:, f]), means[f] + away[:, f]))
