@@ -32,6 +32,9 @@ for path in sys.argv[2:]:
         sys.exit(f"### Fatal Error: {error}")
 """
 
+# What was in the folders that could be read: to find it out anew takes a process of seconds each time.
+_survived: dict[Path, tuple[tuple[str, int, int], ...]] = {}
+
 
 def check_uvh5(path: Path) -> None:
     """Make sure that an HDF5 file is whole and holds visibilities, flags and nsamples.
@@ -76,6 +79,10 @@ def check_survives(paths: Sequence[Path], kind: str) -> None:
     """
     if kind == "ms" and find_spec("casacore") is None:
         return  # the reader says so
+    states = {path: _state(path) for path in paths}
+    paths = [path for path in paths if _survived.get(path) != states[path]]
+    if not paths:
+        return
     command = [sys.executable, "-c", _READ, kind, *map(str, paths)]
     done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
     if done.returncode:
@@ -83,3 +90,10 @@ def check_survives(paths: Sequence[Path], kind: str) -> None:
         said = [line.split(":", 1)[1].strip(" .") for line in done.stderr.splitlines() if line.startswith(_LAST_WORDS)]
         reason = f" ({said[-1]})" if said else ""
         raise InputError(f"cannot be read as {kind}{reason}", file=begun[-1] if begun else paths[0], remedy=DAMAGED)
+    _survived.update((path, states[path]) for path in paths)
+
+
+def _state(path: Path) -> tuple[tuple[str, int, int], ...]:
+    """Tell what is in a folder: names, sizes and times of the last change."""
+    states = ((str(file), file.stat()) for file in sorted(path.rglob("*")))
+    return tuple((name, state.st_size, state.st_mtime_ns) for name, state in states)

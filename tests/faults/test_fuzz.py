@@ -58,6 +58,7 @@ def test_words_that_come_at_once_are_all_heard(monkeypatch: pytest.MonkeyPatch) 
     assert (verdict["target"], verdict["kind"]) == ("data", CLEAN)
 
 
+@pytest.mark.study
 def test_a_killed_rank_loses_nothing(kills: Kills) -> None:
     kind, words = kills.run(Kill("infer", 2, signal.SIGKILL, 0.8, one=True, earlier=False))
     assert kind == CLEAN, words

@@ -32,6 +32,7 @@ def test_what_a_formula_lacks_is_no_effect() -> None:
     assert abs(heldout["heldout_chi2_predictive"] - 1) < 0.15
 
 
+@pytest.mark.study
 def test_an_effect_beside_it_is_found() -> None:
     injected = {"kind": "antenna_gains", "parameters": {"antenna 5 ln amplitude": 0.1, "antenna 5 phase": 0.1}}
     found = loop_of([injected])

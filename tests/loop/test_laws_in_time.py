@@ -89,6 +89,7 @@ def test_what_all_gains_do_alike_is_told_as_such(tmp_path: Path) -> None:
     assert value == pytest.approx(0.02, abs=3 * error)
 
 
+@pytest.mark.study
 def test_a_drift_of_all_channels_is_one_number(tmp_path: Path) -> None:
     settings, name = {"law": "smooth", "orders": [1], "channels": "alike"}, f"antenna 3 ln amplitude, {DRIFT}"
     effect = {"kind": "antenna_gains", "settings": settings, "parameters": {name: 0.02}}

@@ -132,6 +132,7 @@ def test_what_is_interrupted_says_so_and_goes_on(
     assert_goes_on(interrupted, whole, capfd)
 
 
+@pytest.mark.study
 def test_what_is_interrupted_in_the_first_round_leaves_what_is_known(
     whole: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

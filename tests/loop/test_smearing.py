@@ -27,6 +27,7 @@ def loop(data: Path, folder: Path, **settings: Any) -> dict[str, Any]:
     return dict(json.loads((folder / "result" / "loop.json").read_text()))
 
 
+@pytest.mark.study
 def test_what_means_lose_is_found(tmp_path: Path) -> None:
     """Fringes turn by half a turn in an integration."""
     seconds = 300.0

@@ -201,6 +201,7 @@ def test_loop_of_several_channels(job: Path) -> None:
     assert found.anew_s == 0.0
 
 
+@pytest.mark.study
 def test_all_effects_of_several_channels_are_counted(job: Path) -> None:
     """Those that are looked for as the beam of the middle channel sees the sky, too, of which one alone is prepared."""
     path = job.parent / "all.toml"

@@ -79,6 +79,7 @@ def summary(write_job: Callable[..., Path], files: list[Path]) -> dict[str, Any]
     return summary_of(write_job("job.toml", files))
 
 
+@pytest.mark.study
 def test_the_inferred_beam_explains_more_of_data_that_it_has_not_seen(summary):
     assert summary["freq_hz"] == 175e6
     assert summary["n_unique_baselines"] == 15

@@ -60,6 +60,7 @@ def test_a_fit_finds_it(tmp_path: Path) -> None:
     assert np.mean(z**2) < 2.5
 
 
+@pytest.mark.study
 def test_a_drifting_beam_is_given_no_other_name(tmp_path: Path) -> None:
     generate(503, tmp_path, "drifting_beam")
     assert main(["loop", str(tmp_path / "given" / "job.toml"), "-o", str(tmp_path / "out")]) == 0
