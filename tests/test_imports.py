@@ -67,6 +67,7 @@ SERIAL = (
 # What knows of processes: the layers that run.
 RUNNING = (
     "mpi",
+    "setup.earth_table",
     "setup.flagged",
     "setup.held",
     "setup.problem",

@@ -22,6 +22,7 @@ from hydrabeam_mpi.mpi import (
 )
 from hydrabeam_mpi.result.output import least_result_bytes
 from hydrabeam_mpi.setup.earlier import check_not_counted
+from hydrabeam_mpi.setup.earth_table import share_earth_table
 from hydrabeam_mpi.setup.flagged import without_flagged
 from hydrabeam_mpi.setup.given import NOTHING, Given
 from hydrabeam_mpi.setup.held import hold
@@ -118,6 +119,7 @@ def prepare_shared_each(world: Comm, job: Job, folder: Path | None, given: Given
         check_can_be_together(job, given)
         if world.rank == 0 and folder:
             check_space(folder, least_result_bytes(job))
+    share_earth_table(world)
     truths = simulate_to(world, job, folder).beams if job.data.simulate and folder else {}
     simulated = (folder / "data.uvh5",) if job.data.simulate and folder else ()
     files, job, observation = look_at_data(world, job, simulated, given)

@@ -120,8 +120,8 @@ class RootsSystem:
     def _iterate(self, source: Array) -> tuple[Array, int]:
         """Return z with B^-1 P B^-H z = ``source``, both (M, n, k), and the steps, on the first root.
 
-        To the iterations the k systems are one whose blocks are alike: they take about as many steps as the slowest of the
-        k, and end where the residual of all together is as small as that of one has to be.
+        To the iterations the k systems are one whose blocks are alike: they take about as many steps as the slowest of
+        them, and end where the residual of all together is as small as that of one has to be.
         """
         steps = 0
 

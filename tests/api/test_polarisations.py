@@ -107,6 +107,7 @@ def test_folders_are_results(folder: Path) -> None:
         _ = result.beam
 
 
+@pytest.mark.study
 def test_they_are_used_as_any_result(folder: Path, tmp_path: Path) -> None:
     assert main(["predict", str(folder / "both" / "nn"), str(folder / "nn.toml"), "-o", str(tmp_path / "p")]) == 0
     assert main(["report", str(folder / "both")]) == 0

@@ -154,7 +154,7 @@ def test_installed_program_on_one_and_two_ranks(workspace: Workspace, mpiexec: R
     np.testing.assert_allclose(two.arrays["mean"], one.arrays["mean"], atol=1e-8 * one.arrays["std"].min())
 
 
-@pytest.mark.parametrize("ranks", [1, 2])
+@pytest.mark.parametrize("ranks", [pytest.param(1, marks=pytest.mark.study), 2])
 def test_installed_program_refuses(ranks: int, workspace: Workspace, mpiexec: Runner) -> None:
     job = workspace.job({"data.polarization": "nn", "beam.source": "airy", "beam.diameter": 14.0})
     result = mpiexec(ranks, *PROGRAM, "infer", job, "-o", workspace.folder / "result")
@@ -210,7 +210,7 @@ def test_overwrite_replaces_only_by_a_whole_result(
     ("how", "ranks"),
     [
         (signal.SIGINT, 1),
-        pytest.param(signal.SIGINT, 2, marks=passed_on),
+        pytest.param(signal.SIGINT, 2, marks=[passed_on, pytest.mark.study]),
         pytest.param(signal.SIGTERM, 2, marks=passed_on),
         (signal.SIGKILL, 1),
     ],

@@ -115,9 +115,14 @@ def merged(table: dict[str, Any], part: dict[str, Any]) -> dict[str, Any]:
 
 
 RUN = [page for page in PAGES if {"bash", "python"} & {language for language, _ in blocks(page)}]
+WITH_MANY_REPORTS = {"polarisations"}
 
 
-@pytest.mark.parametrize("page", RUN, ids=lambda page: page.stem)
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(page, marks=[pytest.mark.study] * (page.stem in WITH_MANY_REPORTS)) for page in RUN],
+    ids=lambda page: page.stem,
+)
 def test_what_a_page_shows_runs(page: Path, workspace: Workspace) -> None:
     names: dict[str, Any] = {}
     for language, text in blocks(page):

@@ -31,6 +31,7 @@ def kills(samples: Path) -> Kills:
     return Kills(samples)
 
 
+@pytest.mark.study
 def test_nothing_lost_and_nothing_wrong_in_silence(samples: Path) -> None:
     chosen = list(covering(SEED))
     verdicts = run_cases(samples, SEED, chosen, jobs=1)
@@ -39,6 +40,7 @@ def test_nothing_lost_and_nothing_wrong_in_silence(samples: Path) -> None:
     assert counts(verdicts)["cases"] == len(chosen) >= FEWEST
 
 
+@pytest.mark.study
 def test_a_process_that_ends_or_hangs_is_told_of(samples: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # Without good files every case ends its process.
     (verdict,) = run_cases(samples / "nothing", SEED, [0], jobs=1)
@@ -64,6 +66,7 @@ def test_a_killed_rank_loses_nothing(kills: Kills) -> None:
     assert kind == CLEAN, words
 
 
+@pytest.mark.study
 @pytest.mark.skipif(not can_mount(), reason="no file system may be mounted here")
 def test_a_full_disk_ends_in_one_line(samples: Path) -> None:
     title, kind, words = FullDisks(samples).run(SEED, 17)  # infer, nearly enough room

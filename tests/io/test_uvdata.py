@@ -337,6 +337,7 @@ class TestMeasured:
             one, other = data[0, at_lst[0]][good].ravel(), data[0, at_lst[later]][good].ravel()
             assert abs(np.vdot(one, other)) > 0.95 * np.linalg.norm(one) * np.linalg.norm(other)
 
+    @pytest.mark.study
     def test_miriad_without_orientation(self, data_dir):
         files = sorted((data_dir / "H1C_lstbin_LST4.95").iterdir())
         observations = [read_observation([path], Selection(pols=("xx",))) for path in files]

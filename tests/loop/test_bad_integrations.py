@@ -56,7 +56,6 @@ def test_bad_integrations_and_a_gain(comm: MPI.Comm, common_tmp_path: Path) -> N
     assert told["left_out"]["n"] == len(found) * context.setup.observation.Nbls
 
 
-@pytest.mark.mpi
 def test_without_bad_integrations_none_are_left_out(comm: MPI.Comm, common_tmp_path: Path) -> None:
     _, history = search_of(comm, common_tmp_path, GAIN)
     assert [one.candidate.kind for one in history.rounds] == ["antenna_gains"]

@@ -27,7 +27,6 @@ GAIN = {"kind": "antenna_gains", "parameters": {"antenna 2 ln amplitude": 0.1, "
 BURSTS = {"kind": "outliers", "parameters": {"fraction of rows hit": 0.01, "scale of |z|^2 where hit": 1e5}}
 
 
-@pytest.mark.mpi
 def test_bursts_and_a_gain(comm: MPI.Comm, common_tmp_path: Path) -> None:
     context = context_of(mock_job(GAIN, BURSTS, n_times=30), common_tmp_path, comm)
     history = begin(context, Values(), Clock())

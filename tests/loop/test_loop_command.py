@@ -208,6 +208,7 @@ def test_data_from_files(explained: Path, tmp_path: Path) -> None:
     assert again == pytest.approx(record["noise_only_chi2_after"], rel=1e-3)
 
 
+@pytest.mark.study
 def test_the_report_is_drawn(explained: Path, tmp_path: Path) -> None:
     """The figures of the beam, which take long, are others' to test."""
     for name in ("posterior.h5", "summary.json", "loop.json"):

@@ -56,7 +56,7 @@ LAWS: dict[str, tuple[dict[str, Any], dict[str, float]]] = {
 }
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", [pytest.param(law, marks=[pytest.mark.study] * (law == "nightly")) for law in LAWS])
 def test_one_that_varies_is_told_with_its_law(law: str, tmp_path: Path) -> None:
     """From the file that it is put into the data by to the one that has it as it was found."""
     settings, fluxes = LAWS[law]

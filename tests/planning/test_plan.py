@@ -186,6 +186,7 @@ def test_loop_tells_what_is_certain_from_what_each_effect_takes(tmp_path: Path) 
     assert "loop on 1 rank DOES NOT FIT machines like this one: it needs" in as_text([large], [])
 
 
+@pytest.mark.study
 def test_loop_of_several_channels(job: Path) -> None:
     """Of three channels two are timed; a loop begins anew where their beams may be off alike."""
     problem = outline(load_job(job), Given(), time.process_time)

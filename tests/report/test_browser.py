@@ -57,8 +57,7 @@ addEventListener("message", event => {{
 
 def shown(page: Path, folder: Path) -> dict[int, dict[str, Any]]:
     """What a browser tells of a page, by its width."""
-    if CHROMIUM is None:
-        pytest.skip("there is no Chromium here to open the page with")
+    assert CHROMIUM is not None
     (folder / "page.html").write_text(page.read_text().replace("<title>", f"{WATCH}<title>", 1))
     frames = "".join(
         f'<iframe src="page.html" width="{width}" height="800" frameborder="0"></iframe>' for width in WIDTHS
@@ -72,6 +71,7 @@ def shown(page: Path, folder: Path) -> dict[int, dict[str, Any]]:
     return {int(width): told for width, told in json.loads(unescape(found[1])).items()}
 
 
+@pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium here to open the page with")
 @pytest.mark.parametrize("kind", ["posterior", "channels", "loop", "chains"])
 def test_the_page_works_on_screen_and_phone(
     kind: str, request: pytest.FixtureRequest, edited: Edit, tmp_path: Path

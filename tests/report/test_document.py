@@ -195,6 +195,7 @@ def test_the_incomplete_sky_is_warned_of(paper: Path, edited: Edit) -> None:
     assert rows["condition_number"][2] == ""
 
 
+@pytest.mark.study
 def test_absent_numbers_and_maps_are_done_without(paper: Path, edited: Edit) -> None:
     def change(summary: dict[str, Any]) -> None:
         for numbers in (summary, *summary["channels"]):

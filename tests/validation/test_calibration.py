@@ -175,8 +175,15 @@ def test_truth_is_a_draw_from_its_posterior(form, statistic):
     assert TESTS[statistic](calibrate(form)) > CHANCE
 
 
-@pytest.mark.parametrize("stated", [0.5, 2.0])
-@pytest.mark.parametrize("form", ["real", "complex"])
+@pytest.mark.parametrize(
+    ("form", "stated"),
+    [
+        ("real", 2.0),
+        ("complex", 0.5),
+        pytest.param("real", 0.5, marks=pytest.mark.study),
+        pytest.param("complex", 2.0, marks=pytest.mark.study),
+    ],
+)
 @pytest.mark.parametrize("statistic", TESTS)
 def test_a_wrong_noise_variance_would_be_seen(form, statistic, stated):
     assert TESTS[statistic](calibrate(form, stated)) < HOPELESS

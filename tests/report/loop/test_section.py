@@ -205,6 +205,7 @@ def test_a_verdict_alone_is_enough(verdict: str) -> None:
     assert not drawings
 
 
+@pytest.mark.study
 def test_large_numbers_fit() -> None:
     loop = loops.explained()
     loop["rounds"] *= 2

@@ -56,6 +56,7 @@ def test_two_at_once_are_both_named():
     assert told["both"]
 
 
+@pytest.mark.study
 def test_a_wrong_convention_is_named_as_such():
     told = run_draw("convention: conjugated", 6)
     assert told.get("failed") is None
@@ -65,7 +66,9 @@ def test_a_wrong_convention_is_named_as_such():
 @pytest.mark.parametrize(
     ("case", "seed"),
     [
-        pytest.param("correlated_noise", 6000, marks=pytest.mark.study),  # of one baseline, whose large rows are no outliers
+        pytest.param(
+            "correlated_noise", 6000, marks=pytest.mark.study
+        ),  # of one baseline, whose large rows are no outliers
         pytest.param("moving_source", 330, marks=pytest.mark.study),  # chi^2 of 233 among 6840 data
         # Which makes anything with many parameters predict better by being less sure.
         pytest.param("drifting_noise", 6002, marks=pytest.mark.study),
