@@ -290,6 +290,28 @@ def test_it_is_refused_in_words_where_the_data_cannot_carry_it(kind: str) -> Non
             assert "\n" not in not_applicable
 
 
+LIMITED = [kind for kind in (*EFFECTS, *IN_TIME) if EFFECTS[kind.split(", ")[0]].unphysical]
+
+
+@pytest.mark.parametrize("kind", LIMITED)
+def test_without_any_element_it_is_what_the_others_are(kind: str) -> None:
+    """Where there are limits, beyond which elements are left out, also those that have something in common."""
+    found, block, case = set_up(kind)
+    effect = found.sought_in(block.setup)
+    parameters, n_freqs = effect.parameters(block.setup), block.setup.observation.Nfreqs
+    x, elements = draw(effect, block.setup, case.strengths[0]), parameters.element
+    for element in np.unique(elements).tolist():
+        fewer, left = effect.without(elements == element)
+        assert list(fewer.parameters(block.setup).names) == [parameters.names[i] for i in left]
+        assert element not in elements[left]
+        of_each = np.tile(x[left], (n_freqs, 1))
+        assert fewer.beyond(block.setup, of_each, np.full_like(of_each, 1e-3)).shape == (len(left),)
+        others = np.zeros_like(x)
+        others[left] = x[left]
+        block.integrate_for([fewer])
+        assert_same(with_effect(fewer, block, x[left]), with_effect(effect, block, others), block, rtol=1e-11)
+
+
 @pytest.mark.parametrize("kind", [*EFFECTS, *IN_TIME])
 def test_some_rows_have_what_they_have_among_all(kind: str) -> None:
     """So that sums over rows are those of scenes and ranks together, and parameters `local` are those of few rows."""

@@ -116,9 +116,9 @@ class Saturation(Effect):
         """
         places, first = self._places(setup), slice(None, None, ORDERS)
         loss, error = x[:, first].copy(), std[:, first] ** 2
-        common = np.flatnonzero(places == 0)
-        for part, of_all in ((loss, loss[:, common]), (error, error[:, common])):
-            part[:, places > 0] += of_all
+        # What all have in common may have been left out.
+        for part in (loss, error):
+            part[:, places > 0] += part[:, places == 0].sum(axis=1, keepdims=True)
         error = np.where(std[:, first] > 0, np.sqrt(error), 0.0)
         beyond = np.maximum(sigmas(-loss, error), sigmas(loss - 1, error)).max(axis=0, initial=0.0)
         return np.repeat(beyond, ORDERS)
