@@ -78,12 +78,10 @@ class RootsSystem:
         return x + self.from_channels([one.information @ beam for one, beam in zip(self._told, beams, strict=True)])
 
     def from_channels(self, mine: Sequence[Array]) -> Array:
-        """Return sum_f U_fm y_f of what each root has of its channels, (n, ...); (M, n, ...).
-
-        Added up in the same order by every root, so that all go on with the same numbers.
-        """
-        parts = self._comm.allgather(np.array(mine))
-        return np.asarray(np.tensordot(self.modes, np.concatenate(parts), (0, 0)))
+        """Return sum_f U_fm y_f of what each root has of its channels, (n, ...); (M, n, ...), the same on all."""
+        total = np.asarray(np.tensordot(self.modes[self.channels], np.array(mine), (0, 0)))
+        allreduce_sum(self._comm, total)
+        return total
 
     def unwhiten(self, z: Array) -> Array:
         """Return B^-H z, both (M, n, k)."""

@@ -64,7 +64,8 @@ def _holds(dtype: np.dtype[Any], wanted: str) -> bool:
 def check_survives(paths: Sequence[Path], kind: str) -> None:
     """Make sure that miriad files or measurement sets can be read, in a process of its own.
 
-    The libraries of both may end the process in which they meet a damaged file, and speak past Python.
+    The libraries of both may end the process in which they meet a damaged file, and speak past Python. What could be
+    read once, and has not changed, is not tried again.
 
     Parameters
     ----------
