@@ -119,7 +119,6 @@ def prepare_shared_each(world: Comm, job: Job, folder: Path | None, given: Given
         check_can_be_together(job, given)
         if world.rank == 0 and folder:
             check_space(folder, least_result_bytes(job))
-    share_earth_table(world)
     truths = simulate_to(world, job, folder).beams if job.data.simulate and folder else {}
     simulated = (folder / "data.uvh5",) if job.data.simulate and folder else ()
     files, job, observation = look_at_data(world, job, simulated, given)
@@ -134,6 +133,8 @@ def prepare_shared_each(world: Comm, job: Job, folder: Path | None, given: Given
             warn(list(dict.fromkeys(line for problem in problems for line in problem.cautions)))
             problems = [replace(problem, files=()) for problem in problems]
     problems = [replace(problem, files=files) for problem in bcast_object(world, problems)]
+    if not simulated:
+        share_earth_table(world)
     if earlier := problems[0].earlier:
         check_not_counted(world, files, problems[0].observation, earlier)
     return [estimate_noise(world, problem) for problem in problems]

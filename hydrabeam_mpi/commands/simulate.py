@@ -11,7 +11,6 @@ from hydrabeam_mpi.io.provenance import provenance
 from hydrabeam_mpi.mpi import Comm, library_version, together
 from hydrabeam_mpi.result.output import staged, write_job_and_provenance
 from hydrabeam_mpi.setup.cautions import cautions_of_times
-from hydrabeam_mpi.setup.earth_table import share_earth_table
 from hydrabeam_mpi.simulation.mock import simulate_to
 from hydrabeam_mpi.simulation.truth import write_truth
 from hydrabeam_mpi.terminal.progress import warn
@@ -23,7 +22,6 @@ def simulate(world: Comm, job: Job, job_path: Path, out: Path, overwrite: bool, 
     Collective: all ranks of `world`. Parameters and errors as of `hydrabeam_mpi.commands.infer.infer`.
     """
     with staged(world, job_path, job, out, overwrite, only_simulates=True) as folder:
-        share_earth_table(world)
         scene = simulate_to(world, job, folder)
         with together(world):
             if world.rank == 0:

@@ -32,8 +32,8 @@ for path in sys.argv[2:]:
         sys.exit(f"### Fatal Error: {error}")
 """
 
-# What was in the folders that could be read: to find it out anew takes a process of seconds each time.
-_survived: dict[Path, tuple[tuple[str, int, int], ...]] = {}
+# Folders that could be read, as they were: to find it out anew takes a process of seconds each time.
+_survived: set[tuple[tuple[str, int, int], ...]] = set()
 
 
 def check_uvh5(path: Path) -> None:
@@ -81,7 +81,7 @@ def check_survives(paths: Sequence[Path], kind: str) -> None:
     if kind == "ms" and find_spec("casacore") is None:
         return  # the reader says so
     states = {path: _state(path) for path in paths}
-    paths = [path for path in paths if _survived.get(path) != states[path]]
+    paths = [path for path in paths if states[path] not in _survived]
     if not paths:
         return
     command = [sys.executable, "-c", _READ, kind, *map(str, paths)]
@@ -91,10 +91,10 @@ def check_survives(paths: Sequence[Path], kind: str) -> None:
         said = [line.split(":", 1)[1].strip(" .") for line in done.stderr.splitlines() if line.startswith(_LAST_WORDS)]
         reason = f" ({said[-1]})" if said else ""
         raise InputError(f"cannot be read as {kind}{reason}", file=begun[-1] if begun else paths[0], remedy=DAMAGED)
-    _survived.update((path, states[path]) for path in paths)
+    _survived.update(states[path] for path in paths)
 
 
 def _state(path: Path) -> tuple[tuple[str, int, int], ...]:
-    """Tell what is in a folder: names, sizes and times of the last change."""
-    states = ((str(file), file.stat()) for file in sorted(path.rglob("*")))
+    """Tell what a folder is and has in it: names, sizes and times of the last change; links are not followed."""
+    states = ((str(file), file.lstat()) for file in [path, *sorted(path.rglob("*"))])
     return tuple((name, state.st_size, state.st_mtime_ns) for name, state in states)

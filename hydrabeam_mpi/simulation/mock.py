@@ -45,6 +45,7 @@ from hydrabeam_mpi.mpi import Comm, bcast_object, memory_per_rank, together
 from hydrabeam_mpi.random import complex_normal, generator
 from hydrabeam_mpi.result.summary import GRID_AZ, GRID_ZA, evaluate_on_grid
 from hydrabeam_mpi.setup.beams import TurnedBeam, fit_model_beams, load_beams, perturb
+from hydrabeam_mpi.setup.earth_table import share_earth_table
 from hydrabeam_mpi.setup.skies import count_sources, load_sky, source_positions
 from hydrabeam_mpi.simulation.arrays import hexagon, read_layout
 from hydrabeam_mpi.simulation.inject import InjectedTruth, Injection, Visibilities
@@ -87,6 +88,7 @@ def simulate_to(world: Comm, job: Job, folder: Path) -> Scene:
             scene = _set_scene(job, job.data.simulate, memory)
             check_space(folder, _least_bytes(scene.observation))
     scene = bcast_object(world, scene)
+    share_earth_table(world)
     observation, sky, beams = scene.observation, scene.sky, scene.beams
     with together(world):
         redundant = find_redundant_groups(

@@ -41,6 +41,7 @@ def test_a_damaged_folder_does_not_end_the_program(tmp_path, capfd, kind, part):
         uv.write_ms(str(tmp_path / "a.uv"), run_check=False, force_phase=True)
     else:
         uv.write_miriad(str(tmp_path / "a.uv"), run_check=False)
+    (tmp_path / "a.uv" / "link").symlink_to("nowhere")
     assert read_observation([tmp_path / "a.uv"], Selection()).Ntimes == 6
     table = tmp_path / "a.uv" / part
     table.write_bytes(table.read_bytes()[:40])

@@ -66,9 +66,8 @@ def test_a_wrong_convention_is_named_as_such():
 @pytest.mark.parametrize(
     ("case", "seed"),
     [
-        pytest.param(
-            "correlated_noise", 6000, marks=pytest.mark.study
-        ),  # of one baseline, whose large rows are no outliers
+        # Of one baseline, whose large rows are no outliers.
+        pytest.param("correlated_noise", 6000, marks=pytest.mark.study),
         pytest.param("moving_source", 330, marks=pytest.mark.study),  # chi^2 of 233 among 6840 data
         # Which makes anything with many parameters predict better by being less sure.
         pytest.param("drifting_noise", 6002, marks=pytest.mark.study),
