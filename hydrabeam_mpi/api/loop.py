@@ -124,7 +124,7 @@ def run_loop(
     if folder is not None and out is not None:
         keeper = Keeper(context, folder, choice.skipped, conventions, clock, origin)
         history, keep = keeper.go_on(earlier, out, overwrite), keeper
-    history = history or begin(context, values, clock)
+    history = history or begin(context, values, clock, wanted[0])
     run_search(Search(context, history, *wanted, clock, keep))
     with clock.time("settle"):
         settle_last(context, history)

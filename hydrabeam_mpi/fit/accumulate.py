@@ -150,6 +150,8 @@ class HeldoutCheck:
     ----------
     rows, posteriors, before, more_variance, as_read
         As of `check_designs`.
+    models : sequence of ndarray, (n_modes,), optional
+        Each channel's fit of the model beam, for what the basis leaves of this.
 
     Attributes
     ----------
@@ -166,8 +168,10 @@ class HeldoutCheck:
         before: ComplexArray,
         more_variance: FloatArray | None = None,
         as_read: Rows | None = None,
+        models: Sequence[Array] | None = None,
     ) -> None:
         self._rows, self._read, self._posteriors = rows, as_read or rows, posteriors
+        self._models = models
         self._before, self._more_variance = before, more_variance
         self.statistics, self.after = [HeldoutStatistics() for _ in rows.data], np.zeros_like(before)
 
@@ -186,6 +190,7 @@ class HeldoutCheck:
                 variance,
                 self._before[f, t][rows.member],
                 (read.data[f, t], read.inv_noise_var[f, t]),
+                None if self._models is None else seen_by(design[f], self._models[f])[rows.member],
             )
 
 

@@ -260,7 +260,10 @@ def _sum_heldout(
             problem.forward_model(own.groups).visibilities(problem.beams, own.tile.times)
             for problem, own in zip(problems, rows, strict=True)
         ]
-        checks = [HeldoutCheck(*parts) for parts in zip(rows, posteriors, before, strict=True)]
+        checks = [
+            HeldoutCheck(own, found, seen, models=problem.model_means)
+            for problem, own, found, seen in zip(problems, rows, posteriors, before, strict=True)
+        ]
         for t, of_each in SharedDesign(problems, rows).by_time("held-out rows", show=grid.is_world_root):
             for check, design in zip(checks, of_each, strict=True):
                 check.add(t, design)

@@ -61,6 +61,7 @@ def setup_of(problem: Problem, file_pols: tuple[str, ...]) -> ObservingSetup:
         times=np.union1d(problem.train.times, problem.test.times),
         positions=partial(source_positions, problem.job),
         fitted=problem.train.times,
+        model_beam=problem.beams[len(problem.beams) // 2],
     )
 
 

@@ -30,17 +30,18 @@ class HeldoutStatistics:
 
     Attributes
     ----------
-    sums : ndarray, (13,)
+    sums : ndarray, (14,)
         Number of parts; sum of z, of z^2 and of the log predictive density (natural, per Jy^2) for the inferred
         beam; sum of z and z^2 for the model beam; sum of w|d|^2, w|r|^2 (inferred), w|r|^2 (model); sum of w, and
-        of w Re(d* m), w|m|^2 and w Im(d* m) with m the model beam's prediction.
+        of w Re(d* m), w|m|^2 and w Im(d* m) with m the model beam's prediction; sum of w|m - F b|^2 with b the model
+        beam's fit in the basis.
     counts : ndarray, (2, Nbins)
         Histograms of z over `Z_EDGES`, inferred and model beam.
     largest : ndarray, (2,)
         Largest absolute z of each; combined by maximum.
     """
 
-    sums: FloatArray = field(default_factory=lambda: np.zeros(13))
+    sums: FloatArray = field(default_factory=lambda: np.zeros(14))
     counts: FloatArray = field(default_factory=lambda: np.zeros((2, len(Z_EDGES) - 1)))
     largest: FloatArray = field(default_factory=lambda: np.zeros(2))
 
@@ -52,11 +53,12 @@ class HeldoutStatistics:
         variance: FloatArray,
         before: ComplexArray,
         as_read: tuple[ComplexArray, FloatArray] | None = None,
+        in_basis: ComplexArray | None = None,
     ) -> None:
         """Add visibilities, all (N,), but ``variance``, the model variance of the two parts, (2, N).
 
         Where effects have been taken out of the data, those that were read, and their weights, are ``as_read``: what
-        the model beam is compared with.
+        the model beam is compared with. What its fit in the basis predicts is ``in_basis``, where that is asked.
         """
         used = inv_noise_var > 0
         if not used.any():
@@ -68,12 +70,14 @@ class HeldoutStatistics:
         observed, weights = (values[used] for values in as_read or (data, inv_noise_var))
         predicted = before[used]
         raw = _parts(observed - predicted)
+        left = np.zeros(1) if in_basis is None else _parts(predicted - in_basis[used])
         z_before = raw * np.sqrt(2 * weights)
         self.sums += [
             z.size, z.sum(), np.sum(z**2), log_density, z_before.sum(), np.sum(z_before**2),
             np.sum(weights * np.abs(observed) ** 2), np.sum(inv_noise_var[used] * after**2), np.sum(weights * raw**2),
             weights.sum(), np.sum(weights * (observed.conj() * predicted).real),
             np.sum(weights * np.abs(predicted) ** 2), np.sum(weights * (observed.conj() * predicted).imag),
+            np.sum(weights * left**2),
         ]  # fmt: skip
         for row, scores in enumerate((z, z_before)):
             self.counts[row] += np.histogram(np.clip(scores, Z_EDGES[0], Z_EDGES[-1]), Z_EDGES)[0]
@@ -86,13 +90,14 @@ class HeldoutStatistics:
         and beam: one where the posterior is right. ``heldout_chi2_noise_only`` divides the same residuals by the noise
         alone, and is above one by what the data leave uncertain of the beam. A plain rms is sqrt(sum w|x|^2 / sum w),
         Jy: of the residual, of the data (what predicting zero leaves) and of the noise alone; ``_complex`` has the
-        model beam with its best complex scale. ``heldout_log_density`` is complete, with the logarithm of the
+        model beam with its best complex scale, and ``_beyond_basis`` is that of what the basis leaves of the model
+        beam's prediction, where that is known. ``heldout_log_density`` is complete, with the logarithm of the
         variances, of each part by itself.
         """
         n, z, z2, log_density, z_before, z2_before, *products = self.sums.tolist()
         if not n:
             return {}
-        power, after, before, weight, overlap, model_power, overlap_imag = products
+        power, after, before, weight, overlap, model_power, overlap_imag, left = products
         amplitude = overlap / model_power if model_power else 0.0
         scaled = max(power - amplitude * overlap, 0.0)
         complex_scaled = max(scaled - (overlap_imag**2 / model_power if model_power else 0.0), 0.0)
@@ -110,6 +115,8 @@ class HeldoutStatistics:
             "heldout_explained_unperturbed_complex": 1 - complex_scaled / power if power else 0.0,
             "heldout_amplitude_unperturbed": amplitude,
         }
+        if left:
+            numbers["heldout_rms_jy_beyond_basis"] = float(np.sqrt(left / weight))
         for name, residual in {"": after, "_unperturbed": before, "_unperturbed_scaled": scaled}.items():
             numbers[f"heldout_chi2{name or '_noise_only'}"] = 2 * residual / n
             numbers[f"heldout_explained{name}"] = 1 - residual / power if power else 0.0

@@ -18,9 +18,10 @@ from hydrabeam_mpi.data.observation import Array, FloatArray
 from hydrabeam_mpi.eigen import eigen
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases.base import NEGLIGIBLE, LinearBasis, Selection, has_part
+from hydrabeam_mpi.model.bases.rest import Rest, rest_nodes
 from hydrabeam_mpi.model.bases.ring_fit import RCOND
 from hydrabeam_mpi.model.bases.rings import Pixels, RingGrid, degree_grid
-from hydrabeam_mpi.model.bases.with_rest import WithRest, rest_nodes
+from hydrabeam_mpi.model.bases.with_rest import WithRest
 
 _POINTS_AT_ONCE = 4096
 
@@ -135,9 +136,25 @@ def _with_rest(chosen: LinearBasis, beam: Evaluable, pixels: Pixels) -> LinearBa
     some = slice(None, None, max(1, len(left.za) // _POINTS_AT_ONCE))
     size = float(np.sqrt(np.mean(np.abs(chosen.evaluate(left.za[some], left.az[some])) ** 2)))
     scale = size / float(np.sqrt(np.mean(left.values**2)))
+    return WithRest(chosen, scale * _left_of(_at_nodes(beam), chosen, coeffs).values)
+
+
+def rest_of(beam: Evaluable, basis: LinearBasis, coeffs: Array) -> Rest | None:
+    """Return what the functions of a basis leave of a real beam with the ``coeffs``, (n_modes,), of its fit.
+
+    None where that is nothing, or the beam is complex.
+    """
+    nodes = _at_nodes(beam)
+    left = _left_of(nodes, basis, coeffs).values
+    if np.iscomplexobj(left) or np.abs(left).max() <= NEGLIGIBLE * np.abs(nodes.values).max():
+        return None
+    return Rest(left)
+
+
+def _at_nodes(beam: Evaluable) -> Pixels:
+    """Return the values of a beam at the nodes of a rest."""
     za, az = rest_nodes()
-    nodes = Pixels(za, az, np.asarray(beam(za, az)))
-    return WithRest(chosen, scale * _left_of(nodes, chosen, coeffs).values)
+    return Pixels(za, az, np.asarray(beam(za, az)))
 
 
 def _left_of(pixels: Pixels, basis: LinearBasis, coeffs: Array) -> Pixels:

@@ -61,6 +61,7 @@ def probe(
         times=in_use,
         positions=partial(source_positions, problem.job),
         fitted=fitted,
+        model_beam=problem.beams[len(problem.beams) // 2],
     )
     beams, one_antenna = beams or problem.beams, TOO_LARGE if faulty else 1.0
     own = [RankData(problem, setup, _rows(problem, tile, beams, one_antenna)) for tile in (train, test)]

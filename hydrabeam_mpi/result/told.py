@@ -75,14 +75,23 @@ def _warnings_of_heldout(channels: list[dict[str, Any]], by_evidence: bool) -> l
             "up errors that are not its own. Its standard deviations know nothing of that, and are too small by a "
             f"factor of up to {np.sqrt(chi2):.2g} at least."
         )
+    small = [c for c in channels if c.get("heldout_rms_jy_beyond_basis", 0.0) > c["heldout_rms_jy_noise"]]
+    if small:
+        worst = max(small, key=lambda channel: channel["heldout_rms_jy_beyond_basis"])
+        said.append(
+            f"At {_freqs(small)} MHz the basis is too small for the model beam itself: of what that predicts it leaves "
+            f"up to {worst['heldout_rms_jy_beyond_basis']:.3g} Jy rms, where the noise is "
+            f"{worst['heldout_rms_jy_noise']:.3g} Jy. More functions of higher orders follow it, and [basis] rest = "
+            "true makes what those of a Fourier-Bessel basis leave one more function."
+        )
     lost = [c for c in channels if c["heldout_chi2_noise_only"] > c["heldout_chi2_unperturbed_scaled"]]
+    lost = [channel for channel in lost if channel not in small]
     if lost:
-        freqs = ", ".join(f"{channel['freq_hz'] / 1e6:.6g}" for channel in lost)
         why = "its prior leaves more open than these data tell. With [prior] widths = 'evidence' they choose how much."
         if by_evidence:
             why = "these data tell next to nothing of how the beam departs from its model."
         said.append(
-            f"At {freqs} MHz the model beam with one free amplitude predicts the held-out data better than the "
+            f"At {_freqs(lost)} MHz the model beam with one free amplitude predicts the held-out data better than the "
             f"inferred beam does: {why}"
         )
     amplitudes = [channel["heldout_amplitude_unperturbed"] for channel in channels]
@@ -99,3 +108,8 @@ def _warnings_of_heldout(channels: list[dict[str, Any]], by_evidence: bool) -> l
                 "loop' tests it."
             )
     return said
+
+
+def _freqs(channels: list[dict[str, Any]]) -> str:
+    """Return the frequencies of channels, MHz."""
+    return ", ".join(f"{channel['freq_hz'] / 1e6:.6g}" for channel in channels)

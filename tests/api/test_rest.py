@@ -11,6 +11,7 @@ import pytest
 import hydrabeam_mpi as hb
 from hydrabeam_mpi.cli import main
 from tests.loop.mock import mock_job, write_job
+from tests.loop.test_loop_command import assert_reproduced
 
 
 def heldout(folder: Path, rest: bool) -> float:
@@ -34,3 +35,30 @@ def test_the_rest_of_the_model_beam_is_no_error(tmp_path: Path) -> None:
         for one in np.meshgrid(np.deg2rad(np.arange(0, 91, 9)), np.deg2rad(np.arange(0, 360, 40)), indexing="ij")
     )
     np.testing.assert_allclose(beam(za, az)[0], beam.maps["mean"][0, ::9, ::40].ravel(), atol=1e-9)
+
+
+def test_a_loop_gives_the_beam_the_rest_and_finds_what_is_wrong_beside_it(tmp_path: Path) -> None:
+    """What few functions leave of the model beam is no finding, whatever else may seem to explain it.
+
+    `infer` says that they are too few, and what the loop writes has the rest among its functions.
+    """
+    gain = {"antenna 3 ln amplitude": 0.05, "antenna 3 phase": -0.04}
+    job = mock_job({"kind": "antenna_gains", "parameters": gain}, basis={"n_modes": 40, "k_max": 12, "m_max": 4})
+    job["beam"] = {"source": "hera-vivaldi-131MHz"}
+    job["data"]["simulate"]["perturb"] = {"stretch": [1.0, 1.0], "sidelobe": 0.0}
+    job["loop"] = {"effects": ["antenna_gains", "faint_sources", "missing_sources", "basis_truncation"]}
+    path, out = write_job(job, tmp_path), tmp_path / "result"
+    assert main(["loop", str(path), "-o", str(out)]) == 0
+    told = json.loads((out / "loop.json").read_text())
+    assert [one["effect"] for one in told["rounds"] if not one["revoked"]] == ["antenna_gains"]
+    assert told["verdict"] == "explained"
+    found = {one["name"]: one for one in told["rounds"][0]["parameters"]}
+    for name, true in gain.items():
+        assert abs(found[name]["value"] - true) < 4 * found[name]["std"]
+    assert told["prior_widths"][0]["n_beyond"] == 1
+    assert hb.load(out).beam.basis.n_modes >= 41
+    assert main(["infer", str(out / "amended.toml"), "-o", str(tmp_path / "again")]) == 0
+    assert_reproduced(out, tmp_path / "again")
+    assert main(["infer", str(path), "-o", str(tmp_path / "without")]) == 0
+    warnings = json.loads((tmp_path / "without" / "summary.json").read_text())["warnings"]
+    assert any("too small for the model beam itself" in one for one in warnings)

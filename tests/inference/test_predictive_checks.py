@@ -64,6 +64,18 @@ def test_the_model_beam_with_its_best_complex_scale_and_the_noise():
     assert summary["heldout_rms_jy_noise"] == pytest.approx(np.sqrt(37 / weights.sum()), rel=1e-12)
 
 
+def test_what_the_basis_leaves_of_the_model_beam():
+    data, weights, mean, variance = sample(40)
+    weights[:3] = 0
+    statistics = HeldoutStatistics()
+    statistics.add(data, weights, mean, variance, mean)
+    assert "heldout_rms_jy_beyond_basis" not in statistics.summary()
+    statistics = HeldoutStatistics()
+    statistics.add(data, weights, mean, variance, mean, in_basis=mean + (3 - 4j) * (np.arange(40) < 20))
+    expected = 5 * np.sqrt(weights[:20].sum() / weights.sum())
+    assert statistics.summary()["heldout_rms_jy_beyond_basis"] == pytest.approx(expected, rel=1e-12)
+
+
 def test_the_model_beam_with_its_best_amplitude_is_the_least_squares_fit():
     data, weights, mean, variance = sample(40)
     before = 0.3 * data + mean

@@ -6,8 +6,9 @@ from astropy_healpix import HEALPix
 
 from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel, radial_zeros
+from hydrabeam_mpi.model.bases.rest import rest_nodes
 from hydrabeam_mpi.model.bases.rings import Pixels, RingGrid, degree_grid
-from hydrabeam_mpi.model.bases.with_rest import WithRest, rest_nodes
+from hydrabeam_mpi.model.bases.with_rest import WithRest
 from hydrabeam_mpi.model.bases.zernike import Zernike
 from hydrabeam_mpi.model.beam import BeamInfo, CoefficientBeam, analytic_beam
 from hydrabeam_mpi.model.fit import beam_pixels, fit_basis, fit_beam, fit_several

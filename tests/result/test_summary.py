@@ -52,6 +52,8 @@ GOOD = {
     "heldout_chi2_noise_only": 1.2,
     "heldout_chi2_unperturbed_scaled": 9.0,
     "heldout_amplitude_unperturbed": 1.01,
+    "heldout_rms_jy_noise": 0.01,
+    "heldout_rms_jy_beyond_basis": 0.005,
     "negative_beyond_errors": 0.0,
     "imag_max": 0.0,
 }
@@ -63,6 +65,8 @@ GOOD = {
         ({"heldout_chi2_predictive": 4.0}, "the beam alone does not explain the data"),
         ({"heldout_chi2_predictive": 4.0}, "too small by a factor of up to 2 "),
         ({"heldout_chi2_noise_only": 10.0}, "At 150 MHz the model beam with one free amplitude"),
+        ({"heldout_rms_jy_beyond_basis": 0.2}, "At 150 MHz the basis is too small for the model beam itself"),
+        ({"heldout_rms_jy_beyond_basis": 0.2}, "leaves up to 0.2 Jy rms, where the noise is 0.01 Jy"),
         ({"heldout_amplitude_unperturbed": 1.7}, "when it is 1.01 to 1.7 times as large"),
         ({"heldout_amplitude_unperturbed": 0.506}, "what [data] pol_convention makes"),
         ({"negative_beyond_errors": 0.2}, "negative on up to 20.0% of the sky"),
@@ -80,6 +84,12 @@ def test_widths_that_the_data_chose_are_not_recommended():
     assert "widths = 'evidence'" in stated
     assert "tell next to nothing of how the beam departs from its model" in chosen
     assert "widths" not in chosen
+
+
+def test_what_the_basis_cannot_follow_is_not_put_down_to_the_prior():
+    (said,) = warnings_of([GOOD | {"heldout_chi2_noise_only": 10.0, "heldout_rms_jy_beyond_basis": 0.2}])
+    assert "rest = true" in said
+    assert "widths" not in said
 
 
 def test_one_amplitude_is_told_as_one():

@@ -20,12 +20,15 @@ N_MODES = 128
 """Modes that are weighed together: many enough that what is lacking shows, and few beside the other effects."""
 MOST_MODES = 512
 """Modes that are added at once at most: of so many it can still be asked whether two halves of the data agree."""
+REST = (-1, 0)
+"""Number by which what the basis leaves of the model beam is called among modes."""
 
 
 class BasisTruncation(Effect):
     """The beam has modes that the basis lacks: the next ones, each channel its own.
 
-    The basis says which these are. As redundant baselines share the beam, they share these.
+    The basis says which these are. What it leaves of the model beam itself may come before them, as a single function.
+    As redundant baselines share the beam, they share these.
     The modes do not depend on the beam, so they are integrated where they are first needed, by `columns`, and kept with
     the block.
 
@@ -35,6 +38,8 @@ class BasisTruncation(Effect):
         How many of the next modes others have taken.
     n_modes : int
         How many of those after them these are; not more than the basis has.
+    rest : bool
+        Whether what the basis leaves of the model beam is one more, the first.
     """
 
     kind = "basis_truncation"
@@ -45,16 +50,24 @@ class BasisTruncation(Effect):
     is_about_the_beam = True
 
     def __init__(
-        self, n_before: Annotated[int, Field(ge=0)] = 0, n_modes: Annotated[int, Field(ge=1, le=MOST_MODES)] = N_MODES
+        self,
+        n_before: Annotated[int, Field(ge=0)] = 0,
+        n_modes: Annotated[int, Field(ge=0, le=MOST_MODES)] = N_MODES,
+        rest: bool = False,
     ) -> None:
-        self.n_before, self.n_modes = n_before, n_modes
+        self.n_before, self.n_modes, self.rest = n_before, n_modes, rest
 
     def describe(self) -> dict[str, Any]:
-        """Return how many of the next modes others have taken, and how many these are."""
-        return {"n_before": self.n_before, "n_modes": self.n_modes}
+        """Return how many of the next modes others have taken, how many these are, and whether the rest is one."""
+        described: dict[str, Any] = {"n_before": self.n_before, "n_modes": self.n_modes}
+        return described | ({"rest": True} if self.rest else {})
 
     def not_applicable(self, setup: ObservingSetup) -> str | None:
         """Refuse complex beams, and bases that do not know their next modes."""
+        if self.rest and setup.rest_of_model is None:
+            return "the basis leaves nothing of the model beam, so that rest = true adds nothing"
+        if not self.rest and not self.n_modes:
+            return "n_modes = 0 are no functions; ask for some"
         if not self._next(setup):
             return "it is not known which functions come next; a Fourier-Bessel or Zernike basis would tell"
         if not self.next_modes(setup).modes:
@@ -68,7 +81,7 @@ class BasisTruncation(Effect):
         be nearer to the true one in some than in others, as a round one is.
         """
         batches = [one.modes for one in self._next(setup)]
-        names = [f"coefficient of mode {mode}" for modes in batches for mode in modes]
+        names = [_name(mode) for modes in batches for mode in modes]
         element = np.repeat(np.arange(len(batches)), list(map(len, batches)))
         orders, across = np.unique([abs(m) for modes in batches for _, m in modes], return_inverse=True)
         parameters = Parameters.of(names, "", self.next_modes(setup).expected, element)
@@ -78,11 +91,12 @@ class BasisTruncation(Effect):
         """Return the visibilities of the modes; ``x`` is (n_params,)."""
         parts, n_before = [], self.n_before
         for batch in self._next(block.setup):
-            key = f"{self.kind} {n_before} {len(batch.modes)}"
+            is_rest = batch.modes == (REST,)
+            key = f"{self.kind} rest" if is_rest else f"{self.kind} {n_before} {len(batch.modes)}"
             if key not in block.integrals:
                 block.integrals[key] = _integrated(block, key, batch.basis)
             parts.append(block.integrals[key])
-            n_before += len(batch.modes)
+            n_before += 0 if is_rest else len(batch.modes)
         values = np.concatenate(parts, axis=-1)
         return Columns(values, values.shape[-1], by_group=True)
 
@@ -90,22 +104,30 @@ class BasisTruncation(Effect):
         """Return the modes after those that the model got last."""
         if not isinstance(newest, BasisTruncation):
             return self
-        return BasisTruncation(newest.n_before + len(newest.parameters(setup)))
+        return BasisTruncation(newest.n_before + len(newest.parameters(setup)) - newest.rest)
+
+    def sought_in(self, setup: ObservingSetup) -> BasisTruncation:
+        """Return the modes with what the basis leaves of the model beam, where it leaves anything."""
+        return BasisTruncation(self.n_before, self.n_modes, rest=setup.rest_of_model is not None)
+
+    def rest_of_model(self) -> BasisTruncation | None:
+        """Return what the basis leaves of the model beam alone."""
+        return BasisTruncation(self.n_before, 0, rest=True) if self.rest else None
 
     def larger(self, setup: ObservingSetup) -> list[BasisTruncation]:
         """Return more modes at once, batch after batch, until there are no more or they would be too many."""
         found = [self]
         for n_modes in range(self.n_modes + N_MODES, MOST_MODES + 1, N_MODES):
-            more = BasisTruncation(self.n_before, n_modes)
+            more = BasisTruncation(self.n_before, n_modes, self.rest)
             if len(more.next_modes(setup).modes) == len(found[-1].next_modes(setup).modes):
                 break
             found.append(more)
         return found[1:]
 
     def beyond_basis(self, setup: ObservingSetup) -> BasisTruncation | None:
-        """Return the functions that are not zero at the edge, where all of the basis are."""
-        n_beyond = sum(one.n_beyond for one in self._next(setup))
-        return BasisTruncation(self.n_before, n_beyond) if n_beyond else None
+        """Return the rest of the model beam, and what does not vanish at the edge, where the basis does."""
+        n_beyond = sum(one.n_beyond for one in self._next(setup)) - self.rest
+        return BasisTruncation(self.n_before, n_beyond, self.rest) if n_beyond or self.rest else None
 
     def beam_functions(self, setup: ObservingSetup) -> LinearBasis:
         """Return the modes."""
@@ -120,9 +142,10 @@ class BasisTruncation(Effect):
 
     def _next(self, setup: ObservingSetup) -> list[NextModes]:
         """Return the modes in batches, none of which is empty but the first; no batch where it is not known."""
-        key, wanted = (self.kind, self.n_before, self.n_modes), min(self.n_modes, setup.basis.n_modes)
+        key, wanted = (self.kind, self.n_before, self.n_modes, self.rest), min(self.n_modes, setup.basis.n_modes)
         if key not in setup.kept:
-            found: list[NextModes] = []
+            rest = setup.rest_of_model if self.rest else None
+            found = [] if rest is None else [NextModes((REST,), np.ones(1), lambda: rest, n_beyond=1)]
             n_before = self.n_before
             for start in range(0, wanted, N_MODES):
                 more = setup.basis.next_modes(setup.model_amplitudes, n_before, min(N_MODES, wanted - start))
@@ -133,6 +156,11 @@ class BasisTruncation(Effect):
             setup.kept[key] = found
         batches: list[NextModes] = setup.kept[key]
         return batches
+
+
+def _name(mode: tuple[int, int]) -> str:
+    """Return what the coefficient of a mode is called."""
+    return "part of what the basis leaves of the model beam" if mode == REST else f"coefficient of mode {mode}"
 
 
 def _integrated(block: RowBlock, key: str, modes: LinearBasis) -> ComplexArray:

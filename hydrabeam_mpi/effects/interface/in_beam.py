@@ -30,6 +30,10 @@ class InBeam:
         """Return the part that no beam in the basis can follow, however free its coefficients are; None without one."""
         return None
 
+    def rest_of_model(self) -> Self | None:
+        """Return the part that is in the model beam and in no beam of the basis; None without one."""
+        return None
+
     def beam_functions(self, setup: ObservingSetup) -> LinearBasis | None:
         """Return the functions of the beam, one a parameter, by which the effect makes the beam's basis larger.
 

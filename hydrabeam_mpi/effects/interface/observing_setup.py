@@ -12,6 +12,9 @@ import numpy as np
 from hydrabeam_mpi.data.observation import Array, FloatArray, IntArray, Observation
 from hydrabeam_mpi.data.redundancy import RedundantGroups
 from hydrabeam_mpi.model.bases.base import LinearBasis
+from hydrabeam_mpi.model.bases.rest import Rest
+from hydrabeam_mpi.model.bases.with_rest import WithRest
+from hydrabeam_mpi.model.fit import Evaluable, rest_of
 from hydrabeam_mpi.model.positions import ApparentPositions, SourcePositions
 from hydrabeam_mpi.model.sky import Sky
 
@@ -45,6 +48,8 @@ class ObservingSetup:
         From a sky and the observation to the `SourcePositions` by the job's rule.
     measured_power : ndarray, (Nfreqs, Ntimes), optional
         Median autocorrelation at all times, in the data's units, where files have such.
+    model_beam : callable, optional
+        That of the middle channel, for what its fit leaves of it; see `rest_of_model`.
     """
 
     observation: Observation
@@ -57,6 +62,7 @@ class ObservingSetup:
     positions: Callable[[Sky, Observation], SourcePositions] = ApparentPositions
     fitted: IntArray | None = None
     measured_power: FloatArray | None = None
+    model_beam: Evaluable | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out what is kept, which other ranks make anew."""
@@ -72,6 +78,19 @@ class ObservingSetup:
         """How large the model beam's coefficients are over all channels, root mean square, (n_modes,)."""
         amplitudes = [self.basis.amplitudes(coeffs) for coeffs in self.prior_mean]
         return np.asarray(np.sqrt(np.mean(np.square(amplitudes), axis=0)))
+
+    @property
+    def rest_of_model(self) -> Rest | None:
+        """What the basis leaves of the model beam; None where that is nothing, not known, or a function of the basis.
+
+        It is that of the middle channel: beams of one band are left over alike.
+        """
+        if self.model_beam is None or isinstance(self.basis, WithRest):
+            return None
+        if ("rest",) not in self.kept:
+            self.kept["rest",] = rest_of(self.model_beam, self.basis, self.prior_mean[len(self.prior_mean) // 2])
+        rest: Rest | None = self.kept["rest",]
+        return rest
 
     @property
     def reference_freq(self) -> float:

@@ -11,7 +11,7 @@ from hydrabeam_mpi.data.observation import ComplexArray, FloatArray
 from hydrabeam_mpi.eigen import eigen
 from hydrabeam_mpi.inference.significance import LARGEST
 from hydrabeam_mpi.loop.residuals.cube import Cube, Layout
-from hydrabeam_mpi.mpi import Comm, allreduce_sum
+from hydrabeam_mpi.mpi import Comm, allreduce_max, allreduce_sum
 from hydrabeam_mpi.random import complex_normal, generator
 
 N_VECTORS = 10
@@ -60,6 +60,12 @@ def decompose(comm: Comm, cube: Cube) -> Decomposition:
     z = np.where(used, z, np.complex64(0))
     totals = np.array([np.sum(np.abs(z).astype(float) ** 2), used.sum()])
     allreduce_sum(comm, totals)
+    # Of a model that is far off, cubes of the residuals would be beyond single precision.
+    largest = np.abs(z).max(initial=0.0, keepdims=True).astype(float)
+    allreduce_max(comm, largest)
+    # A power of two, by which nothing is rounded.
+    scale = float(2 ** np.ceil(np.log2(max(largest.max(), 1.0))))
+    z = z / np.float32(scale)
     k = min(N_VECTORS, n_freqs * n_times, n_bls)
     basis = np.linalg.qr(complex_normal(generator(0, "structures"), (n_freqs * n_times, k)))[0]
     for _ in range(N_ITERATIONS):
@@ -77,7 +83,7 @@ def decompose(comm: Comm, cube: Cube) -> Decomposition:
     by_baseline[:, cube.bls] = (np.abs(left @ mixing[:, order]) ** 2).T / np.maximum(values[:, np.newaxis] ** 2, 1e-300)
     allreduce_sum(comm, by_baseline)
     patterns = (basis @ mixing[:, order]).conj().T.reshape(k, n_freqs, n_times)
-    return Decomposition(values, patterns, by_baseline, float(totals[0]), round(float(totals[1])))
+    return Decomposition(scale * values, patterns, by_baseline, float(totals[0]), round(float(totals[1])))
 
 
 def noise_edge(n_rows: int, n_columns: int, filled_fraction: float) -> tuple[float, float]:

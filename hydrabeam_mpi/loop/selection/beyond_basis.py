@@ -48,11 +48,27 @@ def with_functions_beyond(
     least = max([context.problem.job.loop.min_log_bayes_factor, *others])
     if rivals and not any(one.log_bayes_factor >= least for one in rivals if one.is_about_the_beam):
         return checked, NONE_BEYOND
-    for found in attribute(context, checked.fitted, beyond):
+    return _with_one(context, checked, beyond, least)
+
+
+def with_rest_of_model(context: FitContext, checked: Checked, effects: Sequence[Effect]) -> tuple[Checked, Beyond]:
+    """Give the beam what its basis leaves of the model beam, where the data want that; return the fit.
+
+    The model beam is known before there are data, so that this comes before anything is looked for: what a basis of
+    few functions leaves of it, sources or gains would seem to explain. Collective: all ranks of the grid.
+    """
+    rests = [rest for rest in (effect.rest_of_model() for effect in effects) if rest is not None]
+    least = context.problem.job.loop.min_log_bayes_factor
+    return _with_one(context, checked, rests, least) if rests else (checked, NONE_BEYOND)
+
+
+def _with_one(context: FitContext, checked: Checked, parts: Sequence[Effect], least: float) -> tuple[Checked, Beyond]:
+    """Give the beam the best of some parts that has more than the ``least`` evidence, if held-out data are no worse."""
+    for found in attribute(context, checked.fitted, parts):
         evidence = found.evidence
         if evidence.log_bayes_factor < least:
             continue
-        start = Active.start(found.effect, setup, evidence.prior_var, evidence.x)
+        start = Active.start(found.effect, context.setup, evidence.prior_var, evidence.x)
         try:
             after = check(context, fit_patiently(context, checked.fitted.values.extended(start), checked.fitted))
         except BrokenOff:

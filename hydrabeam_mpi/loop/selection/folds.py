@@ -60,9 +60,10 @@ def _predicted_from_the_other(context: FitContext, checked: Checked) -> Checked 
     other = context.exchanged
     try:
         fitted = fit_patiently(other, checked.fitted.values, checked.fitted)
+        if not fitted.diagnostics.converged:
+            return None
+        score = score_of(other, fitted)
     except BrokenOff:
         return None
-    if not fitted.diagnostics.converged:
-        return None
-    score, numbers = score_of(other, fitted), heldout_numbers(other, fitted)
+    numbers = heldout_numbers(other, fitted)
     return replace(checked, score=checked.score + score, numbers=checked.numbers + numbers)

@@ -21,7 +21,12 @@ from hydrabeam_mpi.fit.widths_evidence import WidthsEvidence, WidthsFound
 from hydrabeam_mpi.inference.mode_widths import PriorWidths
 from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
-from hydrabeam_mpi.loop.selection.beyond_basis import NONE_BEYOND, Beyond, with_functions_beyond
+from hydrabeam_mpi.loop.selection.beyond_basis import (
+    NONE_BEYOND,
+    Beyond,
+    with_functions_beyond,
+    with_rest_of_model,
+)
 from hydrabeam_mpi.loop.selection.folds import compared
 from hydrabeam_mpi.loop.selection.heldout_score import gain_of
 from hydrabeam_mpi.loop.selection.known_beforehand import may_be_off_alike
@@ -55,6 +60,11 @@ class Adapted:
     beyond: Beyond = NONE_BEYOND
 
     @property
+    def is_of_widths(self) -> bool:
+        """Whether the beam's prior got other widths, and not functions alone."""
+        return self.widths != self.before.fitted.values.prior_widths
+
+    @property
     def widths(self) -> PriorWidths | None:
         """The new ones; None where they are the stated ones."""
         return self.after.fitted.values.prior_widths
@@ -83,6 +93,17 @@ def adapt(
     widened, log_bayes_factor, wider = _with_widths(context, checked, wider, rivals)
     after, beyond = with_functions_beyond(context, widened, effects, rivals)
     return None if after is checked else Adapted(checked, after, log_bayes_factor, n_rounds, wider, beyond)
+
+
+def adapt_to_model(context: FitContext, checked: Checked, effects: Sequence[Effect]) -> Adapted | None:
+    """Give the beam what its basis leaves of the model beam; None where the data do not want that.
+
+    Arguments are as of `adapt`. Collective: all ranks of the grid.
+    """
+    if context.problem.job.prior.widths == "stated" or not is_adaptable(context):
+        return None
+    after, beyond = with_rest_of_model(context, checked, effects)
+    return None if after is checked else Adapted(checked, after, 0.0, 0, wider=True, beyond=beyond)
 
 
 def as_adapted(context: FitContext, found: Round, n_rounds: int, wider: bool) -> Adapted | None:
@@ -128,10 +149,10 @@ def _widened(
     say(f"  widths of the beam's prior: {describe(found.widths)} (ln BF {found.log_bayes_factor:.4g})", speaks)
     try:
         fitted, found = adapted(context, checked.fitted, found, fit_patiently, none_less)
+        after = check(context, fitted)
     except (BrokenOff, InputError) as why:  # with the widths as they were all has been solved, and stands
         say(f"    refused: {why}", speaks)
         return None, 0.0
-    after = check(context, fitted)
     one, two = compared(context, checked, after)
     gain = gain_of(one.score, two.score)
     numbers = f"held-out chi^2 {after.score.chi2:.4g}, rms {after.numbers.of_all['rms']:.4g} Jy, ln density"

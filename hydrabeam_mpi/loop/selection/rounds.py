@@ -7,11 +7,13 @@ from dataclasses import dataclass, replace
 
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.reweighting import Reweighting
+from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import BrokenOff, refit
 from hydrabeam_mpi.fit.settle import refined, settle
 from hydrabeam_mpi.fit.state import Fitted, Values
+from hydrabeam_mpi.io.finite import INFERENCE
 from hydrabeam_mpi.loop.attribution.constancy import Constancy
 from hydrabeam_mpi.loop.attribution.score_effects import attribute
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
@@ -19,7 +21,7 @@ from hydrabeam_mpi.loop.selection.exchange import exchange
 from hydrabeam_mpi.loop.selection.history import History
 from hydrabeam_mpi.loop.selection.known_beforehand import with_what_is_known
 from hydrabeam_mpi.loop.selection.predictions import check
-from hydrabeam_mpi.loop.selection.prior_widths import Adapted, adapt, as_adapted
+from hydrabeam_mpi.loop.selection.prior_widths import Adapted, adapt, adapt_to_model, as_adapted
 from hydrabeam_mpi.loop.selection.revision import revise
 from hydrabeam_mpi.loop.selection.simpler import simplified
 from hydrabeam_mpi.loop.selection.taken_back import (
@@ -36,11 +38,24 @@ from hydrabeam_mpi.mpi import bcast_object
 from hydrabeam_mpi.terminal.progress import say
 
 
-def begin(context: FitContext, values: Values, clock: Clock) -> History:
-    """Fit what is known before the first round. Collective: all ranks of the grid."""
+def begin(context: FitContext, values: Values, clock: Clock, effects: Sequence[Effect] = ()) -> History:
+    """Fit what is known before the first round, in which ``effects`` will be looked for. Collective: all ranks.
+
+    Raises
+    ------
+    InputError
+        If the data are predicted beyond all numbers.
+    """
     with clock.time("fit"):
-        checked = check(context, refit(context, with_what_is_known(context, values)))
-    return History(checked, checked)
+        try:
+            checked = check(context, refit(context, with_what_is_known(context, values)))
+        except BrokenOff as why:
+            raise InputError(f"of the model without effects: {why}", remedy=INFERENCE) from why
+        history = History(checked, checked)
+        adapted = adapt_to_model(context, checked, next_of(context, effects, checked.fitted.values))
+    if adapted is not None:
+        history.adapt(adapted)
+    return history
 
 
 def settle_last(context: FitContext, history: History) -> None:
@@ -245,7 +260,9 @@ class _Rounds:
         No width gets less than the stated one unless the prior has been given the widths that the data want before.
         """
         context, history = self.search.context, self.search.history
-        if self.as_wide is history.last or (history.adapted and history.adapted[-1].after is history.last):
+        adapted = history.adapted[-1] if history.adapted else None
+        has_widths = adapted is not None and adapted.after is history.last and adapted.is_of_widths
+        if self.as_wide is history.last or has_widths:
             return False
         with self.search.clock.time("prior"):
             found = adapt(context, history.last, len(history.rounds), self.is_wider, self.effects, rivals)

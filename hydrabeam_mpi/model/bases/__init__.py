@@ -11,7 +11,7 @@ from hydrabeam_mpi.registry import Registry
 if TYPE_CHECKING:
     from hydrabeam_mpi.model.bases.base import LinearBasis, Selection
 
-MADE_OF_OTHERS = ("joined", "turned", "with_rest")
+MADE_OF_OTHERS = ("joined", "turned", "rest", "with_rest")
 BASES: Registry[LinearBasis] = Registry("hydrabeam_mpi.model.bases", "fourier_bessel", "zernike", *MADE_OF_OTHERS)
 
 JOB_NAMES = {kind.replace("_", "-"): kind for kind in BASES if kind not in MADE_OF_OTHERS}

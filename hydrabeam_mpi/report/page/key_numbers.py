@@ -83,6 +83,7 @@ GROUPS: dict[str, tuple[KeyNumber, ...]] = {
         KeyNumber("heldout_rms_jy_unperturbed", "rms residual, model beam, Jy"),
         KeyNumber("heldout_rms_jy_unperturbed_scaled", "rms residual, scaled model beam, Jy"),
         KeyNumber("heldout_rms_jy_unperturbed_complex", "rms residual, model beam with its best complex scale, Jy"),
+        KeyNumber("heldout_rms_jy_beyond_basis", "rms of what the basis leaves of the model beam's prediction, Jy"),
         KeyNumber("heldout_rms_jy_noise", "rms that the noise alone would give, Jy"),
         KeyNumber("heldout_rms_jy_data", "rms of the held-out data, which predicting zero leaves, Jy"),
         KeyNumber("heldout_log_density", "log predictive density (natural)"),

@@ -7,10 +7,13 @@ import pytest
 from hydrabeam_mpi.data.observation import C_M_PER_S, FloatArray
 from hydrabeam_mpi.effects.instrument.basis_truncation import MOST_MODES, BasisTruncation
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.registry import make_effect
 from hydrabeam_mpi.effects.sky.diffuse import Diffuse
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
+from hydrabeam_mpi.model.bases.base import LinearBasis
 from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
 from hydrabeam_mpi.model.bases.zernike import Zernike
+from hydrabeam_mpi.model.beam import analytic_beam
 from hydrabeam_mpi.model.engines.fringes import enu
 from hydrabeam_mpi.model.fit import fit_beam
 from hydrabeam_mpi.random import generator
@@ -162,3 +165,70 @@ def test_what_is_beyond_a_basis_is_what_does_not_vanish_where_all_of_it_does() -
 @pytest.mark.parametrize("name", ["real", "zernike"])
 def test_nothing_is_beyond_a_basis_that_is_free_at_the_edge(name: str) -> None:
     assert BasisTruncation().beyond_basis(with_basis(BASES[name])) is None
+
+
+AIRY = analytic_beam("airy", 131e6, "ee", diameter=14.0)
+
+
+def with_model_beam(basis: LinearBasis = BASES["real"]) -> ObservingSetup:
+    """The small experiment with an Airy beam, of which the basis leaves something, in both channels."""
+    coeffs = fit_beam(AIRY, basis).coeffs
+    return replace(small_setup(), basis=basis, prior_mean=(coeffs, coeffs), model_beam=AIRY)
+
+
+@pytest.mark.parametrize("form", ["real", "complex"])
+def test_the_rest_makes_a_beam_in_the_basis_the_model_beam(form: str) -> None:
+    """It comes first, and its part is one where the true beam is the model."""
+    setup = with_model_beam(BASES[form])
+    effect = BasisTruncation().sought_in(setup)
+    assert effect.rest
+    assert make_effect(effect.kind, effect.describe()).describe() == effect.describe()
+    rest = effect.rest_of_model()
+    assert rest is not None
+    parameters, alone = effect.parameters(setup), rest.parameters(setup)
+    assert alone.names == parameters.names[:1]
+    assert parameters.scale[0] == alone.scale[0] == 1
+    assert parameters.element[0] not in parameters.element[1:]
+    functions = effect.beam_functions(setup)
+    assert functions is not None
+    assert functions.n_modes == len(parameters)
+    block = small_block(setup)
+
+    def beam(directions, row: int):
+        return AIRY(np.arccos(directions[2]), np.arctan2(directions[1], directions[0]))
+
+    # Next to the horizon, where the rest ends, its table is less exact.
+    assert_same(with_effect(rest, block, np.ones(1)), visibilities(block, beam=beam), block, rtol=5e-5)
+    assert np.abs(rest.added(block, np.ones(1))).max() > 1e-2 * np.abs(block.vis).max()
+    x = np.eye(1, len(parameters))[0]
+    np.testing.assert_allclose(effect.added(block, x), rest.added(block, np.ones(1)), rtol=1e-12)
+
+
+def test_what_comes_after_the_rest_are_the_next_modes() -> None:
+    setup = with_model_beam()
+    rest = BasisTruncation(rest=True).rest_of_model()
+    assert rest is not None
+    after = BasisTruncation(rest=True).next_after(setup, rest)
+    assert after.describe() == BasisTruncation().describe()
+    both = BasisTruncation(rest=True)
+    assert both.next_after(setup, both).describe() == after.next_after(setup, after).describe()
+    assert all(larger.rest for larger in both.larger(setup))
+    beyond = both.beyond_basis(setup)
+    assert beyond is not None
+    assert beyond.describe() == rest.describe()
+
+
+def test_without_a_model_beam_or_beside_its_rest_there_is_none() -> None:
+    assert not BasisTruncation().sought_in(small_setup()).rest
+    reason = BasisTruncation(rest=True).not_applicable(small_setup())
+    assert reason is not None
+    assert "leaves nothing of the model beam" in reason
+    fit = fit_beam(embedded_beam(), FourierBessel.selection(20, k_max=6, m_max=2, rest=True, boundary="neumann"))
+    setup = replace(small_setup(), basis=fit.basis, prior_mean=(fit.coeffs,) * 2, model_beam=embedded_beam())
+    assert not BasisTruncation().sought_in(setup).rest
+
+
+def test_no_functions_are_refused() -> None:
+    reason = BasisTruncation(n_modes=0).not_applicable(with_basis(BASES["real"]))
+    assert reason is not None
+    assert "ask for some" in reason

@@ -12,8 +12,9 @@ from hydrabeam_mpi.model.bases import JOB_NAMES, basis_from_description, basis_f
 from hydrabeam_mpi.model.bases.base import LinearBasis, Selection
 from hydrabeam_mpi.model.bases.fourier_bessel import FourierBessel
 from hydrabeam_mpi.model.bases.joined import Joined
+from hydrabeam_mpi.model.bases.rest import Rest, rest_nodes
 from hydrabeam_mpi.model.bases.turned import Turned
-from hydrabeam_mpi.model.bases.with_rest import WithRest, rest_nodes
+from hydrabeam_mpi.model.bases.with_rest import WithRest
 from hydrabeam_mpi.model.bases.zernike import Zernike
 from hydrabeam_mpi.random import generator
 
@@ -65,6 +66,8 @@ BASES = {
     "turned and joined": Joined([Turned(Zernike(3), 1.0), Turned(Zernike(4), 1.0)], [20, 0, 3]),
     "with rest": WithRest(FourierBessel.full(7, 3, form="real"), ripple(*rest_nodes())),
     "with rest, complex": WithRest(scrambled("complex"), ripple(*rest_nodes())),
+    "rest": Rest(ripple(*rest_nodes())),
+    "joined with a rest": Joined([FourierBessel.full(7, 3, form="real"), Rest(ripple(*rest_nodes()))]),
     "plugged in": Cosines(),
 }
 

@@ -1,0 +1,90 @@
+"""One function that is given by its values: all that a model beam has beyond others."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import Array, FloatArray
+from hydrabeam_mpi.errors import InputError
+from hydrabeam_mpi.model.bases.base import LinearBasis
+from hydrabeam_mpi.model.bases.polar_table import HORIZON, PolarTable, radii
+
+PER_UNIT, N_AZ = 320, 720
+"""Nodes of the table of the rest: every 0.4 to 0.5 degrees, finer than what files of beams tell."""
+
+
+def rest_nodes() -> tuple[FloatArray, FloatArray]:
+    """Return zenith angle and azimuth (radians) of the nodes of a rest, (Nnodes,) each; none is below the horizon."""
+    radius = radii(PER_UNIT)
+    za = 2 * np.arcsin(np.minimum(radius, HORIZON))
+    az = np.linspace(0, 2 * np.pi, N_AZ, endpoint=False)
+    both = np.meshgrid(np.minimum(za, np.pi / 2), az, indexing="ij")
+    return both[0].ravel(), both[1].ravel()
+
+
+class Rest(LinearBasis):
+    """A single real function that is given at `rest_nodes`, and known up to the horizon.
+
+    Parameters
+    ----------
+    values : ndarray, (Nnodes,)
+        Kept in single precision.
+    """
+
+    title: ClassVar[str] = "rest"
+    n_modes = n_columns = 1
+    is_complex = False
+
+    def __init__(self, values: Array) -> None:
+        self.values = np.asarray(values, dtype=np.float32)
+
+    @cached_property
+    def _table(self) -> PolarTable:
+        """Of the function, made once."""
+        return PolarTable(self.values.reshape(-1, N_AZ).astype(float), PER_UNIT)
+
+    def columns(self, za: FloatArray, az: FloatArray, out: FloatArray | None = None) -> FloatArray:
+        """Evaluate the function, (1, Npoints); see :meth:`LinearBasis.columns`."""
+        values = self._table(np.minimum(za, np.pi / 2), np.asarray(az) % (2 * np.pi))
+        if out is None:
+            return values[np.newaxis]
+        out[0] = values
+        return out
+
+    @property
+    def table_nodes(self) -> tuple[int, int]:
+        """Its own."""
+        return PER_UNIT, N_AZ
+
+    def at_nodes(self, coeffs: Array, per_unit: int, n_az: int) -> FloatArray:
+        """Evaluate a multiple of it at a table's nodes, (Nradii, Naz)."""
+        za = 2 * np.arcsin(np.minimum(radii(per_unit), HORIZON))
+        az = np.linspace(0, 2 * np.pi, n_az, endpoint=False)
+        grid = (one.ravel() for one in np.meshgrid(za, az, indexing="ij"))
+        return np.asarray(coeffs[0]).real * self.columns(*grid)[0].reshape(len(za), n_az)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out what is made again where it is needed, and is larger than all else."""
+        return {name: value for name, value in vars(self).items() if name != "_table"}
+
+    def describe(self) -> dict[str, Any]:
+        """Return kind and the values at the nodes, single precision in base 64."""
+        return {"kind": "rest", "values": base64.b64encode(self.values.astype("<f4").tobytes()).decode()}
+
+    @classmethod
+    def from_settings(cls, settings: Mapping[str, Any]) -> LinearBasis:
+        """No job asks for one by its kind: `[basis] rest` does."""
+        raise InputError("is no basis to begin with", field="[basis] kind", remedy="name the one that has the rest")
+
+    @classmethod
+    def from_description(cls, description: Mapping[str, Any]) -> Rest:
+        """Restore it from a description; ValueError where it is none."""
+        values = np.frombuffer(base64.b64decode(description["values"], validate=True), "<f4")
+        if len(values) != len(rest_nodes()[0]) or not np.isfinite(values).all():
+            raise ValueError("not one number for each node")
+        return cls(values)

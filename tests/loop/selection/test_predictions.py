@@ -1,0 +1,41 @@
+"""What a fit predicts of the held-out rows, where that is a number."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff, refit
+from hydrabeam_mpi.fit.state import Fitted, Values
+from hydrabeam_mpi.loop.selection.predictions import check, score_of
+from tests.fit.test_gauss_newton import free
+from tests.loop.mock import context_of, mock_job
+
+
+@pytest.mark.mpi
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_a_prediction_beyond_all_numbers_is_no_prediction(comm: MPI.Comm, common_tmp_path: Path) -> None:
+    """Such as a source may lead to that grows without end between the times that are fitted; far off is another."""
+    context = context_of(mock_job(), common_tmp_path, comm)
+    latitude = np.rad2deg(context.setup.observation.latitude)
+    lst = np.rad2deg(context.setup.observation.lsts[context.problem.test.times[0]])
+    fitted = refit(context, Values((free(context, MissingSources([(lst, latitude)]), 1e-4),)))
+    (source,) = fitted.values.active
+
+    def with_flux(flux: float) -> Fitted:
+        x = np.where(np.arange(source.x.shape[1]) == 0, flux, source.x)
+        return replace(fitted, values=replace(fitted.values, active=(replace(source, x=x),)))
+
+    for flux in (1.0, 1e8):
+        checked = check(context, with_flux(flux))
+        assert np.isfinite(checked.score.chi2)
+        assert np.isfinite(checked.remains.structures["singular_values"]).all()
+    for predict, flux in product((check, score_of), (1e18, 1e45)):
+        with pytest.raises(BrokenOff, match="beyond all numbers"):
+            predict(context, with_flux(flux))
