@@ -19,8 +19,8 @@ GRID_ZA: FloatArray = np.deg2rad(np.arange(91.0))
 GRID_AZ: FloatArray = np.deg2rad(np.arange(360.0))
 N_EIGENBEAMS = 4
 """As many as a row of maps has room for."""
-ROUNDING = 1e-14
-"""Harmonics smaller than this fraction of the largest are zero but for rounding."""
+ROUNDING = 1e-8
+"""Harmonics smaller than this fraction of the largest are rounding, of tables in single precision at most."""
 
 
 @dataclass(frozen=True)

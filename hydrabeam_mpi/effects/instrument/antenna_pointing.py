@@ -12,7 +12,7 @@ from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
 from hydrabeam_mpi.effects.interface.sources import Sources
 from hydrabeam_mpi.effects.shared.antenna_beams import added_by_beams, slopes_by_beams
-from hydrabeam_mpi.effects.shared.displaced import TILTS, need_real_beam, rotate, rotation_rate, seen_at
+from hydrabeam_mpi.effects.shared.displaced import TILTS, need_real_beam, rotation_rate, seen_turned
 from hydrabeam_mpi.effects.shared.per_antenna import antenna_parameters, common_values, row_parameters
 
 DEGREE = np.pi / 180
@@ -59,11 +59,14 @@ class AntennaPointing(Effect):
         tilted, distinct, which = _tilted(rotations)
         by_side: ComplexArray
         if len(tilted):
+            by_torque = np.array([-(rotation_rate(-rotation) @ TILTS).T for rotation in distinct])
 
             def beams(sources: Sources) -> tuple[FloatArray, FloatArray]:
-                seen = [_seen_by(sources, rotation) for rotation in distinct]
-                slopes = [-(rotation_rate(-r) @ TILTS).T @ one.torque for r, one in zip(distinct, seen, strict=True)]
-                return np.array([one.beam for one in seen])[which], np.array(slopes)[which]
+                powers, torques = [], []
+                for seen in seen_turned(sources, distinct):
+                    powers.append(seen.beam.reshape(-1, len(sources.za)))
+                    torques.append(seen.torque.reshape(3, -1, len(sources.za)).transpose(1, 0, 2))
+                return np.concatenate(powers)[which], (by_torque @ np.concatenate(torques))[which]
 
             by_side = slopes_by_beams(block, tilted, beams, self.sky_columns)
         else:
@@ -75,7 +78,8 @@ class AntennaPointing(Effect):
         tilted, distinct, which = _tilted(_rotations(x))
 
         def beams(sources: Sources) -> FloatArray:
-            return np.array([_seen_by(sources, rotation).beam for rotation in distinct])[which]
+            seen = [one.beam for one in seen_turned(sources, distinct)]
+            return np.concatenate(seen).reshape(len(distinct), -1)[which]
 
         return added_by_beams(block, tilted, beams)
 
@@ -93,8 +97,3 @@ def _tilted(rotations: FloatArray) -> tuple[IntArray, FloatArray, IntArray]:
     tilted = np.flatnonzero(rotations.any(axis=1))
     distinct, which = np.unique(rotations[tilted], axis=0, return_inverse=True)
     return tilted, distinct, which.reshape(-1)
-
-
-def _seen_by(sources: Sources, rotation: FloatArray) -> Sources:
-    """Return the sources as a tilted antenna's beam sees them."""
-    return seen_at(sources, rotate(sources.enu, -rotation))

@@ -8,6 +8,7 @@ A beam that is turned sees the same sources as before; those below its own horiz
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,6 +27,8 @@ from hydrabeam_mpi.model.sky import Sky
 from hydrabeam_mpi.model.tabulated import table_of
 
 ARCMIN = np.pi / 180 / 60
+POINTS_AT_ONCE = 4096
+"""Directions whose coordinates, beam and slopes stay in the cache."""
 TILTS: FloatArray = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 0.0]])
 """Rotation vectors that take the zenith towards East and towards North, (3, 2)."""
 
@@ -84,6 +87,20 @@ def seen_at(sources: Sources, vectors: FloatArray) -> Sources:
     # A cached property that is known already.
     vars(seen)["enu"] = vectors
     return seen
+
+
+def seen_turned(sources: Sources, rotations: FloatArray) -> Iterator[Sources]:
+    """Yield the sources as beams see them that are turned by rotation vectors, (N, 3): by some at once, in a row.
+
+    They are as many that what is worked out of them stays in the cache.
+    """
+    n_sources = len(sources.za)
+    at_once = max(1, POINTS_AT_ONCE // max(n_sources, 1))
+    for start in range(0, len(rotations), at_once):
+        turns = Rotation.from_rotvec(-rotations[start : start + at_once]).as_matrix()
+        n = len(turns)
+        alike = replace(sources, index=np.tile(sources.index, n), flux=np.tile(sources.flux, n), factors={})
+        yield seen_at(alike, (turns @ sources.enu).transpose(1, 0, 2).reshape(3, -1))
 
 
 @dataclass(frozen=True)
