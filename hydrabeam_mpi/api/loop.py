@@ -37,8 +37,9 @@ from hydrabeam_mpi.loop.output.record import make_record
 from hydrabeam_mpi.loop.output.resume import Keeper
 from hydrabeam_mpi.loop.selection.choice import Choice, choose
 from hydrabeam_mpi.loop.selection.elsewhere import tell_elsewhere
+from hydrabeam_mpi.loop.selection.first_and_last import begin, settle_last
 from hydrabeam_mpi.loop.selection.history import History
-from hydrabeam_mpi.loop.selection.rounds import Search, begin, settle_last
+from hydrabeam_mpi.loop.selection.rounds import Search
 from hydrabeam_mpi.loop.selection.search import run_search
 from hydrabeam_mpi.mpi import bcast_object, peak_rss_mb, together
 from hydrabeam_mpi.result.gains import gains_told

@@ -24,8 +24,9 @@ from hydrabeam_mpi.loop.attribution.control_models import control_models
 from hydrabeam_mpi.loop.checks.conventions import check_conventions
 from hydrabeam_mpi.loop.selection.acceptance import Checked
 from hydrabeam_mpi.loop.selection.choice import choose
+from hydrabeam_mpi.loop.selection.first_and_last import begin, settle_last
 from hydrabeam_mpi.loop.selection.prior_widths import adapt
-from hydrabeam_mpi.loop.selection.rounds import Search, begin, run_round, settle_last
+from hydrabeam_mpi.loop.selection.rounds import Search, run_round
 from hydrabeam_mpi.loop.selection.weighing import next_of, weigh
 from hydrabeam_mpi.planning.measure import Bench, Cost
 from hydrabeam_mpi.planning.outline import Clock

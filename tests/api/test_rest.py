@@ -10,6 +10,8 @@ import pytest
 
 import hydrabeam_mpi as hb
 from hydrabeam_mpi.cli import main
+from hydrabeam_mpi.report.page.result import load_result
+from hydrabeam_mpi.report.page.words import introduction
 from tests.loop.mock import mock_job, write_job
 from tests.loop.test_loop_command import assert_reproduced
 
@@ -57,6 +59,7 @@ def test_a_loop_gives_the_beam_the_rest_and_finds_what_is_wrong_beside_it(tmp_pa
         assert abs(found[name]["value"] - true) < 4 * found[name]["std"]
     assert told["prior_widths"][0]["n_beyond"] == 1
     assert hb.load(out).beam.basis.n_modes >= 41
+    assert "Fourier-Bessel modes and what the model beam has beyond them" in introduction(load_result(out))
     assert main(["infer", str(out / "amended.toml"), "-o", str(tmp_path / "again")]) == 0
     assert_reproduced(out, tmp_path / "again")
     assert main(["infer", str(path), "-o", str(tmp_path / "without")]) == 0

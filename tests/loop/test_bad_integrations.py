@@ -16,8 +16,9 @@ from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Values
 from hydrabeam_mpi.loop.output.record import make_record
+from hydrabeam_mpi.loop.selection.first_and_last import begin
 from hydrabeam_mpi.loop.selection.history import History
-from hydrabeam_mpi.loop.selection.rounds import Search, begin
+from hydrabeam_mpi.loop.selection.rounds import Search
 from hydrabeam_mpi.loop.selection.search import run_search
 from tests.loop.mock import context_of, mock_job, truth_of
 

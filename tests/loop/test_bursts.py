@@ -18,9 +18,10 @@ from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Reweighted, Values
 from hydrabeam_mpi.loop.attribution.score_noise import WeightsFound
 from hydrabeam_mpi.loop.selection.acceptance import Candidate
+from hydrabeam_mpi.loop.selection.first_and_last import begin
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refusal import refusal_of
-from hydrabeam_mpi.loop.selection.rounds import Search, begin, run_rounds
+from hydrabeam_mpi.loop.selection.rounds import Search, run_rounds
 from tests.loop.mock import context_of, mock_job
 
 GAIN = {"kind": "antenna_gains", "parameters": {"antenna 2 ln amplitude": 0.1, "antenna 2 phase": -0.1}}

@@ -1,6 +1,7 @@
 """Which effect is tried, accepted and kept, round after round.
 
-A loop (`search`) goes through rounds (`rounds`) until nothing more is found. In a round
+A loop (`search`) begins with what is known (`first_and_last`) and goes through rounds (`rounds`) until nothing more is
+found. In a round
 
 1. all effects are weighed, each by itself and all together (`weighing`);
 2. a set that explains the residual is fitted as a whole (`whole_set`), or effects one by one (`trials`), each as far as

@@ -14,11 +14,11 @@ from hydrabeam_mpi.fit.gauss_newton import BrokenOff
 from hydrabeam_mpi.fit.state import Active, Fitted
 from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.acceptance import Elsewhere
+from hydrabeam_mpi.loop.selection.first_and_last import settle_last
 from hydrabeam_mpi.loop.selection.history import History
 from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.refits import fit_patiently, log_joint, may_surpass
-from hydrabeam_mpi.loop.selection.rounds import settle_last
 
 
 def tell_elsewhere(context: FitContext, history: History) -> None:

@@ -7,21 +7,16 @@ from dataclasses import dataclass, replace
 
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.reweighting import Reweighting
-from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.clock import Clock
 from hydrabeam_mpi.fit.context import FitContext
-from hydrabeam_mpi.fit.gauss_newton import BrokenOff, refit
-from hydrabeam_mpi.fit.settle import refined, settle
-from hydrabeam_mpi.fit.state import Fitted, Values
-from hydrabeam_mpi.io.finite import INFERENCE
+from hydrabeam_mpi.fit.gauss_newton import BrokenOff
+from hydrabeam_mpi.fit.state import Fitted
 from hydrabeam_mpi.loop.attribution.constancy import Constancy
 from hydrabeam_mpi.loop.attribution.score_effects import attribute
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Checked, Round
 from hydrabeam_mpi.loop.selection.exchange import exchange
 from hydrabeam_mpi.loop.selection.history import History
-from hydrabeam_mpi.loop.selection.known_beforehand import with_what_is_known
-from hydrabeam_mpi.loop.selection.predictions import check
-from hydrabeam_mpi.loop.selection.prior_widths import Adapted, adapt, adapt_to_model, as_adapted
+from hydrabeam_mpi.loop.selection.prior_widths import Adapted, adapt, as_adapted
 from hydrabeam_mpi.loop.selection.revision import revise
 from hydrabeam_mpi.loop.selection.simpler import simplified
 from hydrabeam_mpi.loop.selection.taken_back import (
@@ -36,40 +31,6 @@ from hydrabeam_mpi.loop.selection.weighing import Outlook, Weighed, next_of, wei
 from hydrabeam_mpi.loop.selection.whole_set import as_one, try_set
 from hydrabeam_mpi.mpi import bcast_object
 from hydrabeam_mpi.terminal.progress import say
-
-
-def begin(context: FitContext, values: Values, clock: Clock, effects: Sequence[Effect] = ()) -> History:
-    """Fit what is known before the first round, in which ``effects`` will be looked for. Collective: all ranks.
-
-    Raises
-    ------
-    InputError
-        If the data are predicted beyond all numbers.
-    """
-    with clock.time("fit"):
-        try:
-            checked = check(context, refit(context, with_what_is_known(context, values)))
-        except BrokenOff as why:
-            raise InputError(f"of the model without effects: {why}", remedy=INFERENCE) from why
-        history = History(checked, checked)
-        adapted = adapt_to_model(context, checked, next_of(context, effects, checked.fitted.values))
-    if adapted is not None:
-        history.adapt(adapted)
-    return history
-
-
-def settle_last(context: FitContext, history: History) -> None:
-    """Go on with the last fit until nothing moves, so that what is written of it can be computed again.
-
-    Effects are described by what has been fitted first. Collective: all ranks of the grid.
-    """
-    n_known = len(context.learned.values.active) if context.learned else 0
-    last = check(context, settle(context, refined(history.last.fitted, n_known)))
-    history.last = last
-    if history.rounds:
-        history.rounds[-1] = replace(history.rounds[-1], after=last)
-    else:
-        history.first = last
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ from hydrabeam_mpi.words import joined
 NEARLY_ONE = 1.1
 """Reduced chi^2 up to which residuals are as large as expected, for words."""
 OFTEN = {2: "every second time", 3: "every third time"}
-WITH_REST = "with_rest"
-"""The kind of a basis that has what a model beam is beyond its modes as a function of its own."""
+RESTS = ("rest", "with_rest")
+"""Kinds of bases that have what a model beam is beyond modes as a function of its own."""
 
 
 def megahertz(freq: float) -> str:
@@ -79,7 +79,7 @@ def _origin(data: dict[str, Any], read: Iterable[str]) -> str:
 def _basis(channel: Channel) -> str:
     form, n = "complex" if channel.is_complex else "real", len(channel.arrays["mean"])
     kinds = list(dict.fromkeys(_kinds(channel.basis)))
-    beyond = WITH_REST in kinds
+    beyond = any(kind in RESTS for kind in kinds)
     titles = [BASES.get(kind, LinearBasis).title for kind in kinds if kind not in MADE_OF_OTHERS]
     rest = " and what the model beam has beyond them," if beyond else ""
     return f"The beam is a sum of {n - beyond:,} {joined(titles)} modes{rest} with {form} coefficients"

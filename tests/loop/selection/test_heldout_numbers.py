@@ -17,9 +17,9 @@ from hydrabeam_mpi.fit.predicted_power import squares_of_model
 from hydrabeam_mpi.fit.state import Active, Fit, Values, independent_prior
 from hydrabeam_mpi.inference.posterior import Posterior
 from hydrabeam_mpi.inference.significance import SIGNIFICANT_P, sigma_of_log_p
+from hydrabeam_mpi.loop.selection.first_and_last import begin
 from hydrabeam_mpi.loop.selection.heldout_numbers import SUMS, HeldoutNumbers
 from hydrabeam_mpi.loop.selection.predictions import check, is_at_noise
-from hydrabeam_mpi.loop.selection.rounds import begin
 from hydrabeam_mpi.random import generator
 from tests.loop.made import numbers
 from tests.loop.mock import FREQ, context_of, mock_job
