@@ -61,6 +61,7 @@ class FaintSources(Effect):
 
     kind = "faint_sources"
     title = "faint sources that the catalogue lacks"
+    linear = True
     changes_sky = True
     comes_in_parts = True
     shared = True

@@ -96,7 +96,11 @@ def _may_be_better(candidate: Candidate, best: Round, outlook: Outlook | None) -
         return False
     if outlook is None or leaves_nothing or not may_be_better(candidate, best, leaves_nothing):
         return may_be_better(candidate, best, leaves_nothing)
-    return may_be_better(candidate, best, enough=True) or not outlook.explains_rest(best)
+    if candidate.finding is None or not candidate.finding.effect.linear:
+        return may_be_better(candidate, best, enough=True) or not outlook.explains_rest(best)
+    # Of what is linear it is known what it comes to, and so whether that is more than the best with what is beside it.
+    with_rest = outlook.with_rest(best)
+    return with_rest is None or may_be_better(candidate, with_rest, enough=True)
 
 
 def _worth(context: FitContext, before: Checked, candidate: Candidate, best: Round | None) -> Worth | None:

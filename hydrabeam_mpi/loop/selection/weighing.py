@@ -108,9 +108,27 @@ class Outlook:
     ahead: tuple[Fitted, Weighed] | None = None
 
     def explains_rest(self, best: Round) -> bool:
-        """Whether further effects explain what the best leaves. Collective: all ranks of the grid.
+        """Whether further effects explain what the best leaves. Collective: all ranks of the grid."""
+        return self._beside(best).explains
 
-        To know that all are weighed with it in the model, as they are in the next round; once in a round.
+    def with_rest(self, best: Round) -> Round | None:
+        """Return the best and what explains what it leaves as one round; None where nothing does.
+
+        Of all these it is known what they come to, as far as the model is linear. Collective: all ranks of the grid.
+        """
+        weighed, finding = self._beside(best), best.candidate.finding
+        if not weighed.explains:
+            return None
+        total = best.candidate.log_bayes_factor + weighed.together.log_bayes_factor
+        if finding is not None:
+            n_parameters = finding.evidence.effective_parameters + weighed.together.n_parameters
+            finding = replace(finding, evidence=replace(finding.evidence, effective_parameters=n_parameters))
+        return replace(best, candidate=replace(best.candidate, log_bayes_factor=total, finding=finding))
+
+    def _beside(self, best: Round) -> Weighed:
+        """Return what there is to try beside the best, or of nothing if another one was that when it was looked at.
+
+        To know it all are weighed with the best in the model, as they are in the next round; once in a round.
         """
         fitted = best.after.fitted
         if self.ahead is None:
@@ -118,7 +136,7 @@ class Outlook:
             most = self.most - max(len(best.together), 1)
             self.ahead = fitted, weigh(self.context, fitted, effects, self.changes, most)
         at, weighed = self.ahead
-        return at is fitted and weighed.explains
+        return weighed if at is fitted else Weighed(())
 
     def after(self, fitted: Fitted) -> Weighed | None:
         """Return what there is to try with what has been fitted, if that is known."""
