@@ -56,7 +56,7 @@ def try_effects(
     settings, ranking = context.problem.job.loop, _grown(context, checked.fitted, ranking, best)
     wanted = [one for one in _wanted(context, checked.fitted, ranking) if not one.is_control]
     for candidate in in_order(wanted, RULES.most_tries, outlook.weighed.first if outlook else None):
-        if best is not None and not _may_be_better(candidate, best, outlook):
+        if best is not None and not may_be_tried(candidate, best, outlook):
             continue
         try:
             fitted, after = fit_candidate(context, checked, candidate, _worth(context, checked, candidate, best))
@@ -88,7 +88,7 @@ def _grown(
     return tuple(sorted(grown, key=lambda one: -one.log_bayes_factor))
 
 
-def _may_be_better(candidate: Candidate, best: Round, outlook: Outlook | None) -> bool:
+def may_be_tried(candidate: Candidate, best: Round, outlook: Outlook | None) -> bool:
     """Whether a candidate is worth a fit beside the best so far. Collective: all ranks of the grid."""
     leaves_nothing, members = best.after.remains.consistent, {one.name for one in best.together}
     # Laws in time of a constant effect are no rivals of it: they are looked for beside it, in every round.

@@ -17,7 +17,9 @@ from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Values
 from hydrabeam_mpi.loop.attribution import columns_that_matter
 from hydrabeam_mpi.loop.rules import RULES
-from hydrabeam_mpi.loop.selection.weighing import Weighed, weigh
+from hydrabeam_mpi.loop.selection.predictions import check
+from hydrabeam_mpi.loop.selection.trials import may_be_tried, try_effects
+from hydrabeam_mpi.loop.selection.weighing import Outlook, Weighed, weigh
 from tests.loop.mock import context_of, mock_job
 
 GAIN = {"kind": "antenna_gains", "parameters": {"antenna 2 ln amplitude": 0.006, "antenna 2 phase": -0.005}}
@@ -96,3 +98,27 @@ def test_no_set_is_told_of_what_explains_less_than_is_left(tmp_path: Path) -> No
     found = weigh(context, fitted, [*effects, *EFFECTS[1:]], [], 6)
     assert found.explains
     assert [one.kind for one in found.together.members] == ["cross_coupling"]
+
+
+def test_what_is_linear_has_to_come_to_more_than_the_best_with_what_is_beside_it(
+    context: FitContext, weighed: Weighed
+) -> None:
+    """Many sources may stand for two effects, and for more than either of them."""
+    checked = check(context, refit(context, Values()))
+    gains, closure = (one for one in weighed.ranking if one.kind in {"antenna_gains", "closure_errors"})
+    best = try_effects(context, checked, [gains], [])
+    assert best is not None
+    assert closure.finding is not None
+    outlook = Outlook(context, [*EFFECTS, closure.finding.effect], [], 6, weighed)
+    both = outlook.with_rest(best)
+    assert both is not None
+    (coupling,) = outlook.ahead[1].together.members if outlook.ahead else ()
+    first, second = best.candidate.log_bayes_factor, coupling.log_bayes_factor
+    assert coupling.kind == "cross_coupling"
+    assert both.candidate.log_bayes_factor == pytest.approx(first + second)
+    assert both.candidate.finding is not None
+    assert closure.finding.evidence.effective_parameters > both.candidate.finding.evidence.effective_parameters
+    for part, is_tried in ((0.5, False), (1.5, True)):
+        other = replace(closure, log_bayes_factor=first + part * second)
+        assert may_be_tried(other, best, outlook) is is_tried
+        assert may_be_tried(other, best, None)
