@@ -69,21 +69,27 @@ def _try_one_set(
     Each has to pass what a single effect has to, in the order of the rounds, with those after it left out where the
     joint fit has the others. One that does not is refused (``tried`` receives it), and the others are fitted again.
     Those that have too little beside a rival go first, the least of them before the others: that takes no further fit.
-    There are no rounds where the set has no two effects, or one and next to nothing, or cannot be fitted so: then
-    effects are tried one by one. Collective: all ranks of the grid.
+    One that explains less than nothing without those after it comes last, once: what the model had before has moved in
+    the joint fit, as positions do beside a clock, and each makes up for the other. There are no rounds where the set
+    has no two effects, or one and next to nothing, or cannot be fitted so: then effects are tried one by one.
+    Collective: all ranks of the grid.
     """
     members = tuple(takewhile(_is_told_by_linear_model, of_set.members))
     if len(members) < 2 or _is_first_alone(members):
         return ()
     titles = ", ".join(f"{one.title} (ln BF {one.log_bayes_factor:.4g})" for one in members)
     say(f"  trying together: {titles}", context.grid.is_world_root)
-    found = _fit(context, checked.fitted, members)
+    found, put_off = _fit(context, checked.fitted, members), set[tuple[str, str | None]]()
     while found is not None:
         refused = _least_beside_rivals(context, *found, weighed)
         if refused is None:
             rounds, refused = _one_by_one(context, checked, *found, weighed, of_set)
             if refused is None:
                 return rounds
+            if refused.is_too_early and refused.candidate.name not in put_off:
+                put_off.add(refused.candidate.name)
+                found = _last(context, *found, refused.number)
+                continue
         say(f"    {refused.candidate.title}: refused: {refused.reason}", context.grid.is_world_root)
         tried.append((refused.candidate, refused.reason))
         if len(found[1]) <= 2:
@@ -165,6 +171,15 @@ def _fit_without(
         return None
 
 
+def _last(
+    context: FitContext, fitted: Fitted, members: tuple[Candidate, ...], number: int
+) -> tuple[Fitted, tuple[Candidate, ...]]:
+    """Put the one of a number last of a set that has been fitted; as for `_fit`."""
+    active, place = fitted.values.active, len(fitted.values.active) - len(members) + number
+    values = replace(fitted.values, active=(*active[:place], *active[place + 1 :], active[place]))
+    return solved_at(context, values, fitted), (*members[:number], *members[number + 1 :], members[number])
+
+
 def _as_wanted(
     context: FitContext, fitted: Fitted, left: tuple[Candidate, ...]
 ) -> tuple[Fitted, tuple[Candidate, ...]] | None:
@@ -194,11 +209,12 @@ def _as_wanted(
 
 
 class _Refused(NamedTuple):
-    """Which of a set is refused, by its number in it, and why."""
+    """Which of a set is refused, by its number in it, and why; too early if it is for lack of those after it."""
 
     number: int
     candidate: Candidate
     reason: str
+    is_too_early: bool = False
 
 
 def _least_beside_rivals(
@@ -245,7 +261,8 @@ def _one_by_one(
         say(f"    {member.title}: {told} (ln BF {candidate.log_bayes_factor:.4g})", context.grid.is_world_root)
         reason = refusal_of_fit(context, before, after, candidate, whole.fitted)
         if reason is not None:
-            return tuple(rounds), _Refused(len(rounds), candidate, reason)
+            too_early = not is_last and candidate.log_bayes_factor < 0
+            return tuple(rounds), _Refused(len(rounds), candidate, reason, too_early)
         ranking = weighed.ranking if place == n_before else of_set.in_place_of(member)
         rounds.append(replace(round_of(context, before, after, candidate, ranking), together=of_set.members))
         before = after

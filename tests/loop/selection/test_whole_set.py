@@ -13,6 +13,7 @@ from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.instrument.antenna_positions import AntennaPositions
 from hydrabeam_mpi.effects.instrument.closure_errors import ClosureErrors
 from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
+from hydrabeam_mpi.effects.instrument.timestamp import Timestamp
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
@@ -25,6 +26,7 @@ from hydrabeam_mpi.loop.selection.refits import rise
 from hydrabeam_mpi.loop.selection.trials import refusal_of_fit, try_effects
 from hydrabeam_mpi.loop.selection.weighing import Outlook, Together, Weighed, weigh
 from hydrabeam_mpi.loop.selection.whole_set import as_one, try_set
+from tests.fit.test_gauss_newton import free
 from tests.loop.mock import context_of, mock_job
 
 GAIN = {"kind": "antenna_gains", "parameters": {"antenna 2 ln amplitude": 0.006, "antenna 2 phase": -0.005}}
@@ -301,3 +303,23 @@ def test_what_is_picked_from_a_grid_is_tried_by_itself(context: FitContext, befo
     for members in ((first, source), (source, first, second)):
         together = Together(members, tuple((one,) for one in members))
         assert try_set(context, before, replace(weighed, together=together), []) == ()
+
+
+def test_what_explains_nothing_without_another_comes_after_it(tmp_path: Path) -> None:
+    """Positions of all antennas have taken up a part of a clock that is late, which they give back once it is there."""
+    gain, clock = "antenna 2 ln amplitude", "time by which data are later than their timestamps"
+    wrong = {"antenna_gains": {gain: 0.01}, "timestamp": {clock: 4.0}}
+    injected = ({"kind": kind, "parameters": parameters} for kind, parameters in wrong.items())
+    context = context_of(mock_job(*injected, n_times=24), tmp_path)
+    before = check(context, refit(context, Values((free(context, AntennaPositions(), 1.0),))))
+    weighed, tried = weigh(context, before.fitted, [AntennaGains(), Timestamp()], [], 6), list[tuple[Candidate, str]]()
+    assert [one.kind for one in weighed.together.members] == ["antenna_gains", "timestamp"]
+    rounds = try_set(context, before, weighed, tried)
+    assert [one.candidate.kind for one in rounds] == ["timestamp", "antenna_gains"]
+    assert tried == []
+    last = rounds[-1].after
+    assert last.remains.consistent
+    for place, name, true in ((1, clock, 4.0), (2, gain, 0.01)):
+        one = last.fitted.values.active[place]
+        number = one.effect.parameters(context.setup).names.index(name)
+        assert abs(one.x[0, number] - true) < 4 * last.fitted.fit.std[place][0, number]
