@@ -103,8 +103,12 @@ def _factor_of(signal: FloatArray) -> FloatArray:
     try:
         return np.asarray(np.linalg.cholesky(np.eye(len(signal)) + signal))
     except np.linalg.LinAlgError:
+        # 1 + V D V^T, beside a signal so large that adding one to it changes nothing, from its root [1, V sqrt(D)].
         values, vectors = eigen(signal)
-        return np.asarray(np.linalg.cholesky(np.eye(len(signal)) + (vectors * np.maximum(values, 0.0)) @ vectors.T))
+        told = np.where(values > len(values) * np.finfo(float).eps * values[-1], values, 0.0)
+        root = np.vstack([np.sqrt(told)[:, np.newaxis] * vectors.T, np.eye(len(signal))])
+        upper: FloatArray = np.asarray(np.linalg.qr(root, mode="r"))
+        return np.asarray(upper.T * np.sign(np.diag(upper)))
 
 
 def density_of_channels(context: FitContext, fitted: Fitted) -> Density:
@@ -135,7 +139,8 @@ def _density(context: FitContext, fitted: Fitted) -> Density:
         fitted = replace(fitted, values=here.values)
     values = fitted.values
     channels = of_each_channel(context, fitted, _without_beam)
-    found = _without_effects(values, unknown, channels) if channels is not None else None
+    with together(context.grid.world):
+        found = _without_effects(values, unknown, channels) if channels is not None else None
     density: Density = bcast_object(context.grid.world, found)
     return density
 

@@ -26,9 +26,10 @@ from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.local_parameters import fit_local, untold
 from hydrabeam_mpi.fit.predicted_power import squares_of_model
-from hydrabeam_mpi.fit.predictive_density import predictive_density
+from hydrabeam_mpi.fit.predictive_density import _factor_of, predictive_density
 from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.state import Fitted, Values
+from hydrabeam_mpi.random import generator
 from tests.fit.test_gauss_newton import CASES, TWO, free
 from tests.loop.mock import FREQ, context_of, mock_job
 from tests.loop.test_refit_dense import SEVERAL
@@ -222,3 +223,18 @@ def test_it_is_the_ratio_of_evidences(form: str, tmp_path: Path) -> None:
     assert one is not None
     assert two is not None
     assert log_noise - density.misfit[0] - density.log_spread[0] == pytest.approx(two - one, rel=1e-9)
+
+
+@pytest.mark.parametrize("size", [1.0, 1e12, 1e25])
+def test_the_factor_of_a_signal_however_large(size: float) -> None:
+    """Also of one that is negative by rounding, and beside which one is nothing."""
+    root = generator(1, "signal").standard_normal((5, 2))
+    exact = size * root @ root.T
+    signal = exact - 1e-15 * size * np.eye(5)
+    factor = _factor_of(signal)
+    assert np.all(np.diag(factor) > 0)
+    np.testing.assert_allclose(factor, np.tril(factor))
+    np.testing.assert_allclose(factor @ factor.T, np.eye(5) + exact, rtol=0, atol=1e-12 * size)
+    # What no signal is in has a variance of one.
+    log_det = 2 * np.log(np.diag(factor)).sum()
+    assert log_det == pytest.approx(np.linalg.slogdet(np.eye(2) + size * root.T @ root)[1], abs=0.5)
