@@ -129,6 +129,7 @@ def check_designs(
     before: ComplexArray,
     more_variance: FloatArray | None = None,
     as_read: Rows | None = None,
+    models: Sequence[Array] | None = None,
 ) -> tuple[list[HeldoutStatistics], ComplexArray]:
     """Do as `check_heldout` with each time's design and the model beam's visibilities, (Nfreqs, Ntimes, Nlocal).
 
@@ -136,8 +137,9 @@ def check_designs(
 
     ``more_variance``, (Nfreqs, 2, Ntimes, Nbls) in Jy^2, is added to the variance of real and imaginary parts that the
     beam's uncertainty gives. Where effects have been taken out of the ``rows``, those that were read are ``as_read``.
+    With the fit of each channel's model beam, ``models``, it is told what the basis leaves of this.
     """
-    check = HeldoutCheck(rows, posteriors, before, more_variance, as_read)
+    check = HeldoutCheck(rows, posteriors, before, more_variance, as_read, models)
     for t, design in enumerate(by_time):
         check.add(t, design)
     return check.statistics, check.after
@@ -148,10 +150,8 @@ class HeldoutCheck:
 
     Parameters
     ----------
-    rows, posteriors, before, more_variance, as_read
+    rows, posteriors, before, more_variance, as_read, models
         As of `check_designs`.
-    models : sequence of ndarray, (n_modes,), optional
-        Each channel's fit of the model beam, for what the basis leaves of this.
 
     Attributes
     ----------

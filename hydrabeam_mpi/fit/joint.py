@@ -219,7 +219,9 @@ def channel_results(context: FitContext, fitted: Fitted) -> list[ChannelResult]:
         variance, with_beam = variance_by_effects(context, fitted, test, added)
         predicting = given if with_beam else beams_alone(fitted.fit)
         designs = context.test.designs(fitted.values)
-        heldout, after = check_designs(test, designs, predicting, before, variance, context.test.rows)
+        # Effects may change the sky, or add functions to the basis.
+        models = None if fitted.values.active else problem.model_means
+        heldout, after = check_designs(test, designs, predicting, before, variance, context.test.rows, models)
         factor, _ = context.test.effects(fitted.estimate)
     reduce_heldout(grid, heldout)
     samples = heldout_sample(grid, problem, context.test.rows, before, test, after, factor)

@@ -75,7 +75,9 @@ def _warnings_of_heldout(channels: list[dict[str, Any]], by_evidence: bool) -> l
             "up errors that are not its own. Its standard deviations know nothing of that, and are too small by a "
             f"factor of up to {np.sqrt(chi2):.2g} at least."
         )
-    small = [c for c in channels if c.get("heldout_rms_jy_beyond_basis", 0.0) > c["heldout_rms_jy_noise"]]
+    # Not known beside effects.
+    known = [channel for channel in channels if "heldout_rms_jy_beyond_basis" in channel]
+    small = [channel for channel in known if channel["heldout_rms_jy_beyond_basis"] > channel["heldout_rms_jy_noise"]]
     if small:
         worst = max(small, key=lambda channel: channel["heldout_rms_jy_beyond_basis"])
         said.append(

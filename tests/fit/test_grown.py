@@ -62,7 +62,10 @@ def test_posterior_is_that_of_the_larger_basis(basis: dict[str, Any], tmp_path: 
         )
         assert one.posterior.log_evidence == pytest.approx(two.posterior.log_evidence, abs=1e-3)
         assert one.train_chi2 == pytest.approx(two.train_chi2, rel=1e-9)
-        assert one.heldout.summary() == pytest.approx(two.heldout.summary(), rel=1e-5, abs=1e-7)
+        told = two.heldout.summary()
+        # What the larger basis leaves of the model beam is not told of a basis that has grown.
+        told.pop("heldout_rms_jy_beyond_basis")
+        assert one.heldout.summary() == pytest.approx(told, rel=1e-5, abs=1e-7)
 
 
 def test_other_effects_are_marginalised(tmp_path: Path) -> None:

@@ -55,4 +55,4 @@ def test_a_basis_that_is_zero_at_its_edge_is_no_horizon(tmp_path: Path) -> None:
     assert np.abs(uv.data_array[0, 0, 0] / uv.data_array.max() - written / written.max()).max() < 1e-5
     edge = FourierBessel.full(24, 0, boundary="dirichlet", edge=np.deg2rad(92))
     lacking = written - evaluate_on_grid(partial(edge.synthesize, found.beam.mean[0][:24]))
-    assert np.abs(lacking).max() > 1e-3
+    assert np.abs(lacking / std)[85:].max() > 50

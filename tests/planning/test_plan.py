@@ -242,7 +242,7 @@ def test_columns_are_as_many_as_the_effects_have(job: Path) -> None:
     found, n_antennas = candidates_of(problem), problem.observation.Nants
     assert 2 * n_antennas in found.weighed  # gains
     assert 6 * n_antennas in found.weighed  # shapes of single beams
-    assert found.more == problem.basis.n_modes  # as many functions as it has
+    assert found.more == problem.basis.n_modes + 1  # as many functions as it has, and the rest of the model beam
     assert found.by_group <= max(found.weighed.max(), found.again.max())
     small, large = (Share(1, n, n, 100, 50, 1000, problem.basis) for n in (10, 1000))
     assert 0 < weighing_bytes(found, small) < weighing_bytes(found, large)
