@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import unicodedata
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from difflib import get_close_matches
 from itertools import pairwise
 
@@ -14,6 +14,11 @@ SIZES = (("ZB", 1e21), ("EB", 1e18), ("PB", 1e15), ("TB", 1e12), ("GB", 1e9), ("
 def joined(words: Sequence[str]) -> str:
     """Join words as in a sentence: "a", "a and b", "a, b and c"."""
     return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
+
+
+def megahertz_of(freqs: Iterable[float]) -> str:
+    """List frequencies, Hz, in MHz: "131, 151.2"."""
+    return ", ".join(f"{freq / 1e6:.6g}" for freq in freqs)
 
 
 def from_to(first: str, last: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hydrabeam_mpi.words import duration, size, text_table
+from hydrabeam_mpi.words import duration, megahertz_of, size, text_table
 
 
 @pytest.mark.parametrize(
@@ -35,3 +35,8 @@ def test_sizes_have_three_digits(n_bytes: float, words: str) -> None:
 
 def test_columns_are_aligned() -> None:
     assert text_table([("a", "b", "c"), ("long", "10", "")], right=[1]) == "a      b  c\nlong  10"
+
+
+def test_frequencies_are_listed_in_megahertz() -> None:
+    assert megahertz_of([131e6, 151.1953125e6]) == "131, 151.195"
+    assert megahertz_of(iter([])) == ""

@@ -19,6 +19,7 @@ from hydrabeam_mpi.inference.predictive_checks import LARGEST_PREDICTIVE
 from hydrabeam_mpi.loop.selection.heldout_numbers import HeldoutNumbers, heldout_numbers
 from hydrabeam_mpi.mpi import together
 from hydrabeam_mpi.terminal.progress import say, warn
+from hydrabeam_mpi.words import megahertz_of
 
 AS_HELDOUT = "rms_expected_as_heldout"
 """The rms that is expected where as much is left as of the data that were held out from the result."""
@@ -124,7 +125,7 @@ def warnings_of(channels: Sequence[Mapping[str, Any]]) -> list[str]:
             "the result left as much of these."
         )
     if worse := [one for one in channels if one["rms"] > one["rms_zero"]]:
-        freqs = ", ".join(f"{one['freq_hz'] / 1e6:.6g}" for one in worse)
+        freqs = megahertz_of(one["freq_hz"] for one in worse)
         said.append(f"At {freqs} MHz the prediction leaves more of the data than predicting zero does.")
     return said
 

@@ -24,6 +24,7 @@ from hydrabeam_mpi.io.noise_table import read_table, table_sigma
 from hydrabeam_mpi.io.uvdata import Block, feeds_of, read_autos, read_block
 from hydrabeam_mpi.io.uvfile import check_all_survive
 from hydrabeam_mpi.io.uvsource import Data
+from hydrabeam_mpi.words import megahertz_of
 
 # Fewer differences than this do not make a variance: its own error is 1 / sqrt(number).
 MIN_DIFFERENCES = 8
@@ -291,7 +292,7 @@ def amid(observation: Observation, how: Literal["time", "frequency"]) -> IntArra
         )
     alone = centres[np.setdiff1d(np.arange(len(centres)), middle[:, np.newaxis] + [-1, 0, 1])]
     if how == "frequency" and alone.size:
-        listed = ", ".join(f"{freq / 1e6:.6g}" for freq in alone)
+        listed = megahertz_of(alone)
         message = f"channels without neighbours at equal distances to take the noise from differences to: {listed} MHz"
         remedy = "select their neighbours too, leave them out, or choose another kind"
         raise InputError(message, field="[noise] kind", remedy=remedy)

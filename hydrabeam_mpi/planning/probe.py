@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
 from hydrabeam_mpi.config.simulation import Perturbation
 from hydrabeam_mpi.data.observation import IntArray
 from hydrabeam_mpi.data.partition import Tile
-from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.fit.context import FitContext
+from hydrabeam_mpi.fit.joint import setup_of
 from hydrabeam_mpi.fit.rank_data import RankData
 from hydrabeam_mpi.fit.rows import Rows
 from hydrabeam_mpi.model.beam import Beam
@@ -20,7 +19,6 @@ from hydrabeam_mpi.mpi import ProcessGrid, alone
 from hydrabeam_mpi.random import complex_normal, generator
 from hydrabeam_mpi.setup.beams import perturb
 from hydrabeam_mpi.setup.problem import Problem
-from hydrabeam_mpi.setup.skies import source_positions
 
 TOO_LARGE = 1.05
 """By how much the visibilities of one antenna are too large, so that there is something for a loop to find."""
@@ -49,20 +47,8 @@ def probe(
         for rows in (problem.train, problem.test)
     )
     # Effects have the parameters that they have in the run: their number hangs on all times.
-    fitted, in_use = problem.train.times, np.union1d(problem.train.times, problem.test.times)
+    setup = setup_of(problem, problem.observation.pols)
     problem = replace(problem, train=train, test=test)
-    setup = ObservingSetup(
-        observation=problem.observation,
-        redundant=problem.redundant,
-        sky=problem.sky,
-        basis=problem.basis,
-        prior_mean=problem.model_means,
-        file_pols=problem.observation.pols,
-        times=in_use,
-        positions=partial(source_positions, problem.job),
-        fitted=fitted,
-        model_beam=problem.beams[len(problem.beams) // 2],
-    )
     beams, one_antenna = beams or problem.beams, TOO_LARGE if faulty else 1.0
     own = [RankData(problem, setup, _rows(problem, tile, beams, one_antenna)) for tile in (train, test)]
     return FitContext(ProcessGrid.split(alone(), problem.observation.Nfreqs), problem, setup, own[0], own[1])

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hydrabeam_mpi.inference.predictive_checks import LARGEST_PREDICTIVE
-from hydrabeam_mpi.words import from_to
+from hydrabeam_mpi.words import from_to, megahertz_of
 
 FAR = 2.0
 """Times as far from the model as its prior expects, from which on errors of what the data leave open are half of what
@@ -79,9 +79,10 @@ def _warnings_of_heldout(channels: list[dict[str, Any]], by_evidence: bool) -> l
     known = [channel for channel in channels if "heldout_rms_jy_beyond_basis" in channel]
     small = [channel for channel in known if channel["heldout_rms_jy_beyond_basis"] > channel["heldout_rms_jy_noise"]]
     if small:
+        freqs = megahertz_of(channel["freq_hz"] for channel in small)
         worst = max(small, key=lambda channel: channel["heldout_rms_jy_beyond_basis"])
         said.append(
-            f"At {_freqs(small)} MHz the basis is too small for the model beam itself: of what that predicts it leaves "
+            f"At {freqs} MHz the basis is too small for the model beam itself: of what that predicts it leaves "
             f"up to {worst['heldout_rms_jy_beyond_basis']:.3g} Jy rms, where the noise is "
             f"{worst['heldout_rms_jy_noise']:.3g} Jy. More functions of higher orders follow it, and [basis] rest = "
             "true makes what those of a Fourier-Bessel basis leave one more function."
@@ -89,11 +90,12 @@ def _warnings_of_heldout(channels: list[dict[str, Any]], by_evidence: bool) -> l
     lost = [c for c in channels if c["heldout_chi2_noise_only"] > c["heldout_chi2_unperturbed_scaled"]]
     lost = [channel for channel in lost if channel not in small]
     if lost:
+        freqs = megahertz_of(channel["freq_hz"] for channel in lost)
         why = "its prior leaves more open than these data tell. With [prior] widths = 'evidence' they choose how much."
         if by_evidence:
             why = "these data tell next to nothing of how the beam departs from its model."
         said.append(
-            f"At {_freqs(lost)} MHz the model beam with one free amplitude predicts the held-out data better than the "
+            f"At {freqs} MHz the model beam with one free amplitude predicts the held-out data better than the "
             f"inferred beam does: {why}"
         )
     amplitudes = [channel["heldout_amplitude_unperturbed"] for channel in channels]
@@ -110,8 +112,3 @@ def _warnings_of_heldout(channels: list[dict[str, Any]], by_evidence: bool) -> l
                 "loop' tests it."
             )
     return said
-
-
-def _freqs(channels: list[dict[str, Any]]) -> str:
-    """Return the frequencies of channels, MHz."""
-    return ", ".join(f"{channel['freq_hz'] / 1e6:.6g}" for channel in channels)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from hydrabeam_mpi.model.bases.base import has_part
 from hydrabeam_mpi.model.earth_orientation import beyond_table
 from hydrabeam_mpi.model.fit import FittedBeam
 from hydrabeam_mpi.setup.skies import are_apparent
+from hydrabeam_mpi.words import megahertz_of
 
 # Seconds that a clock and a sidereal clock may differ by: UT1 - UTC, up to 0.9 s, and the equation of the equinoxes,
 # up to 1.2 s, either of which a file's sidereal times may lack.
@@ -71,18 +72,14 @@ def cautions_of_flags(channels: Sequence[dict[str, Any]], holds_out: bool) -> tu
     holds_out : bool
         Whether the job asks for data to be held out.
     """
-    empty = _listed(channel["freq_hz"] for channel in channels if not channel["n_data"])
-    untested = _listed(channel["freq_hz"] for channel in channels if holds_out and "heldout_n" not in channel)
+    empty = megahertz_of(channel["freq_hz"] for channel in channels if not channel["n_data"])
+    untested = megahertz_of(channel["freq_hz"] for channel in channels if holds_out and "heldout_n" not in channel)
     said = []
     if empty:
         said.append(f"At {empty} MHz all data to fit are flagged: what is given for the beam there is its prior.")
     if untested:
         said.append(f"At {untested} MHz all held-out data are flagged: nothing tests the beam there.")
     return tuple(said)
-
-
-def _listed(freqs: Iterable[float]) -> str:
-    return ", ".join(f"{freq / 1e6:.6g}" for freq in freqs)
 
 
 def _of_units(job: Job, observation: Observation) -> str | None:

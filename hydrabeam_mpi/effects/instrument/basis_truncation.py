@@ -89,14 +89,12 @@ class BasisTruncation(Effect):
 
     def columns(self, block: RowBlock, x: FloatArray) -> Columns:
         """Return the visibilities of the modes; ``x`` is (n_params,)."""
-        parts, n_before = [], self.n_before
+        parts = []
         for batch in self._next(block.setup):
-            is_rest = batch.modes == (REST,)
-            key = f"{self.kind} rest" if is_rest else f"{self.kind} {n_before} {len(batch.modes)}"
+            key = f"{self.kind} {batch.modes[0]} {len(batch.modes)}"
             if key not in block.integrals:
                 block.integrals[key] = _integrated(block, key, batch.basis)
             parts.append(block.integrals[key])
-            n_before += 0 if is_rest else len(batch.modes)
         values = np.concatenate(parts, axis=-1)
         return Columns(values, values.shape[-1], by_group=True)
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 
 from hydrabeam_mpi.effects.interface.effect import Effect
@@ -26,13 +27,11 @@ def begin(context: FitContext, values: Values, clock: Clock, effects: Sequence[E
     Raises
     ------
     InputError
-        If the data are predicted beyond all numbers.
+        If the data cannot be predicted.
     """
     with clock.time("fit"):
-        try:
+        with _told_in_a_line():
             checked = check(context, refit(context, with_what_is_known(context, values)))
-        except BrokenOff as why:
-            raise InputError(f"of the model without effects: {why}", remedy=INFERENCE) from why
         history = History(checked, checked)
         adapted = adapt_to_model(context, checked, next_of(context, effects, checked.fitted.values))
     if adapted is not None:
@@ -43,12 +42,24 @@ def begin(context: FitContext, values: Values, clock: Clock, effects: Sequence[E
 def settle_last(context: FitContext, history: History) -> None:
     """Go on with the last fit until nothing moves, so that what is written of it can be computed again.
 
-    Effects are described by what has been fitted first. Collective: all ranks of the grid.
+    Effects are described by what has been fitted first. Errors are those of `begin`. Collective: all ranks of the grid.
     """
     n_known = len(context.learned.values.active) if context.learned else 0
-    last = check(context, settle(context, refined(history.last.fitted, n_known)))
+    with _told_in_a_line():
+        last = check(context, settle(context, refined(history.last.fitted, n_known)))
     history.last = last
     if history.rounds:
         history.rounds[-1] = replace(history.rounds[-1], after=last)
     else:
         history.first = last
+
+
+@contextmanager
+def _told_in_a_line() -> Iterator[None]:
+    """Say in a line why a fit that no other stands in for predicts nothing: what is behind that, where it says more."""
+    try:
+        yield
+    except BrokenOff as why:
+        if isinstance(why.__cause__, InputError):
+            raise why.__cause__ from None
+        raise InputError(str(why), field="held-out data", remedy=INFERENCE) from why

@@ -18,11 +18,13 @@ PER_UNIT, N_AZ = 320, 720
 """Nodes of the table of the rest: every 0.4 to 0.5 degrees, finer than what files of beams tell."""
 
 
-def rest_nodes() -> tuple[FloatArray, FloatArray]:
-    """Return zenith angle and azimuth (radians) of the nodes of a rest, (Nnodes,) each; none is below the horizon."""
-    radius = radii(PER_UNIT)
-    za = 2 * np.arcsin(np.minimum(radius, HORIZON))
-    az = np.linspace(0, 2 * np.pi, N_AZ, endpoint=False)
+def rest_nodes(per_unit: int = PER_UNIT, n_az: int = N_AZ) -> tuple[FloatArray, FloatArray]:
+    """Return zenith angle and azimuth (radians) of the nodes of a rest, (Nnodes,) each; none is below the horizon.
+
+    Or those of a table with other numbers of nodes.
+    """
+    za = 2 * np.arcsin(np.minimum(radii(per_unit), HORIZON))
+    az = np.linspace(0, 2 * np.pi, n_az, endpoint=False)
     both = np.meshgrid(np.minimum(za, np.pi / 2), az, indexing="ij")
     return both[0].ravel(), both[1].ravel()
 
@@ -63,10 +65,8 @@ class Rest(LinearBasis):
 
     def at_nodes(self, coeffs: Array, per_unit: int, n_az: int) -> FloatArray:
         """Evaluate a multiple of it at a table's nodes, (Nradii, Naz)."""
-        za = 2 * np.arcsin(np.minimum(radii(per_unit), HORIZON))
-        az = np.linspace(0, 2 * np.pi, n_az, endpoint=False)
-        grid = (one.ravel() for one in np.meshgrid(za, az, indexing="ij"))
-        return np.asarray(coeffs[0]).real * self.columns(*grid)[0].reshape(len(za), n_az)
+        values = self.columns(*rest_nodes(per_unit, n_az))[0]
+        return np.asarray(coeffs[0]).real * values.reshape(-1, n_az)
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out what is made again where it is needed, and is larger than all else."""

@@ -11,8 +11,10 @@ import pytest
 from mpi4py import MPI
 
 from hydrabeam_mpi.effects.sky.missing_sources import MissingSources
+from hydrabeam_mpi.errors import InputError
 from hydrabeam_mpi.fit.gauss_newton import BrokenOff, refit
 from hydrabeam_mpi.fit.state import Fitted, Values
+from hydrabeam_mpi.loop.selection.first_and_last import _told_in_a_line
 from hydrabeam_mpi.loop.selection.predictions import check, score_of
 from tests.fit.test_gauss_newton import free
 from tests.loop.mock import context_of, mock_job
@@ -39,3 +41,10 @@ def test_a_prediction_beyond_all_numbers_is_no_prediction(comm: MPI.Comm, common
     for predict, flux in product((check, score_of), (1e18, 1e45)):
         with pytest.raises(BrokenOff, match="beyond all numbers"):
             predict(context, with_flux(flux))
+
+
+def test_where_no_other_fit_stands_in_a_line_says_what_is_behind() -> None:
+    with pytest.raises(InputError, match=r"\[prior\]: leaves some modes free"), _told_in_a_line():
+        raise BrokenOff("beyond all numbers") from InputError("leaves some modes free", field="[prior]")
+    with pytest.raises(InputError, match=r"held-out data: beyond all numbers; compare \[noise\]"), _told_in_a_line():
+        raise BrokenOff("beyond all numbers")
