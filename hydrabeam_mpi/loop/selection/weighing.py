@@ -10,7 +10,7 @@ from hydrabeam_mpi.effects.interface.reweighting import Reweighting
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Fitted, Values
 from hydrabeam_mpi.loop.attribution.candidate_rows import CachedRowBlocks
-from hydrabeam_mpi.loop.attribution.score_effects import attribute
+from hydrabeam_mpi.loop.attribution.score_effects import Finding, attribute
 from hydrabeam_mpi.loop.attribution.score_noise import fit_reweightings, looked_for_again
 from hydrabeam_mpi.loop.attribution.weigh_together import TogetherFound, weigh_together
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Round
@@ -75,6 +75,9 @@ class Weighed:
         Whether the set leaves no more than noise.
     simpler : tuple of Together
         Sets with less evidence and fewer parameters: in an exact fit they may have more.
+    with_drift : Together
+        A constant effect and how it changes in time, where both have more evidence together than anything by itself
+        and no set explains the residual; else of none.
     """
 
     ranking: tuple[Candidate, ...]
@@ -82,6 +85,7 @@ class Weighed:
     together: Together = field(default_factory=Together)
     explains: bool = False
     simpler: tuple[Together, ...] = ()
+    with_drift: Together = field(default_factory=Together)
 
 
 @dataclass
@@ -189,7 +193,29 @@ def weigh(
     if found is None or not found.numbers or by_weights > found.log_bayes_factor:
         return Weighed(ranking)
     simpler = tuple(Together.of(one, most) for one in found.simpler)
-    return Weighed(ranking, candidates[found.numbers[0]], Together.of(found, most), found.explains, simpler)
+    with_drift = Together() if found.explains or most < 2 else _with_drift(context, fitted, findings, cached)
+    return Weighed(ranking, candidates[found.numbers[0]], Together.of(found, most), found.explains, simpler, with_drift)
+
+
+def _with_drift(context: FitContext, fitted: Fitted, findings: Sequence[Finding], cached: CachedRowBlocks) -> Together:
+    """Weigh the constant effect and its change in time that may have the most evidence together.
+
+    By itself either leaves what the other explains: what jumps, or jitters, stands for both. No more than their sum is
+    expected, so that a pass over the rows is made for the kind with the largest, if any is enough.
+    Collective: all ranks of the grid.
+    """
+    most = findings[0].evidence.log_bayes_factor
+    constant = [one for one in findings if one.effect.law == Effect.law]
+    families = [[one, *(law for law in findings if law.kind == one.kind and law is not one)] for one in constant]
+    best = max(families, key=_of_constant_and_best_law, default=[])
+    if _of_constant_and_best_law(best) <= most:
+        return Together()
+    found = weigh_together(context, fitted, best, cached)
+    return Together.of(found, len(best)) if found.log_bayes_factor > most else Together()
+
+
+def _of_constant_and_best_law(findings: Sequence[Finding]) -> float:
+    return sum(one.evidence.log_bayes_factor for one in findings[:2])
 
 
 def _best_first(one: Candidate) -> float:

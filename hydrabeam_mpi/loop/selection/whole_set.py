@@ -46,7 +46,7 @@ def try_set(context: FitContext, checked: Checked, weighed: Weighed, tried: Trie
     There are no rounds where the set would leave more than noise, or none holds. Collective: all ranks of the grid.
     """
     best: tuple[Round, ...] = ()
-    sets = (weighed.together, *weighed.simpler) if weighed.explains else ()
+    sets = (weighed.together, *weighed.simpler) if weighed.explains else (weighed.with_drift,)
     for of_set in sorted(sets, key=lambda one: one.n_parameters):
         one = of_set.without({candidate.name for candidate, _ in tried})
         if best and best[-1].after.remains.consistent:

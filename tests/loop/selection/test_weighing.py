@@ -12,6 +12,7 @@ from hydrabeam_mpi.effects.instrument.antenna_gains import AntennaGains
 from hydrabeam_mpi.effects.instrument.antenna_positions import AntennaPositions
 from hydrabeam_mpi.effects.instrument.closure_errors import ClosureErrors
 from hydrabeam_mpi.effects.instrument.cross_coupling import CrossCoupling
+from hydrabeam_mpi.effects.registry import laws_of
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.gauss_newton import refit
 from hydrabeam_mpi.fit.state import Values
@@ -19,7 +20,8 @@ from hydrabeam_mpi.loop.attribution import columns_that_matter
 from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.predictions import check
 from hydrabeam_mpi.loop.selection.trials import may_be_tried, try_effects
-from hydrabeam_mpi.loop.selection.weighing import Outlook, Weighed, weigh
+from hydrabeam_mpi.loop.selection.weighing import Outlook, Together, Weighed, weigh
+from hydrabeam_mpi.loop.selection.whole_set import try_set
 from tests.loop.mock import context_of, mock_job
 
 GAIN = {"kind": "antenna_gains", "parameters": {"antenna 2 ln amplitude": 0.006, "antenna 2 phase": -0.005}}
@@ -98,6 +100,35 @@ def test_no_set_is_told_of_what_explains_less_than_is_left(tmp_path: Path) -> No
     found = weigh(context, fitted, [*effects, *EFFECTS[1:]], [], 6)
     assert found.explains
     assert [one.kind for one in found.together.members] == ["cross_coupling"]
+
+
+def test_a_constant_effect_and_its_drift_are_tried_together_beside_what_none_explains(tmp_path: Path) -> None:
+    """By itself either leaves what the other explains, so that jumps, which stand for both, explain more."""
+    drift, curvature = "antenna 2 phase, drift from first to last time", "antenna 4 phase, curvature, ends less middle"
+    injected = (
+        {"kind": "antenna_gains", "parameters": {"antenna 2 phase": 0.03, "antenna 4 phase": -0.03}},
+        {
+            "kind": "antenna_gains",
+            "settings": {"law": "smooth", "orders": [1, 2]},
+            "parameters": {drift: 0.06, curvature: 0.06},
+        },
+        COUPLED | {"parameters": {"baseline 1-4 real": 0.001}},
+    )
+    context = context_of(mock_job(*injected, n_times=24), tmp_path)
+    before = check(context, refit(context, Values()))
+    laws = [one for one in laws_of("antenna_gains") if one.not_applicable(context.setup) is None]
+    found = weigh(context, before.fitted, laws, [], 6)
+    assert found.ranking[0].law == "piecewise"
+    assert not found.explains
+    assert {one.law for one in found.with_drift.members} == {"constant", "smooth"}
+    assert found.with_drift.log_bayes_factor > found.ranking[0].log_bayes_factor
+    rounds = try_set(context, before, found, [])
+    assert {one.candidate.law for one in rounds} == {"constant", "smooth"}
+    # What explains all that there is is told as a set of effects.
+    found = weigh(context, before.fitted, [*laws, *EFFECTS[1:]], [], 6)
+    assert found.explains
+    assert found.with_drift == Together()
+    assert weigh(context, before.fitted, laws, [], 1).with_drift == Together()
 
 
 def test_what_is_linear_has_to_come_to_more_than_the_best_with_what_is_beside_it(
