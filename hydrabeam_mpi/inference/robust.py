@@ -25,6 +25,8 @@ LOG_MEAN = -0.5772156649015329
 """Mean of the log of an exponential of mean one, which |noise|^2 over its expectation is: minus Euler's constant."""
 LOG_STD = np.pi / np.sqrt(6)
 """Standard deviation of the same."""
+MEDIAN_WORTH = 2 / np.pi
+"""Of a mean of as many Gaussian values, a median's."""
 MOST_EXCEPTIONS = 0.25
 """Of more times, antennas or baselines than this share none is an exception."""
 STRONG = 5.0

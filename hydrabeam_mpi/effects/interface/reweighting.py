@@ -34,6 +34,8 @@ class ReweightingFit:
         Twice the gain in log likelihood at ``x``.
     n_parameters : int
         Number of measured parameters of all channels.
+    of_fitted : float, optional
+        Log Bayes factor of the fitted rows, where the other is of held-out rows as well.
     reason : str, optional
         Why the residuals are not of this kind, where they are not although they deviate.
     levels : ndarray, (Nfreqs, Nbls), optional
@@ -48,6 +50,7 @@ class ReweightingFit:
     units: tuple[str, ...]
     chi2_drop: float
     n_parameters: int
+    of_fitted: float | None = None
     reason: str | None = None
     levels: FloatArray | None = None
 
@@ -63,6 +66,8 @@ class Reweighting(ABC):
     """Whether, where it is refused, it is looked for once more in the residuals of a robust fit."""
     leaves_out: ClassVar[bool] = False
     """Whether it leaves out rows, of which is told where they are."""
+    is_of_unknown: ClassVar[bool] = False
+    """Whether nobody knows what is in the rows that it leaves out, so that it explains nothing."""
     follows_residuals: ClassVar[bool] = False
     """Whether weights of all rows change with their residuals, so that likelihoods do not compare."""
     weighs_heldout: ClassVar[bool] = False
@@ -124,13 +129,14 @@ class Reweighting(ABC):
             Residuals times the square roots of the weights.
         """
 
-    def heldout_sums(self, setup: ObservingSetup, times: IntArray, z: ComplexArray) -> FloatArray:
+    def heldout_sums(self, setup: ObservingSetup, times: IntArray, bls: IntArray, z: ComplexArray) -> FloatArray:
         """Return what `fit` needs of held-out rows where these count, (n_sums,): additive as well.
 
         Parameters
         ----------
         setup : ObservingSetup
         times : ndarray of int, (Ntimes,)
+        bls : ndarray of int, (Nbls,)
         z : ndarray of complex, (Ntimes, Nbls)
             Residuals over the errors of their prediction, E|z|^2 = 1; zero where there are none.
         """

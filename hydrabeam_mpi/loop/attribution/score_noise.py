@@ -179,9 +179,12 @@ def _beside_others(
     z = np.zeros(block.shape, dtype=complex)
     for t, row in enumerate(range(span.start, span.stop)):
         by_beam = context.train.model_root(channel, row, fitted.estimate, design[t])
-        in_fit = bool(seen.inv_noise_var[channel, row].any())
-        time = TimeWhitener.of(block.weights[t], block.member, by_beam, in_fit)
-        z[t] = time.rows(block.residual[t][:, np.newaxis])[:, 0] / np.sqrt(2)
+        in_fit = seen.inv_noise_var[channel, row] > 0
+        for fitted_too in (True, False):
+            weights = np.where(in_fit == fitted_too, block.weights[t], 0.0)
+            if weights.any():
+                time = TimeWhitener.of(weights, block.member, by_beam, fitted_too)
+                z[t] += time.rows(block.residual[t][:, np.newaxis])[:, 0] / np.sqrt(2)
     return z
 
 
@@ -192,6 +195,6 @@ def _add_heldout(
     whitened = whiten(context, fitted)
     with together(context.grid.world):
         for channel, number in enumerate(context.channels):
-            z = np.where(whitened.used[channel], whitened.z[channel], 0.0) / np.sqrt(2)
+            tile, z = context.test.rows.tile, np.where(whitened.used[channel], whitened.z[channel], 0.0) / np.sqrt(2)
             for change, total in zip(changes, sums, strict=True):
-                total[number] += change.heldout_sums(context.setup, context.test.rows.tile.times, z)
+                total[number] += change.heldout_sums(context.setup, tile.times, tile.bls, z)

@@ -18,6 +18,7 @@ from hydrabeam_mpi.loop.output.parameters import counted, parameters_of, prior_s
 from hydrabeam_mpi.loop.output.sentences import say_predicting, say_round, say_verdict, still_there
 from hydrabeam_mpi.loop.residuals.left_out import rows_left_out
 from hydrabeam_mpi.loop.selection.acceptance import (
+    LEFT_OUT,
     Candidate,
     Checked,
     Round,
@@ -86,10 +87,12 @@ def make_record(
     found = _found(context, history, skipped, conventions, leakage, interrupted)
     claimed = history.claimed or history.last
     last, control = claimed.remains, _foreign(history)
-    verdict = verdict_of(claimed, history.control, bool(still_there(found["rounds"])))
+    verdict = verdict_of(claimed, history.control, history.n_given, bool(still_there(found["rounds"])))
     if interrupted or conventions["found"]:
         verdict = "interrupted" if interrupted else "convention"
     unexplained = verdict == "unexplained"
+    why = why_unexplained(claimed, history.control, history.n_given) if unexplained else None
+    is_left = unexplained and why != LEFT_OUT
     # Of data in another convention all is off, and before the last fit what an effect will explain.
     odd = last.odd if verdict not in ("convention", "interrupted") else ()
     record: dict[str, Any] = {
@@ -101,7 +104,7 @@ def make_record(
         "error_claimed": claimed.score.chi2,
         "heldout_n": history.last.score.n_data,
         **heldout_change(history.first, history.last, context.setup.observation.freqs),
-        "why": why_unexplained(claimed, history.control) if unexplained else None,
+        "why": why,
         "foreign": control,
         **found,
         "prior_widths": [adapted_told(context, one) for one in history.adapted],
@@ -109,9 +112,9 @@ def make_record(
         "last_ranking": [_ranked(one) for one in known_effects(history.ranking)],
         "health": [one.record() for one in (*context.problem.findings, *odd)],
         "conventions": conventions,
-        "where": last.where if unexplained else None,
+        "where": last.where if is_left else None,
         "residual": history.last.remains.statistics,
-        "structures": last.structures if unexplained else None,
+        "structures": last.structures if is_left else None,
     }
     record["sentence"] = say_verdict(record)
     kept = still_there(found["rounds"])
@@ -242,6 +245,7 @@ def _round(context: FitContext, one: Round, at_last: _AtLast) -> dict[str, Any]:
         "parameters_not_told": not_told,
         "errors_widened_by": widened(one, at_last.scale),
         "left_out": at_last.left_out if leaves_out else None,
+        "of_unknown": candidate.weights is not None and candidate.weights.change.is_of_unknown,
         "log_bayes_factor": candidate.log_bayes_factor,
         "absorbed_by_beam": finding.evidence.absorbed if finding else 0.0,
         "chi2_before": _train_chi2(context, one.before),

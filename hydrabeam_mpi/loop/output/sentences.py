@@ -139,9 +139,10 @@ def say_verdict(told: dict[str, Any]) -> str:
 
 
 def _verdict(told: dict[str, Any]) -> str:
-    names = _titles(still_there(told["rounds"]))
+    of_unknown = [one for one in still_there(told["rounds"]) if one.get("of_unknown")]
+    names = _titles([one for one in still_there(told["rounds"]) if one not in of_unknown])
     lacked = f"The model lacked {joined(names)}"
-    before = f"{told['error_before']:.4g} -> " if names else ""
+    before = f"{told['error_before']:.4g} -> " if names or of_unknown else ""
     error = f"held-out reduced chi^2 {before}{told['error_after']:.4g}"
     match told["verdict"]:
         case "consistent":
@@ -159,9 +160,15 @@ def _verdict(told: dict[str, Any]) -> str:
     unknown = f"What is left ({error}) is explained by no effect in the catalogue."
     if names:
         unknown = f"{lacked}, and something else that no effect in the catalogue explains ({error})."
+    if of_unknown:
+        some = f"{lacked}, and some" if names else "Some"
+        unknown = f"{some} of the data carry something that no effect in the catalogue explains ({error})."
     revoked = _titles([one for one in told["rounds"] if one.get("revoked") and not one.get("predicts")])
     gone = [f"What was added at first was taken back: {joined(revoked)}."] if revoked else []
-    return " ".join([unknown, *gone, *say_predicting(told), *_reasons(told), told["where"]["sentence"]])
+    # Rounds that leave out data have the same sentence of where all of these are.
+    where = [one["left_out"]["sentence"] for one in of_unknown[:1]]
+    where += [told["where"]["sentence"]] if told["where"] else []
+    return " ".join([unknown, *gone, *say_predicting(told), *_reasons(told), *where])
 
 
 def still_there(rounds: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

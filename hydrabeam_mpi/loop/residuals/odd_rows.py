@@ -11,13 +11,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydrabeam_mpi.data.observation import ComplexArray, FloatArray, IntArray, Observation
-from hydrabeam_mpi.inference.robust import LOG_MEAN, LOG_STD, MOST_EXCEPTIONS, beside_median, known_median, outliers
+from hydrabeam_mpi.inference.robust import (
+    LOG_MEAN,
+    LOG_STD,
+    MEDIAN_WORTH,
+    MOST_EXCEPTIONS,
+    beside_median,
+    known_median,
+    outliers,
+)
 from hydrabeam_mpi.mpi import Comm, allreduce_sum
 from hydrabeam_mpi.setup.findings import Finding, antenna_words, baseline_words, integration_words
 
 ROLES = ("fitted", "held out")
-MEDIAN_WORTH = 2 / np.pi
-"""Of a mean of as many Gaussian values, a median's."""
 
 
 @dataclass

@@ -73,9 +73,15 @@ class Candidate:
         return self.kind, self.law
 
     @property
-    def is_of_integrations(self) -> bool:
-        """Whether it weighs whole integrations, held-out ones too."""
+    def is_of_bad_rows(self) -> bool:
+        """Whether it leaves out whole integrations or baselines that stand out, held-out ones too."""
         return self.weights is not None and self.weights.change.weighs_heldout
+
+    @property
+    def of_fitted(self) -> float:
+        """Its log Bayes factor of the fitted rows, which is what those of effects are of."""
+        of_fitted = self.weights.fit.of_fitted if self.weights is not None else None
+        return self.log_bayes_factor if of_fitted is None else of_fitted
 
     @property
     def is_about_the_beam(self) -> bool:
@@ -175,7 +181,7 @@ class Round:
 
 def evidence_of_all(fitted: Candidate, before: Checked, after: Checked) -> float:
     """Return the log Bayes factor of all data: of the fitted ones, and the predictive density of the held-out ones."""
-    if fitted.is_of_integrations:
+    if fitted.is_of_bad_rows:
         return fitted.log_bayes_factor
     return fitted.log_bayes_factor + after.score.log_density - before.score.log_density
 
@@ -183,7 +189,7 @@ def evidence_of_all(fitted: Candidate, before: Checked, after: Checked) -> float
 def in_order(wanted: Sequence[Candidate], most: int, first: Candidate | None = None) -> list[Candidate]:
     """Order candidates for trial: by evidence, but a change of the weights after all effects that come near it.
 
-    Bad integrations are first where they have the most: what an effect explains it explains better than they do.
+    Bad integrations or baselines are first where they have the most: what an effect explains it explains better.
 
     The ``first`` of those that explain the residual together is the first of the effects.
 
@@ -191,14 +197,14 @@ def in_order(wanted: Sequence[Candidate], most: int, first: Candidate | None = N
     come near the first go before others: their fits are short, and long ones of no use are then broken off. At most
     ``most`` effects are returned.
     """
-    top = max((one.log_bayes_factor for one in wanted), default=0.0)
+    top = max((one.of_fitted for one in wanted), default=0.0)
     effects = [one for one in wanted if one.finding is not None]
     best = max((one.log_bayes_factor for one in effects), default=0.0)
 
     def place(one: Candidate) -> int:
         if one is first:
             return -1
-        if one.is_of_integrations and one.log_bayes_factor >= top:
+        if one.is_of_bad_rows and one.of_fitted >= top:
             return -2
         if one.finding is None:
             return 2
@@ -207,7 +213,8 @@ def in_order(wanted: Sequence[Candidate], most: int, first: Candidate | None = N
         return 0 if one.finding.effect.linear and one.log_bayes_factor >= RULES.near_if_linear * best else 1
 
     tried = {id(one) for one in sorted(effects, key=lambda one: one is not first)[:most]}
-    return [one for one in sorted(wanted, key=place) if one.finding is None or id(one) in tried]
+    in_turn = sorted(wanted, key=lambda one: (place(one), -one.of_fitted))
+    return [one for one in in_turn if one.finding is None or id(one) in tried]
 
 
 def is_better(fitted: Candidate, after: Checked, best: Round) -> bool:
@@ -221,19 +228,20 @@ def may_be_better(candidate: Candidate, best: Round, enough: bool) -> bool:
     Most effects are only roughly linear, so that what comes near is fitted too. Where the best one leaves nothing
     (``enough``) another with no more evidence can only be simpler, as may be what needs several elements until places
     or delays are refined.
-    A structure that was found is no noise, but few integrations with something else in them may have looked like one;
-    and bad integrations leave nothing of any effect that shows at few times, so that it is fitted beside them.
+    A structure that was found is no noise, but few integrations or baselines with something else in them may have
+    looked like one; and these leave nothing of any effect that shows in few, so that it is fitted beside them.
     """
     if candidate.finding is None:
-        return candidate.is_of_integrations and candidate.log_bayes_factor > best.evidence_of_all
-    if not is_near(candidate, best.candidate.log_bayes_factor):
+        return candidate.is_of_bad_rows and candidate.log_bayes_factor > best.evidence_of_all
+    reached = best.candidate.of_fitted
+    if not is_near(candidate, reached):
         return False
-    if not enough or best.candidate.is_of_integrations or _complexity(candidate) < _complexity(best.candidate):
+    if not enough or best.candidate.is_of_bad_rows or _complexity(candidate) < _complexity(best.candidate):
         return True
-    if candidate.log_bayes_factor > best.candidate.log_bayes_factor:
+    if candidate.log_bayes_factor > reached:
         return True
     simpler = candidate.finding.effect.gets_simpler_when_fitted
-    return simpler and candidate.log_bayes_factor > RULES.near_if_linear * best.candidate.log_bayes_factor
+    return simpler and candidate.log_bayes_factor > RULES.near_if_linear * reached
 
 
 def is_near(candidate: Candidate, log_bayes_factor: float) -> bool:
@@ -276,8 +284,15 @@ def improvement(before: Checked, after: Checked, candidate: Candidate) -> float:
     return gain_significance(one, two, gain_of(one, two))
 
 
-def why_unexplained(last: Checked, control: Round | None) -> str | None:
-    """Say why the last fit does not explain the data; None where it does."""
+LEFT_OUT = "these data are left out, and of all others nothing significant is left"
+"""Why data stay unexplained of which some are left out that carry something unknown."""
+
+
+def why_unexplained(last: Checked, control: Round | None, n_given: int) -> str | None:
+    """Say why the last fit does not explain the data; None where it does.
+
+    The first ``n_given`` changes of the weights are those of the job itself, which knows what it leaves out.
+    """
     now = last.numbers.of_all
     rms = f"the held-out residual has {now['rms']:.4g} Jy rms"
     if last.remains.stands_out:
@@ -296,12 +311,19 @@ def why_unexplained(last: Checked, control: Round | None) -> str | None:
             f"{now['rms_noise']:.4g} Jy and, with what the data leave uncertain of the model, "
             f"{now['rms_expected']:.4g} Jy are expected"
         )
-    return None if control is None else f"{control.candidate.title} would explain more than any effect"
+    if control is not None:
+        return f"{control.candidate.title} would explain more than any effect"
+    if any(one.change.is_of_unknown for one in last.fitted.values.reweighted[n_given:]):
+        return LEFT_OUT
+    return None
 
 
-def verdict_of(last: Checked, control: Round | None, added: bool) -> str:
-    """Say how a loop ended whose last fit is of what it claims, of which there is some if anything was ``added``."""
-    if why_unexplained(last, control) is not None:
+def verdict_of(last: Checked, control: Round | None, n_given: int, added: bool) -> str:
+    """Say how a loop ended whose last fit is of what it claims, of which there is some if anything was ``added``.
+
+    See `why_unexplained`.
+    """
+    if why_unexplained(last, control, n_given) is not None:
         return "unexplained"
     return "explained" if added else "consistent"
 
@@ -316,11 +338,11 @@ def indistinguishable(
     """Return what explains the residual as well as the candidate: by less than the evidence asked for.
 
     ``of_rest`` is the evidence of what explains, beside the candidate, what those in the ranking have to explain too,
-    and ``of_heldout`` that of the held-out data for the candidate, which bad integrations have in theirs already.
+    and ``of_heldout`` that of the held-out data for the candidate, which bad integrations and baselines have in theirs.
     """
     near = candidate.log_bayes_factor + of_rest - settings.min_log_bayes_factor
 
     def is_near(one: Candidate) -> bool:
-        return one.log_bayes_factor > near + (of_heldout if one.is_of_integrations else 0.0)
+        return one.log_bayes_factor > near + (of_heldout if one.is_of_bad_rows else 0.0)
 
     return [one for one in ranking if one.name != candidate.name and is_near(one)]

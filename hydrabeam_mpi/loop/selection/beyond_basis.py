@@ -43,7 +43,7 @@ def with_functions_beyond(
     if not beyond:
         return checked, NONE_BEYOND
     # A residual with structure is not noise, but a higher noise level seems to explain any residual.
-    told = [one for one in rivals if one.finding is not None or one.is_of_integrations]
+    told = [one for one in rivals if one.finding is not None or one.is_of_bad_rows]
     others = [one.log_bayes_factor for one in told if not one.is_about_the_beam]
     least = max([context.problem.job.loop.min_log_bayes_factor, *others])
     if rivals and not any(one.log_bayes_factor >= least for one in rivals if one.is_about_the_beam):

@@ -28,7 +28,7 @@ def keep_for_prediction(context: FitContext, history: History) -> None:
     is claimed nothing is given back. Collective: all ranks of the grid.
     """
     added = any(not one.revoked for one in history.rounds)
-    if verdict_of(history.last, history.control, added) != "unexplained":
+    if verdict_of(history.last, history.control, history.n_given, added) != "unexplained":
         return
     settings, claimed = context.problem.job.loop, history.last
     for number, one in enumerate(history.rounds):

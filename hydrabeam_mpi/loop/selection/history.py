@@ -44,6 +44,11 @@ class History:
     claimed: Checked | None = None
     adapted: list[Adapted] = field(default_factory=list)
 
+    @property
+    def n_given(self) -> int:
+        """How many changes of the weights the job itself has in the model."""
+        return len(self.first.fitted.values.reweighted)
+
     def add(self, found: Round, places: Mapping[int, int | None]) -> None:
         """Add a round, by which effects are at other ``places`` of the model than before, or taken back (None)."""
         self.rounds = [

@@ -83,7 +83,7 @@ def _grown(
 ) -> tuple[Candidate, ...]:
     """Order candidates again once those that may come first are as large as is wanted. Collective: all ranks."""
     known = [one.log_bayes_factor for one in _wanted(context, fitted, ranking) if one.finding is not None]
-    least = RULES.near * max([*known, best.candidate.log_bayes_factor if best else 0.0], default=0.0)
+    least = RULES.near * max([*known, best.candidate.of_fitted if best else 0.0], default=0.0)
     grown = [as_large_as_wanted(context, fitted, one) if one.log_bayes_factor > least else one for one in ranking]
     return tuple(sorted(grown, key=lambda one: -one.log_bayes_factor))
 
@@ -111,7 +111,7 @@ def _worth(context: FitContext, before: Checked, candidate: Candidate, best: Rou
     if candidate.finding is None:
         return None
     settings, left = context.problem.job.loop, left_of(context, before.fitted)
-    least = best.candidate.log_bayes_factor if best else least_evidence(settings, left, candidate, is_in=False)
+    least = best.candidate.of_fitted if best else least_evidence(settings, left, candidate, is_in=False)
     nonlinear = bool(candidate.finding.effect.parameters(context.setup).nonlinear.any())
     start = log_joint(context, before.fitted)
     return lambda at: may_still_come_to(least, candidate, at, start, nonlinear)

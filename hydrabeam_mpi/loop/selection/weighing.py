@@ -189,7 +189,7 @@ def weigh(
         Candidate(one.change.kind, one.change.title, one.fit.log_bayes_factor, weights=one) for one in weights
     ]
     ranking = tuple(sorted((*candidates, *reweightings), key=_best_first))
-    by_weights = max((one.log_bayes_factor for one in reweightings), default=0.0)
+    by_weights = max((one.of_fitted for one in reweightings), default=0.0)
     if found is None or not found.numbers or by_weights > found.log_bayes_factor:
         return Weighed(ranking)
     simpler = tuple(Together.of(one, most) for one in found.simpler)

@@ -34,7 +34,7 @@ def fit(z: ComplexArray) -> ReweightingFit:
     """Weigh the first channel, of which every second time is held out; the other has no data."""
     change, sums = BadIntegrations(), np.zeros((2, BadIntegrations().n_sums(EXPERIMENT)))
     fitted = np.where(np.isin(np.arange(40), FITTED)[:, np.newaxis], z, 0)
-    sums[0] = change.sums(BLOCK, fitted) + change.heldout_sums(EXPERIMENT, HELD, z[HELD])
+    sums[0] = change.sums(BLOCK, fitted) + change.heldout_sums(EXPERIMENT, HELD, BLOCK.bls, z[HELD])
     return change.fit(EXPERIMENT, sums, np.zeros(2))
 
 
@@ -85,7 +85,7 @@ def test_what_hardly_shows_in_one_channel_shows_in_all(n_freqs: int) -> None:
         sums = np.array(
             [
                 change.sums(block_of(setup, channel), np.where(np.isin(np.arange(40), FITTED)[:, np.newaxis], one, 0))
-                + change.heldout_sums(setup, HELD, one[HELD])
+                + change.heldout_sums(setup, HELD, BLOCK.bls, one[HELD])
                 for channel, one in enumerate(z)
             ]
         )

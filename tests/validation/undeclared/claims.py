@@ -29,8 +29,9 @@ PARTLY_SO = {
 }
 """(what is so, what may be said of it): not all of it, yet nothing that is not so."""
 
-BY_TIMES = "bad_integrations"
-"""Not wrong as a name: `faults_told.faults_not_so` asks of each integration that is left out whether it may be."""
+LEFT_OUT = ("bad_integrations", "bad_baselines")
+"""Not wrong as names: `faults_told.faults_not_so` asks of each integration, antenna and baseline that is left out
+whether it may be."""
 
 CONVENTION_NAMES = {
     "conjugated": "conjugated",
@@ -74,7 +75,7 @@ def not_so(answer: dict[str, Any], loop: dict[str, Any]) -> list[str]:
         out.append(f"convention: {convention}")
     for one in kept(loop):
         name = one["effect"]
-        if name == f"convention: {convention}" or name == BY_TIMES:
+        if name == f"convention: {convention}" or name in LEFT_OUT:
             continue
         so = [
             effect

@@ -26,24 +26,33 @@ def remedies(loop: dict[str, Any], key: str) -> list[Any]:
 def bad_times(loop: dict[str, Any], answer: dict[str, Any]) -> list[int]:
     """Return the indices of integrations that the loop leaves out."""
     spans = [span for spans in remedies(loop, "exclude_times") for span in spans]
-    spans += [(jd - NEAR, jd + NEAR) for jd in _left_out(loop)]
+    # "JD ... noise scale" are the integrations that a round says are bad.
+    names = [known["name"] for one in _rounds(loop, "bad_integrations") for known in one["parameters"]]
+    spans += [(float(name.split()[1]) - NEAR, float(name.split()[1]) + NEAR) for name in names]
     return [i for i, time in enumerate(answer["times"]) if any(low <= time <= high for low, high in spans)]
 
 
-def _left_out(loop: dict[str, Any]) -> list[float]:
-    """Return the Julian dates of integrations that a round says are bad: "JD ... noise scale"."""
-    told = [one for one in loop["rounds"] if one["effect"] == "bad_integrations" and not one.get("revoked")]
-    return [float(known["name"].split()[1]) for one in told for known in one["parameters"]]
+def _rounds(loop: dict[str, Any], kind: str) -> list[dict[str, Any]]:
+    """Return the rounds of a kind that no later one has revoked."""
+    return [one for one in loop["rounds"] if one["effect"] == kind and not one.get("revoked")]
+
+
+def _left_out(loop: dict[str, Any], axis: str) -> list[Any]:
+    """Return the antennas or baselines all of which a round leaves out."""
+    told = [what for one in _rounds(loop, "bad_baselines") for what in one["left_out"][axis]]
+    return [one["what"] for one in told if one["n"] == one["of"]]
 
 
 def bad_antennas(loop: dict[str, Any]) -> list[int]:
     """Return the numbers of antennas that the loop leaves out."""
-    return sorted({number for numbers in remedies(loop, "exclude_antennas") for number in numbers})
+    said = {number for numbers in remedies(loop, "exclude_antennas") for number in numbers}
+    return sorted({*said, *_left_out(loop, "antennas")})
 
 
 def bad_antpairs(loop: dict[str, Any]) -> list[list[int]]:
     """Return the baselines that the loop leaves out, the smaller number first."""
-    return sorted(sorted(pair) for pairs in remedies(loop, "exclude_baselines") for pair in pairs)
+    said = [pair for pairs in remedies(loop, "exclude_baselines") for pair in pairs]
+    return sorted(sorted(pair) for pair in [*said, *_left_out(loop, "baselines")])
 
 
 def names_fault(effect: dict[str, Any], loop: dict[str, Any], answer: dict[str, Any]) -> bool:

@@ -76,7 +76,8 @@ def _judged(told: dict[str, Any], answer: dict[str, Any], loop: dict[str, Any]) 
     if told["class"] == "unknown":
         where_right = is_where(effects[0]["where"], loop.get("where"), answer)
         # What carries it may also be left out of the data, if nothing else is.
-        left_out = bool(loop.get("health")) and not told["not_so"]
+        said = bool(loop.get("health")) or any(one.get("of_unknown") for one in rounds)
+        left_out = said and not told["not_so"]
         return {
             "kept_unknown": left_out or loop["verdict"] == "unexplained",
             "where_right": left_out or where_right,

@@ -1,0 +1,75 @@
+"""A few baselines, or all of an antenna, with something else in them that no effect describes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hydrabeam_mpi.data.observation import BoolArray, FloatArray, IntArray
+from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
+from hydrabeam_mpi.effects.noise.standing_out import Choice, StandingOut, Sums, choose
+from hydrabeam_mpi.inference.robust import MEDIAN_WORTH, known_median
+
+
+class BadBaselines(StandingOut):
+    """Baselines to leave out, as they stand out from all others of the data, by themselves or as those of an antenna.
+
+    The parameters of a channel are the noise scales of all baselines: one for those that are as they should be.
+    """
+
+    kind = "bad_baselines"
+    title = "bad baselines"
+    parts = "baselines"
+    is_of_unknown = True
+
+    def neutral(self, setup: ObservingSetup) -> dict[str, float]:
+        """Return ones."""
+        return dict.fromkeys((f"baseline {a}-{b} noise scale" for a, b in setup.observation.antpairs.tolist()), 1.0)
+
+    def looked_at(self, setup: ObservingSetup) -> IntArray:
+        """Return all baselines."""
+        return np.arange(setup.observation.Nbls)
+
+    def by_part(self, setup: ObservingSetup, times: IntArray, bls: IntArray, rows: FloatArray) -> FloatArray:
+        """Add up something of rows by baseline."""
+        found = np.zeros(setup.observation.Nbls)
+        found[bls] = rows.sum(axis=0)
+        return found
+
+    def scales(self, setup: ObservingSetup, times: IntArray, bls: IntArray, x: FloatArray) -> FloatArray:
+        """Return the noise scales of baselines, (1, Nbls)."""
+        return x[np.newaxis, bls]
+
+    def choices(self, setup: ObservingSetup, sums: Sums) -> Sequence[Choice]:
+        """Return those that stand out among all, and all those of antennas that stand out with others that do beside.
+
+        Of seven antennas one has more than a quarter of all baselines, and is one of a few antennas nevertheless.
+        """
+        ends, n_ants = setup.observation.antenna_index, setup.observation.Nants
+        of_antennas = np.array([(ends == ant).any(axis=1) for ant in range(n_ants)])
+        antennas = choose(_by_antenna(sums, of_antennas))
+        found = [choose(sums)]
+        if antennas.bad.any():
+            mine = (antennas.bad.astype(int) @ of_antennas) > 0
+            others = choose(sums.without(mine))
+            log_choices = antennas.log_choices + others.log_choices
+            found.append(Choice(mine | others.bad, log_choices, antennas.many or others.many))
+        return found
+
+
+def _by_antenna(sums: Sums, of_antennas: BoolArray) -> Sums:
+    """Return medians over each antenna's baselines, (Nants, Nbls), as sums of as many rows as they are worth.
+
+    It takes half of an antenna's baselines to move them: a few that are bad, or those with an antenna that is, do not.
+    Fitted and held-out rows count as of one sort, the first.
+    """
+    numbers, logs, powers = (one.sum(axis=1) for one in sums)
+    worth = MEDIAN_WORTH * numbers @ of_antennas.T
+
+    def medians(total: FloatArray) -> FloatArray:
+        means = np.divide(total, numbers, out=np.full(total.shape, np.nan), where=numbers > 0)
+        found = [[known_median(of_channel[mine]) for mine in of_antennas] for of_channel in means]
+        return np.where(worth > 0, worth * found, 0.0)
+
+    return Sums(*(np.stack([one, np.zeros_like(one)], axis=1) for one in (worth, medians(logs), medians(powers))))
