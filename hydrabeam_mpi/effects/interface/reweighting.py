@@ -34,13 +34,13 @@ class ReweightingFit:
         Twice the gain in log likelihood at ``x``.
     n_parameters : int
         Number of measured parameters of all channels.
-    of_fitted : float, optional
-        Log Bayes factor of the fitted rows, where the other is of held-out rows as well.
     reason : str, optional
         Why the residuals are not of this kind, where they are not although they deviate.
     levels : ndarray, (Nfreqs, Nbls), optional
         Of each baseline the variance of most of its whitened residuals, one if they are noise. Known where the change
         can be told beside residuals that are larger than noise; see `Reweighting.at_levels`.
+    of_fitted : float, optional
+        Log Bayes factor of the fitted rows, where the other is of held-out rows as well.
     """
 
     log_bayes_factor: float
@@ -50,9 +50,9 @@ class ReweightingFit:
     units: tuple[str, ...]
     chi2_drop: float
     n_parameters: int
-    of_fitted: float | None = None
     reason: str | None = None
     levels: FloatArray | None = None
+    of_fitted: float | None = None
 
 
 class Reweighting(ABC):

@@ -48,14 +48,24 @@ class BadBaselines(StandingOut):
         """
         ends, n_ants = setup.observation.antenna_index, setup.observation.Nants
         of_antennas = np.array([(ends == ant).any(axis=1) for ant in range(n_ants)])
-        antennas = choose(_by_antenna(sums, of_antennas))
-        found = [choose(sums)]
+        antennas, found = choose(_by_antenna(sums, of_antennas)), [_choose(setup, sums)]
         if antennas.bad.any():
             mine = (antennas.bad.astype(int) @ of_antennas) > 0
-            others = choose(sums.without(mine))
+            others = _choose(setup, sums.without(mine))
             log_choices = antennas.log_choices + others.log_choices
             found.append(Choice(mine | others.bad, log_choices, antennas.many or others.many))
         return found
+
+
+def _choose(setup: ObservingSetup, sums: Sums) -> Choice:
+    """Return the baselines that stand out, without those of which most redundant partners do, too.
+
+    What redundant baselines have in common is in the sky, or in the beam.
+    """
+    choice, group = choose(sums), setup.redundant.group
+    known = sums.numbers.sum(axis=1) > 0
+    n, n_bad = (np.array([np.bincount(group, one)[group] for one in each]) for each in (known, choice.bad))
+    return choice._replace(bad=choice.bad & ((n < 2) | (n_bad <= 0.5 * n)))
 
 
 def _by_antenna(sums: Sums, of_antennas: BoolArray) -> Sums:

@@ -78,6 +78,11 @@ class Candidate:
         return self.weights is not None and self.weights.change.weighs_heldout
 
     @property
+    def is_of_unknown(self) -> bool:
+        """Whether it leaves out rows of which nobody knows what is in them."""
+        return self.weights is not None and self.weights.change.is_of_unknown
+
+    @property
     def of_fitted(self) -> float:
         """Its log Bayes factor of the fitted rows, which is what those of effects are of."""
         of_fitted = self.weights.fit.of_fitted if self.weights is not None else None
@@ -189,7 +194,8 @@ def evidence_of_all(fitted: Candidate, before: Checked, after: Checked) -> float
 def in_order(wanted: Sequence[Candidate], most: int, first: Candidate | None = None) -> list[Candidate]:
     """Order candidates for trial: by evidence, but a change of the weights after all effects that come near it.
 
-    Bad integrations or baselines are first where they have the most: what an effect explains it explains better.
+    Bad integrations are first where they have the most: what an effect explains it explains better than they do. Bad
+    baselines explain nothing, and are asked after effects, whose fits may gain more than the linear model says.
 
     The ``first`` of those that explain the residual together is the first of the effects.
 
@@ -204,7 +210,7 @@ def in_order(wanted: Sequence[Candidate], most: int, first: Candidate | None = N
     def place(one: Candidate) -> int:
         if one is first:
             return -1
-        if one.is_of_bad_rows and one.of_fitted >= top:
+        if one.is_of_bad_rows and not one.is_of_unknown and one.of_fitted >= top:
             return -2
         if one.finding is None:
             return 2

@@ -15,6 +15,7 @@ from hydrabeam_mpi.loop.attribution.constancy import Constancy
 from hydrabeam_mpi.loop.attribution.parts import Affected, ask_constancy
 from hydrabeam_mpi.loop.attribution.reconsider import Known, compare_priors
 from hydrabeam_mpi.loop.attribution.score_noise import WeightsFound, refit_reweighting
+from hydrabeam_mpi.loop.rules import RULES
 from hydrabeam_mpi.loop.selection.acceptance import Round
 from hydrabeam_mpi.loop.selection.physical import leave_out_unphysical
 from hydrabeam_mpi.loop.selection.predictions import check
@@ -182,9 +183,11 @@ def beside_noise(context: FitContext, last: Round, n_given: int) -> tuple[Round,
 
 
 def _is_same(one: Reweighted, fit: ReweightingFit) -> bool:
-    """Whether a change is told beside noise already, and does the same as it has been fitted now."""
+    """Whether a change is told beside noise already, and does and says the same as it has been fitted now."""
     is_beside_noise = one.change.describe() == one.change.beside_noise.describe()
-    return is_beside_noise and np.array_equal(one.change.is_told(one.x), one.change.is_told(fit.x))
+    does_same = np.array_equal(one.change.is_told(one.x), one.change.is_told(fit.x))
+    says_same = bool(np.all((fit.std == 0) | (np.abs(fit.x - one.x) <= RULES.decided_sigmas * fit.std)))
+    return is_beside_noise and does_same and says_same
 
 
 def take_back_weights(context: FitContext, last: Round, n_given: int) -> tuple[Round, frozenset[str]]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from hydrabeam_mpi.effects.interface.effect import Effect
 from hydrabeam_mpi.effects.interface.reweighting import Reweighting
+from hydrabeam_mpi.effects.shared.time_laws import Piecewise
 from hydrabeam_mpi.fit.context import FitContext
 from hydrabeam_mpi.fit.state import Fitted, Values
 from hydrabeam_mpi.loop.attribution.candidate_rows import CachedRowBlocks
@@ -15,6 +16,9 @@ from hydrabeam_mpi.loop.attribution.score_noise import fit_reweightings, looked_
 from hydrabeam_mpi.loop.attribution.weigh_together import TogetherFound, weigh_together
 from hydrabeam_mpi.loop.selection.acceptance import Candidate, Round
 from hydrabeam_mpi.mpi import bcast_object, together
+
+ABRUPT = (Piecewise.name,)
+"""Laws in time that stand for what is constant as well: what jumps near the first time is nearly that."""
 
 
 @dataclass(frozen=True)
@@ -129,6 +133,11 @@ class Outlook:
             finding = replace(finding, evidence=replace(finding.evidence, effective_parameters=n_parameters))
         return replace(best, candidate=replace(best.candidate, log_bayes_factor=total, finding=finding))
 
+    def beside(self, best: Round, candidate: Candidate) -> float:
+        """Return the log Bayes factor that a candidate has beside the best. Collective: all ranks of the grid."""
+        ranking = self._beside(best).ranking
+        return max((one.log_bayes_factor for one in ranking if one.name == candidate.name), default=0.0)
+
     def _beside(self, best: Round) -> Weighed:
         """Return what there is to try beside the best, or of nothing if another one was that when it was looked at.
 
@@ -171,8 +180,8 @@ def weigh(
     """Weigh each effect by itself, and all together for a set of ``most`` of them.
 
     Collective: all ranks of the grid. A change of the weights explains any residual: where it has more evidence than
-    all effects together, these are not believed. Where these leave no more than noise, what was refused is not looked
-    for in a robust fit, which takes longer than all else.
+    all effects together, these are not believed, unless it leaves out what nobody knows. Where these leave no more than
+    noise, what was refused is not looked for in a robust fit, which takes longer than all else.
     """
     with together(context.grid.world):
         cached = CachedRowBlocks.of(context, fitted.estimate)
@@ -189,7 +198,7 @@ def weigh(
         Candidate(one.change.kind, one.change.title, one.fit.log_bayes_factor, weights=one) for one in weights
     ]
     ranking = tuple(sorted((*candidates, *reweightings), key=_best_first))
-    by_weights = max((one.of_fitted for one in reweightings), default=0.0)
+    by_weights = max((one.of_fitted for one in reweightings if not one.is_of_unknown), default=0.0)
     if found is None or not found.numbers or by_weights > found.log_bayes_factor:
         return Weighed(ranking)
     simpler = tuple(Together.of(one, most) for one in found.simpler)
@@ -200,13 +209,14 @@ def weigh(
 def _with_drift(context: FitContext, fitted: Fitted, findings: Sequence[Finding], cached: CachedRowBlocks) -> Together:
     """Weigh the constant effect and its change in time that may have the most evidence together.
 
-    By itself either leaves what the other explains: what jumps, or jitters, stands for both. No more than their sum is
-    expected, so that a pass over the rows is made for the kind with the largest, if any is enough.
+    By itself either leaves what the other explains, so that what jumps, or jitters, has more, which stands for both. No
+    more than their sum is expected: a pass over the rows is made for the kind with the largest, if any is enough.
     Collective: all ranks of the grid.
     """
     most = findings[0].evidence.log_bayes_factor
-    constant = [one for one in findings if one.effect.law == Effect.law]
-    families = [[one, *(law for law in findings if law.kind == one.kind and law is not one)] for one in constant]
+    gradual = [one for one in findings if one.effect.law not in ABRUPT]
+    constant = [one for one in gradual if one.effect.law == Effect.law]
+    families = [[one, *(law for law in gradual if law.kind == one.kind and law is not one)] for one in constant]
     best = max(families, key=_of_constant_and_best_law, default=[])
     if _of_constant_and_best_law(best) <= most:
         return Together()

@@ -91,6 +91,14 @@ def test_one_wild_baseline_makes_no_antenna_bad() -> None:
         np.testing.assert_array_equal(bad(fit(whitened(seed, {5: 1e4}))), [5])
 
 
+def test_what_redundant_baselines_have_in_common_is_in_the_sky() -> None:
+    group = SETUP.redundant.group
+    whole = np.flatnonzero(group == np.bincount(group).argmax())
+    assert 3 <= len(whole) <= 0.25 * N_BLS
+    assert not len(bad(fit(whitened(6, dict.fromkeys(whole.tolist(), 20.0)))))
+    np.testing.assert_array_equal(bad(fit(whitened(6, {int(whole[0]): 20.0}))), whole[:1])
+
+
 def test_what_many_have_is_not_bad() -> None:
     many = generator(1, "many").choice(N_BLS, int(0.4 * N_BLS), replace=False)
     found = fit(whitened(5, dict.fromkeys(many.tolist(), 20.0)))

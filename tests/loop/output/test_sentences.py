@@ -169,6 +169,7 @@ WEIGHED = [
 EXCHANGED = {"what": "two antennas exchanged", "where": "antennas 2 and 15"}
 INTEGRATION = {"what": "a bad integration", "where": "JD 1"}
 CONVENTION = {"found": "conjugated", "remedy": "conjugate the data"}
+LOST = {"sentence": "9 of 90 visibilities are left out: 100% of baseline 2-7."}
 VERDICTS: dict[str, tuple[str, dict[str, Any], str]] = {
     "nothing is missing": (
         "consistent",
@@ -252,6 +253,30 @@ VERDICTS: dict[str, tuple[str, dict[str, Any], str]] = {
         "What is left (held-out reduced chi^2 1.012) is explained by no effect in the catalogue. A beam that changes "
         "in time would explain more than any of them (log Bayes factor 1,234, held-out reduced chi^2 1.235). "
         "It is on antenna 5.",
+    ),
+    "data left out that nobody knows": (
+        "unexplained",
+        {
+            "rounds": [{"title": "bad baselines", "effect": "bad_baselines", "of_unknown": True, "left_out": LOST}],
+            "why": "these data are left out, and of all others nothing significant is left",
+            "where": None,
+        },
+        "Some of the data carry something that no effect in the catalogue explains (held-out reduced chi^2 11.4 -> "
+        "1.012). These data are left out, and of all others nothing significant is left. 9 of 90 visibilities are left "
+        "out: 100% of baseline 2-7.",
+    ),
+    "the same beside an effect and something else": (
+        "unexplained",
+        {
+            "rounds": [
+                {"title": "antenna gains", "effect": "antenna_gains", "of_unknown": False},
+                {"title": "bad baselines", "effect": "bad_baselines", "of_unknown": True, "left_out": LOST},
+            ],
+            "why": "predictions are not calibrated",
+        },
+        "The model lacked antenna gains, and some of the data carry something that no effect in the catalogue explains "
+        "(held-out reduced chi^2 11.4 -> 1.012). Predictions are not calibrated. 9 of 90 visibilities are left out: 100% "
+        "of baseline 2-7. It is on antenna 5.",
     ),
 }
 
