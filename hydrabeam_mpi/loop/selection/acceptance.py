@@ -290,7 +290,7 @@ def improvement(before: Checked, after: Checked, candidate: Candidate) -> float:
     return gain_significance(one, two, gain_of(one, two))
 
 
-LEFT_OUT = "these data are left out, and of all others nothing significant is left"
+LEFT_OUT = "the data that carry something unknown are left out, and of all others nothing significant is left"
 """Why data stay unexplained of which some are left out that carry something unknown."""
 
 

@@ -210,18 +210,20 @@ def _with_drift(context: FitContext, fitted: Fitted, findings: Sequence[Finding]
     """Weigh the constant effect and its change in time that may have the most evidence together.
 
     By itself either leaves what the other explains, so that what jumps, or jitters, has more, which stands for both. No
-    more than their sum is expected: a pass over the rows is made for the kind with the largest, if any is enough.
+    more than their sum is expected: a pass over the rows is made for each kind of which that may be enough.
     Collective: all ranks of the grid.
     """
-    most = findings[0].evidence.log_bayes_factor
+    most, best = findings[0].evidence.log_bayes_factor, Together()
     gradual = [one for one in findings if one.effect.law not in ABRUPT]
     constant = [one for one in gradual if one.effect.law == Effect.law]
     families = [[one, *(law for law in gradual if law.kind == one.kind and law is not one)] for one in constant]
-    best = max(families, key=_of_constant_and_best_law, default=[])
-    if _of_constant_and_best_law(best) <= most:
-        return Together()
-    found = weigh_together(context, fitted, best, cached)
-    return Together.of(found, len(best)) if found.log_bayes_factor > most else Together()
+    for family in sorted(families, key=_of_constant_and_best_law, reverse=True):
+        if _of_constant_and_best_law(family) <= most:
+            break
+        found = weigh_together(context, fitted, family, cached)
+        if found.log_bayes_factor > most:
+            most, best = found.log_bayes_factor, Together.of(found, len(family))
+    return best
 
 
 def _of_constant_and_best_law(findings: Sequence[Finding]) -> float:

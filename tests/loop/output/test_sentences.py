@@ -258,12 +258,12 @@ VERDICTS: dict[str, tuple[str, dict[str, Any], str]] = {
         "unexplained",
         {
             "rounds": [{"title": "bad baselines", "effect": "bad_baselines", "of_unknown": True, "left_out": LOST}],
-            "why": "these data are left out, and of all others nothing significant is left",
+            "why": "the data that carry something unknown are left out, and of all others nothing significant is left",
             "where": None,
         },
         "Some of the data carry something that no effect in the catalogue explains (held-out reduced chi^2 11.4 -> "
-        "1.012). These data are left out, and of all others nothing significant is left. 9 of 90 visibilities are left "
-        "out: 100% of baseline 2-7.",
+        "1.012). The data that carry something unknown are left out, and of all others nothing significant is left. "
+        "9 of 90 visibilities are left out: 100% of baseline 2-7.",
     ),
     "the same beside an effect and something else": (
         "unexplained",
@@ -275,8 +275,8 @@ VERDICTS: dict[str, tuple[str, dict[str, Any], str]] = {
             "why": "predictions are not calibrated",
         },
         "The model lacked antenna gains, and some of the data carry something that no effect in the catalogue explains "
-        "(held-out reduced chi^2 11.4 -> 1.012). Predictions are not calibrated. 9 of 90 visibilities are left out: 100% "
-        "of baseline 2-7. It is on antenna 5.",
+        "(held-out reduced chi^2 11.4 -> 1.012). Predictions are not calibrated. 9 of 90 visibilities are left out: "
+        "100% of baseline 2-7. It is on antenna 5.",
     ),
 }
 

@@ -211,7 +211,7 @@ WHY: list[tuple[str, dict[str, Any], bool, str | None]] = [
      False, None),
     ("a control model", {"chi2": 1.0, "consistent": True}, True, "a beam that changes in time would explain more"),
     ("what is left out is of unknown origin", {"chi2": 1.0, "consistent": True, "fitted": WITHOUT_BASELINES}, False,
-     "these data are left out, and of all others nothing significant is left"),
+     "the data that carry something unknown are left out, and of all others nothing significant is left"),
 ]  # fmt: skip
 
 
