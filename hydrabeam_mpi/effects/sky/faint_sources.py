@@ -10,15 +10,15 @@ from pydantic import Field
 from scipy.linalg.blas import dsyrk
 from scipy.linalg.lapack import dpstrf
 
-from hydrabeam_mpi.data.observation import C_M_PER_S, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import C_M_PER_S, BoolArray, FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.effect import Columns, Effect, Parameters
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.interface.row_block import RowBlock
-from hydrabeam_mpi.effects.shared.point_sources import in_degrees, in_radians, place, responses, sampled
+from hydrabeam_mpi.effects.shared.point_sources import in_degrees, in_radians, place, resolution, responses, sampled
 from hydrabeam_mpi.effects.shared.settings import Azimuth, Elevation
-from hydrabeam_mpi.effects.sky.missing_sources import SPECTRAL_INDEX, candidates
+from hydrabeam_mpi.effects.sky.missing_sources import SPECTRAL_INDEX, MissingSources, candidates
 from hydrabeam_mpi.model.positions import ManyDirections
-from hydrabeam_mpi.model.sky import Sky
+from hydrabeam_mpi.model.sky import Sky, separation
 from hydrabeam_mpi.random import generator
 
 AT_FIRST = 100
@@ -37,6 +37,10 @@ apart, less than half the width of a dish's beam."""
 LEAST_POWER = 1e-8
 """Of the first point's power, below which one is made up of those before it: a ten-thousandth of its visibilities, and
 far above the rounding errors of the decomposition, 1e-13."""
+
+MOST_SPOTS, LEAST_SPOT = 6, 0.2
+"""Bright sources that all of it may be at most, as many as are looked at of any sort in a round; a spot with less than
+this part of the brightest one's flux is not looked at, as far sidelobes have as much."""
 
 
 class FaintSources(Effect):
@@ -103,6 +107,29 @@ class FaintSources(Effect):
             if len(more) > found[-1].n_sources:
                 found.append(FaintSources(more, n_before=self.n_before))
         return found[1:]
+
+    def simpler_elements(
+        self, setup: ObservingSetup, x: FloatArray, std: FloatArray
+    ) -> list[tuple[BoolArray, Effect, FloatArray]]:
+        """Return all of it as the brightest spots of it, which may be sources with a place each.
+
+        Where the catalogue lacks few sources that make up most of the data these points stand for them, too.
+        """
+        flux, at = x.mean(axis=0), np.array(self._at(setup)).reshape(-1, 2)
+        left, spots, fluxes = np.where(np.any(std > 0, axis=0), flux, 0.0), list[tuple[float, float]](), list[float]()
+        while len(spots) < MOST_SPOTS and left.any():
+            ra, dec = at[np.argmax(left)].tolist()
+            mine = separation(*in_radians(self._at(setup)), *in_radians([(ra, dec)])) < resolution(setup)
+            total, left = float(left[mine].sum()), np.where(mine, 0.0, left)
+            if total < LEAST_SPOT * max(fluxes, default=0.0):
+                break
+            if total > 0:
+                spots.append((ra, dec))
+                fluxes.append(total)
+        sources = MissingSources(spots, len(candidates(setup)[0]))
+        parameters = sources.parameters(setup)
+        begun = np.where(parameters.nonlinear, 0.0, np.array(fluxes)[parameters.element])
+        return [(np.ones(x.shape[1], dtype=bool), sources, begun)] if spots else []
 
     def next_after(self, setup: ObservingSetup, newest: Effect) -> Effect:
         """Return the points after those that the model got last, as far as there are any."""

@@ -3,11 +3,11 @@ import pytest
 
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.registry import make_effect
-from hydrabeam_mpi.effects.shared.point_sources import responses
+from hydrabeam_mpi.effects.shared.point_sources import resolution, responses
 from hydrabeam_mpi.effects.sky.diffuse import Diffuse
 from hydrabeam_mpi.effects.sky.faint_sources import AT_FIRST, FaintSources
-from hydrabeam_mpi.effects.sky.missing_sources import candidates
-from hydrabeam_mpi.model.sky import Sky
+from hydrabeam_mpi.effects.sky.missing_sources import MissingSources, candidates
+from hydrabeam_mpi.model.sky import Sky, separation
 from hydrabeam_mpi.random import generator
 from tests.effects.small import check_adds_sources, small_block, small_setup
 
@@ -89,3 +89,27 @@ def test_what_is_looked_for_is_told_by_places(setup: ObservingSetup) -> None:
     other = small_setup((151e6,), n_times=3)
     assert again.parameters(other).names == sought.parameters(setup).names
     assert sought.carried_over(other) is sought
+
+
+def test_its_brightest_spots_may_be_sources(setup: ObservingSetup) -> None:
+    """Each with the flux of all within a resolution of it; far fainter spots, and what is not told, are none."""
+    effect = FaintSources(n_sources=60).sought_in(setup)
+    ra, dec = np.deg2rad(effect.sources).T
+    at = np.flatnonzero(separation(ra, dec, ra[0], dec[0]) >= resolution(setup))
+    other, far = int(at[0]), int(at[separation(ra[at], dec[at], ra[at[0]], dec[at[0]]) >= resolution(setup)][-1])
+    beside = np.flatnonzero(separation(ra, dec, ra[0], dec[0]) < resolution(setup))[1:2]
+    x, std = np.zeros((2, 60)), np.full((2, 60), 0.1)
+    x[:, 0], x[:, other], x[:, far] = 5.0, 2.0, 0.1
+    x[:, beside] = -0.5
+    ((which, sources, begun),) = effect.simpler_elements(setup, x, std)
+    assert which.all()
+    assert isinstance(sources, MissingSources)
+    assert sources.sources == (effect.sources[0], effect.sources[other])
+    flux = np.array([name.endswith("flux") for name in sources.parameters(setup).names])
+    np.testing.assert_allclose(begun[flux], [5.0 - 0.5 * len(beside), 2.0])
+    assert not begun[~flux].any()
+    std[:, 0] = 0.0
+    ((_, sources, _),) = effect.simpler_elements(setup, x, std)
+    assert isinstance(sources, MissingSources)
+    assert sources.sources[0] == effect.sources[other]
+    assert effect.simpler_elements(setup, -np.abs(x), std) == []
