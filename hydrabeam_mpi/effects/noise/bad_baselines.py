@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hydrabeam_mpi.data.observation import BoolArray, FloatArray, IntArray
+from hydrabeam_mpi.data.observation import FloatArray, IntArray
 from hydrabeam_mpi.effects.interface.observing_setup import ObservingSetup
 from hydrabeam_mpi.effects.noise.standing_out import Choice, StandingOut, Sums, choose
 from hydrabeam_mpi.inference.robust import MEDIAN_WORTH, known_median
@@ -46,11 +46,9 @@ class BadBaselines(StandingOut):
 
         Of seven antennas one has more than a quarter of all baselines, and is one of a few antennas nevertheless.
         """
-        ends, n_ants = setup.observation.antenna_index, setup.observation.Nants
-        of_antennas = np.array([(ends == ant).any(axis=1) for ant in range(n_ants)])
-        antennas, found = choose(_by_antenna(sums, of_antennas)), [_choose(setup, sums)]
+        antennas, found = choose(_by_antenna(setup, sums)), [_choose(setup, sums)]
         if antennas.bad.any():
-            mine = (antennas.bad.astype(int) @ of_antennas) > 0
+            mine = antennas.bad[:, setup.observation.antenna_index].sum(axis=2) > 0
             others = _choose(setup, sums.without(mine))
             log_choices = antennas.log_choices + others.log_choices
             found.append(Choice(mine | others.bad, log_choices, antennas.many or others.many))
@@ -68,14 +66,16 @@ def _choose(setup: ObservingSetup, sums: Sums) -> Choice:
     return choice._replace(bad=choice.bad & ((n < 2) | (n_bad <= 0.5 * n)))
 
 
-def _by_antenna(sums: Sums, of_antennas: BoolArray) -> Sums:
-    """Return medians over each antenna's baselines, (Nants, Nbls), as sums of as many rows as they are worth.
+def _by_antenna(setup: ObservingSetup, sums: Sums) -> Sums:
+    """Return medians over each antenna's baselines as sums, (Nfreqs, 2, Nants), of as many rows as they are worth.
 
     It takes half of an antenna's baselines to move them: a few that are bad, or those with an antenna that is, do not.
     Fitted and held-out rows count as of one sort, the first.
     """
     numbers, logs, powers = (one.sum(axis=1) for one in sums)
-    worth = MEDIAN_WORTH * numbers @ of_antennas.T
+    ends = setup.observation.antenna_index
+    of_antennas = [np.flatnonzero((ends == ant).any(axis=1)) for ant in range(setup.observation.Nants)]
+    worth = MEDIAN_WORTH * np.stack([numbers[:, mine].sum(axis=1) for mine in of_antennas], axis=1)
 
     def medians(total: FloatArray) -> FloatArray:
         means = np.divide(total, numbers, out=np.full(total.shape, np.nan), where=numbers > 0)

@@ -263,7 +263,7 @@ def _round(context: FitContext, one: Round, at_last: _AtLast) -> dict[str, Any]:
         **heldout_change(one.before, one.after, setup.observation.freqs),
         "runner_up": others[0].kind if others else None,
         "runner_up_law": others[0].law if others else None,
-        "runner_up_log_bayes_factor": others[0].log_bayes_factor if others else None,
+        "runner_up_log_bayes_factor": others[0].of_fitted if others else None,
         "indistinguishable_from": [{"effect": other.kind, "law": other.law} for other in as_good],
         "beam_change_max": one.beam_change,
         "together": [
@@ -311,7 +311,7 @@ def _ranked(candidate: Candidate) -> dict[str, Any]:
     line = {
         "effect": candidate.kind,
         "law": candidate.law,
-        "log_bayes_factor": candidate.log_bayes_factor,
+        "log_bayes_factor": candidate.of_fitted,
         "absorbed_by_beam": absorbed,
         **_size(candidate),
     }

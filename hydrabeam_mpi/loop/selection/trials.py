@@ -85,7 +85,7 @@ def _grown(
     known = [one.log_bayes_factor for one in _wanted(context, fitted, ranking) if one.finding is not None]
     least = RULES.near * max([*known, best.candidate.of_fitted if best else 0.0], default=0.0)
     grown = [as_large_as_wanted(context, fitted, one) if one.log_bayes_factor > least else one for one in ranking]
-    return tuple(sorted(grown, key=lambda one: -one.log_bayes_factor))
+    return tuple(sorted(grown, key=lambda one: -one.of_fitted))
 
 
 def may_be_tried(candidate: Candidate, best: Round, outlook: Outlook | None) -> bool:

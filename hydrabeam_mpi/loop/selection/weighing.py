@@ -70,7 +70,7 @@ class Weighed:
     Attributes
     ----------
     ranking : tuple of Candidate
-        Everything, by its evidence.
+        Everything, by its evidence of the fitted rows.
     first : Candidate or None
         Of the ranking: the one that has the most evidence beside the others of the set.
     together : Together
@@ -231,4 +231,4 @@ def _of_constant_and_best_law(findings: Sequence[Finding]) -> float:
 
 
 def _best_first(one: Candidate) -> float:
-    return -one.log_bayes_factor
+    return -one.of_fitted
